@@ -1,0 +1,66 @@
+"""Every exception that beltrami raises, each with the exit code of the command line."""
+
+from __future__ import annotations
+
+
+class BeltramiError(Exception):
+    """Base of all errors that are meant for people: one line that names the cause and the way out.
+
+    Attributes
+    ----------
+    exit_code : int
+        What the command line exits with: 1 processing failed, 2 usage, 3 input unreadable or not fit,
+        4 output not writable.
+    """
+
+    exit_code = 1
+
+
+class ProcessingError(BeltramiError):
+    """The input was read, but the computation could not be carried out."""
+
+
+class UsageError(BeltramiError):
+    """A parameter has no meaning, or two contradict each other."""
+
+    exit_code = 2
+
+
+class InputError(BeltramiError):
+    """The input cannot be read, is damaged, or holds nothing that could be smoothed.
+
+    Parameters
+    ----------
+    name : str
+        The file, as the user named it.
+    cause : str
+        What is wrong, where in the file if that is known.
+    remedy : str, optional
+        What the user can do about it.
+    """
+
+    exit_code = 3
+
+    def __init__(self, name: str, cause: str, remedy: str = "") -> None:
+        self.name, self.cause, self.remedy = name, cause, remedy
+        super().__init__(f"{name}: {cause}" + (f"; {remedy}" if remedy else ""))
+
+
+class OutputError(BeltramiError):
+    """The output cannot be written, or must not be.
+
+    Parameters
+    ----------
+    name : str
+        The file, as the user named it.
+    cause : str
+        Why it cannot be written.
+    remedy : str, optional
+        What the user can do about it.
+    """
+
+    exit_code = 4
+
+    def __init__(self, name: str, cause: str, remedy: str = "") -> None:
+        self.name, self.cause, self.remedy = name, cause, remedy
+        super().__init__(f"{name}: {cause}" + (f"; {remedy}" if remedy else ""))
