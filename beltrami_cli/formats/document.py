@@ -18,19 +18,22 @@ Bytes = bytes | bytearray | memoryview
 
 
 @dataclass(frozen=True)
-class Patched:
-    """The files of a document after its colours were replaced.
+class Written:
+    """The files of a document with new colours, or of a mesh converted to another format.
 
     Attributes
     ----------
     main : sequence of bytes-like
         Pieces of the main file, to be written one after the other.
     sidecars : mapping of str to bytes-like
-        Files beside it whose content changed, by their path relative to the main file ("/" separates).
+        Files beside it that are new or changed, by their path relative to the main file ("/" separates).
+    notices : tuple of str
+        What the user should be told, one sentence each: what the format cannot hold, what was rounded.
     """
 
     main: Sequence[Bytes]
     sidecars: Mapping[str, Bytes] = field(default_factory=dict)
+    notices: tuple[str, ...] = ()
 
 
 class Document(ABC):
@@ -68,7 +71,7 @@ class Document(ABC):
         """
 
     @abstractmethod
-    def patch(self, colours: NDArray[np.float32], stem: str, *, moved: bool) -> Patched:
+    def patch(self, colours: NDArray[np.float32], stem: str, *, moved: bool) -> Written:
         """Return the document's files with other vertex colours and everything else as it was.
 
         Parameters
