@@ -1,0 +1,69 @@
+"""The sRGB transfer function and its inverse.
+
+References
+----------
+.. [1] IEC 61966-2-1:1999, "Colour measurement and management - Default RGB colour space - sRGB".
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+_SLOPE = 12.92  # of the straight piece near black
+_OFFSET = 0.055
+_EXPONENT = 2.4
+_KNEE_SRGB = 0.04045  # where the standard lets the straight piece end, on either side
+_KNEE_LINEAR = 0.0031308
+
+
+def srgb_to_linear(values: ArrayLike) -> NDArray[np.floating[Any]]:
+    """Turn display values into linear light.
+
+    Parameters
+    ----------
+    values : array_like of float, any shape
+        sRGB values, full scale 1. Negative values are treated odd-symmetrically, and values above 1 by the
+        same formula, so that nothing is clipped.
+
+    Returns
+    -------
+    ndarray, same shape
+        Linear values, float32 if `values` is float32, otherwise float64. Computed in float64.
+    """
+    given, size = _magnitude(values)
+    curve = ((size + _OFFSET) / (1 + _OFFSET)) ** _EXPONENT
+    return _signed(np.where(size <= _KNEE_SRGB, size / _SLOPE, curve), given)
+
+
+def linear_to_srgb(values: ArrayLike) -> NDArray[np.floating[Any]]:
+    """Turn linear light into display values.
+
+    Parameters
+    ----------
+    values : array_like of float, any shape
+        Linear values, full scale 1. Negative values are treated odd-symmetrically, and values above 1 by
+        the same formula, so that nothing is clipped.
+
+    Returns
+    -------
+    ndarray, same shape
+        sRGB values, float32 if `values` is float32, otherwise float64. Computed in float64.
+    """
+    given, size = _magnitude(values)
+    curve = (1 + _OFFSET) * size ** (1 / _EXPONENT) - _OFFSET
+    return _signed(np.where(size <= _KNEE_LINEAR, size * _SLOPE, curve), given)
+
+
+def _magnitude(values: ArrayLike) -> tuple[NDArray[Any], NDArray[np.float64]]:
+    given = np.asarray(values)
+    return given, np.abs(given.astype(np.float64))
+
+
+def _signed(size: NDArray[np.float64], given: NDArray[Any]) -> NDArray[np.floating[Any]]:
+    values: NDArray[np.float64] = np.copysign(size, given)
+    return values.astype(np.float32) if given.dtype == np.float32 else values
