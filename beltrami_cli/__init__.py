@@ -1,0 +1,54 @@
+"""Smooth the colours painted on a surface with the short-time Beltrami kernel.
+
+`smooth` takes arrays, `smooth_file` and `inspect_file` take files; `SmoothSettings` and `KernelParameters` hold the
+parameters with their defaults. Importing the package loads nothing heavy: names are resolved when they are used.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from beltrami_cli.errors import BeltramiError, InputError, OutputError, ProcessingError, UsageError
+    from beltrami_cli.flow.parameters import KernelParameters
+    from beltrami_cli.pipeline.inspect_file import inspect_file
+    from beltrami_cli.pipeline.settings import SmoothSettings
+    from beltrami_cli.pipeline.smooth_file import SmoothReport, smooth_file
+    from beltrami_cli.pipeline.smooth_vertices import SmoothResult, smooth
+
+_HOME_OF = {
+    "BeltramiError": "errors",
+    "InputError": "errors",
+    "KernelParameters": "flow.parameters",
+    "OutputError": "errors",
+    "ProcessingError": "errors",
+    "SmoothReport": "pipeline.smooth_file",
+    "SmoothResult": "pipeline.smooth_vertices",
+    "SmoothSettings": "pipeline.settings",
+    "UsageError": "errors",
+    "inspect_file": "pipeline.inspect_file",
+    "smooth": "pipeline.smooth_vertices",
+    "smooth_file": "pipeline.smooth_file",
+}
+
+__all__ = [
+    "BeltramiError",
+    "InputError",
+    "KernelParameters",
+    "OutputError",
+    "ProcessingError",
+    "SmoothReport",
+    "SmoothResult",
+    "SmoothSettings",
+    "UsageError",
+    "inspect_file",
+    "smooth",
+    "smooth_file",
+]
+
+
+def __getattr__(name: str) -> object:
+    if name not in _HOME_OF:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(importlib.import_module(f"{__name__}.{_HOME_OF[name]}"), name)

@@ -1,0 +1,36 @@
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+def morton_order(positions: NDArray[np.float64]) -> NDArray[np.int32]: ...
+
+class TriangulatedManifold:
+    def __init__(self, faces: NDArray[np.int32], vertex_count: int) -> None: ...
+    def update_metric(
+        self,
+        positions: NDArray[np.float64],
+        colours: NDArray[np.float32],
+        beta: float,
+        unfold: bool,
+        threads: int,
+    ) -> None: ...
+    def smooth(
+        self,
+        colours: NDArray[np.float32],
+        weights: NDArray[np.float32] | None,
+        time_step: float,
+        radius: float,
+        max_samples: int,
+        threads: int,
+        progress: Callable[[int], None] | None,
+    ) -> tuple[NDArray[np.float32], int, int]: ...
+    def distances(
+        self, source: int, radius: float, max_samples: int
+    ) -> tuple[NDArray[np.int32], NDArray[np.float32]]: ...
+    @property
+    def edges(self) -> NDArray[np.int32]: ...
+    @property
+    def obtuse_corners(self) -> int: ...
+    @property
+    def split_corners(self) -> int: ...

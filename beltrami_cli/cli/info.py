@@ -1,0 +1,53 @@
+"""The command `beltrami info`."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import click
+
+from beltrami_cli.cli import options
+
+EPILOG = """\b
+Examples:
+  beltrami info scan.ply
+  beltrami info scan.glb --json | jq .noise
+  beltrami info scan.ply -t 4 --beta 5       how large would kernels be?
+"""
+
+
+@click.command("info", epilog=EPILOG)
+@click.argument("source", metavar="FILE")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@options.smoothing
+@options.verbose
+def command(source: str, as_json: bool, verbose: int, **smoothing: Any) -> None:
+    """Show what is coloured in FILE and how, how noisy it is, and what smoothing it would do."""
+    settings = options.settings_from(smoothing)
+    from beltrami_cli.pipeline.inspect_file import inspect_file
+
+    facts = inspect_file(source, settings)
+    if as_json:
+        click.echo(json.dumps(facts, indent=2))
+        return
+    for section, content in facts.items():
+        if content:
+            click.echo("\n".join([section, *_lines(content)]))
+
+
+def _lines(content: Any) -> list[str]:
+    if isinstance(content, dict):
+        width = max(map(len, content))
+        return [f"  {key.replace('_', ' '):<{width}}  {_show(value)}" for key, value in content.items()]
+    return [f"  {_show(entry)}" for entry in content]
+
+
+def _show(value: Any) -> str:
+    if isinstance(value, float):
+        return f"{value:.5g}"
+    if isinstance(value, list):
+        return ", ".join(f"({_show(entry)})" if isinstance(entry, list) else _show(entry) for entry in value)
+    if isinstance(value, dict):
+        return ", ".join(f"{key} {_show(entry)}" for key, entry in value.items())
+    return str(value)

@@ -1,0 +1,104 @@
+"""The group of commands, and the way from exceptions to exit codes."""
+
+from __future__ import annotations
+
+import importlib
+import signal
+import sys
+import traceback
+from typing import TYPE_CHECKING, NoReturn
+
+import click
+
+from beltrami_cli.errors import BeltramiError
+
+if TYPE_CHECKING:
+    from types import FrameType
+
+# Command -> module; a module is imported only when its command, or the list of all commands, is asked for.
+COMMANDS = {"info": "info", "smooth": "smooth"}
+
+INTERRUPTED = 130
+
+
+class LazyGroup(click.Group):
+    """A group whose commands live in modules of their own, so that `--help` starts fast."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Return the names of all commands in alphabetical order."""
+        return sorted(COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Import a command."""
+        if cmd_name not in COMMANDS:
+            return None
+        module = importlib.import_module(f"beltrami_cli.cli.{COMMANDS[cmd_name]}")
+        command: click.Command = module.command
+        return command
+
+
+EPILOG = """\b
+Examples:
+  beltrami smooth scan.ply clean.ply          denoise the vertex colours of a scan
+  beltrami info scan.ply                      what is coloured, how noisy it is
+  beltrami smooth scan.obj clean.glb          smooth and convert
+  cat scan.ply | beltrami smooth - - > c.ply  through a pipe
+
+\b
+Exit codes: 0 done; 1 processing failed; 2 wrong usage; 3 input unreadable or not fit;
+4 output not writable; 130 interrupted.
+
+\b
+Shell completion, for bash (zsh and fish likewise):
+  eval "$(_BELTRAMI_COMPLETE=bash_source beltrami)"
+"""
+
+
+@click.group(
+    cls=LazyGroup,
+    epilog=EPILOG,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+)
+@click.version_option(package_name="beltrami-cli", prog_name="beltrami")
+def group() -> None:
+    """Smooth the colours painted on 3-D meshes: on the surface itself, keeping edges.
+
+    Each colour becomes a point (x, y, z, beta R, beta G, beta B) of a surface in six dimensions, and is averaged
+    with its neighbours by their geodesic distance there. So noise is averaged away, edges stay, and nothing else in the
+    file changes.
+    """
+
+
+def main() -> NoReturn:
+    """Run the command line and exit with the documented code."""
+    signal.signal(signal.SIGTERM, _interrupt)
+    try:
+        sys.exit(group.main(prog_name="beltrami", standalone_mode=False) or 0)
+    except click.Abort:
+        _end(INTERRUPTED, "interrupted; nothing was written")
+    except KeyboardInterrupt:
+        _end(INTERRUPTED, "interrupted; nothing was written")
+    except click.ClickException as error:
+        error.show()
+        sys.exit(error.exit_code)
+    except BeltramiError as error:
+        if _wants_traceback():
+            traceback.print_exc()
+        _end(error.exit_code, str(error))
+    except MemoryError:
+        _end(1, "there is not enough memory; use a smaller mesh or a machine with more")
+
+
+def _interrupt(number: int, frame: FrameType | None) -> NoReturn:
+    raise KeyboardInterrupt
+
+
+def _wants_traceback() -> bool:
+    return any(
+        arg.startswith("-v") and arg.count("v") >= 2 and set(arg) == {"-", "v"} for arg in sys.argv[1:]
+    )
+
+
+def _end(code: int, message: str) -> NoReturn:
+    click.echo(f"beltrami: {message}", err=True)
+    sys.exit(code)

@@ -1,0 +1,113 @@
+"""The command `beltrami smooth`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from beltrami_cli.cli import options
+from beltrami_cli.cli.console import Messages
+from beltrami_cli.errors import OutputError
+
+if TYPE_CHECKING:
+    from beltrami_cli.pipeline.smooth_file import SmoothReport
+
+EPILOG = """\b
+Examples:
+  beltrami smooth scan.ply clean.ply                    sensible defaults
+  beltrami smooth scan.ply clean.ply -n 10 --beta 8     stronger
+  beltrami smooth scan.ply clean.ply -n 2               gentler
+  beltrami smooth scan.glb clean.ply                    smooth and convert
+  beltrami smooth scan.ply blur.ply --beta 0            a Gaussian on the surface, for comparison
+  beltrami smooth temperature.ply out.ply --space data  scalars painted as colours
+  zcat scan.ply.gz | beltrami smooth - - | gzip > clean.ply.gz
+
+\b
+Strength grows with -n and -t and falls with --beta. If edges soften, raise --beta; if noise stays,
+raise -n, or lower --beta. See what a file is like with `beltrami info FILE`.
+"""
+
+
+@click.command("smooth", epilog=EPILOG)
+@click.argument("source", metavar="INPUT")
+@click.argument("target", metavar="OUTPUT")
+@options.smoothing
+@options.output_format
+@options.overwrite
+@click.option("--dry-run", is_flag=True, help="Compute and report, but write no OUTPUT.")
+@click.option(
+    "--report", "report_path", metavar="FILE.json", help="Write parameters, counts, timings and changes."
+)
+@options.quiet
+@options.verbose
+def command(
+    source: str,
+    target: str,
+    output_format: str | None,
+    overwrite: bool,
+    dry_run: bool,
+    report_path: str | None,
+    quiet: bool,
+    verbose: int,
+    **smoothing: Any,
+) -> None:
+    """Smooth the vertex colours of INPUT and write OUTPUT, with nothing else changed.
+
+    INPUT and OUTPUT are PLY, OBJ, glTF or GLB files, or - for a pipe. OUTPUT keeps the bytes of INPUT apart from
+    the colours; with another extension it is converted, and what the other format cannot hold is said.
+    """
+    settings = options.settings_from(smoothing)
+    messages = Messages(quiet=quiet, verbose=verbose)
+    if report_path is not None:
+        _check_report(report_path, source, target)
+    from beltrami_cli.pipeline.smooth_file import smooth_file
+
+    with messages.progress("smoothing") as progress:
+        report = smooth_file(
+            source,
+            target,
+            settings,
+            format=output_format,
+            overwrite=overwrite,
+            dry_run=dry_run,
+            progress=progress,
+        )
+    if report_path is not None:
+        _write_report(report_path, report)
+    _tell(messages, report, dry_run=dry_run)
+
+
+def _check_report(path: str, source: str, target: str) -> None:
+    if Path(path).resolve() in (Path(source).resolve(), Path(target).resolve()):
+        raise OutputError(path, "the report would replace INPUT or OUTPUT", "choose another name")
+    if not Path(path).resolve().parent.is_dir():
+        raise OutputError(path, "its folder does not exist", "make it first")
+
+
+def _write_report(path: str, report: SmoothReport) -> None:
+    from dataclasses import asdict
+
+    try:
+        Path(path).write_text(json.dumps(asdict(report), indent=2) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise OutputError(path, f"cannot be written ({error.strerror})", "choose another place") from error
+
+
+def _tell(messages: Messages, report: SmoothReport, *, dry_run: bool) -> None:
+    for warning in report.warnings:
+        messages.warn(f"{report.input}: {warning}")
+    for stage, seconds in report.stages.items():
+        messages.detail(f"{stage:>8}: {seconds['wall']:.2f} s, {seconds['cpu']:.2f} s CPU")
+    for key in ("iterations", "t", "beta", "threshold", "space"):
+        value = report.parameters[key]
+        messages.detail(f"{key:>12}: {value:.4g}" if isinstance(value, float) else f"{key:>12}: {value}")
+    noise = 255 * max(report.noise.values(), default=0)
+    messages.say(
+        f"{report.output}: {'not written (dry run), ' if dry_run else ''}{report.counts['vertices']} vertices, "
+        f"noise {noise:.1f}/255, beta {report.parameters['beta']:.3g}, "
+        f"{report.counts['samples_per_kernel']:.0f} samples a kernel, "
+        f"mean change {255 * report.change['mean']:.1f}/255"
+    )

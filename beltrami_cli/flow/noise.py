@@ -1,0 +1,71 @@
+"""The noise level of colours on a surface, from neighbouring samples."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+# For a normal distribution the standard deviation is 1 / Phi^-1(3/4) times the median absolute deviation.
+_SIGMA_PER_MEDIAN = 1.4826022
+
+# One level of an 8-bit file, spread evenly, has the deviation 1 / (255 sqrt(12)). Below that no noise can be told.
+_QUANTISATION = 1 / (255 * np.sqrt(12))
+
+# Colour distance at which the kernel should fall off, in units of the noise: beta sigma. A search over the
+# sample meshes at sigma 5 to 40 of 255 with t = 1.3 and five iterations has its flat optimum here.
+_BETA_SIGMA = 1.0
+
+
+def estimate_sigma(colours: NDArray[np.float32], edges: NDArray[np.int32]) -> NDArray[np.float64]:
+    """Estimate the standard deviation of independent noise, per channel.
+
+    A sample with k neighbours differs from their mean by noise of variance sigma^2 (1 + 1/k), plus the
+    curvature of the image, which is small almost everywhere; the median is not moved by the edges.
+
+    Parameters
+    ----------
+    colours : ndarray of float32, shape (S, N)
+        Colours of the samples.
+    edges : ndarray of int32, shape (E, 2)
+        Distinct edges, without the walls of hard colour edges.
+
+    Returns
+    -------
+    ndarray of float64, shape (N,)
+        In units of `colours`; 0 where no sample has neighbours.
+    """
+    count = len(colours)
+    degree = np.bincount(edges.ravel(), minlength=count)
+    inside = degree >= 3  # fewer neighbours: a border or a stray edge, whose mean leans to one side
+    sigma = np.zeros(colours.shape[1])
+    if not inside.any():
+        return sigma
+    scale = np.sqrt(degree[inside] / (degree[inside] + 1.0))
+    for channel in range(colours.shape[1]):
+        values = colours[:, channel].astype(np.float64)
+        total = np.bincount(edges[:, 0], values[edges[:, 1]], count)
+        total += np.bincount(edges[:, 1], values[edges[:, 0]], count)
+        residual = (values[inside] - total[inside] / degree[inside]) * scale
+        sigma[channel] = _SIGMA_PER_MEDIAN * np.median(np.abs(residual))
+    return sigma
+
+
+def choose_beta(sigma: NDArray[np.float64]) -> float:
+    """Choose beta so that noise alone keeps neighbours within reach, and edges do not.
+
+    Parameters
+    ----------
+    sigma : ndarray of float64, shape (N,)
+        Noise per channel, colours in [0, 1].
+
+    Returns
+    -------
+    float
+        Sample spacings per unit of colour. Without noise it is large, so that colours stay as they are.
+    """
+    overall = float(np.sqrt(np.mean(np.square(sigma)))) if len(sigma) else 0.0
+    return _BETA_SIGMA / max(overall, float(_QUANTISATION))

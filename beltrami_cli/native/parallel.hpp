@@ -1,0 +1,26 @@
+// Work shared out to threads in fixed chunks, so that results never depend on how many threads there are.
+#pragma once
+
+#include <cstddef>
+#include <functional>
+#include <stdexcept>
+
+namespace beltrami {
+
+// Called from the calling thread a few times a second with the count of items done; false asks to stop.
+using Poll = std::function<bool(std::size_t done)>;
+
+// Handles items [begin, end); worker is in [0, threads).
+using ChunkBody = std::function<void(std::size_t begin, std::size_t end, unsigned worker)>;
+
+struct Cancelled : std::runtime_error {
+  Cancelled() : std::runtime_error("cancelled") {}
+};
+
+// Runs body over [0, count) in chunks on `threads` threads. Chunks are handed out in any order, so each must
+// write only what belongs to its own items.
+// Throws Cancelled if poll returned false, or the first exception that a body threw.
+void parallel_chunks(std::size_t count, std::size_t chunk, unsigned threads, const ChunkBody& body,
+                     const Poll& poll = {});
+
+}  // namespace beltrami

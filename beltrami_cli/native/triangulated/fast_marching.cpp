@@ -1,0 +1,121 @@
+#include "triangulated/fast_marching.hpp"
+
+#include <algorithm>
+#include <bit>
+#include <cmath>
+
+namespace beltrami::triangulated {
+namespace {
+
+// Four children a node: half the levels of a binary heap, and they share a cache line.
+constexpr std::size_t arity = 4;
+
+// Non-negative floats order like their bit patterns; the vertex below them makes the order total.
+std::uint64_t make_key(float distance, Index vertex) {
+  return std::uint64_t{std::bit_cast<std::uint32_t>(distance)} << 32 | static_cast<std::uint32_t>(vertex);
+}
+
+}  // namespace
+
+FastMarching::FastMarching(const Stencils& stencils)
+    : stencils_(stencils), nodes_(stencils.link_offsets.size() - 1) {}
+
+std::span<const Reached> FastMarching::march(Index source, float radius, std::size_t max_count) {
+  begin_march();
+  radius_ = radius;
+  relax(source, 0);
+  while (!heap_.empty()) {
+    const std::uint64_t key = pop();
+    const auto vertex = static_cast<Index>(key & 0xffffffffU);
+    Node& node = nodes_[static_cast<std::size_t>(vertex)];
+    // A vertex is pushed again each time that its distance falls; all but its first pop are stale.
+    if (node.mark == accepted_mark_) continue;
+    if (reached_.size() == max_count) {
+      truncated_ = true;
+      break;
+    }
+    node.mark = accepted_mark_;
+    reached_.push_back({vertex, node.distance});
+    update_from(vertex, node.distance);
+  }
+  return reached_;
+}
+
+void FastMarching::begin_march() {
+  heap_.clear();
+  reached_.clear();
+  truncated_ = false;
+  if (close_mark_ >= 0xfffffffcU) {
+    std::fill(nodes_.begin(), nodes_.end(), Node{});
+    close_mark_ = 0;
+  }
+  close_mark_ += 2;
+  accepted_mark_ = close_mark_ + 1;
+}
+
+void FastMarching::update_from(Index vertex, float distance) {
+  const auto row = static_cast<std::size_t>(vertex);
+  for (Index i = stencils_.link_offsets[row]; i < stencils_.link_offsets[row + 1]; ++i) {
+    const Link& link = stencils_.links[static_cast<std::size_t>(i)];
+    if (nodes_[static_cast<std::size_t>(link.target)].mark == accepted_mark_) continue;
+    const Index last = stencils_.links[static_cast<std::size_t>(i) + 1].first_partner;
+    float best = distance + link.length;
+    for (Index p = link.first_partner; p < last; ++p)
+      best = through_partner(stencils_.partners[static_cast<std::size_t>(p)], distance, best);
+    relax(link.target, best);
+  }
+  for (Index i = stencils_.split_offsets[row]; i < stencils_.split_offsets[row + 1]; ++i) {
+    const SplitLink& split = stencils_.splits[static_cast<std::size_t>(i)];
+    if (nodes_[static_cast<std::size_t>(split.target)].mark == accepted_mark_) continue;
+    float best = distance + split.length;
+    for (const Partner& partner : split.partners) best = through_partner(partner, distance, best);
+    relax(split.target, best);
+  }
+}
+
+float FastMarching::through_partner(const Partner& partner, float distance, float best) const {
+  const Node& node = nodes_[static_cast<std::size_t>(partner.vertex)];
+  if (node.mark != accepted_mark_) return best;
+  const float u = node.distance - distance;
+  const float s = std::sqrt(std::max(0.0F, partner.squared_height - partner.n * u * u));
+  const bool from_within = partner.k * s > partner.n * u && (partner.k - 1) * s < partner.n * u;
+  return from_within ? std::min(best, distance + partner.k * u + s) : best;
+}
+
+void FastMarching::relax(Index target, float distance) {
+  if (!(distance <= radius_)) return;
+  Node& node = nodes_[static_cast<std::size_t>(target)];
+  if (node.mark == close_mark_ && node.distance <= distance) return;
+  node = {distance, close_mark_};
+  std::size_t hole = heap_.size();
+  const std::uint64_t key = make_key(distance, target);
+  heap_.push_back(key);
+  while (hole > 0) {
+    const std::size_t parent = (hole - 1) / arity;
+    if (heap_[parent] <= key) break;
+    heap_[hole] = heap_[parent];
+    hole = parent;
+  }
+  heap_[hole] = key;
+}
+
+std::uint64_t FastMarching::pop() {
+  const std::uint64_t top = heap_.front();
+  const std::uint64_t moved = heap_.back();
+  heap_.pop_back();
+  const std::size_t size = heap_.size();
+  if (size == 0) return top;
+  std::size_t hole = 0;
+  for (std::size_t first = 1; first < size; first = arity * hole + 1) {
+    std::size_t least = first;
+    for (std::size_t child = first + 1; child < std::min(first + arity, size); ++child)
+      if (heap_[child] < heap_[least]) least = child;
+    if (heap_[least] >= moved) break;
+    heap_[hole] = heap_[least];
+    hole = least;
+  }
+  heap_[hole] = moved;
+  return top;
+}
+
+}  // namespace beltrami::triangulated

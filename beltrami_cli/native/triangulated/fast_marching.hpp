@@ -1,0 +1,54 @@
+// Geodesic distances from one vertex by fast marching on a triangulated manifold.
+//
+// R. Kimmel, J. Sethian, "Computing geodesic paths on manifolds", PNAS 95 (1998): solves |grad phi| = 1,
+// phi(source) = 0 (eq. (10) of the Beltrami kernel paper) by accepting vertices in order of distance.
+#pragma once
+
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "triangulated/stencils.hpp"
+
+namespace beltrami::triangulated {
+
+struct Reached {
+  Index vertex;
+  float distance;
+};
+
+// Marches from many sources one after the other; the scratch memory, 8 bytes a vertex, is reused between them.
+class FastMarching {
+ public:
+  explicit FastMarching(const Stencils& stencils);
+
+  // Vertices within `radius` of the source in order of distance, the source first; at most `max_count`.
+  // Valid until the next call.
+  std::span<const Reached> march(Index source, float radius, std::size_t max_count);
+
+  // Whether the last march was ended by max_count while vertices within the radius were still waiting.
+  bool truncated() const { return truncated_; }
+
+ private:
+  // A vertex is Accepted, Close or Far by its mark: equal to accepted_mark_, to close_mark_, or older.
+  struct Node {
+    float distance = 0;
+    std::uint32_t mark = 0;
+  };
+
+  void begin_march();
+  void relax(Index target, float distance);
+  void update_from(Index vertex, float distance);
+  float through_partner(const Partner& partner, float distance, float best) const;
+  std::uint64_t pop();
+
+  const Stencils& stencils_;
+  std::vector<Node> nodes_;
+  std::vector<std::uint64_t> heap_;  // distance bits in the high half, vertex in the low half
+  std::vector<Reached> reached_;
+  std::uint32_t close_mark_ = 0, accepted_mark_ = 0;
+  float radius_ = 0;
+  bool truncated_ = false;
+};
+
+}  // namespace beltrami::triangulated

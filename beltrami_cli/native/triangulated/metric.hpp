@@ -1,0 +1,26 @@
+// Lengths on the image manifold: a sample (X, beta I) in R^(M+N) carries the metric diag(1 .. 1, beta^2 ..
+// beta^2) of A. Spira, R. Kimmel, N. Sochen, "A short time Beltrami kernel for smoothing images on
+// manifolds" (2007), eq. (1). On a triangulation the induced metric is known by its edge lengths.
+#pragma once
+
+#include <cstddef>
+#include <span>
+#include <vector>
+
+#include "triangulated/topology.hpp"
+
+namespace beltrami::triangulated {
+
+// Rows of `width` numbers each, one row a vertex.
+template <class T>
+struct Rows {
+  const T* data = nullptr;
+  std::size_t width = 0;
+  const T* operator[](Index row) const { return data + static_cast<std::size_t>(row) * width; }
+};
+
+// Squared length of every edge, |dX|^2 + beta^2 |dI|^2, in double precision. Any M and N, zero included.
+std::vector<double> squared_edge_lengths(const Topology& topology, Rows<double> positions, Rows<float> colours,
+                                         double beta, unsigned threads);
+
+}  // namespace beltrami::triangulated

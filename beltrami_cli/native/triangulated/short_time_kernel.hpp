@@ -1,0 +1,34 @@
+// One iteration of the short-time Beltrami kernel.
+//
+// A. Spira, R. Kimmel, N. Sochen, "A short time Beltrami kernel for smoothing images on manifolds" (2007),
+// eqs. (8) and (9):  I'(p) = sum_q w_q K(p,q) I(q) / sum_q w_q K(p,q),  K(p,q) = exp(-d(p,q)^2 / (4 t)),
+// over the q with K >= threshold, d the geodesic distance on the image manifold.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+
+#include "parallel.hpp"
+#include "triangulated/metric.hpp"
+#include "triangulated/stencils.hpp"
+
+namespace beltrami::triangulated {
+
+struct KernelParameters {
+  float time_step;          // t, squared length
+  float radius;             // sqrt(-4 t ln threshold), length
+  std::size_t max_samples;  // ends a march that would hold more, at least 1
+};
+
+struct KernelStatistics {
+  std::int64_t samples = 0;    // sum over all kernels of how many samples each held
+  std::int64_t truncated = 0;  // kernels that max_samples cut short
+};
+
+// Reads all colours before writing any (Jacobi): `smoothed`, vertex_count rows of colours.width, must not overlap them.
+// weights: w_q >= 0 of every vertex, or nullptr for 1. Where all weights of a kernel are zero the colour stays.
+// Bit-identical for any number of threads. Throws Cancelled if poll asks to stop.
+KernelStatistics smooth(const Stencils& stencils, Rows<float> colours, const float* weights,
+                        const KernelParameters& parameters, float* smoothed, unsigned threads, const Poll& poll = {});
+
+}  // namespace beltrami::triangulated

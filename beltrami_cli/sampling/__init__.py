@@ -1,0 +1,1 @@
+"""From what is coloured to samples of an image manifold, and back."""

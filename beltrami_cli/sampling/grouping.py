@@ -1,0 +1,75 @@
+"""Equal rows found by hashing: what is at one place, what is one sample."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+# Odd constants of the splitmix64 generator (Steele, Lea, Flood 2014): each step is a bijection of 64-bit words.
+_INCREMENT = np.uint64(0x9E3779B97F4A7C15)
+_MIX_1 = np.uint64(0xBF58476D1CE4E5B9)
+_MIX_2 = np.uint64(0x94D049BB133111EB)
+
+
+def group_equal_rows(*columns: NDArray[Any]) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Find the distinct rows of a table and number them.
+
+    Parameters
+    ----------
+    *columns : ndarray, shape (V,)
+        The table's columns, any integer or floating type without NaN; -0.0 equals 0.0.
+
+    Returns
+    -------
+    group_of : ndarray of int32, shape (V,)
+        Number of the row's group; groups are numbered by their first row.
+    first : ndarray of int32, shape (G,)
+        First row of each group, ascending.
+    """
+    words = [_as_words(column) for column in columns]
+    hashed = np.zeros(len(words[0]), np.uint64)
+    for word in words:
+        hashed = _mix(hashed ^ word)
+    order = np.argsort(hashed, kind="stable")
+    new = np.ones(len(order), bool)
+    new[1:] = False
+    same_hash = hashed[order][1:] == hashed[order][:-1]
+    for word in words:
+        new[1:] |= word[order][1:] != word[order][:-1]
+    if np.any(new[1:] & same_hash):  # two different rows with one hash: sort by the rows themselves
+        order = np.lexsort(words)
+        new[1:] = False
+        for word in words:
+            new[1:] |= word[order][1:] != word[order][:-1]
+    return _number_by_first(order, new)
+
+
+def _number_by_first(
+    order: NDArray[np.intp], new: NDArray[np.bool_]
+) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    # The sort is stable, so the first member of a run is the group's first row.
+    runs = np.cumsum(new) - 1
+    first_of_run = order[new]
+    by_first = np.argsort(first_of_run)
+    rank = np.empty(len(by_first), np.int32)
+    rank[by_first] = np.arange(len(by_first), dtype=np.int32)
+    group_of = np.empty(len(order), np.int32)
+    group_of[order] = rank[runs]
+    return group_of, first_of_run[by_first].astype(np.int32)
+
+
+def _as_words(column: NDArray[Any]) -> NDArray[np.uint64]:
+    if column.dtype.kind == "f":
+        return (column.astype(np.float64) + 0.0).view(np.uint64)
+    return column.astype(np.int64).view(np.uint64)
+
+
+def _mix(word: NDArray[np.uint64]) -> NDArray[np.uint64]:
+    word = word + _INCREMENT
+    word = (word ^ (word >> np.uint64(30))) * _MIX_1
+    word = (word ^ (word >> np.uint64(27))) * _MIX_2
+    return word ^ (word >> np.uint64(31))

@@ -1,0 +1,75 @@
+"""Vertex colours as samples: what a format splits is joined, hard colour edges are bridged."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from beltrami_cli.mesh.surface import SampledSurface
+from beltrami_cli.sampling.grouping import group_equal_rows
+from beltrami_cli.sampling.walls import build_walls
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from beltrami_cli.mesh.painted import PaintedVertices
+
+
+@dataclass(frozen=True)
+class VertexSampling:
+    """Which sample each vertex is.
+
+    Attributes
+    ----------
+    sample_of : ndarray of int32, shape (V,)
+        Sample of each vertex. Vertices at one place with one colour are one sample.
+    first_vertex : ndarray of int32, shape (S,)
+        A vertex of each sample.
+    places : int
+        Distinct places; smaller than S where coincident vertices differ in colour.
+    """
+
+    sample_of: NDArray[np.int32]
+    first_vertex: NDArray[np.int32]
+    places: int
+
+
+def sample_vertices(
+    painted: PaintedVertices, colours: NDArray[np.float32]
+) -> tuple[SampledSurface, VertexSampling]:
+    """Make samples of painted vertices.
+
+    Vertices that a format splits (for normals, texture coordinates, primitives) but that stand at exactly one
+    place with one colour become one sample. Where coincident vertices differ in colour, each colour is a sample
+    of its own, and walls join them, see `build_walls`.
+
+    Parameters
+    ----------
+    painted : PaintedVertices
+        As a document gives it.
+    colours : ndarray of float32, shape (V, N)
+        The vertices' colours in the working space, which the samples take.
+
+    Returns
+    -------
+    surface : SampledSurface
+        S samples with their triangles and walls.
+    sampling : VertexSampling
+        The way back: ``smoothed[sampling.sample_of]`` are vertex colours.
+    """
+    place_columns = list(painted.positions.T)
+    if painted.space_of is not None:
+        place_columns.append(painted.space_of)
+    place_of, first_of_place = group_equal_rows(*place_columns)
+    if len(first_of_place) == len(place_of):
+        sample_of = first_vertex = np.arange(len(place_of), dtype=np.int32)
+    else:
+        sample_of, first_vertex = group_equal_rows(place_of, *painted.colours.T)
+    faces = sample_of[painted.faces]
+    sample_colours = np.ascontiguousarray(colours[first_vertex])
+    walls = build_walls(faces, place_of[first_vertex], sample_colours)
+    positions = np.ascontiguousarray(painted.positions[first_vertex])
+    surface = SampledSurface(positions, faces, walls, sample_colours)
+    return surface, VertexSampling(sample_of, first_vertex, len(first_of_place))
