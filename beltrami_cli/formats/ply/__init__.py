@@ -1,0 +1,6 @@
+"""PLY: documents that keep their bytes, and a writer for conversion."""
+
+from beltrami_cli.formats.ply.document import PlyDocument
+from beltrami_cli.formats.ply.writer import write_ply
+
+__all__ = ["PlyDocument", "write_ply"]

@@ -1,0 +1,190 @@
+"""Which vertex properties of a PLY file are colours, and what their numbers mean."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from beltrami_cli.errors import InputError
+from beltrami_cli.formats.scale import full_scale
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from beltrami_cli.formats.ply.header import Element, Header
+    from beltrami_cli.formats.ply.tables import Table
+
+_COLOURS = (
+    (("red", "green", "blue"), "alpha"),
+    (("diffuse_red", "diffuse_green", "diffuse_blue"), "diffuse_alpha"),
+    (("r", "g", "b"), "a"),
+    (("gray",), "alpha"),
+    (("grey",), "alpha"),
+)
+_INTENSITY = "intensity"  # a colour in scans, any scalar elsewhere
+
+
+@dataclass(frozen=True)
+class Paint:
+    """The colour properties of the vertices.
+
+    Attributes
+    ----------
+    names : tuple of str
+        The properties in the file, red, green, blue or grey alone.
+    alpha : str
+        The property of the opacity, or empty.
+    type : str
+        NumPy code of the type that all colours have.
+    """
+
+    names: tuple[str, ...]
+    alpha: str
+    type: str
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """The names of the channels."""
+        return ("red", "green", "blue") if len(self.names) == 3 else ("grey",)
+
+
+def find_paint(header: Header, vertices: Table, name: str) -> Paint:
+    """Find the colour properties.
+
+    Parameters
+    ----------
+    header : Header
+        The file's header, for the message when there are none.
+    vertices : Table
+        The vertex element with its rows.
+    name : str
+        The file's name for messages.
+
+    Raises
+    ------
+    InputError
+        If there are none, or they are signed or of several types.
+    """
+    types = {known.name: known.type for known in vertices.element.properties if not known.count}
+    for names, alpha in _COLOURS:
+        if all(known in types for known in names):
+            kinds = {types[known] for known in names}
+            if len(kinds) > 1:
+                raise InputError(name, f"{', '.join(names)} are of several types", "store them in one type")
+            return Paint(names, alpha if alpha in types else "", _unsigned(kinds.pop(), names, name))
+    if _INTENSITY in types and _is_grey(vertices, types[_INTENSITY]):
+        return Paint((_INTENSITY,), "alpha" if "alpha" in types else "", types[_INTENSITY])
+    raise _unpainted(header, vertices.element, name)
+
+
+def _unsigned(kind: str, names: tuple[str, ...], name: str) -> str:
+    if kind[0] == "i":
+        cause = f"{', '.join(names)} are signed ({np.dtype(kind)}), for which no full scale is agreed"
+        raise InputError(name, cause, "store colours as uchar, ushort or float")
+    return kind
+
+
+def _is_grey(vertices: Table, kind: str) -> bool:
+    if kind[0] != "f":
+        return kind[0] == "u"
+    values = vertices.scalars(_INTENSITY)
+    return bool(((values >= 0) & (values <= 1)).all())
+
+
+def _unpainted(header: Header, vertices: Element, name: str) -> InputError:
+    known = ", ".join(known.name for known in vertices.properties)
+    faces = header.element("face")
+    on_faces = faces is not None and any(known.name == "red" for known in faces.properties)
+    return InputError(
+        name,
+        f"no vertex colours among the vertex properties {known[:300]}"
+        + (", only face colours" if on_faces else ""),
+        "export the mesh with vertex colours, which are the properties red, green, blue",
+    )
+
+
+@dataclass(frozen=True)
+class Colours:
+    """Colours as read.
+
+    Attributes
+    ----------
+    values : ndarray of float32, shape (V, C)
+        Full scale 1.
+    scale : float
+        The stored number that is full scale.
+    notice : str
+        What to tell the user about it, or empty.
+    """
+
+    values: NDArray[np.float32]
+    scale: float
+    notice: str
+
+
+def read_colours(vertices: Table, paint: Paint, name: str) -> Colours:
+    """Read the colours of all vertices.
+
+    Parameters
+    ----------
+    vertices : Table
+        At least one row.
+    paint : Paint
+        Which properties.
+    name : str
+        The file's name for messages.
+
+    Raises
+    ------
+    InputError
+        If a colour is not finite, or full scale cannot be known.
+    """
+    values = np.empty((vertices.element.count, len(paint.names)), np.float32)
+    if paint.type[0] == "u":
+        columns = [vertices.scalars(known) for known in paint.names]
+        scale, notice = _integer_scale(columns, paint.type)
+    else:
+        stored = finite_columns(vertices, paint.names, "colour", name)
+        scale, notice = full_scale(stored, name)
+        columns = list(stored.T)
+    for channel, column in enumerate(columns):
+        values[:, channel] = column / scale
+    return Colours(values, scale, notice)
+
+
+def _integer_scale(columns: list[NDArray[Any]], kind: str) -> tuple[float, str]:
+    largest = max(int(column.max()) for column in columns)
+    if kind == "u4" and largest <= 255:
+        return 255.0, "Vertex colours are 32-bit integers up to 255 and are taken for numbers of 0..255."
+    return float(np.iinfo(kind).max), ""
+
+
+def store_colours(values: NDArray[np.float32], scale: float, kind: str) -> NDArray[Any]:
+    """Round colours to their stored type, once, to the nearest.
+
+    Parameters
+    ----------
+    values : ndarray of float32, any shape
+        Full scale 1; clipped to [0, 1] if the type is an integer.
+    scale : float
+        The stored number that is full scale.
+    kind : str
+        NumPy code of the type.
+    """
+    wide = values.astype(np.float64)
+    if kind[0] == "f":
+        return (wide * scale).astype(kind)
+    return np.rint(np.clip(wide, 0, 1) * scale).astype(kind)
+
+
+def finite_columns(vertices: Table, names: tuple[str, ...], what: str, name: str) -> NDArray[np.float64]:
+    """Read some scalars of all vertices, shape (V, len(names)); InputError if one is not finite."""
+    values = np.empty((vertices.element.count, len(names)))
+    for column, known in enumerate(names):
+        values[:, column] = vertices.scalars(known)
+    finite = np.isfinite(values).all(axis=1)
+    if not finite.all():
+        raise InputError(name, f"the {what} of vertex {int(np.argmin(finite))} is not finite")
+    return values

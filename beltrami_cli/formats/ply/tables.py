@@ -1,0 +1,277 @@
+"""The body of a PLY file as tables of numbers, whether it is binary or text.
+
+Both kinds are read in one way, by counting in units: bytes of a binary body, tokens of a text. A scalar takes
+as many units as its type has (one, in a text), and what stands at a unit is a look into an array that has a
+value at every unit.
+"""
+
+from __future__ import annotations
+
+from array import array
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+
+from beltrami_cli.errors import InputError
+from beltrami_cli.formats.tokens import read_numbers
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from numpy.typing import NDArray
+
+    from beltrami_cli.formats.ply.header import Element, Header, Property
+
+Places = slice | np.ndarray[Any, np.dtype[np.int64]]
+
+
+class Body(Protocol):
+    """The units behind the header."""
+
+    name: str
+    start: int
+    stop: int
+
+    def size(self, kind: str) -> int:
+        """Return how many units a scalar takes."""
+
+    def view(self, kind: str) -> NDArray[Any]:
+        """Return an array that has at every unit the value which would start there."""
+
+    def checked(self, values: NDArray[Any], kind: str, where: str) -> NDArray[Any]:
+        """Return values from `view` in their type; InputError if they cannot be of it."""
+
+
+def values_in_bytes(data: bytes | bytearray, kind: str) -> NDArray[Any]:
+    """Return the overlapping values that start at every byte; writable if the data are."""
+    size = np.dtype(kind).itemsize
+    return np.ndarray((max(len(data) - size + 1, 0),), kind, data, strides=(1,))
+
+
+def indices(places: Places) -> NDArray[np.int64]:
+    """Return places as an array."""
+    return np.arange(places.start, places.stop, places.step) if isinstance(places, slice) else places
+
+
+class BinaryBody:
+    """A body of bytes; places are offsets in the file."""
+
+    def __init__(self, data: bytes, header: Header, name: str) -> None:
+        self.name = name
+        self.start, self.stop = header.end, len(data)
+        self._data, self._order = data, header.order
+
+    def size(self, kind: str) -> int:
+        """Return how many units a scalar takes."""
+        return np.dtype(kind).itemsize
+
+    def view(self, kind: str) -> NDArray[Any]:
+        """Return the value that starts at every unit."""
+        return values_in_bytes(self._data, self._order + kind)
+
+    def checked(self, values: NDArray[Any], kind: str, where: str) -> NDArray[Any]:
+        """Return values in their type."""
+        return values.astype(kind)
+
+
+class TextBody:
+    """A body of text; places are numbers of tokens."""
+
+    def __init__(self, data: bytes, header: Header, name: str) -> None:
+        self.name = name
+        self._values = read_numbers(data[header.end :])
+        self.start, self.stop = 0, len(self._values)
+
+    def size(self, kind: str) -> int:
+        """Return how many units a scalar takes."""
+        return 1
+
+    def view(self, kind: str) -> NDArray[Any]:
+        """Return the value that starts at every unit."""
+        return self._values
+
+    def checked(self, values: NDArray[Any], kind: str, where: str) -> NDArray[Any]:
+        """Return values in their type; InputError if one cannot be of it."""
+        if kind[0] == "f":
+            return values
+        limits = np.iinfo(kind)
+        fits = (values == np.rint(values)) & (values >= limits.min) & (values <= limits.max)
+        if not fits.all():
+            row = int(np.argmin(fits))
+            raise InputError(self.name, f"{where}: {values[row]:g} in row {row} is no {np.dtype(kind)}")
+        return values.astype(kind)
+
+
+@dataclass(frozen=True)
+class Table:
+    """The rows of one element.
+
+    Attributes
+    ----------
+    body : Body
+        Where they stand.
+    element : Element
+        What they are.
+    start : int
+        Unit of the first row.
+    counts : ndarray of int64, shape (N, L)
+        Lengths of the L lists of every row; a broadcast view if all rows are alike, one row if L is 0.
+    """
+
+    body: Body
+    element: Element
+    start: int
+    counts: NDArray[np.int64]
+
+    @cached_property
+    def _lists(self) -> list[Property]:
+        return [known for known in self.element.properties if known.count]
+
+    @cached_property
+    def _alike(self) -> bool:
+        return not self._lists or self.counts.strides[0] == 0
+
+    @cached_property
+    def _row_size(self) -> NDArray[np.int64]:
+        """Units of every row, or of any row if all are alike: shape (N,) or (1,)."""
+        items = np.array([self.body.size(known.type) for known in self._lists], np.int64)
+        counts = self.counts[:1] if self._alike else self.counts
+        return counts @ items + sum(self.body.size(p.count or p.type) for p in self.element.properties)
+
+    @property
+    def stop(self) -> int:
+        """The unit behind the last row."""
+        if self.element.count == 0:
+            return self.start
+        if self._alike:
+            return self.start + self.element.count * int(self._row_size[0])
+        return self.start + int(self._row_size.sum())
+
+    def places(self, name: str) -> Places:
+        """Return the units of a scalar, or of the counts of a list: a slice if all rows are alike."""
+        row_size = self._row_size
+        count = self.element.count
+        if self._alike:
+            first = self.start + int(self._offset(name, self.counts[:1])[0])
+            step = int(row_size[0])
+            return slice(first, first + step * (count - 1) + 1, step)
+        rows = self.start + np.cumsum(row_size) - row_size
+        places: NDArray[np.int64] = rows + self._offset(name, self.counts)
+        return places
+
+    def _offset(self, name: str, counts: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Units between the start of a row and a property of it, shape (rows of counts,)."""
+        offset = np.zeros(len(counts), np.int64)
+        lists = 0
+        for known in self.element.properties:
+            if known.name == name:
+                break
+            offset += self.body.size(known.count or known.type)
+            if known.count:
+                offset += counts[:, lists] * self.body.size(known.type)
+                lists += 1
+        return offset
+
+    def scalars(self, name: str) -> NDArray[Any]:
+        """Return a scalar property of all rows, shape (N,), in its type (float64 for floats in text)."""
+        kind = next(known.type for known in self.element.properties if known.name == name)
+        if self.element.count == 0:
+            return np.empty(0, kind)
+        values = self.body.view(kind)[self.places(name)]
+        return self.body.checked(values, kind, f"property '{name}' of element '{self.element.name}'")
+
+    def lists(self, name: str) -> tuple[NDArray[Any], NDArray[np.int64]]:
+        """Return the items of a list property, rows one after the other, and its N + 1 offsets therein."""
+        known = next(known for known in self._lists if known.name == name)
+        lengths = self.counts[:, self._lists.index(known)]
+        offsets = np.zeros(len(lengths) + 1, np.int64)
+        np.cumsum(lengths, out=offsets[1:])
+        if offsets[-1] == 0:
+            return np.empty(0, known.type), offsets
+        size = self.body.size(known.type)
+        firsts = indices(self.places(name)) + self.body.size(known.count) - size * offsets[:-1]
+        units = np.repeat(firsts, lengths) + size * np.arange(offsets[-1])
+        where = f"list '{name}' of element '{self.element.name}'"
+        return self.body.checked(self.body.view(known.type)[units], known.type, where), offsets
+
+
+def read_tables(data: bytes, header: Header, name: str) -> Mapping[str, Table]:
+    """Find the rows of all elements.
+
+    Parameters
+    ----------
+    data : bytes
+        The file.
+    header : Header
+        Its header.
+    name : str
+        The file's name for messages.
+
+    Raises
+    ------
+    InputError
+        If the file ends before its last row, or a list has a negative length.
+    """
+    body: Body = BinaryBody(data, header, name) if header.order else TextBody(data, header, name)
+    tables: dict[str, Table] = {}
+    at = body.start
+    for element in header.elements:
+        table = Table(body, element, at, _list_lengths(body, element, at))
+        tables[element.name] = table
+        at = table.stop
+    return tables
+
+
+def _list_lengths(body: Body, element: Element, start: int) -> NDArray[np.int64]:
+    """Return the lengths of the L lists of every row, shape (N, L), checking that the body has the rows."""
+    lists = sum(bool(known.count) for known in element.properties)
+    least = sum(body.size(known.count or known.type) for known in element.properties)
+    if least * element.count > body.stop - start:
+        raise _cut_off(body, element)
+    if lists == 0 or element.count == 0:
+        return np.empty((0 if lists else 1, lists), np.int64)
+    first = _walk(body, element, start, 1)
+    alike = Table(body, element, start, np.broadcast_to(first, (element.count, lists)))
+    if alike.stop <= body.stop and all(
+        (body.view(known.count)[alike.places(known.name)] == first[0, number]).all()
+        for number, known in enumerate(known for known in element.properties if known.count)
+    ):
+        return alike.counts
+    return _walk(body, element, start, element.count)
+
+
+def _walk(body: Body, element: Element, start: int, rows: int) -> NDArray[np.int64]:
+    """Go from list to list. Only a loop can: where a list starts depends on all lists before it."""
+    steps, gap = [], 0
+    for known in element.properties:
+        size = body.size(known.count or known.type)
+        if known.count:
+            steps.append((gap, body.view(known.count).item, size, body.size(known.type)))
+        gap = 0 if known.count else gap + size
+    lengths = array("q")
+    at = start
+    try:
+        for row in range(rows):
+            for before, value_at, size, item_size in steps:
+                length = value_at(at + before)
+                if not 0 <= length <= body.stop or length != int(length):
+                    cause = f"row {row} of element '{element.name}' has a list of {length:g} items"
+                    raise InputError(body.name, cause)
+                lengths.append(int(length))
+                at += before + size + item_size * int(length)
+            at += gap
+    except IndexError:
+        raise _cut_off(body, element) from None
+    if at > body.stop:
+        raise _cut_off(body, element)
+    return np.frombuffer(lengths, np.int64).reshape(rows, -1)
+
+
+def _cut_off(body: Body, element: Element) -> InputError:
+    return InputError(
+        body.name,
+        f"the data end before the {element.count} rows of element '{element.name}' that the header announces",
+        "the file is cut off or damaged",
+    )
