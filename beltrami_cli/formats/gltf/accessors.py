@@ -1,0 +1,123 @@
+"""The numbers of accessors: decoded from their bytes, and written back in their own component type."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from beltrami_cli.formats.gltf.layouts import Accessor, Layout, read_accessors, read_views
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from beltrami_cli.formats.document import Bytes
+    from beltrami_cli.formats.gltf.buffers import Buffers
+    from beltrami_cli.formats.gltf.tree import Entry
+
+Stored = np.ndarray[Any, np.dtype[Any]]
+"""Numbers as they are in the file: little-endian integers or float32."""
+
+_DECOMPRESS = "decompress the model first with a glTF optimiser, and smooth the plain file"
+
+
+class Accessors:
+    """All accessors of one file; descriptions are checked at once, bytes are read when asked for.
+
+    Raises
+    ------
+    InputError
+        If a description is wrong.
+    """
+
+    def __init__(self, root: Entry, buffers: Buffers) -> None:
+        self.buffers = buffers
+        self.views = read_views(root, buffers)
+        self.all = read_accessors(root, self.views)
+
+    def __len__(self) -> int:
+        return len(self.all)
+
+    def __getitem__(self, index: int) -> Accessor:
+        return self.all[index]
+
+    def stored(self, index: int) -> Stored:
+        """Return the numbers as stored, sparse replacements applied.
+
+        Returns
+        -------
+        ndarray of the component type, shape (count, width)
+
+        Raises
+        ------
+        InputError
+            If the bytes are missing or compressed, or sparse indices are not increasing and in range.
+        """
+        accessor = self.all[index]
+        if accessor.compression:
+            cause = f"is compressed with {accessor.compression}, which beltrami does not decode"
+            raise accessor.entry.fault("", cause, _DECOMPRESS)
+        if accessor.layout is not None:
+            numbers = self._numbers(accessor.layout, accessor.component)
+        else:
+            if accessor.count > self.buffers.bytes_at_hand:
+                raise accessor.entry.fault(
+                    "count", f"{accessor.count} zeros are more than the file has bytes"
+                )
+            numbers = np.zeros((accessor.count, accessor.width), accessor.component)
+        if accessor.sparse is not None:
+            rows = self._numbers(accessor.sparse.indices, accessor.sparse.index_type)[:, 0].astype(np.int64)
+            if rows[-1] >= accessor.count or np.any(np.diff(rows) <= 0):
+                raise accessor.entry.fault("sparse.indices", f"must increase and stay below {accessor.count}")
+            numbers[rows] = self._numbers(accessor.sparse.values, accessor.component)
+        return numbers
+
+    def values(self, index: int) -> NDArray[np.float64]:
+        """Return the numbers that an accessor means, shape (count, width), integers decoded if normalised.
+
+        Raises
+        ------
+        InputError
+            As `stored`, and if a number is not finite.
+        """
+        accessor, stored = self.all[index], self.stored(index)
+        numbers = stored.astype(np.float64)
+        if accessor.component.kind == "f":
+            if not np.isfinite(stored).all():
+                row = int(np.nonzero(~np.isfinite(stored).all(axis=1))[0][0])
+                raise accessor.entry.fault("", f"element {row} is not finite")
+        elif accessor.normalised:
+            numbers = np.maximum(numbers / np.iinfo(stored.dtype).max, -1.0)
+        return numbers
+
+    def _numbers(self, layout: Layout, component: np.dtype[Any]) -> Stored:
+        octets = element_bytes(self.buffers.stored(layout.buffer), layout)
+        return np.ascontiguousarray(octets).view(component)
+
+
+def element_bytes(data: Bytes | NDArray[np.uint8], layout: Layout) -> NDArray[np.uint8]:
+    """Return a view of the bytes of all elements, shape (count, size); writable if `data` is."""
+    octets = data if isinstance(data, np.ndarray) else np.frombuffer(data, np.uint8)
+    octets = octets[layout.start : layout.end]
+    if layout.start + len(octets) < layout.end:
+        raise IndexError(f"{layout} leaves {len(data)} bytes")
+    return np.lib.stride_tricks.as_strided(octets, (layout.count, layout.size), (layout.stride, 1))
+
+
+def fractions(stored: Stored) -> NDArray[np.float32]:
+    """Return colours as float32 with full scale 1: integers divided by their largest value.
+
+    Notes
+    -----
+    Every uint8 and uint16 level comes back from `quantised` unchanged, since float32 holds 24 bits.
+    """
+    if stored.dtype.kind == "f":
+        return stored.astype(np.float32)
+    return (stored / np.float64(np.iinfo(stored.dtype).max)).astype(np.float32)
+
+
+def quantised(values: NDArray[np.floating[Any]], component: np.dtype[Any]) -> Stored:
+    """Return colours in a component type: integers clipped to [0, 1] and rounded once, to the nearest."""
+    if component.kind == "f":
+        return values.astype(component)
+    return np.rint(np.clip(values.astype(np.float64), 0, 1) * np.iinfo(component).max).astype(component)

@@ -1,0 +1,93 @@
+"""The buffers of a glTF file: where each one's bytes come from, read when they are first needed."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Literal
+
+from beltrami_cli.formats.gltf.files import UnfitReferenceError, is_data, read, relative_name
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from beltrami_cli.formats.document import Bytes
+    from beltrami_cli.formats.gltf.container import Container
+
+Source = Literal["chunk", "data", "file", "nowhere"]
+
+
+class Buffers:
+    """All buffers of one file.
+
+    Parameters
+    ----------
+    container : Container
+        The file.
+    folder : pathlib.Path or None
+        Where external buffers are looked for; None when the file came through a pipe.
+
+    Raises
+    ------
+    InputError
+        If a buffer is described wrongly. Missing bytes are reported only when they are asked for.
+    """
+
+    def __init__(self, container: Container, folder: Path | None) -> None:
+        self._container, self._folder = container, folder
+        self._entries = container.root.entries("buffers")
+        self._loaded: dict[int, Bytes] = {}
+        self.lengths = [entry.integer("byteLength", least=0) for entry in self._entries]
+        self.uris = [entry.text("uri") for entry in self._entries]
+        first: dict[str, int] = {}
+        self._canonical = [first.setdefault(self._key(index), index) for index in range(len(self))]
+
+    def __len__(self) -> int:
+        return len(self._entries)
+
+    def _key(self, index: int) -> str:
+        uri = self.uris[index]
+        try:
+            return relative_name(uri) if uri is not None and not is_data(uri) else f"\0{index}"
+        except UnfitReferenceError:
+            return f"\0{index}"
+
+    def canonical(self, index: int) -> int:
+        """Return the first buffer that is the same file as this one, usually itself."""
+        return self._canonical[index]
+
+    def source(self, index: int) -> Source:
+        """Return where a buffer's bytes are: in the BIN chunk, in a data URI, in a file, or nowhere."""
+        uri = self.uris[index]
+        if uri is not None:
+            return "data" if is_data(uri) else "file"
+        return "chunk" if index == 0 and self._container.binary is not None else "nowhere"
+
+    def stored(self, index: int) -> Bytes:
+        """Return all bytes of a buffer, at least as many as its byteLength says (padding may follow).
+
+        Raises
+        ------
+        InputError
+            If there are fewer, or the file cannot be read.
+        """
+        if index not in self._loaded:
+            entry, uri = self._entries[index], self.uris[index]
+            if uri is not None:
+                try:
+                    data: Bytes = read(uri, self._folder)
+                except UnfitReferenceError as error:
+                    remedy = "keep the model's files together" if self.source(index) == "file" else ""
+                    raise entry.fault("uri", str(error), remedy) from None
+            elif self.source(index) == "chunk":
+                data = self._container.binary or b""
+            else:
+                raise entry.fault("", "has neither a uri nor a BIN chunk, so it has no bytes")
+            if len(data) < self.lengths[index]:
+                cause = f"is {self.lengths[index]}, but there are only {len(data)} bytes"
+                raise entry.fault("byteLength", cause, "the file may be cut short: copy or export it again")
+            self._loaded[index] = data
+        return self._loaded[index]
+
+    @property
+    def bytes_at_hand(self) -> int:
+        """Bytes of the main file and of all buffers that were read: the measure of what may be allocated."""
+        return len(self._container.data) + sum(len(data) for data in self._loaded.values())

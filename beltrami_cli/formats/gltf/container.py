@@ -1,0 +1,175 @@
+"""The shell of a glTF file: GLB chunks or plain JSON text, taken apart and put together again."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+from beltrami_cli.errors import InputError
+from beltrami_cli.formats.gltf.json_text import Tree, parsed, revised
+from beltrami_cli.formats.gltf.tree import Entry
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from beltrami_cli.formats.document import Bytes
+
+MAGIC = b"glTF"
+JSON_CHUNK = 0x4E4F534A
+BIN_CHUNK = 0x004E4942
+
+_BOM = b"\xef\xbb\xbf"
+_TRUNCATED = "the file may be cut short: copy or export it again"
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """One chunk of a GLB file: its type and its bytes without padding added by us."""
+
+    kind: int
+    data: Bytes
+
+
+@dataclass(frozen=True)
+class Container:
+    """A glTF file taken apart.
+
+    Attributes
+    ----------
+    name : str
+        The file, for messages.
+    kind : {"glb", "gltf"}
+        Binary or text, by content.
+    data : bytes
+        The whole file.
+    text : str
+        The JSON text, without byte order mark and without the padding of its chunk.
+    tree : dict
+        The JSON, parsed.
+    chunks : tuple of Chunk
+        GLB chunks after the JSON chunk: BIN, then unknown ones.
+    has_bom : bool
+        Whether a byte order mark precedes the text.
+    tail : bytes-like
+        What follows the last byte that the GLB header counts.
+    """
+
+    name: str
+    kind: Literal["glb", "gltf"]
+    data: bytes
+    text: str
+    tree: Tree
+    chunks: tuple[Chunk, ...] = ()
+    has_bom: bool = False
+    tail: Bytes = b""
+
+    @property
+    def root(self) -> Entry:
+        """The outermost JSON object."""
+        return Entry(self.name, "", self.tree)
+
+    @property
+    def binary(self) -> Bytes | None:
+        """The BIN chunk, which must be the second; None without one."""
+        return self.chunks[0].data if self.chunks and self.chunks[0].kind == BIN_CHUNK else None
+
+    def copy_of_tree(self) -> Tree:
+        """Return a tree that may be changed and given to `rebuilt`."""
+        return parsed(self.text, self.name)
+
+    def rebuilt(self, tree: Tree, binary: Bytes | None) -> list[Bytes]:
+        """Return the pieces of this file with another tree and BIN chunk, the same kind, all else kept.
+
+        Parameters
+        ----------
+        tree : dict
+            The new JSON; unchanged parts keep their text.
+        binary : bytes-like or None
+            The new BIN chunk; None keeps what there is.
+        """
+        text = encoded(("\ufeff" if self.has_bom else "") + revised(self.text, tree))
+        if self.kind == "gltf":
+            return [text]
+        rest = self.chunks
+        if binary is not None:
+            rest = (Chunk(BIN_CHUNK, binary), *(self.chunks[1:] if self.binary is not None else self.chunks))
+        return [*glb_pieces([Chunk(JSON_CHUNK, text), *rest]), self.tail]
+
+
+def read_container(data: bytes, name: str) -> Container:
+    """Take a glTF file apart: binary if it starts with the GLB magic, otherwise JSON text.
+
+    Raises
+    ------
+    InputError
+        If chunk lengths do not fit the file, the JSON is damaged, or the version is not 2.
+    """
+    container = _glb(data, name) if data[:4] == MAGIC else _container("gltf", data, data, name)
+    asset = container.root.entry("asset")
+    version = asset.text("version") or ""
+    if version.split(".")[0] != "2":
+        cause = f"is {version!r}" if version else "is missing"
+        raise asset.fault("version", f"{cause}, but only glTF 2 can be read", "export the model as glTF 2.0")
+    least = asset.text("minVersion")
+    if least not in (None, "2.0"):
+        raise asset.fault("minVersion", f"is {least!r}, but only glTF 2.0 can be read")
+    return container
+
+
+def _glb(data: bytes, name: str) -> Container:
+    if len(data) < 20:
+        raise InputError(name, f"a GLB file of {len(data)} bytes has no room for its header", _TRUNCATED)
+    version, length = struct.unpack_from("<II", data, 4)
+    if version != 2:
+        raise InputError(
+            name, f"GLB version {version} cannot be read, only 2", "export the model as glTF 2.0"
+        )
+    if length > len(data):
+        raise InputError(name, f"the GLB header counts {length} bytes, the file has {len(data)}", _TRUNCATED)
+    chunks: list[Chunk] = []
+    position, view = 12, memoryview(data)
+    while position < length:
+        where = f"chunk {len(chunks)} at byte {position}"
+        if position + 8 > length:
+            raise InputError(name, f"{where}: its header is cut off", _TRUNCATED)
+        size, kind = struct.unpack_from("<II", data, position)
+        if position + 8 + size > length:
+            raise InputError(name, f"{where}: {size} bytes do not fit in the file of {length}", _TRUNCATED)
+        chunks.append(Chunk(kind, view[position + 8 : position + 8 + size]))
+        position += 8 + size
+    if not chunks or chunks[0].kind != JSON_CHUNK:
+        raise InputError(name, "the first GLB chunk is not JSON", "export the model again")
+    return _container("glb", bytes(chunks[0].data), data, name, tuple(chunks[1:]), view[length:])
+
+
+def _container(
+    kind: Literal["glb", "gltf"],
+    encoded_text: bytes,
+    data: bytes,
+    name: str,
+    chunks: tuple[Chunk, ...] = (),
+    tail: Bytes = b"",
+) -> Container:
+    has_bom = encoded_text.startswith(_BOM)
+    try:
+        text = encoded_text.removeprefix(_BOM).decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise InputError(name, f"neither GLB nor UTF-8 text (byte {error.start})", "is it glTF?") from None
+    if kind == "glb":
+        text = text.rstrip(" \0")
+    return Container(name, kind, data, text, parsed(text, name), chunks, has_bom, tail)
+
+
+def encoded(text: str) -> bytes:
+    """Return JSON text as UTF-8."""
+    return text.encode("utf-8")
+
+
+def glb_pieces(chunks: Sequence[Chunk]) -> list[Bytes]:
+    """Return a GLB file: header and chunks, JSON padded with spaces and the others with zeros to 4 bytes."""
+    pieces: list[Bytes] = []
+    for chunk in chunks:
+        padding = (b" " if chunk.kind == JSON_CHUNK else b"\0") * (-len(chunk.data) % 4)
+        pieces += [struct.pack("<II", len(chunk.data) + len(padding), chunk.kind), chunk.data, padding]
+    return [MAGIC + struct.pack("<II", 2, 12 + sum(len(piece) for piece in pieces)), *pieces]

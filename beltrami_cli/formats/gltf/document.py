@@ -1,0 +1,164 @@
+"""A glTF 2.0 file, text or binary, of which only vertex colours are replaced."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from beltrami_cli.formats.document import Document
+from beltrami_cli.formats.gltf.accessors import Accessors, Stored, fractions
+from beltrami_cli.formats.gltf.buffers import Buffers
+from beltrami_cli.formats.gltf.container import read_container
+from beltrami_cli.formats.gltf.contents import contents_of, summary
+from beltrami_cli.formats.gltf.patching import Edit, patched
+from beltrami_cli.formats.gltf.references import present
+from beltrami_cli.formats.gltf.repackaging import as_glb, as_gltf
+from beltrami_cli.formats.gltf.saving import written
+from beltrami_cli.formats.gltf.scene import placements
+from beltrami_cli.formats.gltf.surfaces import COLOUR_TYPES, Surface, gather
+from beltrami_cli.mesh.painted import MeshContents, PaintedVertices
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+    from typing import Literal
+
+    from numpy.typing import NDArray
+
+    from beltrami_cli.formats.document import Written
+    from beltrami_cli.formats.gltf.surfaces import Block
+
+
+class GltfDocument(Document):
+    """An opened glTF file.
+
+    Parameters
+    ----------
+    data : bytes
+        The main file: GLB, or JSON text in UTF-8.
+    name : str
+        The file as the user named it.
+    folder : pathlib.Path or None
+        Where buffers and images beside the file are looked for; None when it came through a pipe.
+
+    Raises
+    ------
+    InputError
+        If the file is damaged, not glTF 2, or its JSON describes what cannot be.
+
+    Attributes
+    ----------
+    format : str
+        "glb" or "gltf", by content.
+    """
+
+    format: str  # type: ignore[misc]  # one class reads both forms, so only an instance knows its format
+
+    def __init__(self, data: bytes, name: str, folder: Path | None) -> None:
+        super().__init__(name)
+        self.folder = folder
+        self.container = read_container(data, name)
+        self.format = self.container.kind
+        self.root = self.container.root
+        self.buffers = Buffers(self.container, folder)
+        self.accessors = Accessors(self.root, self.buffers)
+        self.places = placements(self.root)
+        self._references, missing = present(self.root, folder)
+        if self.container.has_bom:
+            self.notices.append(
+                "The JSON starts with a byte order mark, which glTF does not allow; it is kept."
+            )
+        self.notices += missing
+
+    @cached_property
+    def surface(self) -> Surface:
+        """Painted primitives; the user is told about the others when this is first asked for."""
+        surface = gather(self.root, self.accessors, self.places)
+        self.notices += surface.notices
+        return surface
+
+    @cached_property
+    def stored_colours(self) -> list[Stored]:
+        """Colours of every block as stored, each of shape (rows of the block, 3 or 4)."""
+        stored = [self.accessors.stored(block.colour) for block in self.surface.blocks]
+        for block, numbers in zip(self.surface.blocks, stored, strict=True):
+            if numbers.dtype.kind == "f" and not np.isfinite(numbers).all():
+                row = int(np.nonzero(~np.isfinite(numbers).all(axis=1))[0][0])
+                raise self.accessors[block.colour].entry.fault("", f"colour {row} is not finite")
+        return stored
+
+    @cached_property
+    def _painted(self) -> PaintedVertices:
+        surface = self.surface
+        colours = np.concatenate([fractions(numbers[:, :3]) for numbers in self.stored_colours])
+        stored = {numbers.dtype.name for numbers in self.stored_colours}
+        spaces = np.concatenate(
+            [np.full(block.count, block.placement.space, np.int32) for block in surface.blocks]
+        )
+        return PaintedVertices(
+            positions=np.concatenate([self._positions(block) for block in surface.blocks]),
+            faces=surface.faces,
+            colours=colours,
+            channels=("red", "green", "blue"),
+            encoding="linear",
+            stored=next(kind for kind in COLOUR_TYPES if kind in stored),
+            space_of=spaces if np.any(spaces != spaces[0]) else None,
+        )
+
+    def _positions(self, block: Block) -> NDArray[np.float64]:
+        matrix = block.placement.matrix
+        with np.errstate(over="ignore", invalid="ignore"):
+            positions = self.accessors.values(block.position) @ matrix[:3, :3].T + matrix[:3, 3]
+        if not np.isfinite(positions).all():
+            raise self.accessors[block.position].entry.fault("", "positions overflow in world space")
+        return positions
+
+    def painted(self) -> PaintedVertices:  # noqa: D102
+        return self._painted
+
+    def edit(self, colours: NDArray[np.float32]) -> Edit:
+        """Return the JSON and the buffers with other colours; rows as for `patch`."""
+        old = self.painted().colours
+        blocks, stored = self.surface.blocks, self.stored_colours
+        return patched(self.container, self.accessors, blocks, stored, old, colours)
+
+    def patch(self, colours: NDArray[np.float32], stem: str, *, moved: bool) -> Written:  # noqa: D102
+        return written(self.edit(colours), stem, moved=moved)
+
+    def repackaged(
+        self, colours: NDArray[np.float32], stem: str, form: Literal["glb", "gltf"], *, moved: bool
+    ) -> Written:
+        """Return the document as `patch` does, in the other form of glTF if that is asked for.
+
+        Parameters
+        ----------
+        colours, stem, moved
+            As for `patch`.
+        form : {"glb", "gltf"}
+            Binary or text. Going to "glb", buffers are merged into the BIN chunk and images inside the
+            folder embedded; going to "gltf", the BIN chunk becomes the sidecar ``{stem}.bin``.
+
+        Raises
+        ------
+        InputError
+            If a buffer that has to be moved cannot be read.
+        """
+        edit = self.edit(colours)
+        if form == self.format:
+            return written(edit, stem, moved=moved)
+        return as_glb(edit, self.folder) if form == "glb" else as_gltf(edit, stem, moved=moved)
+
+    def references(self) -> Sequence[str]:
+        """Return relative paths of the existing buffers and images beside the file ("/" separates).
+
+        Buffers whose colours a patch changes are among them: a sidecar of the same name takes precedence.
+        """
+        return self._references
+
+    def contents(self) -> MeshContents:  # noqa: D102
+        return contents_of(self)
+
+    def facts(self) -> dict[str, object]:  # noqa: D102
+        return summary(self)

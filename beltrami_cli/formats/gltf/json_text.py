@@ -1,0 +1,190 @@
+"""JSON text that keeps its own words: what an edit leaves alone is written with the characters it was read from.
+
+Encoding a parsed tree anew would change spacing, escapes and the digits of numbers. Here the text of the
+source is walked along the new tree, and only members that differ are written anew, in the source's style.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import dataclass
+from typing import Any
+
+from beltrami_cli.errors import InputError
+
+Tree = dict[str, Any]
+
+DEEPEST = 100
+"""Levels of nesting that are read; glTF needs about ten, and recursion must stay far from Python's limit."""
+
+_DECODER = json.JSONDecoder()
+_SPACE = re.compile(r"[ \t\n\r]*")
+
+
+def parsed(text: str, name: str) -> Tree:
+    """Read strict JSON whose outermost value is an object.
+
+    Parameters
+    ----------
+    text : str
+        The JSON text.
+    name : str
+        The file, for messages.
+
+    Raises
+    ------
+    InputError
+        If the text is not JSON, repeats a key, holds NaN or Infinity, or is nested absurdly deep.
+    """
+    try:
+        tree = json.loads(text, object_pairs_hook=_unique, parse_constant=_refused)
+    except RecursionError:
+        raise InputError(name, "the JSON is nested too deeply") from None
+    except ValueError as error:
+        raise InputError(name, f"the JSON is damaged: {error}", "export the model again") from None
+    if not isinstance(tree, dict):
+        raise InputError(name, "the JSON is not an object, so this is not glTF")
+    level: list[Any] = [tree]
+    for _ in range(DEEPEST):
+        level = [child for parent in level for child in _children(parent)]
+        if not level:
+            return tree
+    raise InputError(name, f"the JSON is nested more than {DEEPEST} levels deep")
+
+
+def _children(parent: object) -> list[Any]:
+    values = parent.values() if isinstance(parent, dict) else parent if isinstance(parent, list) else ()
+    return [value for value in values if isinstance(value, dict | list)]
+
+
+def _unique(pairs: list[tuple[str, Any]]) -> Tree:
+    tree = dict(pairs)
+    if len(tree) < len(pairs):
+        repeated = next(key for key in tree if sum(key == other for other, _ in pairs) > 1)
+        raise ValueError(f"the key {repeated!r} occurs twice in one object")
+    return tree
+
+
+def _refused(constant: str) -> None:
+    raise ValueError(f"{constant} is not a JSON number")
+
+
+def revised(text: str, tree: Tree) -> str:
+    """Write a changed tree with the words of the text that it was parsed from.
+
+    Parameters
+    ----------
+    text : str
+        JSON text that `parsed` accepts.
+    tree : dict
+        The same tree after changes: values replaced, members added or removed, array ends grown or cut.
+
+    Returns
+    -------
+    str
+        Text that parses to `tree`, equal to `text` but for the values that differ.
+    """
+    start = _skip(text, 0)
+    old, end = _DECODER.raw_decode(text, start)
+    return text[:start] + _value(_Span(start, end, old), tree, text, _style(text, start)) + text[end:]
+
+
+@dataclass(frozen=True)
+class _Span:
+    """A value of the source and where it stands; members also know their key and where their lead starts."""
+
+    start: int
+    end: int
+    value: Any
+    key: str = ""
+    lead: int = 0
+    key_start: int = 0
+    key_end: int = 0
+
+
+@dataclass(frozen=True)
+class _Style:
+    """How the source spaces its JSON: characters of one level of indentation (None: one line), and the colon."""
+
+    indent: str | None
+    colon: str
+
+    def written(self, value: object, lead: str) -> str:
+        """Return a new value as text; `lead` is the white space in front of it or of its key."""
+        separators = (",", self.colon) if "\n" in lead or self.colon == ":" else (", ", self.colon)
+        indent = self.indent if "\n" in lead else None
+        text = json.dumps(value, ensure_ascii=False, allow_nan=False, indent=indent, separators=separators)
+        return text.replace("\n", lead[: lead.rfind("\n") + 1].lstrip(" \t") + lead[lead.rfind("\n") + 1 :])
+
+
+def _style(text: str, start: int) -> _Style:
+    members = _spans(text, start)[0]
+    if not members:
+        return _Style(None, ":")
+    lead = text[members[0].lead : members[0].key_start]
+    return _Style(
+        lead[lead.rfind("\n") + 1 :] if "\n" in lead else None,
+        text[members[0].key_end : members[0].start].strip("\r\n") or ":",
+    )
+
+
+def _skip(text: str, position: int) -> int:
+    match = _SPACE.match(text, position)
+    return match.end() if match else position
+
+
+def _spans(text: str, start: int) -> tuple[list[_Span], int]:
+    """Return the members of the object or array at `start`, and where its closing bracket stands."""
+    spans: list[_Span] = []
+    keyed = text[start] == "{"
+    lead = start + 1
+    while text[position := _skip(text, lead)] not in "}]":
+        key, key_start, key_end = "", position, position
+        if keyed:
+            key, key_end = _DECODER.raw_decode(text, position)
+            position = _skip(text, _skip(text, key_end) + 1)
+        value, end = _DECODER.raw_decode(text, position)
+        spans.append(_Span(position, end, value, key, lead, key_start, key_end))
+        lead = _skip(text, end)
+        if text[lead] != ",":
+            return spans, lead
+        lead += 1
+    return spans, position
+
+
+def _value(span: _Span, new: object, text: str, style: _Style) -> str:
+    if span.value == new:
+        return text[span.start : span.end]
+    if isinstance(span.value, dict) and isinstance(new, dict) and span.value:
+        return _object(span, new, text, style)
+    if isinstance(span.value, list) and isinstance(new, list) and span.value:
+        return _array(span, new, text, style)
+    return style.written(new, text[span.lead : span.key_start])
+
+
+def _object(span: _Span, new: Tree, text: str, style: _Style) -> str:
+    members, close = _spans(text, span.start)
+    kept = [
+        text[member.lead : member.start] + _value(member, new[member.key], text, style)
+        for member in members
+        if member.key in new
+    ]
+    lead = text[members[-1].lead : members[-1].key_start]
+    added = [
+        lead + json.dumps(key, ensure_ascii=False) + style.colon + style.written(value, lead)
+        for key, value in new.items()
+        if key not in span.value
+    ]
+    return "{" + ",".join(kept + added) + text[members[-1].end : close] + "}"
+
+
+def _array(span: _Span, new: list[Any], text: str, style: _Style) -> str:
+    items, close = _spans(text, span.start)
+    kept = [
+        text[item.lead : item.start] + _value(item, value, text, style)
+        for item, value in zip(items, new, strict=False)
+    ]
+    lead = text[items[-1].lead : items[-1].start]
+    added = [lead + style.written(value, lead) for value in new[len(items) :]]
+    return "[" + ",".join(kept + added) + text[items[-1].end : close] + "]"

@@ -1,0 +1,137 @@
+"""Whether stored colours may be overwritten where they are: what else uses their bytes, or their accessors."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from beltrami_cli.formats.gltf.accessors import element_bytes
+from beltrami_cli.formats.gltf.layouts import Layout
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from numpy.typing import NDArray
+
+    from beltrami_cli.formats.gltf.accessors import Accessors
+    from beltrami_cli.formats.gltf.json_text import Tree
+    from beltrami_cli.formats.gltf.surfaces import Block
+
+
+def used_otherwise(tree: Tree) -> set[int]:
+    """Return the accessors that are named as anything but COLOR_0 of a primitive."""
+    found: list[object] = []
+    for mesh in objects(tree.get("meshes")):
+        for primitive in objects(mesh.get("primitives")):
+            found += [index for key, index in primitive.get("attributes", {}).items() if key != "COLOR_0"]
+            found += [index for target in objects(primitive.get("targets")) for index in target.values()]
+            found.append(primitive.get("indices"))
+    for animation in objects(tree.get("animations")):
+        for sampler in objects(animation.get("samplers")):
+            found += [sampler.get("input"), sampler.get("output")]
+    found += [skin.get("inverseBindMatrices") for skin in objects(tree.get("skins"))]
+    for holder in objects([node.get("extensions") for node in objects(tree.get("nodes"))]):
+        for extension in objects(list(holder.values())):
+            attributes = extension.get("attributes", {})
+            found += list(attributes.values()) if isinstance(attributes, dict) else []
+    return {index for index in found if isinstance(index, int)}
+
+
+def alone(tree: Tree, accessors: Accessors, blocks: Sequence[Block]) -> list[bool]:
+    """Return for every block whether nothing else uses the bytes and the accessors of its colours.
+
+    Notes
+    -----
+    The uses of every byte are counted, once for each block and for everything else that lies there: other
+    accessors element by element (so that interleaving is no conflict), sparse parts, and whole views that
+    serve images, extensions, or nothing that we know.
+    """
+    otherwise = used_otherwise(tree)
+    own = [_canonical(accessors, accessors[block.colour].layout) for block in blocks]
+    members = set().union(*(block.members for block in blocks))
+    others = [_canonical(accessors, layout) for layout in _others(tree, accessors, members)]
+    counts = {
+        layout.buffer: np.zeros(_extent(accessors, layout.buffer), np.uint8) for layout in own if layout
+    }
+    ranges = np.array([(layout.buffer, layout.start, layout.end) for layout in own if layout]).reshape(-1, 3)
+    for layout in [*own, *others]:
+        if layout is not None and _meets(layout, ranges):
+            uses = element_bytes(counts[layout.buffer], layout)
+            uses[...] = np.minimum(uses + 1, 2)
+    return [
+        layout is not None
+        and accessors[block.colour].sparse is None
+        and not block.members & otherwise
+        and bool((element_bytes(counts[layout.buffer], layout) == 1).all())
+        for block, layout in zip(blocks, own, strict=True)
+    ]
+
+
+def _others(tree: Tree, accessors: Accessors, members: set[int]) -> Iterator[Layout]:
+    """Find the bytes of everything that is not the plain elements of painted colours."""
+    viewed = set()
+    for index, accessor in enumerate(accessors.all):
+        viewed.add(accessor.view)
+        if accessor.layout is not None and index not in members:
+            yield accessor.layout
+        if accessor.sparse is not None:
+            viewed |= _views_of_sparse(accessor.entry.value)
+            yield from (accessor.sparse.indices, accessor.sparse.values)
+    named = set(_named_views({key: value for key, value in tree.items() if key != "accessors"}))
+    for index, view in enumerate(accessors.views):
+        if index in named or index not in viewed:
+            yield Layout(view.buffer, view.offset, view.length, view.length, 1)
+    for raw in objects(tree.get("bufferViews")):
+        for extension in objects(list(raw.get("extensions", {}).values())):
+            yield from _extended(extension, accessors.buffers.lengths)
+
+
+def _extended(extension: Tree, lengths: Sequence[int]) -> Iterator[Layout]:
+    """Find the bytes that an extension of a view names itself, if it does so in the usual words."""
+    buffer, offset, length = (extension.get(key) for key in ("buffer", "byteOffset", "byteLength"))
+    offset = 0 if offset is None else offset
+    if isinstance(buffer, int) and isinstance(offset, int) and isinstance(length, int):
+        inside = 0 <= buffer < len(lengths) and offset >= 0 and length > 0
+        if inside and offset + length <= lengths[buffer]:
+            yield Layout(buffer, offset, length, length, 1)
+
+
+def _views_of_sparse(accessor: Tree) -> set[int]:
+    return {accessor["sparse"][part]["bufferView"] for part in ("indices", "values")}
+
+
+def _named_views(value: object) -> Iterator[int]:
+    """Find every member called "bufferView", in images and in extensions that we do not know."""
+    if isinstance(value, dict):
+        index = value.get("bufferView")
+        if isinstance(index, int):
+            yield index
+        for child in value.values():
+            yield from _named_views(child)
+    elif isinstance(value, list):
+        for child in value:
+            yield from _named_views(child)
+
+
+def _canonical(accessors: Accessors, layout: Layout | None) -> Layout | None:
+    if layout is None:
+        return None
+    return replace(layout, buffer=accessors.buffers.canonical(layout.buffer))
+
+
+def _extent(accessors: Accessors, buffer: int) -> int:
+    """Return a length that no view of this buffer, or of another over the same file, goes beyond."""
+    buffers = accessors.buffers
+    return max(buffers.lengths[index] for index in range(len(buffers)) if buffers.canonical(index) == buffer)
+
+
+def _meets(layout: Layout, ranges: NDArray[np.int64]) -> bool:
+    buffer, start, end = ranges.T
+    return bool(((buffer == layout.buffer) & (start < layout.end) & (layout.start < end)).any())
+
+
+def objects(values: object) -> list[Tree]:
+    """Return the objects among the values of what should be an array of objects."""
+    return [value for value in values if isinstance(value, dict)] if isinstance(values, list) else []

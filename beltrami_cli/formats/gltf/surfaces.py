@@ -1,0 +1,213 @@
+"""The painted primitives of a glTF file, gathered into blocks of rows with their triangles.
+
+A block is one pair of positions and colours. Primitives that use the same pair (the same accessors, or
+accessors over the same bytes) share its rows, so that every stored colour has exactly one row.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from beltrami_cli.errors import InputError
+from beltrami_cli.formats.gltf.triangles import triangles
+
+if TYPE_CHECKING:
+    from collections.abc import Hashable, Sequence
+
+    from numpy.typing import NDArray
+
+    from beltrami_cli.formats.gltf.accessors import Accessors
+    from beltrami_cli.formats.gltf.scene import Placement
+    from beltrami_cli.formats.gltf.tree import Entry
+
+COLOUR_TYPES = ("uint8", "uint16", "float32")
+"""Component types of COLOR_0, the coarsest first."""
+
+_DRACO = "KHR_draco_mesh_compression"
+_MOST_ROWS = np.iinfo(np.int32).max
+
+
+@dataclass
+class Block:
+    """Rows of one pair of accessors.
+
+    Attributes
+    ----------
+    position, colour : int
+        The accessors.
+    placement : Placement
+        Of the mesh that uses the pair first.
+    first_row, count : int
+        The rows ``first_row`` to ``first_row + count - 1``.
+    normal : int or None
+        Accessor of the normals of the first primitive.
+    members : set of int
+        All accessors over these colours that primitives name as COLOR_0.
+    """
+
+    position: int
+    colour: int
+    placement: Placement
+    first_row: int
+    count: int
+    normal: int | None
+    members: set[int] = field(default_factory=set)
+
+
+@dataclass
+class Surface:
+    """All blocks, their triangles as rows (F, 3), and what the user should know about what was left out."""
+
+    blocks: list[Block]
+    faces: NDArray[np.int32]
+    notices: list[str]
+
+
+def gather(root: Entry, accessors: Accessors, places: Sequence[Placement]) -> Surface:
+    """Gather all primitives that have COLOR_0, in file order.
+
+    Raises
+    ------
+    InputError
+        If there are none, one is compressed, or its attributes or indices are damaged.
+    """
+    gathering = _Gathering(accessors)
+    for mesh, placement in zip(root.entries("meshes"), places, strict=True):
+        for primitive in mesh.entries("primitives"):
+            gathering.take(primitive, placement)
+    if not gathering.blocks:
+        remedy = "paint the vertices first, or bake the texture into them"
+        raise InputError(root.name, "the model has no vertex colours (COLOR_0)", remedy)
+    return gathering.surface()
+
+
+class _Gathering:
+    """Blocks while primitives are being taken one by one."""
+
+    def __init__(self, accessors: Accessors) -> None:
+        self.accessors = accessors
+        self.blocks: list[Block] = []
+        self._block_of: dict[Hashable, Block] = {}
+        self._faces: dict[Hashable, NDArray[np.int32]] = {}
+        self._rows = 0
+        self._counts = dict.fromkeys(("uncoloured", "elsewhere", "instanced", "morphed", "plain"), 0)
+        self._instanced: set[int] = set()
+
+    def take(self, primitive: Entry, placement: Placement) -> None:
+        """Take one primitive: its rows if they are new, and its triangles."""
+        attributes = primitive.entry("attributes")
+        packed = primitive.entry("extensions").entry(_DRACO)
+        if "COLOR_0" not in attributes and "COLOR_0" not in packed.entry("attributes"):
+            self._counts["uncoloured"] += 1
+            return
+        if _DRACO in primitive.entry("extensions"):
+            remedy = "decompress the model first with a glTF optimiser, and smooth the plain file"
+            raise primitive.fault("extensions", f"{_DRACO} is not decoded by beltrami", remedy)
+        self._counts["morphed"] += any("COLOR_0" in target for target in primitive.entries("targets"))
+        block = self._block(attributes, placement)
+        if block is not None:
+            self._take_faces(primitive, block, placement)
+
+    def _block(self, attributes: Entry, placement: Placement) -> Block | None:
+        """Return the block of a primitive; None if its colours already have rows at other positions."""
+        position, colour = self._position(attributes), self._colour(attributes)
+        count = self.accessors[colour].count
+        if self.accessors[position].count != count:
+            raise attributes.fault(
+                "COLOR_0", f"has {count} elements, but POSITION has {self.accessors[position].count}"
+            )
+        key, place = self._identity(colour), self._identity(position)
+        if key not in self._block_of:
+            normal = self._normal(attributes, count)
+            block = Block(position, colour, placement, self._rows, count, normal)
+            self._block_of[key] = block
+            self.blocks.append(block)
+            self._rows += count
+            if self._rows > _MOST_ROWS:
+                raise attributes.fault("COLOR_0", f"more than {_MOST_ROWS} colours in one model")
+            self._counts["instanced"] += placement.nodes > 1
+        block = self._block_of[key]
+        block.members.add(colour)
+        if self._identity(block.position) != place:
+            self._counts["elsewhere"] += 1
+            return None
+        if block.placement is not placement:
+            same = np.array_equal(block.placement.matrix, placement.matrix)
+            self._counts["instanced"] += not same or block.placement.space != placement.space
+        return block
+
+    def _position(self, attributes: Entry) -> int:
+        index = attributes.integer("POSITION", below=len(self.accessors))
+        accessor = self.accessors[index]
+        if accessor.shape != "VEC3" or accessor.component.name == "uint32":
+            raise attributes.fault(
+                "POSITION", f"is {accessor.shape} of {accessor.component.name}, not a position"
+            )
+        return index
+
+    def _colour(self, attributes: Entry) -> int:
+        index = attributes.integer("COLOR_0", below=len(self.accessors))
+        accessor = self.accessors[index]
+        if accessor.shape not in ("VEC3", "VEC4") or accessor.component.name not in COLOUR_TYPES:
+            raise attributes.fault(
+                "COLOR_0", f"is {accessor.shape} of {accessor.component.name}, not a colour"
+            )
+        self._counts["plain"] += accessor.component.kind == "u" and not accessor.normalised
+        return index
+
+    def _normal(self, attributes: Entry, count: int) -> int | None:
+        if "NORMAL" not in attributes:
+            return None
+        index = attributes.integer("NORMAL", below=len(self.accessors))
+        accessor = self.accessors[index]
+        if accessor.shape != "VEC3" or accessor.count != count:
+            raise attributes.fault("NORMAL", f"is {accessor.count} {accessor.shape}, not {count} normals")
+        return index
+
+    def _take_faces(self, primitive: Entry, block: Block, placement: Placement) -> None:
+        mode = primitive.integer("mode", below=7, default=4)
+        index = primitive.integer("indices", below=len(self.accessors)) if "indices" in primitive else None
+        key = (block.first_row, mode, None if index is None else self._identity(index))
+        if key in self._faces:
+            return
+        corners = np.arange(block.count) if index is None else self._indices(primitive, index, block.count)
+        faces = triangles(mode, corners)
+        if np.linalg.det(placement.matrix[:3, :3]) < 0:
+            faces = faces[:, ::-1]  # a mirrored node turns its triangles inside out
+        self._faces[key] = (faces + block.first_row).astype(np.int32)
+
+    def _indices(self, primitive: Entry, index: int, count: int) -> NDArray[np.int64]:
+        accessor = self.accessors[index]
+        if accessor.shape != "SCALAR" or accessor.component.kind != "u":
+            raise primitive.fault("indices", f"is {accessor.shape} of {accessor.component.name}, not indices")
+        corners = self.accessors.stored(index)[:, 0].astype(np.int64)
+        if corners.max() >= count:
+            raise primitive.fault("indices", f"names vertex {corners.max()}, but there are only {count}")
+        return corners
+
+    def _identity(self, index: int) -> Hashable:
+        """Return the same for accessors that describe the same bytes in the same way."""
+        accessor = self.accessors[index]
+        if accessor.layout is None or accessor.sparse is not None:
+            return index
+        return accessor.layout, accessor.component.str, accessor.width, accessor.normalised
+
+    def surface(self) -> Surface:
+        """Return what was gathered."""
+        faces = [np.empty((0, 3), np.int32), *self._faces.values()]
+        return Surface(self.blocks, np.concatenate(faces), self._notices())
+
+    def _notices(self) -> list[str]:
+        sentences = {
+            "uncoloured": "{} primitive(s) without COLOR_0 are left as they are.",
+            "elsewhere": "{} primitive(s) reuse colours with other positions; the colours are smoothed where "
+            "they occur first.",
+            "instanced": "{} painted part(s) are shown by several nodes; each is smoothed once, at its first place.",
+            "morphed": "{} primitive(s) have morph targets of COLOR_0, which are left as they are.",
+            "plain": "{} primitive(s) store integer colours that are not marked as normalised; they are read as if "
+            "they were.",
+        }
+        return [sentence.format(n) for key, sentence in sentences.items() if (n := self._counts[key])]
