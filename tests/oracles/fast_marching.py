@@ -1,0 +1,215 @@
+"""Fast marching on a triangulated manifold in any dimension: slow, plain, in double precision.
+
+Follows R. Kimmel, J. A. Sethian, "Computing geodesic paths on manifolds", PNAS 95 (1998): an upwind update
+from two known corners of a triangle, with obtuse corners split by unfolding neighbouring triangles. Only edge
+lengths enter, so that the dimension of the embedding does not matter.
+
+A stencil is a corner C with two supports A and B: either an acute corner of a face, or one half of an obtuse
+corner, whose second support is the vertex found by unfolding. An obtuse corner that cannot be split leaves
+the two edges that meet in it. Rules for what is not a manifold:
+
+- faces with the same three corners are one face; a face that repeats a corner contributes its edges only;
+- unfolding stops at an edge that does not have exactly two faces, and at an edge of length zero;
+- a corner on an edge of length zero, or opposite one, has no angle and leaves its edges.
+"""
+
+from __future__ import annotations
+
+import heapq
+from dataclasses import dataclass, field
+from itertools import combinations
+from math import inf, sqrt
+
+import numpy as np
+
+# A corner counts as obtuse only if its cosine is below this. Right angles of a grid must not be split or left
+# whole by the last bit of a square root; both ways are correct there, but they differ in value.
+OBTUSE = -1e-9
+
+# Faces unfolded for one corner before it is given up.
+UNFOLDING_STEPS = 64
+
+
+def distances(embedding, faces, source, stop=inf, unfold=True):
+    """Return the geodesic distances from one vertex.
+
+    Parameters
+    ----------
+    embedding : array_like of float, shape (V, D)
+        Vertices in any dimension.
+    faces : array_like of int, shape (F, 3)
+        Triangles.
+    source : int
+        The vertex with distance 0.
+    stop : float
+        Marching ends at the first vertex further than this.
+    unfold : bool
+        Whether obtuse corners are split; if not, they leave their edges.
+
+    Returns
+    -------
+    ndarray of float64, shape (V,)
+        Infinite where a vertex is further than `stop` or not connected.
+    """
+    return Manifold(embedding, faces, unfold).distances(source, stop)
+
+
+@dataclass
+class Manifold:
+    """Stencils of a triangulated manifold, made once for marching from many sources.
+
+    Attributes
+    ----------
+    edges : list of dict of int to float
+        For each vertex, the vertices that it can reach in a straight line, and how far they are: over edges
+        of faces, and to the supports of split corners.
+    stencils : list of dict
+        For each vertex S, the stencils that S supports: (C, other support) to (|CS|, |C other|, cosine at C).
+    """
+
+    embedding: np.ndarray
+    faces: np.ndarray
+    unfold: bool = True
+    steps: int = UNFOLDING_STEPS
+    edges: list = field(init=False)
+    stencils: list = field(init=False)
+
+    def __post_init__(self):
+        self.embedding = np.asarray(self.embedding, dtype=np.float64)
+        self.faces = np.asarray(self.faces, dtype=np.int64).reshape(-1, 3)
+        count = len(self.embedding)
+        self.edges = [{} for _ in range(count)]
+        self.stencils = [{} for _ in range(count)]
+        self.facing = {}  # edge (low, high) -> third corners of the faces that hold it
+        triangles = sorted({tuple(sorted(face)) for face in self.faces.tolist()})
+        for triangle in triangles:
+            for a, b in combinations(triangle, 2):
+                if a != b:
+                    self.join(a, b, self.length(a, b))
+        triangles = [triangle for triangle in triangles if len(set(triangle)) == 3]
+        for a, b, c in triangles:
+            for p, q, r in ((a, b, c), (b, c, a), (a, c, b)):
+                self.facing.setdefault((min(p, q), max(p, q)), []).append(r)
+        for a, b, c in triangles:
+            for p, q, r in ((a, b, c), (b, c, a), (c, a, b)):
+                self.add_corner(p, q, r)
+
+    def length(self, i, j):
+        return float(np.linalg.norm(self.embedding[i] - self.embedding[j]))
+
+    def join(self, i, j, length):
+        """Let two vertices reach each other in a straight line."""
+        self.edges[i][j] = min(length, self.edges[i].get(j, inf))
+        self.edges[j][i] = min(length, self.edges[j].get(i, inf))
+
+    def add_corner(self, a, b, c):
+        """Add the stencils of the corner at `c` of the face (a, b, c)."""
+        to_a, to_b, across = self.length(c, a), self.length(c, b), self.length(a, b)
+        if to_a == 0 or to_b == 0 or across == 0:
+            return
+        cosine = (to_a**2 + to_b**2 - across**2) / (2 * to_a * to_b)
+        if cosine >= OBTUSE:
+            self.add_stencil(c, a, b, to_a, to_b, min(cosine, 1.0))
+        elif self.unfold and (support := self.unfolded(a, b, c, max(cosine, -1.0))) is not None:
+            d, x, y, b_x, b_y = support
+            to_d = sqrt(x * x + y * y)
+            self.join_one_way(d, c, to_d)
+            self.add_stencil(c, a, d, to_a, to_d, x / to_d)
+            self.add_stencil(c, d, b, to_d, to_b, (x * b_x + y * b_y) / (to_d * to_b))
+
+    def join_one_way(self, i, j, length):
+        """Let vertex `i` reach vertex `j`."""
+        self.edges[i][j] = min(length, self.edges[i].get(j, inf))
+
+    def add_stencil(self, c, a, b, to_a, to_b, cosine):
+        """Let `a` and `b` together update `c`."""
+        self.stencils[a].setdefault((c, b), []).append((to_a, to_b, cosine))
+        self.stencils[b].setdefault((c, a), []).append((to_b, to_a, cosine))
+
+    def unfolded(self, a, b, c, cosine):
+        """Return the vertex that splits the obtuse corner at `c`, and where it lies in the plane of the face.
+
+        The plane has its origin at `c` and `a` on its first axis. Faces are unfolded over the edge (p, q), at
+        first (a, b), where p stays on the side of `a` of the section in which both halves are acute, and q on
+        that of `b`.
+
+        Returns
+        -------
+        tuple of (d, x, y, b_x, b_y), or None
+            The vertex, its place, and that of `b`.
+        """
+        to_a, to_b = self.length(c, a), self.length(c, b)
+        place_a = np.array([to_a, 0.0])
+        place_b = to_b * np.array([cosine, sqrt(1 - cosine * cosine)])
+        p, q, place_p, place_q, last = a, b, place_a, place_b, c
+        for _ in range(self.steps):
+            facing = self.facing[min(p, q), max(p, q)]
+            if len(facing) != 2 or self.length(p, q) == 0:
+                return None
+            d = facing[0] if facing[1] == last else facing[1]
+            place_d = self.place_beyond(p, q, d, place_p, place_q)
+            if place_d @ place_a <= 0:
+                q, place_q, last = d, place_d, q
+            elif place_d @ place_b <= 0:
+                p, place_p, last = d, place_d, p
+            else:
+                return None if d in (a, b, c) else (d, *place_d, *place_b)
+        return None
+
+    def place_beyond(self, p, q, d, place_p, place_q):
+        """Return where `d` lies on the far side of the edge (p, q) from the origin."""
+        across, to_p, to_q = self.length(p, q), self.length(p, d), self.length(q, d)
+        along = (to_p**2 + across**2 - to_q**2) / (2 * across)
+        height = sqrt(max(to_p**2 - along**2, 0.0))
+        direction = (place_q - place_p) / across
+        normal = np.array([direction[1], -direction[0]])
+        if normal @ place_p < 0:
+            normal = -normal
+        return place_p + along * direction + height * normal
+
+    def distances(self, source, stop=inf):
+        """March from one vertex; see the function `distances`."""
+        phi = np.full(len(self.embedding), inf)
+        accepted = np.zeros(len(phi), bool)
+        phi[source] = 0.0
+        heap = [(0.0, source)]
+        while heap:
+            value, here = heapq.heappop(heap)
+            if accepted[here]:
+                continue
+            if value > stop:
+                break
+            accepted[here] = True
+            for there, update in self.updates(here, phi, accepted):
+                if not accepted[there] and update < phi[there]:
+                    phi[there] = update
+                    heapq.heappush(heap, (update, there))
+        return np.where(accepted, phi, inf)
+
+    def updates(self, here, phi, accepted):
+        """Yield the vertices that a newly accepted one can update, and the values that it gives them."""
+        for there, length in self.edges[here].items():
+            yield there, phi[here] + length
+        for (there, other), corners in self.stencils[here].items():
+            if accepted[other]:
+                for to_here, to_other, cosine in corners:
+                    first, second = (phi[here], to_here), (phi[other], to_other)
+                    yield there, triangle_update(*min(first, second), *max(first, second), cosine)
+
+
+def triangle_update(phi_a, b, phi_b, a, cosine):
+    """Return the value at C by the front that passes A and then B, or infinity if none runs through the triangle.
+
+    Solves (a^2 + b^2 - 2 a b cos) s^2 + 2 b u (a cos - b) s + b^2 (u^2 - a^2 sin^2) = 0, where a = |CB|,
+    b = |CA| and u = phi(B) - phi(A) >= 0, for the larger root.
+    """
+    u = phi_b - phi_a
+    square = a * a + b * b - 2 * a * b * cosine
+    half = b * u * (a * cosine - b)
+    rest = b * b * (u * u - a * a * (1 - cosine * cosine))
+    discriminant = half * half - square * rest
+    if square <= 0 or discriminant < 0:
+        return inf
+    s = (-half + sqrt(discriminant)) / square
+    inside = u < s and a * cosine * s < b * (s - u) and b * (s - u) * cosine < a * s
+    return phi_a + s if inside else inf

@@ -1,0 +1,51 @@
+"""One iteration of the short-time Beltrami kernel, sample by sample.
+
+Follows A. Spira, R. Kimmel, N. Sochen, "A short time Beltrami kernel for smoothing images and manifolds",
+IEEE Transactions on Image Processing 16 (2007), equations (8) and (9).
+"""
+
+from __future__ import annotations
+
+from math import log, sqrt
+
+import numpy as np
+
+from tests.oracles.fast_marching import Manifold
+
+
+def embed(positions, colours, beta):
+    """Return the image manifold (X, beta I), shape (V, M + N)."""
+    return np.hstack([np.asarray(positions, float), beta * np.asarray(colours, float)])
+
+
+def short_time_kernel(embedding, faces, colours, t, threshold=0.01, weights=None, unfold=True):
+    """Return the colours after one Jacobi iteration.
+
+    Parameters
+    ----------
+    embedding : array_like of float, shape (V, D)
+        The image manifold.
+    faces : array_like of int, shape (F, 3)
+        Triangles.
+    colours : array_like of float, shape (V, C)
+        What is averaged.
+    t : float
+        Time step, in squared units of the embedding.
+    threshold : float
+        Samples with a kernel below this are left out.
+    weights : array_like of float, shape (V,), optional
+        What each sample counts; by default all the same.
+    unfold : bool
+        Whether obtuse corners are split.
+    """
+    colours = np.asarray(colours, float)
+    weights = np.ones(len(colours)) if weights is None else np.asarray(weights, float)
+    manifold = Manifold(embedding, faces, unfold)
+    reach = sqrt(-4 * t * log(threshold))
+    smoothed = np.empty_like(colours)
+    for p in range(len(colours)):
+        d = manifold.distances(p, stop=reach)
+        kernel = np.where(np.isfinite(d), weights * np.exp(-(np.minimum(d, 1e6 * reach) ** 2) / (4 * t)), 0.0)
+        # A sample whose whole neighbourhood counts nothing keeps its colour.
+        smoothed[p] = kernel @ colours / kernel.sum() if kernel.sum() > 0 else colours[p]
+    return smoothed
