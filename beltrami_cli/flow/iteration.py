@@ -74,7 +74,7 @@ class BeltramiFlow:
         self._manifold: TriangulatedManifold = _native.TriangulatedManifold(
             rank[surface.all_faces], len(rank)
         )
-        edges = self._manifold.edges
+        edges = self._manifold.edges()
         lengths = _edge_lengths(self._positions, edges)
         self.mean_edge_length = _mean(lengths)
         self.spacing = _spacing(self.mean_edge_length, parameters)

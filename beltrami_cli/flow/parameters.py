@@ -45,8 +45,8 @@ class KernelParameters:
         If a value is out of its range.
     """
 
-    iterations: int = 5
-    t: float = 1.3
+    iterations: int = 3
+    t: float = 2.4
     beta: float | None = None
     threshold: float = 0.01
     weights: Weights = "uniform"

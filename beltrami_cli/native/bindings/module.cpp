@@ -166,7 +166,7 @@ NB_MODULE(_native, module) {
       .def("smooth", &TriangulatedManifold::smooth, "colours"_a, "weights"_a.none(), "time_step"_a, "radius"_a,
            "max_samples"_a, "threads"_a, "progress"_a.none())
       .def("distances", &TriangulatedManifold::distances, "source"_a, "radius"_a, "max_samples"_a)
-      .def_prop_ro("edges", &TriangulatedManifold::edges)
+      .def("edges", &TriangulatedManifold::edges)
       .def_prop_ro("obtuse_corners", &TriangulatedManifold::obtuse_corners)
       .def_prop_ro("split_corners", &TriangulatedManifold::split_corners);
 }

@@ -1,0 +1,69 @@
+# Everything here sets itself up: it makes .venv and installs what a target needs.
+# PYTHON chooses the interpreter, VENV the place of the virtual environment.
+PYTHON ?= python3
+VENV   ?= .venv
+BIN     = $(VENV)/bin
+
+.PHONY: demo test lint bench sanitize samples clean help
+.DELETE_ON_ERROR:
+
+help:
+	@echo "make demo      smooth a sample mesh, with a before/after picture"
+	@echo "make test      all tests, in an environment of their own"
+	@echo "make lint      ruff, mypy and the import layers"
+	@echo "make bench     time the kernel against its peers"
+	@echo "make sanitize  test the core under the address and undefined-behaviour sanitizers"
+	@echo "make samples   make sample_data/ anew, bit for bit"
+	@echo "make clean     remove what was built"
+	@echo "make x.clean.ply   smooth x.ply (likewise .obj, .glb); make -j smooths many at once"
+
+# One environment for each set of extras, installed anew when the sources of the package change.
+SOURCES := pyproject.toml $(shell find beltrami_cli -name '*.py' -o -name '*.cpp' -o -name '*.hpp' -o -name CMakeLists.txt)
+
+$(VENV)/.pip:
+	$(PYTHON) -m venv $(VENV)
+	@touch $@
+
+$(VENV)/.installed-%: $(SOURCES) | $(VENV)/.pip
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --upgrade '.[$*]'
+	@touch $@
+
+demo: $(VENV)/.installed-samples
+	@mkdir -p demo
+	$(BIN)/beltrami smooth sample_data/head-noisy.ply demo/head-smooth.ply --overwrite
+	$(BIN)/python sample_data/picture.py sample_data/head-noisy.ply demo/head-smooth.ply demo/before-after.png
+	@echo "Result:  demo/head-smooth.ply"
+	@echo "Picture: demo/before-after.png (before, after)"
+
+test: $(VENV)/.installed-test
+	$(BIN)/python -m pytest
+
+lint: $(VENV)/.installed-test
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+bench: $(VENV)/.installed-bench
+	$(BIN)/python tests/benchmarks/bench_triangulated.py
+
+sanitize:
+	cmake -S beltrami_cli/native -B build/sanitize -DCMAKE_BUILD_TYPE=RelWithDebInfo \
+	  -DBELTRAMI_PYTHON=OFF -DBELTRAMI_TESTS=ON -DBELTRAMI_SANITIZE=ON
+	cmake --build build/sanitize --parallel 2
+	build/sanitize/core_tests
+
+samples: $(VENV)/.installed-samples
+	$(BIN)/python sample_data/make.py
+
+clean:
+	rm -rf build demo .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
+
+# The batch rule. In a Makefile of your own, copy it and write `beltrami` for $(BIN)/beltrami; options for all files go into
+# BELTRAMI_FLAGS, for one into a target-specific variable:  face.clean.ply: BELTRAMI_FLAGS = -n 2
+%.clean.ply: %.ply | $(VENV)/.installed-samples
+	$(BIN)/beltrami smooth $(BELTRAMI_FLAGS) --overwrite $< $@
+%.clean.obj: %.obj | $(VENV)/.installed-samples
+	$(BIN)/beltrami smooth $(BELTRAMI_FLAGS) --overwrite $< $@
+%.clean.glb: %.glb | $(VENV)/.installed-samples
+	$(BIN)/beltrami smooth $(BELTRAMI_FLAGS) --overwrite $< $@
