@@ -69,6 +69,7 @@ class Accessors:
             rows = self._numbers(accessor.sparse.indices, accessor.sparse.index_type)[:, 0].astype(np.int64)
             if rows[-1] >= accessor.count or np.any(np.diff(rows) <= 0):
                 raise accessor.entry.fault("sparse.indices", f"must increase and stay below {accessor.count}")
+            numbers = numbers.copy()  # it may be a view of the buffer
             numbers[rows] = self._numbers(accessor.sparse.values, accessor.component)
         return numbers
 

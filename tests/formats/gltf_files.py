@@ -1,0 +1,172 @@
+"""glTF files made byte by byte for tests, and a plain reader that shares no code with the package."""
+
+from __future__ import annotations
+
+import base64
+import json
+import struct
+
+import numpy as np
+
+CODES = {"i1": 5120, "u1": 5121, "i2": 5122, "u2": 5123, "u4": 5125, "f4": 5126}
+TYPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
+
+
+class Model:
+    """A glTF model under construction: its JSON, and the bytes of its one buffer."""
+
+    def __init__(self):
+        self.tree = {
+            "asset": {"version": "2.0", "generator": "tests", "copyright": "© ü"},
+            "buffers": [{"byteLength": 0}],
+            "bufferViews": [],
+            "accessors": [],
+            "meshes": [],
+            "nodes": [],
+            "scenes": [{"nodes": []}],
+            "scene": 0,
+            "extras": {"kept": [1.50, 2e-3, "a\u2028b"]},
+        }
+        self.binary = bytearray()
+
+    def view(self, data, **more):
+        self.binary += bytes(-len(self.binary) % 4)
+        view = {"buffer": 0, "byteOffset": len(self.binary), "byteLength": len(data), **more}
+        self.tree["bufferViews"].append(view)
+        self.binary += data
+        return len(self.tree["bufferViews"]) - 1
+
+    def accessor(self, array, view=None, *, offset=0, bounds=False, **more):
+        """Describe an array (n, width) that lies in a view; zeros if the view is None."""
+        array = np.asarray(array)
+        accessor = {
+            "componentType": CODES[array.dtype.str[1:]],
+            "count": len(array),
+            "type": TYPES[array.shape[1]],
+            **more,
+        }
+        if view is not None:
+            accessor |= {"bufferView": view, "byteOffset": offset}
+        if bounds:
+            accessor |= {"min": array.min(axis=0).tolist(), "max": array.max(axis=0).tolist()}
+        self.tree["accessors"].append(accessor)
+        return len(self.tree["accessors"]) - 1
+
+    def packed(self, array, **more):
+        """Put an array into a view of its own."""
+        array = np.asarray(array)
+        size = array.dtype.itemsize * array.shape[1]
+        stride = -(-size // 4) * 4
+        octets = np.full((len(array), stride), 0xEE, np.uint8)
+        octets[:, :size] = np.ascontiguousarray(array).view(np.uint8).reshape(len(array), size)
+        return self.accessor(array, self.view(octets.tobytes(), byteStride=stride), **more)
+
+    def indices(self, array):
+        return self.accessor(array.reshape(-1, 1), self.view(array.tobytes()))
+
+    def interleaved(self, *arrays, **more):
+        """Put arrays side by side into one view; `more` is for the last of them."""
+        offsets, stride = [], 0
+        for array in arrays:
+            offsets.append(stride)
+            stride += -(-array.dtype.itemsize * array.shape[1] // 4) * 4
+        octets = np.full((len(arrays[0]), stride), 0xEE, np.uint8)
+        for array, start in zip(arrays, offsets, strict=True):
+            size = array.dtype.itemsize * array.shape[1]
+            octets[:, start : start + size] = array.view(np.uint8).reshape(len(array), size)
+        view = self.view(octets.tobytes(), byteStride=stride)
+        last = len(arrays) - 1
+        return [
+            self.accessor(array, view, offset=start, **(more if number == last else {}))
+            for number, (array, start) in enumerate(zip(arrays, offsets, strict=True))
+        ]
+
+    def sparse(self, array, rows, base, *, bounds=False, **more):
+        """Store an array as `base` (None: zeros) with some rows replaced."""
+        rows = np.asarray(rows, np.uint16)
+        index = self.accessor(array, None, **more) if base is None else self.packed(base, **more)
+        if bounds:
+            low, high = array.min(axis=0).tolist(), array.max(axis=0).tolist()
+            self.tree["accessors"][index] |= {"min": low, "max": high}
+        self.tree["accessors"][index]["sparse"] = {
+            "count": len(rows),
+            "indices": {"bufferView": self.view(rows.tobytes()), "componentType": 5123},
+            "values": {"bufferView": self.view(np.ascontiguousarray(array[rows]).tobytes())},
+        }
+        return index
+
+    def mesh(self, *primitives, node=True, **placed):
+        self.tree["meshes"].append({"primitives": list(primitives)})
+        if node:
+            self.tree["nodes"].append({"mesh": len(self.tree["meshes"]) - 1, **placed})
+            self.tree["scenes"][0]["nodes"].append(len(self.tree["nodes"]) - 1)
+        return len(self.tree["meshes"]) - 1
+
+    def glb(self, *more_chunks, **style):
+        self.tree["buffers"][0] = {"byteLength": len(self.binary)}
+        text = json.dumps(self.tree, ensure_ascii=False, **style).encode()
+        chunks = [(b"JSON", text + b" " * (-len(text) % 4)), (b"BIN\0", self._padded()), *more_chunks]
+        body = b"".join(struct.pack("<I", len(data)) + kind + data for kind, data in chunks)
+        return b"glTF" + struct.pack("<II", 2, 12 + len(body)) + body
+
+    def text(self, uri, **style):
+        self.tree["buffers"][0] = {"uri": uri, "byteLength": len(self.binary)}
+        return json.dumps(self.tree, ensure_ascii=False, **style).encode()
+
+    def data_text(self, **style):
+        return self.text("data:application/gltf-buffer;base64," + base64.b64encode(self.binary).decode(), **style)
+
+    def _padded(self):
+        return bytes(self.binary) + bytes(-len(self.binary) % 4)
+
+
+def unpacked(data, files=None):
+    """Return the tree and the buffers of a glTF file, GLB or text, the slow and plain way."""
+    if data[:4] == b"glTF":
+        size = struct.unpack_from("<I", data, 12)[0]
+        tree, rest = json.loads(data[20 : 20 + size]), data[20 + size :]
+        assert struct.unpack_from("<I", data, 8)[0] == len(data)
+        binary = rest[8 : 8 + struct.unpack_from("<I", rest)[0]] if rest else b""
+    else:
+        tree, binary = json.loads(data.decode("utf-8-sig")), b""
+    buffers = []
+    for buffer in tree["buffers"]:
+        uri = buffer.get("uri")
+        if uri is None:
+            octets = binary
+        elif uri.startswith("data:"):
+            octets = base64.b64decode(uri.split(",")[1])
+        else:
+            octets = bytes((files or {})[uri])
+        assert len(octets) >= buffer["byteLength"]
+        buffers.append(octets)
+    return tree, buffers
+
+
+def numbers(tree, buffers, index):
+    """Return the stored numbers of an accessor, element by element."""
+    accessor = tree["accessors"][index]
+    kind = "<" + next(name for name, code in CODES.items() if code == accessor["componentType"])
+    width = next(width for width, name in TYPES.items() if name == accessor["type"])
+
+    def read(part, kind, width, count):
+        view = tree["bufferViews"][part["bufferView"]]
+        size = np.dtype(kind).itemsize * width
+        start, stride = view.get("byteOffset", 0) + part.get("byteOffset", 0), view.get("byteStride", size)
+        data = buffers[view["buffer"]]
+        return np.array([np.frombuffer(data, kind, width, start + row * stride) for row in range(count)])
+
+    count = accessor["count"]
+    found = read(accessor, kind, width, count) if "bufferView" in accessor else np.zeros((count, width), kind)
+    if "sparse" in accessor:
+        sparse = accessor["sparse"]
+        code = sparse["indices"]["componentType"]
+        index_kind = "<" + next(name for name, other in CODES.items() if other == code)
+        rows = read(sparse["indices"], index_kind, 1, sparse["count"])[:, 0]
+        found[rows] = read(sparse["values"], kind, width, sparse["count"])
+    return found
+
+
+def joined(written):
+    """Return the main file of a `Written`."""
+    return b"".join(bytes(piece) for piece in written.main)

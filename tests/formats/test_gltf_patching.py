@@ -1,0 +1,233 @@
+"""Properties of patching glTF files: colours change, and nothing else does."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from beltrami_cli.formats.gltf import GltfDocument
+from tests.formats.gltf_files import Model, joined, numbers, unpacked
+
+ARRANGEMENTS = ("dense", "interleaved", "sparse", "sparse on zeros", "zeros", "shared", "overlapping", "twice")
+FORMS = ("glb", "gltf", "data")
+
+
+@dataclass
+class Case:
+    model: Model
+    colour: int
+    stored: np.ndarray
+
+
+def random_colours(rng, kind, count, width):
+    if kind == "f4":
+        return rng.random((count, width)).astype("<f4")
+    return rng.integers(0, np.iinfo(kind).max + 1, (count, width)).astype(f"<{kind}")
+
+
+@st.composite
+def cases(draw):
+    rng = np.random.default_rng(draw(st.integers(0, 2**32)))
+    kind, width = draw(st.sampled_from(("u1", "u2", "f4"))), draw(st.sampled_from((3, 4)))
+    arrangement, bounds = draw(st.sampled_from(ARRANGEMENTS)), draw(st.booleans())
+    count = draw(st.integers(3, 9))
+    more = {"bounds": bounds} | ({"normalized": True} if kind != "f4" else {})
+    model = Model()
+    positions = rng.normal(size=(count, 3)).astype("<f4")
+    stored = random_colours(rng, kind, count, width)
+    model.view(b"\x89PNG image, opaque")
+    if arrangement == "interleaved":
+        normals = np.tile(np.array([0, 0, 1], "<f4"), (count, 1))
+        position, normal, colour = model.interleaved(positions, normals, stored, **more)
+        attributes = {"POSITION": position, "NORMAL": normal}
+    else:
+        attributes = {"POSITION": model.packed(positions)}
+        if arrangement.startswith("sparse"):
+            base = None if "zeros" in arrangement else random_colours(rng, kind, count, width)
+            rows = np.flatnonzero(rng.random(count) < 0.5) if count > 3 else np.array([1])
+            rows = rows if len(rows) else np.array([0])
+            full = np.zeros_like(stored) if base is None else base.copy()
+            full[rows] = stored[rows]
+            stored = full
+            colour = model.sparse(stored, rows, base, **more)
+        elif arrangement == "zeros":
+            stored = np.zeros_like(stored)
+            colour = model.accessor(stored, None, **more)
+        else:
+            colour = model.packed(stored, **more)
+    attributes["COLOR_0"] = colour
+    if arrangement == "shared":
+        attributes["_KEPT"] = colour
+    if arrangement == "overlapping":
+        part = model.tree["accessors"][colour] | {"count": count - 1}
+        model.tree["accessors"].append({key: part[key] for key in part if key not in ("min", "max")})
+        attributes["_KEPT"] = len(model.tree["accessors"]) - 1
+    primitive = {"attributes": attributes, "mode": draw(st.sampled_from((0, 1, 4, 5, 6)))}
+    if draw(st.booleans()):
+        corners = rng.integers(0, count, 3 * count).astype(draw(st.sampled_from(("<u1", "<u2", "<u4"))))
+        primitive["indices"] = model.indices(corners)
+    others = [primitive, json.loads(json.dumps(primitive))] if arrangement == "twice" else [primitive]
+    if arrangement == "twice":
+        model.tree["accessors"].append(dict(model.tree["accessors"][colour]))
+        others[1]["attributes"]["COLOR_0"] = len(model.tree["accessors"]) - 1
+    model.mesh(*others)
+    return Case(model, colour, stored)
+
+
+def opened(model, form, folder, **style):
+    """Return the document, its bytes, and the files beside it."""
+    if form == "glb":
+        data = model.glb((b"XTRA", b"kept"), **style)
+    elif form == "data":
+        data = model.data_text(**style)
+    else:
+        (folder / "a b.bin").write_bytes(bytes(model.binary))
+        data = model.text("a%20b.bin", **style)
+    return GltfDocument(data, "model", folder), data
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("gltf")
+
+
+@settings(max_examples=120, deadline=None)
+@given(case=cases(), form=st.sampled_from(FORMS), moved=st.booleans(), seed=st.integers(0, 2**32))
+def test_only_changed_colours_change_and_each_is_rounded_once(folder, case, form, moved, seed):
+    document, data = opened(case.model, form, folder)
+    painted = document.painted()
+    scale = 1 if case.stored.dtype.kind == "f" else np.iinfo(case.stored.dtype).max
+    np.testing.assert_array_equal(painted.colours, (case.stored[:, :3] / np.float64(scale)).astype(np.float32))
+    rng = np.random.default_rng(seed)
+    changed = rng.random(painted.colours.shape) < 0.4
+    colours = np.where(changed, rng.random(painted.colours.shape), painted.colours).astype(np.float32)
+
+    written = document.patch(colours, "out", moved=moved)
+
+    files = {"a%20b.bin": bytes(case.model.binary)} | dict(written.sidecars)
+    files |= {name.replace(" ", "%20"): octets for name, octets in written.sidecars.items()}
+    old_tree, old_buffers = unpacked(data, files={"a%20b.bin": bytes(case.model.binary)})
+    new_tree, new_buffers = unpacked(joined(written), files)
+    expected = case.stored.copy()
+    exact = colours.astype(np.float64) * scale
+    expected[:, :3][changed] = (exact if scale == 1 else np.rint(exact))[changed]
+    check_rest(old_tree, old_buffers, new_tree, new_buffers, expected)
+    if form == "gltf" and written.sidecars:
+        assert set(written.sidecars) == ({"a b.bin"} if moved else {"out.bin"})
+    if form == "glb" and written.main != [data]:
+        assert joined(written).endswith(b"XTRAkept")
+
+
+def check_rest(old_tree, old_buffers, new_tree, new_buffers, expected):
+    """Everything but COLOR_0 decodes to the same; every old byte outside COLOR_0 is where it was."""
+    pairs = zip(old_tree["meshes"][0]["primitives"], new_tree["meshes"][0]["primitives"], strict=True)
+    for old, new in pairs:
+        assert old["attributes"].keys() == new["attributes"].keys()
+        for key, index in old["attributes"].items():
+            now = numbers(new_tree, new_buffers, new["attributes"][key])
+            if key == "COLOR_0":
+                np.testing.assert_array_equal(now, expected)
+                check_bounds(old_tree["accessors"][index], new_tree["accessors"][new["attributes"][key]], expected)
+            else:
+                np.testing.assert_array_equal(now, numbers(old_tree, old_buffers, index))
+        if "indices" in old:
+            before = numbers(old_tree, old_buffers, old["indices"])
+            np.testing.assert_array_equal(numbers(new_tree, new_buffers, new["indices"]), before)
+    assert new_tree["bufferViews"][: len(old_tree["bufferViews"])] == old_tree["bufferViews"]
+    touched = {part["attributes"]["COLOR_0"] for part in old_tree["meshes"][0]["primitives"]}
+    for index, accessor in enumerate(old_tree["accessors"]):
+        now, free = new_tree["accessors"][index], {"bufferView", "byteOffset", "sparse", "min", "max"}
+        free = free if index in touched else set()
+        assert {k: v for k, v in now.items() if k not in free} == {
+            k: v for k, v in accessor.items() if k not in free
+        }
+    free = {"bufferViews", "accessors", "buffers", "meshes"}
+    assert {k: v for k, v in old_tree.items() if k not in free} == {
+        k: v for k, v in new_tree.items() if k not in free
+    }
+    size = old_tree["buffers"][0]["byteLength"]
+    mine = np.zeros(size, bool)
+    for index in touched:
+        mark(mine, old_tree, old_tree["accessors"][index])
+    before, after = (np.frombuffer(b[0], np.uint8, size) for b in (old_buffers, new_buffers))
+    np.testing.assert_array_equal(before[~mine], after[~mine])
+
+
+def mark(mine, tree, accessor):
+    if "bufferView" in accessor:
+        view = tree["bufferViews"][accessor["bufferView"]]
+        width = int(accessor["type"][3])
+        size = {5121: 1, 5123: 2, 5126: 4}[accessor["componentType"]] * width
+        for row in range(accessor["count"]):
+            start = view["byteOffset"] + accessor["byteOffset"] + row * view["byteStride"]
+            mine[start : start + size] = True
+
+
+def check_bounds(old, new, expected):
+    assert ("min" in old) == ("min" in new)
+    if "min" in new:
+        assert new["min"] == expected.min(axis=0).tolist()
+        assert new["max"] == expected.max(axis=0).tolist()
+
+
+@settings(max_examples=40, deadline=None)
+@given(case=cases(), form=st.sampled_from(FORMS), indent=st.sampled_from((None, 2, "\t")))
+def test_unchanged_colours_give_back_the_same_bytes(folder, case, form, indent):
+    document, data = opened(case.model, form, folder, indent=indent)
+    written = document.patch(document.painted().colours.copy(), "out", moved=False)
+    assert joined(written) == data
+    assert not written.sidecars
+
+
+def test_colours_of_their_own_bytes_leave_the_json_verbatim(folder):
+    model = Model()
+    rng = np.random.default_rng(1)
+    positions = rng.normal(size=(6, 3)).astype("<f4")
+    colours = rng.integers(0, 256, (6, 4)).astype("<u1")
+    position, colour = model.interleaved(positions, colours, normalized=True)
+    model.mesh({"attributes": {"POSITION": position, "COLOR_0": colour}})
+    document, data = opened(model, "glb", folder, indent=3)
+    after = joined(document.patch(1 - document.painted().colours, "out", moved=False))
+    length = int.from_bytes(data[12:16], "little")
+    assert after[: 20 + length] == data[: 20 + length]
+    assert len(after) == len(data)
+
+
+def test_a_patch_is_undone_by_patching_back(folder):
+    model = Model()
+    stored = np.arange(18, dtype="<u2").reshape(6, 3) * 3000
+    position = model.packed(np.eye(6, 3, dtype="<f4"))
+    model.mesh({"attributes": {"POSITION": position, "COLOR_0": model.packed(stored, normalized=True)}})
+    document, data = opened(model, "glb", folder)
+    colours = document.painted().colours
+    after = joined(document.patch(colours[::-1].copy(), "out", moved=False))
+    assert after != data
+    assert joined(GltfDocument(after, "again", folder).patch(colours, "out", moved=False)) == data
+
+
+def test_new_colours_must_be_finite_and_fit(folder):
+    model = Model()
+    position = model.packed(np.eye(3, dtype="<f4"))
+    model.mesh({"attributes": {"POSITION": position, "COLOR_0": model.packed(np.eye(3, dtype="<f4"))}})
+    document, _ = opened(model, "glb", folder)
+    with pytest.raises(ValueError, match="finite"):
+        document.patch(np.full((3, 3), np.nan, np.float32), "out", moved=False)
+    with pytest.raises(ValueError, match="shape"):
+        document.patch(np.zeros((4, 3), np.float32), "out", moved=False)
+
+
+def test_sidecars_never_take_a_name_that_the_source_uses(tmp_path: Path):
+    model = Model()
+    position = model.packed(np.eye(3, dtype="<f4"))
+    model.mesh({"attributes": {"POSITION": position, "COLOR_0": model.packed(np.eye(3, dtype="<f4"))}})
+    (tmp_path / "out.bin").write_bytes(bytes(model.binary))
+    document = GltfDocument(model.text("out.bin"), "out.gltf", tmp_path)
+    written = document.patch(1 - document.painted().colours, "out", moved=False)
+    assert list(written.sidecars) == ["out-2.bin"]
+    assert json.loads(joined(written))["buffers"][0]["uri"] == "out-2.bin"
