@@ -41,6 +41,27 @@ class Accessors:
     def __getitem__(self, index: int) -> Accessor:
         return self.all[index]
 
+    def require_bytes(self, index: int) -> None:
+        """Load the buffer of an accessor, so that its count is known to be backed by bytes.
+
+        Raises
+        ------
+        InputError
+            If the bytes are missing; if it has none, when it has more elements than all files have bytes.
+        """
+        accessor = self.all[index]
+        if accessor.layout is not None:
+            self.buffers.stored(accessor.layout.buffer)
+        elif accessor.count > self.buffers.bytes_at_hand:
+            raise accessor.entry.fault("count", f"{accessor.count} zeros are more than the file has bytes")
+
+    def require_plain(self, index: int) -> None:
+        """Raise an InputError that names the extension if the bytes of an accessor are compressed."""
+        accessor = self.all[index]
+        if accessor.compression:
+            cause = f"is compressed with {accessor.compression}, which beltrami does not decode"
+            raise accessor.entry.fault("", cause, _DECOMPRESS)
+
     def stored(self, index: int) -> Stored:
         """Return the numbers as stored, sparse replacements applied.
 
@@ -54,16 +75,11 @@ class Accessors:
             If the bytes are missing or compressed, or sparse indices are not increasing and in range.
         """
         accessor = self.all[index]
-        if accessor.compression:
-            cause = f"is compressed with {accessor.compression}, which beltrami does not decode"
-            raise accessor.entry.fault("", cause, _DECOMPRESS)
+        self.require_plain(index)
         if accessor.layout is not None:
             numbers = self._numbers(accessor.layout, accessor.component)
         else:
-            if accessor.count > self.buffers.bytes_at_hand:
-                raise accessor.entry.fault(
-                    "count", f"{accessor.count} zeros are more than the file has bytes"
-                )
+            self.require_bytes(index)
             numbers = np.zeros((accessor.count, accessor.width), accessor.component)
         if accessor.sparse is not None:
             rows = self._numbers(accessor.sparse.indices, accessor.sparse.index_type)[:, 0].astype(np.int64)

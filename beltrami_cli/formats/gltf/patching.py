@@ -119,10 +119,10 @@ def _own_accessors(tree: Tree, members: set[int], shared: set[int]) -> set[int]:
         copies[index] = len(tree["accessors"])
         tree["accessors"].append(_copied(tree["accessors"][index]))
     for mesh in tree["meshes"]:
-        for primitive in mesh["primitives"]:
-            index = primitive["attributes"].get("COLOR_0")
-            if index in copies:
-                primitive["attributes"]["COLOR_0"] = copies[index]
+        for primitive in mesh.get("primitives", []):
+            attributes = primitive.get("attributes", {})
+            if attributes.get("COLOR_0") in copies:
+                attributes["COLOR_0"] = copies[attributes["COLOR_0"]]
     return (members - shared) | set(copies.values())
 
 

@@ -146,6 +146,8 @@ class _Gathering:
             raise attributes.fault(
                 "POSITION", f"is {accessor.shape} of {accessor.component.name}, not a position"
             )
+        self.accessors.require_plain(index)
+        self.accessors.require_bytes(index)
         return index
 
     def _colour(self, attributes: Entry) -> int:

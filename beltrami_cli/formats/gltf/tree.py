@@ -57,8 +57,6 @@ class Entry:
         return self._integer(value, key, least, below)
 
     def _integer(self, value: object, key: str, least: int, below: int | None) -> int:
-        if isinstance(value, float) and value.is_integer():
-            value = int(value)
         if not isinstance(value, int) or isinstance(value, bool):
             raise self.fault(key, f"is {_shown(value)} instead of an integer")
         if value < least or (below is not None and value >= below):

@@ -1,0 +1,209 @@
+"""The shell of glTF files: chunks, text, buffers beside the file, and damage of every kind."""
+
+from __future__ import annotations
+
+import json
+import os
+import struct
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from beltrami_cli.errors import InputError
+from beltrami_cli.formats.gltf import GltfDocument
+from tests.formats.gltf_files import Model, joined
+
+
+def small(indices=True, sparse=False):
+    model = Model()
+    colours = np.array([[1, 2, 3], [4, 5, 6], [7, 8, 9]], "<u1")
+    colour = (
+        model.sparse(colours, [1], None, normalized=True) if sparse else model.packed(colours, normalized=True)
+    )
+    primitive = {"attributes": {"POSITION": model.packed(np.eye(3, dtype="<f4")), "COLOR_0": colour}}
+    if indices:
+        primitive["indices"] = model.indices(np.array([0, 1, 2], "<u2"))
+    model.mesh(primitive, translation=[1, 2, 3])
+    return model
+
+
+def everything(data, folder=None):
+    """Use every road through a document."""
+    document = GltfDocument(data, "model", folder)
+    document.facts()
+    document.references()
+    document.contents()
+    colours = (1 - document.painted().colours).clip(-1e30, 1e30)
+    document.patch(colours, "out", moved=False)
+    for form in ("glb", "gltf"):
+        document.repackaged(colours, "out", form, moved=True)
+
+
+GLB = small(sparse=True).glb()
+TEXT = small().data_text(indent=1)
+
+
+@settings(max_examples=150, deadline=None)
+@given(cut=st.integers(0, len(GLB) - 1), text=st.booleans())
+def test_truncated_files_raise_input_errors(cut, text):
+    data = (TEXT if text else GLB)[:cut]
+    if text or cut:
+        with pytest.raises(InputError):
+            everything(data)
+
+
+@settings(max_examples=400, deadline=None)
+@given(
+    text=st.booleans(), where=st.floats(0, 1, exclude_max=True), what=st.binary(min_size=1, max_size=3)
+)
+def test_damaged_bytes_raise_only_input_errors(text, where, what):
+    data = bytearray(TEXT if text else GLB)
+    start = int(where * len(data))
+    data[start : start + len(what)] = what
+    try:
+        everything(bytes(data))
+    except InputError as error:
+        assert "\n" not in str(error)
+
+
+junk = st.one_of(
+    st.none(), st.booleans(), st.integers(-2, 9), st.just(10**30), st.just(0.5), st.just([]), st.just({}),
+    st.just("x"), st.just([0, 1]), st.just([{}]), st.just([[]]), st.just({"bufferView": 0}), st.just([None]),
+)  # fmt: skip
+
+
+def paths(value, path=()):
+    yield path
+    for key, child in value.items() if isinstance(value, dict) else enumerate(value):
+        if isinstance(child, dict | list):
+            yield from paths(child, (*path, key))
+        else:
+            yield (*path, key)
+
+
+RICH = small(sparse=True)
+RICH.tree |= {
+    "animations": [{"samplers": [{"input": 0, "output": 0}], "channels": []}],
+    "skins": [{"joints": [0], "inverseBindMatrices": 0}],
+    "images": [{"bufferView": 0, "mimeType": "image/png"}],
+    "materials": [{"extensions": {"EXT_any": {"bufferView": 1}}}],
+    "extensionsUsed": ["EXT_any"],
+}
+RICH.tree["meshes"].append({"primitives": [{"attributes": {"POSITION": 0}, "targets": [{"POSITION": 1}]}]})
+RICH.tree["nodes"][0]["extensions"] = {"EXT_mesh_gpu_instancing": {"attributes": {"TRANSLATION": 0}}}
+RICH.tree["bufferViews"][0]["extensions"] = {"EXT_any": {"buffer": 0, "byteOffset": 0, "byteLength": 4}}
+RICH.tree["bufferViews"][0]["target"] = 34962
+PATHS = list(paths(RICH.tree))[1:]
+
+
+@settings(max_examples=600, deadline=None)
+@given(path=st.sampled_from(PATHS), value=junk, binary=st.booleans())
+@example(path=("meshes", 1, "primitives", 0, "targets"), value=[[]], binary=True)
+def test_any_json_value_of_a_wrong_kind_raises_only_input_errors(path, value, binary):
+    data = RICH.glb()
+    tree = json.loads(data[20 : 20 + struct.unpack_from("<I", data, 12)[0]])
+    parent = tree
+    for key in path[:-1]:
+        parent = parent[key]
+    parent[path[-1]] = value
+    other = Model()
+    other.tree, other.binary = tree, RICH.binary
+    try:
+        if binary:
+            text = json.dumps(tree).encode()
+            text += b" " * (-len(text) % 4)
+            body = struct.pack("<I", len(text)) + b"JSON" + text + data[20 + struct.unpack_from("<I", data, 12)[0] :]
+            everything(b"glTF" + struct.pack("<II", 2, 12 + len(body)) + body)
+        else:
+            everything(json.dumps(tree).encode())
+    except InputError as error:
+        assert "\n" not in str(error)
+
+
+@pytest.mark.parametrize(
+    ("text", "cause"),
+    [
+        (b"[]", "not an object"),
+        (b'{"asset": {"version": "2.0"}, "asset": {}}', "twice"),
+        (b'{"asset": NaN}', "NaN"),
+        (b'{"a":' * 5000 + b"1" + b"}" * 5000, "nested"),
+        (b'{"a":' * 150 + b"1" + b"}" * 150, "nested"),
+        (b'{"a": ' + b"9" * 5000 + b"}", "damaged"),
+        (b"\xff\xfe{}", "UTF-8"),
+        (b"", "damaged"),
+    ],
+)
+def test_what_is_no_gltf_is_refused(text, cause):
+    with pytest.raises(InputError, match=cause):
+        GltfDocument(text, "model.gltf", None)
+
+
+def test_a_byte_order_mark_is_told_and_kept():
+    data = b"\xef\xbb\xbf" + TEXT
+    document = GltfDocument(data, "model.gltf", None)
+    assert [notice for notice in document.notices if "byte order mark" in notice]
+    assert joined(document.patch(1 - document.painted().colours, "out", moved=False)).startswith(data[:20])
+
+
+def test_form_is_told_by_content():
+    assert GltfDocument(GLB, "model.gltf", None).format == "glb"
+    assert GltfDocument(TEXT, "model.glb", None).format == "gltf"
+
+
+OUTSIDE = ["/etc/hosts", "../up.bin", "a/../../up.bin", "%2e%2e/up.bin", "..%5cup.bin", "file:///up.bin",
+           "http://x/up.bin", "C:\\up.bin", "link.bin", "", ".", "fifo", "missing.bin", "sub"]  # fmt: skip
+
+
+@pytest.mark.parametrize("uri", OUTSIDE)
+def test_buffers_outside_the_folder_are_never_read(tmp_path, uri):
+    model = small()
+    folder = tmp_path / "in"
+    (folder / "sub").mkdir(parents=True)
+    (tmp_path / "up.bin").write_bytes(bytes(model.binary))
+    (folder / "link.bin").symlink_to(tmp_path / "up.bin")
+    os.mkfifo(folder / "fifo")
+    document = GltfDocument(model.text(uri), "model.gltf", folder)
+    assert not document.references()
+    assert [notice for notice in document.notices if "buffers[0]" in notice]
+    with pytest.raises(InputError, match=r"buffers\[0\].uri"):
+        document.painted()
+
+
+def test_files_inside_the_folder_are_found_and_listed(tmp_path):
+    model = small()
+    (tmp_path / "sub dir").mkdir()
+    (tmp_path / "sub dir" / "ü.bin").write_bytes(bytes(model.binary))
+    (tmp_path / "x.png").write_bytes(b"\x89PNG")
+    model.tree["images"] = [{"uri": "x.png"}, {"uri": "y.png"}, {"uri": "data:image/png;base64,AA=="}]
+    document = GltfDocument(model.text("sub%20dir/%C3%BC.bin"), "model.gltf", tmp_path)
+    assert len(document.painted().colours) == 3
+    assert document.references() == ["sub dir/ü.bin", "x.png"]
+    assert [notice for notice in document.notices if "'y.png' is missing" in notice]
+    written = document.patch(1 - document.painted().colours, "out", moved=True)
+    assert list(written.sidecars) == ["sub dir/ü.bin"]
+
+
+def test_two_buffers_over_one_file_stay_one_file(tmp_path):
+    model = small()
+    (tmp_path / "x.bin").write_bytes(bytes(model.binary))
+    tree = json.loads(model.text("x.bin"))
+    tree["buffers"].append({"uri": "./x.bin", "byteLength": len(model.binary)})
+    tree["bufferViews"][0]["buffer"] = 1  # the colours, seen through the second buffer
+    document = GltfDocument(json.dumps(tree).encode(), "model.gltf", tmp_path)
+    colours = 1 - document.painted().colours
+    written = document.patch(colours, "out", moved=False)
+    (tmp_path / "out.bin").write_bytes(bytes(written.sidecars["out.bin"]))
+    again = GltfDocument(joined(written), "out.gltf", tmp_path)
+    assert {buffer["uri"] for buffer in json.loads(joined(written))["buffers"]} == {"out.bin"}
+    np.testing.assert_allclose(again.painted().colours, colours, atol=0.5 / 255)
+
+
+def test_percent_encoded_data_uris_are_read_and_rewritten():
+    model = small()
+    uri = "data:application/octet-stream," + "".join(f"%{octet:02x}" for octet in model.binary)
+    document = GltfDocument(model.text(uri), "model.gltf", None)
+    colours = 1 - document.painted().colours
+    again = GltfDocument(joined(document.patch(colours, "out", moved=False)), "out.gltf", None)
+    np.testing.assert_allclose(again.painted().colours, colours, atol=0.5 / 255)

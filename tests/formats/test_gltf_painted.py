@@ -1,0 +1,284 @@
+"""What painted() reads: rows, faces, places, and what it refuses."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+import trimesh
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from beltrami_cli.errors import InputError
+from beltrami_cli.formats.gltf import GltfDocument
+from tests.formats.gltf_files import Model
+
+TRIANGLE = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], "<f4")
+
+
+def document(model):
+    return GltfDocument(model.glb(), "model.glb", None)
+
+
+def triangle(model, colours=None, positions=TRIANGLE, **more):
+    colours = np.eye(3, dtype="<f4") if colours is None else colours
+    attributes = {"POSITION": model.packed(positions), "COLOR_0": model.packed(colours)}
+    return {"attributes": attributes, **more}
+
+
+def drawn(mode, corners):
+    """Triangles as the specification lists them, one by one."""
+    n = len(corners)
+    if mode == 4:
+        found = [(corners[i], corners[i + 1], corners[i + 2]) for i in range(0, n - 2, 3)]
+    elif mode == 5:
+        found = [
+            (corners[i], corners[i + 1 + i % 2], corners[i + 2 - i % 2])
+            for i in range(n - 2)
+            if len({corners[i], corners[i + 1], corners[i + 2]}) == 3
+        ]
+    elif mode == 6:
+        found = [(corners[i + 1], corners[i + 2], corners[0]) for i in range(n - 2)]
+    else:
+        found = []
+    return np.array(found, np.int32).reshape(-1, 3)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    mode=st.integers(0, 6),
+    kind=st.sampled_from(("<u1", "<u2", "<u4", None)),
+    size=st.integers(1, 20),
+    seed=st.integers(0, 99),
+)
+def test_every_mode_draws_the_triangles_of_the_specification(mode, kind, size, seed):
+    rng, model = np.random.default_rng(seed), Model()
+    primitive = triangle(model, rng.random((7, 3)).astype("<f4"), rng.random((7, 3)).astype("<f4"), mode=mode)
+    corners = np.arange(7)
+    if kind is not None:
+        corners = rng.integers(0, 7, size).astype(kind)
+        primitive["indices"] = model.indices(corners)
+    model.mesh(primitive)
+    np.testing.assert_array_equal(document(model).painted().faces, drawn(mode, corners.tolist()))
+
+
+numbers = st.floats(-4, 4, width=32)
+
+
+@settings(max_examples=40, deadline=None)
+@given(data=st.data())
+def test_world_positions_agree_with_trimesh_on_node_hierarchies(data):
+    model, rng = Model(), np.random.default_rng(data.draw(st.integers(0, 99)))
+    count = data.draw(st.integers(1, 4))
+    for _ in range(count):
+        points = rng.normal(size=(3, 3)).astype("<f4")
+        model.mesh(triangle(model, positions=points, indices=model.indices(np.arange(3, dtype="<u2"))))
+    nodes = model.tree["nodes"]
+    model.tree["scenes"][0]["nodes"] = []
+    for index in range(count):
+        if data.draw(st.booleans()):
+            nodes[index]["matrix"] = np.vstack([rng.normal(size=(3, 4)), [0, 0, 0, 1]]).T.ravel().tolist()
+        else:
+            turn = rng.normal(size=4)
+            nodes[index] |= {"translation": rng.normal(size=3).tolist(), "scale": rng.normal(size=3).tolist()}
+            nodes[index]["rotation"] = (turn / np.linalg.norm(turn)).tolist()
+        parent = data.draw(st.integers(-1, index - 1))
+        siblings = nodes[parent].setdefault("children", []) if parent >= 0 else model.tree["scenes"][0]["nodes"]
+        siblings.append(index)
+    found = document(model).painted().positions.reshape(count, 3, 3)
+    scene = trimesh.load(trimesh.util.wrap_as_stream(model.glb()), file_type="glb", process=False)
+    other = np.array([mesh.triangles[0] for mesh in scene.dump()])
+    for place in found:
+        distance = min(np.abs(np.sort(place, axis=0) - np.sort(item, axis=0)).max() for item in other)
+        assert distance < 1e-5 * (1 + np.abs(place).max())
+
+
+@pytest.mark.parametrize(
+    ("positions", "normalised", "meant"),
+    [
+        (np.array([[-128, 0, 127], [-127, 64, 1], [0, 0, 0]], "<i1"), True, lambda p: np.maximum(p / 127, -1)),
+        (np.array([[-128, 0, 127], [-127, 64, 1], [0, 0, 0]], "<i1"), False, lambda p: p * 1.0),
+        (np.array([[-32768, 0, 5], [-7, 64, 1], [0, 0, 0]], "<i2"), True, lambda p: np.maximum(p / 32767, -1)),
+        (np.array([[65535, 0, 5], [7, 64, 1], [0, 0, 0]], "<u2"), False, lambda p: p * 1.0),
+        (np.array([[255, 0, 5], [7, 64, 1], [0, 0, 0]], "<u1"), True, lambda p: p / 255),
+    ],
+)
+def test_quantised_positions_are_decoded(positions, normalised, meant):
+    model = Model()
+    primitive = triangle(model)
+    primitive["attributes"]["POSITION"] = model.packed(positions, normalized=normalised)
+    model.mesh(primitive)
+    np.testing.assert_array_equal(document(model).painted().positions, meant(positions.astype(float)))
+
+
+def test_a_skinned_mesh_stays_where_it_is_stored():
+    model = Model()
+    model.mesh(triangle(model), translation=[5, 6, 7], skin=0)
+    model.tree["skins"] = [{"joints": [0]}]
+    np.testing.assert_array_equal(document(model).painted().positions, TRIANGLE)
+
+
+def test_a_mirrored_node_keeps_its_outside():
+    model = Model()
+    model.mesh(triangle(model, normals=None) | {}, scale=[-1, 1, 1])
+    painted = document(model).painted()
+    a, b, c = painted.positions[painted.faces[0]]
+    assert np.cross(b - a, c - a)[2] > 0
+
+
+def test_primitives_that_share_a_pair_share_rows():
+    model = Model()
+    first = triangle(model, indices=model.indices(np.array([0, 1, 2], "<u1")))
+    second = {"attributes": first["attributes"], "indices": model.indices(np.array([2, 1, 0], "<u1"))}
+    model.mesh(first, second, second)
+    painted = document(model).painted()
+    assert len(painted.positions) == 3
+    np.testing.assert_array_equal(painted.faces, [[0, 1, 2], [2, 1, 0]])
+
+
+def test_colours_used_at_two_places_have_one_row_and_a_notice():
+    model = Model()
+    first = triangle(model)
+    second = {"attributes": first["attributes"] | {"POSITION": model.packed(TRIANGLE + 5)}}
+    model.mesh(first, second)
+    opened = document(model)
+    painted = opened.painted()
+    assert opened.painted() is painted
+    np.testing.assert_array_equal(painted.positions, TRIANGLE)
+    assert [notice for notice in opened.notices if "other positions" in notice]
+    assert painted.faces.tolist() == [[0, 1, 2]]
+
+
+def test_an_instanced_mesh_is_taken_once_at_its_first_node():
+    model = Model()
+    model.mesh(triangle(model), translation=[1, 0, 0])
+    model.tree["nodes"].append({"mesh": 0, "translation": [9, 0, 0]})
+    model.tree["scenes"][0]["nodes"].append(1)
+    opened = document(model)
+    np.testing.assert_array_equal(opened.painted().positions, TRIANGLE + [1, 0, 0])
+    assert [notice for notice in opened.notices if "several nodes" in notice]
+
+
+def test_scenes_and_meshes_outside_them_are_spaces_of_their_own():
+    model = Model()
+    for shift in range(4):
+        model.mesh(triangle(model), translation=[shift, 0, 0], node=shift != 3)
+    model.tree["scenes"] = [{"nodes": [0]}, {"nodes": [1, 2]}]
+    model.tree["scene"] = 1
+    painted = document(model).painted()
+    space = painted.space_of.reshape(4, 3)
+    assert (space == space[:, :1]).all()
+    assert space[1, 0] == space[2, 0] == 0
+    assert len(set(space[:, 0].tolist())) == 3
+    np.testing.assert_array_equal(painted.positions[9:], TRIANGLE)
+    del model.tree["scene"]
+    assert set(document(model).painted().space_of[:9]) == {0}
+
+
+def test_mixed_types_are_called_by_the_coarsest():
+    model = Model()
+    model.mesh(
+        triangle(model),
+        triangle(model, np.eye(3, dtype="<u2") * 65535),
+        triangle(model, np.eye(3, 4, dtype="<f4")),
+    )
+    model.tree["accessors"][3]["normalized"] = True
+    painted = document(model).painted()
+    assert painted.stored == "uint16"
+    assert (painted.encoding, painted.space_of) == ("linear", None)
+    np.testing.assert_array_equal(painted.colours, np.tile(np.eye(3, dtype=np.float32), (3, 1)))
+
+
+def broken(change):
+    model = Model()
+    model.mesh(triangle(model, indices=model.indices(np.array([0, 1, 2], "<u1"))))
+    change(model.tree, model)
+    return model
+
+
+def put(path, value):
+    """Return a change of one member of the JSON, given by its path."""
+
+    def change(tree, _):
+        *parents, last = path.split(".")
+        for key in parents:
+            tree = tree[int(key) if key.isdigit() else key]
+        tree[int(last) if last.isdigit() else last] = value
+
+    return change
+
+
+PRIMITIVE = "meshes.0.primitives.0"
+DAMAGES = {
+    "no vertex colours": put(PRIMITIVE + ".attributes", {"POSITION": 1}),
+    "meshes[0].primitives[0].attributes.COLOR_0": put(PRIMITIVE + ".attributes.COLOR_0", 99),
+    "attributes.COLOR_0: has 3 elements, but POSITION has 2": put("accessors.1.count", 2),
+    "attributes.POSITION: is missing": put(PRIMITIVE + ".attributes", {"COLOR_0": 2}),
+    "primitives[0].indices: names vertex": lambda _, model: model.binary.__setitem__(2, 3),
+    "primitives[0].mode": put(PRIMITIVE + ".mode", 7),
+    "KHR_draco_mesh_compression": put(PRIMITIVE + ".extensions", {"KHR_draco_mesh_compression": {}}),
+    "EXT_meshopt_compression": put("bufferViews.2.extensions", {"EXT_meshopt_compression": {}}),
+    "accessors[2]: 400 elements need": put("accessors.2.count", 400),
+    "accessors[2].count: is '3'": put("accessors.2.count", "3"),
+    "accessors[2].count: is True": put("accessors.2.count", True),
+    "accessors[2].componentType: is 5124": put("accessors.2.componentType", 5124),
+    "is VEC3 of int16, not a colour": put("accessors.2.componentType", 5122),
+    "accessors[2].type": put("accessors.2.type", "VEC5"),
+    "accessors[2]: its elements of 12 bytes overlap": put("bufferViews.2.byteStride", 4),
+    "bufferViews[2]: its bytes": put("bufferViews.2.byteOffset", 1 << 40),
+    "bufferViews[2].buffer": put("bufferViews.2.buffer", 1),
+    "bufferViews[2].byteLength": put("bufferViews.2.byteLength", -1),
+    "nodes[0] is reached twice": put("nodes.0.children", [0]),
+    "nodes[0].rotation": put("nodes.0.rotation", [0, 0, 0, 0]),
+    "nodes[0].matrix: must be 16 finite numbers": put("nodes.0.matrix", [1] * 15),
+    "scenes[0].nodes[0]": put("scenes.0.nodes", [5]),
+    "nodes[0].mesh": put("nodes.0.mesh", -1),
+    "meshes: is 3 instead of an array": put("meshes", 3),
+    "meshes[0]: is None instead of an object": put("meshes.0", None),
+    "asset.version: is '1.0'": put("asset.version", "1.0"),
+    "zeros are more than the file has bytes": put(
+        "accessors", [{"componentType": 5126, "type": "VEC3", "count": 10**9}] * 3
+    ),
+}
+
+
+@pytest.mark.parametrize("message", DAMAGES)
+def test_damage_is_named_with_its_place(message):
+    model = broken(DAMAGES[message])
+    with pytest.raises(InputError) as caught:
+        document(model).painted()
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("attribute", ["POSITION", "COLOR_0"])
+def test_numbers_that_are_not_finite_are_refused(attribute):
+    model = Model()
+    values = TRIANGLE.copy()
+    values[1, 1] = np.inf
+    model.mesh(triangle(model, **{"POSITION": {"positions": values}, "COLOR_0": {"colours": values}}[attribute]))
+    with pytest.raises(InputError, match="1 is not finite"):
+        document(model).painted()
+
+
+def test_shared_children_are_refused_before_they_multiply():
+    model = broken(lambda tree, _: tree["nodes"].extend([{"children": [0]}, {"children": [0]}]))
+    with pytest.raises(InputError, match="another parent"):
+        document(model)
+
+
+def test_sparse_indices_must_increase():
+    model = Model()
+    colour = model.sparse(np.eye(3, dtype="<f4"), [2, 1], None)
+    model.mesh({"attributes": {"POSITION": model.packed(TRIANGLE), "COLOR_0": colour}})
+    with pytest.raises(InputError, match=r"accessors\[0\].sparse.indices: must increase"):
+        document(model).painted()
+
+
+def test_facts_are_json_and_need_no_colours():
+    model = broken(DAMAGES["no vertex colours"])
+    facts = document(model).facts()
+    assert json.loads(json.dumps(facts)) == facts
+    assert facts["colour accessors"] == []
+    assert facts["meshes"] == facts["primitives"] == 1
