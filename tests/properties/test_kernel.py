@@ -1,0 +1,225 @@
+"""One iteration of the kernel, and the flow, against the truths of the method."""
+
+from __future__ import annotations
+
+from math import exp, log
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from oracles import strategies, surfaces
+from oracles.kernel import embed, short_time_kernel
+from oracles.laplacian import laplace_beltrami
+
+import beltrami_cli
+from properties.manifolds import one_iteration
+
+# A colour may flip in or out at the cut-off, where its weight is the threshold and float32 decides otherwise
+# than double: with few samples that moves the mean by about the threshold times the colour range.
+CUT_OFF = 1e-4
+
+
+@given(strategies.painted(strategies.meshes(general=True)), st.sampled_from((0.05, 0.5, 5.0)), st.booleans())
+@settings(max_examples=100, deadline=None)
+def test_a_kernel_equals_the_textbook_on_any_mesh_and_any_number_of_channels(painted, t, weighted):
+    positions, faces, colours = painted
+    weights = np.random.default_rng(0).random(len(positions)) if weighted else None
+    ours, _, _ = one_iteration(positions, faces, colours, 2.0, t, CUT_OFF, weights)
+    truth = short_time_kernel(embed(positions, colours, 2.0), faces, colours, t, CUT_OFF, weights)
+    np.testing.assert_allclose(ours, truth, atol=5e-3)
+
+
+def test_without_beta_a_plane_is_smoothed_by_the_gaussian():
+    flat, faces = surfaces.lattice(41, 41)
+    impulse = np.zeros((len(flat), 1))
+    centre = 20 * 41 + 20
+    impulse[centre] = 1
+    t = 4.0
+    ours, _, _ = one_iteration(flat, faces, impulse, 0.0, t)
+    away = np.sum((flat - flat[centre]) ** 2, axis=1)
+    truth = np.where(away <= -4 * t * log(0.01), np.exp(-away / (4 * t)), 0)
+    # Distances of fast marching are too long by a few per cent away from the lattice's lines (first order at a point
+    # source), so the weights are too small by at most d^2/4t exp(-d^2/4t) times twice that, and the sum likewise.
+    np.testing.assert_allclose(ours[:, 0], truth / truth.sum(), atol=0.08 * truth.max() / truth.sum())
+    variance = (ours[:, 0] * away).sum() / ours.sum() / 2
+    truncated = 2 * t * (1 - 0.01 * log(100) / 0.99)
+    assert abs(variance - truncated) < 0.06 * truncated
+
+
+@pytest.mark.parametrize("roll", [surfaces.rolled_cylinder, surfaces.rolled_cone])
+def test_a_plane_rolled_up_is_smoothed_like_the_plane(roll):
+    flat, faces = surfaces.plane(24, 24, 0.02)
+    flat = flat + [0.5, 0.5, 0]
+    colours = np.random.default_rng(3).random((len(flat), 3))
+    curved = roll(flat, 0.5)
+    h = surfaces.mean_edge_length(flat, faces)
+    a, _, _ = one_iteration(flat / h, faces, colours, 3.0, 1.0)
+    b, _, _ = one_iteration(curved / h, faces, colours, 3.0, 1.0)
+    # Chords are shorter than arcs by (h / r)^2 / 24, below 1e-4; a sample in 20 at the cut-off may flip: 0.01 / 20.
+    assert np.abs(a - b).mean() < 2e-4
+    assert np.abs(a - b).max() < 5e-3
+
+
+def test_the_generator_is_the_intrinsic_laplacian_of_the_image_manifold():
+    positions, faces = surfaces.icosphere(5)
+    x, y, z = positions.T
+    colours = np.column_stack([0.5 + 0.3 * x * y, 0.5 + 0.2 * z + 0.1 * x])
+    beta, threshold = 0.8, 0.01
+    h = surfaces.mean_edge_length(positions, faces)
+    t = 9 * h * h
+    stiffness, areas = laplace_beltrami(embed(positions, colours, beta), faces)
+    # Weighing by area on the image manifold makes the sum the integral of eq. (8).
+    smoothed, _, _ = one_iteration(positions, faces, colours, beta, t, threshold, areas / areas.mean())
+    generator = (smoothed - colours) / t
+    # The heat kernel's second moment, cut off where exp(-r^2/4t) = threshold.
+    c = 1 - threshold * log(1 / threshold) / (1 - threshold)
+    truth = c * (stiffness @ colours) / areas[:, None]
+    slope = (generator * truth).sum() / (truth**2).sum()
+    # Fast marching's distances are some per cent too long, and the generator scales with their squares.
+    assert 0.88 < slope < 1.04
+    residual = generator - slope * truth
+    assert np.linalg.norm(residual) < 0.1 * np.linalg.norm(truth)
+
+
+@given(strategies.painted(), st.sampled_from((0.0, 1.0, 20.0)))
+@settings(max_examples=60, deadline=None)
+def test_colours_stay_in_the_range_of_the_mesh_and_constants_stay(painted, beta):
+    positions, faces, colours = painted
+    ours = beltrami_cli.smooth(positions, faces, colours, beta=beta, iterations=3, space="data").colours
+    assert (ours >= colours.min(axis=0)).all()
+    assert (ours <= colours.max(axis=0)).all()
+    constant = np.broadcast_to(colours[:1], colours.shape)
+    assert np.array_equal(beltrami_cli.smooth(positions, faces, constant, beta=beta).colours, constant)
+
+
+@pytest.fixture(scope="module")
+def noisy_terrain():
+    positions, faces = surfaces.terrain(30, 40, 0.3, 1)
+    random = np.random.default_rng(8)
+    pattern = np.where(positions[:, :1] > 15, [[0.8, 0.3, 0.2]], [[0.2, 0.4, 0.7]])
+    return positions, faces, np.clip(pattern + random.normal(0, 20 / 255, (len(positions), 3)), 0, 1)
+
+
+def test_the_result_does_not_depend_on_the_number_of_threads(noisy_terrain):
+    results = [beltrami_cli.smooth(*noisy_terrain, threads=threads).colours for threads in (1, 2, 3, 7)]
+    assert all(np.array_equal(results[0], other) for other in results[1:])
+
+
+def flips(a, b):
+    """Whether two results agree but for samples that rounding moves over the cut-off (weight 0.01 in some 30)."""
+    difference = np.abs(a - b)
+    return difference.mean() < 1e-5 and difference.max() < 5e-3
+
+
+def test_the_result_does_not_depend_on_the_order_of_vertices_and_faces(noisy_terrain):
+    positions, faces, colours = noisy_terrain
+    random = np.random.default_rng(0)
+    order = random.permutation(len(positions))
+    rank = np.argsort(order)
+    shuffled = random.permutation(np.roll(rank[faces], 1, axis=1))
+    plain = beltrami_cli.smooth(positions, faces, colours).colours
+    moved = beltrami_cli.smooth(positions[order], shuffled, colours[order]).colours
+    assert flips(moved, plain[order])
+
+
+def test_the_result_does_not_depend_on_rotation_place_and_scale(noisy_terrain):
+    positions, faces, colours = noisy_terrain
+    plain = beltrami_cli.smooth(positions, faces, colours).colours
+    rotation = np.linalg.qr(np.random.default_rng(4).normal(size=(3, 3)))[0]
+    for moved in (positions @ rotation.T, positions * 1000, positions * 1e-6, positions + [1e4, -1e5, 7]):
+        assert flips(beltrami_cli.smooth(moved, faces, colours).colours, plain)
+
+
+def test_permuting_the_channels_permutes_the_result(noisy_terrain):
+    positions, faces, colours = noisy_terrain
+    plain = beltrami_cli.smooth(positions, faces, colours, space="data").colours
+    permuted = beltrami_cli.smooth(positions, faces, colours[:, [2, 0, 1]], space="data").colours
+    assert flips(permuted, plain[:, [2, 0, 1]])
+
+
+def test_edges_stay_where_a_gaussian_blurs_them(noisy_terrain):
+    positions, faces, colours = noisy_terrain
+    truth = np.where(positions[:, :1] > 15, [[0.8, 0.3, 0.2]], [[0.2, 0.4, 0.7]])
+
+    def psnr(result):
+        return -10 * np.log10(np.mean((result - truth) ** 2))
+
+    kept = psnr(beltrami_cli.smooth(positions, faces, colours).colours)
+    blurred = max(psnr(beltrami_cli.smooth(positions, faces, colours, beta=0, iterations=1, t=t).colours) for t in (0.3, 0.6, 1.2))
+    assert kept > psnr(colours) + 10
+    assert kept > blurred + 5
+
+
+def test_the_flow_depends_on_its_time_and_not_on_how_it_is_cut():
+    """N steps of t and N/2 of 2t approximate the same flow where the image is smooth."""
+    positions, faces = surfaces.icosphere(4)
+    colours = 0.5 + 0.3 * positions
+    one = beltrami_cli.smooth(positions, faces, colours, beta=2, iterations=8, t=1.0, space="data").colours
+    other = beltrami_cli.smooth(positions, faces, colours, beta=2, iterations=4, t=2.0, space="data").colours
+    change = np.linalg.norm(one - colours)
+    assert np.linalg.norm(one - other) < 0.1 * change
+
+
+def test_area_weights_undo_uneven_sampling():
+    """On a plane that is sampled twice as densely on one side, a blob at the border keeps its centre of mass."""
+    left, right = np.arange(-12, 0.5, 0.5), np.arange(1, 13, 1.0)
+    xs, ys = np.concatenate([left, right]), np.arange(-8, 9, 1.0)
+    grid_x, grid_y = np.meshgrid(xs, ys)
+    positions = np.column_stack([grid_x.ravel(), grid_y.ravel(), np.zeros(grid_x.size)])
+    faces = surfaces.grid_faces(len(ys), len(xs))
+    ramp = 0.5 + grid_x.ravel()[:, None] / 40
+    middle = (np.abs(grid_x) < 0.25).ravel() & (np.abs(grid_y) < 1).ravel()
+    kwargs = {"beta": 0.0, "iterations": 1, "t": 2.0, "units": "world", "space": "data"}
+    uniform = beltrami_cli.smooth(positions, faces, ramp, weights="uniform", **kwargs).colours
+    area = beltrami_cli.smooth(positions, faces, ramp, weights="area", **kwargs).colours
+    # A ramp is in balance when samples count by their area; uniformly the dense side pulls.
+    assert np.abs(area - ramp)[middle].max() < 0.2 * np.abs(uniform - ramp)[middle].max()
+
+
+def test_world_units_scale_with_the_mesh():
+    positions, faces = surfaces.icosphere(3)
+    colours = np.random.default_rng(0).random((len(positions), 3))
+    h = surfaces.mean_edge_length(positions, faces)
+    spacing = beltrami_cli.smooth(positions, faces, colours, t=1.0, beta=4.0).colours
+    world = beltrami_cli.smooth(positions, faces, colours, t=h * h, beta=4 * h, units="world").colours
+    assert flips(spacing, world)
+
+
+def test_isolated_vertices_and_meshes_without_faces_stay_as_they_are():
+    positions, faces = surfaces.plane(4, 4)
+    colours = np.random.default_rng(0).random((18, 3)).astype(np.float32)
+    lonely = np.concatenate([positions, [[9.0, 9, 9], [8, 8, 8]]])
+    result = beltrami_cli.smooth(lonely, faces, colours, beta=1).colours
+    assert np.array_equal(result[16:], colours[16:])
+    assert not np.array_equal(result[:16], colours[:16])
+    nothing = beltrami_cli.smooth(lonely, np.empty((0, 3), int), colours)
+    assert np.array_equal(nothing.colours, colours)
+
+
+def test_a_kernel_that_meets_the_guard_is_counted_and_one_sample_changes_nothing():
+    positions, faces = surfaces.plane(10, 10)
+    colours = np.random.default_rng(0).random((100, 3)).astype(np.float32)
+    cut = beltrami_cli.smooth(positions, faces, colours, beta=0, t=5, max_samples=1, iterations=2)
+    assert cut.truncated == 200
+    assert cut.samples_per_kernel == 1
+    assert np.array_equal(cut.colours, colours)
+    assert beltrami_cli.smooth(positions, faces, colours, beta=0, t=5).truncated == 0
+
+
+def test_the_threshold_bounds_the_kernel():
+    positions, faces = surfaces.plane(41, 41)
+    colours = np.zeros((len(positions), 1))
+    for threshold in (0.5, 0.1, 0.01):
+        held = beltrami_cli.smooth(positions, faces, colours, beta=0, t=2, units="world", threshold=threshold, iterations=1)
+        # Without borders a disc of radius^2 = -4 t ln threshold holds pi radius^2 samples of area 1.
+        disc = np.pi * -8 * log(threshold)
+        assert 0.75 * disc * (1 - 0.06 * disc**0.5) < held.samples_per_kernel < 1.1 * disc
+
+
+def test_no_beta_makes_noise_free_colours_move_visibly():
+    positions, faces = surfaces.icosphere(4)
+    colours = np.rint(255 * (0.5 + 0.3 * positions)).astype(np.uint8)
+    result = beltrami_cli.smooth(positions, faces, colours)
+    error = np.mean((result.colours - colours / 255) ** 2)
+    assert error < exp(-log(10) * 4.5)  # PSNR above 45 dB
