@@ -114,7 +114,9 @@ class Model:
         return json.dumps(self.tree, ensure_ascii=False, **style).encode()
 
     def data_text(self, **style):
-        return self.text("data:application/gltf-buffer;base64," + base64.b64encode(self.binary).decode(), **style)
+        return self.text(
+            "data:application/gltf-buffer;base64," + base64.b64encode(self.binary).decode(), **style
+        )
 
     def _padded(self):
         return bytes(self.binary) + bytes(-len(self.binary) % 4)

@@ -20,7 +20,9 @@ def small(indices=True, sparse=False):
     model = Model()
     colours = np.array([[1, 2, 3], [4, 5, 6], [7, 8, 9]], "<u1")
     colour = (
-        model.sparse(colours, [1], None, normalized=True) if sparse else model.packed(colours, normalized=True)
+        model.sparse(colours, [1], None, normalized=True)
+        if sparse
+        else model.packed(colours, normalized=True)
     )
     primitive = {"attributes": {"POSITION": model.packed(np.eye(3, dtype="<f4")), "COLOR_0": colour}}
     if indices:
@@ -41,6 +43,10 @@ def everything(data, folder=None):
         document.repackaged(colours, "out", form, moved=True)
 
 
+def one_line(error):
+    assert "\n" not in str(error)
+
+
 GLB = small(sparse=True).glb()
 TEXT = small().data_text(indent=1)
 
@@ -55,9 +61,7 @@ def test_truncated_files_raise_input_errors(cut, text):
 
 
 @settings(max_examples=400, deadline=None)
-@given(
-    text=st.booleans(), where=st.floats(0, 1, exclude_max=True), what=st.binary(min_size=1, max_size=3)
-)
+@given(text=st.booleans(), where=st.floats(0, 1, exclude_max=True), what=st.binary(min_size=1, max_size=3))
 def test_damaged_bytes_raise_only_input_errors(text, where, what):
     data = bytearray(TEXT if text else GLB)
     start = int(where * len(data))
@@ -65,7 +69,7 @@ def test_damaged_bytes_raise_only_input_errors(text, where, what):
     try:
         everything(bytes(data))
     except InputError as error:
-        assert "\n" not in str(error)
+        one_line(error)
 
 
 junk = st.one_of(
@@ -114,12 +118,17 @@ def test_any_json_value_of_a_wrong_kind_raises_only_input_errors(path, value, bi
         if binary:
             text = json.dumps(tree).encode()
             text += b" " * (-len(text) % 4)
-            body = struct.pack("<I", len(text)) + b"JSON" + text + data[20 + struct.unpack_from("<I", data, 12)[0] :]
+            body = (
+                struct.pack("<I", len(text))
+                + b"JSON"
+                + text
+                + data[20 + struct.unpack_from("<I", data, 12)[0] :]
+            )
             everything(b"glTF" + struct.pack("<II", 2, 12 + len(body)) + body)
         else:
             everything(json.dumps(tree).encode())
     except InputError as error:
-        assert "\n" not in str(error)
+        one_line(error)
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,7 +13,16 @@ from hypothesis import strategies as st
 from beltrami_cli.formats.gltf import GltfDocument
 from tests.formats.gltf_files import Model, joined, numbers, unpacked
 
-ARRANGEMENTS = ("dense", "interleaved", "sparse", "sparse on zeros", "zeros", "shared", "overlapping", "twice")
+ARRANGEMENTS = (
+    "dense",
+    "interleaved",
+    "sparse",
+    "sparse on zeros",
+    "zeros",
+    "shared",
+    "overlapping",
+    "twice",
+)
 FORMS = ("glb", "gltf", "data")
 
 
@@ -103,7 +111,9 @@ def test_only_changed_colours_change_and_each_is_rounded_once(folder, case, form
     document, data = opened(case.model, form, folder)
     painted = document.painted()
     scale = 1 if case.stored.dtype.kind == "f" else np.iinfo(case.stored.dtype).max
-    np.testing.assert_array_equal(painted.colours, (case.stored[:, :3] / np.float64(scale)).astype(np.float32))
+    np.testing.assert_array_equal(
+        painted.colours, (case.stored[:, :3] / np.float64(scale)).astype(np.float32)
+    )
     rng = np.random.default_rng(seed)
     changed = rng.random(painted.colours.shape) < 0.4
     colours = np.where(changed, rng.random(painted.colours.shape), painted.colours).astype(np.float32)
@@ -133,7 +143,9 @@ def check_rest(old_tree, old_buffers, new_tree, new_buffers, expected):
             now = numbers(new_tree, new_buffers, new["attributes"][key])
             if key == "COLOR_0":
                 np.testing.assert_array_equal(now, expected)
-                check_bounds(old_tree["accessors"][index], new_tree["accessors"][new["attributes"][key]], expected)
+                check_bounds(
+                    old_tree["accessors"][index], new_tree["accessors"][new["attributes"][key]], expected
+                )
             else:
                 np.testing.assert_array_equal(now, numbers(old_tree, old_buffers, index))
         if "indices" in old:
@@ -222,7 +234,7 @@ def test_new_colours_must_be_finite_and_fit(folder):
         document.patch(np.zeros((4, 3), np.float32), "out", moved=False)
 
 
-def test_sidecars_never_take_a_name_that_the_source_uses(tmp_path: Path):
+def test_sidecars_never_take_a_name_that_the_source_uses(tmp_path):
     model = Model()
     position = model.packed(np.eye(3, dtype="<f4"))
     model.mesh({"attributes": {"POSITION": position, "COLOR_0": model.packed(np.eye(3, dtype="<f4"))}})

@@ -92,7 +92,11 @@ def revised(text: str, tree: Tree) -> str:
 
 @dataclass(frozen=True)
 class _Span:
-    """A value of the source and where it stands; members also know their key and where their lead starts."""
+    """A value of the source and where it stands.
+
+    Its surroundings start at `lead`, after the comma or bracket before it (and before its key), and end at
+    `trail`, where the comma or bracket after it stands.
+    """
 
     start: int
     end: int
@@ -101,6 +105,7 @@ class _Span:
     lead: int = 0
     key_start: int = 0
     key_end: int = 0
+    trail: int = 0
 
 
 @dataclass(frozen=True)
@@ -119,7 +124,7 @@ class _Style:
 
 
 def _style(text: str, start: int) -> _Style:
-    members = _spans(text, start)[0]
+    members = _spans(text, start)
     if not members:
         return _Style(None, ":")
     lead = text[members[0].lead : members[0].key_start]
@@ -134,8 +139,8 @@ def _skip(text: str, position: int) -> int:
     return match.end() if match else position
 
 
-def _spans(text: str, start: int) -> tuple[list[_Span], int]:
-    """Return the members of the object or array at `start`, and where its closing bracket stands."""
+def _spans(text: str, start: int) -> list[_Span]:
+    """Return the members of the object or array at `start`."""
     spans: list[_Span] = []
     keyed = text[start] == "{"
     lead = start + 1
@@ -145,12 +150,12 @@ def _spans(text: str, start: int) -> tuple[list[_Span], int]:
             key, key_end = _DECODER.raw_decode(text, position)
             position = _skip(text, _skip(text, key_end) + 1)
         value, end = _DECODER.raw_decode(text, position)
-        spans.append(_Span(position, end, value, key, lead, key_start, key_end))
-        lead = _skip(text, end)
-        if text[lead] != ",":
-            return spans, lead
-        lead += 1
-    return spans, position
+        comma = _skip(text, end)
+        spans.append(_Span(position, end, value, key, lead, key_start, key_end, comma))
+        if text[comma] != ",":
+            break
+        lead = comma + 1
+    return spans
 
 
 def _value(span: _Span, new: object, text: str, style: _Style) -> str:
@@ -164,27 +169,34 @@ def _value(span: _Span, new: object, text: str, style: _Style) -> str:
 
 
 def _object(span: _Span, new: Tree, text: str, style: _Style) -> str:
-    members, close = _spans(text, span.start)
-    kept = [
-        text[member.lead : member.start] + _value(member, new[member.key], text, style)
-        for member in members
-        if member.key in new
-    ]
+    members = _spans(text, span.start)
+    kept = [member for member in members if member.key in new]
+    pieces = [_piece(member, new[member.key], text, style) for member in kept]
     lead = text[members[-1].lead : members[-1].key_start]
-    added = [
-        lead + json.dumps(key, ensure_ascii=False) + style.colon + style.written(value, lead)
-        for key, value in new.items()
-        if key not in span.value
-    ]
-    return "{" + ",".join(kept + added) + text[members[-1].end : close] + "}"
+    for key, value in new.items():
+        if key not in span.value:
+            name = json.dumps(key, ensure_ascii=False)
+            pieces.append((lead + name + style.colon + style.written(value, lead), ""))
+    return "{" + _joined(pieces, text[members[-1].end : members[-1].trail]) + "}"
 
 
 def _array(span: _Span, new: list[Any], text: str, style: _Style) -> str:
-    items, close = _spans(text, span.start)
-    kept = [
-        text[item.lead : item.start] + _value(item, value, text, style)
-        for item, value in zip(items, new, strict=False)
-    ]
+    items = _spans(text, span.start)
+    pieces = [_piece(item, value, text, style) for item, value in zip(items, new, strict=False)]
     lead = text[items[-1].lead : items[-1].start]
-    added = [lead + style.written(value, lead) for value in new[len(items) :]]
-    return "[" + ",".join(kept + added) + text[items[-1].end : close] + "]"
+    pieces += [(lead + style.written(value, lead), "") for value in new[len(items) :]]
+    return "[" + _joined(pieces, text[items[-1].end : items[-1].trail]) + "]"
+
+
+def _piece(span: _Span, new: object, text: str, style: _Style) -> tuple[str, str]:
+    """Return a member or item with what precedes it, and the white space between it and its comma."""
+    trail = text[span.end : span.trail] if text[span.trail] == "," else ""
+    return text[span.lead : span.start] + _value(span, new, text, style), trail
+
+
+def _joined(pieces: list[tuple[str, str]], close: str) -> str:
+    """Join pieces with commas; what followed the last one of the source closes the result."""
+    return (
+        ",".join([*(piece + trail for piece, trail in pieces[:-1]), *(piece for piece, _ in pieces[-1:])])
+        + close
+    )
