@@ -1,0 +1,6 @@
+"""OBJ: documents that keep their bytes, and a writer for conversion."""
+
+from beltrami_cli.formats.obj.document import ObjDocument
+from beltrami_cli.formats.obj.writer import write_obj
+
+__all__ = ["ObjDocument", "write_obj"]

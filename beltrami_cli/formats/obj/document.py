@@ -1,0 +1,200 @@
+"""OBJ files whose vertex colours can be replaced, every other byte staying as it is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from beltrami_cli.errors import InputError
+from beltrami_cli.formats.document import Document, Written
+from beltrami_cli.formats.obj.materials import Materials
+from beltrami_cli.formats.obj.polygons import among, read_polygons
+from beltrami_cli.formats.obj.statements import Statements
+from beltrami_cli.formats.obj.vertices import read_vertices
+from beltrami_cli.formats.scale import full_scale
+from beltrami_cli.formats.tokens import exchange_tokens
+from beltrami_cli.mesh.painted import MeshContents, PaintedVertices
+from beltrami_cli.mesh.polygons import triangulate
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from beltrami_cli.formats.obj.vertices import Vertices
+
+_CHANNELS = ("red", "green", "blue")
+_DROPPED = {
+    "materials": (b"usemtl",),
+    "texture coordinates": (b"vt",),
+    "normals": (b"vn",),
+    "groups and objects": (b"g", b"o"),
+    "lines and points": (b"l", b"p"),
+    "curves and surfaces": (b"curv", b"curv2", b"surf"),
+}
+_DECIMALS = {1.0: (6, 9), 255.0: (4, 7)}  # by full scale, the least that lose nothing and the most of float32
+
+
+@dataclass(frozen=True)
+class _Scan:
+    """What one pass over the statements leaves."""
+
+    vertices: Vertices
+    corners: NDArray[np.int32]
+    offsets: NDArray[np.int64]
+    libraries: list[bytes]
+    dropped: tuple[str, ...]
+
+
+class ObjDocument(Document):
+    """A Wavefront OBJ file with colours behind the positions of its vertices.
+
+    Parameters
+    ----------
+    data : bytes
+        The file.
+    name : str
+        Its name for messages.
+    folder : pathlib.Path or None
+        Where it lies, for the files that its materials name.
+    """
+
+    format: ClassVar[str] = "obj"
+
+    def __init__(self, data: bytes, name: str, folder: Path | None) -> None:
+        super().__init__(name)
+        self._data = data
+        self._folder = folder
+
+    def painted(self) -> PaintedVertices:
+        """Return the coloured vertices and the faces between them; see `Document.painted`."""
+        return self._painted
+
+    @cached_property
+    def _painted(self) -> PaintedVertices:
+        colours = self._colours
+        positions = self._scan.vertices.positions[self._scan.vertices.coloured]
+        corners, offsets = self._polygons
+        return PaintedVertices(
+            positions=positions,
+            faces=triangulate(positions, corners, offsets),
+            colours=colours,
+            channels=_CHANNELS,
+            encoding="srgb",
+            stored="text",
+        )
+
+    def patch(self, colours: NDArray[np.float32], stem: str, *, moved: bool) -> Written:
+        """Return the file with other colours; see `Document.patch`."""
+        changed = colours != self._colours
+        if not changed.any():
+            return Written([self._data])
+        starts, ends = self._scan.vertices.token_starts, self._scan.vertices.token_ends
+        decimals = self._decimals(starts.ravel(), ends.ravel())
+        values = colours[changed].astype(np.float64) * self._scale
+        if decimals == 0:
+            values = np.clip(np.rint(values), 0, self._scale)
+        style = b"%%.%df" % decimals
+
+        def spell(block: slice) -> list[bytes]:
+            return [style % value for value in values[block].tolist()]
+
+        return Written(exchange_tokens(self._data, starts[changed], ends[changed], spell))
+
+    def _decimals(self, starts: NDArray[np.int64], ends: NDArray[np.int64]) -> int:
+        """Return how many decimals new colours get: as many as the old ones, within what is sensible."""
+        points = np.append(np.flatnonzero(np.frombuffer(self._data, np.uint8) == ord(".")), len(self._data))
+        found = int((ends - points[np.searchsorted(points, starts)] - 1).max())
+        if found < 0 and self._scale != 1:
+            return 0
+        least, most = _DECIMALS[self._scale]
+        return min(max(found, least), most)
+
+    def references(self) -> Sequence[str]:
+        """Return the material files inside the folder and the textures that they name."""
+        return self._materials.paths
+
+    def contents(self) -> MeshContents:
+        """Return the coloured vertices and the polygons between them; see `Document.contents`."""
+        colours = self._colours
+        vertices = self._scan.vertices
+        corners, offsets = self._polygons
+        alpha = vertices.alpha
+        if alpha is not None and alpha.max() > 1:  # Beside colours of 0..255 opacity may still be of 0..1.
+            alpha = alpha / self._scale
+        return MeshContents(
+            positions=vertices.positions[vertices.coloured],
+            corners=corners,
+            offsets=offsets,
+            colours=colours,
+            encoding="srgb",
+            stored="text",
+            alpha=None if alpha is None else np.clip(alpha, 0, 1).astype(np.float32),
+            left_out=self._scan.dropped,
+        )
+
+    def facts(self) -> dict[str, object]:
+        """Return counts of what the file has."""
+        return {
+            "format": self.format,
+            "vertices": len(self._scan.vertices.positions),
+            "coloured_vertices": len(self._scan.vertices.coloured),
+            "polygons": len(self._scan.offsets) - 1,
+            "material_libraries": len(self._scan.libraries),
+            "other": list(self._scan.dropped),
+        }
+
+    @cached_property
+    def _scan(self) -> _Scan:
+        statements = Statements(self._data, self.name)
+        vertices = read_vertices(statements, self.name)
+        corners, offsets = read_polygons(statements)
+        libraries = [statements.rest(chosen) for chosen in statements.select(b"mtllib").tolist()]
+        dropped = [
+            what for what, words in _DROPPED.items() if any(statements.select(word).size for word in words)
+        ]
+        missing = len(vertices.positions) - len(vertices.coloured)
+        if 0 < missing < len(vertices.positions):
+            self.notices.append(
+                f"{missing} of {len(vertices.positions)} vertices have no colour; they and their faces take no part."
+            )
+            dropped.append("vertices without colour and their faces")
+        return _Scan(vertices, corners, offsets, libraries, tuple(dropped))
+
+    @cached_property
+    def _polygons(self) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+        vertices = self._scan.vertices
+        if len(vertices.coloured) == len(vertices.positions):
+            return self._scan.corners, self._scan.offsets
+        return among(self._scan.corners, self._scan.offsets, vertices.coloured, len(vertices.positions))
+
+    @cached_property
+    def _colours(self) -> NDArray[np.float32]:
+        return (self._scan.vertices.colours / self._scale).astype(np.float32)
+
+    @cached_property
+    def _scale(self) -> float:
+        vertices = self._scan.vertices
+        if not vertices.coloured.size:
+            raise self._unpainted()
+        scale, notice = full_scale(vertices.colours, self.name)
+        self.notices += [sentence for sentence in (vertices.notice, notice) if sentence]
+        return scale
+
+    @cached_property
+    def _materials(self) -> Materials:
+        materials = Materials(self._folder, self._scan.libraries)
+        self.notices += materials.notices
+        return materials
+
+    def _unpainted(self) -> InputError:
+        cause = "there are no vertex colours on its 'v' lines"
+        if b"#MRGB" in self._data:
+            cause += ", only ZBrush's #MRGB blocks, which are not read"
+        elif self._scan.libraries:
+            cause += ", only materials"
+        return InputError(self.name, cause, "export the mesh with vertex colours (v x y z r g b)")

@@ -1,0 +1,165 @@
+"""The statements of a Wavefront OBJ file, found in bulk.
+
+References
+----------
+.. [1] Wavefront Technologies, "Advanced Visualizer manual, appendix B1: object files (.obj)".
+"""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from beltrami_cli.errors import InputError
+from beltrami_cli.formats.tokens import find_tokens, read_numbers
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+_DIGITS = 18  # of an index, no more than an int64 can hold
+_LINE_END = re.compile(rb"[\r\n]")
+_LONGEST = 1 << 16  # bytes of a line with file names
+_BLOCK = 1 << 18  # indices read at a time, which bounds the memory for their digits
+
+
+class Statements:
+    """The lines of a file that say something, as ranges of tokens.
+
+    Parameters
+    ----------
+    data : bytes
+        The file.
+    name : str
+        Its name for messages.
+
+    Attributes
+    ----------
+    starts, ends : ndarray of int64, shape (T,)
+        Token t is ``data[starts[t]:ends[t]]``.
+    heads, stops : ndarray of int64, shape (S,)
+        Statement s has the keyword `heads[s]` and the tokens up to `stops[s]`.
+    """
+
+    def __init__(self, data: bytes, name: str) -> None:
+        self._data, self._name = data, name
+        text = _plain(data)
+        self._characters = np.frombuffer(text, np.uint8)
+        self.starts, self.ends = find_tokens(text)
+        line_ends = np.flatnonzero(self._characters == ord("\n"))
+        if b"\r" in text:
+            line_ends = np.union1d(line_ends, np.flatnonzero(self._characters == ord("\r")))
+        # The tokens before a line end are those that start before it; the text ends with one.
+        stops = np.searchsorted(self.starts, line_ends)
+        heads = np.concatenate([[0], stops[:-1]])
+        self.heads, self.stops = heads[heads < stops], stops[heads < stops]
+
+    def select(self, keyword: bytes) -> NDArray[np.int64]:
+        """Return which statements have a keyword, in file order."""
+        chosen = np.flatnonzero(self.ends[self.heads] - self.starts[self.heads] == len(keyword))
+        for place, character in enumerate(keyword):
+            chosen = chosen[self._characters[self.starts[self.heads[chosen]] + place] == character]
+        return chosen
+
+    def arguments(self, chosen: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Return the tokens behind the keywords of statements, and where each statement's begin therein.
+
+        Parameters
+        ----------
+        chosen : ndarray of int64, shape (N,)
+            Statements.
+
+        Returns
+        -------
+        tokens : ndarray of int64, shape (K,)
+            Their arguments one after the other.
+        offsets : ndarray of int64, shape (N + 1,)
+            Statement n has ``tokens[offsets[n]:offsets[n + 1]]``.
+        """
+        firsts = self.heads[chosen] + 1
+        sizes = self.stops[chosen] - firsts
+        offsets = np.zeros(len(chosen) + 1, np.int64)
+        np.cumsum(sizes, out=offsets[1:])
+        return np.repeat(firsts - offsets[:-1], sizes) + np.arange(offsets[-1]), offsets
+
+    def numbers(self, tokens: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Read tokens, given in file order, as numbers; InputError if one is none."""
+        if not tokens.size:
+            return np.empty(0)
+        begin, end = int(self.starts[tokens[0]]), int(self.ends[tokens[-1]])
+        inside = np.zeros(end - begin + 1, np.int8)
+        inside[self.starts[tokens] - begin] = 1
+        inside[self.ends[tokens] - begin] = -1
+        np.cumsum(inside, out=inside)
+        only = np.full(end - begin, ord(" "), np.uint8)
+        np.copyto(only, self._characters[begin:end], where=inside[:-1].view(np.bool_))
+        values = read_numbers(only.tobytes())
+        if len(values) < len(tokens):
+            raise self.error(tokens[len(values)], "is no number")
+        return values
+
+    def indices(self, tokens: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Read the whole numbers that tokens have before their first "/"; InputError if one has none."""
+        values = np.empty(len(tokens), np.int64)
+        for first in range(0, len(tokens), _BLOCK):
+            block = slice(first, first + _BLOCK)
+            values[block] = self._indices(tokens[block])
+        return values
+
+    def _indices(self, tokens: NDArray[np.int64]) -> NDArray[np.int64]:
+        first, ends = self.starts[tokens], self.ends[tokens]
+        negative = self._characters[first] == ord("-")
+        at = first + negative
+        begin = at.copy()
+        values = np.zeros(len(tokens), np.int64)
+        going = np.ones(len(tokens), np.bool_)
+        for _ in range(_DIGITS):
+            digits = self._characters[at] - np.uint8(ord("0"))
+            going &= digits < 10
+            if not going.any():
+                break
+            values = np.where(going, 10 * values + digits, values)
+            at += going
+        wrong = (at == begin) | ((at < ends) & (self._characters[at] != ord("/")))
+        if wrong.any():
+            raise self.error(tokens[int(np.argmax(wrong))], "is no vertex index")
+        return np.where(negative, -values, values)
+
+    def rest(self, statement: int) -> bytes:
+        """Return what stands behind the keyword of a statement up to the end of its line, untouched."""
+        begin = int(self.ends[self.heads[statement]])
+        return _LINE_END.split(self._data[begin : begin + _LONGEST], maxsplit=1)[0].strip()
+
+    def error(self, token: int | np.int64, cause: str) -> InputError:
+        """Return an error about a token, with its line."""
+        word = self._data[int(self.starts[token]) : int(self.ends[token])][:40]
+        shown = word.decode("ascii", "backslashreplace")
+        printable = "".join(c if c.isprintable() else "?" for c in shown)
+        return InputError(self._name, f"line {self.line(token)}: '{printable}' {cause}")
+
+    def line(self, token: int | np.int64) -> int:
+        """Return the number of the line that a token stands on, from 1."""
+        before = self._data[: int(self.starts[token])]
+        return max(before.count(b"\n"), before.count(b"\r")) + 1
+
+
+def _plain(data: bytes) -> bytes:
+    """Blank comments and joints of continued lines, every other byte at its place; end with a line end."""
+    text = data if data.endswith(b"\n") else data + b"\n"
+    if b"#" in text:
+        text = _without_comments(text)
+    if b"\\" in text:
+        text = text.replace(b"\\\r\n", b"   ").replace(b"\\\n", b"  ")
+    return text if text.endswith(b"\n") else text + b"\n"
+
+
+def _without_comments(text: bytes) -> bytes:
+    plain = bytearray(text)
+    begin = text.find(b"#")
+    while begin >= 0:
+        line_end = _LINE_END.search(text, begin)
+        end = line_end.start() if line_end else len(text)
+        plain[begin:end] = b" " * (end - begin)
+        begin = text.find(b"#", end)
+    return bytes(plain)

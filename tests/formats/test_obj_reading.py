@@ -1,0 +1,160 @@
+"""OBJ files: every shape of vertex and face lines, and one clear InputError for what is wrong."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+import trimesh
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from beltrami_cli.errors import InputError
+from beltrami_cli.formats.obj import ObjDocument
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+THREE = b"v 0 0 0 1 0 0\nv 1 0 0 0 1 0\nv 0 1 0 0 0 1\n"
+
+
+def opened(data: bytes) -> ObjDocument:
+    return ObjDocument(data, "some.obj", None)
+
+
+def test_reading_agrees_with_trimesh() -> None:
+    random = np.random.default_rng(7)
+    lines = ["v {} {} {} {} {} {}".format(*row) for row in random.random((50, 6)).round(6)]
+    lines += ["f {} {} {}".format(*row) for row in random.integers(1, 51, (80, 3))]
+    data = "\n".join(lines).encode()
+    painted = opened(data).painted()
+    other = trimesh.load(io.BytesIO(data), file_type="obj", process=False, maintain_order=True)
+    np.testing.assert_array_equal(painted.positions, other.vertices)
+    np.testing.assert_array_equal(painted.faces, other.faces)
+    np.testing.assert_array_equal(np.rint(painted.colours * 255), other.visual.vertex_colors[:, :3])
+    assert (painted.stored, painted.encoding) == ("text", "srgb")
+
+
+@pytest.mark.parametrize(
+    "face",
+    ["f 1 2 3", "f 1/1 2/1 3/1", "f 1//1 2//9 3//1", "f 1/4/1 2/5/1 3/6/1", "f -3 -2 -1", "\t f\t1  2\t3 # x",
+     "f 1 \\\n2 3", "f 1 \\\r\n 2 3\r", "f 001 2 3"],
+)  # fmt: skip
+def test_every_shape_of_a_corner(face: str) -> None:
+    assert opened(THREE + face.encode()).painted().faces.tolist() == [[0, 1, 2]]
+
+
+def test_negative_indices_count_back_from_the_vertices_before_the_face() -> None:
+    data = THREE + b"f -3 -2 -1\n" + THREE + b"f -3 -2 -1\nf 1 5 6\n"
+    assert opened(data).painted().faces.tolist() == [[0, 1, 2], [3, 4, 5], [0, 4, 5]]
+
+
+def test_polygons_are_kept_for_conversion_and_cut_for_the_surface() -> None:
+    document = opened(THREE + b"v 1 1 0 1 1 1\nf 1 2 4 3\nf 1 2 3\nl 1 2\np 1\n")
+    assert document.painted().faces.shape == (3, 3)
+    assert document.contents().offsets.tolist() == [0, 4, 7]
+    assert document.contents().left_out == ("lines and points",)
+
+
+@pytest.mark.parametrize(
+    ("lines", "alpha"),
+    [
+        (["1 2 3 .1 .2 .3", "4 5 6 .4 .5 .6"], None),
+        (["1 2 3 .1 .2 .3 .5", "4 5 6 .4 .5 .6 1"], [0.5, 1]),
+        (["1 2 3 1 .1 .2 .3", "4 5 6 1 .4 .5 .6"], None),
+        (["1 2 3 1 .1 .2 .3 .5", "4 5 6 2 .4 .5 .6 1"], [0.5, 1]),
+    ],
+)
+def test_weights_and_alpha_are_told_from_colours(lines: list[str], alpha: list[float] | None) -> None:
+    contents = opened("".join(f"v {line}\n" for line in lines).encode()).contents()
+    assert contents.positions.tolist() == [[1, 2, 3], [4, 5, 6]]
+    np.testing.assert_array_equal(contents.colours, np.array([[0.1, 0.2, 0.3], [0.4, 0.5, 0.6]], np.float32))
+    assert (None if contents.alpha is None else contents.alpha.tolist()) == alpha
+
+
+def test_seven_numbers_with_red_and_opacity_full_are_colours() -> None:
+    assert opened(b"v 0 0 0 1 .2 .3 1\n").painted().colours.tolist() == np.float32([[1, 0.2, 0.3]]).tolist()
+
+
+def test_uncoloured_vertices_and_their_faces_take_no_part() -> None:
+    document = opened(b"v 9 9 9\n" + THREE + b"f 1 2 3\nf 2 3 4\nf 4 1\n")
+    assert document.painted().faces.tolist() == [[0, 1, 2]]
+    assert document.painted().positions[0].tolist() == [0, 0, 0]
+    assert "1 of 4 vertices have no colour" in document.notices[0]
+    patched = document.patch(np.full((3, 3), 0.5, np.float32), "out", moved=False)
+    assert b"".join(patched.main).startswith(b"v 9 9 9\nv 0 0 0 0.500000 0.500000 0.500000\n")
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (b"", "there are no vertices"),
+        (b"\x00\xff junk", "there are no vertices"),
+        (b"v 0 0 0\nv 1 1 1\n", "no vertex colours on its 'v' lines; export"),
+        (b"v 0 0 0\n#MRGB ffffffff\n", "only ZBrush's #MRGB blocks"),
+        (b"mtllib a.mtl\nv 0 0 0\n", "only materials"),
+        (b"\nv 1 2\n", "line 2: a vertex has 3 to 8 numbers, not 2"),
+        (b"#\r\n#\r\nv 1 2 3 4 5 6 7 8 9\r\n", "line 3: a vertex has 3 to 8 numbers, not 9"),
+        (THREE + b"v 1 x2 3 1 1 1\n", "line 4: 'x2' is no number"),
+        (THREE + b"v 1 nan 3 1 1 1\n", "line 4: 'nan' is not a finite number"),
+        (THREE + b"v 1 2 3 1 inf 1\n", "line 4: 'inf' is not a finite number"),
+        (THREE + b"\nf 1 2 4\n", "line 5: '4' refers to no vertex, of which there are 3"),
+        (THREE + b"f 1 2 0/1\n", "line 4: '0/1' refers to no vertex"),
+        (THREE + b"f 1 2 -4\n", "line 4: '-4' refers to no vertex"),
+        (b"v 0 0 0 1 0 0\nf -1 -1 -2\n" + THREE, "line 2: '-2' refers to no vertex"),
+        (THREE + b"f 1 2 three\n", "line 4: 'three' is no vertex index"),
+        (THREE + b"f 1 2 3.5\n", "line 4: '3.5' is no vertex index"),
+        (THREE + b"f 1 2 " + b"9" * 40, "is no vertex index"),
+        (THREE + b"v 0 0 0 300 0 0\n", "neither 1 nor 255"),
+    ],
+)
+def test_the_message_names_the_cause_and_the_line(data: bytes, message: str) -> None:
+    with pytest.raises(InputError) as caught:
+        opened(data).painted()
+    assert message in str(caught.value)
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.data())
+def test_mutated_and_truncated_bytes_are_read_or_refused(data: st.DataObject) -> None:
+    good = bytearray(
+        b"mtllib a b.mtl\n" + THREE + b"v 1 1 0 .5 .5 .5 \\\n 1 # a\r\nf 1/1 2//2 4/1/3 -2\nf 1 2 3\n"
+    )
+    for _ in range(data.draw(st.integers(0, 4))):
+        at = data.draw(st.integers(0, len(good) - 1))
+        good[at : at + data.draw(st.integers(0, 2))] = data.draw(st.binary(max_size=3))
+    document = opened(bytes(good[: data.draw(st.integers(0, len(good)))]))
+    with contextlib.suppress(InputError):
+        painted = document.painted()
+        assert np.isfinite(painted.positions).all()
+        assert np.isfinite(painted.colours).all()
+        assert painted.faces.size == 0 or 0 <= painted.faces.min() <= painted.faces.max() < len(
+            painted.positions
+        )
+        document.patch(painted.colours * np.float32(0.5), "out", moved=False)
+
+
+def test_material_files_and_textures_inside_the_folder_are_referred_to(tmp_path: Path) -> None:
+    model = tmp_path / "model"
+    (model / "sub dir").mkdir(parents=True)
+    for name in ("my one.mtl", "two.mtl", "a.png", "sub dir/b c.jpg"):
+        (model / name).write_bytes(b"")
+    (tmp_path / "outside.png").write_bytes(b"")
+    (model / "link.png").symlink_to(tmp_path / "outside.png")
+    (model / "my one.mtl").write_text(
+        "newmtl x\nmap_Kd -s 1 1 1 -o 0.5 0 -clamp on a.png\r\nmap_Ks -bm 0.3 sub dir\\b c.jpg\n"
+        f"map_Ka ../outside.png\nmap_d {tmp_path}/outside.png\nbump http://a.b/c.png\nnorm missing.png\n"
+        "map_Kd link.png\nmap_Ke C:\\a.png\n"
+    )
+    document = ObjDocument(b"mtllib my one.mtl two.mtl\nmtllib gone.mtl\n" + THREE, "x.obj", model)
+    assert document.references() == ["my one.mtl", "a.png", "sub dir/b c.jpg", "two.mtl"]
+    assert len(document.notices) == 7
+    assert ObjDocument(b"mtllib two.mtl\n" + THREE, "x.obj", None).references() == []
+
+
+def test_facts_are_known_without_colours() -> None:
+    facts = opened(b"v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nf 1 2 3\n").facts()
+    assert (facts["vertices"], facts["coloured_vertices"], facts["polygons"]) == (3, 0, 1)

@@ -1,0 +1,118 @@
+"""Whatever is wrong with a PLY file, the answer is one clear InputError."""
+
+from __future__ import annotations
+
+import contextlib
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from beltrami_cli.errors import InputError
+from beltrami_cli.formats.ply import PlyDocument
+from tests.formats.ply_files import ENCODINGS, build, coloured
+
+
+def read(data: bytes) -> None:
+    document = PlyDocument(data, "bad.ply")
+    painted = document.painted()
+    document.contents()
+    document.facts()
+    assert np.isfinite(painted.positions).all()
+    assert np.isfinite(painted.colours).all()
+    assert painted.faces.size == 0 or 0 <= painted.faces.min() <= painted.faces.max() < len(painted.positions)
+    document.patch(painted.colours * np.float32(0.5), "out", moved=False)
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_every_truncation_is_an_error(encoding: str) -> None:
+    data = build(coloured(4, [[0, 1, 2], [0, 1, 2, 3]]), encoding).data
+    # The last blanks of a text may go, and nothing can tell a shortened last token from a shorter number.
+    whole = len(data.rstrip()) if encoding == "ascii" else len(data)
+    for length in range(whole):
+        with pytest.raises(InputError):
+            read(data[:length])
+    read(data)
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+@settings(max_examples=200, deadline=None)
+@given(data=st.data())
+def test_mutated_bytes_are_read_or_refused(encoding: str, data: st.DataObject) -> None:
+    tables = coloured(
+        5, [[0, 1, 2], [0, 1, 2, 3], [4, 3, 2, 1, 0]], data.draw(st.sampled_from(["uchar", "float"])), 1
+    )
+    good = bytearray(build(tables, encoding).data)
+    for _ in range(data.draw(st.integers(1, 4))):
+        at = data.draw(st.integers(0, len(good) - 1))
+        good[at : at + data.draw(st.integers(0, 2))] = data.draw(st.binary(max_size=3))
+    with contextlib.suppress(InputError):
+        read(bytes(good))
+
+
+def change(old: bytes, new: bytes, encoding: str = "ascii") -> bytes:
+    data = build(coloured(), encoding).data
+    assert old in data
+    return data.replace(old, new, 1)
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (b"solid cube", "not a PLY file"),
+        (b"ply\nformat ascii 1.0\n", "no line 'end_header'"),
+        (change(b"format ascii 1.0\n", b""), "no line 'format'"),
+        (
+            change(b"ascii", b"binary_middle_endian"),
+            "line 2 of the header: 'format binary_middle_endian 1.0'",
+        ),
+        (change(b"vertex 4", b"vertex -4"), "line 3 of the header: '-4' is no count"),
+        (change(b"vertex 4", b"vertex 0"), "there are no vertices"),
+        (change(b"vertex 4", b"vertex 123456789012345678"), "data end before the 123456789012345678 rows"),
+        (
+            change(b"face 2", b"face 999999999999", "binary_little_endian"),
+            "data end before the 999999999999 rows",
+        ),
+        (change(b"float y", b"half y"), "line 5 of the header: 'half' is no PLY type"),
+        (change(b"float y", b"float x"), "two properties 'x'"),
+        (change(b"element face", b"element vertex"), "announced twice"),
+        (change(b"float y", b"float why"), "vertices have no property y"),
+        (change(b"uchar red", b"char red"), "red, green, blue are of several types"),
+        (change(b"uchar red", b"uchar rot"), "no vertex colours among the vertex properties x, y, z, rot"),
+        (change(b"1 1 0 10", b"1 nan 0 10"), "the position of vertex 1 is not finite"),
+        (change(b"1 1 0 10", b"1 1 0 256"), "property 'red' of element 'vertex': 256 in row 1 is no uint8"),
+        (change(b"1 1 0 10", b"1 1 0 9.5"), "9.5 in row 1 is no uint8"),
+        (change(b"1 1 0 10", b"1 one 0 10"), "data end before"),
+        (change(b"3 0 2 3", b"3 0 2 4"), "face 1 refers to vertex 4, but there are 4 vertices"),
+        (change(b"3 0 2 3", b"3 0 -2 3"), "face 1 refers to vertex -2"),
+        (change(b"3 0 2 3", b"-3 0 2 3"), "row 1 of element 'face' has a list of -3 items"),
+        (change(b"3 0 2 3", b"3.5 0 2 3"), "has a list of 3.5 items"),
+        (change(b"vertex_indices", b"corners"), "element 'face' has no list vertex_indices"),
+        (change(b"uchar int vertex", b"float int vertex"), "count of a list cannot be a float"),
+        (change(b"uchar int vertex", b"uchar float vertex"), "not whole numbers"),
+    ],
+)
+def test_the_message_names_the_cause_and_the_place(data: bytes, message: str) -> None:
+    with pytest.raises(InputError) as caught:
+        read(data)
+    assert message in str(caught.value)
+    assert str(caught.value).startswith("bad.ply: ")
+
+
+@pytest.mark.parametrize("kind", ["char", "short", "int"])
+def test_signed_colours_are_refused(kind: str) -> None:
+    with pytest.raises(InputError, match="are signed"):
+        read(build(coloured(colour=kind)).data)
+
+
+def test_colours_beyond_255_are_refused() -> None:
+    with pytest.raises(InputError, match="neither 1 nor 255"):
+        read(build(coloured(colour="float", value=1000.0)).data)
+
+
+def test_a_colour_that_is_not_finite_is_named() -> None:
+    tables = coloured(colour="float", value=0.5)
+    tables[0].rows[2][4] = float("inf")
+    with pytest.raises(InputError, match="the colour of vertex 2 is not finite"):
+        read(build(tables, "binary_big_endian").data)

@@ -1,0 +1,88 @@
+"""PLY files are read as trimesh reads them where it is right, and as the format says elsewhere."""
+
+from __future__ import annotations
+
+import io
+
+import numpy as np
+import pytest
+import trimesh
+
+from beltrami_cli.formats.ply import PlyDocument
+from tests.formats.ply_files import ENCODINGS, Table, build, coloured
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_reading_agrees_with_trimesh(encoding: str) -> None:
+    random = np.random.default_rng(3)
+    tables = coloured(30, random.integers(0, 30, (40, 3)).tolist())
+    for row in tables[0].rows:
+        row[:] = [*random.normal(size=3).astype(np.float32).tolist(), *random.integers(0, 256, 3).tolist()]
+    data = build(tables, encoding).data
+    painted = PlyDocument(data, "x.ply").painted()
+    other = trimesh.load(io.BytesIO(data), file_type="ply", process=False)
+    np.testing.assert_allclose(painted.positions, other.vertices, rtol=1e-7)
+    np.testing.assert_array_equal(painted.faces, other.faces)
+    np.testing.assert_array_equal(np.rint(painted.colours * 255), other.visual.vertex_colors[:, :3])
+    assert (painted.stored, painted.encoding, painted.channels) == ("uint8", "srgb", ("red", "green", "blue"))
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_mixed_polygons_keep_their_order_and_corners(encoding: str) -> None:
+    random = np.random.default_rng(4)
+    faces = [random.integers(0, 50, random.integers(0, 7)).tolist() for _ in range(200)]
+    contents = PlyDocument(build(coloured(50, faces), encoding).data, "x.ply").contents()
+    read = [
+        contents.corners[a:b].tolist() for a, b in zip(contents.offsets, contents.offsets[1:], strict=False)
+    ]
+    assert read == faces
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_strips_are_unrolled_with_one_orientation(encoding: str) -> None:
+    tables = coloured(8, [])
+    tables[1] = Table(
+        "tristrips", [("vertex_indices", "int int")], [[[0, 1, 2, 3, 4, -1, 5, 6, 7, -1, 1, 2, 2, 3]]]
+    )
+    faces = PlyDocument(build(tables, encoding).data, "x.ply").painted().faces
+    assert faces.tolist() == [[0, 1, 2], [2, 1, 3], [2, 3, 4], [5, 6, 7]]
+
+
+def test_points_have_no_faces() -> None:
+    assert PlyDocument(build(coloured()[:1]).data, "x.ply").painted().faces.shape == (0, 3)
+
+
+def test_old_mac_line_ends() -> None:
+    built = build(coloured(), "binary_little_endian", "\r")
+    assert len(PlyDocument(built.data, "x.ply").painted().positions) == 4
+
+
+def test_grey_intensity_in_range_is_a_colour_and_elsewhere_a_scalar() -> None:
+    tables = coloured(colour="float", value=0.25)
+    tables[0].properties = [
+        *tables[0].properties[:3],
+        ("intensity", "float"),
+        ("quality", "float"),
+        ("r", "float"),
+    ]
+    painted = PlyDocument(build(tables).data, "x.ply").painted()
+    assert painted.channels == ("grey",)
+    np.testing.assert_array_equal(painted.colours, 0.25)
+    tables[0].rows[1][3] = 1.5
+    with pytest.raises(Exception, match="no vertex colours among the vertex properties x, y, z, intensity"):
+        PlyDocument(build(tables).data, "x.ply").painted()
+
+
+def test_what_conversion_drops_is_listed() -> None:
+    tables = coloured()
+    tables[0].properties.append(("quality", "float"))
+    for row in tables[0].rows:
+        row.append(1)
+    tables.append(Table("edge", [("vertex1", "int")], [[0]]))
+    contents = PlyDocument(build(tables, comments=["hello"]).data, "x.ply").contents()
+    assert contents.left_out == ("vertex properties quality", "element edge", "comments")
+
+
+def test_the_same_record_at_every_call() -> None:
+    document = PlyDocument(build(coloured()).data, "x.ply")
+    assert document.painted() is document.painted()
