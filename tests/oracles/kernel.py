@@ -10,7 +10,7 @@ from math import log, sqrt
 
 import numpy as np
 
-from tests.oracles.fast_marching import Manifold
+from oracles.fast_marching import Manifold
 
 
 def embed(positions, colours, beta):

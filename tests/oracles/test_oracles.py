@@ -10,11 +10,11 @@ from hypothesis import given, settings
 from scipy import sparse
 from scipy.sparse.csgraph import dijkstra
 
-from tests.oracles import strategies, surfaces
-from tests.oracles.exact_geodesic import exact_distances
-from tests.oracles.fast_marching import Manifold, distances, triangle_update
-from tests.oracles.kernel import embed, short_time_kernel
-from tests.oracles.laplacian import laplace_beltrami
+from oracles import strategies, surfaces
+from oracles.exact_geodesic import exact_distances
+from oracles.fast_marching import Manifold, distances, triangle_update
+from oracles.kernel import embed, short_time_kernel
+from oracles.laplacian import laplace_beltrami
 
 
 def edge_distances(embedding, faces, source):
@@ -112,7 +112,7 @@ def test_marching_agrees_with_exact_distances_on_mild_terrain(seed):
 
 
 def test_unfolding_more_than_halves_the_error_on_very_noisy_patches(capsys):
-    # Grey noise of 20/255 at beta 13 is a terrain of about this roughness: a third of all corners are obtuse.
+    # Grey noise of 20/255 at beta 13 is a terrain of about this roughness: one corner in seven is obtuse.
     squares = {True: [], False: []}
     for seed in range(4):
         positions, faces = surfaces.terrain(13, 13, 1.0, seed)
