@@ -10,7 +10,7 @@ from beltrami_cli.flow.iteration import BeltramiFlow
 from beltrami_cli.formats.source import open_document
 from beltrami_cli.mesh.topology import count_topology
 from beltrami_cli.pipeline.settings import DEFAULTS, SmoothSettings
-from beltrami_cli.pipeline.smooth_vertices import prepare
+from beltrami_cli.pipeline.smooth_vertices import prepare, require_surface
 
 if TYPE_CHECKING:
     from beltrami_cli.mesh.painted import PaintedVertices
@@ -45,6 +45,7 @@ def inspect_file(source: str | os.PathLike[str], settings: SmoothSettings = DEFA
     """
     document = open_document(os.fspath(source))
     painted = document.painted()
+    require_surface(painted, document.name)
     chosen, surface, sampling = prepare(painted, settings)
     flow = BeltramiFlow(surface, settings.kernel)
     joined = dataclasses.asdict(count_topology(surface.positions, surface.faces))

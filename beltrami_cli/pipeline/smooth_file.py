@@ -15,7 +15,7 @@ from beltrami_cli.formats.source import open_document
 from beltrami_cli.pipeline.conversion import convert
 from beltrami_cli.pipeline.output import Output
 from beltrami_cli.pipeline.settings import DEFAULTS, OUTPUT_FORMATS, SmoothSettings
-from beltrami_cli.pipeline.smooth_vertices import SmoothResult, smooth_painted
+from beltrami_cli.pipeline.smooth_vertices import SmoothResult, require_surface, smooth_painted
 from beltrami_cli.pipeline.stopwatch import Stopwatch, peak_memory
 
 if TYPE_CHECKING:
@@ -116,6 +116,7 @@ def smooth_file(
         document = open_document(source)
         target_format = _target_format(document, target, format)
         painted = document.painted()
+        require_surface(painted, document.name)
         moved = _is_moved(source, target)
         references = list(document.references()) if moved and target_format == document.format else []
     if output is not None:

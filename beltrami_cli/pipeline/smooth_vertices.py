@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from beltrami_cli.errors import UsageError
+from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.flow.colour_space import from_space, to_space
 from beltrami_cli.flow.iteration import BeltramiFlow, FlowResult
 from beltrami_cli.flow.parameters import KernelParameters
@@ -191,6 +191,22 @@ def smooth_painted(
         flow.samples_per_kernel,
         flow.truncated,
     )
+
+
+def require_surface(painted: PaintedVertices, name: str) -> None:
+    """Refuse a file whose vertices nothing joins.
+
+    Raises
+    ------
+    InputError
+        If there are no triangles.
+    """
+    if not len(painted.faces):
+        raise InputError(
+            name,
+            f"its {len(painted.positions)} coloured vertices have no faces, so there is no surface to smooth on",
+            "triangulate the points first",
+        )
 
 
 def prepare(

@@ -1,0 +1,268 @@
+"""`beltrami smooth` as a good citizen: streams, exit codes, and files that are whole or not there."""
+
+from __future__ import annotations
+
+import json
+import os
+import pty
+import shutil
+import signal
+import stat
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from beltrami_cli.formats.source import open_document
+from cli.commands import COMMAND, SAMPLES, beltrami
+
+NOISY = SAMPLES / "terrain-noisy.ply"
+
+
+def colours(path):
+    return open_document(str(path)).painted().colours
+
+
+def psnr(path, truth):
+    return -10 * np.log10(np.mean((colours(path) - colours(truth)) ** 2))
+
+
+@pytest.mark.parametrize("name", ["knot", "head", "terrain", "nonmanifold"])
+@pytest.mark.parametrize("extension", ["ply", "obj", "glb"])
+def test_samples_come_out_visibly_cleaner_without_any_flag(name, extension, tmp_path):
+    noisy, clean = SAMPLES / f"{name}-noisy.{extension}", SAMPLES / f"{name}-clean.{extension}"
+    result = tmp_path / f"out.{extension}"
+    run = beltrami("smooth", noisy, result)
+    assert run.returncode == 0, run.stderr
+    assert psnr(result, clean) > psnr(noisy, clean) + 6
+
+
+@pytest.mark.parametrize("extension", ["ply", "obj", "glb"])
+def test_no_iterations_give_the_very_same_file(extension, tmp_path):
+    source, result = SAMPLES / f"nonmanifold-noisy.{extension}", tmp_path / f"out.{extension}"
+    assert beltrami("smooth", source, result, "-n", 0).returncode == 0
+    assert result.read_bytes() == source.read_bytes()
+
+
+def test_stdout_carries_data_only_and_messages_go_to_stderr(tmp_path):
+    to_file = beltrami("smooth", NOISY, tmp_path / "out.ply", "-v")
+    assert to_file.stdout == b""
+    assert b"beta" in to_file.stderr
+    assert beltrami("smooth", NOISY, tmp_path / "quiet.ply", "-q").stderr == b""
+    through_pipe = beltrami("smooth", "-", "-", stdin=NOISY.read_bytes())
+    assert through_pipe.stdout == (tmp_path / "out.ply").read_bytes()
+
+
+def test_glb_goes_through_a_pipe_and_the_format_can_be_chosen(tmp_path):
+    glb = SAMPLES / "terrain-noisy.glb"
+    piped = beltrami("smooth", "-", "-", stdin=glb.read_bytes())
+    assert piped.stdout[:4] == b"glTF"
+    converted = beltrami("smooth", "-", "-", "--format", "ply", stdin=glb.read_bytes())
+    assert converted.stdout[:4] == b"ply\n"
+    assert converted.returncode == 0
+
+
+def test_an_existing_output_is_kept_unless_overwriting_is_asked_for(tmp_path):
+    result = tmp_path / "out.ply"
+    result.write_text("precious")
+    refused = beltrami("smooth", NOISY, result)
+    assert refused.returncode == 4
+    assert b"--overwrite" in refused.stderr
+    assert result.read_text() == "precious"
+    result.chmod(0o640)
+    assert beltrami("smooth", NOISY, result, "--overwrite").returncode == 0
+    assert stat.S_IMODE(result.stat().st_mode) == 0o640
+    assert [path.name for path in tmp_path.iterdir()] == ["out.ply"]
+
+
+def test_a_file_may_be_smoothed_in_place_when_overwriting_is_asked_for(tmp_path):
+    scan, result = tmp_path / "scan.ply", tmp_path / "out.ply"
+    shutil.copy(NOISY, scan)
+    assert beltrami("smooth", NOISY, result).returncode == 0
+    assert beltrami("smooth", scan, scan, "--overwrite").returncode == 0
+    assert scan.read_bytes() == result.read_bytes()
+
+
+def test_a_link_stays_and_what_it_points_to_is_replaced(tmp_path):
+    real, link = tmp_path / "real.ply", tmp_path / "link.ply"
+    real.write_text("old")
+    link.symlink_to(real)
+    assert beltrami("smooth", NOISY, link, "--overwrite").returncode == 0
+    assert link.is_symlink()
+    assert real.read_bytes()[:3] == b"ply"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "words"),
+    [
+        (["missing.ply", "out.ply"], 3, b"missing.ply"),
+        ([".", "out.ply"], 3, b"directory"),
+        ([str(NOISY), "nowhere/out.ply"], 4, b"nowhere"),
+        ([str(NOISY), "."], 4, b"folder"),
+        ([str(NOISY), "out.xyz"], 2, b".xyz"),
+        ([str(NOISY), "out.ply", "-t", "0"], 2, b"t is 0"),
+        ([str(NOISY), "out.ply", "--beta", "-1"], 2, b"beta"),
+        ([str(NOISY), "out.ply", "--beta", "nan"], 2, b"beta"),
+        ([str(NOISY), "out.ply", "--threshold", "1"], 2, b"threshold"),
+        ([str(NOISY), "out.ply", "--channels", "infrared"], 2, b"infrared"),
+        ([str(NOISY), "out.ply", "--channels", "r", "--space", "oklab"], 2, b"oklab"),
+        ([str(NOISY), "out.ply", "--bogus"], 2, b"--bogus"),
+        ([str(NOISY)], 2, b"OUTPUT"),
+        ([str(NOISY), "out.ply", "--report", "nowhere/r.json"], 4, b"nowhere"),
+    ],
+)
+def test_failures_exit_with_the_documented_code_one_line_and_no_traces(arguments, code, words, tmp_path):
+    run = beltrami("smooth", *arguments, cwd=tmp_path)
+    assert run.returncode == code, run.stderr
+    assert words in run.stderr
+    assert b"Traceback" not in run.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_fifo_is_refused_at_once(tmp_path):
+    os.mkfifo(tmp_path / "scan.ply")
+    run = beltrami("smooth", tmp_path / "scan.ply", tmp_path / "out.ply")
+    assert run.returncode == 3
+    assert b"pipe" in run.stderr
+
+
+def test_points_without_faces_are_refused_and_the_way_out_is_named(tmp_path):
+    points = tmp_path / "points.ply"
+    points.write_text(
+        "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\n"
+        "property uchar red\nproperty uchar green\nproperty uchar blue\nend_header\n0 0 0 1 2 3\n"
+    )
+    run = beltrami("smooth", points, tmp_path / "out.ply")
+    assert run.returncode == 3
+    assert b"triangulate" in run.stderr
+
+
+@pytest.mark.skipif(os.geteuid() != 0 and not shutil.which("true"), reason="needs /dev/full")
+def test_a_full_device_is_an_output_error():
+    with open("/dev/full", "wb") as full:
+        run = subprocess.run([*COMMAND, "smooth", str(NOISY), "-"], stdout=full, stderr=subprocess.PIPE, check=False)
+    assert run.returncode == 4
+    assert b"Traceback" not in run.stderr
+
+
+def test_a_dry_run_reports_and_writes_nothing(tmp_path):
+    report = tmp_path / "report.json"
+    run = beltrami("smooth", NOISY, tmp_path / "out.ply", "--dry-run", "--report", report)
+    assert run.returncode == 0
+    assert [path.name for path in tmp_path.iterdir()] == ["report.json"]
+    assert json.loads(report.read_text())["written"] == []
+
+
+def test_the_report_tells_parameters_counts_times_memory_and_changes(tmp_path):
+    report = tmp_path / "report.json"
+    assert beltrami("smooth", NOISY, tmp_path / "out.ply", "-n", 2, "--report", report).returncode == 0
+    told = json.loads(report.read_text())
+    assert told["parameters"]["iterations"] == 2
+    assert told["parameters"]["beta"] > 0
+    assert told["parameters"]["beta_chosen"] is True
+    assert told["counts"]["samples"] == told["counts"]["vertices"]
+    assert set(told["stages"]) == {"read", "smooth", "write"}
+    assert told["peak_memory"] > 1e6
+    before, after = colours(NOISY), colours(tmp_path / "out.ply")
+    # The report is made before the colours are rounded to 8 bit, which moves each by half a level at most.
+    assert abs(told["change"]["mean"] - np.abs(after - before).mean()) < 0.5 / 255
+    assert told["written"] == [str(tmp_path / "out.ply")]
+
+
+def test_the_guard_on_samples_warns_when_it_bites(tmp_path):
+    run = beltrami("smooth", NOISY, tmp_path / "out.ply", "--max-samples", 5)
+    assert run.returncode == 0
+    assert b"warning" in run.stderr
+    assert b"--max-samples" in run.stderr
+
+
+def test_channels_that_were_not_chosen_keep_their_bytes(tmp_path):
+    assert beltrami("smooth", NOISY, tmp_path / "out.ply", "--channels", "g").returncode == 0
+    before, after = colours(NOISY), colours(tmp_path / "out.ply")
+    assert np.array_equal(before[:, [0, 2]], after[:, [0, 2]])
+    assert not np.array_equal(before[:, 1], after[:, 1])
+
+
+def test_spaces_differ_and_all_denoise(tmp_path):
+    results = {}
+    for space in ("srgb", "linear", "oklab"):
+        beltrami("smooth", NOISY, tmp_path / f"{space}.ply", "--space", space)
+        results[space] = colours(tmp_path / f"{space}.ply")
+        assert psnr(tmp_path / f"{space}.ply", SAMPLES / "terrain-clean.ply") > 25
+    assert not np.array_equal(results["srgb"], results["linear"])
+    assert not np.array_equal(results["srgb"], results["oklab"])
+    beltrami("smooth", NOISY, tmp_path / "data.ply", "--space", "data")
+    assert np.array_equal(colours(tmp_path / "data.ply"), results["srgb"])  # PLY colours are sRGB already
+
+
+def big_scan(folder):
+    """Large enough to be interrupted in the middle."""
+    side = 700
+    rows, columns = np.divmod(np.arange(side * side), side)
+    vertices = np.zeros(side * side, [("xyz", "<f4", 3), ("rgb", "u1", 3)])
+    vertices["xyz"] = np.column_stack([columns, rows, np.zeros(side * side)])
+    vertices["rgb"] = np.random.default_rng(0).integers(0, 256, (side * side, 3))
+    corner = (np.arange(side - 1)[:, None] * side + np.arange(side - 1)).ravel()
+    faces = np.zeros(2 * len(corner), [("n", "u1"), ("v", "<i4", 3)])
+    faces["n"] = 3
+    faces["v"][0::2] = np.column_stack([corner, corner + 1, corner + side])
+    faces["v"][1::2] = np.column_stack([corner + 1, corner + side + 1, corner + side])
+    header = (
+        f"ply\nformat binary_little_endian 1.0\nelement vertex {len(vertices)}\n"
+        "property float x\nproperty float y\nproperty float z\n"
+        "property uchar red\nproperty uchar green\nproperty uchar blue\n"
+        f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    path = folder / "big.ply"
+    path.write_bytes(header.encode() + vertices.tobytes() + faces.tobytes())
+    return path
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupt_ends_soon_and_leaves_nothing_behind(number, tmp_path):
+    big = big_scan(tmp_path)
+    arguments = [*COMMAND, "smooth", str(big), str(tmp_path / "out.ply"), "-n", "100", "--beta", "0", "-t", "8"]
+    with subprocess.Popen(arguments, stderr=subprocess.PIPE) as process:
+        time.sleep(2.0)
+        process.send_signal(number)
+        sent = time.monotonic()
+        _, errors = process.communicate(timeout=30)
+    assert process.returncode == 130
+    assert time.monotonic() - sent < 2
+    assert b"Traceback" not in errors
+    assert [path.name for path in tmp_path.iterdir()] == ["big.ply"]
+
+
+def test_the_bar_is_drawn_on_a_terminal_only(tmp_path):
+    arguments = ["smooth", str(NOISY), str(tmp_path / "out.ply"), "-n", "60", "--overwrite"]
+    assert b"\x1b" not in beltrami(*arguments).stderr
+    controller, terminal = pty.openpty()
+    with subprocess.Popen([*COMMAND, *arguments], stderr=terminal, env={**os.environ, "TERM": "xterm"}) as process:
+        os.close(terminal)
+        shown = b""
+        while True:
+            try:
+                shown += os.read(controller, 4096)
+            except OSError:
+                break
+    os.close(controller)
+    assert process.returncode == 0
+    assert b"\x1b" in shown
+    assert b"%" in shown
+
+
+def test_help_starts_with_click_alone():
+    heavy = "import sys; from beltrami_cli.cli.main import group; group.main(['--help'], standalone_mode=False)"
+    check = f"{heavy}; assert not {{'numpy', 'rich', 'beltrami_cli._native'}} & set(sys.modules), sys.modules"
+    run = subprocess.run([sys.executable, "-c", check], capture_output=True, check=False)
+    assert run.returncode == 0, run.stderr
+    for command in ("smooth", "info"):
+        assert b"Examples:" in beltrami(command, "--help").stdout
+
+
+def test_the_version_is_that_of_the_package():
+    from importlib.metadata import version
+
+    assert version("beltrami-cli").encode() in beltrami("--version").stdout
