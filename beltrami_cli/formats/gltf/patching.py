@@ -24,6 +24,9 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.gltf.json_text import Tree
     from beltrami_cli.formats.gltf.surfaces import Block
 
+VERTEX_DATA = 34962
+"""What a view is for (ARRAY_BUFFER)."""
+
 
 @dataclass
 class Edit:
@@ -139,13 +142,10 @@ def _append(edit: Edit, block: Block, members: set[int], after: Stored) -> None:
     octets[:, :size] = np.ascontiguousarray(after).view(np.uint8)
     data = edit.open(buffer)
     data += bytes(-len(data) % 4)
-    view = {"buffer": buffer, "byteOffset": len(data), "byteLength": octets.size}
+    view = {"buffer": buffer, "byteOffset": len(data), "byteLength": octets.size, "target": VERTEX_DATA}
     if stride != size:
         view["byteStride"] = stride
-    source = edit.accessors[block.colour].view
     views = edit.tree.setdefault("bufferViews", [])
-    if source is not None and "target" in views[source]:
-        view["target"] = views[source]["target"]
     views.append(view)
     data += octets.tobytes()
     edit.tree["buffers"][buffer]["byteLength"] = len(data)
