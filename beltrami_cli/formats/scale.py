@@ -35,14 +35,14 @@ def full_scale(colours: NDArray[np.float64], name: str) -> tuple[float, str]:
     Raises
     ------
     InputError
-        If there are numbers above 255.
+        If there are numbers beyond 255, up or down.
     """
-    largest = float(colours.max())
+    smallest, largest = float(colours.min()), float(colours.max())
+    if largest > _BYTE or smallest < -_BYTE:
+        cause = f"vertex colours go from {smallest:g} to {largest:g}, so that full scale is neither 1 nor 255"
+        raise InputError(name, cause, "scale them to 0..1")
     if largest <= 1:
         return 1.0, ""
-    if largest > _BYTE:
-        cause = f"vertex colours go up to {largest:g}, so that full scale is neither 1 nor 255"
-        raise InputError(name, cause, "scale them to 0..1")
     if largest > _BRIGHTEST or bool((colours % 1 == 0).all()):
         return _BYTE, f"Vertex colours go up to {largest:g} and are taken for numbers of 0..255."
     return (

@@ -60,7 +60,8 @@ def triangulate(
         for first in range(0, len(chosen), _BLOCK):
             block = chosen[first : first + _BLOCK, None]
             polygons = corners[offsets[block] + np.arange(size)]
-            faces[rows[block] + np.arange(size - 2)] = _cut(positions, polygons)
+            with np.errstate(over="ignore", invalid="ignore"):  # Areas of huge polygons count as no area.
+                faces[rows[block] + np.arange(size - 2)] = _cut(positions, polygons)
     return faces
 
 

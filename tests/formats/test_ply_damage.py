@@ -116,3 +116,8 @@ def test_a_colour_that_is_not_finite_is_named() -> None:
     tables[0].rows[2][4] = float("inf")
     with pytest.raises(InputError, match="the colour of vertex 2 is not finite"):
         read(build(tables, "binary_big_endian").data)
+
+
+def test_colours_far_below_zero_are_refused() -> None:
+    with pytest.raises(InputError, match=r"go from -1e\+130 to -1e\+130"):
+        read(build(coloured(colour="double", value=-1e130), "binary_little_endian").data)

@@ -108,3 +108,9 @@ def test_many_mixed_polygons_are_all_cut() -> None:
     points = np.column_stack([np.cos(angles), np.sin(angles), 0 * angles])
     faces = triangulate(points, np.arange(len(points), dtype=np.int32), offsets)
     assert len(faces) == (sizes - 2).sum()
+
+
+@pytest.mark.parametrize("size", [4, 5])
+def test_huge_polygons_are_cut_without_warnings(size: int) -> None:
+    points = np.random.default_rng(3).normal(size=(size, 3)) * 1e300
+    assert cut(points, list(range(size))).shape == (size - 2, 3)

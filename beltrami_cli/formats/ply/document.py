@@ -129,7 +129,7 @@ class PlyDocument(Document):
             encoding="srgb",
             stored=str(np.dtype(self._paint.type)),
             alpha=self._alpha(),
-            normals=self._columns(_NORMAL, "normal").astype(np.float32) if has_normals else None,
+            normals=self._normals() if has_normals else None,
             left_out=self._left_out(has_normals),
         )
 
@@ -190,6 +190,10 @@ class PlyDocument(Document):
         if kind == self._paint.type:
             scale = self._colours.scale
         return np.clip(alpha / scale, 0, 1).astype(np.float32)
+
+    def _normals(self) -> NDArray[np.float32]:
+        largest = np.finfo(np.float32).max
+        return np.clip(self._columns(_NORMAL, "normal"), -largest, largest).astype(np.float32)
 
     def _left_out(self, has_normals: bool) -> tuple[str, ...]:
         used = {*_POSITION, *self._paint.names, self._paint.alpha, *(_NORMAL if has_normals else ())}
