@@ -6,6 +6,8 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, ClassVar
 
+from beltrami_cli.errors import InputError
+
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
@@ -13,8 +15,10 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from beltrami_cli.mesh.painted import MeshContents, PaintedVertices
+    from beltrami_cli.mesh.textured import ImageFile, Slot, TexturedSurface
 
 Bytes = bytes | bytearray | memoryview
+NO_IMAGES: Mapping[tuple[Slot, str], ImageFile] = {}
 
 
 @dataclass(frozen=True)
@@ -70,15 +74,53 @@ class Document(ABC):
             If the document has no vertex colours, or they or the geometry are damaged.
         """
 
+    def has_vertex_colours(self) -> bool:
+        """Tell whether `painted` has anything to return, without checking all of it."""
+        try:
+            self.painted()
+        except InputError:
+            return False
+        return True
+
+    def slots(self) -> tuple[Slot, ...]:
+        """Return the material slots that have textures, the base colour first."""
+        return ()
+
+    def textured(self, slot: Slot) -> TexturedSurface:
+        """Return the textures of a slot and the surface that they are painted on.
+
+        Returns
+        -------
+        TexturedSurface
+            The same record at every call.
+
+        Raises
+        ------
+        InputError
+            If the slot has no texture, an image is missing, unsupported or outside the model's folder, or texture
+            coordinates are damaged.
+        """
+        raise InputError(self.name, f"it has no {slot} texture")
+
     @abstractmethod
-    def patch(self, colours: NDArray[np.float32], stem: str, *, moved: bool) -> Written:
-        """Return the document's files with other vertex colours and everything else as it was.
+    def patch(
+        self,
+        colours: NDArray[np.float32] | None,
+        stem: str,
+        *,
+        moved: bool,
+        images: Mapping[tuple[Slot, str], ImageFile] = NO_IMAGES,
+    ) -> Written:
+        """Return the document's files with other colours and everything else as it was.
 
         Parameters
         ----------
-        colours : ndarray of float32, shape (V, C)
-            Rows as in `painted().colours`. Every entry that equals the one there keeps its stored bytes;
-            others are rounded to the stored type once, to the nearest, after clipping to its range.
+        colours : ndarray of float32, shape (V, C), or None
+            Rows as in `painted().colours`; None: as they are. Every entry that equals the one there keeps its stored
+            bytes; others are rounded to the stored type once, to the nearest, after clipping to its range.
+        images : mapping of (Slot, str) to ImageFile
+            New images by slot and `Texture.key`, of the same size in pixels: each replaces that image in that slot and
+            nowhere else. The type of file may be another one than before.
         stem : str
             Name of the output file without folder and extension, for naming changed sidecars.
         moved : bool
