@@ -47,6 +47,10 @@ def test_every_shape_of_a_corner(face: str) -> None:
     assert opened(THREE + face.encode()).painted().faces.tolist() == [[0, 1, 2]]
 
 
+def test_a_byte_order_mark_hides_no_vertex() -> None:
+    assert len(opened(b"\xef\xbb\xbf" + THREE).painted().positions) == 3
+
+
 def test_negative_indices_count_back_from_the_vertices_before_the_face() -> None:
     data = THREE + b"f -3 -2 -1\n" + THREE + b"f -3 -2 -1\nf 1 5 6\n"
     assert opened(data).painted().faces.tolist() == [[0, 1, 2], [3, 4, 5], [0, 4, 5]]

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 _DIGITS = 18  # of an index, no more than an int64 can hold
 _LINE_END = re.compile(rb"[\r\n]")
+_BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 _LONGEST = 1 << 16  # bytes of a line with file names
 _BLOCK = 1 << 18  # indices read at a time, which bounds the memory for their digits
 
@@ -145,8 +146,10 @@ class Statements:
 
 
 def _plain(data: bytes) -> bytes:
-    """Blank comments and joints of continued lines, every other byte at its place; end with a line end."""
+    """Blank comments, a byte order mark and joints of continued lines, every other byte at its place; end with a line end."""
     text = data if data.endswith(b"\n") else data + b"\n"
+    if text.startswith(_BYTE_ORDER_MARK):
+        text = b"   " + text[3:]
     if b"#" in text:
         text = _without_comments(text)
     if b"\\" in text:

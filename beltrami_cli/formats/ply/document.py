@@ -9,10 +9,11 @@ import numpy as np
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.document import Document, Written
+from beltrami_cli.formats.ply.body import values_in_bytes
 from beltrami_cli.formats.ply.header import read_header
 from beltrami_cli.formats.ply.paint import find_paint, finite_columns, read_colours, store_colours
 from beltrami_cli.formats.ply.polygons import VERTEX_LISTS, read_polygons
-from beltrami_cli.formats.ply.tables import indices, read_tables, values_in_bytes
+from beltrami_cli.formats.ply.tables import indices, read_tables
 from beltrami_cli.formats.tokens import exchange_tokens, find_tokens
 from beltrami_cli.mesh.painted import MeshContents, PaintedVertices
 from beltrami_cli.mesh.polygons import triangulate

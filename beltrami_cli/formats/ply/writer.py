@@ -8,9 +8,9 @@ import numpy as np
 
 from beltrami_cli.formats.conversion import display_colours, left_out
 from beltrami_cli.formats.document import Written
+from beltrami_cli.formats.ply.body import values_in_bytes
 from beltrami_cli.formats.ply.header import TYPES
 from beltrami_cli.formats.ply.paint import store_colours
-from beltrami_cli.formats.ply.tables import values_in_bytes
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
