@@ -75,6 +75,7 @@ def test_unchanged_colours_give_the_same_bytes(file: tuple[list[str], list[list[
     source = "".join(file[0]).encode()
     document = ObjDocument(source, "random.obj", None)
     assert b"".join(document.patch(document.painted().colours.copy(), "out", moved=False).main) == source
+    assert document.patch(None, "out", moved=False).main == [source]
 
 
 def test_decimals_follow_the_source_within_what_loses_nothing() -> None:

@@ -6,11 +6,11 @@ import re
 
 import numpy as np
 import pytest
+from formats.ply_files import CODES, ENCODINGS, Built, Table, build, coloured
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from beltrami_cli.formats.ply import PlyDocument
-from tests.formats.ply_files import CODES, ENCODINGS, Built, Table, build, coloured
 
 FAMILIES = (
     ("red", "green", "blue"),
@@ -126,6 +126,7 @@ def test_unchanged_colours_give_the_same_bytes(
     document = PlyDocument(file[0].data + b"trailing bytes", "random.ply")
     same = document.patch(document.painted().colours.copy(), "out", moved=True)
     assert b"".join(same.main) == file[0].data + b"trailing bytes"
+    assert document.patch(None, "out", moved=True).main == [file[0].data + b"trailing bytes"]
 
 
 def test_text_keeps_spacing_tokens_and_line_ends() -> None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.document import Document, Written
+from beltrami_cli.formats.document import NO_IMAGES, Document, Written
 from beltrami_cli.formats.obj.materials import Materials
 from beltrami_cli.formats.obj.polygons import among, read_polygons
 from beltrami_cli.formats.obj.statements import Statements
@@ -20,12 +20,13 @@ from beltrami_cli.mesh.painted import MeshContents, PaintedVertices
 from beltrami_cli.mesh.polygons import triangulate
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
 
     from beltrami_cli.formats.obj.vertices import Vertices
+    from beltrami_cli.mesh.textured import ImageFile, Slot
 
 _CHANNELS = ("red", "green", "blue")
 _DROPPED = {
@@ -88,8 +89,17 @@ class ObjDocument(Document):
             stored="text",
         )
 
-    def patch(self, colours: NDArray[np.float32], stem: str, *, moved: bool) -> Written:
-        """Return the file with other colours; see `Document.patch`."""
+    def patch(
+        self,
+        colours: NDArray[np.float32] | None,
+        stem: str,
+        *,
+        moved: bool,
+        images: Mapping[tuple[Slot, str], ImageFile] = NO_IMAGES,
+    ) -> Written:
+        """Return the file with other colours; see `Document.patch`. There are no images to be exchanged."""
+        if colours is None:
+            return Written([self._data])
         changed = colours != self._colours
         if not changed.any():
             return Written([self._data])

@@ -146,7 +146,10 @@ class Statements:
 
 
 def _plain(data: bytes) -> bytes:
-    """Blank comments, a byte order mark and joints of continued lines, every other byte at its place; end with a line end."""
+    """Blank what is no statement and end with a line end; every other byte stays at its place.
+
+    Blanked are comments, a byte order mark, and the joints of continued lines.
+    """
     text = data if data.endswith(b"\n") else data + b"\n"
     if text.startswith(_BYTE_ORDER_MARK):
         text = b"   " + text[3:]

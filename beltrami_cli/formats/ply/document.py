@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.document import Document, Written
+from beltrami_cli.formats.document import NO_IMAGES, Document, Written
 from beltrami_cli.formats.ply.body import values_in_bytes
 from beltrami_cli.formats.ply.header import read_header
 from beltrami_cli.formats.ply.paint import find_paint, finite_columns, read_colours, store_colours
@@ -19,12 +19,13 @@ from beltrami_cli.mesh.painted import MeshContents, PaintedVertices
 from beltrami_cli.mesh.polygons import triangulate
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
     from beltrami_cli.formats.ply.paint import Colours, Paint
     from beltrami_cli.formats.ply.tables import Places, Table
+    from beltrami_cli.mesh.textured import ImageFile, Slot
 
 _POSITION = ("x", "y", "z")
 _NORMAL = ("nx", "ny", "nz")
@@ -69,8 +70,17 @@ class PlyDocument(Document):
             stored=str(np.dtype(self._paint.type)),
         )
 
-    def patch(self, colours: NDArray[np.float32], stem: str, *, moved: bool) -> Written:
-        """Return the file with other colours; see `Document.patch`."""
+    def patch(
+        self,
+        colours: NDArray[np.float32] | None,
+        stem: str,
+        *,
+        moved: bool,
+        images: Mapping[tuple[Slot, str], ImageFile] = NO_IMAGES,
+    ) -> Written:
+        """Return the file with other colours; see `Document.patch`. There are no images to be exchanged."""
+        if colours is None:
+            return Written([self._data])
         changed = colours != self._colours.values
         if not changed.any():
             return Written([self._data])
