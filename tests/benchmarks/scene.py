@@ -1,0 +1,90 @@
+"""What is smoothed in the benchmarks: closed surfaces under a piecewise smooth pattern with Gaussian noise."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+ROOT = Path(__file__).parents[2]
+sys.path.insert(0, str(ROOT / "tests"))
+
+from oracles import surfaces  # noqa: E402
+
+SIGMA = 20 / 255
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A painted surface: positions (V, 3) float64, faces (F, 3) int32, colours (V, 3) float32 in [0, 1]."""
+
+    positions: np.ndarray
+    faces: np.ndarray
+    clean: np.ndarray
+    noisy: np.ndarray
+
+
+def icosphere(subdivisions, pattern=None):
+    """Return a sphere of 10 * 4^n + 2 vertices, in the order of subdivision (not cache friendly, as real files)."""
+    positions, faces = surfaces.icosphere(subdivisions)
+    return painted(positions, faces, pattern or chequer)
+
+
+def torus(rings, sides):
+    """Return a torus of rings * sides vertices and twice as many triangles."""
+    ring, side = (part.ravel() for part in np.mgrid[:rings, :sides])
+    u, v = 2 * np.pi * ring / rings, 2 * np.pi * side / sides
+    reach = 0.75 + 0.25 * np.cos(v)
+    positions = np.column_stack([reach * np.cos(u), reach * np.sin(u), 0.25 * np.sin(v)])
+    there, beside = (ring + 1) % rings, (side + 1) % sides
+    a, b, c, d = (r * sides + s for r, s in ((ring, side), (there, side), (there, beside), (ring, beside)))
+    faces = np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])]).astype(np.int32)
+    return painted(positions, faces, chequer)
+
+
+def painted(positions, faces, pattern):
+    """Return the surface with a pattern, smooth inside its regions, and noise; hardly anything would be clipped."""
+    clean = pattern(positions)
+    noise = SIGMA * np.random.default_rng(7).standard_normal(clean.shape)
+    return Scene(positions, faces, clean.astype(np.float32), (clean + noise).astype(np.float32))
+
+
+def chequer(positions):
+    """Return light and dark regions with gradients: every border has the same strong contrast of 0.4."""
+    odd = np.sin(8 * positions).prod(axis=1) > 0
+    return np.where(odd, 0.7, 0.3)[:, None] + 0.12 * shading(positions)
+
+
+def patches(positions):
+    """Return 200 cells of random colours: borders of any contrast, many too weak to be told from noise."""
+    random = np.random.default_rng(3)
+    centres = random.standard_normal((200, 3))
+    cell = np.argmax(positions @ (centres / np.linalg.norm(centres, axis=1, keepdims=True)).T, axis=1)
+    return random.uniform(0.15, 0.85, (200, 3))[cell] + 0.06 * shading(positions)
+
+
+def shading(positions):
+    """Return slow gradients in [-1, 1], another for each channel."""
+    x, y, z = positions.T
+    return np.column_stack([np.sin(2 * x + 0.5), np.cos(2.5 * y), np.sin(2.2 * z + 1)])
+
+
+def psnr(clean, colours):
+    """Return the peak signal-to-noise ratio in dB; the peak is 1."""
+    return float(-10 * np.log10(np.mean((np.asarray(colours, float) - clean) ** 2)))
+
+
+def write_ply(path, scene):
+    """Write the noisy scene as a binary PLY file with 8-bit colours."""
+    vertices = np.empty(len(scene.positions), [("xyz", "<f4", 3), ("rgb", "u1", 3)])
+    vertices["xyz"], vertices["rgb"] = scene.positions, np.rint(np.clip(scene.noisy, 0, 1) * 255)
+    faces = np.empty(len(scene.faces), [("count", "u1"), ("corners", "<i4", 3)])
+    faces["count"], faces["corners"] = 3, scene.faces
+    names = [f"property float {axis}" for axis in "xyz"] + [
+        f"property uchar {c}" for c in ("red", "green", "blue")
+    ]
+    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(vertices)}", *names]
+    header += [f"element face {len(faces)}", "property list uchar int vertex_indices", "end_header\n"]
+    path.write_bytes("\n".join(header).encode() + vertices.tobytes() + faces.tobytes())

@@ -1,0 +1,66 @@
+"""Times that a busy machine does not spoil: medians of differences between neighbouring runs."""
+
+from __future__ import annotations
+
+import statistics
+import time
+
+import beltrami_cli
+
+
+def iteration_seconds(scene, repeats, **options):
+    """Return the CPU time of one kernel iteration on the noisy scene, and the samples that a kernel held.
+
+    Every repeat runs the preparation alone (no iteration) and with one iteration right after it; the
+    difference is the iteration. All iterations start from the same noisy colours.
+
+    Parameters
+    ----------
+    scene : Scene
+        What to smooth.
+    repeats : int
+        Pairs of runs; the median counts.
+    **options
+        For `beltrami_cli.smooth`.
+    """
+    differences, samples = [], 0.0
+    for _ in range(repeats):
+        times = []
+        for iterations in (0, 1):
+            start = time.process_time()
+            result = smooth(scene, iterations=iterations, **options)
+            times.append(time.process_time() - start)
+        differences.append(times[1] - times[0])
+        samples = result.samples_per_kernel
+    return statistics.median(differences), samples
+
+
+def thread_gain(scene, repeats, **options):
+    """Return how many times faster an iteration is with two threads than with one, by the clock on the wall.
+
+    Wall time suffers from whatever else runs, and never gains, so that the shortest of all repeats counts.
+    """
+    shortest = {}
+    for _ in range(repeats):
+        for run in ((0, 1), (1, 1), (0, 2), (1, 2)):
+            iterations, threads = run
+            start = time.perf_counter()
+            smooth(scene, iterations=iterations, threads=threads, **options)
+            shortest[run] = min(time.perf_counter() - start, shortest.get(run, float("inf")))
+    return (shortest[1, 1] - shortest[0, 1]) / (shortest[1, 2] - shortest[0, 2])
+
+
+def smooth(scene, **options):
+    """Run `beltrami_cli.smooth` on the noisy scene; colours are taken as plain numbers."""
+    return beltrami_cli.smooth(scene.positions, scene.faces, scene.noisy, space="data", **options)
+
+
+def time_step_for(samples, scene, beta):
+    """Return the t for which kernels hold about so many samples on the noisy scene.
+
+    Their number grows almost in proportion to t, so that a few steps of proportion find it.
+    """
+    t = samples / 34
+    for _ in range(4):
+        t *= samples / smooth(scene, iterations=1, t=t, beta=beta).samples_per_kernel
+    return t
