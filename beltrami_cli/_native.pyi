@@ -33,3 +33,19 @@ class TriangulatedManifold:
     def obtuse_corners(self) -> int: ...
     @property
     def split_corners(self) -> int: ...
+
+def smooth_grid(
+    kind: NDArray[np.uint8],
+    squared_lengths: NDArray[np.float32],
+    metric: NDArray[np.float32],
+    colours: NDArray[np.float32],
+    beta: float,
+    time_step: float,
+    radius: float,
+    window_radius: int,
+    scheme: str,
+    repairs: int,
+    threads: int,
+    progress: Callable[[int], None] | None,
+) -> tuple[NDArray[np.float32], int]: ...
+def sweep_instruction_set() -> str: ...

@@ -63,15 +63,15 @@ class BeltramiFlow:
     """
 
     def __init__(self, surface: SampledSurface, parameters: KernelParameters) -> None:
-        from beltrami_cli import _native
+        from beltrami_cli._native import TriangulatedManifold, morton_order
 
         self.parameters = parameters
-        self._order = _native.morton_order(surface.positions)
+        self._order = morton_order(surface.positions)
         rank = np.empty_like(self._order)
         rank[self._order] = np.arange(len(rank), dtype=rank.dtype)
         self._positions = surface.positions[self._order]
         self._colours = surface.colours[self._order]
-        self._manifold: TriangulatedManifold = _native.TriangulatedManifold(
+        self._manifold: TriangulatedManifold = TriangulatedManifold(
             rank[surface.all_faces], len(rank)
         )
         edges = self._manifold.edges()

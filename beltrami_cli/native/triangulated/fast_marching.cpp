@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <bit>
 #include <cmath>
+#include <cstdlib>
 
 namespace beltrami::triangulated {
 namespace {
@@ -17,12 +18,13 @@ std::uint64_t make_key(float distance, Index vertex) {
 
 }  // namespace
 
-FastMarching::FastMarching(const Stencils& stencils)
-    : stencils_(stencils), nodes_(stencils.link_offsets.size() - 1) {}
+FastMarching::FastMarching(const Stencils& stencils, const Selection& selection)
+    : stencils_(stencils), selection_(selection), nodes_(stencils.link_offsets.size() - 1) {}
 
 std::span<const Reached> FastMarching::march(Index source, float radius, std::size_t max_count) {
   begin_march();
   radius_ = radius;
+  if (selection_.places != nullptr) centre_ = selection_.places[source];
   relax(source, 0);
   while (!heap_.empty()) {
     const std::uint64_t key = pop();
@@ -82,8 +84,15 @@ float FastMarching::through_partner(const Partner& partner, float distance, floa
   return from_within ? std::min(best, distance + partner.k * u + s) : best;
 }
 
+bool FastMarching::outside_window(Index vertex) const {
+  const GridPlace place = selection_.places[vertex];
+  return std::max(std::abs(place.row - centre_.row), std::abs(place.column - centre_.column)) >
+         selection_.window_radius;
+}
+
 void FastMarching::relax(Index target, float distance) {
   if (!(distance <= radius_)) return;
+  if (selection_.places != nullptr && outside_window(target)) return;
   Node& node = nodes_[static_cast<std::size_t>(target)];
   if (node.mark == close_mark_ && node.distance <= distance) return;
   node = {distance, close_mark_};

@@ -17,10 +17,22 @@ struct Reached {
   float distance;
 };
 
+// Where a vertex stands on a grid, if it does.
+struct GridPlace {
+  std::int32_t row, column;
+};
+
+// What to march from and how far, besides the radius; a grid's window is none of a general mesh.
+struct Selection {
+  const std::uint8_t* wanted = nullptr;  // [vertex]: whether its kernel is wanted; nullptr: all
+  const GridPlace* places = nullptr;     // [vertex]: for the window; nullptr: no window
+  std::int32_t window_radius = 0;        // in rows and columns
+};
+
 // Marches from many sources one after the other; the scratch memory, 8 bytes a vertex, is reused between them.
 class FastMarching {
  public:
-  explicit FastMarching(const Stencils& stencils);
+  explicit FastMarching(const Stencils& stencils, const Selection& selection = {});
 
   // Vertices within `radius` of the source in order of distance, the source first; at most `max_count`.
   // Valid until the next call.
@@ -42,7 +54,11 @@ class FastMarching {
   float through_partner(const Partner& partner, float distance, float best) const;
   std::uint64_t pop();
 
+  bool outside_window(Index vertex) const;
+
   const Stencils& stencils_;
+  Selection selection_;
+  GridPlace centre_{};
   std::vector<Node> nodes_;
   std::vector<std::uint64_t> heap_;  // distance bits in the high half, vertex in the low half
   std::vector<Reached> reached_;

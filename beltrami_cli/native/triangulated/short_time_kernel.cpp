@@ -13,7 +13,8 @@ namespace {
 constexpr std::size_t sources_per_chunk = 512;
 
 struct Worker {
-  explicit Worker(const Stencils& stencils, std::size_t channels) : marching(stencils), sums(channels) {}
+  Worker(const Stencils& stencils, const Selection& selection, std::size_t channels)
+      : marching(stencils, selection), sums(channels) {}
   FastMarching marching;
   std::vector<double> sums;
   KernelStatistics statistics;
@@ -42,16 +43,22 @@ void average(std::span<const Reached> samples, Rows<float> colours, const float*
 }  // namespace
 
 KernelStatistics smooth(const Stencils& stencils, Rows<float> colours, const float* weights,
-                        const KernelParameters& parameters, float* smoothed, unsigned threads, const Poll& poll) {
+                        const KernelParameters& parameters, float* smoothed, unsigned threads, const Poll& poll,
+                        const Selection& selection) {
   const std::size_t vertex_count = stencils.link_offsets.size() - 1;
   const float quarter_inverse_t = 1 / (4 * parameters.time_step);
   const auto useful = std::clamp<std::size_t>(threads, 1, vertex_count / sources_per_chunk + 1);
-  std::vector<Worker> workers(useful, Worker(stencils, colours.width));
+  std::vector<Worker> workers(useful, Worker(stencils, selection, colours.width));
   parallel_chunks(
       vertex_count, sources_per_chunk, static_cast<unsigned>(useful),
       [&](std::size_t begin, std::size_t end, unsigned index) {
         Worker& worker = workers[index];
         for (std::size_t source = begin; source < end; ++source) {
+          if (selection.wanted != nullptr && !selection.wanted[source]) {
+            const float* colour = colours[static_cast<Index>(source)];
+            std::copy(colour, colour + colours.width, smoothed + source * colours.width);
+            continue;
+          }
           const auto samples =
               worker.marching.march(static_cast<Index>(source), parameters.radius, parameters.max_samples);
           average(samples, colours, weights, quarter_inverse_t, worker.sums, smoothed + source * colours.width);

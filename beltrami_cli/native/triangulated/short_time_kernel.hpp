@@ -9,6 +9,7 @@
 #include <cstdint>
 
 #include "parallel.hpp"
+#include "triangulated/fast_marching.hpp"
 #include "triangulated/metric.hpp"
 #include "triangulated/stencils.hpp"
 
@@ -27,8 +28,10 @@ struct KernelStatistics {
 
 // Reads all colours before writing any (Jacobi): `smoothed`, vertex_count rows of colours.width, must not overlap them.
 // weights: w_q >= 0 of every vertex, or nullptr for 1. Where all weights of a kernel are zero the colour stays.
+// Vertices that the selection does not want keep their colour.
 // Bit-identical for any number of threads. Throws Cancelled if poll asks to stop.
 KernelStatistics smooth(const Stencils& stencils, Rows<float> colours, const float* weights,
-                        const KernelParameters& parameters, float* smoothed, unsigned threads, const Poll& poll = {});
+                        const KernelParameters& parameters, float* smoothed, unsigned threads, const Poll& poll = {},
+                        const Selection& selection = {});
 
 }  // namespace beltrami::triangulated

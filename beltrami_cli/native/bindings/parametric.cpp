@@ -1,0 +1,62 @@
+// The parametric kernel for Python.
+#include "bindings/parametric.hpp"
+
+#include <nanobind/stl/string.h>
+#include <nanobind/stl/tuple.h>
+
+#include <cmath>
+
+#include "bindings/arrays.hpp"
+#include "parametric/grid_stencils.hpp"
+#include "parametric/window_sweep.hpp"
+
+namespace beltrami::bindings {
+namespace {
+
+using namespace beltrami::parametric;
+using Cells = nb::ndarray<const std::uint8_t, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
+using Stack = nb::ndarray<const float, nb::ndim<3>, nb::c_contig, nb::device::cpu>;
+
+Planes planes_of(const Stack& stack, const Grid& grid) {
+  if (stack.shape(1) != grid.rows || stack.shape(2) != grid.columns) throw nb::value_error("planes must have the grid's shape");
+  return {stack.data(), stack.shape(0)};
+}
+
+// One kernel iteration on a grid. scheme: "sweep" (window of the given radius), "triangles" or "metric" (heap march).
+auto smooth_grid(const Cells& kind, const Stack& squared_lengths, const Stack& metric, const Stack& colours, float beta,
+                 float time_step, float radius, int window_radius, const std::string& scheme, int repairs,
+                 unsigned threads, const nb::object& progress) {
+  Grid grid{kind.shape(0), kind.shape(1), kind.data(), squared_lengths.data()};
+  if (planes_of(squared_lengths, grid).channels != direction_count) throw nb::value_error("four planes of lengths are needed");
+  const Planes metric_planes = planes_of(metric, grid), colour_planes = planes_of(colours, grid);
+  const SweepParameters parameters{time_step, radius, beta, repairs};
+  std::unique_ptr<float[]> smoothed(new float[colours.size()]);
+  PythonPoll poll(progress);
+  std::int64_t samples = 0;
+  try {
+    const nb::gil_scoped_release unlock;
+    if (scheme == "sweep")
+      samples = smooth_by_sweeps(grid, metric_planes, colour_planes, parameters, make_window_program(window_radius),
+                                 smoothed.get(), threads, poll.poll());
+    else
+      samples = smooth_by_marching(grid, metric_planes, colour_planes, parameters, window_radius,
+                                   scheme == "metric" ? Scheme::metric : Scheme::triangles, smoothed.get(), threads,
+                                   poll.poll());
+  } catch (const Cancelled&) {
+    poll.rethrow();
+    throw;
+  }
+  return std::make_tuple(give<float, nb::ndim<3>>(std::move(smoothed), {colours.shape(0), colours.shape(1), colours.shape(2)}),
+                         samples);
+}
+
+}  // namespace
+
+void bind_parametric(nb::module_& module) {
+  using namespace nb::literals;
+  module.def("smooth_grid", &smooth_grid, "kind"_a, "squared_lengths"_a, "metric"_a, "colours"_a, "beta"_a, "time_step"_a,
+             "radius"_a, "window_radius"_a, "scheme"_a, "repairs"_a, "threads"_a, "progress"_a.none());
+  module.def("sweep_instruction_set", &sweep_instruction_set);
+}
+
+}  // namespace beltrami::bindings

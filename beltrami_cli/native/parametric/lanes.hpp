@@ -1,0 +1,126 @@
+// As many floats side by side as one register of the instruction set holds. Lanes never mix, so their number does not
+// change any result.
+#pragma once
+
+#include <cmath>
+#include <cstddef>
+#include <cstdint>
+#include <cstring>
+
+#if defined(__AVX__) || defined(__SSE__)
+#include <immintrin.h>
+#endif
+
+namespace beltrami::parametric::BELTRAMI_VARIANT {
+
+#if defined(__AVX512F__)
+constexpr std::size_t lane_count = 16;
+#elif defined(__AVX__)
+constexpr std::size_t lane_count = 8;
+#else
+constexpr std::size_t lane_count = 4;
+#endif
+
+#if defined(__GNUC__)
+using Lanes = float __attribute__((vector_size(4 * lane_count)));
+using Mask = std::int32_t __attribute__((vector_size(4 * lane_count)));
+
+inline Lanes splat(float value) { return value - Lanes{}; }
+inline Lanes select(Mask mask, Lanes yes, Lanes no) { return mask ? yes : no; }
+// Rounds towards zero, and takes bits as they are.
+inline Mask to_integers(Lanes value) { return __builtin_convertvector(value, Mask); }
+inline Lanes from_bits(Mask bits) { return reinterpret_cast<Lanes>(bits); }
+#else
+// Other compilers: the same operations lane by lane.
+template <class T>
+struct Pack {
+  T lane[lane_count] = {};
+  T operator[](std::size_t i) const { return lane[i]; }
+};
+using Lanes = Pack<float>;
+using Mask = Pack<std::int32_t>;
+
+template <class R, class F>
+R lane_by_lane(F f) {
+  R result;
+  for (std::size_t i = 0; i < lane_count; ++i) result.lane[i] = f(i);
+  return result;
+}
+inline Lanes splat(float value) { return lane_by_lane<Lanes>([=](std::size_t) { return value; }); }
+#define BELTRAMI_ARITHMETIC(op) \
+  inline Lanes operator op(Lanes a, Lanes b) { return lane_by_lane<Lanes>([&](std::size_t i) { return a[i] op b[i]; }); } \
+  inline Lanes operator op(Lanes a, float b) { return a op splat(b); } \
+  inline Lanes operator op(float a, Lanes b) { return splat(a) op b; }
+#define BELTRAMI_COMPARISON(op) \
+  inline Mask operator op(Lanes a, Lanes b) { return lane_by_lane<Mask>([&](std::size_t i) { return a[i] op b[i] ? -1 : 0; }); } \
+  inline Mask operator op(Lanes a, float b) { return a op splat(b); }
+BELTRAMI_ARITHMETIC(+)
+BELTRAMI_ARITHMETIC(-)
+BELTRAMI_ARITHMETIC(*)
+BELTRAMI_ARITHMETIC(/)
+BELTRAMI_COMPARISON(<)
+BELTRAMI_COMPARISON(>)
+BELTRAMI_COMPARISON(<=)
+BELTRAMI_COMPARISON(>=)
+#undef BELTRAMI_ARITHMETIC
+#undef BELTRAMI_COMPARISON
+inline Lanes operator-(Lanes a) { return 0.0F - a; }
+inline Lanes& operator+=(Lanes& a, Lanes b) { return a = a + b; }
+inline Mask operator&(Mask a, Mask b) { return lane_by_lane<Mask>([&](std::size_t i) { return a[i] & b[i]; }); }
+inline Mask operator+(Mask a, std::int32_t b) { return lane_by_lane<Mask>([&](std::size_t i) { return a[i] + b; }); }
+inline Mask operator<<(Mask a, int b) { return lane_by_lane<Mask>([&](std::size_t i) { return a[i] * (1 << b); }); }
+inline Lanes select(Mask mask, Lanes yes, Lanes no) {
+  return lane_by_lane<Lanes>([&](std::size_t i) { return mask[i] != 0 ? yes[i] : no[i]; });
+}
+inline Mask to_integers(Lanes value) {
+  return lane_by_lane<Mask>([&](std::size_t i) { return static_cast<std::int32_t>(value[i]); });
+}
+inline Lanes from_bits(Mask bits) {
+  Lanes value;
+  std::memcpy(&value, &bits, sizeof value);
+  return value;
+}
+#endif
+
+inline Lanes load(const float* from) {
+  Lanes value;
+  std::memcpy(&value, from, sizeof value);
+  return value;
+}
+inline void store(float* to, Lanes value) { std::memcpy(to, &value, sizeof value); }
+
+inline Lanes smaller(Lanes a, Lanes b) { return select(a < b, a, b); }
+
+inline Lanes square_root(Lanes value) {
+#if defined(__AVX512F__)
+  return reinterpret_cast<Lanes>(_mm512_maskz_sqrt_ps(0xffff, reinterpret_cast<__m512>(value)));
+#elif defined(__AVX__)
+  return reinterpret_cast<Lanes>(_mm256_sqrt_ps(reinterpret_cast<__m256>(value)));
+#elif defined(__SSE__)
+  return reinterpret_cast<Lanes>(_mm_sqrt_ps(reinterpret_cast<__m128>(value)));
+#else
+  float lane[lane_count];
+  std::memcpy(lane, &value, sizeof lane);
+  for (float& part : lane) part = std::sqrt(part);
+  std::memcpy(&value, lane, sizeof lane);
+  return value;
+#endif
+}
+
+// exp(x) for x <= 0: range reduction to [-ln2/2, ln2/2], then a polynomial, relative error below 2e-7.
+// Coefficients: S. Moshier, Cephes expf.
+inline Lanes exponential(Lanes x) {
+  x = select(x < -87.0F, splat(-87.0F), x);
+  // Adding and subtracting 1.5 * 2^23 rounds to the nearest integer.
+  const Lanes whole = (x * 1.44269504088896341F + 12582912.0F) - 12582912.0F;
+  const Lanes rest = x - whole * 0.693359375F + whole * 2.12194440e-4F;
+  Lanes p = rest * 1.9875691500e-4F + 1.3981999507e-3F;
+  p = p * rest + 8.3334519073e-3F;
+  p = p * rest + 4.1665795894e-2F;
+  p = p * rest + 1.6666665459e-1F;
+  p = p * rest + 5.0000001201e-1F;
+  p = p * rest * rest + rest + 1.0F;
+  return p * from_bits((to_integers(whole) + 127) << 23);
+}
+
+}  // namespace beltrami::parametric::BELTRAMI_VARIANT

@@ -1,0 +1,45 @@
+// The inner part of the window sweep, compiled once for each instruction set from the same source.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <vector>
+
+#include "parametric/window_sweep.hpp"
+
+namespace beltrami::parametric {
+
+// Rectangle of centres; the sweep reads a border of the window's radius about it.
+struct Tile {
+  std::size_t row, column, rows, columns;
+};
+
+struct TileJob {
+  const Grid* grid;
+  Planes metric, colours;
+  const SweepParameters* parameters;
+  const WindowProgram* program;
+  float* smoothed;
+};
+
+// Scratch memory of one thread, grown on first use and kept.
+struct TileScratch {
+  std::vector<float> planes, window, sums;
+};
+
+// Returns the samples held by the kernels of the tile's owned cells.
+using SweepTile = std::int64_t (*)(const TileJob& job, const Tile& tile, TileScratch& scratch);
+
+namespace baseline {
+std::int64_t sweep_tile(const TileJob& job, const Tile& tile, TileScratch& scratch);
+}
+#ifdef BELTRAMI_X86_VARIANTS
+namespace x86_64_v3 {
+std::int64_t sweep_tile(const TileJob& job, const Tile& tile, TileScratch& scratch);
+}
+namespace x86_64_v4 {
+std::int64_t sweep_tile(const TileJob& job, const Tile& tile, TileScratch& scratch);
+}
+#endif
+
+}  // namespace beltrami::parametric
