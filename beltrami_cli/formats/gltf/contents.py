@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.formats.gltf.accessors import fractions
+from beltrami_cli.formats.gltf.materials import present_slots
+from beltrami_cli.formats.gltf.primitives import DRACO
 from beltrami_cli.formats.gltf.sharing import objects
 from beltrami_cli.mesh.painted import MeshContents
 
@@ -80,6 +82,17 @@ def _attributes(primitive: Tree) -> Tree:
     return attributes if isinstance(attributes, dict) else {}
 
 
+def has_colours(tree: Tree) -> bool:
+    """Return whether any primitive has COLOR_0, compressed or not."""
+    for primitive in _primitives(tree):
+        extensions = primitive.get("extensions")
+        packed = extensions.get(DRACO) if isinstance(extensions, dict) else None
+        holders = [primitive, packed if isinstance(packed, dict) else {}]
+        if any("COLOR_0" in _attributes(holder) for holder in holders):
+            return True
+    return False
+
+
 def _left_out(tree: Tree) -> Iterator[str]:
     for key in ("materials", "textures", "skins", "animations", "cameras"):
         if tree.get(key):
@@ -130,6 +143,8 @@ def summary(document: GltfDocument) -> dict[str, object]:
         ],
         "materials": len(root.entries("materials")),
         "images": len(root.entries("images")),
+        "textures": len(root.entries("textures")),
+        "slots": list(present_slots(root)),
         "skins": len(root.entries("skins")),
         "animations": len(root.entries("animations")),
         "extensions used": root.texts("extensionsUsed"),

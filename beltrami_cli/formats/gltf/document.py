@@ -11,13 +11,17 @@ from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.gltf.accessors import Accessors, Stored, fractions
 from beltrami_cli.formats.gltf.buffers import Buffers
 from beltrami_cli.formats.gltf.container import read_container
-from beltrami_cli.formats.gltf.contents import contents_of, summary
+from beltrami_cli.formats.gltf.contents import contents_of, has_colours, summary
+from beltrami_cli.formats.gltf.materials import present_slots
 from beltrami_cli.formats.gltf.patching import Edit, patched
+from beltrami_cli.formats.gltf.pictures import Pictures
+from beltrami_cli.formats.gltf.primitives import in_world
 from beltrami_cli.formats.gltf.references import present
 from beltrami_cli.formats.gltf.repackaging import as_glb, as_gltf
 from beltrami_cli.formats.gltf.saving import written
 from beltrami_cli.formats.gltf.scene import placements
 from beltrami_cli.formats.gltf.surfaces import COLOUR_TYPES, Surface, gather
+from beltrami_cli.formats.gltf.texturing import gather_textured
 from beltrami_cli.mesh.painted import MeshContents, PaintedVertices
 
 if TYPE_CHECKING:
@@ -28,7 +32,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from beltrami_cli.formats.document import Written
-    from beltrami_cli.formats.gltf.surfaces import Block
+    from beltrami_cli.mesh.textured import Slot, TexturedSurface
 
 
 class GltfDocument(Document):
@@ -65,6 +69,8 @@ class GltfDocument(Document):
         self.buffers = Buffers(self.container, folder)
         self.accessors = Accessors(self.root, self.buffers)
         self.places = placements(self.root)
+        self.pictures = Pictures(self.root, self.accessors, folder)
+        self._textured: dict[Slot, TexturedSurface] = {}
         self._references, missing = present(self.root, folder)
         if self.container.has_bom:
             self.notices.append(
@@ -97,8 +103,12 @@ class GltfDocument(Document):
         spaces = np.concatenate(
             [np.full(block.count, block.placement.space, np.int32) for block in surface.blocks]
         )
+        positions = [
+            in_world(self.accessors.values(block.position), block.placement, self.accessors, block.position)
+            for block in surface.blocks
+        ]
         return PaintedVertices(
-            positions=np.concatenate([self._positions(block) for block in surface.blocks]),
+            positions=np.concatenate(positions),
             faces=surface.faces,
             colours=colours,
             channels=("red", "green", "blue"),
@@ -107,16 +117,22 @@ class GltfDocument(Document):
             space_of=spaces if np.any(spaces != spaces[0]) else None,
         )
 
-    def _positions(self, block: Block) -> NDArray[np.float64]:
-        matrix = block.placement.matrix
-        with np.errstate(over="ignore", invalid="ignore"):
-            positions = self.accessors.values(block.position) @ matrix[:3, :3].T + matrix[:3, 3]
-        if not np.isfinite(positions).all():
-            raise self.accessors[block.position].entry.fault("", "positions overflow in world space")
-        return positions
-
     def painted(self) -> PaintedVertices:  # noqa: D102
         return self._painted
+
+    def has_vertex_colours(self) -> bool:
+        """Tell whether any primitive has COLOR_0, read or not."""
+        return has_colours(self.container.tree)
+
+    def slots(self) -> tuple[Slot, ...]:  # noqa: D102
+        return present_slots(self.root)
+
+    def textured(self, slot: Slot) -> TexturedSurface:  # noqa: D102
+        if slot not in self._textured:
+            surface, notices = gather_textured(self.root, self.accessors, self.places, self.pictures, slot)
+            self._textured[slot] = surface
+            self.notices += [notice for notice in notices if notice not in self.notices]
+        return self._textured[slot]
 
     def edit(self, colours: NDArray[np.float32]) -> Edit:
         """Return the JSON and the buffers with other colours; rows as for `patch`."""

@@ -8,6 +8,7 @@ from beltrami_cli.formats.document import Written
 from beltrami_cli.formats.gltf.container import BIN_CHUNK, JSON_CHUNK, Chunk, encoded, glb_pieces
 from beltrami_cli.formats.gltf.files import UnfitReferenceError, as_uri, is_data, read
 from beltrami_cli.formats.gltf.json_text import Tree, revised
+from beltrami_cli.formats.gltf.pictures import media_type
 from beltrami_cli.formats.gltf.saving import place_buffers, sidecar_names
 
 if TYPE_CHECKING:
@@ -17,7 +18,6 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.gltf.patching import Edit
 
 _ALIGNMENT = 8  # of merged buffers: more than any component needs, and what KHR extensions ask for
-_MEDIA = ((b"\x89PNG", "image/png"), (b"\xff\xd8\xff", "image/jpeg"), (b"\xabKTX 20", "image/ktx2"))
 
 
 def as_gltf(edit: Edit, stem: str, *, moved: bool) -> Written:
@@ -110,7 +110,9 @@ def _embed_images(tree: Tree, binary: bytearray, folder: Path | None) -> list[st
             continue
         try:
             data = read(uri, folder)
-            kind = image.get("mimeType") or _media_type(data)
+            kind = image.get("mimeType") or media_type(data)
+            if kind is None:
+                raise UnfitReferenceError("its type is not known, so it cannot be embedded")
         except UnfitReferenceError as error:
             notices.append(f"images[{index}] stays outside the GLB: {error}.")
             continue
@@ -123,12 +125,3 @@ def _embed_images(tree: Tree, binary: bytearray, folder: Path | None) -> list[st
         del image["uri"]
         image |= {"bufferView": len(views) - 1, "mimeType": kind}
     return notices
-
-
-def _media_type(data: bytes) -> str:
-    for magic, kind in _MEDIA:
-        if data.startswith(magic):
-            return kind
-    if data[:4] == b"RIFF" and data[8:12] == b"WEBP":
-        return "image/webp"
-    raise UnfitReferenceError("its type is not known, so it cannot be embedded")

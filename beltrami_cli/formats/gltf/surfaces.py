@@ -12,7 +12,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.gltf.triangles import triangles
+from beltrami_cli.formats.gltf.primitives import (
+    DRACO,
+    drawing_mode,
+    drawn,
+    identity,
+    index_accessor,
+    position_accessor,
+    require_uncompressed,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Hashable, Sequence
@@ -26,7 +34,6 @@ if TYPE_CHECKING:
 COLOUR_TYPES = ("uint8", "uint16", "float32")
 """Component types of COLOR_0, the coarsest first."""
 
-_DRACO = "KHR_draco_mesh_compression"
 _MOST_ROWS = np.iinfo(np.int32).max
 
 
@@ -99,13 +106,11 @@ class _Gathering:
     def take(self, primitive: Entry, placement: Placement) -> None:
         """Take one primitive: its rows if they are new, and its triangles."""
         attributes = primitive.entry("attributes")
-        packed = primitive.entry("extensions").entry(_DRACO)
+        packed = primitive.entry("extensions").entry(DRACO)
         if "COLOR_0" not in attributes and "COLOR_0" not in packed.entry("attributes"):
             self._counts["uncoloured"] += 1
             return
-        if _DRACO in primitive.entry("extensions"):
-            remedy = "decompress the model first with a glTF optimiser, and smooth the plain file"
-            raise primitive.fault("extensions", f"{_DRACO} is not decoded by beltrami", remedy)
+        require_uncompressed(primitive)
         self._counts["morphed"] += any("COLOR_0" in target for target in primitive.entries("targets"))
         block = self._block(attributes, placement)
         if block is not None:
@@ -113,13 +118,13 @@ class _Gathering:
 
     def _block(self, attributes: Entry, placement: Placement) -> Block | None:
         """Return the block of a primitive; None if its colours already have rows at other positions."""
-        position, colour = self._position(attributes), self._colour(attributes)
+        position, colour = position_accessor(attributes, self.accessors), self._colour(attributes)
         count = self.accessors[colour].count
         if self.accessors[position].count != count:
             raise attributes.fault(
                 "COLOR_0", f"has {count} elements, but POSITION has {self.accessors[position].count}"
             )
-        key, place = self._identity(colour), self._identity(position)
+        key, place = identity(self.accessors, colour), identity(self.accessors, position)
         if key not in self._block_of:
             normal = self._normal(attributes, count)
             block = Block(position, colour, placement, self._rows, count, normal)
@@ -131,24 +136,13 @@ class _Gathering:
             self._counts["instanced"] += placement.nodes > 1
         block = self._block_of[key]
         block.members.add(colour)
-        if self._identity(block.position) != place:
+        if identity(self.accessors, block.position) != place:
             self._counts["elsewhere"] += 1
             return None
         if block.placement is not placement:
             same = np.array_equal(block.placement.matrix, placement.matrix)
             self._counts["instanced"] += not same or block.placement.space != placement.space
         return block
-
-    def _position(self, attributes: Entry) -> int:
-        index = attributes.integer("POSITION", below=len(self.accessors))
-        accessor = self.accessors[index]
-        if accessor.shape != "VEC3" or accessor.component.name == "uint32":
-            raise attributes.fault(
-                "POSITION", f"is {accessor.shape} of {accessor.component.name}, not a position"
-            )
-        self.accessors.require_plain(index)
-        self.accessors.require_bytes(index)
-        return index
 
     def _colour(self, attributes: Entry) -> int:
         index = attributes.integer("COLOR_0", below=len(self.accessors))
@@ -170,32 +164,11 @@ class _Gathering:
         return index
 
     def _take_faces(self, primitive: Entry, block: Block, placement: Placement) -> None:
-        mode = primitive.integer("mode", below=7, default=4)
-        index = primitive.integer("indices", below=len(self.accessors)) if "indices" in primitive else None
-        key = (block.first_row, mode, None if index is None else self._identity(index))
-        if key in self._faces:
-            return
-        corners = np.arange(block.count) if index is None else self._indices(primitive, index, block.count)
-        faces = triangles(mode, corners)
-        if np.linalg.det(placement.matrix[:3, :3]) < 0:
-            faces = faces[:, ::-1]  # a mirrored node turns its triangles inside out
-        self._faces[key] = (faces + block.first_row).astype(np.int32)
-
-    def _indices(self, primitive: Entry, index: int, count: int) -> NDArray[np.int64]:
-        accessor = self.accessors[index]
-        if accessor.shape != "SCALAR" or accessor.component.kind != "u":
-            raise primitive.fault("indices", f"is {accessor.shape} of {accessor.component.name}, not indices")
-        corners = self.accessors.stored(index)[:, 0].astype(np.int64)
-        if corners.max() >= count:
-            raise primitive.fault("indices", f"names vertex {corners.max()}, but there are only {count}")
-        return corners
-
-    def _identity(self, index: int) -> Hashable:
-        """Return the same for accessors that describe the same bytes in the same way."""
-        accessor = self.accessors[index]
-        if accessor.layout is None or accessor.sparse is not None:
-            return index
-        return accessor.layout, accessor.component.str, accessor.width, accessor.normalised
+        mode, index = drawing_mode(primitive), index_accessor(primitive, self.accessors)
+        key = (block.first_row, mode, None if index is None else identity(self.accessors, index))
+        if key not in self._faces:
+            faces = drawn(primitive, self.accessors, block.count, placement)
+            self._faces[key] = (faces + block.first_row).astype(np.int32)
 
     def surface(self) -> Surface:
         """Return what was gathered."""

@@ -79,6 +79,13 @@ class Entry:
             raise self.fault(key, f"must be {length} finite numbers")
         return [float(value) for value in array]
 
+    def number(self, key: str, *, default: float) -> float:
+        """Return a finite number."""
+        value = self.value.get(key, default)
+        if not _finite(value):
+            raise self.fault(key, f"is {_shown(value)} instead of a finite number")
+        return float(value)
+
     def flag(self, key: str) -> bool:
         """Return a boolean member; false if it is missing."""
         value = self.value.get(key, False)
