@@ -1,0 +1,167 @@
+"""From one image format to another: type of samples, number of channels, encoding, and what is lost."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from beltrami_cli.formats.image.recognition import FORMATS, format_of_suffix
+from beltrami_cli.mesh.transfer import linear_to_srgb, srgb_to_linear
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from beltrami_cli.formats.image.picture import Picture
+
+_BITS = {"uint8": 8, "uint16": 16, "float16": 16, "float32": 32}
+_OIIO_TYPES = {"uint8": "uint8", "uint16": "uint16", "float16": "half", "float32": "float"}
+_TECHNICAL = ("oiio:", "jpeg:", "png:", "webp:", "tiff:", "openexr:", "targa:", "bmp:", "ICCProfile:")
+_ALSO_TECHNICAL = ("compression", "planarconfig", "ICCProfile", "chromaticities", "DateTime")
+
+
+def losses(picture: Picture, suffix: str) -> tuple[str, ...]:
+    """Say what is lost or changed when a picture is written as another format, one sentence each.
+
+    Parameters
+    ----------
+    picture : Picture
+        The source.
+    suffix : str
+        Extension of a known format, with the dot.
+    """
+    known = format_of_suffix(suffix)
+    if known is None or known == picture.format:
+        return ()
+    traits, name, label = FORMATS[known], picture.name, suffix.lower().lstrip(".").upper()
+    stored = _type_in(picture.stored, known)
+    found = []
+    if picture.alpha is not None and not traits.alpha:
+        found.append(f"{name}: {label} has no alpha, which is dropped.")
+    if len(picture.channels) > len(picture.colour) + (picture.alpha is not None) and not _holds_any(known):
+        found.append(f"{name}: {label} holds colours and alpha only; other channels are dropped.")
+    if len(picture.colour) not in traits.colours:
+        found.append(f"{name}: {label} has no grey; it becomes equal red, green and blue.")
+    if picture.encoding == "linear" and stored.startswith("uint"):
+        found.append(f"{name}: floats become {_BITS[stored]}-bit integers in {label}, clipped to 0..1.")
+    elif _BITS[stored] < _BITS[picture.stored]:
+        found.append(
+            f"{name}: {_BITS[picture.stored]}-bit samples become {_BITS[stored]}-bit ones in {label}."
+        )
+    if known in ("jpeg", "webp", "hdr"):
+        found.append(f"{name}: {label} is not exact, so untouched colours change slightly as well.")
+    return tuple(found)
+
+
+def converted(
+    picture: Picture, pixels: NDArray[Any], known: str, *, as_data: bool
+) -> tuple[NDArray[Any], Any]:
+    """Return pixels as another format takes them, and their description for OpenImageIO.
+
+    Parameters
+    ----------
+    picture : Picture
+        What the pixels are.
+    pixels : ndarray, shape (H, W, C)
+        Like ``picture.pixels``.
+    known : str
+        Another format than the picture's.
+    as_data : bool
+        Whether numbers are kept as they are; otherwise colours become linear light in floats and sRGB in integers.
+
+    Returns
+    -------
+    pixels : ndarray, shape (H, W, D)
+        In the new type.
+    spec : OpenImageIO.ImageSpec
+        With the metadata that do not belong to the old format.
+    """
+    stored = _type_in(picture.stored, known)
+    kept = _kept_channels(picture, known)
+    values = _full_scale_one(pixels[:, :, kept])
+    colour = [kept.index(channel) for channel in picture.colour]
+    alpha = kept.index(picture.alpha) if picture.alpha in kept else None
+    if picture.alpha is not None and _is_associated(picture):
+        values[:, :, colour] = _divided(values[:, :, colour], pixels[:, :, picture.alpha])
+    if not as_data and picture.encoding == "linear" and stored.startswith("uint"):
+        values[:, :, colour] = linear_to_srgb(np.maximum(values[:, :, colour], 0))
+    if not as_data and picture.encoding == "srgb" and stored.startswith("float"):
+        values[:, :, colour] = srgb_to_linear(values[:, :, colour])
+    if known == "openexr" and alpha is not None:  # where alpha is always multiplied in
+        values[:, :, colour] *= values[:, :, [alpha]]
+    names = [picture.channels[channel] for channel in kept]
+    if len(colour) not in FORMATS[known].colours:
+        values = values[:, :, [colour[0]] * 3 + ([alpha] if alpha is not None else [])]
+        names = ["R", "G", "B", *([picture.channels[kept[alpha]]] if alpha is not None else [])]
+    return _as_type(values, stored), _spec(picture, values.shape, names, stored)
+
+
+def _type_in(stored: str, known: str) -> str:
+    """Return the type that a format stores samples of a type in: the coarsest that holds them, or the finest."""
+    types = FORMATS[known].types
+    if stored in types:
+        return stored
+    finer = [kind for kind in types if _BITS[kind] > _BITS[stored] or stored == "uint8"]
+    return finer[0] if finer else types[-1]
+
+
+def _holds_any(known: str) -> bool:
+    """Tell whether a format has room for channels beside colours and alpha."""
+    return known in ("tiff", "openexr")
+
+
+def _kept_channels(picture: Picture, known: str) -> list[int]:
+    if _holds_any(known):
+        return list(range(len(picture.channels)))
+    alpha = [picture.alpha] if picture.alpha is not None and FORMATS[known].alpha else []
+    return [*picture.colour, *alpha]
+
+
+def _is_associated(picture: Picture) -> bool:
+    if picture.format == "tiff":
+        return not picture.spec.get_int_attribute("oiio:UnassociatedAlpha")
+    return picture.format == "openexr"
+
+
+def _divided(colours: NDArray[np.float32], alpha: NDArray[Any]) -> NDArray[np.float32]:
+    """Return colours without the alpha that is multiplied into them; under an alpha of 0 as they are."""
+    whole = _full_scale_one(alpha)[:, :, None]
+    divided: NDArray[np.float32] = np.divide(colours, whole, out=colours.copy(), where=whole > 0)
+    return divided
+
+
+def _full_scale_one(pixels: NDArray[Any]) -> NDArray[np.float32]:
+    values = pixels.astype(np.float32)
+    if pixels.dtype.kind != "f":
+        values /= np.float32(np.iinfo(pixels.dtype).max)
+    return values
+
+
+def _as_type(values: NDArray[np.float32], stored: str) -> NDArray[Any]:
+    if stored == "float32":
+        return values
+    if stored == "float16":
+        largest = np.finfo(np.float16).max
+        return np.clip(values, -largest, largest).astype(np.float16)
+    whole: NDArray[np.float32] = np.rint(np.clip(values, 0, 1) * np.float32(np.iinfo(stored).max))
+    return whole.astype(stored)
+
+
+def _spec(picture: Picture, shape: tuple[int, ...], names: list[str], stored: str) -> Any:
+    import OpenImageIO
+
+    height, width, channels = shape
+    spec = OpenImageIO.ImageSpec(width, height, channels, _OIIO_TYPES[stored])
+    spec.channelnames = tuple(names)
+    for attribute in picture.spec.extra_attribs:
+        if not attribute.name.startswith(_TECHNICAL) and attribute.name not in _ALSO_TECHNICAL:
+            spec.attribute(attribute.name, attribute.type, attribute.value)
+    profile = picture.spec.getattribute("ICCProfile")
+    fits = picture.encoding == "srgb" and stored.startswith("uint")
+    if profile is not None and fits and channels - ("A" in names) == len(picture.colour):
+        spec.attribute("ICCProfile", OpenImageIO.TypeDesc(f"uint8[{len(profile)}]"), profile)
+    if "A" in names:
+        spec.alpha_channel = names.index("A")
+        spec.attribute("oiio:UnassociatedAlpha", 1)
+    spec.attribute("jpeg:subsampling", "4:4:4")
+    return spec

@@ -1,0 +1,169 @@
+"""Metadata of PNG, JPEG and WebP files, carried over as the bytes that they are.
+
+References
+----------
+.. [1] PNG (Portable Network Graphics) Specification, third edition, W3C 2025, section 5: chunks.
+.. [2] ITU-T T.81 (JPEG), annex B: marker segments.
+.. [3] WebP Container Specification, Google: RIFF chunks.
+"""
+
+from __future__ import annotations
+
+import zlib
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+_PNG_START = 8
+_ANIMATION = (b"acTL", b"fcTL", b"fdAT")
+_OF_SAMPLES = (b"tRNS", b"sBIT", b"hIST", b"bKGD")  # PNG chunks that depend on the type of the samples
+_RIFF_START = 12
+_WEBP_FLAGS = {b"ICCP": 0x20, b"EXIF": 0x08, b"XMP ": 0x04}
+_WEBP_ALPHA, _WEBP_ANIMATION = 0x10, 0x02
+_WEBP_PIXELS = (b"ALPH", b"VP8 ", b"VP8L")
+_COMMENT, _ADOBE, _START_OF_SCAN = 0xFE, 0xEE, 0xDA
+_FRAMES = (*range(0xC0, 0xC4), *range(0xC5, 0xC8), *range(0xC9, 0xCC), *range(0xCD, 0xD0))
+_PLAIN_MARKERS = (0x01, *range(0xD0, 0xD9))  # markers without a segment
+
+
+def carry_over(source: bytes, encoded: bytes, known: str) -> bytes:
+    """Return an encoded image with the metadata of another file of its format in place of its own.
+
+    Parameters
+    ----------
+    source : bytes
+        Whose metadata are wanted: colour profile, EXIF, XMP, texts, resolution, times.
+    encoded : bytes
+        Whose pixels are wanted.
+    known : str
+        Format of both. For other formats than "png", "jpeg" and "webp" nothing is done.
+    """
+    match known:
+        case "png":
+            return _carry_png(source, encoded)
+        case "jpeg":
+            return _carry_jpeg(source, encoded)
+        case "webp":
+            return _carry_webp(source, encoded)
+    return encoded
+
+
+def is_animated(data: bytes, known: str) -> bool:
+    """Tell whether a PNG or WebP file is an animation."""
+    if known == "png":
+        return any(kind == b"acTL" for kind, _ in _png_chunks(data))
+    return known == "webp" and data[12:16] == b"VP8X" and len(data) > 20 and bool(data[20] & _WEBP_ANIMATION)
+
+
+def is_lossless_webp(data: bytes) -> bool:
+    """Tell whether the (first) picture of a WebP file is coded without loss."""
+    return any(kind == b"VP8L" or b"VP8L" in payload[16:40] for kind, payload in _webp_chunks(data))
+
+
+def is_cmyk_jpeg(data: bytes) -> bool:
+    """Tell whether a JPEG file has four components."""
+    return any(marker in _FRAMES and segment[9:10] == b"\x04" for marker, segment in _jpeg_segments(data))
+
+
+def _png_chunks(data: bytes) -> Iterator[tuple[bytes, bytes]]:
+    """Give the type and the whole bytes of every complete chunk."""
+    at = _PNG_START
+    while at + 12 <= len(data):
+        end = at + 12 + int.from_bytes(data[at : at + 4])
+        if end > len(data):
+            return
+        yield data[at + 4 : at + 8], data[at:end]
+        at = end
+
+
+def _carry_png(source: bytes, encoded: bytes) -> bytes:
+    same_samples = source[24:26] == encoded[24:26]  # bit depth and type of colour
+    unwanted = _ANIMATION if same_samples else (*_ANIMATION, *_OF_SAMPLES)
+    before: list[bytes] = []
+    behind: list[bytes] = []
+    chunks = before
+    for kind, chunk in _png_chunks(source):
+        if kind == b"IDAT":
+            chunks = behind
+        elif kind[:1].islower() and kind not in unwanted:
+            chunks.append(chunk)
+    critical = [(kind, chunk) for kind, chunk in _png_chunks(encoded) if kind[:1].isupper()]
+    header = [chunk for kind, chunk in critical if kind == b"IHDR"]
+    body = [chunk for kind, chunk in critical if kind not in (b"IHDR", b"IEND")]
+    end = [chunk for kind, chunk in critical if kind == b"IEND"]
+    return encoded[:_PNG_START] + b"".join([*header, *before, *body, *behind, *end])
+
+
+def _jpeg_segments(data: bytes) -> Iterator[tuple[int, bytes]]:
+    """Give the marker and the whole bytes of every segment before the scan, then the scan and all behind it."""
+    at = 2
+    while at + 4 <= len(data) and data[at] == 0xFF:
+        marker = data[at + 1]
+        if marker == 0xFF:  # a fill byte
+            at += 1
+            continue
+        if marker == _START_OF_SCAN:
+            yield marker, data[at:]
+            return
+        end = at + 2 if marker in _PLAIN_MARKERS else at + 2 + int.from_bytes(data[at + 2 : at + 4])
+        yield marker, data[at:end]
+        at = end
+
+
+def _is_jpeg_metadata(marker: int) -> bool:
+    return marker == _COMMENT or (0xE0 <= marker <= 0xEF and marker != _ADOBE)
+
+
+def _carry_jpeg(source: bytes, encoded: bytes) -> bytes:
+    # Adobe's segment tells how these very samples are coded; MPF gives places of further images in the file.
+    metadata = [
+        segment
+        for marker, segment in _jpeg_segments(source)
+        if _is_jpeg_metadata(marker) and segment[4:8] != b"MPF\0"
+    ]
+    pixels = [segment for marker, segment in _jpeg_segments(encoded) if not _is_jpeg_metadata(marker)]
+    return encoded[:2] + b"".join([*metadata, *pixels])
+
+
+def _webp_chunks(data: bytes) -> Iterator[tuple[bytes, bytes]]:
+    """Give the type and the payload of every complete chunk."""
+    at = _RIFF_START
+    while at + 8 <= len(data):
+        size = int.from_bytes(data[at + 4 : at + 8], "little")
+        if at + 8 + size > len(data):
+            return
+        yield data[at : at + 4], data[at + 8 : at + 8 + size]
+        at += 8 + size + size % 2
+
+
+def _carry_webp(source: bytes, encoded: bytes) -> bytes:
+    metadata = dict(chunk for chunk in _webp_chunks(source) if chunk[0] in _WEBP_FLAGS)
+    pixels = [chunk for chunk in _webp_chunks(encoded) if chunk[0] in _WEBP_PIXELS]
+    if not metadata:
+        return encoded
+    width, height, alpha = _webp_size(*pixels[-1])
+    flags = sum(_WEBP_FLAGS[kind] for kind in metadata)
+    flags |= _WEBP_ALPHA if alpha or len(pixels) > 1 else 0
+    canvas = (width - 1).to_bytes(3, "little") + (height - 1).to_bytes(3, "little")
+    profile = [(b"ICCP", metadata.pop(b"ICCP"))] if b"ICCP" in metadata else []
+    chunks = [(b"VP8X", bytes([flags, 0, 0, 0]) + canvas), *profile, *pixels, *metadata.items()]
+    body = b"".join(
+        kind + len(payload).to_bytes(4, "little") + payload + b"\0" * (len(payload) % 2)
+        for kind, payload in chunks
+    )
+    return b"RIFF" + (len(body) + 4).to_bytes(4, "little") + b"WEBP" + body
+
+
+def _webp_size(kind: bytes, payload: bytes) -> tuple[int, int, bool]:
+    """Return width, height and whether there is alpha from the start of the coded pixels."""
+    if kind == b"VP8L":
+        bits = int.from_bytes(payload[1:5], "little")
+        return (bits & 0x3FFF) + 1, (bits >> 14 & 0x3FFF) + 1, bool(bits >> 28 & 1)
+    size = payload[6:10]
+    return int.from_bytes(size[:2], "little") & 0x3FFF, int.from_bytes(size[2:], "little") & 0x3FFF, False
+
+
+def png_chunk(kind: bytes, payload: bytes) -> bytes:
+    """Return a whole PNG chunk."""
+    return len(payload).to_bytes(4) + kind + payload + zlib.crc32(kind + payload).to_bytes(4)

@@ -1,0 +1,112 @@
+"""An image as its pixels, and all that is needed to write it back as it was."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from beltrami_cli.mesh.painted import Encoding
+
+_BLOCK = 1 << 22  # values rounded at a time, which bounds the memory for them in double precision
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A decoded image file.
+
+    Attributes
+    ----------
+    name : str
+        For messages.
+    pixels : ndarray of uint8, uint16 or float32, shape (H, W, C)
+        Row 0 is the upper one. The values are those of the file: alpha is not multiplied into colours that are
+        stored without it, orientation tags are not obeyed. Palettes are resolved. Half floats are float32 here.
+    channels : tuple of str
+        Names of the C channels.
+    colour : tuple of int
+        Which channels are the colours: grey, or red, green and blue.
+    alpha : int or None
+        Which channel is the opacity.
+    encoding : {"srgb", "linear"}
+        What colours mean: display values in integer types, linear light in floats.
+    stored : {"uint8", "uint16", "float16", "float32"}
+        Type in the file (of most channels, if they differ).
+    format : str
+        A key of `recognition.FORMATS`.
+    suffix : str
+        Extension for files of this kind, with the dot: the source's own if it fits the format.
+    notices : tuple of str
+        What the user should be told, one sentence each, with the image's name.
+    source : bytes
+        The file, whose metadata are carried over.
+    spec : OpenImageIO.ImageSpec
+        The file's description by OpenImageIO.
+    """
+
+    name: str
+    pixels: NDArray[Any]
+    channels: tuple[str, ...]
+    colour: tuple[int, ...]
+    alpha: int | None
+    encoding: Encoding
+    stored: str
+    format: str
+    suffix: str
+    notices: tuple[str, ...]
+    source: bytes = field(repr=False)
+    spec: Any = field(repr=False)
+
+
+def to_float(picture: Picture) -> NDArray[np.float32]:
+    """Return all channels with full scale 1.
+
+    Returns
+    -------
+    ndarray of float32, shape (H, W, C)
+        Integers divided by their largest; floats as they are, which may leave [0, 1].
+    """
+    if picture.pixels.dtype.kind == "f":
+        return picture.pixels.astype(np.float32)
+    values = picture.pixels.astype(np.float32)
+    values /= np.float32(np.iinfo(picture.pixels.dtype).max)
+    return values
+
+
+def from_float(picture: Picture, values: NDArray[np.float32], changed: NDArray[np.bool_]) -> NDArray[Any]:
+    """Return the picture's pixels with some of them changed, each rounded once.
+
+    Parameters
+    ----------
+    picture : Picture
+        What the pixels were.
+    values : ndarray of float32, shape (H, W, C)
+        New values, full scale 1. Beyond the range of the stored type they are clipped.
+    changed : ndarray of bool, can be broadcast to (H, W, C)
+        Which entries become the new values; all others keep what they are.
+
+    Returns
+    -------
+    ndarray, shape (H, W, C)
+        In the type of ``picture.pixels``; where that is float32 for half floats, the numbers are halves.
+    """
+    pixels = picture.pixels.copy()
+    chosen = np.broadcast_to(changed, pixels.shape)
+    rows = max(1, _BLOCK // max(1, pixels.shape[1] * pixels.shape[2]))
+    for first in range(0, len(pixels), rows):
+        block = slice(first, first + rows)
+        pixels[block][chosen[block]] = _stored(values[block][chosen[block]], picture.stored)
+    return pixels
+
+
+def _stored(values: NDArray[np.float32], kind: str) -> NDArray[Any]:
+    if kind == "float32":
+        return values
+    if kind == "float16":
+        largest = np.finfo(np.float16).max
+        return np.clip(values, -largest, largest).astype(np.float16).astype(np.float32)
+    return np.rint(np.clip(values, 0, 1).astype(np.float64) * np.iinfo(kind).max).astype(kind)

@@ -1,0 +1,145 @@
+"""Reading an image file in its own depth, with every limit checked before its pixels are decoded."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from beltrami_cli.errors import InputError
+from beltrami_cli.formats.image.metadata import is_animated, is_cmyk_jpeg
+from beltrami_cli.formats.image.picture import Picture
+from beltrami_cli.formats.image.recognition import FORMATS, READABLE, format_of, suffix_of
+from beltrami_cli.formats.image.scratch import scratch_file
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+_LARGEST = 1 << 28  # pixels: 16384 x 16384, the largest texture that graphics cards take
+_MOST_CHANNELS = 64
+_MOST_MEGABYTES = 8192  # of decoded pixels
+_STORED = {"uint8": "uint8", "uint16": "uint16", "half": "float16", "float": "float32"}
+_EXPORT = "export it as RGB or grey with 8 or 16 bits, or as floats"
+
+
+def read_image(data: bytes, name: str) -> Picture:
+    """Decode an image file.
+
+    Parameters
+    ----------
+    data : bytes
+        The file.
+    name : str
+        Its name, for messages and for telling TGA files.
+
+    Returns
+    -------
+    Picture
+
+    Raises
+    ------
+    InputError
+        If it is of no known format, damaged or cut off, of no size or too large, of a type of sample that is not
+        supported, in the inks of print (CMYK), or has values that are not finite.
+    """
+    import OpenImageIO
+
+    known = format_of(data, name)
+    if known is None:
+        raise InputError(name, "the content is of no known image format", READABLE)
+    if known == "jpeg" and is_cmyk_jpeg(data):
+        raise InputError(name, "its colours are the inks of print (CMYK)", "convert it to RGB")
+    OpenImageIO.attribute("limits:imagesize_MB", _MOST_MEGABYTES)
+    config = OpenImageIO.ImageSpec()
+    config.attribute("oiio:UnassociatedAlpha", 1)
+    with scratch_file(data) as path:
+        file = OpenImageIO.ImageInput.open(str(path), config)
+        if file is None:
+            raise _damaged(name, known, OpenImageIO.geterror(), path)
+        try:
+            spec = file.spec().copy()
+            _check(spec, file.format_name(), known, name)
+            pixels = file.read_image(0, 0, 0, spec.nchannels, spec.format)
+            error = file.geterror()
+            if pixels is None or error:
+                raise _damaged(name, known, error, path)
+            several = is_animated(data, known) or file.seek_subimage(1, 0)
+        finally:
+            file.close()
+            file.geterror()
+            OpenImageIO.geterror()
+    notice = f"{name} holds several images, of which only the first is read and kept." if several else ""
+    return _picture(data, name, known, spec, pixels, notice)
+
+
+def _check(spec: Any, opened: str, known: str, name: str) -> None:
+    """Refuse what must not or cannot be decoded, going by the header."""
+    width, height = spec.width, spec.height
+    if opened != known:
+        raise InputError(name, f"it starts like a {known} image, but is none", READABLE)
+    if width <= 0 or height <= 0 or not 0 < spec.nchannels <= _MOST_CHANNELS or spec.depth > 1 or spec.deep:
+        cause = f"its size of {width} x {height} pixels, {spec.nchannels} channels cannot be used"
+        raise InputError(name, cause, "export it as a plain image")
+    if width * height > _LARGEST:
+        cause = f"its {width} x {height} pixels are more than the {_LARGEST} that are read"
+        raise InputError(name, cause, "scale it down, or split it")
+    kinds = {str(kind) for kind in (spec.channelformats or (spec.format,))}
+    if not kinds <= _STORED.keys() or (len(kinds) > 1 and not kinds <= {"half", "float"}):
+        raise InputError(name, f"its samples are {' and '.join(sorted(kinds))}", _EXPORT)
+    if "CMYK" in spec.get_string_attribute("tiff:ColorSpace").upper():
+        raise InputError(name, "its colours are the inks of print (CMYK)", "convert it to RGB")
+
+
+def _picture(data: bytes, name: str, known: str, spec: Any, pixels: NDArray[Any], notice: str) -> Picture:
+    pixels = pixels.reshape(spec.height, spec.width, spec.nchannels)
+    kinds = [_STORED[str(kind)] for kind in (spec.channelformats or [spec.format] * spec.nchannels)]
+    if pixels.dtype.kind == "f":
+        pixels = pixels.astype(np.float32)
+        unfit = pixels.size - int(np.count_nonzero(np.isfinite(pixels)))
+        if unfit:
+            raise InputError(
+                name, f"{unfit} of its values are not finite numbers", "repair or export it anew"
+            )
+    channels = tuple(spec.channelnames)
+    if known == "targa" and len(channels) == 2:  # OpenImageIO calls grey and alpha red and green there.
+        channels = ("Y", "A")
+    alpha = next((i for i, channel in enumerate(channels) if channel.lower() in ("a", "alpha")), None)
+    colour = _colour_channels(channels, alpha)
+    suffix = suffix_of(name).lower()
+    return Picture(
+        name=name,
+        pixels=pixels,
+        channels=channels,
+        colour=colour,
+        alpha=alpha,
+        encoding="linear" if pixels.dtype.kind == "f" else "srgb",
+        stored=kinds[colour[0]],
+        format=known,
+        suffix=suffix if suffix in FORMATS[known].suffixes else FORMATS[known].suffixes[0],
+        notices=(notice,) if notice else (),
+        source=data,
+        spec=spec,
+    )
+
+
+def _colour_channels(channels: tuple[str, ...], alpha: int | None) -> tuple[int, ...]:
+    """Return red, green and blue by their names, or grey, or else the first channels that are not alpha."""
+    lower = [channel.lower() for channel in channels]
+    if all(letter in lower for letter in "rgb"):
+        return tuple(lower.index(letter) for letter in "rgb")
+    if "y" in lower:
+        return (lower.index("y"),)
+    others = [i for i in range(len(channels)) if i != alpha] or [0]
+    return tuple(others[:3]) if len(others) >= 3 else (others[0],)
+
+
+def _damaged(name: str, known: str, error: str, path: Path) -> InputError:
+    lines = [line.strip() for line in error.replace(str(path), "it").splitlines() if line.strip()]
+    shown = "".join(c if c.isprintable() else "?" for c in lines[0][:150]) if lines else "no reason given"
+    return InputError(
+        name,
+        f"the {FORMATS[known].suffixes[0][1:].upper()} image is damaged or cut off ({shown})",
+        "export it anew",
+    )

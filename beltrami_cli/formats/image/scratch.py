@@ -1,0 +1,43 @@
+"""Files that exist only for a library which reads and writes nothing else."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+_OPEN_FILES = Path("/proc/self/fd")
+
+
+@contextmanager
+def scratch_file(data: bytes = b"") -> Iterator[Path]:
+    """Give a file a name for a while: in memory on Linux, in the folder for temporary files elsewhere.
+
+    Parameters
+    ----------
+    data : bytes
+        What it holds at first.
+
+    Yields
+    ------
+    pathlib.Path
+        Its name, without an extension.
+    """
+    if hasattr(os, "memfd_create") and _OPEN_FILES.is_dir():
+        descriptor = os.memfd_create("image")
+        try:
+            path = _OPEN_FILES / str(descriptor)
+            path.write_bytes(data)
+            yield path
+        finally:
+            os.close(descriptor)
+    else:
+        with tempfile.TemporaryDirectory(prefix="beltrami-") as folder:
+            path = Path(folder) / "image"
+            path.write_bytes(data)
+            yield path

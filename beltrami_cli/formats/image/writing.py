@@ -1,0 +1,144 @@
+"""Writing pixels as the kind of file that they came from, or as another kind."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from beltrami_cli.errors import ProcessingError, UsageError
+from beltrami_cli.formats.image.conversion import converted
+from beltrami_cli.formats.image.metadata import carry_over, is_lossless_webp
+from beltrami_cli.formats.image.recognition import FORMATS, format_of_suffix
+from beltrami_cli.formats.image.scratch import scratch_file
+from beltrami_cli.mesh.textured import ImageFile
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from beltrami_cli.formats.image.picture import Picture
+
+_SPLICED = ("png", "jpeg", "webp")  # formats whose metadata are carried over as bytes
+_TYPES = {"uint8": "uint8", "uint16": "uint16", "float16": "half", "float32": "float"}
+
+
+def write_image(
+    picture: Picture,
+    pixels: NDArray[Any],
+    *,
+    suffix: str | None = None,
+    jpeg_quality: int = 98,
+    small: bool = False,
+    as_data: bool = False,
+) -> ImageFile:
+    """Encode pixels as the file that a picture came from, or as one of another format.
+
+    Parameters
+    ----------
+    picture : Picture
+        What is to be kept: type and number of samples, alpha, compression, chroma subsampling, metadata.
+    pixels : ndarray, shape (H, W, C)
+        Like ``picture.pixels`` in type and shape.
+    suffix : str, optional
+        Extension of the format wanted, with the dot; by default the picture's own format.
+    jpeg_quality : int
+        Of lossy JPEG and WebP files, 1 to 100.
+    small : bool
+        Whether to spend time on a smaller file.
+    as_data : bool
+        Whether the colours are data (normals, roughness), which no change of encoding may touch.
+
+    Returns
+    -------
+    ImageFile
+
+    Raises
+    ------
+    UsageError
+        If the extension is of no format that can be written.
+    ProcessingError
+        If OpenImageIO cannot write it.
+
+    Notes
+    -----
+    PNG, TIFF, TGA, BMP, lossless WebP and floats keep every value; in WebP, colours under an alpha of 0 are lost.
+    `losses` says what another format cannot hold.
+    """
+    known = picture.format if suffix is None else format_of_suffix(suffix)
+    if known is None:
+        usual = ", ".join(traits.suffixes[0] for traits in FORMATS.values())
+        raise UsageError(f"textures cannot be written as {suffix}, only as {usual}")
+    if known != picture.format:
+        values, spec = converted(picture, pixels, known, as_data=as_data)
+        _set_options(spec, known, "", jpeg_quality, small=small)
+        return ImageFile(_encode(spec, values, known, picture.name), FORMATS[known].suffixes[0])
+    spec = _bare_spec(picture) if known in _SPLICED else _kept_spec(picture)
+    compression = "lossless" if known == "webp" and is_lossless_webp(picture.source) else ""
+    _set_options(spec, known, compression, jpeg_quality, small=small)
+    data = _encode(spec, pixels, known, picture.name)
+    return ImageFile(carry_over(picture.source, data, known), picture.suffix)
+
+
+def _bare_spec(picture: Picture) -> Any:
+    """Describe the pixels alone."""
+    import OpenImageIO
+
+    height, width, channels = picture.pixels.shape
+    spec = OpenImageIO.ImageSpec(width, height, channels, _TYPES[picture.stored])
+    spec.attribute("oiio:UnassociatedAlpha", 1)
+    subsampling = picture.spec.get_string_attribute("jpeg:subsampling")
+    spec.attribute("jpeg:subsampling", subsampling or "4:4:4")
+    return spec
+
+
+def _kept_spec(picture: Picture) -> Any:
+    """Describe the pixels and all that OpenImageIO knows of the file."""
+    spec = picture.spec.copy()
+    for attribute in list(spec.extra_attribs):
+        # Single fields of the profile would be kept beside it; samples of fewer bits would lose what is new in them.
+        if attribute.name.startswith("ICCProfile:") or attribute.name == "oiio:BitsPerSample":
+            spec.erase_attribute(attribute.name)
+    if picture.format not in ("tiff", "openexr"):  # Those two store, and say, whether alpha is multiplied in.
+        spec.attribute("oiio:UnassociatedAlpha", 1)
+    return spec
+
+
+def _set_options(spec: Any, known: str, compression: str, quality: int, *, small: bool) -> None:
+    quality = min(max(quality, 1), 100)
+    match known:
+        case "png":
+            spec.attribute("png:compressionLevel", 9 if small else 1)
+        case "jpeg":
+            spec.attribute("compression", f"jpeg:{quality}")
+        case "webp" if compression == "lossless":
+            spec.attribute("compression", "lossless:100" if small else "lossless:50")
+            spec.attribute("webp:method", 6 if small else 3)
+        case "webp":
+            spec.attribute("compression", f"webp:{quality}")
+            spec.attribute("webp:method", 6 if small else 4)
+        case "tiff":
+            spec.attribute("tiff:half", 1)
+            if spec.get_string_attribute("compression") == "jpeg":
+                spec.attribute("compression", f"jpeg:{quality}")
+    if known in ("tiff", "openexr") and not spec.get_string_attribute("DateTime"):
+        # Otherwise it would be the time of writing, and two runs would differ.
+        spec.attribute("DateTime", "")
+
+
+def _encode(spec: Any, pixels: NDArray[Any], known: str, name: str) -> bytes:
+    import OpenImageIO
+
+    file = OpenImageIO.ImageOutput.create(known)
+    if file is None:
+        raise ProcessingError(f"{name}: this OpenImageIO cannot write {known} images")
+    if str(spec.format) == "half" and not spec.channelformats:
+        pixels = pixels.astype(np.float16)
+    with scratch_file() as path:
+        written = file.open(str(path), spec) and file.write_image(np.ascontiguousarray(pixels))
+        closed = file.close()
+        error = file.geterror()  # TIFF reports a missing EXIF directory though all is written.
+        OpenImageIO.geterror()
+        if not (written and closed):
+            cause = error.replace(str(path), "it").strip() or "no reason given"
+            raise ProcessingError(f"{name}: the {known} image cannot be written ({cause})")
+        return path.read_bytes()
