@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from beltrami_cli.formats.image.picture import as_stored, full_scale_one
 from beltrami_cli.formats.image.recognition import FORMATS, format_of_suffix
 from beltrami_cli.mesh.transfer import linear_to_srgb, srgb_to_linear
 
@@ -40,8 +41,8 @@ def losses(picture: Picture, suffix: str) -> tuple[str, ...]:
         found.append(f"{name}: {label} has no alpha, which is dropped.")
     if len(picture.channels) > len(picture.colour) + (picture.alpha is not None) and not _holds_any(known):
         found.append(f"{name}: {label} holds colours and alpha only; other channels are dropped.")
-    if len(picture.colour) not in traits.colours:
-        found.append(f"{name}: {label} has no grey; it becomes equal red, green and blue.")
+    if _needs_three(picture, known):
+        found.append(f"{name}: {label} has no such grey; it becomes equal red, green and blue.")
     if picture.encoding == "linear" and stored.startswith("uint"):
         found.append(f"{name}: floats become {_BITS[stored]}-bit integers in {label}, clipped to 0..1.")
     elif _BITS[stored] < _BITS[picture.stored]:
@@ -78,7 +79,7 @@ def converted(
     """
     stored = _type_in(picture.stored, known)
     kept = _kept_channels(picture, known)
-    values = _full_scale_one(pixels[:, :, kept])
+    values = full_scale_one(pixels[:, :, kept])
     colour = [kept.index(channel) for channel in picture.colour]
     alpha = kept.index(picture.alpha) if picture.alpha in kept else None
     if picture.alpha is not None and _is_associated(picture):
@@ -90,10 +91,10 @@ def converted(
     if known == "openexr" and alpha is not None:  # where alpha is always multiplied in
         values[:, :, colour] *= values[:, :, [alpha]]
     names = [picture.channels[channel] for channel in kept]
-    if len(colour) not in FORMATS[known].colours:
+    if _needs_three(picture, known):
         values = values[:, :, [colour[0]] * 3 + ([alpha] if alpha is not None else [])]
         names = ["R", "G", "B", *([picture.channels[kept[alpha]]] if alpha is not None else [])]
-    return _as_type(values, stored), _spec(picture, values.shape, names, stored)
+    return as_stored(values, stored), _spec(picture, values.shape, names, stored)
 
 
 def _type_in(stored: str, known: str) -> str:
@@ -117,6 +118,11 @@ def _kept_channels(picture: Picture, known: str) -> list[int]:
     return [*picture.colour, *alpha]
 
 
+def _needs_three(picture: Picture, known: str) -> bool:
+    """Tell whether grey must become red, green and blue."""
+    return len(_kept_channels(picture, known)) not in FORMATS[known].channels and len(picture.colour) == 1
+
+
 def _is_associated(picture: Picture) -> bool:
     if picture.format == "tiff":
         return not picture.spec.get_int_attribute("oiio:UnassociatedAlpha")
@@ -125,26 +131,9 @@ def _is_associated(picture: Picture) -> bool:
 
 def _divided(colours: NDArray[np.float32], alpha: NDArray[Any]) -> NDArray[np.float32]:
     """Return colours without the alpha that is multiplied into them; under an alpha of 0 as they are."""
-    whole = _full_scale_one(alpha)[:, :, None]
+    whole = full_scale_one(alpha)[:, :, None]
     divided: NDArray[np.float32] = np.divide(colours, whole, out=colours.copy(), where=whole > 0)
     return divided
-
-
-def _full_scale_one(pixels: NDArray[Any]) -> NDArray[np.float32]:
-    values = pixels.astype(np.float32)
-    if pixels.dtype.kind != "f":
-        values /= np.float32(np.iinfo(pixels.dtype).max)
-    return values
-
-
-def _as_type(values: NDArray[np.float32], stored: str) -> NDArray[Any]:
-    if stored == "float32":
-        return values
-    if stored == "float16":
-        largest = np.finfo(np.float16).max
-        return np.clip(values, -largest, largest).astype(np.float16)
-    whole: NDArray[np.float32] = np.rint(np.clip(values, 0, 1) * np.float32(np.iinfo(stored).max))
-    return whole.astype(stored)
 
 
 def _spec(picture: Picture, shape: tuple[int, ...], names: list[str], stored: str) -> Any:

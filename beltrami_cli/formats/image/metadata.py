@@ -9,7 +9,6 @@ References
 
 from __future__ import annotations
 
-import zlib
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -18,6 +17,7 @@ if TYPE_CHECKING:
 _PNG_START = 8
 _ANIMATION = (b"acTL", b"fcTL", b"fdAT")
 _OF_SAMPLES = (b"tRNS", b"sBIT", b"hIST", b"bKGD")  # PNG chunks that depend on the type of the samples
+_OF_THE_ENCODER = (b"sRGB", b"gAMA", b"cHRM", b"oFFs")  # which OpenImageIO adds, even beside a profile
 _RIFF_START = 12
 _WEBP_FLAGS = {b"ICCP": 0x20, b"EXIF": 0x08, b"XMP ": 0x04}
 _WEBP_ALPHA, _WEBP_ANIMATION = 0x10, 0x02
@@ -47,6 +47,14 @@ def carry_over(source: bytes, encoded: bytes, known: str) -> bytes:
         case "webp":
             return _carry_webp(source, encoded)
     return encoded
+
+
+def without_additions(encoded: bytes, known: str) -> bytes:
+    """Return an image, just encoded, without what the encoder says about it of its own accord."""
+    if known != "png":
+        return encoded
+    kept = (chunk for kind, chunk in _png_chunks(encoded) if kind not in _OF_THE_ENCODER)
+    return encoded[:_PNG_START] + b"".join(kept)
 
 
 def is_animated(data: bytes, known: str) -> bool:
@@ -162,8 +170,3 @@ def _webp_size(kind: bytes, payload: bytes) -> tuple[int, int, bool]:
         return (bits & 0x3FFF) + 1, (bits >> 14 & 0x3FFF) + 1, bool(bits >> 28 & 1)
     size = payload[6:10]
     return int.from_bytes(size[:2], "little") & 0x3FFF, int.from_bytes(size[2:], "little") & 0x3FFF, False
-
-
-def png_chunk(kind: bytes, payload: bytes) -> bytes:
-    """Return a whole PNG chunk."""
-    return len(payload).to_bytes(4) + kind + payload + zlib.crc32(kind + payload).to_bytes(4)

@@ -70,11 +70,7 @@ def to_float(picture: Picture) -> NDArray[np.float32]:
     ndarray of float32, shape (H, W, C)
         Integers divided by their largest; floats as they are, which may leave [0, 1].
     """
-    if picture.pixels.dtype.kind == "f":
-        return picture.pixels.astype(np.float32)
-    values = picture.pixels.astype(np.float32)
-    values /= np.float32(np.iinfo(picture.pixels.dtype).max)
-    return values
+    return full_scale_one(picture.pixels)
 
 
 def from_float(picture: Picture, values: NDArray[np.float32], changed: NDArray[np.bool_]) -> NDArray[Any]:
@@ -99,14 +95,24 @@ def from_float(picture: Picture, values: NDArray[np.float32], changed: NDArray[n
     rows = max(1, _BLOCK // max(1, pixels.shape[1] * pixels.shape[2]))
     for first in range(0, len(pixels), rows):
         block = slice(first, first + rows)
-        pixels[block][chosen[block]] = _stored(values[block][chosen[block]], picture.stored)
+        pixels[block][chosen[block]] = as_stored(values[block][chosen[block]], picture.stored)
     return pixels
 
 
-def _stored(values: NDArray[np.float32], kind: str) -> NDArray[Any]:
+def full_scale_one(pixels: NDArray[Any]) -> NDArray[np.float32]:
+    """Return a copy of pixels in which the largest integer of their type is 1; floats stay as they are."""
+    values = pixels.astype(np.float32)
+    if pixels.dtype.kind != "f":
+        values /= np.float32(np.iinfo(pixels.dtype).max)
+    return values
+
+
+def as_stored(values: NDArray[np.float32], kind: str) -> NDArray[Any]:
+    """Round values of full scale 1 to a type, clipping them to its range; halves are returned as float32."""
     if kind == "float32":
         return values
     if kind == "float16":
         largest = np.finfo(np.float16).max
         return np.clip(values, -largest, largest).astype(np.float16).astype(np.float32)
-    return np.rint(np.clip(values, 0, 1).astype(np.float64) * np.iinfo(kind).max).astype(kind)
+    whole: NDArray[np.float64] = np.rint(np.clip(values, 0, 1).astype(np.float64) * np.iinfo(kind).max)
+    return whole.astype(kind)

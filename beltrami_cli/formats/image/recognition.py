@@ -16,27 +16,27 @@ class ImageFormat:
         Extensions of its files, the usual one first.
     types : tuple of str
         Sample types as NumPy names, the coarsest first.
-    colours : tuple of int
-        Numbers of colour channels.
-    alpha : bool
-        Whether there may be alpha beside the colours.
+    channels : tuple of int
+        Numbers of channels: 1 is grey, 3 red, green and blue; 2 and 4 have alpha besides.
     signatures : tuple of bytes
         What its files start with.
     """
 
     suffixes: tuple[str, ...]
     types: tuple[str, ...]
-    colours: tuple[int, ...] = (1, 3)
-    alpha: bool = True
+    channels: tuple[int, ...] = (1, 2, 3, 4)
     signatures: tuple[bytes, ...] = ()
+
+    @property
+    def alpha(self) -> bool:
+        """Whether there may be alpha beside the colours."""
+        return 4 in self.channels
 
 
 FORMATS = {
     "png": ImageFormat((".png",), ("uint8", "uint16"), signatures=(b"\x89PNG\r\n\x1a\n",)),
-    "jpeg": ImageFormat(
-        (".jpg", ".jpeg", ".jpe", ".jfif"), ("uint8",), alpha=False, signatures=(b"\xff\xd8\xff",)
-    ),
-    "webp": ImageFormat((".webp",), ("uint8",), (3,), signatures=(b"RIFF",)),
+    "jpeg": ImageFormat((".jpg", ".jpeg", ".jpe", ".jfif"), ("uint8",), (1, 3), (b"\xff\xd8\xff",)),
+    "webp": ImageFormat((".webp",), ("uint8",), (3, 4), (b"RIFF",)),
     "tiff": ImageFormat(
         (".tif", ".tiff"),
         ("uint8", "uint16", "float16", "float32"),
@@ -44,8 +44,8 @@ FORMATS = {
     ),
     "openexr": ImageFormat((".exr",), ("float16", "float32"), signatures=(b"v/1\x01",)),
     "targa": ImageFormat((".tga", ".targa", ".tpic"), ("uint8",)),
-    "bmp": ImageFormat((".bmp", ".dib"), ("uint8",), signatures=(b"BM",)),
-    "hdr": ImageFormat((".hdr", ".rgbe"), ("float32",), (3,), alpha=False, signatures=(b"#?",)),
+    "bmp": ImageFormat((".bmp", ".dib"), ("uint8",), (1, 3, 4), (b"BM",)),
+    "hdr": ImageFormat((".hdr", ".rgbe"), ("float32",), (3,), (b"#?",)),
 }
 """The formats by OpenImageIO's names."""
 

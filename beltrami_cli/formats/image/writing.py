@@ -8,7 +8,7 @@ import numpy as np
 
 from beltrami_cli.errors import ProcessingError, UsageError
 from beltrami_cli.formats.image.conversion import converted
-from beltrami_cli.formats.image.metadata import carry_over, is_lossless_webp
+from beltrami_cli.formats.image.metadata import carry_over, is_lossless_webp, without_additions
 from beltrami_cli.formats.image.recognition import FORMATS, format_of_suffix
 from beltrami_cli.formats.image.scratch import scratch_file
 from beltrami_cli.mesh.textured import ImageFile
@@ -71,7 +71,8 @@ def write_image(
     if known != picture.format:
         values, spec = converted(picture, pixels, known, as_data=as_data)
         _set_options(spec, known, "", jpeg_quality, small=small)
-        return ImageFile(_encode(spec, values, known, picture.name), FORMATS[known].suffixes[0])
+        data = without_additions(_encode(spec, values, known, picture.name), known)
+        return ImageFile(data, FORMATS[known].suffixes[0])
     spec = _bare_spec(picture) if known in _SPLICED else _kept_spec(picture)
     compression = "lossless" if known == "webp" and is_lossless_webp(picture.source) else ""
     _set_options(spec, known, compression, jpeg_quality, small=small)

@@ -1,0 +1,114 @@
+"""Image files of the tests' own, encoded by OpenImageIO without any code of the package."""
+
+from __future__ import annotations
+
+import tempfile
+import zlib
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import OpenImageIO
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+NAMES = {1: ("Y",), 2: ("Y", "A"), 3: ("R", "G", "B"), 4: ("R", "G", "B", "A")}
+LOSSLESS = [
+    *(("png", kind, channels) for kind in ("uint8", "uint16") for channels in (1, 2, 3, 4)),
+    *(("tiff", kind, channels) for kind in ("uint8", "uint16", "half", "float") for channels in (1, 2, 3, 4)),
+    *(("openexr", kind, channels) for kind in ("half", "float") for channels in (1, 2, 3, 4)),
+    *(("targa", "uint8", channels) for channels in (1, 2, 3, 4)),
+    *(("bmp", "uint8", channels) for channels in (1, 3, 4)),
+    *(("webp", "uint8", channels) for channels in (3, 4)),
+]
+SUFFIXES = {
+    "png": ".png", "tiff": ".tif", "openexr": ".exr", "targa": ".tga", "bmp": ".bmp", "webp": ".webp",
+    "jpeg": ".jpg", "hdr": ".hdr",
+}  # fmt: skip
+
+
+def noise(kind: str, channels: int, height: int = 5, width: int = 7, seed: int = 0) -> NDArray[Any]:
+    """Random pixels, alpha 0 in one of them (not in WebP, which loses what is under it)."""
+    rng = np.random.default_rng(seed)
+    if kind in ("uint8", "uint16"):
+        return rng.integers(1, np.iinfo(kind).max + 1, (height, width, channels)).astype(kind)
+    return (rng.random((height, width, channels)) * 2 - 0.1).astype(
+        np.float16 if kind == "half" else np.float32
+    )
+
+
+def encode(
+    pixels: NDArray[Any],
+    known: str,
+    kind: str | None = None,
+    types: list[str] | None = None,
+    **attributes: Any,
+) -> bytes:
+    """Return an image file; "__" in names of attributes stands for ":"."""
+    height, width, channels = pixels.shape
+    spec = OpenImageIO.ImageSpec(width, height, channels, kind or str(pixels.dtype))
+    if channels in NAMES:
+        spec.channelnames = NAMES[channels]
+        spec.alpha_channel = channels - 1 if channels in (2, 4) else -1
+    else:
+        spec.channelnames = tuple("RGBAZ"[:channels])
+    if attributes.get("tiff__ColorSpace") == "CMYK":
+        spec.channelnames, spec.alpha_channel = ("C", "M", "Y", "K"), -1
+    if types:
+        spec.channelformats = tuple(OpenImageIO.TypeDesc(name) for name in types)
+    options = {"oiio__UnassociatedAlpha": 1, "tiff__half": 1}
+    if known == "webp":
+        options |= {"compression": "lossless", "webp__method": 0}
+    for name, value in {**options, **attributes}.items():
+        if isinstance(value, bytes):
+            spec.attribute(name.replace("__", ":"), OpenImageIO.TypeDesc(f"uint8[{len(value)}]"), value)
+        else:
+            spec.attribute(name.replace("__", ":"), value)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / f"image{SUFFIXES[known]}"
+        file = OpenImageIO.ImageOutput.create(known)
+        assert file.open(str(path), spec), file.geterror()
+        assert file.write_image(np.ascontiguousarray(pixels))
+        assert file.close()
+        file.geterror()
+        return path.read_bytes()
+
+
+def png_chunk(kind: bytes, payload: bytes) -> bytes:
+    return len(payload).to_bytes(4) + kind + payload + zlib.crc32(kind + payload).to_bytes(4)
+
+
+def png_chunks(data: bytes) -> list[tuple[bytes, bytes]]:
+    chunks, at = [], 8
+    while at < len(data):
+        size = int.from_bytes(data[at : at + 4])
+        chunks.append((data[at + 4 : at + 8], data[at + 8 : at + 8 + size]))
+        at += 12 + size
+    return chunks
+
+
+def riff(chunks: list[tuple[bytes, bytes]]) -> bytes:
+    body = b"".join(k + len(p).to_bytes(4, "little") + p + b"\0" * (len(p) % 2) for k, p in chunks)
+    return b"RIFF" + (len(body) + 4).to_bytes(4, "little") + b"WEBP" + body
+
+
+def riff_chunks(data: bytes) -> list[tuple[bytes, bytes]]:
+    chunks, at = [], 12
+    while at < len(data):
+        size = int.from_bytes(data[at + 4 : at + 8], "little")
+        chunks.append((data[at : at + 4], data[at + 8 : at + 8 + size]))
+        at += 8 + size + size % 2
+    return chunks
+
+
+def icc_profile() -> bytes:
+    """The least that passes for an RGB profile: a header and an empty table of tags."""
+    header = bytearray(128)
+    header[0:4] = (132).to_bytes(4)
+    header[8:12] = b"\x02\x10\0\0"
+    header[12:24] = b"mntrRGB XYZ "
+    header[24:36] = bytes([0x07, 0xD0, 0, 1, 0, 1, 0, 0, 0, 0, 0, 0])
+    header[36:40] = b"acsp"
+    header[68:80] = bytes.fromhex("0000f6d6000100000000d32d")
+    return bytes(header) + bytes(4)

@@ -1,0 +1,99 @@
+"""From one image format to another: what fits is kept, what does not is said."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from formats.image_files import LOSSLESS, SUFFIXES, encode, icc_profile, noise
+
+from beltrami_cli.errors import UsageError
+from beltrami_cli.formats.image import losses, read_image, to_float, write_image
+from beltrami_cli.mesh.transfer import linear_to_srgb
+
+RGB = [(known, kind) for known, kind, channels in LOSSLESS if channels == 3]
+
+
+def picture_of(known: str, kind: str, channels: int, low: float = 0):
+    pixels = noise(kind, channels, 16, 24)
+    if kind in ("half", "float"):
+        pixels = np.clip(pixels, low, 1)
+    return read_image(encode(pixels, known, kind), "skin" + SUFFIXES[known])
+
+
+@pytest.mark.parametrize("target", sorted(SUFFIXES.values()))
+@pytest.mark.parametrize(("known", "kind", "channels"), LOSSLESS)
+def test_every_format_can_be_written_as_every_other(
+    known: str, kind: str, channels: int, target: str
+) -> None:
+    picture = picture_of(known, kind, channels)
+    written = write_image(picture, picture.pixels, suffix=target)
+    assert written.suffix == target
+    again = read_image(written.data, "x" + target)
+    assert again.pixels.shape[:2] == picture.pixels.shape[:2]
+    said = " ".join(losses(picture, target))
+    assert ("alpha" in said) == (picture.alpha is not None and again.alpha is None)
+    assert ("equal red" in said) == (len(again.colour) > len(picture.colour))
+    bits = {"uint8": 8, "uint16": 16, "float16": 16, "float32": 32}
+    fewer = bits[again.stored] < bits[picture.stored]
+    assert (f"{bits[again.stored]}-bit" in said) == (fewer or picture.encoding < again.encoding)
+    if target == SUFFIXES[known]:
+        assert not said
+
+
+@pytest.mark.parametrize(("known", "kind"), RGB)
+def test_numbers_survive_the_way_to_a_format_that_holds_them(known: str, kind: str) -> None:
+    picture = picture_of(known, kind, 3)
+    for target in (".tif", ".png" if kind in ("uint8", "uint16") else ".exr"):
+        again = read_image(write_image(picture, picture.pixels, suffix=target).data, "x" + target)
+        np.testing.assert_array_equal(again.pixels, picture.pixels)
+        assert again.stored == picture.stored
+
+
+def test_light_becomes_display_values_in_integers_and_data_stay() -> None:
+    picture = picture_of("openexr", "float", 3)
+    colours = read_image(write_image(picture, picture.pixels, suffix=".png").data, "x.png")
+    assert colours.stored == "uint16"
+    np.testing.assert_allclose(to_float(colours), linear_to_srgb(picture.pixels), atol=0.51 / 65535)
+    data = read_image(write_image(picture, picture.pixels, suffix=".png", as_data=True).data, "x.png")
+    np.testing.assert_allclose(to_float(data), picture.pixels, atol=0.51 / 65535)
+
+
+def test_display_values_come_back_from_light() -> None:
+    picture = picture_of("png", "uint8", 3)
+    for target in (".exr", ".hdr"):
+        light = read_image(write_image(picture, picture.pixels, suffix=target).data, "x" + target)
+        assert light.encoding == "linear"
+        bound = (
+            2 if target == ".hdr" else 0
+        )  # HDR has eight bits for the largest channel, fewer for the others.
+        back = np.rint(255 * linear_to_srgb(light.pixels))
+        error = np.abs(back - picture.pixels)
+        assert np.median(error) <= bound
+        assert target == ".hdr" or error.max() == 0
+
+
+def test_alpha_is_divided_out_and_multiplied_in_where_formats_differ() -> None:
+    picture = picture_of("png", "uint16", 4)
+    exr = read_image(write_image(picture, picture.pixels, suffix=".exr", as_data=True).data, "x.exr")
+    whole = to_float(picture)
+    np.testing.assert_allclose(exr.pixels[..., :3], whole[..., :3] * whole[..., 3:], rtol=1e-6)
+    back = read_image(write_image(exr, exr.pixels, suffix=".png", as_data=True).data, "x.png")
+    thick = whole[..., 3] > 0.01
+    np.testing.assert_allclose(to_float(back)[thick], whole[thick], atol=1e-4)
+
+
+def test_profile_and_texts_go_along_where_they_still_hold() -> None:
+    source = encode(noise("uint8", 3), "tiff", ICCProfile=icc_profile(), Artist="me", DateTime="")
+    picture = read_image(source, "x.tif")
+    png = read_image(write_image(picture, picture.pixels, suffix=".png").data, "x.png")
+    assert bytes(png.spec.getattribute("ICCProfile")) == icc_profile()
+    assert png.spec.get_string_attribute("Artist") == "me"
+    assert not any("ICCProfile:" in text for text in png.source.decode("latin-1").split("\0"))
+    exr = read_image(write_image(picture, picture.pixels, suffix=".exr").data, "x.exr")
+    assert exr.spec.getattribute("ICCProfile") is None
+
+
+def test_an_unknown_extension_is_refused() -> None:
+    picture = picture_of("png", "uint8", 3)
+    with pytest.raises(UsageError, match=r"\.xyz"):
+        write_image(picture, picture.pixels, suffix=".xyz")

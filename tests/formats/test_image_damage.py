@@ -1,0 +1,126 @@
+"""Images that are damaged, too large or of no use end in one clear error, and never decode first."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+import zlib
+
+import numpy as np
+import OpenImageIO
+import pytest
+from formats.image_files import LOSSLESS, SUFFIXES, encode, noise, png_chunk, riff, riff_chunks
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from beltrami_cli.errors import InputError
+from beltrami_cli.formats.image import read_image
+
+KINDS = {known: (known, kind, channels) for known, kind, channels in LOSSLESS} | {
+    "jpeg": ("jpeg", "uint8", 3),
+    "hdr": ("hdr", "float", 3),
+}
+
+
+def sample(known: str, size: int = 24) -> bytes:
+    _, kind, channels = KINDS[known]
+    return encode(noise(kind, channels, size, size), known, kind)
+
+
+def png(width: int, height: int, lines: bytes = b"") -> bytes:
+    header = width.to_bytes(4) + height.to_bytes(4) + bytes([8, 2, 0, 0, 0])
+    chunks = [(b"IHDR", header), (b"IDAT", zlib.compress(lines)), (b"IEND", b"")]
+    return b"\x89PNG\r\n\x1a\n" + b"".join(png_chunk(*chunk) for chunk in chunks)
+
+
+@pytest.mark.parametrize("known", sorted(KINDS))
+@pytest.mark.parametrize("part", [0.02, 0.3, 0.6, 0.9])
+def test_a_cut_off_image_is_refused_by_name(known: str, part: float) -> None:
+    data = sample(known)
+    pixels = len(data) - (521 if known == "targa" else 0)  # A TGA file ends with a table that may be missing.
+    with pytest.raises(InputError) as raised:
+        read_image(data[: int(part * pixels)], "skin" + SUFFIXES[known])
+    assert raised.value.name == "skin" + SUFFIXES[known]
+    assert "/proc" not in str(raised.value)
+    assert "\n" not in str(raised.value)
+    assert OpenImageIO.geterror() == ""
+
+
+@pytest.mark.parametrize("known", sorted(KINDS))
+@given(st.data())
+@settings(max_examples=30, deadline=None)
+def test_damage_gives_pixels_or_an_input_error(known: str, data: st.DataObject) -> None:
+    damaged = bytearray(sample(known, 8))
+    for _ in range(data.draw(st.integers(1, 4))):
+        damaged[data.draw(st.integers(0, min(len(damaged) - 1, 120)))] = data.draw(st.integers(0, 255))
+    with contextlib.suppress(InputError):
+        assert np.isfinite(read_image(bytes(damaged), "x" + SUFFIXES[known]).pixels).all()
+    assert OpenImageIO.geterror() == ""
+
+
+def test_bombs_are_refused_by_their_header() -> None:
+    for width, height in ((30000, 30000), (1 << 30, 1), (1, 1 << 30), (65535, 65535)):
+        begin = time.perf_counter()
+        with pytest.raises(InputError, match=r"\d+ x \d+ pixels|size|damaged"):
+            read_image(png(width, height, bytes(1 << 16)), "bomb.png")
+        assert time.perf_counter() - begin < 1
+
+
+def test_images_of_no_size_are_refused() -> None:
+    for width, height in ((0, 4), (4, 0), (0, 0)):
+        with pytest.raises(InputError):
+            read_image(png(width, height), "none.png")
+    for known in ("targa", "bmp"):
+        data = bytearray(sample(known))
+        at = 12 if known == "targa" else 18
+        data[at : at + 2] = bytes(2)
+        with pytest.raises(InputError):
+            read_image(bytes(data), "none" + SUFFIXES[known])
+
+
+def test_what_is_no_image_is_refused_whatever_its_name() -> None:
+    for data in (b"", b"hello", b"GIF89a" + bytes(30), b"RIFF\0\0\0\0WAVE", bytes(100)):
+        with pytest.raises(InputError, match=r"no known image format|damaged"):
+            read_image(data, "x.png")
+    with pytest.raises(InputError):
+        read_image(b"hello", "x.tga")
+
+
+def test_inks_of_print_are_refused() -> None:
+    jpeg = bytearray(sample("jpeg"))
+    frame = jpeg.index(b"\xff\xc0")
+    jpeg[frame + 9] = 4
+    with pytest.raises(InputError, match="CMYK"):
+        read_image(bytes(jpeg), "print.jpg")
+    tiff = encode(noise("uint8", 4), "tiff", tiff__ColorSpace="CMYK")
+    with pytest.raises(InputError, match="CMYK"):
+        read_image(tiff, "print.tif")
+
+
+def test_values_that_are_not_finite_are_refused() -> None:
+    pixels = noise("float", 3)
+    pixels[0, 0, 0], pixels[1, 1, 1] = np.nan, np.inf
+    with pytest.raises(InputError, match="2 of its values are not finite"):
+        read_image(encode(pixels, "openexr", "float"), "x.exr")
+
+
+def test_samples_of_other_types_are_refused() -> None:
+    with pytest.raises(InputError, match="int16"):
+        read_image(encode(noise("uint8", 3).astype(np.int16), "tiff", "int16"), "x.tif")
+
+
+def test_of_an_animation_the_first_image_is_taken_and_said_so() -> None:
+    frames = []
+    for seed in (0, 1):
+        pixels = noise("uint8", 4, 8, 8, seed)
+        pixels[..., 3] = 255
+        payload = b"".join(
+            kind + len(part).to_bytes(4, "little") + part + b"\0" * (len(part) % 2)
+            for kind, part in riff_chunks(encode(pixels, "webp"))
+        )
+        frames.append((b"ANMF", bytes(6) + bytes([7, 0, 0, 7, 0, 0, 100, 0, 0, 0]) + payload))
+    chunks = [(b"VP8X", bytes([0x12, 0, 0, 0, 7, 0, 0, 7, 0, 0])), (b"ANIM", bytes(6)), *frames]
+    picture = read_image(riff(chunks), "moving.webp")
+    assert picture.pixels.shape[:2] == (8, 8)
+    assert "moving.webp holds several images" in picture.notices[0]
+    assert not read_image(sample("webp"), "still.webp").notices

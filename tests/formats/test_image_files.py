@@ -1,0 +1,236 @@
+"""Images come back as they were: values, types, alpha, compression and metadata."""
+
+from __future__ import annotations
+
+import zlib
+
+import numpy as np
+import pytest
+from formats.image_files import (
+    LOSSLESS,
+    SUFFIXES,
+    encode,
+    icc_profile,
+    noise,
+    png_chunk,
+    png_chunks,
+    riff,
+    riff_chunks,
+)  # fmt: skip
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from beltrami_cli.formats.image import from_float, read_image, to_float, write_image
+
+EXIF = b"MM\0*\0\0\0\x08\0\x01\x01\x12\0\x03\0\0\0\x01\0\x06\0\0\0\0\0\0"
+
+
+@pytest.mark.parametrize(("known", "kind", "channels"), LOSSLESS)
+def test_every_value_is_read_as_it_was_and_written_back_so(known: str, kind: str, channels: int) -> None:
+    pixels = noise(kind, channels)
+    picture = read_image(encode(pixels, known, kind), "x" + SUFFIXES[known])
+    np.testing.assert_array_equal(picture.pixels, pixels)
+    assert picture.pixels.dtype == (np.float32 if kind in ("half", "float") else kind)
+    assert picture.stored == {"half": "float16", "float": "float32"}.get(kind, kind)
+    assert picture.encoding == ("linear" if kind in ("half", "float") else "srgb")
+    assert len(picture.colour) == (1 if channels < 3 else 3)
+    assert picture.alpha == (channels - 1 if channels in (2, 4) else None)
+    assert [picture.channels[i] for i in picture.colour] == (["Y"] if channels < 3 else ["R", "G", "B"])
+    other = noise(kind, channels, seed=1).astype(picture.pixels.dtype)
+    for values in (picture.pixels, other):
+        written = write_image(picture, values)
+        again = read_image(written.data, "y" + SUFFIXES[known])
+        np.testing.assert_array_equal(again.pixels, values)
+        assert (again.stored, again.channels, again.format) == (picture.stored, picture.channels, known)
+        assert written.suffix == SUFFIXES[known]
+
+
+@pytest.mark.parametrize("known", ["png", "tiff", "targa", "bmp"])
+def test_colours_under_alpha_0_keep_their_values(known: str) -> None:
+    pixels = noise("uint8", 4)
+    pixels[::2, :, 3] = 0
+    picture = read_image(encode(pixels, known), "x" + SUFFIXES[known])
+    np.testing.assert_array_equal(picture.pixels, pixels)
+    again = read_image(write_image(picture, pixels).data, "x" + SUFFIXES[known])
+    np.testing.assert_array_equal(again.pixels, pixels)
+
+
+def test_multiplied_alpha_in_tiff_stays_multiplied() -> None:
+    pixels = noise("uint8", 4)
+    picture = read_image(encode(pixels, "tiff", oiio__UnassociatedAlpha=0), "x.tif")
+    stored = picture.pixels
+    again = read_image(write_image(picture, stored).data, "x.tif")
+    np.testing.assert_array_equal(again.pixels, stored)
+    assert not again.spec.get_int_attribute("oiio:UnassociatedAlpha")
+
+
+@given(st.sampled_from(["uint8", "uint16", "half", "float"]), st.randoms(use_true_random=False))
+@settings(max_examples=20, deadline=None)
+def test_only_changed_entries_change_and_are_rounded_once(kind: str, random: object) -> None:
+    known = "tiff"
+    rng = np.random.default_rng(random.randrange(1 << 30))  # type: ignore[attr-defined]
+    picture = read_image(encode(noise(kind, 4), known, kind), "x.tif")
+    values = to_float(picture)
+    np.testing.assert_array_equal(from_float(picture, values, np.ones(values.shape, bool)), picture.pixels)
+    changed = rng.random(values.shape) < 0.5
+    new = rng.normal(0.5, 1, values.shape).astype(np.float32)
+    pixels = from_float(picture, new, changed)
+    np.testing.assert_array_equal(pixels[~changed], picture.pixels[~changed])
+    if kind in ("uint8", "uint16"):
+        full = np.iinfo(kind).max
+        expected = np.clip(np.rint(np.float64(new) * full), 0, full)
+    else:
+        expected = new.astype(np.float16) if kind == "half" else new
+    np.testing.assert_array_equal(pixels[changed], expected[changed])
+
+
+def test_a_mask_of_pixels_may_stand_for_all_their_channels() -> None:
+    picture = read_image(encode(noise("uint8", 3), "png"), "x.png")
+    mask = np.zeros((5, 7, 1), bool)
+    mask[2, 3] = True
+    pixels = from_float(picture, np.ones((5, 7, 3), np.float32), mask)
+    assert (pixels[2, 3] == 255).all()
+    assert (pixels != picture.pixels).any(axis=2).sum() <= 1
+
+
+@pytest.mark.parametrize("kind", ["uint8", "uint16"])
+def test_png_chunks_stay_as_they_are_byte_by_byte(kind: str) -> None:
+    plain = png_chunks(encode(noise(kind, 3), "png"))
+    before = [
+        (b"gAMA", (45455).to_bytes(4)),
+        (b"pHYs", bytes([0, 0, 11, 19, 0, 0, 11, 19, 1])),
+        (b"tEXt", b"Author\0me"),
+        (b"iTXt", b"XML:com.adobe.xmp\0\0\0\0\0<x/>"),
+        (b"eXIf", EXIF),
+        (b"prVt", b"private"),
+    ]
+    behind = [(b"tEXt", b"Comment\0at the end")]
+    pixels = [chunk for chunk in plain if chunk[0] == b"IDAT"]
+    chunks = [plain[0], *before, *pixels, *behind, (b"IEND", b"")]
+    source = b"\x89PNG\r\n\x1a\n" + b"".join(png_chunk(*chunk) for chunk in chunks)
+    picture = read_image(source, "x.png")
+    for small in (False, True):
+        written = png_chunks(write_image(picture, picture.pixels, small=small).data)
+        assert [chunk for chunk in written if chunk[0] != b"IDAT"] == [
+            plain[0],
+            *before,
+            *behind,
+            (b"IEND", b""),
+        ]
+        kinds = [kind for kind, _ in written]
+        assert kinds.index(b"prVt") < kinds.index(b"IDAT") < len(kinds) - 2
+
+
+def test_palettes_become_colours_and_take_their_chunks_with_them() -> None:
+    header = (2).to_bytes(4) + (1).to_bytes(4) + bytes([8, 3, 0, 0, 0])
+    source = b"\x89PNG\r\n\x1a\n" + b"".join(
+        png_chunk(*chunk)
+        for chunk in [
+            (b"IHDR", header),
+            (b"PLTE", bytes([1, 2, 3, 200, 100, 50])),
+            (b"tRNS", bytes([7])),
+            (b"bKGD", bytes([1])),
+            (b"tEXt", b"Title\0t"),
+            (b"IDAT", zlib.compress(bytes([0, 0, 1]))),
+            (b"IEND", b""),
+        ]
+    )
+    picture = read_image(source, "x.png")
+    assert picture.pixels.tolist() == [[[1, 2, 3, 7], [200, 100, 50, 255]]]
+    written = write_image(picture, picture.pixels).data
+    np.testing.assert_array_equal(read_image(written, "x.png").pixels, picture.pixels)
+    assert [kind for kind, _ in png_chunks(written)] == [b"IHDR", b"tEXt", b"IDAT", b"IEND"]
+
+
+@pytest.mark.parametrize("subsampling", ["4:4:4", "4:2:2", "4:2:0", "4:1:1"])
+def test_jpeg_keeps_subsampling_and_metadata(subsampling: str) -> None:
+    smooth = np.linspace(20, 220, 48 * 64 * 3).reshape(48, 64, 3).astype(np.uint8)
+    plain = encode(smooth, "jpeg", compression="jpeg:80", jpeg__subsampling=subsampling)
+    segments = [
+        b"\xff\xe1" + (8 + len(EXIF)).to_bytes(2) + b"Exif\0\0" + EXIF,
+        b"\xff\xe2" + (2 + 14 + 132).to_bytes(2) + b"ICC_PROFILE\0\x01\x01" + icc_profile(),
+        b"\xff\xfe\0\x07hello",
+    ]
+    jfif = plain.index(b"\xff\xe0")
+    behind = jfif + 2 + int.from_bytes(plain[jfif + 2 : jfif + 4])
+    source = plain[:behind] + b"".join(segments) + plain[behind:]
+    picture = read_image(source, "x.jpeg")
+    best, worst = (write_image(picture, picture.pixels, jpeg_quality=q) for q in (98, 30))
+    again = read_image(best.data, "x.jpg")
+    assert again.spec.get_string_attribute("jpeg:subsampling") == subsampling
+    assert np.abs(again.pixels.astype(int) - picture.pixels).mean() < 1
+    assert best.data.startswith(source[: behind + len(b"".join(segments))])
+    assert all(best.data.count(segment) == 1 for segment in segments)
+    assert len(worst.data) < len(best.data)
+    assert best.suffix == ".jpeg"
+
+
+def test_grey_jpeg_stays_grey() -> None:
+    picture = read_image(encode(noise("uint8", 1, 16, 16), "jpeg"), "x.jpg")
+    assert read_image(write_image(picture, picture.pixels).data, "x.jpg").pixels.shape == (16, 16, 1)
+
+
+@pytest.mark.parametrize("channels", [3, 4])
+@pytest.mark.parametrize("lossless", [True, False])
+def test_webp_keeps_its_kind_and_metadata(channels: int, lossless: bool) -> None:
+    pixels = noise("uint8", channels, 9, 12)
+    plain = encode(pixels, "webp", compression="lossless" if lossless else "webp:90", webp__method=0)
+    chunks = [chunk for chunk in riff_chunks(plain) if chunk[0] != b"VP8X"]
+    size = (11).to_bytes(3, "little") + (8).to_bytes(3, "little")
+    flags = 0x2C | (0x10 if channels == 4 else 0)
+    extended = (b"VP8X", bytes([flags, 0, 0, 0]) + size)
+    metadata = [(b"ICCP", icc_profile()), (b"EXIF", EXIF), (b"XMP ", b"<x/>")]
+    source = riff([extended, metadata[0], *chunks, *metadata[1:]])
+    picture = read_image(source, "x.webp")
+    assert picture.pixels.shape == pixels.shape
+    written = riff_chunks(write_image(picture, picture.pixels).data)
+    assert written[0] == extended
+    assert [chunk for chunk in written if chunk[0] in (b"ICCP", b"EXIF", b"XMP ")] == metadata
+    assert any(kind == (b"VP8L" if lossless else b"VP8 ") for kind, _ in written)
+    again = read_image(riff(written), "x.webp")
+    assert again.pixels.shape == pixels.shape
+    if lossless:
+        np.testing.assert_array_equal(again.pixels, pixels)
+
+
+def test_tiff_keeps_profile_compression_and_texts_and_gains_nothing() -> None:
+    for compression in ("none", "lzw", "zip"):
+        source = encode(
+            noise("uint16", 3),
+            "tiff",
+            compression=compression,
+            ICCProfile=icc_profile(),
+            Artist="me",
+            DateTime="",
+        )
+        picture = read_image(source, "x.tiff")
+        written = write_image(picture, picture.pixels)
+        again = read_image(written.data, "x.tiff")
+        assert written.suffix == ".tiff"
+        for name in ("compression", "Artist"):
+            assert again.spec.getattribute(name) == picture.spec.getattribute(name)
+        assert bytes(again.spec.getattribute("ICCProfile")) == icc_profile()
+        names = {attribute.name for attribute in picture.spec.extra_attribs}
+        assert {attribute.name for attribute in again.spec.extra_attribs} <= names
+        assert write_image(picture, picture.pixels).data == written.data
+
+
+def test_exr_keeps_compression_types_by_channel_and_attributes() -> None:
+    pixels = noise("half", 5).astype(np.float32)
+    pixels[..., 4] += np.float32(1e-6)
+    types = ["half"] * 4 + ["float"]
+    source = encode(pixels, "openexr", "float", types, compression="piz", comments="kept", DateTime="")
+    picture = read_image(source, "x.exr")
+    again = read_image(write_image(picture, picture.pixels).data, "x.exr")
+    np.testing.assert_array_equal(again.pixels, picture.pixels)
+    assert [str(kind) for kind in again.spec.channelformats] == types
+    assert again.spec.get_string_attribute("compression") == "piz"
+    assert {(a.name, str(a.value)) for a in again.spec.extra_attribs} == {
+        (a.name, str(a.value)) for a in picture.spec.extra_attribs
+    }
+
+
+def test_hdr_keeps_its_own_values() -> None:
+    picture = read_image(encode(noise("float", 3) ** 2, "hdr", "float"), "x.hdr")
+    again = read_image(write_image(picture, picture.pixels).data, "x.hdr")
+    np.testing.assert_array_equal(again.pixels, picture.pixels)
