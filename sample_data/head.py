@@ -23,17 +23,17 @@ def make() -> Sample:
     return Sample(positions, polygons, quantised(paint(positions)))
 
 
-def geodesic_sphere() -> tuple[Array, tuple[tuple[int, ...], ...]]:
-    """Return an icosahedron with every edge cut in FREQUENCY parts and blown up to the unit sphere."""
+def geodesic_sphere(frequency: int = FREQUENCY) -> tuple[Array, tuple[tuple[int, ...], ...]]:
+    """Return an icosahedron with every edge cut in parts and blown up to the unit sphere."""
     base = np.array([(0, s, t * GOLDEN) for s, t in itertools.product((-1, 1), repeat=2)], float)
     corners = np.concatenate([np.roll(base, k, axis=1) for k in range(3)])
     near = np.linalg.norm(corners[:, None] - corners[None], axis=2) < 2.1
-    i, j = (index.ravel() for index in np.mgrid[: FREQUENCY + 1, : FREQUENCY + 1])
-    i, j = i[i + j <= FREQUENCY], j[i + j <= FREQUENCY]
+    i, j = (index.ravel() for index in np.mgrid[: frequency + 1, : frequency + 1])
+    i, j = i[i + j <= frequency], j[i + j <= frequency]
     row = {pair: k for k, pair in enumerate(zip(i.tolist(), j.tolist(), strict=True))}
-    grid = [(row[a, b], row[a + 1, b], row[a, b + 1]) for a, b in row if a + b < FREQUENCY]
-    grid += [(row[a + 1, b], row[a + 1, b + 1], row[a, b + 1]) for a, b in row if a + b < FREQUENCY - 1]
-    weights = np.column_stack([FREQUENCY - i - j, i, j]) / FREQUENCY
+    grid = [(row[a, b], row[a + 1, b], row[a, b + 1]) for a, b in row if a + b < frequency]
+    grid += [(row[a + 1, b], row[a + 1, b + 1], row[a, b + 1]) for a, b in row if a + b < frequency - 1]
+    weights = np.column_stack([frequency - i - j, i, j]) / frequency
     points, faces = [], []
     for abc in itertools.combinations(range(12), 3):
         if near[np.ix_(abc, abc)].all():

@@ -104,12 +104,18 @@ def accessor(view: int, component: str, count: int, shape: str) -> dict[str, obj
     return {"bufferView": view, "componentType": COMPONENT[component], "count": count, "type": shape}
 
 
-def glb_file(document: dict[str, object], views: list[tuple[bytes, dict[str, int]]]) -> bytes:
-    """Return the two chunks of a GLB file, every buffer view at a multiple of 4 bytes."""
+def joined(views: list[tuple[bytes, dict[str, int]]]) -> tuple[bytes, list[dict[str, int]]]:
+    """Return the data of all buffer views, each at a multiple of 4 bytes, and their descriptions."""
     binary, described = b"", []
     for data, properties in views:
         described.append({"buffer": 0, "byteOffset": len(binary), "byteLength": len(data)} | properties)
         binary += data + bytes(-len(data) % 4)
+    return binary, described
+
+
+def glb_file(document: dict[str, object], views: list[tuple[bytes, dict[str, int]]]) -> bytes:
+    """Return the two chunks of a GLB file."""
+    binary, described = joined(views)
     document |= {"bufferViews": described, "buffers": [{"byteLength": len(binary)}]}
     text = json.dumps(document, separators=(",", ":")).encode()
     text += b" " * (-len(text) % 4)

@@ -29,9 +29,10 @@ def test_the_nearer_square_hides_the_farther_one_whatever_their_order(picture):
     (a, f, red), (b, _, blue) = square(-0.5, (0.9, 0, 0)), square(0.5, (0, 0, 0.9))
     both = np.concatenate([f, f + 4])
     for faces in (both, both[::-1]):
-        image = picture.draw(np.concatenate([a, b]), faces, np.concatenate([red, blue]), 32)
+        paint = picture.at_vertices(faces, np.concatenate([red, blue]))
+        image = picture.draw(np.concatenate([a, b]), faces, paint, 32)
         assert image[4:28, 4:28] == pytest.approx(np.tile(np.float32([0, 0, 0.9]), (24, 24, 1)))
-        behind = picture.draw(np.concatenate([a, b]), faces, np.concatenate([red, blue]), 32, (180.0, 0.0))
+        behind = picture.draw(np.concatenate([a, b]), faces, paint, 32, (180.0, 0.0))
         assert behind[16, 16] == pytest.approx([0.9, 0, 0])
         assert image[0, 0] == pytest.approx([picture.BACKGROUND] * 3)
 
@@ -39,7 +40,7 @@ def test_the_nearer_square_hides_the_farther_one_whatever_their_order(picture):
 def test_x_runs_to_the_right_and_y_upwards(picture):
     corners, faces, colours = square(0.0, (0, 0, 0))
     colours[:, 0], colours[:, 1] = (corners[:, :2].T + 1) / 2
-    image = picture.draw(corners, faces, colours, 40)
+    image = picture.draw(corners, faces, picture.at_vertices(faces, colours), 40)
     assert np.allclose(image[20, 8:32, 0], (np.arange(8, 32) - 1.6) / 36.8, atol=0.03)
     assert np.allclose(image[8:32, 20, 1], 1 - (np.arange(8, 32) - 1.6) / 36.8, atol=0.03)
 
