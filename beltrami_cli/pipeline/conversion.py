@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
     import numpy as np
@@ -38,7 +38,8 @@ def convert(
     from beltrami_cli.formats.gltf import GltfDocument
 
     if isinstance(document, GltfDocument) and target_format in ("glb", "gltf"):
-        return document.repackaged(colours, stem, target_format, moved=moved)
+        form: Literal["glb", "gltf"] = "glb" if target_format == "glb" else "gltf"
+        return document.repackaged(colours, stem, form, moved=moved)
     contents = dataclasses.replace(document.contents(), colours=colours)
     if target_format == "ply":
         from beltrami_cli.formats.ply import write_ply

@@ -1,23 +1,24 @@
-"""A glTF 2.0 file, text or binary, of which only vertex colours are replaced."""
+"""A glTF 2.0 file, text or binary, of which only vertex colours and images are replaced."""
 
 from __future__ import annotations
 
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from beltrami_cli.formats.document import Document
+from beltrami_cli.formats.document import NO_IMAGES, Document
 from beltrami_cli.formats.gltf.accessors import Accessors, Stored, fractions
 from beltrami_cli.formats.gltf.buffers import Buffers
 from beltrami_cli.formats.gltf.container import read_container
 from beltrami_cli.formats.gltf.contents import contents_of, has_colours, summary
 from beltrami_cli.formats.gltf.materials import present_slots
-from beltrami_cli.formats.gltf.patching import Edit, patched
+from beltrami_cli.formats.gltf.patching import Edit, recolour
 from beltrami_cli.formats.gltf.pictures import Pictures
 from beltrami_cli.formats.gltf.primitives import in_world
 from beltrami_cli.formats.gltf.references import present
 from beltrami_cli.formats.gltf.repackaging import as_glb, as_gltf
+from beltrami_cli.formats.gltf.repainting import repaint
 from beltrami_cli.formats.gltf.saving import written
 from beltrami_cli.formats.gltf.scene import placements
 from beltrami_cli.formats.gltf.surfaces import COLOUR_TYPES, Surface, gather
@@ -25,14 +26,17 @@ from beltrami_cli.formats.gltf.texturing import gather_textured
 from beltrami_cli.mesh.painted import MeshContents, PaintedVertices
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
-    from typing import Literal
 
     from numpy.typing import NDArray
 
     from beltrami_cli.formats.document import Written
-    from beltrami_cli.mesh.textured import Slot, TexturedSurface
+    from beltrami_cli.mesh.textured import ImageFile, Slot, TexturedSurface
+
+
+GltfForm = Literal["glb", "gltf"]
+"""Binary or text."""
 
 
 class GltfDocument(Document):
@@ -134,23 +138,38 @@ class GltfDocument(Document):
             self.notices += [notice for notice in notices if notice not in self.notices]
         return self._textured[slot]
 
-    def edit(self, colours: NDArray[np.float32]) -> Edit:
-        """Return the JSON and the buffers with other colours; rows as for `patch`."""
-        old = self.painted().colours
-        blocks, stored = self.surface.blocks, self.stored_colours
-        return patched(self.container, self.accessors, blocks, stored, old, colours)
+    def edit(self, colours: NDArray[np.float32] | None, images: Mapping[tuple[Slot, str], ImageFile]) -> Edit:
+        """Return the JSON and the buffers with other colours and images; both as for `patch`."""
+        edit = Edit(self.container, self.accessors, self.container.copy_of_tree())
+        if colours is not None:
+            recolour(edit, self.surface.blocks, self.stored_colours, self.painted().colours, colours)
+        repaint(edit, self.pictures, images)
+        return edit
 
-    def patch(self, colours: NDArray[np.float32], stem: str, *, moved: bool) -> Written:  # noqa: D102
-        return written(self.edit(colours), stem, moved=moved)
+    def patch(  # noqa: D102
+        self,
+        colours: NDArray[np.float32] | None,
+        stem: str,
+        *,
+        moved: bool,
+        images: Mapping[tuple[Slot, str], ImageFile] = NO_IMAGES,
+    ) -> Written:
+        return written(self.edit(colours, images), stem, moved=moved)
 
     def repackaged(
-        self, colours: NDArray[np.float32], stem: str, form: Literal["glb", "gltf"], *, moved: bool
+        self,
+        colours: NDArray[np.float32] | None,
+        stem: str,
+        form: GltfForm,
+        *,
+        moved: bool,
+        images: Mapping[tuple[Slot, str], ImageFile] = NO_IMAGES,
     ) -> Written:
         """Return the document as `patch` does, in the other form of glTF if that is asked for.
 
         Parameters
         ----------
-        colours, stem, moved
+        colours, stem, moved, images
             As for `patch`.
         form : {"glb", "gltf"}
             Binary or text. Going to "glb", buffers are merged into the BIN chunk and images inside the
@@ -161,7 +180,7 @@ class GltfDocument(Document):
         InputError
             If a buffer that has to be moved cannot be read.
         """
-        edit = self.edit(colours)
+        edit = self.edit(colours, images)
         if form == self.format:
             return written(edit, stem, moved=moved)
         return as_glb(edit, self.folder) if form == "glb" else as_gltf(edit, stem, moved=moved)

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.gltf.container import Container
     from beltrami_cli.formats.gltf.json_text import Tree
     from beltrami_cli.formats.gltf.surfaces import Block
+    from beltrami_cli.mesh.textured import ImageFile
 
 VERTEX_DATA = 34962
 """What a view is for (ARRAY_BUFFER)."""
@@ -42,12 +43,18 @@ class Edit:
         The JSON with all changes but the URIs of buffers, which depend on where they are written.
     buffers : dict of int to bytearray
         New bytes of the buffers that change, longer than before if something was appended.
+    pictures : dict of int to ImageFile
+        New content of images that are files of their own, by their index in the new JSON.
+    notices : list of str
+        What the user should be told.
     """
 
     container: Container
     accessors: Accessors
     tree: Tree
     buffers: dict[int, bytearray] = field(default_factory=dict)
+    pictures: dict[int, ImageFile] = field(default_factory=dict)
+    notices: list[str] = field(default_factory=list)
 
     def open(self, index: int) -> bytearray:
         """Return the bytes of a buffer, to be changed."""
@@ -56,20 +63,19 @@ class Edit:
         return self.buffers[index]
 
 
-def patched(
-    container: Container,
-    accessors: Accessors,
+def recolour(
+    edit: Edit,
     blocks: Sequence[Block],
     stored: Sequence[Stored],
     old: NDArray[np.float32],
     new: NDArray[np.float32],
-) -> Edit:
+) -> None:
     """Put new colours into a file.
 
     Parameters
     ----------
-    container, accessors
-        The file.
+    edit : Edit
+        The changes so far, to which these are added.
     blocks : sequence of Block
         Its painted blocks.
     stored : sequence of ndarray, each of shape (rows of the block, 3 or 4)
@@ -84,7 +90,6 @@ def patched(
     """
     if new.shape != old.shape or not np.isfinite(new).all():
         raise ValueError(f"colours must be finite and of shape {old.shape}, not {new.shape}")
-    edit = Edit(container, accessors, container.copy_of_tree())
     changes = []
     for number, (block, before) in enumerate(zip(blocks, stored, strict=True)):
         rows = slice(block.first_row, block.first_row + block.count)
@@ -93,8 +98,8 @@ def patched(
         after[:, :3][differs] = quantised(new[rows][differs], before.dtype)
         if not np.array_equal(after, before):
             changes.append((number, before, after))
-    in_place = alone(container.tree, accessors, blocks) if changes else []
-    shared = used_otherwise(container.tree)
+    in_place = alone(edit.container.tree, edit.accessors, blocks) if changes else []
+    shared = used_otherwise(edit.container.tree)
     for number, before, after in changes:
         block = blocks[number]
         members = block.members if in_place[number] else _own_accessors(edit.tree, block.members, shared)
@@ -104,7 +109,6 @@ def patched(
             _append(edit, block, members, after)
         for index in members:
             _update_bounds(edit.tree["accessors"][index], before, after)
-    return edit
 
 
 def _overwrite(edit: Edit, block: Block, after: Stored) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import PurePosixPath
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 from beltrami_cli.formats.gltf.files import UnfitReferenceError, is_data, read, relative_name
 
@@ -40,6 +40,7 @@ class Pictures:
         self.images = root.entries("images")
         self.textures = root.entries("textures")
         self._samplers = root.entries("samplers")
+        self._loaded: dict[int, bytes] = {}
         first: dict[Hashable, int] = {}
         self._canonical = [first.setdefault(self._place(index), index) for index in range(len(self.images))]
 
@@ -58,13 +59,6 @@ class Pictures:
     def canonical(self, index: int) -> int:
         """Return the first image over the same bytes as this one, usually itself."""
         return self._canonical[index]
-
-    def source(self, index: int) -> Literal["view", "data", "file"]:
-        """Return where an image's bytes are: in a bufferView, in a data URI, or in a file."""
-        image = self.images[index]
-        if "bufferView" in image:
-            return "view"
-        return "data" if is_data(image.text("uri") or "") else "file"
 
     def name(self, index: int) -> str:
         """Return what people know an image by: its file, or its own name."""
@@ -108,6 +102,10 @@ class Pictures:
             both.append(_WRAPS[kind])
         return both[0], both[1]
 
+    def media(self, index: int) -> str | None:
+        """Return the media type of an image, as its bytes show it."""
+        return media_type(self.data(index))
+
     def data(self, index: int) -> bytes:
         """Return the image file as it is stored.
 
@@ -118,6 +116,11 @@ class Pictures:
         InputError
             If the buffer that holds it cannot be read.
         """
+        if index not in self._loaded:
+            self._loaded[index] = self._read(index)
+        return self._loaded[index]
+
+    def _read(self, index: int) -> bytes:
         image, uri = self.images[index], self.images[index].text("uri")
         if "bufferView" in image:
             number = image.integer("bufferView", below=len(self._accessors.views))

@@ -8,6 +8,7 @@ from beltrami_cli.formats.document import Written
 from beltrami_cli.formats.gltf.container import BIN_CHUNK, JSON_CHUNK, Chunk, encoded, glb_pieces
 from beltrami_cli.formats.gltf.files import UnfitReferenceError, as_uri, is_data, read
 from beltrami_cli.formats.gltf.json_text import Tree, revised
+from beltrami_cli.formats.gltf.naming import place_pictures
 from beltrami_cli.formats.gltf.pictures import media_type
 from beltrami_cli.formats.gltf.saving import place_buffers, sidecar_names
 
@@ -38,9 +39,10 @@ def as_gltf(edit: Edit, stem: str, *, moved: bool) -> Written:
         sidecars[name] = data[:length] if len(data) - length < 4 else data  # without the chunk's padding
         tree["buffers"][0]["uri"] = as_uri(name)
     sidecars |= place_buffers(edit, tree, names, moved=moved)
+    sidecars |= place_pictures(edit, tree, stem, moved=moved)
     lost = [chunk for chunk in edit.container.chunks if chunk.kind != BIN_CHUNK]
     notices = [f"{len(lost)} GLB chunk(s) of unknown type cannot be kept in a .gltf file."] if lost else []
-    return Written([encoded(revised(edit.container.text, tree))], sidecars, tuple(notices))
+    return Written([encoded(revised(edit.container.text, tree))], sidecars, (*edit.notices, *notices))
 
 
 def as_glb(edit: Edit, folder: Path | None) -> Written:
@@ -60,7 +62,7 @@ def as_glb(edit: Edit, folder: Path | None) -> Written:
     """
     tree = edit.tree
     binary = _merge_buffers(edit, tree)
-    notices = _embed_images(tree, binary, folder)
+    notices = [*edit.notices, *_embed_images(edit, binary, folder)]
     chunks = []
     if binary:
         tree["buffers"][0]["byteLength"] = len(binary)
@@ -101,15 +103,16 @@ def _merge_buffers(edit: Edit, tree: Tree) -> bytearray:
     return binary
 
 
-def _embed_images(tree: Tree, binary: bytearray, folder: Path | None) -> list[str]:
+def _embed_images(edit: Edit, binary: bytearray, folder: Path | None) -> list[str]:
     """Move images from the folder into the binary; return a notice for each that stays outside."""
-    notices = []
+    notices, tree = [], edit.tree
     for index, image in enumerate(tree.get("images", [])):
         uri = image.get("uri")
         if uri is None or is_data(uri):
             continue
         try:
-            data = read(uri, folder)
+            new = edit.pictures.get(index)
+            data = read(uri, folder) if new is None else new.data
             kind = image.get("mimeType") or media_type(data)
             if kind is None:
                 raise UnfitReferenceError("its type is not known, so it cannot be embedded")

@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from beltrami_cli.formats.document import Written
-from beltrami_cli.formats.gltf.files import UnfitReferenceError, as_uri, is_data, re_embedded, relative_name
+from beltrami_cli.formats.gltf.files import as_uri, re_embedded, relative_name
+from beltrami_cli.formats.gltf.naming import place_pictures, used_names
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -26,11 +27,12 @@ def written(edit: Edit, stem: str, *, moved: bool) -> Written:
     stem, moved
         As for `Document.patch`.
     """
-    if not edit.buffers and edit.tree == edit.container.tree:
-        return Written([edit.container.data])
+    if not edit.buffers and not edit.pictures and edit.tree == edit.container.tree:
+        return Written([edit.container.data], {}, tuple(edit.notices))
     sidecars = place_buffers(edit, edit.tree, sidecar_names(edit.container.root, stem), moved=moved)
+    sidecars |= place_pictures(edit, edit.tree, stem, moved=moved)
     chunk = edit.buffers.get(0) if _source(edit, 0) == "chunk" else None
-    return Written(edit.container.rebuilt(edit.tree, chunk), sidecars)
+    return Written(edit.container.rebuilt(edit.tree, chunk), sidecars, tuple(edit.notices))
 
 
 def place_buffers(edit: Edit, tree: Tree, names: Iterator[str], *, moved: bool) -> dict[str, Bytes]:
@@ -76,14 +78,7 @@ def _source(edit: Edit, index: int) -> str:
 
 def sidecar_names(root: Entry, stem: str) -> Iterator[str]:
     """Generate ``stem.bin``, ``stem-2.bin``, ... without names that the file already uses."""
-    taken = set()
-    for entry in [*root.entries("buffers"), *root.entries("images")]:
-        uri = entry.text("uri")
-        if uri is not None and not is_data(uri):
-            try:
-                taken.add(relative_name(uri).casefold())
-            except UnfitReferenceError:
-                continue  # not a name beside the file, so it cannot be hit
+    taken = used_names(root)
     number = 1
     while True:
         name = f"{stem}.bin" if number == 1 else f"{stem}-{number}.bin"

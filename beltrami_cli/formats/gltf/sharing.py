@@ -79,16 +79,16 @@ def _others(tree: Tree, accessors: Accessors, members: set[int]) -> Iterator[Lay
         if accessor.sparse is not None:
             viewed |= _views_of_sparse(accessor.entry.value)
             yield from (accessor.sparse.indices, accessor.sparse.values)
-    named = set(_named_views({key: value for key, value in tree.items() if key != "accessors"}))
+    named = set(named_views({key: value for key, value in tree.items() if key != "accessors"}))
     for index, view in enumerate(accessors.views):
         if index in named or index not in viewed:
             yield Layout(view.buffer, view.offset, view.length, view.length, 1)
     for raw in objects(tree.get("bufferViews")):
         for extension in objects(list(raw.get("extensions", {}).values())):
-            yield from _extended(extension, accessors.buffers.lengths)
+            yield from extended(extension, accessors.buffers.lengths)
 
 
-def _extended(extension: Tree, lengths: Sequence[int]) -> Iterator[Layout]:
+def extended(extension: Tree, lengths: Sequence[int]) -> Iterator[Layout]:
     """Find the bytes that an extension of a view names itself, if it does so in the usual words."""
     buffer, offset, length = (extension.get(key) for key in ("buffer", "byteOffset", "byteLength"))
     offset = 0 if offset is None else offset
@@ -102,17 +102,17 @@ def _views_of_sparse(accessor: Tree) -> set[int]:
     return {accessor["sparse"][part]["bufferView"] for part in ("indices", "values")}
 
 
-def _named_views(value: object) -> Iterator[int]:
+def named_views(value: object) -> Iterator[int]:
     """Find every member called "bufferView", in images and in extensions that we do not know."""
     if isinstance(value, dict):
         index = value.get("bufferView")
         if isinstance(index, int):
             yield index
         for child in value.values():
-            yield from _named_views(child)
+            yield from named_views(child)
     elif isinstance(value, list):
         for child in value:
-            yield from _named_views(child)
+            yield from named_views(child)
 
 
 def _canonical(accessors: Accessors, layout: Layout | None) -> Layout | None:
