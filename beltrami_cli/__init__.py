@@ -13,8 +13,9 @@ if TYPE_CHECKING:
     from beltrami_cli.errors import BeltramiError, InputError, OutputError, ProcessingError, UsageError
     from beltrami_cli.flow.parameters import KernelParameters
     from beltrami_cli.pipeline.inspect_file import inspect_file
-    from beltrami_cli.pipeline.settings import SmoothSettings
-    from beltrami_cli.pipeline.smooth_file import SmoothReport, smooth_file
+    from beltrami_cli.pipeline.report import SmoothReport
+    from beltrami_cli.pipeline.settings import SmoothSettings, TextureSettings
+    from beltrami_cli.pipeline.smooth_file import smooth_file
     from beltrami_cli.pipeline.smooth_vertices import SmoothResult, smooth
 
 _HOME_OF = {
@@ -23,9 +24,10 @@ _HOME_OF = {
     "KernelParameters": "flow.parameters",
     "OutputError": "errors",
     "ProcessingError": "errors",
-    "SmoothReport": "pipeline.smooth_file",
+    "SmoothReport": "pipeline.report",
     "SmoothResult": "pipeline.smooth_vertices",
     "SmoothSettings": "pipeline.settings",
+    "TextureSettings": "pipeline.settings",
     "UsageError": "errors",
     "inspect_file": "pipeline.inspect_file",
     "smooth": "pipeline.smooth_vertices",
@@ -41,6 +43,7 @@ __all__ = [
     "SmoothReport",
     "SmoothResult",
     "SmoothSettings",
+    "TextureSettings",
     "UsageError",
     "inspect_file",
     "smooth",

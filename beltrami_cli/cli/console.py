@@ -11,6 +11,8 @@ import click
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
+    from rich.progress import TaskID
+
 
 class Messages:
     """What is told to the user, by how much they want to hear.
@@ -42,19 +44,21 @@ class Messages:
         self.say(f"warning: {text}")
 
     @contextmanager
-    def progress(self, label: str) -> Iterator[Callable[[int, int], None] | None]:
-        """Give a function that draws a bar with the time left; on a terminal only."""
+    def progress(self) -> Iterator[Callable[[str, int, int], None] | None]:
+        """Give a function that draws a bar with a label and the time left; on a terminal only."""
         if self.quiet or not sys.stderr.isatty():
             yield None
             return
         from rich.console import Console
         from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
-        columns = (TextColumn(label), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
+        columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
         with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-            task = bar.add_task(label, total=None)
+            tasks: dict[str, TaskID] = {}
 
-            def update(done: int, total: int) -> None:
-                bar.update(task, completed=done, total=total)
+            def update(label: str, done: int, total: int) -> None:
+                if label not in tasks:
+                    tasks[label] = bar.add_task(label, total=total)
+                bar.update(tasks[label], completed=done)
 
             yield update

@@ -1,4 +1,4 @@
-"""Every shared option once, with its help; defaults come from the settings record."""
+"""Every shared option once, with its help; defaults come from the settings records."""
 
 from __future__ import annotations
 
@@ -6,13 +6,22 @@ from typing import TYPE_CHECKING, Any, get_args
 
 import click
 
-from beltrami_cli.flow.parameters import KernelParameters, Space, Units, Weights
-from beltrami_cli.pipeline.settings import DEFAULTS, OUTPUT_FORMATS, SmoothSettings
+from beltrami_cli.errors import UsageError
+from beltrami_cli.flow.parameters import PRESETS, KernelParameters, Space, Units, Weights
+from beltrami_cli.pipeline.settings import (
+    DEFAULTS,
+    OUTPUT_FORMATS,
+    SLOTS,
+    AlphaMode,
+    SmoothSettings,
+    Target,
+    TextureSettings,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-_KERNEL = DEFAULTS.kernel
+_KERNEL, _TEXTURES = DEFAULTS.kernel, DEFAULTS.textures
 
 iterations = click.option(
     "-n", "--iterations", type=int, default=_KERNEL.iterations, show_default=True, metavar="N",
@@ -25,23 +34,37 @@ time_step = click.option(
 beta = click.option(
     "--beta", type=float, default=_KERNEL.beta, metavar="B",
     help="How strongly edges are kept: sample spacings per unit of colour (full scale 1). 0 is a plain Gaussian "
-    "on the surface; 5 to 20 suits strong to slight noise.  [default: from the estimated noise]",
+    "on the surface; 5 to 40 suits strong to slight noise.  [default: from the estimated noise]",
 )  # fmt: skip
 threshold = click.option(
     "--threshold", type=float, default=_KERNEL.threshold, show_default=True, metavar="K",
     help="Leave out samples whose kernel value is below K.",
 )  # fmt: skip
+metric_scale = click.option(
+    "--metric-scale", type=float, default=_KERNEL.metric_scale, show_default=True, metavar="S",
+    help="Take distances from colours smoothed over S sample spacings, so that noise does not make them; the colours "
+    "themselves are averaged. 0: never.",
+)  # fmt: skip
+metric_steps = click.option(
+    "--metric-steps", type=int, default=_KERNEL.metric_steps, show_default=True, metavar="K",
+    help="Do so in the first K iterations; the others take distances from the colours as they are.",
+)  # fmt: skip
+preset = click.option(
+    "--preset", type=click.Choice(sorted(PRESETS)),
+    help="Parameters as a set, which single options still override. 'paper' is the paper's kernel to the letter: "
+    "one iteration, t 0.5, threshold 0.01, a window of 7, on textures its parametric fast marching.",
+)  # fmt: skip
 weights = click.option(
     "--weights", type=click.Choice(get_args(Weights)), default=_KERNEL.weights, show_default=True,
-    help="Count each sample once, or by the surface area that it stands for.",
+    help="On vertices: count each sample once, or by the surface area that it stands for.",
 )  # fmt: skip
 units = click.option(
     "--units", type=click.Choice(get_args(Units)), default=_KERNEL.units, show_default=True,
-    help="Unit of length of -t and --beta: the mean edge length, or that of the file.",
+    help="Unit of length of -t and --beta: the local sample spacing, or that of the file.",
 )  # fmt: skip
 max_samples = click.option(
     "--max-samples", type=int, default=_KERNEL.max_samples, show_default=True, metavar="COUNT",
-    help="Largest kernel; a guard against a time step that is too large. Warns when it takes effect.",
+    help="On vertices: the largest kernel, a guard against a time step that is too large. Warns when it takes effect.",
 )  # fmt: skip
 threads = click.option(
     "--threads", type=int, default=_KERNEL.threads, metavar="COUNT",
@@ -54,9 +77,48 @@ space = click.option(
 )  # fmt: skip
 channels = click.option(
     "--channels", metavar="LIST",
-    help="Smooth only these channels, such as r,g; the others stay and do not count. Alpha always stays.",
+    help="Smooth only these channels, such as r,g; the others stay and do not count.",
 )  # fmt: skip
-overwrite = click.option("--overwrite", is_flag=True, help="Replace OUTPUT if it exists.")
+on = click.option(
+    "--on", type=click.Choice(get_args(Target)), default=DEFAULTS.on, show_default=True,
+    help="Smooth the vertex colours, the texture, or both; auto takes the texture where there is one.",
+)  # fmt: skip
+window = click.option(
+    "--window", type=int, default=_KERNEL.window, show_default=True, metavar="W",
+    help="On textures: side of the square in which a kernel is looked for, odd, 3 to 15; wider ones are slow.",
+)  # fmt: skip
+slots = click.option(
+    "--slots", default=",".join(_TEXTURES.slots), show_default=True, metavar="LIST",
+    help=f"Textures of which material slots: {', '.join(SLOTS)}. All but the first two are taken as data.",
+)  # fmt: skip
+materials = click.option(
+    "--material", "materials", multiple=True, metavar="GLOB",
+    help="Only textures of materials with such a name; may be repeated.",
+)  # fmt: skip
+texture_names = click.option(
+    "--texture", "texture_names", multiple=True, metavar="GLOB",
+    help="Only textures with such a file name; may be repeated.",
+)  # fmt: skip
+alpha = click.option(
+    "--alpha", type=click.Choice(get_args(AlphaMode)), default=_TEXTURES.alpha, show_default=True,
+    help="Keep the opacity of textures, or smooth it with the colours. Invisible texels lend no colour.",
+)  # fmt: skip
+gutter = click.option(
+    "--gutter", default=str(_TEXTURES.gutter), show_default=True, metavar="N|keep",
+    help="Refill N texels around every chart, so that lookups across its border see no old noise; or keep them.",
+)  # fmt: skip
+texture_format = click.option(
+    "--texture-format", metavar="EXT",
+    help="Write textures as png, jpg, webp, tif, exr ...  [default: each as it was]",
+)  # fmt: skip
+jpeg_quality = click.option(
+    "--jpeg-quality", type=click.IntRange(1, 100), default=_TEXTURES.jpeg_quality, show_default=True,
+    help="Quality of JPEG and lossy WebP textures; the subsampling stays that of the source.",
+)  # fmt: skip
+small_png = click.option("--small", is_flag=True, help="Compress PNG textures well, which takes longer.")
+overwrite = click.option(
+    "--overwrite", is_flag=True, help="Replace OUTPUT, and files beside it, if they exist."
+)
 output_format = click.option(
     "--format", "output_format", type=click.Choice(OUTPUT_FORMATS),
     help="Format of OUTPUT where its name does not tell, as with -.",
@@ -66,12 +128,22 @@ verbose = click.option(
     "-v", "--verbose", count=True, help="Print what is done; twice: also where an error arose."
 )
 
+_SMOOTHING = (
+    iterations, time_step, beta, threshold, metric_scale, metric_steps, preset, on, space, channels, units, weights,
+    max_samples, window, slots, materials, texture_names, alpha, gutter, texture_format, jpeg_quality, small_png,
+    threads,
+)  # fmt: skip
+
+# Options that are parameters of the kernel, under the names that they have there.
+_KERNEL_OPTIONS = (
+    "iterations", "t", "beta", "threshold", "weights", "units", "max_samples", "threads", "window", "metric_scale",
+    "metric_steps",
+)  # fmt: skip
+
 
 def smoothing(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add all options that make up `SmoothSettings`."""
-    for option in reversed(
-        (iterations, time_step, beta, threshold, weights, units, space, channels, max_samples, threads)
-    ):
+    for option in reversed(_SMOOTHING):
         command = option(command)
     return command
 
@@ -84,20 +156,45 @@ def settings_from(options: dict[str, Any]) -> SmoothSettings:
     UsageError
         If a value is out of its range.
     """
-    chosen = options["channels"]
     return SmoothSettings(
-        kernel=KernelParameters(
-            iterations=options["iterations"],
-            t=options["t"],
-            beta=options["beta"],
-            threshold=options["threshold"],
-            weights=options["weights"],
-            units=options["units"],
-            max_samples=options["max_samples"],
-            threads=options["threads"],
-        ),
+        kernel=_kernel_from(options),
         space=options["space"],
-        channels=None
-        if chosen is None
-        else tuple(name.strip() for name in chosen.split(",") if name.strip()),
+        channels=None if options["channels"] is None else _names(options["channels"]),
+        on=options["on"],
+        textures=TextureSettings(
+            slots=_names(options["slots"]),
+            materials=options["materials"],
+            names=options["texture_names"],
+            alpha=options["alpha"],
+            gutter=_gutter(options["gutter"]),
+            image_suffix=_suffix(options["texture_format"]),
+            jpeg_quality=options["jpeg_quality"],
+            small=options["small"],
+        ),
     )
+
+
+def _kernel_from(options: dict[str, Any]) -> KernelParameters:
+    values: dict[str, Any] = dict(PRESETS[options["preset"]]) if options["preset"] else {}
+    context = click.get_current_context()
+    for name in _KERNEL_OPTIONS:
+        given = context.get_parameter_source(name) is not click.core.ParameterSource.DEFAULT
+        if given or name not in values:
+            values[name] = options[name]
+    return KernelParameters(**values)
+
+
+def _names(text: str) -> tuple[str, ...]:
+    return tuple(name.strip() for name in text.split(",") if name.strip())
+
+
+def _suffix(text: str | None) -> str | None:
+    return None if text is None else "." + text.lower().lstrip(".")
+
+
+def _gutter(text: str) -> int | None:
+    if text == "keep":
+        return None
+    if not text.isdigit():
+        raise UsageError(f"gutter is {text}, but must be a number of texels, or keep")
+    return int(text)

@@ -13,14 +13,16 @@ from beltrami_cli.cli.console import Messages
 from beltrami_cli.errors import OutputError
 
 if TYPE_CHECKING:
-    from beltrami_cli.pipeline.smooth_file import SmoothReport
+    from beltrami_cli.pipeline.report import SmoothReport
 
 EPILOG = """\b
 Examples:
   beltrami smooth scan.ply clean.ply                    sensible defaults
   beltrami smooth scan.ply clean.ply -n 10 --beta 8     stronger
   beltrami smooth scan.ply clean.ply -n 2               gentler
-  beltrami smooth scan.glb clean.ply                    smooth and convert
+  beltrami smooth photoscan.obj clean.obj               textures too, across their seams
+  beltrami smooth scan.glb clean.glb --metric-scale 0.7 --metric-steps 2     rich natural textures
+  beltrami smooth scan.glb clean.ply                    smooth vertex colours and convert
   beltrami smooth scan.ply blur.ply --beta 0            a Gaussian on the surface, for comparison
   beltrami smooth temperature.ply out.ply --space data  scalars painted as colours
   zcat scan.ply.gz | beltrami smooth - - | gzip > clean.ply.gz
@@ -54,7 +56,7 @@ def command(
     verbose: int,
     **smoothing: Any,
 ) -> None:
-    """Smooth the vertex colours of INPUT and write OUTPUT, with nothing else changed.
+    """Smooth the colours of INPUT, in its vertices or textures, and write OUTPUT with nothing else changed.
 
     INPUT and OUTPUT are PLY, OBJ, glTF or GLB files, or - for a pipe. OUTPUT keeps the bytes of INPUT apart from
     the colours; with another extension it is converted, and what the other format cannot hold is said.
@@ -65,7 +67,7 @@ def command(
         _check_report(report_path, source, target)
     from beltrami_cli.pipeline.smooth_file import smooth_file
 
-    with messages.progress("smoothing") as progress:
+    with messages.progress() as progress:
         report = smooth_file(
             source,
             target,
@@ -100,14 +102,28 @@ def _tell(messages: Messages, report: SmoothReport, *, dry_run: bool) -> None:
     for warning in report.warnings:
         messages.warn(f"{report.input}: {warning}")
     for stage, seconds in report.stages.items():
-        messages.detail(f"{stage:>8}: {seconds['wall']:.2f} s, {seconds['cpu']:.2f} s CPU")
-    for key in ("iterations", "t", "beta", "threshold", "space"):
-        value = report.parameters[key]
-        messages.detail(f"{key:>12}: {value:.4g}" if isinstance(value, float) else f"{key:>12}: {value}")
-    noise = 255 * max(report.noise.values(), default=0)
-    messages.say(
-        f"{report.output}: {'not written (dry run), ' if dry_run else ''}{report.counts['vertices']} vertices, "
-        f"noise {noise:.1f}/255, beta {report.parameters['beta']:.3g}, "
-        f"{report.counts['samples_per_kernel']:.0f} samples a kernel, "
-        f"mean change {255 * report.change['mean']:.1f}/255"
+        messages.detail(f"{stage:>14}: {seconds['wall']:.2f} s, {seconds['cpu']:.2f} s CPU")
+    for key in ("iterations", "t", "threshold", "metric_scale", "metric_steps", "space"):
+        messages.detail(f"{key:>14}: {report.parameters[key]}")
+    name = f"{report.output}: {'not written (dry run), ' if dry_run else ''}"
+    if report.vertices is not None:
+        done, counts = report.vertices, report.vertices.counts
+        what = f"{counts['vertices']} vertices"
+        messages.say(name + _summary(what, done.noise, done.beta, counts["samples_per_kernel"], done.change))
+    for slot in report.textures:
+        textures = f"{len(slot.textures)} {slot.slot} texture{'s' if len(slot.textures) > 1 else ''}"
+        what = f"{textures}, {slot.covered} texels in {slot.charts} charts"
+        messages.say(name + _summary(what, slot.noise, slot.beta, slot.samples_per_kernel, slot.change))
+        if slot.jumps:
+            messages.detail(
+                f"{slot.jumps} of {slot.seams} seams are real colour edges and were not smoothed over"
+            )
+
+
+def _summary(
+    what: str, noise: dict[str, float], beta: float, samples: float, change: dict[str, float]
+) -> str:
+    return (
+        f"{what}, noise {255 * max(noise.values(), default=0):.1f}/255, beta {beta:.3g}, "
+        f"{samples:.0f} samples a kernel, mean change {255 * change['mean']:.1f}/255"
     )

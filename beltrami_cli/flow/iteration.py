@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from beltrami_cli.flow.guide import MeshGuide
 from beltrami_cli.flow.noise import choose_beta, estimate_sigma
+from beltrami_cli.flow.spacing import local_spacing
 from beltrami_cli.mesh.areas import vertex_areas
 
 if TYPE_CHECKING:
@@ -29,7 +31,7 @@ class FlowResult:
     colours : ndarray of float32, shape (S, N)
         Colours of the samples, in the order given.
     spacing : float
-        The unit of length that was used, in the surface's own: mean sample spacing, or 1.
+        Mean sample spacing, in the surface's own unit of length; 0 where samples have no neighbours.
     beta : float
         As used, in units of length per unit of colour.
     sigma : ndarray of float64, shape (N,)
@@ -60,6 +62,14 @@ class BeltramiFlow:
     parameters : KernelParameters
         What to run with.
 
+    Attributes
+    ----------
+    mean_edge_length : float
+        Over distinct edges with a length in space, in the surface's own unit; 0 without any.
+    sigma : ndarray of float64, shape (N,)
+        Estimated noise per channel.
+    beta : float
+        As used, in units of length per unit of colour.
     """
 
     def __init__(self, surface: SampledSurface, parameters: KernelParameters) -> None:
@@ -71,20 +81,22 @@ class BeltramiFlow:
         rank[self._order] = np.arange(len(rank), dtype=rank.dtype)
         self._positions = surface.positions[self._order]
         self._colours = surface.colours[self._order]
-        self._manifold: TriangulatedManifold = TriangulatedManifold(
-            rank[surface.all_faces], len(rank)
+        self._manifold: TriangulatedManifold = TriangulatedManifold(rank[surface.all_faces], len(rank))
+        # The walls of hard edges join samples at one place: they say nothing about spacing or noise.
+        edges, lengths = _edges_in_space(self._manifold.edges(), self._positions)
+        self.mean_edge_length = float(lengths.mean()) if len(lengths) else 0.0
+        self._scales: NDArray[np.float32] | None = None
+        if parameters.units == "spacing":
+            spacing = local_spacing(len(rank), edges, lengths)
+            self._scales = (1 / spacing).astype(np.float32)
+            lengths = lengths / np.sqrt(spacing[edges[:, 0]] * spacing[edges[:, 1]])
+        self.sigma = estimate_sigma(self._colours, edges)
+        self.beta = parameters.beta if parameters.beta is not None else self._choose_beta()
+        self._guide = (
+            MeshGuide(len(rank), edges, lengths, parameters.metric_scale)
+            if parameters.is_regularised(0)
+            else None
         )
-        edges = self._manifold.edges()
-        lengths = _edge_lengths(self._positions, edges)
-        self.mean_edge_length = _mean(lengths)
-        self.spacing = _spacing(self.mean_edge_length, parameters)
-        self._positions /= self.spacing
-        # The walls of hard edges join samples at one place: their colour steps are no noise.
-        self.sigma = estimate_sigma(self._colours, edges[lengths > 0])
-        if parameters.beta is not None:
-            self.beta = parameters.beta
-        else:
-            self.beta = choose_beta(self.sigma) * self.mean_edge_length / self.spacing
         self._weights: NDArray[np.float32] | None = None
         if parameters.weights == "area":
             self._weights = vertex_areas(self._positions, rank[surface.faces])
@@ -104,14 +116,7 @@ class BeltramiFlow:
         parameters, count = self.parameters, len(self._order)
         colours, samples, truncated = self._colours, 0, 0
         for iteration in range(parameters.iterations):
-            report = None
-            if progress is not None:
-                before = iteration * count
-
-                def report(done: int, before: int = before) -> None:
-                    progress(before + done, parameters.iterations * count)
-
-            self.set_metric(colours)
+            self._set_metric(colours, iteration)
             colours, held, cut = self._manifold.smooth(
                 colours,
                 self._weights,
@@ -119,39 +124,50 @@ class BeltramiFlow:
                 parameters.radius,
                 parameters.max_samples,
                 parameters.thread_count,
-                report,
+                shifted(progress, iteration * count, parameters.iterations * count),
             )
             samples += held
             truncated += cut
         smoothed = np.empty_like(colours)
         smoothed[self._order] = colours
         kernels = max(1, parameters.iterations * count)
-        return FlowResult(smoothed, self.spacing, self.beta, self.sigma, samples / kernels, truncated)
+        return FlowResult(
+            smoothed, self.mean_edge_length, self.beta, self.sigma, samples / kernels, truncated
+        )
 
-    def set_metric(self, colours: NDArray[np.float32]) -> None:
-        """Induce the metric, eq. (1), by colours in the inner order."""
-        self._manifold.update_metric(self._positions, colours, self.beta, True, self.parameters.thread_count)
+    def _set_metric(self, colours: NDArray[np.float32], iteration: int) -> None:
+        """Induce the metric, eq. (1), for an iteration, by colours in the inner order."""
+        beta = self.beta
+        if self._guide is not None and self.parameters.is_regularised(iteration):
+            colours, beta = self._guide.smooth(colours), beta / self._guide.gain
+        threads = self.parameters.thread_count
+        self._manifold.update_metric(self._positions, colours, beta, self._scales, True, threads)
+
+    def _choose_beta(self) -> float:
+        unit = self.mean_edge_length if self.parameters.units == "world" else 1.0
+        return choose_beta(self.sigma) * unit
 
     def probe_samples(self, kernels: int) -> float:
         """Measure how many samples a kernel of the first iteration holds, from some kernels spread evenly."""
-        self.set_metric(self._colours)
+        self._set_metric(self._colours, 0)
         sources = np.linspace(0, len(self._order) - 1, min(kernels, len(self._order)), dtype=int)
         limits = (self.parameters.radius, self.parameters.max_samples)
         return float(np.mean([len(self._manifold.distances(int(s), *limits)[0]) for s in sources]))
 
 
-def _edge_lengths(positions: NDArray[np.float64], edges: NDArray[np.int32]) -> NDArray[np.float64]:
+def shifted(
+    progress: Callable[[int, int], None] | None, before: int, total: int
+) -> Callable[[int], None] | None:
+    """Make the progress of one iteration count on from those before it."""
+    return None if progress is None else lambda done: progress(before + done, total)
+
+
+def _edges_in_space(
+    edges: NDArray[np.int32], positions: NDArray[np.float64]
+) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
+    """Return the edges that have a length in space, and their lengths."""
     squared = np.zeros(len(edges))
     for axis in range(positions.shape[1]):
         squared += (positions[edges[:, 0], axis] - positions[edges[:, 1], axis]) ** 2
-    return np.sqrt(squared)
-
-
-def _mean(lengths: NDArray[np.float64]) -> float:
-    """Mean length of the edges that have one; edges within a place belong to hard colour edges."""
-    return float(lengths.sum() / max(1, np.count_nonzero(lengths)))
-
-
-def _spacing(mean_length: float, parameters: KernelParameters) -> float:
-    """Choose the unit of length; a surface without edges has none, and needs none."""
-    return mean_length if parameters.units == "spacing" and mean_length > 0 else 1.0
+    long = squared > 0
+    return edges[long], np.sqrt(squared[long])

@@ -54,6 +54,35 @@ def estimate_sigma(colours: NDArray[np.float32], edges: NDArray[np.int32]) -> ND
     return sigma
 
 
+def estimate_sigma_on_grid(planes: NDArray[np.float32], filled: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Estimate the standard deviation of independent noise on a grid, per channel.
+
+    The diagonal Haar coefficients (a - b - c + d) / 2 of all 2 x 2 squares keep the noise and lose constants and
+    slopes; their median absolute deviation is not moved by edges. D. Donoho, I. Johnstone, "Ideal spatial adaptation
+    by wavelet shrinkage", Biometrika 81 (1994), doi:10.1093/biomet/81.3.425.
+
+    Parameters
+    ----------
+    planes : ndarray of float32, shape (N, R, C)
+        Colours.
+    filled : ndarray of bool, shape (R, C)
+        Which cells to look at.
+
+    Returns
+    -------
+    ndarray of float64, shape (N,)
+        In units of `planes`; 0 where no square is filled.
+    """
+    squares = filled[:-1, :-1] & filled[1:, :-1] & filled[:-1, 1:] & filled[1:, 1:]
+    if not squares.any():
+        return np.zeros(len(planes))
+    sigma = []
+    for plane in planes:
+        detail = (plane[:-1, :-1] - plane[1:, :-1] - plane[:-1, 1:] + plane[1:, 1:])[squares]
+        sigma.append(_SIGMA_PER_MEDIAN * float(np.median(np.abs(detail))) / 2)
+    return np.array(sigma)
+
+
 def choose_beta(sigma: NDArray[np.float64]) -> float:
     """Choose beta so that noise alone keeps neighbours within reach, and edges do not.
 

@@ -11,6 +11,7 @@ from beltrami_cli.errors import UsageError
 
 Weights = Literal["uniform", "area"]
 Units = Literal["spacing", "world"]
+Scheme = Literal["triangles", "metric"]
 Space = Literal["srgb", "linear", "oklab", "data"]
 
 
@@ -33,11 +34,22 @@ class KernelParameters:
     weights : {"uniform", "area"}
         w_q of eq. (9): 1, or the area in space that the sample stands for.
     units : {"spacing", "world"}
-        Unit of length: the mean sample spacing of the surface, or the surface's own.
+        Unit of length: the local mean sample spacing of the surface, or the surface's own.
     max_samples : int
         A kernel stops growing at this many samples; a guard against a `t` that is too large for the mesh.
     threads : int or None
         None: as many as the process may use. The result is the same for any number.
+    window : int
+        On textures and images: samples a side of the square that a kernel is looked for in, odd. From 3 to 15 by
+        vectorised sweeps; beyond, by a heap march.
+    metric_scale : float
+        In the first `metric_steps` iterations distances are taken from colours that were smoothed by a Gaussian of
+        this standard deviation, in sample spacings; averages are always taken over the colours themselves. 0: never.
+    metric_steps : int
+        How many of the iterations have the regularised metric; the rest are plain.
+    scheme : {"triangles", "metric"}
+        On textures and images: distances through the triangles of neighbouring samples; or the paper's, by a heap
+        march over the quadrants of the grid with the metric from central differences, obtuse ones split by it.
 
     Raises
     ------
@@ -53,6 +65,10 @@ class KernelParameters:
     units: Units = "spacing"
     max_samples: int = 2000
     threads: int | None = None
+    window: int = 7
+    metric_scale: float = 0.0
+    metric_steps: int = 0
+    scheme: Scheme = "triangles"
 
     def __post_init__(self) -> None:
         _require(self.iterations >= 0, "iterations", self.iterations, "0 or more")
@@ -64,7 +80,15 @@ class KernelParameters:
         _require(self.weights in get_args(Weights), "weights", self.weights, "uniform or area")
         _require(self.units in get_args(Units), "units", self.units, "spacing or world")
         _require(self.max_samples >= 1, "max_samples", self.max_samples, "1 or more")
+        _require(self.window >= 3 and self.window % 2 == 1, "window", self.window, "odd, and 3 or more")
+        _require(0 <= self.metric_scale <= 3, "metric_scale", self.metric_scale, "between 0 and 3")
+        _require(self.metric_steps >= 0, "metric_steps", self.metric_steps, "0 or more")
+        _require(self.scheme in get_args(Scheme), "scheme", self.scheme, "triangles or metric")
         _require(self.threads is None or self.threads >= 1, "threads", self.threads, "1 or more")
+
+    def is_regularised(self, iteration: int) -> bool:
+        """Tell whether an iteration, counted from 0, takes distances from smoothed colours."""
+        return self.metric_scale > 0 and iteration < self.metric_steps
 
     @property
     def radius(self) -> float:
@@ -82,3 +106,17 @@ class KernelParameters:
 def _require(holds: bool, name: str, value: object, allowed: str) -> None:
     if not holds:
         raise UsageError(f"{name} is {value}, but must be {allowed}")
+
+
+# t = 0.5, one iteration, threshold 0.01, 7 x 7: section 4 of A. Spira, R. Kimmel, N. Sochen (2007), the face images.
+PRESETS: dict[str, dict[str, object]] = {
+    "paper": {
+        "iterations": 1,
+        "t": 0.5,
+        "threshold": 0.01,
+        "window": 7,
+        "metric_scale": 0.0,
+        "metric_steps": 0,
+        "scheme": "metric",
+    }
+}

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
 EMPTY, OWNED, HALO = 0, 1, 2
@@ -41,6 +43,10 @@ class Atlas:
         Their weights, not negative, with the sum 1.
     halo_seams : ndarray of int32, shape (H,)
         The seam over which the cell was reached, or -1 (no seam: the cell stands for a texel owned elsewhere).
+    gutter_cells : ndarray of int64, shape (G,)
+        Halo cells (flat indices) that stand on a texel that nothing covers.
+    gutter_texels : ndarray of int64, shape (G,)
+        That texel, each at most once: what a lookup just beyond a chart's border should see.
     chart_of : ndarray of int32, shape (T,)
         Chart of each owned cell.
     charts, seams, seam_edges : int
@@ -58,9 +64,81 @@ class Atlas:
     halo_taps: NDArray[np.int64]
     halo_weights: NDArray[np.float32]
     halo_seams: NDArray[np.int32]
+    gutter_cells: NDArray[np.int64]
+    gutter_texels: NDArray[np.int64]
     chart_of: NDArray[np.int32]
     charts: int
     seams: int
     seam_edges: int
     covered: int
     overlapped: int
+
+
+def without_halo(atlas: Atlas, dropped: NDArray[np.bool_]) -> Atlas:
+    """Return the atlas with some of its halo cells empty.
+
+    Parameters
+    ----------
+    atlas : Atlas
+        The atlas.
+    dropped : ndarray of bool, shape (H,)
+        Halo cells that become EMPTY.
+
+    Returns
+    -------
+    Atlas
+        Lengths of edges to them are infinite.
+    """
+    kind = atlas.kind.copy()
+    kind.reshape(-1)[atlas.halo_cells[dropped]] = EMPTY
+    return dataclasses.replace(
+        atlas,
+        kind=kind,
+        squared_lengths=_only_between_filled(atlas.squared_lengths, kind),
+        halo_cells=atlas.halo_cells[~dropped],
+        halo_taps=atlas.halo_taps[~dropped],
+        halo_weights=atlas.halo_weights[~dropped],
+        halo_seams=atlas.halo_seams[~dropped],
+    )
+
+
+def without_owned(atlas: Atlas, dropped: NDArray[np.bool_]) -> Atlas:
+    """Return the atlas with some of its owned cells empty, and halo cells without their colours.
+
+    Parameters
+    ----------
+    atlas : Atlas
+        The atlas.
+    dropped : ndarray of bool, shape (T,)
+        Owned cells that become EMPTY: texels that lend no colour.
+
+    Returns
+    -------
+    Atlas
+        Halo cells that drew on nothing else are EMPTY too.
+    """
+    gone = np.zeros(atlas.kind.size, bool)
+    gone[atlas.owned_cells[dropped]] = True
+    weights = np.where(gone[atlas.halo_taps], 0, atlas.halo_weights)
+    total = weights.sum(axis=1)
+    orphaned = total <= 0
+    weights /= np.where(orphaned, 1, total)[:, None]
+    kind = atlas.kind.copy()
+    kind.reshape(-1)[gone] = EMPTY
+    kept = dataclasses.replace(
+        atlas,
+        kind=kind,
+        owned_cells=atlas.owned_cells[~dropped],
+        owned_texels=atlas.owned_texels[~dropped],
+        chart_of=atlas.chart_of[~dropped],
+        halo_weights=weights.astype(np.float32),
+    )
+    return without_halo(kept, orphaned)
+
+
+def _only_between_filled(squared_lengths: NDArray[np.float32], kind: NDArray[np.uint8]) -> NDArray[np.float32]:
+    empty = kind == EMPTY
+    lengths = squared_lengths.copy()
+    for plane, (down, right) in zip(lengths, ((0, 1), (1, 0), (1, 1), (1, -1)), strict=True):
+        plane[empty | np.roll(empty, (-down, -right), axis=(0, 1))] = np.inf
+    return lengths

@@ -1,30 +1,43 @@
-"""From one format to another, saying what the other cannot hold."""
+"""From a document and new colours to the files of the output, in the same format or in another."""
 
 from __future__ import annotations
 
 import dataclasses
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
+
+from beltrami_cli.errors import UsageError
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     import numpy as np
     from numpy.typing import NDArray
 
     from beltrami_cli.formats.document import Document, Written
+    from beltrami_cli.mesh.textured import ImageFile, Slot
 
 
-def convert(
-    document: Document, colours: NDArray[np.float32], target_format: str, stem: str, *, moved: bool
+def make_files(
+    document: Document,
+    colours: NDArray[np.float32] | None,
+    images: Mapping[tuple[Slot, str], ImageFile],
+    target_format: str,
+    stem: str,
+    *,
+    moved: bool,
 ) -> Written:
-    """Write a document's mesh, with other colours, in another format.
+    """Write a document with other colours.
 
     Parameters
     ----------
     document : Document
         The source.
-    colours : ndarray of float32, shape (V, C)
-        Rows as in ``document.painted().colours``.
+    colours : ndarray of float32, shape (V, C), or None
+        Rows as in ``document.painted().colours``; None: as they are.
+    images : mapping of (Slot, str) to ImageFile
+        New images, as `Document.patch` takes them.
     target_format : {"ply", "obj", "glb", "gltf"}
-        Another format than the document's.
+        The document's own, which changes nothing but colours, or another.
     stem : str
         Name of the output without extension, for files beside it.
     moved : bool
@@ -34,13 +47,26 @@ def convert(
     -------
     Written
         Its notices say what was lost.
+
+    Raises
+    ------
+    UsageError
+        If the other format cannot take over textures.
     """
+    if target_format == document.format:
+        return document.patch(colours, stem, moved=moved, images=images)
     from beltrami_cli.formats.gltf import GltfDocument
 
-    if isinstance(document, GltfDocument) and target_format in ("glb", "gltf"):
-        form: Literal["glb", "gltf"] = "glb" if target_format == "glb" else "gltf"
-        return document.repackaged(colours, stem, form, moved=moved)
-    contents = dataclasses.replace(document.contents(), colours=colours)
+    if isinstance(document, GltfDocument) and (target_format == "glb" or target_format == "gltf"):
+        return document.repackaged(colours, stem, target_format, moved=moved, images=images)
+    if images:
+        raise UsageError(
+            f"textures cannot be converted from {document.format} to {target_format}; "
+            f"give the output the extension .{document.format}"
+        )
+    contents = document.contents()
+    if colours is not None:
+        contents = dataclasses.replace(contents, colours=colours)
     if target_format == "ply":
         from beltrami_cli.formats.ply import write_ply
 

@@ -4,69 +4,26 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-
-from beltrami_cli.errors import UsageError
 from beltrami_cli.formats.source import open_document
-from beltrami_cli.pipeline.conversion import convert
+from beltrami_cli.mesh.textured import ImageFile
+from beltrami_cli.pipeline.conversion import make_files
 from beltrami_cli.pipeline.output import Output
-from beltrami_cli.pipeline.settings import DEFAULTS, OUTPUT_FORMATS, SmoothSettings
+from beltrami_cli.pipeline.report import SmoothReport, make_report
+from beltrami_cli.pipeline.settings import DEFAULTS, SmoothSettings
 from beltrami_cli.pipeline.smooth_vertices import SmoothResult, require_surface, smooth_painted
-from beltrami_cli.pipeline.stopwatch import Stopwatch, peak_memory
+from beltrami_cli.pipeline.stopwatch import Stopwatch
+from beltrami_cli.pipeline.work import choose_format, choose_work
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from numpy.typing import NDArray
-
     from beltrami_cli.formats.document import Document, Written
-    from beltrami_cli.mesh.painted import PaintedVertices
-
-
-@dataclass(frozen=True)
-class SmoothReport:
-    """What was done to a file; `dataclasses.asdict` gives JSON types.
-
-    Attributes
-    ----------
-    input, output, format : str
-        Where from, where to, and the format written.
-    parameters : dict
-        The kernel's parameters as used, the working space and the channels.
-    counts : dict
-        Vertices, triangles, samples, samples of hard edges, samples per kernel, truncated kernels.
-    spacing : float
-        Unit of length that was used, in the file's own.
-    noise : dict of str to float
-        Estimated standard deviation per channel, full scale 1, in the working space.
-    change : dict of str to float
-        Mean, root mean square and largest change of a colour value, full scale 1, as stored.
-    stages : dict
-        "wall" and "cpu" seconds per stage.
-    peak_memory : int or None
-        Largest resident size of the process in bytes.
-    written : list of str
-        The files that were written; none on a dry run.
-    warnings : list of str
-        What the user should know.
-    """
-
-    input: str
-    output: str
-    format: str
-    parameters: dict[str, object]
-    counts: dict[str, float]
-    spacing: float
-    noise: dict[str, float]
-    change: dict[str, float]
-    stages: dict[str, dict[str, float]]
-    peak_memory: int | None
-    written: list[str]
-    warnings: list[str]
+    from beltrami_cli.mesh.textured import Slot
+    from beltrami_cli.pipeline.smooth_textures import SlotReport
+    from beltrami_cli.pipeline.work import Work
 
 
 def smooth_file(
@@ -77,16 +34,16 @@ def smooth_file(
     format: str | None = None,  # noqa: A002 -- the name of the option
     overwrite: bool = False,
     dry_run: bool = False,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Callable[[str, int, int], None] | None = None,
 ) -> SmoothReport:
-    """Smooth the vertex colours of a mesh file, and change nothing else.
+    """Smooth the colours of a mesh file, in its vertices or textures, and change nothing else.
 
     Parameters
     ----------
     source, target : path
         PLY, OBJ, glTF or GLB; "-" for standard input or output. Another extension converts.
     settings : SmoothSettings
-        The kernel's parameters, the working space and the channels.
+        The kernel's parameters, the working space, and what is smoothed.
     format : {"ply", "obj", "glb", "gltf"}, optional
         Format to write where the name of `target` does not tell.
     overwrite : bool
@@ -94,7 +51,7 @@ def smooth_file(
     dry_run : bool
         Compute everything and write nothing.
     progress : callable, optional
-        Called with the samples done so far and the samples to do; may raise to stop.
+        Called with a label of what is being smoothed, the work done so far and the work to do; may raise to stop.
 
     Returns
     -------
@@ -105,7 +62,7 @@ def smooth_file(
     UsageError
         If the format cannot be told, or settings contradict each other or the file.
     InputError
-        If the source cannot be read or holds no vertex colours.
+        If the source cannot be read or holds no colours.
     OutputError
         If the target cannot be written; existing files are as they were.
     """
@@ -114,38 +71,41 @@ def smooth_file(
     output = None if dry_run else Output(target, overwrite=overwrite)
     with watch.stage("read"):
         document = open_document(source)
-        target_format = _target_format(document, target, format)
-        painted = document.painted()
-        require_surface(painted, document.name)
+        target_format = choose_format(document, target, format)
+        work = choose_work(document, settings)
         moved = _is_moved(source, target)
         references = list(document.references()) if moved and target_format == document.format else []
-    if output is not None:
-        output.check_sidecars(references)
-    with watch.stage("smooth"):
-        result = smooth_painted(painted, settings, progress)
-    with watch.stage("write"):
-        written = _make_files(document, result.colours, target_format, target, moved=moved)
-        for name in references:
-            written = dataclasses.replace(
-                written, sidecars={**written.sidecars, name: (Path(source).parent / name).read_bytes()}
+        if output is not None:
+            output.check_sidecars(
+                _names_beside(document, work, target_format, target, references, moved=moved)
             )
+    with watch.stage("smooth"):
+        vertices = _smooth_vertices(document, work, settings, progress)
+        images, slots, notices = _smooth_slots(document, work, settings, progress)
+    with watch.stage("write"):
+        colours = None if vertices is None else vertices.colours
+        written = make_files(document, colours, images, target_format, Path(target).stem, moved=moved)
+        written = _with_references(written, Path(source).parent, references)
         if output is not None:
             output.write(written)
     files = [] if output is None else [target, *written.sidecars]
-    warnings = [*document.notices, *written.notices, *_warnings(result, settings)]
-    return _report(source, target, target_format, painted, settings, result, watch, files, warnings)
-
-
-def _target_format(document: Document, target: str, chosen: str | None) -> str:
-    told = chosen or Path(target).suffix.lower().lstrip(".")
-    if told in OUTPUT_FORMATS:
-        return told
-    if target == "-" or not told:
-        return document.format
-    raise UsageError(
-        f"{target}: no format is known for .{told}; end the name in {', '.join('.' + f for f in OUTPUT_FORMATS)}, "
-        "or say --format"
+    warnings = [*document.notices, *work.notices, *notices, *written.notices]
+    return make_report(
+        source, target, target_format, document, settings, vertices, slots, watch, files, warnings
     )
+
+
+def _names_beside(
+    document: Document, work: Work, target_format: str, target: str, references: list[str], *, moved: bool
+) -> set[str]:
+    """Find the files that would be written beside the output, by writing the old images anew."""
+    images = {
+        (slot, texture.key): ImageFile(texture.data, Path(texture.name).suffix.lower() or ".png")
+        for slot in work.slots
+        for texture in document.textured(slot).textures
+    }
+    written = make_files(document, None, images, target_format, Path(target).stem, moved=moved)
+    return {*references, *written.sidecars}
 
 
 def _is_moved(source: str, target: str) -> bool:
@@ -154,71 +114,47 @@ def _is_moved(source: str, target: str) -> bool:
     return Path(source).resolve().parent != Path(os.path.realpath(target)).parent
 
 
-def _make_files(
-    document: Document, colours: NDArray[np.float32], target_format: str, target: str, *, moved: bool
-) -> Written:
-    stem = Path(target).stem
-    if target_format == document.format:
-        return document.patch(colours, stem, moved=moved)
-    return convert(document, colours, target_format, stem, moved=moved)
-
-
-def _warnings(result: SmoothResult, settings: SmoothSettings) -> list[str]:
-    if not result.truncated:
-        return []
-    return [
-        f"{result.truncated} kernels were cut short at {settings.kernel.max_samples} samples; "
-        "lower t, or raise --max-samples"
-    ]
-
-
-def _report(
-    source: str,
-    target: str,
-    target_format: str,
-    painted: PaintedVertices,
+def _smooth_vertices(
+    document: Document,
+    work: Work,
     settings: SmoothSettings,
-    result: SmoothResult,
-    watch: Stopwatch,
-    files: list[str],
-    warnings: list[str],
-) -> SmoothReport:
-    kernel = dataclasses.replace(settings.kernel, beta=result.beta)
-    return SmoothReport(
-        input=source,
-        output=target,
-        format=target_format,
-        parameters={
-            **dataclasses.asdict(kernel),
-            "threads": kernel.thread_count,
-            "beta_chosen": settings.kernel.beta is None,
-            "space": settings.space,
-            "channels": list(result.noise),
-        },
-        counts={
-            "vertices": len(painted.positions),
-            "triangles": len(painted.faces),
-            "samples": result.samples,
-            "hard_edge_samples": result.hard_edge_samples,
-            "samples_per_kernel": round(result.samples_per_kernel, 2),
-            "truncated_kernels": result.truncated,
-        },
-        spacing=result.spacing,
-        noise=result.noise,
-        change=_change(painted.colours, result.colours),
-        stages=watch.stages,
-        peak_memory=peak_memory(),
-        written=files,
-        warnings=warnings,
-    )
+    progress: Callable[[str, int, int], None] | None,
+) -> SmoothResult | None:
+    if not work.vertices:
+        return None
+    painted = document.painted()
+    require_surface(painted, document.name)
+    return smooth_painted(painted, settings, _labelled(progress, "vertex colours"))
 
 
-def _change(before: NDArray[np.float32], after: NDArray[np.float32]) -> dict[str, float]:
-    difference = np.abs(after - before)
-    if not difference.size:
-        return {"mean": 0.0, "rms": 0.0, "largest": 0.0}
-    return {
-        "mean": float(difference.mean(dtype=np.float64)),
-        "rms": float(np.sqrt(np.mean(np.square(difference), dtype=np.float64))),
-        "largest": float(difference.max()),
-    }
+def _smooth_slots(
+    document: Document,
+    work: Work,
+    settings: SmoothSettings,
+    progress: Callable[[str, int, int], None] | None,
+) -> tuple[dict[tuple[Slot, str], ImageFile], list[SlotReport], list[str]]:
+    images: dict[tuple[Slot, str], ImageFile] = {}
+    reports: list[SlotReport] = []
+    notices: list[str] = []
+    if settings.kernel.iterations == 0:
+        return images, reports, notices
+    for slot in work.slots:
+        from beltrami_cli.pipeline.smooth_textures import smooth_slot
+
+        result = smooth_slot(document.textured(slot), slot, settings, _labelled(progress, f"{slot} textures"))
+        images.update(result.images)
+        reports.append(result.report)
+        notices.extend(result.notices)
+    return images, reports, notices
+
+
+def _labelled(
+    progress: Callable[[str, int, int], None] | None, label: str
+) -> Callable[[int, int], None] | None:
+    return None if progress is None else lambda done, total: progress(label, done, total)
+
+
+def _with_references(written: Written, folder: Path, references: list[str]) -> Written:
+    """Add the unchanged files that the model needs beside it in its new folder."""
+    copied = {name: (folder / name).read_bytes() for name in references if name not in written.sidecars}
+    return dataclasses.replace(written, sidecars={**written.sidecars, **copied})

@@ -37,7 +37,7 @@ class SmoothResult:
     beta : float
         As used, in units of length per unit of colour.
     spacing : float
-        The unit of length that was used, in the unit of the positions.
+        Mean edge length, in the unit of the positions; 0 without edges.
     noise : dict of str to float
         Estimated standard deviation of the noise for each smoothed channel, in the working space.
     samples : int
@@ -99,7 +99,7 @@ def smooth(
     weights : {"uniform", "area"}
         Count each sample once, or by the area it stands for.
     units : {"spacing", "world"}
-        Unit of length: the mean length of edges, or that of `positions`.
+        Unit of length: the mean length of the edges around, or that of `positions`.
     max_samples : int
         Largest number of samples in a kernel.
     threads : int or None

@@ -178,7 +178,7 @@ def test_area_weights_undo_uneven_sampling():
 
 
 def test_world_units_scale_with_the_mesh():
-    positions, faces = surfaces.icosphere(3)
+    positions, faces = surfaces.lattice(20, 20, 0.37)
     colours = np.random.default_rng(0).random((len(positions), 3))
     h = surfaces.mean_edge_length(positions, faces)
     spacing = beltrami_cli.smooth(positions, faces, colours, t=1.0, beta=4.0).colours

@@ -27,12 +27,14 @@ class TriangulatedManifold {
     stencils_ = make_stencils(topology_);
   }
 
-  void update_metric(const Matrix<double>& positions, const Matrix<float>& colours, double beta, bool unfold,
-                     unsigned threads) {
+  void update_metric(const Matrix<double>& positions, const Matrix<float>& colours, double beta,
+                     const std::optional<Vector<float>>& scales, bool unfold, unsigned threads) {
     require_rows(positions.shape(0));
     require_rows(colours.shape(0));
+    if (scales) require_rows(scales->shape(0));
     const nb::gil_scoped_release unlock;
-    const auto squared = squared_edge_lengths(topology_, rows_of(positions), rows_of(colours), beta, threads);
+    const auto squared = squared_edge_lengths(topology_, rows_of(positions), rows_of(colours), beta,
+                                              scales ? scales->data() : nullptr, threads);
     update_stencils(stencils_, topology_, squared, unfold ? ObtuseCorners::unfold : ObtuseCorners::edges_only, threads);
   }
 
@@ -107,7 +109,7 @@ void bind_triangulated(nb::module_& module) {
   module.def("morton_order", &morton_order_of, "positions"_a);
   nb::class_<TriangulatedManifold>(module, "TriangulatedManifold")
       .def(nb::init<const Matrix<Index>&, Index>(), "faces"_a, "vertex_count"_a)
-      .def("update_metric", &TriangulatedManifold::update_metric, "positions"_a, "colours"_a, "beta"_a, "unfold"_a,
+      .def("update_metric", &TriangulatedManifold::update_metric, "positions"_a, "colours"_a, "beta"_a, "scales"_a.none(), "unfold"_a,
            "threads"_a)
       .def("smooth", &TriangulatedManifold::smooth, "colours"_a, "weights"_a.none(), "time_step"_a, "radius"_a,
            "max_samples"_a, "threads"_a, "progress"_a.none())

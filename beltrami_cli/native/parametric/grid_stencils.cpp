@@ -246,9 +246,10 @@ std::int64_t smooth_by_marching(const Grid& grid, Planes metric, Planes colours,
     for (std::size_t channel = 0; channel < colours.channels; ++channel)
       rows[i * colours.channels + channel] = colours.data[channel * grid.cells() + cell];
   }
+  const Poll cell_poll = poll ? Poll([&](std::size_t done) { return poll(done * grid.cells() / count); }) : Poll();
   const triangulated::Selection selection{wanted.data(), window_radius > 0 ? places.data() : nullptr, window_radius};
   const auto statistics = triangulated::smooth(stencils, {rows.data(), colours.channels}, nullptr,
-                                               {parameters.time_step, parameters.radius, count}, result.data(), threads, poll,
+                                               {parameters.time_step, parameters.radius, count}, result.data(), threads, cell_poll,
                                                selection);
   std::copy(colours.data, colours.data + colours.channels * grid.cells(), smoothed);
   for (std::size_t i = 0; i < count; ++i)

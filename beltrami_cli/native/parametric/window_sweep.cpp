@@ -71,7 +71,7 @@ std::int64_t smooth_by_sweeps(const Grid& grid, Planes metric, Planes colours, c
       [&](std::size_t begin, std::size_t end, unsigned worker) {
         for (std::size_t i = begin; i < end; ++i) samples[i] = sweep(job, tiles[i], scratch[worker]);
       },
-      poll);
+      poll ? Poll([&](std::size_t done) { return poll(done * grid.cells() / tiles.size()); }) : Poll());
   return std::accumulate(samples.begin(), samples.end(), std::int64_t{0});
 }
 

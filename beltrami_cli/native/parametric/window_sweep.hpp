@@ -25,7 +25,8 @@ struct SweepParameters {
 // Distances come from `metric` colours, averages are taken over `colours`; both have grid.cells() values a plane.
 // Writes the owned cells of `smoothed` (planes as in colours) and copies the others. Returns the sum over
 // owned cells of how many samples each kernel held. Bit-identical for any number of threads and any instruction set.
-// Throws Cancelled if poll asks to stop.
+// poll counts cells of the grid; throws Cancelled if it asks to
+// stop.
 std::int64_t smooth_by_sweeps(const Grid& grid, Planes metric, Planes colours, const SweepParameters& parameters,
                               const WindowProgram& program, float* smoothed, unsigned threads, const Poll& poll = {});
 

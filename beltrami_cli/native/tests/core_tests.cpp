@@ -38,7 +38,7 @@ struct Image {
   Image(const Mesh& mesh, double beta, ObtuseCorners obtuse, unsigned threads)
       : topology(make_topology(mesh.faces, mesh.vertex_count())), stencils(make_stencils(topology)) {
     const auto squared =
-        squared_edge_lengths(topology, {mesh.positions.data(), 3}, {mesh.colours.data(), 3}, beta, threads);
+        squared_edge_lengths(topology, {mesh.positions.data(), 3}, {mesh.colours.data(), 3}, beta, nullptr, threads);
     update_stencils(stencils, topology, squared, obtuse, threads);
   }
   Topology topology;

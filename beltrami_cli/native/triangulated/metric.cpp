@@ -20,14 +20,15 @@ double squared_distance(const T* a, const T* b, std::size_t width) {
 }  // namespace
 
 std::vector<double> squared_edge_lengths(const Topology& topology, Rows<double> positions, Rows<float> colours,
-                                         double beta, unsigned threads) {
+                                         double beta, const float* scales, unsigned threads) {
   std::vector<double> squared(topology.edges.size());
   const double squared_beta = beta * beta;
   parallel_chunks(squared.size(), edges_per_chunk, threads, [&](std::size_t begin, std::size_t end, unsigned) {
     for (std::size_t edge = begin; edge < end; ++edge) {
       const auto [low, high] = topology.edges[edge];
-      squared[edge] = squared_distance(positions[low], positions[high], positions.width) +
-                      squared_beta * squared_distance(colours[low], colours[high], colours.width);
+      double space = squared_distance(positions[low], positions[high], positions.width);
+      if (scales != nullptr) space *= static_cast<double>(scales[low]) * static_cast<double>(scales[high]);
+      squared[edge] = space + squared_beta * squared_distance(colours[low], colours[high], colours.width);
     }
   });
   return squared;

@@ -19,8 +19,9 @@ struct Rows {
   const T* operator[](Index row) const { return data + static_cast<std::size_t>(row) * width; }
 };
 
-// Squared length of every edge, |dX|^2 + beta^2 |dI|^2, in double precision. Any M and N, zero included.
+// Squared length of every edge, |dX|^2 + beta^2 |dI|^2, in double precision. Any M and N, zero included. With scales,
+// positive numbers for all vertices, |dX|^2 is multiplied by the scales of both ends: lengths in local units.
 std::vector<double> squared_edge_lengths(const Topology& topology, Rows<double> positions, Rows<float> colours,
-                                         double beta, unsigned threads);
+                                         double beta, const float* scales, unsigned threads);
 
 }  // namespace beltrami::triangulated

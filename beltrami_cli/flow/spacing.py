@@ -1,0 +1,73 @@
+"""Local sample spacing: the unit of length that follows a sampling whose density varies."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+# Means over neighbours are taken this often: far enough to be steady where edges differ at random, near enough to
+# follow a gradation of the mesh.
+_ROUNDS = 3
+
+
+def local_spacing(count: int, edges: NDArray[np.int32], lengths: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Compute the mean edge length around each vertex.
+
+    Parameters
+    ----------
+    count : int
+        Vertices.
+    edges : ndarray of int32, shape (E, 2)
+        Distinct edges.
+    lengths : ndarray of float64, shape (E,)
+        Their lengths, positive.
+
+    Returns
+    -------
+    ndarray of float64, shape (count,)
+        Positive; the mean of all edges at vertices without any. 1 if there are no edges.
+    """
+    if not len(edges):
+        return np.ones(count)
+    degree = np.bincount(edges.ravel(), minlength=count)
+    total = np.bincount(edges[:, 0], lengths, count) + np.bincount(edges[:, 1], lengths, count)
+    spacing: NDArray[np.float64] = np.where(degree > 0, total / np.maximum(degree, 1), lengths.mean())
+    for _ in range(_ROUNDS):
+        around = np.bincount(edges[:, 0], spacing[edges[:, 1]], count)
+        around = around + np.bincount(edges[:, 1], spacing[edges[:, 0]], count)
+        spacing = np.asarray((spacing + around) / (degree + 1), np.float64)
+    return spacing
+
+
+def grid_spacing(squared_lengths: NDArray[np.float32], window: int) -> NDArray[np.float32]:
+    """Compute the root mean square pitch around each cell of a grid.
+
+    Parameters
+    ----------
+    squared_lengths : ndarray of float32, shape (4, R, C)
+        Squared lengths of edges to the right, below and along the diagonals; infinite where there is none.
+    window : int
+        Cells a side of the square that the mean is taken over.
+
+    Returns
+    -------
+    ndarray of float32, shape (R, C)
+        Positive; 1 where the window holds no edge with a length.
+    """
+    from scipy.ndimage import uniform_filter
+
+    total = np.zeros(squared_lengths.shape[1:], np.float32)
+    count = np.zeros_like(total)
+    for plane in squared_lengths[:2]:
+        finite = np.isfinite(plane)
+        total += np.where(finite, plane, 0)
+        count += finite
+    total = uniform_filter(total, window, mode="constant")
+    count = uniform_filter(count, window, mode="constant")
+    # A running sum leaves rests of rounding where there is nothing.
+    known = (count > 0.5 / window**2) & (total > 0)
+    return np.sqrt(np.divide(total, count, out=np.ones_like(total), where=known))

@@ -1,0 +1,144 @@
+"""N iterations of the short-time Beltrami kernel on the canvas of a texture atlas."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from beltrami_cli.flow.guide import GridGuide
+from beltrami_cli.flow.iteration import FlowResult, shifted
+from beltrami_cli.flow.noise import choose_beta, estimate_sigma_on_grid
+from beltrami_cli.flow.seams import find_colour_jumps
+from beltrami_cli.flow.spacing import grid_spacing
+from beltrami_cli.mesh.atlas import EMPTY, OWNED, without_halo
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from beltrami_cli.flow.parameters import KernelParameters
+    from beltrami_cli.mesh.atlas import Atlas
+
+# The widest window that the sweeps are made for; a wider one is looked through by a heap march.
+_WIDEST_SWEEP = 15
+
+
+class TexelFlow:
+    """The image manifold of an atlas, ready to be smoothed.
+
+    Parameters
+    ----------
+    atlas : Atlas
+        Canvas with margins of at least half the window, and of the guide's reach besides.
+    colours : ndarray of float32, shape (T, N)
+        Colours of the owned cells, in the working space.
+    parameters : KernelParameters
+        What to run with.
+
+    Attributes
+    ----------
+    atlas : Atlas
+        Without the halo of seams whose two sides really differ.
+    spacing : float
+        Mean texel pitch on the surface, in its own unit of length.
+    sigma : ndarray of float64, shape (N,)
+        Estimated noise per channel.
+    beta : float
+        As used, in units of length per unit of colour.
+    jumps : int
+        Seams whose two sides really differ.
+    """
+
+    def __init__(self, atlas: Atlas, colours: NDArray[np.float32], parameters: KernelParameters) -> None:
+        self.parameters = parameters
+        self._planes = np.zeros((colours.shape[1], *atlas.kind.shape), np.float32)
+        self._planes.reshape(len(self._planes), -1)[:, atlas.owned_cells] = colours.T
+        refresh_halo(self._planes, atlas)
+        self.sigma = estimate_sigma_on_grid(self._planes, atlas.kind == OWNED)
+        different = find_colour_jumps(atlas, self._planes, self.sigma)
+        self.jumps = int(np.count_nonzero(different))
+        if self.jumps:
+            seams = atlas.halo_seams
+            atlas = without_halo(atlas, (seams >= 0) & different[np.maximum(seams, 0)])
+        self.atlas = atlas
+        spacing = grid_spacing(atlas.squared_lengths, parameters.window)
+        owned_spacing = spacing.reshape(-1)[atlas.owned_cells]
+        self.spacing = float(owned_spacing.mean()) if len(owned_spacing) else 0.0
+        self._lengths = atlas.squared_lengths
+        if parameters.units == "spacing":
+            self._lengths = (atlas.squared_lengths / np.square(spacing)).astype(np.float32, copy=False)
+        unit = self.spacing if parameters.units == "world" else 1.0
+        self.beta = parameters.beta if parameters.beta is not None else choose_beta(self.sigma) * unit
+        self._guide: GridGuide | None = None
+        if parameters.is_regularised(0):
+            self._guide = GridGuide(atlas.kind != EMPTY, parameters.metric_scale)
+
+    def run(self, progress: Callable[[int, int], None] | None = None) -> FlowResult:
+        """Run all iterations.
+
+        Parameters
+        ----------
+        progress : callable, optional
+            Called with the work done so far and the work to do, over all iterations; may raise to stop.
+
+        Returns
+        -------
+        FlowResult
+            `colours` are those of the owned cells, shape (T, N).
+        """
+        from beltrami_cli._native import smooth_grid
+
+        parameters, planes, samples = self.parameters, self._planes, 0
+        for iteration in range(parameters.iterations):
+            metric, beta = planes, self.beta
+            if self._guide is not None and parameters.is_regularised(iteration):
+                metric, beta = self._guide.smooth(planes), beta / self._guide.gain
+            planes, held = smooth_grid(
+                self.atlas.kind,
+                self._lengths,
+                metric,
+                planes,
+                beta,
+                parameters.t,
+                parameters.radius,
+                parameters.window // 2,
+                self._scheme(),
+                0,
+                parameters.thread_count,
+                shifted(
+                    progress, iteration * self.atlas.kind.size, parameters.iterations * self.atlas.kind.size
+                ),
+            )
+            refresh_halo(planes, self.atlas)
+            samples += held
+        self._planes = planes
+        owned = planes.reshape(len(planes), -1)[:, self.atlas.owned_cells]
+        kernels = max(1, parameters.iterations * len(self.atlas.owned_cells))
+        return FlowResult(
+            np.ascontiguousarray(owned.T), self.spacing, self.beta, self.sigma, samples / kernels, 0
+        )
+
+    def colours_at(self, cells: NDArray[np.int64]) -> NDArray[np.float32]:
+        """Return the colours that cells (flat indices) have now, shape (K, N)."""
+        return np.ascontiguousarray(self._planes.reshape(len(self._planes), -1)[:, cells].T)
+
+    def _scheme(self) -> str:
+        if self.parameters.scheme == "metric":
+            return "metric"
+        return "sweep" if self.parameters.window <= _WIDEST_SWEEP else "triangles"
+
+
+def refresh_halo(planes: NDArray[np.float32], atlas: Atlas) -> None:
+    """Give the halo cells of all planes, in place, the colours of the owned cells that they stand for.
+
+    Parameters
+    ----------
+    planes : ndarray of float32, shape (N, R, C)
+        Colours on the canvas.
+    atlas : Atlas
+        Which cells are halo, and where their colours come from.
+    """
+    for plane in planes.reshape(len(planes), -1):
+        plane[atlas.halo_cells] = np.einsum("ht,ht->h", plane[atlas.halo_taps], atlas.halo_weights)

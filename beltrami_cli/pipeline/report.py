@@ -1,0 +1,148 @@
+"""What was done to a file, as a record that can be written as JSON."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from beltrami_cli.pipeline.stopwatch import peak_memory
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from beltrami_cli.formats.document import Document
+    from beltrami_cli.pipeline.settings import SmoothSettings
+    from beltrami_cli.pipeline.smooth_textures import SlotReport
+    from beltrami_cli.pipeline.smooth_vertices import SmoothResult
+    from beltrami_cli.pipeline.stopwatch import Stopwatch
+
+
+@dataclass(frozen=True)
+class VertexReport:
+    """What was done to vertex colours.
+
+    Attributes
+    ----------
+    counts : dict
+        Vertices, triangles, samples, samples of hard edges, samples per kernel, truncated kernels.
+    spacing : float
+        Mean sample spacing, in the file's own unit of length.
+    beta : float
+        As used.
+    noise : dict of str to float
+        Estimated standard deviation per channel, full scale 1, in the working space.
+    change : dict of str to float
+        Mean, root mean square and largest change of a colour value, full scale 1, as stored.
+    """
+
+    counts: dict[str, float]
+    spacing: float
+    beta: float
+    noise: dict[str, float]
+    change: dict[str, float]
+
+
+@dataclass(frozen=True)
+class SmoothReport:
+    """What was done to a file; `dataclasses.asdict` gives JSON types.
+
+    Attributes
+    ----------
+    input, output, format : str
+        Where from, where to, and the format written.
+    parameters : dict
+        The parameters that were asked for; what was chosen in place of an absent beta is with what it was chosen for.
+    vertices : VertexReport or None
+        For vertex colours, if they were smoothed.
+    textures : list of SlotReport
+        For the texture slots that were smoothed.
+    stages : dict
+        "wall" and "cpu" seconds per stage.
+    peak_memory : int or None
+        Largest resident size of the process in bytes.
+    written : list of str
+        The files that were written; none on a dry run.
+    warnings : list of str
+        What the user should know.
+    """
+
+    input: str
+    output: str
+    format: str
+    parameters: dict[str, object]
+    vertices: VertexReport | None
+    textures: list[SlotReport]
+    stages: dict[str, dict[str, float]]
+    peak_memory: int | None
+    written: list[str]
+    warnings: list[str]
+
+
+def make_report(
+    source: str,
+    target: str,
+    target_format: str,
+    document: Document,
+    settings: SmoothSettings,
+    vertices: SmoothResult | None,
+    slots: list[SlotReport],
+    watch: Stopwatch,
+    files: list[str],
+    warnings: list[str],
+) -> SmoothReport:
+    """Put together what a job did."""
+    if vertices is not None and vertices.truncated:
+        cut = (
+            f"{vertices.truncated} kernels were cut short at {settings.kernel.max_samples} samples; "
+            "lower t, or raise --max-samples"
+        )
+        warnings = [*warnings, cut]
+    return SmoothReport(
+        input=source,
+        output=target,
+        format=target_format,
+        parameters={
+            **dataclasses.asdict(settings.kernel),
+            "threads": settings.kernel.thread_count,
+            "space": settings.space,
+        },
+        vertices=None if vertices is None else _vertex_report(document, vertices),
+        textures=slots,
+        stages=watch.stages,
+        peak_memory=peak_memory(),
+        written=files,
+        warnings=warnings,
+    )
+
+
+def _vertex_report(document: Document, result: SmoothResult) -> VertexReport:
+    painted = document.painted()
+    return VertexReport(
+        counts={
+            "vertices": len(painted.positions),
+            "triangles": len(painted.faces),
+            "samples": result.samples,
+            "hard_edge_samples": result.hard_edge_samples,
+            "samples_per_kernel": round(result.samples_per_kernel, 2),
+            "truncated_kernels": result.truncated,
+        },
+        spacing=result.spacing,
+        beta=result.beta,
+        noise=result.noise,
+        change=summarise_change(painted.colours, result.colours),
+    )
+
+
+def summarise_change(before: NDArray[np.float32], after: NDArray[np.float32]) -> dict[str, float]:
+    """Return the mean, the root mean square and the largest change."""
+    difference = np.abs(after - before)
+    if not difference.size:
+        return {"mean": 0.0, "rms": 0.0, "largest": 0.0}
+    return {
+        "mean": float(difference.mean(dtype=np.float64)),
+        "rms": float(np.sqrt(np.mean(np.square(difference), dtype=np.float64))),
+        "largest": float(difference.max()),
+    }

@@ -1,0 +1,281 @@
+"""Smooth the textures of one slot: textured surface in, new image files out."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from fnmatch import fnmatch
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from beltrami_cli.errors import UsageError
+from beltrami_cli.flow.guide import guide_radius
+from beltrami_cli.flow.texels import TexelFlow
+from beltrami_cli.formats.image import from_float, read_image, to_float, write_image
+from beltrami_cli.mesh.atlas import without_owned
+from beltrami_cli.pipeline.report import summarise_change
+from beltrami_cli.pipeline.texel_colours import TexelColours
+from beltrami_cli.sampling.atlas import build_atlas
+from beltrami_cli.sampling.gutter import fill_gutter
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from beltrami_cli.formats.image import Picture
+    from beltrami_cli.mesh.atlas import Atlas
+    from beltrami_cli.mesh.textured import ImageFile, Slot, Texture, TexturedSurface
+    from beltrami_cli.pipeline.settings import SmoothSettings, TextureSettings
+
+
+@dataclass(frozen=True)
+class SlotReport:
+    """What was done to the textures of a slot.
+
+    Attributes
+    ----------
+    slot : str
+        The slot.
+    textures : list of dict
+        For each texture its name, size, type, and how many of its texels the surface covers.
+    charts, seams, jumps, covered, overlapped : int
+        Of all textures together; jumps are seams whose two sides really differ, which nothing was smoothed over.
+    pitch : float
+        Mean distance of neighbouring texels on the surface, in the model's own unit of length.
+    beta : float
+        As used.
+    noise : dict of str to float
+        Estimated standard deviation per channel, full scale 1, in the working space.
+    samples_per_kernel : float
+        Mean number of samples that a kernel held.
+    change : dict of str to float
+        Mean, root mean square and largest change of a covered texel's value, full scale 1, as stored.
+    """
+
+    slot: str
+    textures: list[dict[str, object]]
+    charts: int
+    seams: int
+    jumps: int
+    covered: int
+    overlapped: int
+    pitch: float
+    beta: float
+    noise: dict[str, float]
+    samples_per_kernel: float
+    change: dict[str, float]
+
+
+@dataclass(frozen=True)
+class SlotResult:
+    """New image files for a slot, under the keys of its textures; what was done; and what the user should know."""
+
+    images: dict[tuple[Slot, str], ImageFile]
+    report: SlotReport
+    notices: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class PreparedSlot:
+    """The textures of a slot as samples of a manifold.
+
+    Attributes
+    ----------
+    surface : TexturedSurface
+        With the chosen textures only.
+    pictures : list of Picture
+        Decoded, one for each texture.
+    atlas : Atlas
+        The manifold of their texels, without those that lend no colour.
+    colours : TexelColours
+        The way from pictures to samples and back.
+    """
+
+    surface: TexturedSurface
+    pictures: list[Picture]
+    atlas: Atlas
+    colours: TexelColours
+
+    def flow(self, settings: SmoothSettings) -> TexelFlow:
+        """Make the flow on these samples."""
+        return TexelFlow(self.atlas, self.colours.samples(self.atlas), settings.kernel)
+
+
+def prepare_slot(surface: TexturedSurface, slot: Slot, settings: SmoothSettings) -> PreparedSlot:
+    """Decode the textures of a slot and make the manifold of their texels.
+
+    Raises
+    ------
+    UsageError
+        If no texture is chosen, or the settings contradict the textures.
+    InputError
+        If an image cannot be decoded.
+    """
+    surface = _chosen(surface, slot, settings.textures)
+    pictures = [read_image(texture.data, texture.name) for texture in surface.textures]
+    kernel = settings.kernel
+    margin = kernel.window // 2 + (guide_radius(kernel.metric_scale) if kernel.metric_steps else 0)
+    sizes = [(picture.pixels.shape[1], picture.pixels.shape[0]) for picture in pictures]
+    atlas = build_atlas(surface, sizes, margin, kernel.thread_count)
+    colours = TexelColours(pictures, slot, settings)
+    transparent = colours.transparent(atlas)
+    if transparent.any():
+        atlas = without_owned(atlas, transparent)
+    return PreparedSlot(surface, pictures, atlas, colours)
+
+
+def smooth_slot(
+    surface: TexturedSurface,
+    slot: Slot,
+    settings: SmoothSettings,
+    progress: Callable[[int, int], None] | None = None,
+) -> SlotResult:
+    """Smooth all chosen textures of a slot together, over the surface and across their seams.
+
+    Parameters
+    ----------
+    surface : TexturedSurface
+        As a document gives it.
+    slot : Slot
+        Which slot it is: colours, or data.
+    settings : SmoothSettings
+        The kernel's parameters, the working space, and what concerns textures.
+    progress : callable, optional
+        Called with the work done so far and the work to do; may raise to stop.
+
+    Returns
+    -------
+    SlotResult
+
+    Raises
+    ------
+    UsageError, InputError
+        As `prepare_slot`.
+    """
+    prepared = prepare_slot(surface, slot, settings)
+    flow = prepared.flow(settings)
+    before = flow.colours_at(prepared.atlas.owned_cells)
+    result = flow.run(progress)
+    images: dict[tuple[Slot, str], ImageFile] = {}
+    notices = [notice for picture in prepared.pictures for notice in picture.notices]
+    changes = []
+    for index, texture in enumerate(prepared.surface.textures):
+        pixels, change = _repaint(prepared, flow, index, before, result.colours, settings.textures)
+        changes.append(change)
+        images[slot, texture.key] = write_image(
+            prepared.pictures[index],
+            pixels,
+            suffix=settings.textures.image_suffix,
+            jpeg_quality=settings.textures.jpeg_quality,
+            small=settings.textures.small,
+        )
+    report = SlotReport(
+        slot=slot,
+        textures=describe_textures(prepared),
+        jumps=flow.jumps,
+        **atlas_counts(prepared.atlas),
+        pitch=flow.spacing,
+        beta=flow.beta,
+        noise=prepared.colours.named(flow.sigma),
+        samples_per_kernel=round(result.samples_per_kernel, 2),
+        change=summarise_change(*map(np.concatenate, zip(*changes, strict=True))),
+    )
+    return SlotResult(images, report, (*notices, *atlas_notices(prepared)))
+
+
+def atlas_counts(atlas: Atlas) -> dict[str, int]:
+    """Return what an atlas is made of."""
+    return {
+        "charts": atlas.charts,
+        "seams": atlas.seams,
+        "covered": atlas.covered,
+        "overlapped": atlas.overlapped,
+    }
+
+
+def atlas_notices(prepared: PreparedSlot) -> tuple[str, ...]:
+    """Return what the user should know about texture coordinates that use texels more than once."""
+    atlas = prepared.atlas
+    if not atlas.overlapped:
+        return ()
+    share = 100 * atlas.overlapped / max(1, atlas.covered)
+    return (
+        f"{share:.0f} % of the covered texels lie at several places of the surface (mirrored, tiled or overlapping "
+        "charts); each was smoothed at one of them",
+    )
+
+
+def describe_textures(prepared: PreparedSlot) -> list[dict[str, object]]:
+    """Return facts about each texture, in JSON types."""
+    covered = np.histogram(prepared.atlas.owned_texels, prepared.atlas.texture_offsets)[0]
+    return [
+        {
+            "name": texture.name,
+            "width": picture.pixels.shape[1],
+            "height": picture.pixels.shape[0],
+            "format": picture.format,
+            "stored": picture.stored,
+            "channels": list(picture.channels),
+            "covered": round(float(count / picture.pixels[..., 0].size), 4),
+        }
+        for texture, picture, count in zip(prepared.surface.textures, prepared.pictures, covered, strict=True)
+    ]
+
+
+def _chosen(surface: TexturedSurface, slot: Slot, wanted: TextureSettings) -> TexturedSurface:
+    """Keep the textures that the globs choose."""
+
+    def fits(texture: Texture) -> bool:
+        by_name = not wanted.names or any(fnmatch(texture.name, glob) for glob in wanted.names)
+        by_material = not wanted.materials or any(
+            fnmatch(material, glob) for material in texture.materials for glob in wanted.materials
+        )
+        return by_name and by_material
+
+    kept = [index for index, texture in enumerate(surface.textures) if fits(texture)]
+    if not kept:
+        names = ", ".join(texture.name for texture in surface.textures)
+        raise UsageError(f"no {slot} texture fits the globs; there are {names}")
+    new_index = np.full(len(surface.textures) + 1, -1, np.int32)
+    new_index[kept] = np.arange(len(kept), dtype=np.int32)
+    return dataclasses.replace(
+        surface,
+        textures=tuple(surface.textures[index] for index in kept),
+        texture_of=new_index[surface.texture_of],
+    )
+
+
+def _repaint(
+    prepared: PreparedSlot,
+    flow: TexelFlow,
+    index: int,
+    before: NDArray[np.float32],
+    after: NDArray[np.float32],
+    wanted: TextureSettings,
+) -> tuple[NDArray[Any], tuple[NDArray[np.float32], NDArray[np.float32]]]:
+    """Return a texture's new pixels, and the values of its covered texels before and after."""
+    picture, atlas = prepared.pictures[index], prepared.atlas
+    old = to_float(picture)
+    new = old.copy()
+    height, width = old.shape[:2]
+
+    def place(texels: NDArray[np.int64]) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
+        inside = (texels >= atlas.texture_offsets[index]) & (texels < atlas.texture_offsets[index + 1])
+        return inside, texels[inside] - atlas.texture_offsets[index]
+
+    inside, texels = place(atlas.owned_texels)
+    moved = np.any(before[inside] != after[inside], axis=1)
+    prepared.colours.write(new, index, texels[moved], after[inside][moved])
+    covered = np.zeros((height, width), bool)
+    covered.reshape(-1)[texels] = True
+    change = old[covered].ravel(), new[covered].ravel()
+    if wanted.gutter is not None:
+        known = np.zeros_like(covered)
+        beside, gutter_texels = place(atlas.gutter_texels)
+        prepared.colours.write(new, index, gutter_texels, flow.colours_at(atlas.gutter_cells[beside]))
+        known.reshape(-1)[gutter_texels] = True
+        channels = prepared.colours.columns(index)
+        new[..., channels] = fill_gutter(new[..., channels], covered, None, wanted.gutter, known)
+    return from_float(picture, new, new != old), change

@@ -1,0 +1,85 @@
+"""What a job does with a document: which of its colours are smoothed, and in which format they are written."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from beltrami_cli.errors import InputError, UsageError
+from beltrami_cli.pipeline.settings import OUTPUT_FORMATS
+
+if TYPE_CHECKING:
+    from beltrami_cli.formats.document import Document
+    from beltrami_cli.mesh.textured import Slot
+    from beltrami_cli.pipeline.settings import SmoothSettings
+
+
+@dataclass(frozen=True)
+class Work:
+    """What is smoothed.
+
+    Attributes
+    ----------
+    vertices : bool
+        Whether the vertex colours are.
+    slots : tuple of Slot
+        The texture slots that are.
+    notices : tuple of str
+        What the user should know of the choice.
+    """
+
+    vertices: bool
+    slots: tuple[Slot, ...]
+    notices: tuple[str, ...] = ()
+
+
+def choose_work(document: Document, settings: SmoothSettings) -> Work:
+    """Choose what is smoothed, by the settings and by what is there.
+
+    Raises
+    ------
+    InputError
+        If there is nothing of what is asked for; the message says what there is.
+    """
+    present = document.slots()
+    slots = tuple(slot for slot in present if slot in settings.textures.slots)
+    coloured = settings.on != "texture" and document.has_vertex_colours()
+    if settings.on == "vertices" or (settings.on == "auto" and not slots and coloured):
+        if not coloured:
+            document.painted()  # raises, and says what there is instead
+        return Work(vertices=True, slots=())
+    if settings.on == "both" and not (coloured and slots):
+        missing = "vertex colours" if slots else "textures in the chosen slots"
+        raise InputError(document.name, f"it has no {missing}", "use --on auto")
+    if not slots:
+        raise InputError(
+            document.name,
+            "it has neither vertex colours nor textures to smooth"
+            + (f", but textures in the slots {', '.join(present)}" if present else ""),
+            f"add --slots {present[0]}" if present else "paint it first, or name the image file itself",
+        )
+    both = settings.on == "both"
+    notices = (
+        ("its vertex colours stay as they are; --on both smooths them too",) if coloured and not both else ()
+    )
+    return Work(vertices=both, slots=slots, notices=notices)
+
+
+def choose_format(document: Document, target: str, chosen: str | None) -> str:
+    """Choose the format to write, by option, by the output's name, or as the source.
+
+    Raises
+    ------
+    UsageError
+        If the name's extension is of no known format.
+    """
+    told = chosen or Path(target).suffix.lower().lstrip(".")
+    if told in OUTPUT_FORMATS:
+        return told
+    if target == "-" or not told:
+        return document.format
+    raise UsageError(
+        f"{target}: no format is known for .{told}; end the name in {', '.join('.' + f for f in OUTPUT_FORMATS)}, "
+        "or say --format"
+    )
