@@ -172,3 +172,90 @@ def numbers(tree, buffers, index):
 def joined(written):
     """Return the main file of a `Written`."""
     return b"".join(bytes(piece) for piece in written.main)
+
+
+PNG, JPEG, WEBP, KTX2 = b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff\xe0", b"RIFF\0\0\0\0WEBP", b"\xabKTX 20\xbb"
+
+
+def picture(number, head=PNG, size=50):
+    """Return what looks like an image file to whoever does not decode it."""
+    return head + np.random.default_rng(number).integers(1, 256, size).astype(np.uint8).tobytes()
+
+
+def data_uri(data, media="image/png"):
+    return f"data:{media};base64,{base64.b64encode(data).decode()}"
+
+
+class Textured(Model):
+    """A model with materials under construction; `place` says how images are stored, `files` are beside it."""
+
+    def __init__(self, place="view"):
+        super().__init__()
+        self.place, self.files = place, {}
+        self.tree |= {"images": [], "textures": [], "materials": [], "samplers": []}
+
+    def image(self, data, name="a b.png", media="image/png"):
+        image = {"name": name}
+        if self.place == "view":
+            image |= {"bufferView": self.view(data), "mimeType": media}
+        elif self.place == "data":
+            image["uri"] = data_uri(data, media)
+        else:
+            image["uri"] = "maps/" + name.replace(" ", "%20")
+            self.files["maps/" + name] = data
+        return self._add("images", image)
+
+    def texture(self, image, *, wrap=None, **more):
+        texture = {} if image is None else {"source": image}
+        if wrap is not None:
+            texture["sampler"] = self._add("samplers", {"wrapS": wrap[0], "wrapT": wrap[1]})
+        return self._add("textures", texture | more)
+
+    def material(self, name=None, **slots):
+        material = {} if name is None else {"name": name}
+        for slot, info in slots.items():
+            holder = material
+            for key in SLOT_PATHS[slot][:-1]:
+                holder = holder.setdefault(key, {})
+            holder[SLOT_PATHS[slot][-1]] = {"index": info} if isinstance(info, int) else info
+        return self._add("materials", material)
+
+    def triangles(self, positions, uv=None, material=None, *, corners=None, mode=None, **placed):
+        """Add a mesh of one primitive; `uv` is an array, or a dict of attributes."""
+        attributes = {"POSITION": self.packed(np.asarray(positions, "<f4"))}
+        if isinstance(uv, dict):
+            attributes |= uv
+        elif uv is not None:
+            attributes["TEXCOORD_0"] = self.packed(np.asarray(uv, "<f4"))
+        primitive = {"attributes": attributes}
+        primitive |= {} if material is None else {"material": material}
+        primitive |= {} if mode is None else {"mode": mode}
+        primitive |= {} if corners is None else {"indices": self.indices(np.asarray(corners, "<u2"))}
+        return self.mesh(primitive, **placed)
+
+    def _add(self, key, value):
+        self.tree[key].append(value)
+        return len(self.tree[key]) - 1
+
+    def written_to(self, folder, form="glb"):
+        """Write the model and its files; return the path of the main file."""
+        for name, data in self.files.items():
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            (folder / name).write_bytes(data)
+        path = folder / ("model.glb" if form == "glb" else "model.gltf")
+        if form == "gltf":
+            (folder / "model.bin").write_bytes(bytes(self.binary))
+        forms = {"glb": self.glb, "data": self.data_text, "gltf": lambda: self.text("model.bin", indent=1)}
+        path.write_bytes(forms[form]())
+        return path
+
+
+SLOT_PATHS = {
+    "baseColor": ("pbrMetallicRoughness", "baseColorTexture"),
+    "diffuse": ("extensions", "KHR_materials_pbrSpecularGlossiness", "diffuseTexture"),
+    "emissive": ("emissiveTexture",),
+    "normal": ("normalTexture",),
+    "occlusion": ("occlusionTexture",),
+    "metallicRoughness": ("pbrMetallicRoughness", "metallicRoughnessTexture"),
+    "clearcoat": ("extensions", "KHR_materials_clearcoat", "clearcoatTexture"),
+}

@@ -84,7 +84,7 @@ def _wanted(
     wanted = {}
     for (slot, key), file in images.items():
         if key not in indices or pictures.canonical(indices[key]) != indices[key]:
-            raise ValueError(f"there is no {key!r}")
+            raise ValueError(f"there is no image called {key!r}")
         if file.suffix.lower() not in MEDIA:
             cause = f"glTF cannot hold {file.suffix} textures ({pictures.name(indices[key])})"
             raise OutputError(edit.container.name, cause, "choose PNG, JPEG or WebP with --texture-format")

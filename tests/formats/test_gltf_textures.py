@@ -1,0 +1,287 @@
+"""Properties of textured surfaces as they are read from glTF files."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from formats.gltf_files import JPEG, KTX2, WEBP, Textured, picture
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from beltrami_cli.errors import InputError
+from beltrami_cli.formats.source import open_document
+
+SLOTS = ("baseColor", "emissive", "normal", "occlusion", "metallicRoughness")
+SQUARE = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], "<f4")
+CORNERS = np.array([[0, 1, 2], [0, 2, 3]])
+UV = np.array([[0.125, 0.25], [0.5, -1], [2, 0.75], [0, 1]], "<f4")
+
+
+def square(model, material, *, uv=UV, **placed):
+    return model.triangles(SQUARE, uv, material, corners=CORNERS, **placed)
+
+
+def surface(model, folder, slot="baseColor", form="glb"):
+    return open_document(str(model.written_to(folder, form))).textured(slot)
+
+
+@pytest.mark.parametrize("form", ["glb", "gltf", "data"])
+@pytest.mark.parametrize("place", ["view", "data", "file"])
+@pytest.mark.parametrize("slot", SLOTS)
+def test_every_slot_is_read_from_every_container(tmp_path, form, place, slot):
+    model = Textured(place)
+    data = picture(1, JPEG)
+    square(model, model.material("skin", **{slot: model.texture(model.image(data))}))
+    document = open_document(str(model.written_to(tmp_path, form)))
+    assert document.slots() == (slot,)
+    assert document.facts()["slots"] == [slot]
+    assert (document.facts()["images"], document.facts()["textures"]) == (1, 1)
+    found = document.textured(slot)
+    assert document.textured(slot) is found
+    np.testing.assert_array_equal(found.positions[found.faces], SQUARE[CORNERS])
+    np.testing.assert_array_equal(found.uv, UV[CORNERS])
+    np.testing.assert_array_equal(found.texture_of, [0, 0])
+    (texture,) = found.textures
+    assert (texture.data, texture.name, texture.materials) == (data, "a b.png", ("skin",))
+    assert texture.wrap == ("repeat", "repeat")
+    for other in set(SLOTS) - {slot}:
+        with pytest.raises(InputError, match=f"no {other} texture"):
+            document.textured(other)
+
+
+def test_all_triangles_are_there_and_one_image_is_one_texture(tmp_path):
+    model = Textured()
+    image = model.image(picture(1))
+    first, second = (
+        model.material(name, baseColor=model.texture(image, wrap=wrap))
+        for name, wrap in (("a", (33071, 33648)), ("b", (10497, 10497)))
+    )
+    other = model.material(baseColor=model.texture(model.image(picture(2), "other.png")))
+    square(model, first)
+    square(model, None)
+    square(model, second, translation=[5, 0, 0])
+    square(model, other, node=False)
+    document = open_document(str(model.written_to(tmp_path)))
+    found = document.textured("baseColor")
+    np.testing.assert_array_equal(found.texture_of, np.repeat([0, -1, 0, 1], 2))
+    assert [texture.materials for texture in found.textures] == [("a", "b"), ("material 2",)]
+    assert found.textures[0].wrap == ("clamp", "mirror")
+    assert [notice for notice in document.notices if "wrap modes" in notice]
+    np.testing.assert_array_equal(found.positions[found.faces[4:6]], SQUARE[CORNERS] + [5, 0, 0])
+    assert (
+        len(set(found.space_of[found.faces[6:]].ravel()) & set(found.space_of[found.faces[:6]].ravel())) == 0
+    )
+
+
+def test_images_over_the_same_bytes_are_one(tmp_path):
+    for place in ("view", "file"):
+        folder = tmp_path / place
+        folder.mkdir()
+        model = Textured(place)
+        image = model.image(picture(1))
+        model.tree["images"].append(model.tree["images"][image] | {"name": "again"})
+        for number in (0, 1):
+            square(model, model.material(baseColor=model.texture(number)), translation=[number, 0, 0])
+        found = surface(model, folder)
+        assert len(found.textures) == 1
+        np.testing.assert_array_equal(found.texture_of, 0)
+
+
+@settings(max_examples=50, deadline=None)
+@given(
+    offset=st.tuples(*[st.floats(-3, 3)] * 2),
+    angle=st.floats(-7, 7),
+    scale=st.tuples(*[st.floats(-30, 30)] * 2),
+)
+def test_transforms_scale_then_turn_then_shift(tmp_path_factory, offset, angle, scale):
+    """Counter-clockwise is meant as seen, with v down: (1, 0) turns towards (0, -1)."""
+    model = Textured()
+    transform = {"offset": offset, "rotation": angle, "scale": scale}
+    info = {
+        "index": model.texture(model.image(picture(1))),
+        "extensions": {"KHR_texture_transform": transform},
+    }
+    square(model, model.material(baseColor=info))
+    seen = UV.astype(float) * scale @ [1, -1j]  # the plane as complex numbers with the imaginary axis up
+    seen = seen * complex(math.cos(angle), math.sin(angle)) + np.array(offset) @ [1, -1j]
+    expected = np.stack([seen.real, -seen.imag], axis=1)[CORNERS]
+    found = surface(model, tmp_path_factory.mktemp("transform"))
+    np.testing.assert_allclose(found.uv, expected, atol=1e-12 * (1 + np.abs(expected).max()))
+
+
+def test_the_published_example_shows_the_lower_left_quadrant(tmp_path):
+    """The extension's own words: "only the lower left quadrant of the source image, rotated clockwise 90°"."""
+    model = Textured()
+    transform = {"offset": [0, 1], "rotation": math.pi / 2, "scale": [0.5, 0.5]}
+    info = {
+        "index": model.texture(model.image(picture(1))),
+        "extensions": {"KHR_texture_transform": transform},
+    }
+    square(model, model.material(baseColor=info), uv=SQUARE[:, :2])
+    corners = surface(model, tmp_path).uv.reshape(-1, 2)
+    np.testing.assert_allclose([corners.min(axis=0), corners.max(axis=0)], [[0, 0.5], [0.5, 1]], atol=1e-15)
+
+
+@pytest.mark.parametrize("kind", ["f4", "u1", "u2", "i1", "i2", "plain u1", "plain i2"])
+@pytest.mark.parametrize("chosen", ["info", "transform"])
+def test_coordinates_of_every_type_and_set_are_read(tmp_path, kind, chosen):
+    model, rng = Textured(), np.random.default_rng(3)
+    code = kind.split()[-1]
+    if code == "f4":
+        stored = rng.normal(size=(4, 2)).astype("<f4")
+        expected, normalised = stored, {}
+    else:
+        limits = np.iinfo(code)
+        stored = rng.integers(limits.min, limits.max + 1, (4, 2)).astype(f"<{code}")
+        plain = kind.startswith("plain")
+        expected = stored if plain else np.maximum(stored / float(limits.max), -1)
+        normalised = {} if plain else {"normalized": True}
+    attributes = {"TEXCOORD_0": model.packed(UV), "TEXCOORD_1": model.packed(stored, **normalised)}
+    info = {"index": model.texture(model.image(picture(1))), "texCoord": 1}
+    if chosen == "transform":
+        info |= {"texCoord": 0, "extensions": {"KHR_texture_transform": {"texCoord": 1}}}
+    square(model, model.material(baseColor=info), uv=attributes)
+    np.testing.assert_array_equal(surface(model, tmp_path).uv, np.asarray(expected, float)[CORNERS])
+
+
+@pytest.mark.parametrize(("mode", "corners"), [(5, [[0, 1, 2], [1, 3, 2]]), (6, [[1, 2, 0], [2, 3, 0]])])
+def test_strips_and_fans_carry_their_coordinates(tmp_path, mode, corners):
+    model = Textured()
+    material = model.material(baseColor=model.texture(model.image(picture(1))))
+    model.triangles(SQUARE, UV, material, mode=mode)
+    model.triangles(SQUARE, UV, material, mode=1)
+    found = surface(model, tmp_path)
+    np.testing.assert_array_equal(found.positions[found.faces], SQUARE[corners])
+    np.testing.assert_array_equal(found.uv, UV[corners])
+
+
+def test_instances_are_taken_once_and_mirrored_nodes_turned(tmp_path):
+    model = Textured()
+    mesh = square(model, model.material(baseColor=model.texture(model.image(picture(1)))), scale=[-2, 1, 1])
+    model.tree["nodes"].append({"mesh": mesh, "translation": [9, 9, 9]})
+    model.tree["scenes"][0]["nodes"].append(1)
+    document = open_document(str(model.written_to(tmp_path)))
+    found = document.textured("baseColor")
+    np.testing.assert_array_equal(found.positions[found.faces], (SQUARE * [-2, 1, 1])[CORNERS[:, ::-1]])
+    np.testing.assert_array_equal(found.uv, UV[CORNERS[:, ::-1]])
+    assert [notice for notice in document.notices if "several places" in notice]
+
+
+def test_the_same_triangles_with_another_texture_are_taken_too(tmp_path):
+    model = Textured()
+    mesh = square(model, model.material(baseColor=model.texture(model.image(picture(1)))))
+    primitive = model.tree["meshes"][mesh]["primitives"][0]
+    other = model.material(baseColor=model.texture(model.image(picture(2))))
+    model.mesh(primitive | {"material": other}, translation=[1, 0, 0])
+    model.mesh(dict(primitive), translation=[2, 0, 0])
+    np.testing.assert_array_equal(surface(model, tmp_path).texture_of, [0, 0, 1, 1])
+
+
+def test_diffuse_is_the_base_colour_where_there_is_no_other(tmp_path):
+    model = Textured()
+    plain, gloss = (model.texture(model.image(picture(n))) for n in (1, 2))
+    square(model, model.material(diffuse=gloss))
+    square(model, model.material(diffuse=gloss, baseColor=plain), translation=[1, 0, 0])
+    found = surface(model, tmp_path)
+    assert [texture.data for texture in found.textures] == [picture(2), picture(1)]
+    np.testing.assert_array_equal(found.texture_of, [0, 0, 1, 1])
+
+
+def test_webp_is_taken_before_its_fallback(tmp_path):
+    model = Textured()
+    fallback, better = model.image(picture(1)), model.image(picture(2, WEBP), "b.webp", "image/webp")
+    texture = model.texture(fallback, extensions={"EXT_texture_webp": {"source": better}})
+    square(model, model.material(baseColor=texture))
+    assert surface(model, tmp_path).textures[0].data == picture(2, WEBP)
+
+
+@pytest.mark.parametrize("fallback", [True, False])
+def test_basisu_is_refused_by_name_unless_it_has_a_fallback(tmp_path, fallback):
+    model = Textured()
+    packed = model.image(picture(1, KTX2), "c.ktx2", "image/ktx2")
+    plain = model.image(picture(2)) if fallback else None
+    texture = model.texture(plain, extensions={"KHR_texture_basisu": {"source": packed}})
+    square(model, model.material(baseColor=texture))
+    if fallback:
+        assert surface(model, tmp_path).textures[0].data == picture(2)
+    else:
+        with pytest.raises(InputError, match=r"KTX2 image \(KHR_texture_basisu\)"):
+            surface(model, tmp_path)
+
+
+@pytest.mark.parametrize("reason", ["missing", "outside", "web", "coordinates", "no image", "packed"])
+def test_what_cannot_be_read_is_told_and_left_out(tmp_path, reason):
+    model = Textured("file")
+    broken = model.image(picture(1, KTX2 if reason == "packed" else JPEG), "gone.png")
+    uris = {"outside": "../gone.png", "web": "https://example.org/gone.png", "missing": "elsewhere.png"}
+    model.tree["images"][broken]["uri"] = uris.get(reason, "maps/gone.png")
+    texture = model.texture(None if reason == "no image" else broken)
+    square(model, model.material("torn", baseColor=texture), uv={} if reason == "coordinates" else UV)
+    with pytest.raises(InputError, match="baseColor texture"):
+        surface(model, tmp_path)
+    square(
+        model,
+        model.material("whole", baseColor=model.texture(model.image(picture(2)))),
+        translation=[1, 0, 0],
+    )
+    document = open_document(str(model.written_to(tmp_path)))
+    found = document.textured("baseColor")
+    np.testing.assert_array_equal(found.texture_of, [-1, -1, 0, 0])
+    assert [n for n in document.notices if ("coordinates" if reason == "coordinates" else "'torn'") in n]
+
+
+DAMAGE = {
+    "textures": lambda t: t["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"].update(index=7),
+    "images": lambda t: t["textures"][0].update(source=9),
+    "bufferView": lambda t: t["images"][0].update(bufferView=99),
+    "material": lambda t: t["meshes"][0]["primitives"][0].update(material=3),
+    "TEXCOORD_0": lambda t: t["meshes"][0]["primitives"][0]["attributes"].update(TEXCOORD_0=0),
+    "TEXCOORD_0 ": lambda t: t["accessors"][1].update(count=3),
+    "wrapS": lambda t: t["samplers"][0].update(wrapS=1),
+    "rotation": lambda t: transform_of(t).update(rotation="left"),
+    "offset": lambda t: transform_of(t).update(offset=[1]),
+    "infinity": lambda t: transform_of(t).update(scale=[1e308, 1e308], offset=[1.7e308, 0]),
+}
+
+
+def transform_of(tree):
+    return tree["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"]["extensions"][
+        "KHR_texture_transform"
+    ]
+
+
+@pytest.mark.parametrize("damage", DAMAGE)
+def test_damage_is_named_with_its_place(tmp_path, damage):
+    model = Textured()
+    texture = model.texture(model.image(picture(1)), wrap=(10497, 10497))
+    info = {"index": texture, "extensions": {"KHR_texture_transform": {}}}
+    square(model, model.material(baseColor=info))
+    DAMAGE[damage](model.tree)
+    words = {"textures": "index", "images": "source", "bufferView": "bufferView"}
+    with pytest.raises(InputError, match=words.get(damage, damage.strip())):
+        surface(model, tmp_path)
+
+
+def test_coordinates_that_are_not_finite_are_refused(tmp_path):
+    model = Textured()
+    square(model, model.material(baseColor=model.texture(model.image(picture(1)))), uv=UV * np.nan)
+    with pytest.raises(InputError, match="element 0 is not finite"):
+        surface(model, tmp_path)
+
+
+def test_compressed_geometry_is_refused_by_name(tmp_path):
+    model = Textured()
+    mesh = square(model, model.material(baseColor=model.texture(model.image(picture(1)))))
+    model.tree["meshes"][mesh]["primitives"][0]["extensions"] = {"KHR_draco_mesh_compression": {}}
+    with pytest.raises(InputError, match="KHR_draco_mesh_compression"):
+        surface(model, tmp_path)
+
+
+def test_vertex_colours_are_seen_without_reading_them(tmp_path):
+    model = Textured()
+    mesh = square(model, model.material(baseColor=model.texture(model.image(picture(1)))))
+    assert not open_document(str(model.written_to(tmp_path))).has_vertex_colours()
+    model.tree["meshes"][mesh]["primitives"][0]["attributes"]["COLOR_0"] = 0
+    assert open_document(str(model.written_to(tmp_path))).has_vertex_colours()
