@@ -11,7 +11,7 @@ help:
 	@echo "make demo      smooth a sample mesh, with a before/after picture"
 	@echo "make test      all tests, in an environment of their own"
 	@echo "make lint      ruff, mypy and the import layers"
-	@echo "make bench     time the kernel against its peers"
+	@echo "make bench     time and judge the kernels against their peers"
 	@echo "make sanitize  test the core under the address and undefined-behaviour sanitizers"
 	@echo "make samples   make sample_data/ anew, bit for bit"
 	@echo "make clean     remove what was built"
@@ -46,6 +46,7 @@ lint: $(VENV)/.installed-test
 
 bench: $(VENV)/.installed-bench
 	$(BIN)/python tests/benchmarks/bench_triangulated.py
+	$(BIN)/python tests/benchmarks/bench_textures.py
 
 sanitize:
 	cmake -S beltrami_cli/native -B build/sanitize -DCMAKE_BUILD_TYPE=RelWithDebInfo \

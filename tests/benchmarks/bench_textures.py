@@ -1,0 +1,261 @@
+"""Quality, time and memory of the kernel on textures, beside image filters: ``make bench``.
+
+Textured models in the folder that the environment variable BELTRAMI_EXTRA_MESHES names are judged, too. ``--json
+FILE`` writes the rows; ``--quick`` looks at two samples only, to see that everything runs.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import asdict
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import texture_peers
+import texture_scene
+from bench_triangulated import Row, show
+from peers import PeerError
+from scene import ROOT, SIGMA
+
+import beltrami_cli
+from beltrami_cli.errors import BeltramiError
+
+SAMPLES = ("head-tex", "torus-two", "mirrored", "tiled", "sphere-exr", "scan")
+MODELS = {".obj", ".glb", ".gltf", ".ply"}
+WINDOWS = (7, 11)  # as large as ours, and larger
+FILTERS = {
+    **{f"bilateral (OpenCV, d = {d}), iterated": partial(texture_peers.bilateral, window=d) for d in WINDOWS},
+    "non-local means (scikit-image)": texture_peers.nonlocal_means,
+    "total variation (scikit-image)": texture_peers.total_variation,
+}
+STEP = 2.4
+CONTRASTS = (1.05, 1.4, 2.1, 2.8)  # beta times the noise
+GUIDED = (0, 1, 2, 3, 4)  # iterations with the regularised metric
+PLAIN = (0, 1, 2, 3, 4, 6)  # and without, after them
+SCALE = 0.5**0.5  # of the binomial filter 1 2 1
+START = (1.4, 2, 2)
+TEXELS = 1024
+
+
+def main():
+    """Run all benchmarks; print a table, write JSON."""
+    parser = argparse.ArgumentParser(description="Benchmark the kernel on textures.")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the rows there")
+    parser.add_argument("--quick", action="store_true", help="two samples only")
+    parser.add_argument("--no-quality", action="store_true", help="time and memory only")
+    parser.add_argument("--repeats", type=int, default=5, help="runs per time (default: 5)")
+    options = parser.parse_args()
+    rows = [*time_rows(options), *memory_rows()]
+    if not options.no_quality:
+        rows += quality_rows(options.quick)
+    show(rows)
+    if options.json:
+        options.json.write_text(json.dumps([asdict(row) for row in rows], indent=1) + "\n")
+
+
+def smooth(source, target, iterations, contrast=1.4, guided=0):
+    """Smooth a model in this process with one thread, and return the report."""
+    scale = SCALE if guided else 0.0
+    settings = {"iterations": iterations, "t": STEP, "beta": contrast / SIGMA, "window": 7, "threads": 1}
+    kernel = beltrami_cli.KernelParameters(metric_scale=scale, metric_steps=guided, **settings)
+    return beltrami_cli.smooth_file(
+        source, target, beltrami_cli.SmoothSettings(kernel=kernel), overwrite=True
+    )
+
+
+def time_rows(options):
+    """Measure an iteration and the set-up, in CPU time of one thread, on a torus in 16 charts.
+
+    Reading and writing are not counted. Runs of one and of three iterations and of the peer take turns.
+    """
+    scene = texture_scene.torus(TEXELS)
+    covered = int(scene.covered[0].sum())
+    found = {"plain": [], "regularised": []}
+    peer = []
+    with tempfile.TemporaryDirectory() as folder:
+        source, target = Path(folder) / "noisy.glb", Path(folder) / "smooth.glb"
+        texture_scene.write_glb(source, scene, scene.noisy)
+        for _ in range(options.repeats):
+            try:
+                peer.append(texture_peers.bilateral_seconds(scene.noisy[0], 1))
+            except PeerError as missing:
+                peer.append(np.nan)
+                print(missing, file=sys.stderr)
+            for kind, steps in found.items():
+                runs = [computing(smooth(source, target, n, guided=n * (kind != "plain"))) for n in (1, 3)]
+                steps.append(((runs[1] - runs[0]) / 2, runs[0]))
+    bilateral = float(np.median(peer))
+    rows = [Row("cv2.bilateralFilter(d=7, float32), per texel", f"{1e6 * bilateral:.3f} us")]
+    for kind, steps in found.items():
+        step, once = np.median(steps, axis=0)
+        ratio, setup = step / covered / bilateral, once - step
+        what = f"{TEXELS} x {TEXELS}, {covered:,} covered texels, 7 x 7, {kind}"
+        rows.append(Row(f"{what}: per covered texel and iteration", f"{1e6 * step / covered:.3f} us"))
+        if kind == "plain":
+            rows.append(
+                Row(f"{what}: an iteration by a bilateral pass", f"{ratio:.2f}", "<= 3.5", ratio <= 3.5)
+            )
+            value = f"{setup:.2f} s, {setup / step:.2f} iterations"
+            rows.append(Row(f"{what}: set-up", value, "<= 1 iteration", setup <= step))
+        else:
+            rows.append(Row(f"{what}: an iteration by a bilateral pass", f"{ratio:.2f}"))
+    return rows
+
+
+def computing(report):
+    """Return the CPU seconds of all stages but reading and writing."""
+    return sum(times["cpu"] for stage, times in report.stages.items() if stage not in {"read", "write"})
+
+
+def memory_rows():
+    """Measure by how much the peak memory of a process grows with the texture."""
+    peaks = []
+    with tempfile.TemporaryDirectory() as folder:
+        source, target, report = (Path(folder) / name for name in ("noisy.glb", "smooth.glb", "report.json"))
+        for size in (128, TEXELS):
+            scene = texture_scene.torus(size)
+            texture_scene.write_glb(source, scene, scene.noisy)
+            command = [
+                sys.executable,
+                "-m",
+                "beltrami_cli",
+                "smooth",
+                source,
+                target,
+                "-n",
+                "2",
+                "--overwrite",
+            ]
+            command += ["--quiet", "--beta", str(1.4 / SIGMA), "--report", report]
+            start = time.perf_counter()
+            subprocess.run(command, check=True, cwd=ROOT)
+            seconds = time.perf_counter() - start
+            peaks.append(json.loads(report.read_text())["peak_memory"])
+    each = (peaks[1] - peaks[0]) / (TEXELS**2 - 128**2)
+    what = f"{TEXELS} x {TEXELS}, a process for the whole job"
+    return [
+        Row(f"{what}: peak memory by texel", f"{each:.0f} bytes", "< 150 bytes", each < 150),
+        Row(f"{what}: wall", f"{seconds:.2f} s"),
+    ]
+
+
+def quality_rows(quick):
+    """Measure the PSNR over covered texels, and near seams, beside the filters; all tuned on the truth."""
+    rows, gains = [], []
+    for scene in scenes(quick):
+        try:
+            ours = list(tuned(scene))
+        except BeltramiError as error:
+            rows.append(Row(scene.name, str(error)))
+            continue
+        for number, (best, settings, torn) in enumerate(ours):
+            where = f"{scene.name}, image {number + 1}: PSNR, near seams"
+            score = scorer(scene, number)
+            noisy = scene.noisy[number]
+            rows.append(Row(f"{where}: noisy", decibels(score(noisy / np.float32(255)))))
+            beside = {}
+            for name, run in FILTERS.items():
+                try:
+                    reached = run(noisy, score)
+                except PeerError as missing:
+                    rows.append(Row(f"{where}: {name}", str(missing)))
+                    continue
+                rows.append(Row(f"{where}: {name}", decibels(reached)))
+                beside[name] = np.subtract(best, reached)
+            told = "c {}, {} regularised and {} plain iterations".format(*settings)
+            rows.append(Row(f"{where}: beltrami, {told}", decibels(best)))
+            if np.isfinite(torn[1]):
+                halo = best[1] - torn[1]
+                what = f"{where}: across seams against torn at seams"
+                rows.append(Row(what, f"{halo:+.2f} dB near seams", ">= -0.1 dB", halo >= -0.1))
+            gains.append(beside)
+    return rows + mean_rows(gains)
+
+
+def mean_rows(gains):
+    """Return the mean gains over each filter; goals are set beside the bilateral one."""
+    rows = []
+    for name in FILTERS:
+        found = np.array([gain[name] for gain in gains if name in gain]).reshape(-1, 2)
+        for column, goal, what in ((0, 0.5, "covered texels"), (1, 1.0, "near seams")):
+            finite = found[np.isfinite(found[:, column]), column]
+            if not len(finite):
+                continue
+            mean = float(finite.mean())
+            told = f"mean of {len(finite)} images, {what}: beltrami above {name}", f"{mean:+.2f} dB"
+            rows.append(Row(*told, f">= +{goal} dB", mean >= goal) if "bilateral" in name else Row(*told))
+    return rows
+
+
+def scenes(quick):
+    """Yield the samples and the models of the extra folder, without noise."""
+    names = SAMPLES[:2] if quick else SAMPLES
+    paths = [min((ROOT / "sample_data").glob(f"{name}-clean.[gop][lb]*")) for name in names]
+    extra = os.environ.get("BELTRAMI_EXTRA_MESHES")
+    if extra and not quick:
+        paths += sorted(path for path in Path(extra).rglob("*") if path.suffix in MODELS)
+    for path in paths:
+        try:
+            scene = texture_scene.from_file(path)
+        except (BeltramiError, ValueError) as error:
+            print(f"passed over: {error}", file=sys.stderr)
+            continue
+        if scene.clean:
+            yield scene
+
+
+def tuned(scene):
+    """Yield per image the best scores of ours, the settings, and the scores of the same settings on the torn model.
+
+    One setting after the other is varied, from a start, until none gets better.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        whole, torn, target = (Path(folder) / f"{name}.glb" for name in ("whole", "torn", "target"))
+        texture_scene.write_glb(whole, scene, scene.noisy)
+        texture_scene.write_glb(torn, scene, scene.noisy, torn=True)
+        known = {}
+
+        def scores(settings, source=whole):
+            if (settings, source) not in known:
+                contrast, guided, plain = settings
+                if guided + plain:
+                    smooth(source, target, guided + plain, contrast, guided)
+                found = texture_scene.read_images(target if guided + plain else source)
+                known[settings, source] = [scorer(scene, k)(image) for k, image in enumerate(found)]
+            return known[settings, source]
+
+        for number in range(len(scene.clean)):
+            best, before = START, None
+            while best != before:
+                before = best
+                for axis, choices in ((1, GUIDED), (2, PLAIN), (0, CONTRASTS)):
+                    tried = [(*best[:axis], choice, *best[axis + 1 :]) for choice in choices]
+                    best = max(tried, key=lambda settings: scores(settings)[number][0])
+            yield scores(best)[number], best, scores(best, torn)[number]
+
+
+def scorer(scene, number):
+    """Return the function that gives the PSNR of an image over covered texels, and over those near seams."""
+    clean, masks = scene.clean[number], (scene.covered[number], scene.near_seams[number])
+
+    def score(image):
+        errors = ((np.asarray(image, np.float32) - clean) ** 2).mean(axis=2)
+        return tuple(float(-10 * np.log10(errors[mask].mean())) if mask.any() else np.nan for mask in masks)
+
+    return score
+
+
+def decibels(scores):
+    """Return scores as text."""
+    return ", ".join("no seams" if np.isnan(value) else f"{value:.2f} dB" for value in scores)
+
+
+if __name__ == "__main__":
+    main()
