@@ -1,8 +1,36 @@
 from collections.abc import Callable
+from typing import TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
 
+class AtlasArrays(TypedDict):
+    kind: NDArray[np.uint8]
+    squared_lengths: NDArray[np.float32]
+    owned_cells: NDArray[np.int64]
+    owned_texels: NDArray[np.int64]
+    halo_cells: NDArray[np.int64]
+    halo_taps: NDArray[np.int64]
+    halo_weights: NDArray[np.float32]
+    halo_seams: NDArray[np.int32]
+    gutter_cells: NDArray[np.int64]
+    gutter_texels: NDArray[np.int64]
+    chart_of: NDArray[np.int32]
+    charts: int
+    seams: int
+    seam_edges: int
+    covered: int
+    overlapped: int
+
+def build_atlas(
+    positions: NDArray[np.float64],
+    faces: NDArray[np.int32],
+    uv: NDArray[np.float64],
+    texture_of: NDArray[np.int32],
+    grids: NDArray[np.int32],
+    margin: int,
+    threads: int,
+) -> AtlasArrays: ...
 def morton_order(positions: NDArray[np.float64]) -> NDArray[np.int32]: ...
 
 class TriangulatedManifold:
@@ -12,6 +40,7 @@ class TriangulatedManifold:
         positions: NDArray[np.float64],
         colours: NDArray[np.float32],
         beta: float,
+        scales: NDArray[np.float32] | None,
         unfold: bool,
         threads: int,
     ) -> None: ...

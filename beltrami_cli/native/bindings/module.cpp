@@ -1,10 +1,12 @@
 // The Python face of the core. Bindings check shapes and types, release the interpreter lock, and translate; no more.
 #include <nanobind/nanobind.h>
 
+#include "bindings/atlas.hpp"
 #include "bindings/parametric.hpp"
 #include "bindings/triangulated.hpp"
 
 NB_MODULE(_native, module) {
   beltrami::bindings::bind_triangulated(module);
   beltrami::bindings::bind_parametric(module);
+  beltrami::bindings::bind_atlas(module);
 }

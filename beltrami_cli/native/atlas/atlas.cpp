@@ -1,0 +1,199 @@
+#include "atlas/atlas.hpp"
+
+#include <algorithm>
+#include <limits>
+#include <stdexcept>
+#include <tuple>
+
+#include "atlas/bands.hpp"
+#include "atlas/cells.hpp"
+#include "atlas/charts.hpp"
+#include "atlas/layout.hpp"
+#include "atlas/ownership.hpp"
+#include "atlas/windows.hpp"
+#include "parallel.hpp"
+
+namespace beltrami::atlas {
+namespace {
+
+// Small charts make small bands; so many at once are worth handing to a thread.
+constexpr std::size_t bands_per_chunk = 8;
+constexpr std::size_t cells_per_chunk = 1 << 20;
+
+float squared_length(Point3 a, Point3 b) { return static_cast<float>(dot(a - b, a - b)); }
+
+class Builder {
+ public:
+  Builder(const Plan& plan, unsigned threads)
+      : plan_(plan), threads_(threads), bands_(make_bands(plan, halo_reach(plan.margin))) {}
+
+  Atlas build() {
+    prepare_canvas();
+    halo_.resize(bands_.bands.size());
+    gutter_.resize(bands_.bands.size());
+    parallel_chunks(bands_.bands.size(), bands_per_chunk, threads_, [&](std::size_t begin, std::size_t end, unsigned) {
+      Cells cells(plan_);
+      for (std::size_t band = begin; band < end; ++band) build_band(cells, band);
+    });
+    list_cells();
+    parallel_chunks(bands_.bands.size(), bands_per_chunk, threads_, [&](std::size_t begin, std::size_t end, unsigned) {
+      for (std::size_t band = begin; band < end; ++band) fill_lists(band);
+    });
+    list_gutter();
+    count();
+    return std::move(atlas_);
+  }
+
+ private:
+  void prepare_canvas() {
+    atlas_.rows = plan_.layout.rows;
+    atlas_.columns = plan_.layout.columns;
+    const auto cells = static_cast<std::size_t>(atlas_.rows * atlas_.columns);
+    atlas_.kind = Array<std::uint8_t>(cells);
+    atlas_.squared_lengths = Array<float>(4 * cells);
+    parallel_chunks(cells, cells_per_chunk, threads_, [&](std::size_t begin, std::size_t end, unsigned) {
+      std::fill(&atlas_.kind[0] + begin, &atlas_.kind[0] + end, std::uint8_t{0});
+      std::fill(&atlas_.squared_lengths[0] + 4 * begin, &atlas_.squared_lengths[0] + 4 * end,
+                std::numeric_limits<float>::infinity());
+    });
+  }
+
+  const Rectangle& rectangle_of(const Band& band) const {
+    return plan_.layout.rectangles[static_cast<std::size_t>(band.rectangle)];
+  }
+
+  // The canvas cell at which a row of a band starts.
+  std::size_t row_start(const Band& band, std::int64_t row) const {
+    const Rectangle& rectangle = rectangle_of(band);
+    return static_cast<std::size_t>((rectangle.row + row) * atlas_.columns + rectangle.column);
+  }
+
+  void build_band(Cells& cells, std::size_t index) {
+    const Band& band = bands_.bands[index];
+    cells.make(band, bands_.borders_of(index), bands_.faces_of(index));
+    for (std::int64_t row = band.top; row < band.bottom; ++row) {
+      const auto local = static_cast<std::size_t>((row - band.top) * cells.width());
+      const auto width = static_cast<std::size_t>(cells.width());
+      const std::size_t start = row_start(band, row);
+      for (std::size_t x = 0; x < width; ++x) atlas_.kind[start + x] = static_cast<std::uint8_t>(cells.kind(local + x));
+      measure_row(cells, local, width, row - band.top + 1 < cells.height(), start);
+    }
+    halo_[index].assign(cells.halo.begin(), cells.halo.end());
+    gutter_[index].assign(cells.gutter.begin(), cells.gutter.end());
+  }
+
+  void measure_row(const Cells& cells, std::size_t local, std::size_t width, bool has_below, std::size_t start) {
+    const std::size_t plane = atlas_.kind.size, below = local + width;
+    for (std::size_t x = 0; x < width; ++x) {
+      if (cells.kind(local + x) == Kind::empty) continue;
+      const auto measure = [&](std::size_t which, std::size_t neighbour) {
+        if (cells.kind(neighbour) == Kind::empty) return;
+        atlas_.squared_lengths[which * plane + start + x] =
+            squared_length(cells.position(local + x), cells.position(neighbour));
+      };
+      if (x + 1 < width) measure(0, local + x + 1);
+      if (!has_below) continue;
+      measure(1, below + x);
+      if (x + 1 < width) measure(2, below + x + 1);
+      if (x > 0) measure(3, below + x - 1);
+    }
+  }
+
+  void list_cells() {
+    std::size_t owned = 0, halo = 0;
+    for (std::size_t cell = 0; cell < atlas_.kind.size; ++cell) {
+      owned += atlas_.kind[cell] == 1 ? 1 : 0;
+      halo += atlas_.kind[cell] == 2 ? 1 : 0;
+    }
+    atlas_.owned_cells = Array<std::int64_t>(owned);
+    atlas_.owned_texels = Array<std::int64_t>(owned);
+    atlas_.chart_of = Array<Index>(owned);
+    atlas_.halo_cells = Array<std::int64_t>(halo);
+    atlas_.halo_taps = Array<std::int64_t>(4 * halo);
+    atlas_.halo_weights = Array<float>(4 * halo);
+    atlas_.halo_seams = Array<Index>(halo);
+    owned = halo = 0;
+    for (std::size_t cell = 0; cell < atlas_.kind.size; ++cell) {
+      if (atlas_.kind[cell] == 1) atlas_.owned_cells[owned++] = static_cast<std::int64_t>(cell);
+      if (atlas_.kind[cell] == 2) atlas_.halo_cells[halo++] = static_cast<std::int64_t>(cell);
+    }
+  }
+
+  static std::size_t rank(const Array<std::int64_t>& cells, std::size_t cell) {
+    const auto* begin = cells.data.get();
+    return static_cast<std::size_t>(std::lower_bound(begin, begin + cells.size, static_cast<std::int64_t>(cell)) - begin);
+  }
+
+  void fill_lists(std::size_t index) {
+    const Band& band = bands_.bands[index];
+    const Rectangle& rectangle = rectangle_of(band);
+    const Window& window = plan_.windows.windows[static_cast<std::size_t>(rectangle.window)];
+    const Texture& grid = plan_.mesh.surface->textures[static_cast<std::size_t>(window.texture)];
+    auto next_halo = halo_[index].begin();
+    for (std::int64_t row = band.top; row < band.bottom; ++row) {
+      const std::size_t start = row_start(band, row);
+      std::size_t owned = rank(atlas_.owned_cells, start), halo = rank(atlas_.halo_cells, start);
+      const std::int64_t texel_row = grid.texel(0, wrapped(rectangle.y + row, grid.height, grid.wrap_y));
+      for (std::int64_t x = 0; x < rectangle.width; ++x) {
+        const auto kind = atlas_.kind[start + static_cast<std::size_t>(x)];
+        if (kind == 1) {
+          atlas_.owned_texels[owned] = texel_row + wrapped(rectangle.x + x, grid.width, grid.wrap_x);
+          atlas_.chart_of[owned++] = window.chart;
+        } else if (kind == 2) {
+          std::copy(next_halo->taps.begin(), next_halo->taps.end(), &atlas_.halo_taps[0] + 4 * halo);
+          std::copy(next_halo->weights.begin(), next_halo->weights.end(), &atlas_.halo_weights[0] + 4 * halo);
+          atlas_.halo_seams[halo++] = (next_halo++)->seam;
+        }
+      }
+    }
+    halo_[index] = {};
+  }
+
+  // Each uncovered texel is given the cell of the nearest chart.
+  void list_gutter() {
+    std::vector<GutterCell> all;
+    for (auto& part : gutter_) all.insert(all.end(), part.begin(), part.end());
+    gutter_ = {};
+    std::sort(all.begin(), all.end(), [](const GutterCell& a, const GutterCell& b) {
+      return std::tie(a.texel, a.squared_distance, a.cell) < std::tie(b.texel, b.squared_distance, b.cell);
+    });
+    all.erase(std::unique(all.begin(), all.end(),
+                          [](const GutterCell& a, const GutterCell& b) { return a.texel == b.texel; }),
+              all.end());
+    atlas_.gutter_cells = Array<std::int64_t>(all.size());
+    atlas_.gutter_texels = Array<std::int64_t>(all.size());
+    for (std::size_t i = 0; i < all.size(); ++i) {
+      atlas_.gutter_cells[i] = all[i].cell;
+      atlas_.gutter_texels[i] = all[i].texel;
+    }
+  }
+
+  void count() {
+    atlas_.charts = static_cast<std::int64_t>(plan_.charts.size());
+    atlas_.seams = plan_.charts.seams;
+    atlas_.seam_edges = plan_.charts.seam_edges;
+    atlas_.covered = plan_.ownership.covered;
+    atlas_.overlapped = plan_.ownership.overlapped;
+  }
+
+  const Plan& plan_;
+  unsigned threads_;
+  Bands bands_;
+  std::vector<std::vector<HaloCell>> halo_;      // [band]
+  std::vector<std::vector<GutterCell>> gutter_;  // [band]
+  Atlas atlas_;
+};
+
+}  // namespace
+
+Atlas make_atlas(const Surface& surface, std::int64_t margin, unsigned threads) {
+  if (margin < 1) throw std::invalid_argument("the margin must be at least one cell");
+  const Mesh mesh = make_mesh(surface);
+  const Charts charts = make_charts(mesh);
+  const Windows windows = make_windows(mesh, charts);
+  const Ownership ownership = make_ownership(mesh, charts, windows);
+  const Layout layout = make_layout(ownership, margin);
+  return Builder({mesh, charts, windows, ownership, layout, margin}, threads).build();
+}
+
+}  // namespace beltrami::atlas

@@ -1,0 +1,42 @@
+// An atlas as a manifold: every chart on a canvas, continued over its seams.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <memory>
+#include <vector>
+
+#include "atlas/mesh.hpp"
+
+namespace beltrami::atlas {
+
+template <class T>
+struct Array {
+  std::unique_ptr<T[]> data;
+  std::size_t size = 0;
+
+  Array() = default;
+  explicit Array(std::size_t count) : data(new T[count]), size(count) {}
+  T& operator[](std::size_t i) { return data[i]; }
+  const T& operator[](std::size_t i) const { return data[i]; }
+};
+
+// Cells are named by row * columns + column; texels by their number among those of all textures.
+struct Atlas {
+  std::int64_t rows = 0, columns = 0;
+  Array<std::uint8_t> kind;                   // 0 empty, 1 owned, 2 halo
+  Array<float> squared_lengths;               // four planes: to the right, below, below right, below left
+  Array<std::int64_t> owned_cells, owned_texels;
+  Array<Index> chart_of;                      // of each owned cell
+  Array<std::int64_t> halo_cells, halo_taps;  // four taps a cell
+  Array<float> halo_weights;
+  Array<Index> halo_seams;
+  Array<std::int64_t> gutter_cells, gutter_texels;
+  std::int64_t charts = 0, seams = 0, seam_edges = 0, covered = 0, overlapped = 0;
+};
+
+// Throws std::invalid_argument if an index of the surface is out of range or the margin is not positive,
+// std::length_error if the surface or its canvas is too large.
+Atlas make_atlas(const Surface& surface, std::int64_t margin, unsigned threads);
+
+}  // namespace beltrami::atlas

@@ -1,0 +1,157 @@
+#include "atlas/cells.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include "atlas/scanlines.hpp"
+
+namespace beltrami::atlas {
+namespace {
+
+// Marks what is within `margin` columns of a mark.
+void widen(const std::uint8_t* marks, std::int64_t width, std::int64_t margin, std::uint8_t* widened) {
+  std::int64_t marked = 0;
+  for (std::int64_t x = 0; x < std::min(margin, width); ++x) marked += marks[x];
+  for (std::int64_t x = 0; x < width; ++x) {
+    if (x + margin < width) marked += marks[x + margin];
+    widened[x] = marked > 0 ? 1 : 0;
+    if (x - margin >= 0) marked -= marks[x - margin];
+  }
+}
+
+}  // namespace
+
+double halo_reach(std::int64_t margin) {
+  // A cell in the corner of the square of cells around an owned one; and a little, for rounding.
+  return std::sqrt(2.0) * static_cast<double>(margin) + 0.01;
+}
+
+Cells::Cells(const Plan& plan) : plan_(plan), reach_(halo_reach(plan.margin)) {}
+
+void Cells::make(const Band& band, std::span<const Index> borders, std::span<const Index> faces) {
+  enter(band);
+  find_owned();
+  find_wanted();
+  find_covered(faces);
+  nearest_.find(plan_.mesh, plan_.charts, borders, block_, reach_, wanted_);
+  const auto own_cells = static_cast<std::size_t>((band.bottom - band.top) * block_.width);
+  const auto* owned = owned_.data() + plan_.margin * block_.width;
+  std::size_t cell = 0;
+  for (std::int64_t y = block_.y; y < block_.y + block_.height; ++y)
+    for (std::int64_t x = block_.x; x < block_.x + block_.width; ++x, ++cell) {
+      const Point2 place{static_cast<double>(x), static_cast<double>(y)};
+      if (owned[cell] != 0) {
+        make_owned(cell, place);
+      } else if (covering_[cell] != none || nearest_[cell].border != none) {
+        make_halo(cell, place, cell < own_cells);
+      }
+    }
+}
+
+void Cells::enter(const Band& band) {
+  rectangle_ = &plan_.layout.rectangles[static_cast<std::size_t>(band.rectangle)];
+  window_ = &plan_.windows.windows[static_cast<std::size_t>(rectangle_->window)];
+  grid_ = &plan_.mesh.surface->textures[static_cast<std::size_t>(window_->texture)];
+  const std::int64_t rows = std::min(band.bottom + 1, rectangle_->height) - band.top;
+  block_ = {rectangle_->x, rectangle_->y + band.top, rectangle_->width, rows};
+  const auto cells = static_cast<std::size_t>(block_.width * block_.height);
+  kinds_.assign(cells, Kind::empty);
+  positions_.resize(cells);
+  halo.clear();
+  gutter.clear();
+}
+
+void Cells::find_owned() {
+  columns_.resize(static_cast<std::size_t>(block_.width));
+  for (std::int64_t i = 0; i < block_.width; ++i) {
+    const std::int64_t x = block_.x + i;
+    const bool inside = x >= window_->x && x < window_->x + grid_->width;
+    columns_[static_cast<std::size_t>(i)] = inside ? wrapped(x, grid_->width, grid_->wrap_x) : none;
+  }
+  owned_.assign(static_cast<std::size_t>((block_.height + 2 * plan_.margin) * block_.width), 0);
+  auto* mark = owned_.data();
+  for (std::int64_t y = block_.y - plan_.margin; y < block_.y + block_.height + plan_.margin; ++y) {
+    if (y < window_->y || y >= window_->y + grid_->height) {
+      mark += block_.width;
+      continue;
+    }
+    const Index* row = plan_.ownership.window.data() + grid_->texel(0, wrapped(y, grid_->height, grid_->wrap_y));
+    for (const std::int32_t column : columns_)
+      *mark++ = column != none && row[column] == rectangle_->window ? 1 : 0;
+  }
+}
+
+void Cells::find_wanted() {
+  const auto width = static_cast<std::size_t>(block_.width), margin = static_cast<std::size_t>(plan_.margin);
+  const auto height = static_cast<std::size_t>(block_.height);
+  std::vector<std::uint8_t> wide(owned_.size());
+  std::vector<std::int32_t> marked(width, 0);
+  wanted_.resize(width * height);
+  for (std::size_t row = 0; row < height + 2 * margin; ++row) {
+    widen(owned_.data() + row * width, block_.width, plan_.margin, wide.data() + row * width);
+    for (std::size_t x = 0; x < width; ++x) marked[x] += wide[row * width + x];
+    if (row < 2 * margin) continue;
+    const std::size_t middle = row - 2 * margin;  // of the rows summed; rows of the block start `margin` later
+    for (std::size_t x = 0; x < width; ++x) {
+      wanted_[middle * width + x] = marked[x] > 0 && owned_[(middle + margin) * width + x] == 0 ? 1 : 0;
+      marked[x] -= wide[middle * width + x];
+    }
+  }
+}
+
+void Cells::find_covered(std::span<const Index> faces) {
+  covering_.assign(wanted_.size(), none);
+  for (const Index face : faces)
+    scan(plan_.mesh.texels[static_cast<std::size_t>(face)], block_.x, block_.x + block_.width, block_.y,
+         block_.y + block_.height, [&](std::int64_t y, std::int64_t begin, std::int64_t end) {
+           auto cell = static_cast<std::size_t>((y - block_.y) * block_.width + begin - block_.x);
+           for (std::int64_t x = begin; x < end; ++x, ++cell) {
+             if (wanted_[cell] == 0) continue;
+             covering_[cell] = face;
+             wanted_[cell] = 0;
+           }
+         });
+}
+
+void Cells::make_owned(std::size_t cell, Point2 place) {
+  const auto row = static_cast<std::int64_t>(place.y), column = static_cast<std::int64_t>(place.x) - block_.x;
+  const auto texel = grid_->texel(columns_[static_cast<std::size_t>(column)], wrapped(row, grid_->height, grid_->wrap_y));
+  map_.use(plan_.mesh, plan_.ownership.face[static_cast<std::size_t>(texel)]);
+  positions_[cell] = map_.inside(place);
+  kinds_[cell] = Kind::owned;
+}
+
+void Cells::make_halo(std::size_t cell, Point2 place, bool record) {
+  std::optional<Sample> sample;
+  Index seam = none;
+  if (const Index face = covering_[cell]; face != none) {
+    FaceMap map;
+    map.use(plan_.mesh, face);
+    sample = stand_in(plan_, face, static_cast<std::int64_t>(place.x), static_cast<std::int64_t>(place.y),
+                      map.inside(place));
+  } else {
+    const Border& border = plan_.charts.borders[static_cast<std::size_t>(nearest_[cell].border)];
+    seam = border.seam;
+    if (const auto landing = unfold(plan_.mesh, border.edge, place)) sample = look_up(plan_, *landing);
+  }
+  if (!sample) return;
+  kinds_[cell] = Kind::halo;
+  positions_[cell] = sample->position;
+  if (!record) return;
+  halo.push_back({sample->cells, sample->weights, seam});
+  if (seam != none) record_gutter(cell, place);
+}
+
+void Cells::record_gutter(std::size_t cell, Point2 place) {
+  const auto x = static_cast<std::int64_t>(place.x), y = static_cast<std::int64_t>(place.y);
+  const auto is_off = [](std::int64_t i, std::int32_t size, Wrap wrap) {
+    return wrap == Wrap::clamp && (i < 0 || i >= size);
+  };
+  if (is_off(x, grid_->width, grid_->wrap_x) || is_off(y, grid_->height, grid_->wrap_y)) return;
+  const auto texel = grid_->texel(wrapped(x, grid_->width, grid_->wrap_x), wrapped(y, grid_->height, grid_->wrap_y));
+  if (plan_.ownership.window[static_cast<std::size_t>(texel)] != none) return;
+  const std::int64_t row = rectangle_->row + y - rectangle_->y, column = rectangle_->column + x - rectangle_->x;
+  gutter.push_back({texel, nearest_[cell].squared_distance, row * plan_.layout.columns + column});
+}
+
+}  // namespace beltrami::atlas

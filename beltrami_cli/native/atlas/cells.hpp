@@ -1,0 +1,75 @@
+// The cells of one band: what they are, where they lie on the surface, and what stands behind those of the halo.
+#pragma once
+
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "atlas/bands.hpp"
+#include "atlas/face_map.hpp"
+#include "atlas/layout.hpp"
+#include "atlas/lookup.hpp"
+#include "atlas/nearest_border.hpp"
+
+namespace beltrami::atlas {
+
+enum class Kind : std::uint8_t { empty, owned, halo };
+
+struct HaloCell {
+  std::array<std::uint32_t, 4> taps;
+  std::array<float, 4> weights;
+  Index seam;
+};
+
+// A halo cell that stands on a texel that no face covers.
+struct GutterCell {
+  std::int64_t texel;
+  double squared_distance;  // to the chart, in texels
+  std::int64_t cell;
+};
+
+class Cells {
+ public:
+  explicit Cells(const Plan& plan);
+
+  void make(const Band& band, std::span<const Index> borders, std::span<const Index> faces);
+
+  // Row by row, as wide as the rectangle; one row more than the band where the rectangle goes on below it.
+  std::int64_t width() const { return block_.width; }
+  std::int64_t height() const { return block_.height; }
+  Kind kind(std::size_t cell) const { return kinds_[cell]; }
+  Point3 position(std::size_t cell) const { return positions_[cell]; }
+
+  // Of the band's own rows, in the order of cells. May be moved from.
+  std::vector<HaloCell> halo;
+  std::vector<GutterCell> gutter;
+
+ private:
+  void enter(const Band& band);
+  void find_owned();
+  void find_wanted();
+  void find_covered(std::span<const Index> faces);
+  void make_owned(std::size_t cell, Point2 place);
+  void make_halo(std::size_t cell, Point2 place, bool record);
+  void record_gutter(std::size_t cell, Point2 place);
+
+  const Plan& plan_;
+  const double reach_;
+  Block block_;
+  const Rectangle* rectangle_ = nullptr;
+  const Window* window_ = nullptr;
+  const Texture* grid_ = nullptr;
+  std::vector<std::int32_t> columns_;   // texel column at each of the block's; none outside the window
+  std::vector<std::uint8_t> owned_;     // with margin rows more above and below
+  std::vector<std::uint8_t> wanted_;    // whether the cell, not owned, is near an owned one
+  std::vector<Index> covering_;         // the face of the chart that covers a wanted cell
+  std::vector<Kind> kinds_;
+  std::vector<Point3> positions_;
+  NearestBorders nearest_;
+  FaceMap map_;
+};
+
+// How far from its chart a cell of the halo can be, in texels.
+double halo_reach(std::int64_t margin);
+
+}  // namespace beltrami::atlas

@@ -1,0 +1,167 @@
+#include "atlas/lookup.hpp"
+
+#include <cmath>
+
+#include "atlas/face_map.hpp"
+
+namespace beltrami::atlas {
+namespace {
+
+// Rounding in single-precision coordinates and in unfolding is less, and no interpolation tells the difference.
+constexpr double on_centre = 1e-4;
+// Sub-texel faces may have no texel around a point of theirs, but one close by.
+constexpr double farthest_substitute = 1.5;
+constexpr int longest_search = 64;
+
+double snapped(double x) {
+  const double nearest = std::nearbyint(x);
+  return std::abs(x - nearest) <= on_centre ? nearest : x;
+}
+
+// Whether the chart of a face covers a place near the face: a walk in the image, within the chart.
+bool is_covered(const Mesh& mesh, Index start, Point2 place) {
+  auto face = static_cast<std::size_t>(start);
+  Edge entry = none;
+  for (int step = 0; step < longest_search; ++step) {
+    const auto& corners = mesh.texels[face];
+    const double orientation = doubled_area(corners) < 0 ? -1 : 1;
+    double farthest = on_centre;
+    Edge exit = none;
+    for (std::size_t k = 0; k < 3; ++k) {
+      const Edge edge = static_cast<Edge>(3 * face + k);
+      const Point2 along = corners[next(k)] - corners[k];
+      const double length = std::sqrt(dot(along, along));
+      if (edge == entry || length == 0) continue;
+      const double outside = -orientation * cross(along, place - corners[k]) / length;
+      if (outside > farthest) {
+        farthest = outside;
+        exit = edge;
+      }
+    }
+    if (exit == none) return true;
+    entry = mesh.twins[static_cast<std::size_t>(exit)];
+    if (entry == none || mesh.seams[static_cast<std::size_t>(exit)] != 0) return false;
+    face = static_cast<std::size_t>(entry / 3);
+  }
+  return false;
+}
+
+class Lookup {
+ public:
+  Lookup(const Plan& plan, Index face)
+      : plan_(plan), face_(face), grid_(plan.mesh.grid(static_cast<std::size_t>(face))) {}
+
+  std::int64_t texel(double x, double y) const {
+    return grid_.texel(wrapped(static_cast<std::int64_t>(x), grid_.width, grid_.wrap_x),
+                       wrapped(static_cast<std::int64_t>(y), grid_.height, grid_.wrap_y));
+  }
+
+  bool is_of_owners_chart(std::int64_t texel) const {
+    const Index window = plan_.ownership.window[static_cast<std::size_t>(texel)];
+    return window != none && plan_.windows.windows[static_cast<std::size_t>(window)].chart ==
+                                 plan_.charts.chart_of[static_cast<std::size_t>(face_)];
+  }
+
+  // Whether the texel shows this part of the surface: it belongs to the chart, or to one that overlaps the chart.
+  bool is_ours(std::int64_t texel, double x, double y) const {
+    if (plan_.ownership.window[static_cast<std::size_t>(texel)] == none) return false;
+    return is_of_owners_chart(texel) ||
+           (plan_.ownership.loser[static_cast<std::size_t>(plan_.charts.chart_of[static_cast<std::size_t>(face_)])] != 0 &&
+            is_covered(plan_.mesh, face_, {x, y}));
+  }
+
+  void add(double x, double y, double weight) {
+    if (!(weight > 0)) return;
+    const auto number = texel(x, y);
+    if (!is_ours(number, x, y)) return;
+    cells_[count_] = cell(number);
+    weights_[count_++] = weight;
+    sum_ += weight;
+  }
+
+  void add_nearest(Point2 place) {
+    double least = farthest_substitute * farthest_substitute;
+    std::int64_t found = -1;
+    const double left = std::floor(place.x), top = std::floor(place.y);
+    for (double y = top - 1; y <= top + 2; ++y)
+      for (double x = left - 1; x <= left + 2; ++x) {
+        const Point2 offset = Point2{x, y} - place;
+        if (!(dot(offset, offset) < least) || !is_ours(texel(x, y), x, y)) continue;
+        least = dot(offset, offset);
+        found = texel(x, y);
+      }
+    if (found < 0) return;
+    cells_[count_] = cell(found);
+    weights_[count_++] = sum_ = 1;
+  }
+
+  std::optional<Sample> sample(Point3 position) const {
+    if (count_ == 0) return std::nullopt;
+    Sample result{{}, {}, position};
+    for (std::size_t i = 0; i < 4; ++i) {
+      result.cells[i] = cells_[i < count_ ? i : 0];
+      result.weights[i] = i < count_ ? static_cast<float>(weights_[i] / sum_) : 0;
+    }
+    return result;
+  }
+
+  // Whether a texel's owner has it at this very place of the chart's plane, not in another period.
+  bool is_owned_here(std::int64_t texel, double x, double y) const {
+    if (!is_of_owners_chart(texel)) return false;
+    const Point2 place = plan_.owned_place(texel, grid_);
+    return place.x == x && place.y == y;
+  }
+
+  // The place of a texel's owner on the surface.
+  Point3 owners_position(std::int64_t texel) const {
+    FaceMap map;
+    map.use(plan_.mesh, plan_.ownership.face[static_cast<std::size_t>(texel)]);
+    return map.inside(plan_.owned_place(texel, grid_));
+  }
+
+ private:
+  std::uint32_t cell(std::int64_t texel) const { return static_cast<std::uint32_t>(plan_.cell_of(texel, grid_)); }
+
+  const Plan& plan_;
+  Index face_;
+  const Texture& grid_;
+  std::array<std::uint32_t, 4> cells_{};
+  std::array<double, 4> weights_{};
+  std::size_t count_ = 0;
+  double sum_ = 0;
+};
+
+}  // namespace
+
+std::optional<Sample> look_up(const Plan& plan, const Landing& landing) {
+  const auto face = static_cast<std::size_t>(landing.face);
+  Point2 place;
+  Point3 position;
+  for (std::size_t k = 0; k < 3; ++k) {
+    place = place + landing.weights[k] * plan.mesh.texels[face][k];
+    position = position + landing.weights[k] * plan.mesh.corner(face, k);
+  }
+  place = {snapped(place.x), snapped(place.y)};
+  Lookup lookup(plan, landing.face);
+  const double x = std::floor(place.x), y = std::floor(place.y), u = place.x - x, v = place.y - y;
+  if (u == 0 && v == 0 && lookup.is_owned_here(lookup.texel(x, y), x, y))
+    position = lookup.owners_position(lookup.texel(x, y));  // one sample, one position
+  lookup.add(x, y, (1 - u) * (1 - v));
+  lookup.add(x + 1, y, u * (1 - v));
+  lookup.add(x, y + 1, (1 - u) * v);
+  lookup.add(x + 1, y + 1, u * v);
+  auto sample = lookup.sample(position);
+  if (sample) return sample;
+  lookup.add_nearest(place);
+  return lookup.sample(position);
+}
+
+std::optional<Sample> stand_in(const Plan& plan, Index face, std::int64_t x, std::int64_t y, Point3 position) {
+  const Texture& grid = plan.mesh.grid(static_cast<std::size_t>(face));
+  const auto texel = grid.texel(wrapped(x, grid.width, grid.wrap_x), wrapped(y, grid.height, grid.wrap_y));
+  if (plan.ownership.window[static_cast<std::size_t>(texel)] == none) return std::nullopt;
+  const auto cell = static_cast<std::uint32_t>(plan.cell_of(texel, grid));
+  return Sample{{cell, cell, cell, cell}, {1, 0, 0, 0}, position};
+}
+
+}  // namespace beltrami::atlas

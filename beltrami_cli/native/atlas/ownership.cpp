@@ -1,0 +1,155 @@
+#include "atlas/ownership.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include "atlas/scanlines.hpp"
+
+namespace beltrami::atlas {
+namespace {
+
+// A single-precision coordinate near 1 of a texture of 1,024 texels is no better than this.
+constexpr double on_edge = 1e-4;
+
+class Painter {
+ public:
+  Painter(const Mesh& mesh, const Charts& charts, const Windows& windows)
+      : mesh_(mesh), charts_(charts), windows_(windows) {
+    const auto& textures = mesh.surface->textures;
+    const auto texels = textures.empty() ? 0 : textures.back().texel(0, textures.back().height);
+    result_.window.assign(static_cast<std::size_t>(texels), none);
+    result_.face.assign(static_cast<std::size_t>(texels), none);
+    result_.extents.resize(windows.windows.size());
+    result_.loser.assign(charts.size(), 0);
+    overlapped_.assign(static_cast<std::size_t>(texels), false);
+    covered_in_.assign(textures.size(), 0);
+    overlapped_in_.assign(textures.size(), 0);
+  }
+
+  Ownership paint() {
+    for (std::size_t i = 0; i < windows_.windows.size(); ++i) paint_faces(i);
+    for (std::size_t i = 0; i < windows_.windows.size(); ++i) paint_borders(i);
+    for (const auto count : covered_in_) result_.covered += count;
+    for (const auto count : overlapped_in_) result_.overlapped += count;
+    return std::move(result_);
+  }
+
+ private:
+  bool is_full(const Window& window, const std::vector<std::int64_t>& counts) const {
+    const Texture& grid = grid_of(window);
+    return counts[static_cast<std::size_t>(window.texture)] == static_cast<std::int64_t>(grid.width) * grid.height;
+  }
+
+  const Texture& grid_of(const Window& window) const {
+    return mesh_.surface->textures[static_cast<std::size_t>(window.texture)];
+  }
+
+  void paint_faces(std::size_t index) {
+    const Window& window = windows_.windows[index];
+    const Texture& grid = grid_of(window);
+    if (is_full(window, overlapped_in_)) {  // nothing is left to find out here
+      result_.loser[static_cast<std::size_t>(window.chart)] = 1;
+      return;
+    }
+    for (std::size_t i = window.begin; i < window.end; ++i) {
+      const Index face = windows_.faces[i];
+      scan(mesh_.texels[static_cast<std::size_t>(face)], window.x, window.x + grid.width, window.y,
+           window.y + grid.height,
+           [&](std::int64_t y, std::int64_t begin, std::int64_t end) { claim_run(index, face, y, begin, end); });
+    }
+  }
+
+  void claim_run(std::size_t index, Index face, std::int64_t y, std::int64_t begin, std::int64_t end) {
+    const Window& window = windows_.windows[index];
+    const Texture& grid = grid_of(window);
+    const std::int64_t row = grid.texel(0, wrapped(y, grid.height, grid.wrap_y));
+    std::int32_t column = wrapped(begin, grid.width, grid.wrap_x);
+    const std::int32_t step = grid.wrap_x == Wrap::mirror && unwrapped(0, window.x, grid.width, grid.wrap_x) != window.x ? -1 : 1;
+    for (std::int64_t x = begin; x < end; ++x, column += step) {
+      if (column == grid.width) column = 0;
+      claim(index, face, static_cast<std::size_t>(row + column), x, y);
+    }
+  }
+
+  void claim(std::size_t index, Index face, std::size_t texel, std::int64_t x, std::int64_t y) {
+    const Window& window = windows_.windows[index];
+    Index& owner = result_.window[texel];
+    if (owner == none) {
+      owner = static_cast<Index>(index);
+      result_.face[texel] = face;
+      result_.extents[index].add(x, y);
+      ++covered_in_[static_cast<std::size_t>(window.texture)];
+      return;
+    }
+    if (owner != static_cast<Index>(index)) result_.loser[static_cast<std::size_t>(window.chart)] = 1;
+    if (overlapped_[texel]) return;
+    overlapped_[texel] = true;
+    ++overlapped_in_[static_cast<std::size_t>(window.texture)];
+  }
+
+  void paint_borders(std::size_t index) {
+    const Window& window = windows_.windows[index];
+    if (is_full(window, covered_in_)) return;
+    const auto chart = static_cast<std::size_t>(window.chart);
+    for (Index i = charts_.border_offsets[chart]; i < charts_.border_offsets[chart + 1]; ++i)
+      paint_border(index, charts_.borders[static_cast<std::size_t>(i)].edge);
+  }
+
+  void paint_border(std::size_t index, Edge edge) {
+    const auto face = static_cast<std::size_t>(edge / 3), k = static_cast<std::size_t>(edge % 3);
+    const auto& corners = mesh_.texels[face];
+    const Window& window = windows_.windows[index];
+    const Texture& grid = grid_of(window);
+    const Point2 a = corners[k], b = corners[next(k)];
+    const bool upright = std::abs(b.y - a.y) >= std::abs(b.x - a.x);
+    const double from = upright ? a.y : a.x, to = upright ? b.y : b.x;
+    const double across_from = upright ? a.x : a.y, across_to = upright ? b.x : b.y;
+    const auto start = static_cast<double>(upright ? window.y : window.x);
+    const double size = upright ? grid.height : grid.width;
+    const double first = std::max(std::ceil(std::min(from, to) - on_edge), start);
+    const double last = std::min(std::floor(std::max(from, to) + on_edge), start + size - 1);
+    for (double along = first; along <= last; ++along) {
+      const double t = from == to ? 0 : std::clamp((along - from) / (to - from), 0.0, 1.0);
+      const double across = across_from + t * (across_to - across_from), nearest = std::nearbyint(across);
+      if (std::abs(across - nearest) > on_edge) continue;
+      claim_point(index, static_cast<Index>(face), static_cast<std::int64_t>(upright ? nearest : along),
+                  static_cast<std::int64_t>(upright ? along : nearest));
+    }
+  }
+
+  void claim_point(std::size_t index, Index face, std::int64_t x, std::int64_t y) {
+    const Window& window = windows_.windows[index];
+    const Texture& grid = grid_of(window);
+    if (x < window.x || x >= window.x + grid.width || y < window.y || y >= window.y + grid.height) return;
+    if (doubled_area(mesh_.texels[static_cast<std::size_t>(face)]) == 0) return;
+    const auto texel = static_cast<std::size_t>(
+        grid.texel(wrapped(x, grid.width, grid.wrap_x), wrapped(y, grid.height, grid.wrap_y)));
+    if (result_.window[texel] == none) claim(index, face, texel, x, y);
+  }
+
+  const Mesh& mesh_;
+  const Charts& charts_;
+  const Windows& windows_;
+  Ownership result_;
+  std::vector<bool> overlapped_;
+  std::vector<std::int64_t> covered_in_, overlapped_in_;  // [texture]
+};
+
+}  // namespace
+
+void Extent::add(std::int64_t x, std::int64_t y) {
+  if (empty()) {
+    *this = {x, y, x, y};
+    return;
+  }
+  first_x = std::min(first_x, x);
+  last_x = std::max(last_x, x);
+  first_y = std::min(first_y, y);
+  last_y = std::max(last_y, y);
+}
+
+Ownership make_ownership(const Mesh& mesh, const Charts& charts, const Windows& windows) {
+  return Painter(mesh, charts, windows).paint();
+}
+
+}  // namespace beltrami::atlas

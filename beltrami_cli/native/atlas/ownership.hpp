@@ -1,0 +1,32 @@
+// Which window, and which face in it, each texel belongs to.
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "atlas/charts.hpp"
+#include "atlas/mesh.hpp"
+#include "atlas/windows.hpp"
+
+namespace beltrami::atlas {
+
+// What a window owns, as a box in the texture's plane; empty while last_x < first_x.
+struct Extent {
+  std::int64_t first_x = 0, first_y = 0, last_x = -1, last_y = -1;
+  bool empty() const { return last_x < first_x; }
+  void add(std::int64_t x, std::int64_t y);
+};
+
+struct Ownership {
+  std::vector<Index> window;        // [texel]; none where no face covers it
+  std::vector<Index> face;          // [texel]
+  std::vector<Extent> extents;      // [window]
+  std::vector<std::uint8_t> loser;  // [chart]: whether it covers texels that it does not own at that place
+  std::int64_t covered = 0, overlapped = 0;
+};
+
+// Texels belong to the first window, and in it to the first face, that covers their centre. What lies exactly on the
+// outer edges of charts is covered, too, where nothing else covers it.
+Ownership make_ownership(const Mesh& mesh, const Charts& charts, const Windows& windows);
+
+}  // namespace beltrami::atlas

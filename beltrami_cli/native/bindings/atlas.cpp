@@ -1,0 +1,84 @@
+#include "bindings/atlas.hpp"
+
+#include "atlas/atlas.hpp"
+#include "bindings/arrays.hpp"
+
+namespace beltrami::bindings {
+namespace {
+
+using atlas::Array;
+using atlas::Index;
+
+template <class T>
+auto vector_of(Array<T>& array) {
+  return give<T, nb::ndim<1>>(std::move(array.data), {array.size});
+}
+
+template <class T>
+auto rows_of_four(Array<T>& array) {
+  return give<T, nb::shape<-1, 4>>(std::move(array.data), {array.size / 4, 4});
+}
+
+std::vector<atlas::Texture> textures_of(const Matrix<Index>& grids) {
+  if (grids.shape(1) != 4) throw nb::value_error("a texture is its width, its height and two wrap modes");
+  std::vector<atlas::Texture> textures;
+  std::int64_t offset = 0;
+  for (std::size_t i = 0; i < grids.shape(0); ++i) {
+    const Index* row = grids.data() + 4 * i;
+    if (row[0] < 1 || row[1] < 1) throw nb::value_error("a texture has no texels");
+    if (row[2] < 0 || row[2] > 2 || row[3] < 0 || row[3] > 2) throw nb::value_error("unknown wrap mode");
+    textures.push_back({row[0], row[1], static_cast<atlas::Wrap>(row[2]), static_cast<atlas::Wrap>(row[3]), offset});
+    offset += static_cast<std::int64_t>(row[0]) * row[1];
+  }
+  return textures;
+}
+
+nb::dict to_dict(atlas::Atlas& made) {
+  const auto rows = static_cast<std::size_t>(made.rows), columns = static_cast<std::size_t>(made.columns);
+  nb::dict result;
+  result["kind"] = give<std::uint8_t, nb::ndim<2>>(std::move(made.kind.data), {rows, columns});
+  result["squared_lengths"] =
+      give<float, nb::shape<4, -1, -1>>(std::move(made.squared_lengths.data), {4, rows, columns});
+  result["owned_cells"] = vector_of(made.owned_cells);
+  result["owned_texels"] = vector_of(made.owned_texels);
+  result["halo_cells"] = vector_of(made.halo_cells);
+  result["halo_taps"] = rows_of_four(made.halo_taps);
+  result["halo_weights"] = rows_of_four(made.halo_weights);
+  result["halo_seams"] = vector_of(made.halo_seams);
+  result["chart_of"] = vector_of(made.chart_of);
+  result["gutter_cells"] = vector_of(made.gutter_cells);
+  result["gutter_texels"] = vector_of(made.gutter_texels);
+  result["charts"] = made.charts;
+  result["seams"] = made.seams;
+  result["seam_edges"] = made.seam_edges;
+  result["covered"] = made.covered;
+  result["overlapped"] = made.overlapped;
+  return result;
+}
+
+nb::dict build_atlas(const Matrix<double>& positions, const Matrix<Index>& faces,
+                     const nb::ndarray<const double, nb::shape<-1, 3, 2>, nb::c_contig, nb::device::cpu>& uv,
+                     const Vector<Index>& texture_of, const Matrix<Index>& grids, std::int64_t margin,
+                     unsigned threads) {
+  if (positions.shape(1) != 3 || faces.shape(1) != 3) throw nb::value_error("three coordinates, three corners");
+  if (uv.shape(0) != faces.shape(0) || texture_of.shape(0) != faces.shape(0))
+    throw nb::value_error("one row a face is needed");
+  atlas::Surface surface{positions.data(), static_cast<Index>(positions.shape(0)), {faces.data(), faces.size()},
+                         uv.data(), {texture_of.data(), texture_of.size()}, textures_of(grids)};
+  atlas::Atlas made;
+  {
+    const nb::gil_scoped_release unlock;
+    made = atlas::make_atlas(surface, margin, threads);
+  }
+  return to_dict(made);
+}
+
+}  // namespace
+
+void bind_atlas(nb::module_& module) {
+  using namespace nb::literals;
+  module.def("build_atlas", &build_atlas, "positions"_a, "faces"_a, "uv"_a, "texture_of"_a, "grids"_a, "margin"_a,
+             "threads"_a);
+}
+
+}  // namespace beltrami::bindings
