@@ -53,6 +53,7 @@ sanitize:
 	  -DBELTRAMI_PYTHON=OFF -DBELTRAMI_TESTS=ON -DBELTRAMI_SANITIZE=ON
 	cmake --build build/sanitize --parallel 2
 	build/sanitize/core_tests
+	build/sanitize/atlas_tests
 
 samples: $(VENV)/.installed-samples
 	$(BIN)/python sample_data/make.py
