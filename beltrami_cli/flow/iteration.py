@@ -85,18 +85,16 @@ class BeltramiFlow:
         # The walls of hard edges join samples at one place: they say nothing about spacing or noise.
         edges, lengths = _edges_in_space(self._manifold.edges(), self._positions)
         self.mean_edge_length = float(lengths.mean()) if len(lengths) else 0.0
+        spacing = local_spacing(len(rank), edges, lengths)
         self._scales: NDArray[np.float32] | None = None
         if parameters.units == "spacing":
-            spacing = local_spacing(len(rank), edges, lengths)
             self._scales = (1 / spacing).astype(np.float32)
-            lengths = lengths / np.sqrt(spacing[edges[:, 0]] * spacing[edges[:, 1]])
         self.sigma = estimate_sigma(self._colours, edges)
         self.beta = parameters.beta if parameters.beta is not None else self._choose_beta()
-        self._guide = (
-            MeshGuide(len(rank), edges, lengths, parameters.metric_scale)
-            if parameters.is_regularised(0)
-            else None
-        )
+        self._guide: MeshGuide | None = None
+        if parameters.is_regularised(0):
+            in_spacings = lengths / np.sqrt(spacing[edges[:, 0]] * spacing[edges[:, 1]])
+            self._guide = MeshGuide(len(rank), edges, in_spacings, parameters.metric_scale)
         self._weights: NDArray[np.float32] | None = None
         if parameters.weights == "area":
             self._weights = vertex_areas(self._positions, rank[surface.faces])

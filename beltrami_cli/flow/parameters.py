@@ -57,7 +57,7 @@ class KernelParameters:
         If a value is out of its range.
     """
 
-    iterations: int = 3
+    iterations: int = 4
     t: float = 2.4
     beta: float | None = None
     threshold: float = 0.01
@@ -66,8 +66,8 @@ class KernelParameters:
     max_samples: int = 2000
     threads: int | None = None
     window: int = 7
-    metric_scale: float = 0.0
-    metric_steps: int = 0
+    metric_scale: float = 0.7
+    metric_steps: int = 1
     scheme: Scheme = "triangles"
 
     def __post_init__(self) -> None:
