@@ -17,7 +17,8 @@ def picture(monkeypatch):
     import picture
 
     yield picture
-    sys.modules.pop("picture", None)
+    for path in FOLDER.glob("*.py"):
+        sys.modules.pop(path.stem, None)
 
 
 def square(z, rgb):
@@ -43,6 +44,30 @@ def test_x_runs_to_the_right_and_y_upwards(picture):
     image = picture.draw(corners, faces, picture.at_vertices(faces, colours), 40)
     assert np.allclose(image[20, 8:32, 0], (np.arange(8, 32) - 1.6) / 36.8, atol=0.03)
     assert np.allclose(image[8:32, 20, 1], 1 - (np.arange(8, 32) - 1.6) / 36.8, atol=0.03)
+
+
+def test_a_texture_is_looked_up_between_texels_with_v_down_and_repeats(picture):
+    pytest.importorskip("OpenImageIO")
+    import images
+    from textured import Painting
+
+    from beltrami_cli.mesh.textured import Texture, TexturedSurface
+
+    corners, faces, _ = square(0.0, (0, 0, 0))
+    row, column = np.mgrid[:16, :16] / 15
+    pixels = np.stack([column, row, np.zeros((16, 16))], axis=2)
+    data = images.encode(Painting("", pixels, np.ones((16, 16), bool), "png16"))
+    image = Texture("0", "ramp.png", data)
+    for shift in (0.0, -3.0):
+        uv = (corners[:, :2] * (1, -1) + 1)[faces] / 2 + shift
+        surface = TexturedSurface(corners, faces, uv, np.zeros(2, np.int32), (image,))
+        paint = picture.textured(surface)
+        # The middle of the first triangle is at u = 2/3, v = 2/3; texel centres are at (i + 0.5) / 16.
+        seen = paint(np.array([0]), np.full((1, 3), 1 / 3))
+        assert seen[0] == pytest.approx([(2 / 3 * 16 - 0.5) / 15] * 2 + [0], abs=1e-4)
+        drawn = picture.draw(corners, faces, paint, 40)
+        assert (drawn[8, 8, :2] < 0.25).all()
+        assert (drawn[32, 32, :2] > 0.75).all()
 
 
 def test_two_samples_make_one_png_of_twice_the_width(picture, tmp_path):
