@@ -1,32 +1,37 @@
-"""OBJ files whose vertex colours can be replaced, every other byte staying as it is."""
+"""OBJ files whose vertex colours and textures can be replaced, every other byte staying as it is."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
 from beltrami_cli.errors import InputError
+from beltrami_cli.formats.beside import Beside
 from beltrami_cli.formats.document import NO_IMAGES, Document, Written
 from beltrami_cli.formats.obj.materials import Materials
 from beltrami_cli.formats.obj.polygons import among, read_polygons
+from beltrami_cli.formats.obj.recolouring import recoloured
+from beltrami_cli.formats.obj.repainting import Spans, exchanged, repainted, shifted
 from beltrami_cli.formats.obj.statements import Statements
+from beltrami_cli.formats.obj.texturing import gather_textured, read_coordinates
 from beltrami_cli.formats.obj.vertices import read_vertices
 from beltrami_cli.formats.scale import full_scale
-from beltrami_cli.formats.tokens import exchange_tokens
 from beltrami_cli.mesh.painted import MeshContents, PaintedVertices
 from beltrami_cli.mesh.polygons import triangulate
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
-    from pathlib import Path
 
     from numpy.typing import NDArray
 
+    from beltrami_cli.formats.document import Bytes
+    from beltrami_cli.formats.obj.texturing import Coordinates
     from beltrami_cli.formats.obj.vertices import Vertices
-    from beltrami_cli.mesh.textured import ImageFile, Slot
+    from beltrami_cli.mesh.textured import ImageFile, Slot, TexturedSurface
 
 _CHANNELS = ("red", "green", "blue")
 _DROPPED = {
@@ -37,7 +42,7 @@ _DROPPED = {
     "lines and points": (b"l", b"p"),
     "curves and surfaces": (b"curv", b"curv2", b"surf"),
 }
-_DECIMALS = {1.0: (6, 9), 255.0: (4, 7)}  # by full scale, the least that lose nothing and the most of float32
+_SLOTS: tuple[Slot, ...] = ("baseColor", "emissive", "normal")
 
 
 @dataclass(frozen=True)
@@ -47,7 +52,7 @@ class _Scan:
     vertices: Vertices
     corners: NDArray[np.int32]
     offsets: NDArray[np.int64]
-    libraries: list[bytes]
+    libraries: list[tuple[bytes, int]]
     dropped: tuple[str, ...]
 
 
@@ -69,7 +74,8 @@ class ObjDocument(Document):
     def __init__(self, data: bytes, name: str, folder: Path | None) -> None:
         super().__init__(name)
         self._data = data
-        self._folder = folder
+        self._beside = Beside(folder)
+        self._textured: dict[Slot, TexturedSurface] = {}
 
     def painted(self) -> PaintedVertices:
         """Return the coloured vertices and the faces between them; see `Document.painted`."""
@@ -89,6 +95,26 @@ class ObjDocument(Document):
             stored="text",
         )
 
+    def has_vertex_colours(self) -> bool:
+        """Tell whether any vertex has a colour."""
+        return bool(self._scan.vertices.coloured.size)
+
+    def slots(self) -> tuple[Slot, ...]:
+        """Return the slots in which a material has a map; see `Document.slots`."""
+        return tuple(slot for slot in _SLOTS if slot in self._materials.slots())
+
+    def textured(self, slot: Slot) -> TexturedSurface:
+        """Return the textures of a slot and their surface; see `Document.textured`."""
+        if slot not in self._textured:
+            vertices = self._scan.vertices
+            mesh = vertices.positions, self._scan.corners, self._scan.offsets
+            surface, notices = gather_textured(
+                mesh, self._coordinates, self._materials, self._beside, slot, self.name
+            )
+            self._textured[slot] = surface
+            self.notices += notices
+        return self._textured[slot]
+
     def patch(
         self,
         colours: NDArray[np.float32] | None,
@@ -97,32 +123,21 @@ class ObjDocument(Document):
         moved: bool,
         images: Mapping[tuple[Slot, str], ImageFile] = NO_IMAGES,
     ) -> Written:
-        """Return the file with other colours; see `Document.patch`. There are no images to be exchanged."""
+        """Return the files with other colours and images; see `Document.patch`."""
+        sidecars: dict[str, Bytes] = {}
+        spans: Spans = {}
+        if images:
+            source = Path(self.name).stem
+            sidecars, spans = repainted(self._materials, images, source, stem, moved=moved)
+        data = exchanged(self._data, spans)
         if colours is None:
-            return Written([self._data])
+            return Written([data], sidecars)
+        starts, ends = (
+            shifted(places, spans)
+            for places in (self._scan.vertices.token_starts, self._scan.vertices.token_ends)
+        )
         changed = colours != self._colours
-        if not changed.any():
-            return Written([self._data])
-        starts, ends = self._scan.vertices.token_starts, self._scan.vertices.token_ends
-        decimals = self._decimals(starts.ravel(), ends.ravel())
-        values = colours[changed].astype(np.float64) * self._scale
-        if decimals == 0:
-            values = np.clip(np.rint(values), 0, self._scale)
-        style = b"%%.%df" % decimals
-
-        def spell(block: slice) -> list[bytes]:
-            return [style % value for value in values[block].tolist()]
-
-        return Written(exchange_tokens(self._data, starts[changed], ends[changed], spell))
-
-    def _decimals(self, starts: NDArray[np.int64], ends: NDArray[np.int64]) -> int:
-        """Return how many decimals new colours get: as many as the old ones, within what is sensible."""
-        points = np.append(np.flatnonzero(np.frombuffer(self._data, np.uint8) == ord(".")), len(self._data))
-        found = int((ends - points[np.searchsorted(points, starts)] - 1).max())
-        if found < 0 and self._scale != 1:
-            return 0
-        least, most = _DECIMALS[self._scale]
-        return min(max(found, least), most)
+        return Written(recoloured(data, starts, ends, colours, changed, self._scale), sidecars)
 
     def references(self) -> Sequence[str]:
         """Return the material files inside the folder and the textures that they name."""
@@ -197,9 +212,13 @@ class ObjDocument(Document):
 
     @cached_property
     def _materials(self) -> Materials:
-        materials = Materials(self._folder, self._scan.libraries)
+        materials = Materials(self._beside, self._scan.libraries)
         self.notices += materials.notices
         return materials
+
+    @cached_property
+    def _coordinates(self) -> Coordinates:
+        return read_coordinates(Statements(self._data, self.name), self._materials)
 
     def _unpainted(self) -> InputError:
         cause = "there are no vertex colours on its 'v' lines"

@@ -1,20 +1,48 @@
-"""Which files beside an OBJ file its materials need."""
+"""The materials of an OBJ file, from all its libraries, and the files that they need."""
 
 from __future__ import annotations
 
 import os
 import re
-from pathlib import Path, PurePosixPath
+from dataclasses import dataclass
+from pathlib import PurePosixPath
+from typing import TYPE_CHECKING
+
+from beltrami_cli.formats.obj.libraries import SLOTS, Map, read_maps
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from beltrami_cli.formats.beside import Beside
+    from beltrami_cli.mesh.textured import Slot
 
 _LARGEST = 1 << 24  # bytes of a material file that are read
-_MAPS = re.compile(
-    rb"^[ \t]*(map_\w+|bump|disp|decal|refl|norm)[ \t]+([^\r\n]+)", re.IGNORECASE | re.MULTILINE
-)
-_VECTOR = r"(?:[ \t]+[-+.\deE]+){1,3}"
-_OPTION = re.compile(
-    rf"-(?:(?:o|s|t){_VECTOR}|mm(?:[ \t]+\S+){{2}}|\w+[ \t]+\S+)[ \t]+", re.IGNORECASE
-)  # fmt: skip
-_SCHEME = re.compile(r"^[a-z][a-z0-9+.-]*:", re.IGNORECASE)  # a URL, or the letter of a drive
+_MTL = re.compile(r"\S.*?\.mtl(?=\s|$)|\S+", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class Library:
+    """A material file.
+
+    Attributes
+    ----------
+    path : str
+        Relative to the folder of the model.
+    data : bytes
+        Its content.
+    materials : frozenset of str
+        Names of its materials.
+    maps : tuple of (Map, str or None)
+        Its maps in file order, each with the path of its file if that can be used.
+    mentions : tuple of (str, int, int)
+        Its name in the OBJ file wherever that is, and from where to where it stands there.
+    """
+
+    path: str
+    data: bytes
+    materials: frozenset[str]
+    maps: tuple[tuple[Map, str | None], ...]
+    mentions: tuple[tuple[str, int, int], ...]
 
 
 class Materials:
@@ -22,64 +50,101 @@ class Materials:
 
     Parameters
     ----------
-    folder : pathlib.Path or None
-        Where the OBJ file lies; None if it lies in no folder, and so has no files beside it.
-    libraries : sequence of bytes
-        What stands behind its `mtllib` keywords.
+    beside : Beside
+        The folder in which the OBJ file lies.
+    statements : sequence of (bytes, int)
+        What stands behind its `mtllib` keywords, and where in the file.
 
     Attributes
     ----------
     paths : list of str
         Relative to the folder, "/" separates; all are regular files inside it.
+    libraries : list of Library
+        In the order in which they are named first.
     notices : list of str
         One sentence for each file that is missing or lies elsewhere, and so is left alone.
     """
 
-    def __init__(self, folder: Path | None, libraries: list[bytes]) -> None:
+    def __init__(self, beside: Beside, statements: Sequence[tuple[bytes, int]]) -> None:
         self.paths: list[str] = []
         self.notices: list[str] = []
-        if folder is None:
+        self._beside = beside
+        mentions: dict[str, list[tuple[str, int, int]]] = {}
+        for text, start in statements:
+            for name, begin in self._names(text, start):
+                path = self._found(name, PurePosixPath())
+                if path is not None:
+                    mentions.setdefault(path, []).append((name, begin, begin + len(os.fsencode(name))))
+        self.libraries = [self._read(path, places) for path, places in mentions.items()]
+        self._shown: dict[tuple[str, Slot], tuple[Map, str | None]] = {}
+        known: set[str] = set()
+        for library in self.libraries:
+            self._take(library, known)
+            known |= library.materials
+
+    def painting(self, material: str, slot: Slot) -> tuple[Map, str | None] | None:
+        """Return the map that a material has in a slot, and its file if that can be used."""
+        return self._shown.get((material, slot))
+
+    def slots(self) -> set[Slot]:
+        """Return the slots that some material has a map in."""
+        return {slot for _, slot in self._shown}
+
+    def uses(self, path: str) -> int:
+        """Return how many maps there are to a file."""
+        return sum(used == path for library in self.libraries for _, used in library.maps)
+
+    def affected(self, slot: Slot, path: str) -> Iterator[tuple[Library, Map]]:
+        """Give all maps by which an image is seen in a slot.
+
+        With the base colour go maps of the same material to the same file for ambient light and opacity: they
+        show the same paint, and its alpha does not change.
+        """
+        for library in self.libraries:
+            painted = {m.material for m, p in library.maps if p == path and SLOTS.get(m.keyword) == slot}
+            for found, its_path in library.maps:
+                along = (
+                    slot == "baseColor" and found.keyword in ("map_ka", "map_d") and found.material in painted
+                )
+                if its_path == path and (along or SLOTS.get(found.keyword) == slot):
+                    yield library, found
+
+    def _take(self, library: Library, known: set[str]) -> None:
+        """Note the maps of materials that no library before has: the last of the keyword that counts most."""
+        for keyword, slot in reversed(SLOTS.items()):
+            for found, path in library.maps:
+                if found.keyword == keyword and found.material not in known:
+                    self._shown[found.material, slot] = found, path
+
+    def _names(self, text: bytes, start: int) -> Iterator[tuple[str, int]]:
+        """Split the names of several libraries, which may hold blanks; give each with its place."""
+        whole = os.fsdecode(text)
+        if self._beside.find(whole) is not None:
+            yield whole, start
             return
-        self._folder = folder.resolve()
-        for line in libraries:
-            for library in self._library_names(os.fsdecode(line)):
-                if self._add(library, PurePosixPath()):
-                    self._add_textures(library)
+        for match in _MTL.finditer(whole.split(" #")[0]):  # A comment may follow.
+            yield match[0], start + len(os.fsencode(whole[: match.start()]))
 
-    def _library_names(self, line: str) -> list[str]:
-        """Split the names of several libraries, which may hold blanks."""
-        if self._file(line, PurePosixPath()) is not None:
-            return [line]
-        return re.findall(r"\S.*?\.mtl(?=\s|$)", line, re.IGNORECASE) or line.split()
+    def _read(self, path: str, mentions: list[tuple[str, int, int]]) -> Library:
+        try:
+            data = self._beside.read(path, _LARGEST + 1)
+        except OSError as error:
+            self.notices.append(f"'{path}' cannot be read ({error.strerror}), and is left alone.")
+            data = b""
+        if len(data) > _LARGEST:
+            self.notices.append(f"'{path}' has more than {_LARGEST} bytes, and is left alone.")
+            data = b""
+        materials, maps = read_maps(data)
+        within = PurePosixPath(path).parent
+        found = tuple((known, self._found(known.name, within)) for known in maps)
+        return Library(path, data, frozenset(materials), found, tuple(mentions))
 
-    def _add_textures(self, library: str) -> None:
-        beside = PurePosixPath(library.replace("\\", "/")).parent
-        with (self._folder / library.replace("\\", "/")).open("rb") as file:
-            text = file.read(_LARGEST)
-        for match in _MAPS.finditer(text):
-            texture = os.fsdecode(match[2]).strip()
-            while option := _OPTION.match(texture):
-                texture = texture[option.end() :]
-            self._add(texture, beside)
-
-    def _add(self, name: str, beside: PurePosixPath) -> bool:
-        """Add a file once; tell whether it is there."""
-        path = self._file(name, beside)
+    def _found(self, name: str, within: PurePosixPath) -> str | None:
+        """Return the path of a file, adding it once, or None with a notice if it is not there."""
+        path = self._beside.find(name, within)
         if path is None:
             sentence = f"'{name}' is missing or not inside the model's folder, and is left alone."
             self.notices += [] if sentence in self.notices else [sentence]
-            return False
-        self.paths += [] if path in self.paths else [path]
-        return True
-
-    def _file(self, name: str, beside: PurePosixPath) -> str | None:
-        """Return the relative path of a regular file inside the folder, or None."""
-        path = beside / name.replace("\\", "/")
-        if not name or path.is_absolute() or ".." in path.parts or _SCHEME.match(name):
-            return None
-        try:
-            there = (self._folder / path).resolve()
-            inside = there.is_relative_to(self._folder) and there.is_file()
-        except (OSError, ValueError):  # Names that no file can have: too long, or with a NUL.
-            return None
-        return str(path) if inside else None
+        elif path not in self.paths:
+            self.paths.append(path)
+        return path

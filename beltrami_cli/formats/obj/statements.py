@@ -16,12 +16,13 @@ from beltrami_cli.errors import InputError
 from beltrami_cli.formats.tokens import find_tokens, read_numbers
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from numpy.typing import NDArray
 
 _DIGITS = 18  # of an index, no more than an int64 can hold
 _LINE_END = re.compile(rb"[\r\n]")
 _BYTE_ORDER_MARK = b"\xef\xbb\xbf"
-_LONGEST = 1 << 16  # bytes of a line with file names
 _BLOCK = 1 << 18  # indices read at a time, which bounds the memory for their digits
 
 
@@ -103,13 +104,33 @@ class Statements:
     def indices(self, tokens: NDArray[np.int64]) -> NDArray[np.int64]:
         """Read the whole numbers that tokens have before their first "/"; InputError if one has none."""
         values = np.empty(len(tokens), np.int64)
-        for first in range(0, len(tokens), _BLOCK):
-            block = slice(first, first + _BLOCK)
-            values[block] = self._indices(tokens[block])
+        for block in _blocks(len(tokens)):
+            values[block], _ = self._whole(tokens[block], self.starts[tokens[block]], "is no vertex index")
         return values
 
-    def _indices(self, tokens: NDArray[np.int64]) -> NDArray[np.int64]:
-        first, ends = self.starts[tokens], self.ends[tokens]
+    def second_indices(self, tokens: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Read the whole numbers that tokens have behind their first "/"; 0 where there is none."""
+        values = np.zeros(len(tokens), np.int64)
+        slashes = np.append(np.flatnonzero(self._characters == ord("/")), len(self._characters))
+        for block in _blocks(len(tokens)):
+            chosen = tokens[block]
+            begins = slashes[np.searchsorted(slashes, self.starts[chosen])] + 1
+            given = begins < self.ends[chosen]
+            given[given] = self._characters[begins[given]] != ord("/")
+            values[block][given], zeros = self._whole(
+                chosen[given], begins[given], "has no index of texture coordinates behind its first '/'"
+            )
+            if zeros.any():
+                raise self.error(
+                    chosen[given][int(np.argmax(zeros))], "has the index 0; indices count from 1"
+                )
+        return values
+
+    def _whole(
+        self, tokens: NDArray[np.int64], first: NDArray[np.int64], cause: str
+    ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+        """Read whole numbers that start at some places in tokens; return them, and which of them are 0."""
+        ends = self.ends[tokens]
         negative = self._characters[first] == ord("-")
         at = first + negative
         begin = at.copy()
@@ -124,13 +145,15 @@ class Statements:
             at += going
         wrong = (at == begin) | ((at < ends) & (self._characters[at] != ord("/")))
         if wrong.any():
-            raise self.error(tokens[int(np.argmax(wrong))], "is no vertex index")
-        return np.where(negative, -values, values)
+            raise self.error(tokens[int(np.argmax(wrong))], cause)
+        return np.where(negative, -values, values), values == 0
 
-    def rest(self, statement: int) -> bytes:
-        """Return what stands behind the keyword of a statement up to the end of its line, untouched."""
+    def rest(self, statement: int | np.int64) -> tuple[bytes, int]:
+        """Return what stands behind the keyword of a statement up to the end of its line, untouched, and where."""
         begin = int(self.ends[self.heads[statement]])
-        return _LINE_END.split(self._data[begin : begin + _LONGEST], maxsplit=1)[0].strip()
+        found = _LINE_END.search(self._data, begin)
+        line = self._data[begin : found.start() if found else len(self._data)]
+        return line.strip(), begin + len(line) - len(line.lstrip())
 
     def error(self, token: int | np.int64, cause: str) -> InputError:
         """Return an error about a token, with its line."""
@@ -143,6 +166,11 @@ class Statements:
         """Return the number of the line that a token stands on, from 1."""
         before = self._data[: int(self.starts[token])]
         return max(before.count(b"\n"), before.count(b"\r")) + 1
+
+
+def _blocks(count: int) -> Iterator[slice]:
+    for first in range(0, count, _BLOCK):
+        yield slice(first, min(first + _BLOCK, count))
 
 
 def _plain(data: bytes) -> bytes:
