@@ -32,8 +32,10 @@ def command(source: str, as_json: bool, verbose: int, **smoothing: Any) -> None:
         click.echo(json.dumps(facts, indent=2))
         return
     for section, content in facts.items():
-        if content:
-            click.echo("\n".join([section, *_lines(content)]))
+        parts = content if section == "textures" else [content]
+        for part in parts:
+            if part:
+                click.echo("\n".join([section, *_lines(part)]))
 
 
 def _lines(content: Any) -> list[str]:
@@ -47,7 +49,9 @@ def _show(value: Any) -> str:
     if isinstance(value, float):
         return f"{value:.5g}"
     if isinstance(value, list):
-        return ", ".join(f"({_show(entry)})" if isinstance(entry, list) else _show(entry) for entry in value)
+        return ", ".join(
+            f"({_show(entry)})" if isinstance(entry, (list, dict)) else _show(entry) for entry in value
+        )
     if isinstance(value, dict):
-        return ", ".join(f"{key} {_show(entry)}" for key, entry in value.items())
+        return ", ".join(f"{key.replace('_', ' ')} {_show(entry)}" for key, entry in value.items())
     return str(value)

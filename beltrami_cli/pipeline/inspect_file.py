@@ -6,14 +6,14 @@ import dataclasses
 import os
 from typing import TYPE_CHECKING
 
-from beltrami_cli.flow.iteration import BeltramiFlow
 from beltrami_cli.formats.source import open_document
-from beltrami_cli.mesh.topology import count_topology
 from beltrami_cli.pipeline.settings import DEFAULTS, SmoothSettings
-from beltrami_cli.pipeline.smooth_vertices import prepare, require_surface
+from beltrami_cli.pipeline.work import choose_work
 
 if TYPE_CHECKING:
+    from beltrami_cli.formats.document import Document
     from beltrami_cli.mesh.painted import PaintedVertices
+    from beltrami_cli.mesh.textured import Slot
 
 # Enough for a mean within a few per cent, and a matter of milliseconds.
 _PROBED_KERNELS = 1000
@@ -32,25 +32,42 @@ def inspect_file(source: str | os.PathLike[str], settings: SmoothSettings = DEFA
     Returns
     -------
     dict
-        JSON types only: "file" (facts of the format), "colours", "surface" (counts, spacing, bounds), "noise"
-        (standard deviation per channel, full scale 1), "smooth" (parameters as they would be used, and the mean
-        number of samples that a kernel of the first iteration would hold), "notices".
+        JSON types only: "file" (facts of the format); for vertex colours "colours", "surface" (counts, spacing,
+        bounds), "noise" (standard deviation per channel, full scale 1) and "smooth" (parameters as they would be
+        used, and the mean number of samples that a kernel of the first iteration would hold); "textures", a list
+        with an entry for each slot that would be smoothed; "notices".
 
     Raises
     ------
     InputError
-        If the source cannot be read or holds no vertex colours.
+        If the source cannot be read or holds no colours.
     UsageError
         If the settings contradict the file.
     """
     document = open_document(os.fspath(source))
+    work = choose_work(document, settings)
+    facts: dict[str, object] = {
+        "file": {"name": document.name, "format": document.format, **document.facts()}
+    }
+    if work.vertices:
+        facts.update(_describe_vertices(document, settings))
+    slots = [_describe_slot(document, slot, settings) for slot in work.slots]
+    if slots:
+        facts["textures"] = slots
+    facts["notices"] = [*document.notices, *work.notices]
+    return facts
+
+
+def _describe_vertices(document: Document, settings: SmoothSettings) -> dict[str, object]:
+    from beltrami_cli.flow.iteration import BeltramiFlow
+    from beltrami_cli.mesh.topology import count_topology
+    from beltrami_cli.pipeline.smooth_vertices import prepare, require_surface
+
     painted = document.painted()
     require_surface(painted, document.name)
     chosen, surface, sampling = prepare(painted, settings)
     flow = BeltramiFlow(surface, settings.kernel)
-    joined = dataclasses.asdict(count_topology(surface.positions, surface.faces))
     return {
-        "file": {"name": document.name, "format": document.format, **document.facts()},
         "colours": _describe_colours(painted),
         "surface": {
             "vertices": len(painted.positions),
@@ -58,18 +75,37 @@ def inspect_file(source: str | os.PathLike[str], settings: SmoothSettings = DEFA
             "samples": len(surface.colours),
             "coincident_vertices": len(painted.positions) - sampling.places,
             "hard_edge_samples": len(surface.colours) - sampling.places,
-            **joined,
+            **dataclasses.asdict(count_topology(surface.positions, surface.faces)),
             "mean_edge_length": flow.mean_edge_length,
             "bounds": _bounds(painted),
         },
         "noise": {painted.channels[i]: float(s) for i, s in zip(chosen, flow.sigma, strict=True)},
-        "smooth": {
-            **dataclasses.asdict(dataclasses.replace(settings.kernel, beta=flow.beta)),
-            "threads": settings.kernel.thread_count,
-            "space": settings.space,
-            "samples_per_kernel": round(flow.probe_samples(_PROBED_KERNELS), 1),
-        },
-        "notices": list(document.notices),
+        "smooth": _describe_kernel(settings, flow.beta)
+        | {"samples_per_kernel": round(flow.probe_samples(_PROBED_KERNELS), 1)},
+    }
+
+
+def _describe_slot(document: Document, slot: Slot, settings: SmoothSettings) -> dict[str, object]:
+    from beltrami_cli.pipeline.smooth_textures import atlas_counts, describe_textures, prepare_slot
+
+    prepared = prepare_slot(document.textured(slot), slot, settings)
+    flow = prepared.flow(settings)
+    return {
+        "slot": slot,
+        "images": describe_textures(prepared),
+        **atlas_counts(prepared.atlas),
+        "colour_jumps": flow.jumps,
+        "pitch": flow.spacing,
+        "noise": prepared.colours.named(flow.sigma),
+        "smooth": _describe_kernel(settings, flow.beta),
+    }
+
+
+def _describe_kernel(settings: SmoothSettings, beta: float) -> dict[str, object]:
+    return {
+        **dataclasses.asdict(dataclasses.replace(settings.kernel, beta=beta)),
+        "threads": settings.kernel.thread_count,
+        "space": settings.space,
     }
 
 
