@@ -1,6 +1,7 @@
 #include "bindings/atlas.hpp"
 
 #include "atlas/atlas.hpp"
+#include "atlas/nearest_texel.hpp"
 #include "bindings/arrays.hpp"
 
 namespace beltrami::bindings {
@@ -73,12 +74,24 @@ nb::dict build_atlas(const Matrix<double>& positions, const Matrix<Index>& faces
   return to_dict(made);
 }
 
+auto nearest_marked(const Matrix<bool>& marked, std::int64_t reach, unsigned threads) {
+  const std::size_t height = marked.shape(0), width = marked.shape(1);
+  std::unique_ptr<std::int64_t[]> nearest;
+  {
+    const nb::gil_scoped_release unlock;
+    nearest = atlas::nearest_marked(marked.data(), static_cast<std::int64_t>(height), static_cast<std::int64_t>(width),
+                                    reach, threads);
+  }
+  return give<std::int64_t, nb::ndim<2>>(std::move(nearest), {height, width});
+}
+
 }  // namespace
 
 void bind_atlas(nb::module_& module) {
   using namespace nb::literals;
   module.def("build_atlas", &build_atlas, "positions"_a, "faces"_a, "uv"_a, "texture_of"_a, "grids"_a, "margin"_a,
              "threads"_a);
+  module.def("nearest_marked", &nearest_marked, "marked"_a, "reach"_a, "threads"_a);
 }
 
 }  // namespace beltrami::bindings
