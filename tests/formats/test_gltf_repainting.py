@@ -135,6 +135,7 @@ def check_rest(source, path):
         trees.append(unpacked(file.read_bytes(), files))
     (old, old_buffers), (new, new_buffers) = trees
     pictures = {image.get("bufferView") for image in old["images"]}
+    assert all(view["byteOffset"] % 4 == 0 for view in new["bufferViews"][len(old["bufferViews"]) :])
     for index, view in enumerate(old["bufferViews"]):
         if index not in pictures:
             assert new["bufferViews"][index] == view
@@ -222,17 +223,40 @@ def test_an_image_at_the_end_is_cut_and_written_over(tmp_path):
     assert same[: 20 + size] == source.read_bytes()[: 20 + size]
 
 
-def test_bytes_that_something_else_reads_are_not_written_over(tmp_path):
+@pytest.mark.parametrize("reader", ["part of it", "all of it", "right behind it"])
+def test_bytes_that_something_else_reads_stay_where_they_are(tmp_path, reader):
     model = Textured()
     image = model.image(picture(1, size=80))
-    view = dict(model.tree["bufferViews"][model.tree["images"][image]["bufferView"]])
-    model.tree["bufferViews"].append(view | {"byteOffset": view["byteOffset"] + 8, "byteLength": 40})
+    index = model.tree["images"][image]["bufferView"]
     model.triangles(SQUARE, SQUARE[:, :2], model.material(baseColor=model.texture(image)))
+    if reader == "part of it":
+        view = dict(model.tree["bufferViews"][index])
+        model.tree["bufferViews"].append(view | {"byteOffset": view["byteOffset"] + 8, "byteLength": 40})
+    elif reader == "all of it":
+        model.accessor(np.zeros((10, 1), "<u1"), index)
+    else:
+        model.tree["images"][image]["bufferView"] = model.view(picture(1, size=80))
+        model.view(b"tiny")
     path = model.written_to(tmp_path)
-    wanted = {("baseColor", "image 0"): new_image(2)}
+    wanted = {("baseColor", "image 0"): new_image(2, size=60)}
     patched = save(open_document(str(path)).patch(None, "o", moved=False, images=wanted), "o.glb", tmp_path)
     check_rest(path, patched)
-    assert shown(patched) == {(0, "baseColor"): new_image(2).data}
+    assert shown(patched) == {(0, "baseColor"): wanted["baseColor", "image 0"].data}
+    if reader == "all of it":
+        (_, old), (tree, new) = unpacked(path.read_bytes()), unpacked(patched.read_bytes())
+        start = model.tree["bufferViews"][index]["byteOffset"]
+        assert new[0][start : start + 88] == old[0][start : start + 88]
+        assert tree["images"][0]["bufferView"] != index
+
+
+def test_images_that_grow_and_shrink_by_turns_keep_their_room(tmp_path):
+    path, lengths = with_images(tmp_path, 2), []
+    for run in range(12):
+        document = open_document(str(path))
+        images = {("baseColor", f"image {run % 2}"): new_image(run, size=(300, 350)[run // 2 % 2])}
+        path = save(document.patch(None, "m", moved=False, images=images), "m.glb", tmp_path)
+        lengths.append(open_document(str(path)).buffers.lengths[0])
+    assert max(lengths[8:]) <= max(lengths[4:8]) <= lengths[0] + 2 * 350
 
 
 def test_an_image_that_lights_the_scene_is_kept_for_it(tmp_path):
@@ -357,6 +381,18 @@ def test_image_files_are_named_after_the_output_and_spare_the_sources(
     assert list(written.sidecars) == [expected]
     uri = json.loads(joined(written))["images"][0]["uri"]
     assert uri == expected.replace("%", "%25").replace(" ", "%20")
+
+
+def test_a_name_that_stays_keeps_its_spelling(tmp_path):
+    model = Textured("file")
+    model.triangles(SQUARE, SQUARE[:, :2], model.material(baseColor=model.texture(model.image(picture(1)))))
+    model.tree["images"][0]["uri"] = "sk%69n,(1).png"
+    model.files = {"skin,(1).png": picture(1)}
+    source = model.written_to(tmp_path, "gltf")
+    images = {("baseColor", "image 0"): new_image(1)}
+    written = open_document(str(source)).patch(None, "out", moved=True, images=images)
+    assert joined(written) == source.read_bytes()
+    assert written.sidecars == {"skin,(1).png": new_image(1).data}
 
 
 def test_writing_beside_itself_spares_the_source_too(tmp_path):

@@ -157,6 +157,16 @@ def test_strips_and_fans_carry_their_coordinates(tmp_path, mode, corners):
     np.testing.assert_array_equal(found.uv, UV[corners])
 
 
+def test_vertices_that_no_triangle_uses_are_left_out(tmp_path):
+    model = Textured()
+    material = model.material(baseColor=model.texture(model.image(picture(1))))
+    model.triangles(SQUARE, UV, material, corners=CORNERS[1:])
+    found = surface(model, tmp_path)
+    np.testing.assert_array_equal(found.positions, SQUARE[[0, 2, 3]])
+    np.testing.assert_array_equal(found.faces, [[0, 1, 2]])
+    np.testing.assert_array_equal(found.uv, UV[[CORNERS[1]]])
+
+
 def test_instances_are_taken_once_and_mirrored_nodes_turned(tmp_path):
     model = Textured()
     mesh = square(model, model.material(baseColor=model.texture(model.image(picture(1)))), scale=[-2, 1, 1])
