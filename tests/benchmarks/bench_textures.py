@@ -18,6 +18,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+import texture_files
 import texture_peers
 import texture_scene
 from bench_triangulated import Row, show
@@ -45,6 +46,7 @@ PLAIN = (0, 1, 2, 3, 4, 6)  # and without, after them
 SCALE = 0.5**0.5  # of the binomial filter 1 2 1
 START = (1.4, 2, 2)
 TEXELS = 1024
+MANY = 9  # iterations
 
 
 def main():
@@ -76,14 +78,14 @@ def smooth(source, target, iterations, contrast=1.4, guided=0):
 def time_rows(options):
     """Measure an iteration and the set-up, in CPU time of one thread, on a torus in 16 charts.
 
-    Runs of one and of three iterations, the set-up and the peer take turns, so that a busy machine slows all of them.
+    Runs of one and of many iterations, the set-up and the peer take turns, so that a busy machine slows all of them.
     """
     scene = texture_scene.torus(TEXELS)
     covered = int(scene.covered[0].sum())
     times = {"bilateral": [], "set-up": [], "plain": [], "regularised": [], "rest": []}
     with tempfile.TemporaryDirectory() as folder:
         source, target = Path(folder) / "noisy.glb", Path(folder) / "smooth.glb"
-        texture_scene.write_glb(source, scene, scene.noisy)
+        texture_files.write_glb(source, scene, scene.noisy)
         for _ in range(options.repeats):
             try:
                 times["bilateral"].append(texture_peers.bilateral_seconds(scene.noisy[0]))
@@ -91,10 +93,10 @@ def time_rows(options):
                 print(missing, file=sys.stderr)
             times["set-up"].append(setup_seconds(source))
             for kind in ("plain", "regularised"):
-                once, thrice = (
-                    computing(smooth(source, target, n, guided=n * (kind != "plain"))) for n in (1, 3)
+                once, often = (
+                    computing(smooth(source, target, n, guided=n * (kind != "plain"))) for n in (1, MANY)
                 )
-                times[kind].append((thrice - once) / 2)
+                times[kind].append((often - once) / (MANY - 1))
                 if kind == "plain":
                     times["rest"].append(once - times["plain"][-1] - times["set-up"][-1])
     seconds = {what: float(np.median(found)) if found else np.nan for what, found in times.items()}
@@ -140,7 +142,7 @@ def memory_rows():
         source, target, report = (Path(folder) / name for name in ("noisy.glb", "smooth.glb", "report.json"))
         for size in (128, TEXELS):
             scene = texture_scene.torus(size)
-            texture_scene.write_glb(source, scene, scene.noisy)
+            texture_files.write_glb(source, scene, scene.noisy)
             command = [
                 sys.executable,
                 "-m",
@@ -237,8 +239,8 @@ def tuned(scene):
     """
     with tempfile.TemporaryDirectory() as folder:
         whole, torn, target = (Path(folder) / f"{name}.glb" for name in ("whole", "torn", "target"))
-        texture_scene.write_glb(whole, scene, scene.noisy)
-        texture_scene.write_glb(torn, scene, scene.noisy, torn=True)
+        texture_files.write_glb(whole, scene, scene.noisy)
+        texture_files.write_glb(torn, scene, scene.noisy, torn=True)
         known = {}
 
         def scores(settings, source=whole):
@@ -246,7 +248,7 @@ def tuned(scene):
                 contrast, guided, plain = settings
                 if guided + plain:
                     smooth(source, target, guided + plain, contrast, guided)
-                found = texture_scene.read_images(target if guided + plain else source)
+                found = texture_files.read_images(target if guided + plain else source)
                 known[settings, source] = [scorer(scene, k)(image) for k, image in enumerate(found)]
             return known[settings, source]
 
