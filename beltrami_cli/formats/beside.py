@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from pathlib import PurePosixPath
 from typing import TYPE_CHECKING
@@ -92,3 +93,11 @@ def unused(path: str, taken: set[str]) -> str:
         path = str(whole.with_name(f"{whole.stem}-{number}{whole.suffix}"))
         number += 1
     return path
+
+
+def respelled(name: str, path: str, new: str) -> bytes:
+    """Return a file's new name in the spelling of the old one, from which it differs in the last part only."""
+    if new == path:
+        return os.fsencode(name)
+    folder = max(name.rfind("/"), name.rfind("\\")) + 1
+    return os.fsencode(name[:folder] + PurePosixPath(new).name)

@@ -65,7 +65,7 @@ def recognise(data: bytes, name: str, folder: Path | None) -> Document:
     if data[:4] in (b"ply\n", b"ply\r"):
         from beltrami_cli.formats.ply import PlyDocument
 
-        return PlyDocument(data, name)
+        return PlyDocument(data, name, folder)
     if data[:4] == b"glTF" or data.lstrip(b"\xef\xbb\xbf \t\r\n")[:1] == b"{":
         from beltrami_cli.formats.gltf import GltfDocument
 

@@ -13,6 +13,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+Spans = dict[tuple[int, int], bytes]
+"""New bytes by where the old ones start and end."""
+
 _SOLID = bytes(character not in b" \t\n\v\f\r" for character in range(256))
 _BLOCK = 1 << 16  # tokens exchanged at a time, which bounds the memory that the pieces take
 
@@ -116,3 +119,12 @@ def exchange_tokens(
         done = stops[-1]
     pieces.append(whole[done:])
     return pieces
+
+
+def exchange_spans(data: bytes, spans: Spans) -> bytes:
+    """Return data with the bytes at some spans exchanged for others."""
+    pieces, done = [], 0
+    for (start, end), new in sorted(spans.items()):
+        pieces += [data[done:start], new]
+        done = end
+    return b"".join([*pieces, data[done:]]) if spans else data

@@ -65,6 +65,27 @@ def triangulate(
     return faces
 
 
+def triangulate_corners(
+    positions: NDArray[np.float64], corners: NDArray[np.int32], offsets: NDArray[np.int64]
+) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+    """Cut polygons like `triangulate`, but tell which corners the triangles have, not only which vertices.
+
+    Parameters
+    ----------
+    positions, corners, offsets : ndarray
+        As for `triangulate`.
+
+    Returns
+    -------
+    cut : ndarray of int32, shape (F, 3)
+        Indices into `corners`; ``corners[cut]`` is what `triangulate` returns.
+    polygon : ndarray of int64, shape (F,)
+        The polygon that each triangle is part of.
+    """
+    cut = triangulate(positions[corners], np.arange(len(corners), dtype=np.int32), offsets)
+    return cut, np.searchsorted(offsets, cut[:, 0], side="right") - 1
+
+
 def _cut(positions: NDArray[np.float64], polygons: NDArray[np.int32]) -> NDArray[np.int32]:
     """Cut polygons of one size, shape (P, n), into triangles of shape (P, n - 2, 3)."""
     size = polygons.shape[1]

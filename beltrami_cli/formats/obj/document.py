@@ -15,11 +15,12 @@ from beltrami_cli.formats.document import NO_IMAGES, Document, Written
 from beltrami_cli.formats.obj.materials import Materials
 from beltrami_cli.formats.obj.polygons import among, read_polygons
 from beltrami_cli.formats.obj.recolouring import recoloured
-from beltrami_cli.formats.obj.repainting import Spans, exchanged, repainted, shifted
+from beltrami_cli.formats.obj.repainting import repainted, shifted
 from beltrami_cli.formats.obj.statements import Statements
 from beltrami_cli.formats.obj.texturing import gather_textured, read_coordinates
 from beltrami_cli.formats.obj.vertices import read_vertices
 from beltrami_cli.formats.scale import full_scale
+from beltrami_cli.formats.tokens import Spans, exchange_spans
 from beltrami_cli.mesh.painted import MeshContents, PaintedVertices
 from beltrami_cli.mesh.polygons import triangulate
 
@@ -129,7 +130,7 @@ class ObjDocument(Document):
         if images:
             source = Path(self.name).stem
             sidecars, spans = repainted(self._materials, images, source, stem, moved=moved)
-        data = exchanged(self._data, spans)
+        data = exchange_spans(self._data, spans)
         if colours is None:
             return Written([data], sidecars)
         starts, ends = (

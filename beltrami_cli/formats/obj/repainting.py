@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import PurePosixPath
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli.formats.beside import renamed, unused, with_suffix
+from beltrami_cli.formats.beside import renamed, respelled, unused, with_suffix
+from beltrami_cli.formats.tokens import Spans, exchange_spans
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.document import Bytes
     from beltrami_cli.formats.obj.materials import Materials
     from beltrami_cli.mesh.textured import ImageFile, Slot
-
-Spans = dict[tuple[int, int], bytes]
 
 
 def repainted(
@@ -62,10 +60,10 @@ def repainted(
         taken.add(new.casefold())
         sidecars[new] = image.data
         for library, found in affected:
-            edits.setdefault(library.path, {})[found.start, found.end] = _respelled(found.name, path, new)
+            edits.setdefault(library.path, {})[found.start, found.end] = respelled(found.name, path, new)
     spans: Spans = {}
     for library in materials.libraries:
-        data = exchanged(library.data, edits.get(library.path, {}))
+        data = exchange_spans(library.data, edits.get(library.path, {}))
         if data == library.data:
             continue
         new = library.path
@@ -73,18 +71,9 @@ def repainted(
             new = unused(str(PurePosixPath(library.path).with_name(f"{stem}.mtl")), taken)
             taken.add(new.casefold())
             for name, start, end in library.mentions:
-                spans[start, end] = _respelled(name, library.path, new)
+                spans[start, end] = respelled(name, library.path, new)
         sidecars[new] = data
     return sidecars, spans
-
-
-def exchanged(data: bytes, spans: Spans) -> bytes:
-    """Return data with the bytes at some spans exchanged for others."""
-    pieces, done = [], 0
-    for (start, end), new in sorted(spans.items()):
-        pieces += [data[done:start], new]
-        done = end
-    return b"".join([*pieces, data[done:]]) if spans else data
 
 
 def shifted(places: NDArray[np.int64], spans: Spans) -> NDArray[np.int64]:
@@ -93,11 +82,3 @@ def shifted(places: NDArray[np.int64], spans: Spans) -> NDArray[np.int64]:
     growth = np.cumsum([0, *(len(new) - (end - start) for (start, end), new in ordered)])
     moved: NDArray[np.int64] = places + growth[np.searchsorted([start for (start, _), _ in ordered], places)]
     return moved
-
-
-def _respelled(name: str, path: str, new: str) -> bytes:
-    """Return a file's new name in the spelling of the old one, from which it differs in the last part only."""
-    if new == path:
-        return os.fsencode(name)
-    folder = max(name.rfind("/"), name.rfind("\\")) + 1
-    return os.fsencode(name[:folder] + PurePosixPath(new).name)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.mesh.polygons import triangulate
+from beltrami_cli.mesh.polygons import triangulate_corners
 from beltrami_cli.mesh.textured import Texture, TexturedSurface
 
 if TYPE_CHECKING:
@@ -138,8 +138,7 @@ def gather_textured(
     palette = _Palette(materials, beside, slot, len(coordinates.names))
     for material in np.unique(coordinates.material_of).tolist():
         palette.take(material, coordinates.names[material] if material >= 0 else "")
-    cut = triangulate(positions[corners], np.arange(len(corners), dtype=np.int32), offsets)
-    polygon = np.searchsorted(offsets, cut[:, 0], side="right") - 1
+    cut, polygon = triangulate_corners(positions, corners, offsets)
     material_of = coordinates.material_of[polygon]
     bare = (coordinates.corners[cut] < 0).any(axis=1)
     texture_of = np.where(bare, -1, palette.texture_of[material_of])

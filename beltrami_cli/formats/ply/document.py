@@ -1,20 +1,24 @@
-"""PLY files whose vertex colours can be replaced, every other byte staying as it is."""
+"""PLY files whose vertex colours and textures can be replaced, every other byte staying as it is."""
 
 from __future__ import annotations
 
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
 from beltrami_cli.errors import InputError
+from beltrami_cli.formats.beside import Beside
 from beltrami_cli.formats.document import NO_IMAGES, Document, Written
 from beltrami_cli.formats.ply.body import values_in_bytes
 from beltrami_cli.formats.ply.header import read_header
 from beltrami_cli.formats.ply.paint import find_paint, finite_columns, read_colours, store_colours
 from beltrami_cli.formats.ply.polygons import VERTEX_LISTS, read_polygons
+from beltrami_cli.formats.ply.repainting import renamed_images
 from beltrami_cli.formats.ply.tables import indices, read_tables
-from beltrami_cli.formats.tokens import exchange_tokens, find_tokens
+from beltrami_cli.formats.ply.texturing import find_coordinates, gather_textured, read_comments
+from beltrami_cli.formats.tokens import exchange_spans, exchange_tokens, find_tokens
 from beltrami_cli.mesh.painted import MeshContents, PaintedVertices
 from beltrami_cli.mesh.polygons import triangulate
 
@@ -25,7 +29,8 @@ if TYPE_CHECKING:
 
     from beltrami_cli.formats.ply.paint import Colours, Paint
     from beltrami_cli.formats.ply.tables import Places, Table
-    from beltrami_cli.mesh.textured import ImageFile, Slot
+    from beltrami_cli.formats.ply.texturing import TextureComment
+    from beltrami_cli.mesh.textured import ImageFile, Slot, TexturedSurface
 
 _POSITION = ("x", "y", "z")
 _NORMAL = ("nx", "ny", "nz")
@@ -40,6 +45,8 @@ class PlyDocument(Document):
         The file.
     name : str
         Its name for messages.
+    folder : pathlib.Path or None
+        Where it lies, for the images that its comments name.
 
     Raises
     ------
@@ -49,9 +56,10 @@ class PlyDocument(Document):
 
     format: ClassVar[str] = "ply"
 
-    def __init__(self, data: bytes, name: str) -> None:
+    def __init__(self, data: bytes, name: str, folder: Path | None = None) -> None:
         super().__init__(name)
         self._data = data
+        self._beside = Beside(folder)
         self._header = read_header(data, name)
 
     def painted(self) -> PaintedVertices:
@@ -70,6 +78,31 @@ class PlyDocument(Document):
             stored=str(np.dtype(self._paint.type)),
         )
 
+    def has_vertex_colours(self) -> bool:
+        """Tell whether the vertices have colours."""
+        try:
+            return bool(self._paint.names)
+        except InputError:
+            return False
+
+    def slots(self) -> tuple[Slot, ...]:
+        """Return the base colour if there are images and coordinates; see `Document.slots`."""
+        there = self._images and self._header.element("vertex") and find_coordinates(self._tables)
+        return ("baseColor",) if there else ()
+
+    def textured(self, slot: Slot) -> TexturedSurface:
+        """Return the textures and their surface; see `Document.textured`."""
+        if slot != "baseColor":
+            return super().textured(slot)
+        return self._textured
+
+    @cached_property
+    def _textured(self) -> TexturedSurface:
+        mesh = self._positions, *self._polygons
+        surface, notices = gather_textured(mesh, self._tables, self._images, self._beside, self.name)
+        self.notices += notices
+        return surface
+
     def patch(
         self,
         colours: NDArray[np.float32] | None,
@@ -78,16 +111,17 @@ class PlyDocument(Document):
         moved: bool,
         images: Mapping[tuple[Slot, str], ImageFile] = NO_IMAGES,
     ) -> Written:
-        """Return the file with other colours; see `Document.patch`. There are no images to be exchanged."""
-        if colours is None:
-            return Written([self._data])
-        changed = colours != self._colours.values
-        if not changed.any():
-            return Written([self._data])
+        """Return the files with other colours and images; see `Document.patch`."""
+        sidecars, spans = renamed_images(self._images, images, Path(self.name).stem, stem, moved=moved)
+        header = exchange_spans(self._data[: self._header.end], spans)
+        body = memoryview(self._data)[self._header.end :]
+        if colours is None or not (changed := colours != self._colours.values).any():
+            return Written([header, body] if spans else [self._data], sidecars)
         places = [self._vertices.places(known) for known in self._paint.names]
         if self._header.order:
-            return Written([self._patch_bytes(colours, changed, places)])
-        return Written(self._patch_text(colours, changed, places))
+            patched = memoryview(self._patch_bytes(colours, changed, places))[self._header.end :]
+            return Written([header, patched], sidecars)
+        return Written([header, *self._patch_text(colours, changed, places)], sidecars)
 
     def _patch_bytes(
         self, colours: NDArray[np.float32], changed: NDArray[np.bool_], places: Sequence[Places]
@@ -105,7 +139,7 @@ class PlyDocument(Document):
 
     def _patch_text(
         self, colours: NDArray[np.float32], changed: NDArray[np.bool_], places: Sequence[Places]
-    ) -> list[bytes | bytearray | memoryview]:
+    ) -> list[bytes | memoryview]:
         text = self._data[self._header.end :]
         starts, ends = find_tokens(text)
         tokens = np.column_stack([indices(where) for where in places])[changed]
@@ -121,11 +155,11 @@ class PlyDocument(Document):
             return spelled
 
         there = tokens[order]
-        return [self._data[: self._header.end], *exchange_tokens(text, starts[there], ends[there], spell)]
+        return exchange_tokens(text, starts[there], ends[there], spell)
 
     def references(self) -> Sequence[str]:
-        """Return nothing: a PLY file stands alone."""
-        return ()
+        """Return the images that comments name."""
+        return list(dict.fromkeys(image.path for image in self._images if image.path is not None))
 
     def contents(self) -> MeshContents:
         """Return the mesh for conversion; see `Document.contents`."""
@@ -160,6 +194,16 @@ class PlyDocument(Document):
     @cached_property
     def _tables(self) -> dict[str, Table]:
         return dict(read_tables(self._data, self._header, self.name))
+
+    @cached_property
+    def _images(self) -> list[TextureComment]:
+        comments = read_comments(self._data[: self._header.end], self._beside)
+        self.notices += [
+            f"'{comment.name}' is missing or not inside the model's folder, and is left alone."
+            for comment in comments
+            if comment.path is None
+        ]
+        return comments
 
     @cached_property
     def _vertices(self) -> Table:

@@ -182,8 +182,9 @@ def store_colours(values: NDArray[np.float32], scale: float, kind: str) -> NDArr
 def finite_columns(vertices: Table, names: tuple[str, ...], what: str, name: str) -> NDArray[np.float64]:
     """Read some scalars of all vertices, shape (V, len(names)); InputError if one is not finite."""
     values = np.empty((vertices.element.count, len(names)))
-    for column, known in enumerate(names):
-        values[:, column] = vertices.scalars(known)
+    with np.errstate(invalid="ignore"):  # Signalling NaNs warn when they are made wider.
+        for column, known in enumerate(names):
+            values[:, column] = vertices.scalars(known)
     finite = np.isfinite(values).all(axis=1)
     if not finite.all():
         raise InputError(name, f"the {what} of vertex {int(np.argmin(finite))} is not finite")

@@ -1,0 +1,50 @@
+"""New images for a PLY file, and their names in its comments."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from beltrami_cli.formats.beside import renamed, respelled, unused, with_suffix
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from beltrami_cli.formats.document import Bytes
+    from beltrami_cli.formats.ply.texturing import TextureComment
+    from beltrami_cli.formats.tokens import Spans
+    from beltrami_cli.mesh.textured import ImageFile, Slot
+
+
+def renamed_images(
+    comments: Sequence[TextureComment],
+    images: Mapping[tuple[Slot, str], ImageFile],
+    source: str,
+    stem: str,
+    *,
+    moved: bool,
+) -> tuple[dict[str, Bytes], Spans]:
+    """Return the new image files, and the new names by where the old ones stand.
+
+    Parameters
+    ----------
+    comments : sequence of TextureComment
+        Of the source.
+    images : mapping of (Slot, str) to ImageFile
+        New images by slot and path.
+    source : str
+        Stem of the source's name.
+    stem, moved
+        As for `Document.patch`.
+    """
+    taken = {comment.path.casefold() for comment in comments if comment.path is not None}
+    sidecars: dict[str, Bytes] = {}
+    spans: Spans = {}
+    for (_, path), image in images.items():
+        new = with_suffix(path if moved else renamed(path, source, stem), image.suffix)
+        new = new if moved and new == path else unused(new, taken)
+        taken.add(new.casefold())
+        sidecars[new] = image.data
+        for comment in comments:
+            if comment.path == path and new != path:
+                spans[comment.start, comment.end] = respelled(comment.name, path, new)
+    return sidecars, spans

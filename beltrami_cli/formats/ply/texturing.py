@@ -1,0 +1,180 @@
+"""Textures of PLY files: comments name the images, vertices or faces have the coordinates.
+
+There is no standard, only custom: MeshLab, VCG and photogrammetry programs write ``comment TextureFile NAME``, and
+the coordinates as the list `texcoord` of faces, or as two properties of vertices; v points up.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from beltrami_cli.errors import InputError
+from beltrami_cli.formats.ply.paint import finite_columns
+from beltrami_cli.mesh.polygons import triangulate_corners
+from beltrami_cli.mesh.textured import Texture, TexturedSurface
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from beltrami_cli.formats.beside import Beside
+    from beltrami_cli.formats.ply.tables import Table
+
+_COMMENT = re.compile(rb"(?:\n|\r)comment[ \t]+TextureFile[ \t:]+([^\r\n]*[^\s])", re.IGNORECASE)
+_OF_VERTICES = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"), ("texture_s", "texture_t"))
+_OF_FACES = "texcoord"
+_NUMBER = "texnumber"
+
+
+@dataclass(frozen=True)
+class TextureComment:
+    """A comment that names an image: its file, if that can be used, and where the name stands in the PLY file."""
+
+    name: str
+    path: str | None
+    start: int
+    end: int
+
+
+def read_comments(header: bytes, beside: Beside) -> list[TextureComment]:
+    """Return the comments that name images, in the order in which they are numbered."""
+    found = []
+    for match in _COMMENT.finditer(header):
+        name = os.fsdecode(match[1])
+        found.append(TextureComment(name, beside.find(name), *match.span(1)))
+    return found
+
+
+def find_coordinates(tables: Mapping[str, Table]) -> tuple[str, ...]:
+    """Return the properties that are texture coordinates: a list of faces, two of vertices, or none."""
+    if "face" in tables and any(p.name == _OF_FACES and p.count for p in tables["face"].element.properties):
+        return (_OF_FACES,)
+    known = {p.name for p in tables["vertex"].element.properties if not p.count}
+    return next((names for names in _OF_VERTICES if known.issuperset(names)), ())
+
+
+def gather_textured(
+    mesh: tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.int64]],
+    tables: Mapping[str, Table],
+    comments: Sequence[TextureComment],
+    beside: Beside,
+    name: str,
+) -> tuple[TexturedSurface, list[str]]:
+    """Gather all triangles with their texture coordinates, and the images.
+
+    Parameters
+    ----------
+    mesh : tuple of ndarray
+        Positions of all vertices, shape (V, 3), and corners and offsets of all polygons as for `triangulate`.
+    tables : mapping of str to Table
+        The elements of the file.
+    comments : sequence of TextureComment
+        Its images.
+    beside : Beside
+        Where its files lie.
+    name : str
+        The file's name for messages.
+
+    Returns
+    -------
+    surface : TexturedSurface
+    notices : list of str
+        What the user should be told.
+
+    Raises
+    ------
+    InputError
+        If no face shows a texture, or coordinates or numbers of textures are damaged.
+    """
+    positions, corners, offsets = mesh
+    properties = find_coordinates(tables)
+    if not comments or not properties:
+        cause = "no texture coordinates" if comments else "no 'comment TextureFile' that names an image"
+        raise InputError(name, f"it has no texture: {cause}")
+    numbers, notices = _numbers(tables, len(offsets) - 1, len(comments), name)
+    textures, of_number = _load(comments, beside)
+    if properties == (_OF_FACES,):
+        values, bare = _face_coordinates(tables["face"], offsets, name)
+    else:
+        values = finite_columns(tables["vertex"], properties, "texture coordinate", name)[corners]
+        bare = np.zeros(len(offsets) - 1, np.bool_)
+    cut, polygon = triangulate_corners(positions, corners, offsets)
+    texture_of = np.where(bare, -1, of_number[numbers])[polygon]
+    if not (texture_of >= 0).any():
+        missing = next((f"'{c.name}'" for c in comments if c.path is None), "")
+        cause = (
+            f"{missing} is missing, cannot be read, or is not inside the model's folder"
+            if missing
+            else "no face"
+        )
+        raise InputError(name, f"it has no texture that can be shown: {cause}")
+    uv = values[cut] * [1, -1] + [0, 1]
+    surface = TexturedSurface(positions, corners[cut], uv, texture_of.astype(np.int32), textures)
+    return surface, notices
+
+
+def _numbers(
+    tables: Mapping[str, Table], polygons: int, textures: int, name: str
+) -> tuple[NDArray[np.int64], list[str]]:
+    """Return the number of every polygon's texture, -1 for none; strips, which have no number, show the first."""
+    numbers = np.zeros(polygons, np.int64)
+    face = tables.get("face")
+    if face is None or not any(p.name == _NUMBER and not p.count for p in face.element.properties):
+        several = f"It names {textures} textures but not which face shows which; the first is taken for all."
+        return numbers, [several] if textures > 1 else []
+    given = face.scalars(_NUMBER)
+    wrong = (given >= textures) | (given != np.rint(given))
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        raise InputError(name, f"face {row} shows texture {given[row]:g}, but there are {textures}")
+    numbers[: len(given)] = np.maximum(given.astype(np.int64), -1)
+    return numbers, []
+
+
+def _load(
+    comments: Sequence[TextureComment], beside: Beside
+) -> tuple[tuple[Texture, ...], NDArray[np.int64]]:
+    """Return each image once, and which of them every number means; one more row for the number -1."""
+    textures: dict[str, tuple[int, Texture]] = {}
+    of_number = np.full(len(comments) + 1, -1, np.int64)
+    for number, comment in enumerate(comments):
+        if comment.path is None:
+            continue
+        if comment.path not in textures:
+            try:
+                data = beside.read(comment.path)
+            except OSError:
+                continue
+            texture = Texture(comment.path, comment.path.rpartition("/")[2], data)
+            textures[comment.path] = len(textures), texture
+        of_number[number] = textures[comment.path][0]
+    return tuple(texture for _, texture in textures.values()), of_number
+
+
+def _face_coordinates(
+    face: Table, offsets: NDArray[np.int64], name: str
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Return coordinates of every corner, shape (K, 2), and which polygons have none."""
+    items, bounds = face.lists(_OF_FACES)
+    sizes, lengths = np.diff(offsets), np.zeros(len(offsets) - 1, np.int64)
+    lengths[: len(bounds) - 1] = np.diff(bounds)
+    wrong = (lengths != 0) & (lengths != 2 * sizes)
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        cause = f"face {row} has {sizes[row]} corners, but {lengths[row]} numbers of texture coordinates"
+        raise InputError(name, cause)
+    bare = lengths == 0
+    values = np.zeros((int(offsets[-1]), 2))
+    with np.errstate(invalid="ignore"):  # Signalling NaNs warn when they are made wider.
+        values[~np.repeat(bare, sizes)] = items.reshape(-1, 2)
+    finite = np.isfinite(values).all(axis=1)
+    if not finite.all():
+        row = int(np.searchsorted(offsets, int(np.argmin(finite)), side="right")) - 1
+        raise InputError(name, f"a texture coordinate of face {row} is not finite")
+    return values, bare
