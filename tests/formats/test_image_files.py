@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zlib
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -21,6 +22,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from beltrami_cli.formats.image import from_float, read_image, to_float, write_image
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 EXIF = b"MM\0*\0\0\0\x08\0\x01\x01\x12\0\x03\0\0\0\x01\0\x06\0\0\0\0\0\0"
 
@@ -234,3 +238,13 @@ def test_hdr_keeps_its_own_values() -> None:
     picture = read_image(encode(noise("float", 3) ** 2, "hdr", "float"), "x.hdr")
     again = read_image(write_image(picture, picture.pixels).data, "x.hdr")
     np.testing.assert_array_equal(again.pixels, picture.pixels)
+
+
+def test_without_files_in_memory_temporary_ones_do(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.delattr("os.memfd_create", raising=False)
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    pixels = noise("uint16", 4)
+    picture = read_image(encode(pixels, "png"), "x.png")
+    again = read_image(write_image(picture, picture.pixels).data, "x.png")
+    np.testing.assert_array_equal(again.pixels, pixels)
+    assert list(tmp_path.iterdir()) == []
