@@ -91,9 +91,12 @@ std::optional<Landing> unfold(const Mesh& mesh, Edge edge, Point2 place) {
     const bool along = mesh.places[face][j] == place_a;
     const std::size_t ka = along ? j : next(j), kb = along ? next(j) : j, kd = next(next(j));
     const Point2 apex = raise(base, apex_of(mesh.corner(face, ka), mesh.corner(face, kb), mesh.corner(face, kd)));
-    // The straight line leaves on the side of b if the apex is on its left.
-    const bool by_b = left_of(start->from, start->to, apex) > 0;
-    const Base exit = by_b ? Base{apex, base.b} : Base{base.a, apex};
+    // The straight line leaves on the side of b if the apex is on its left. If it leads along the edge through the apex,
+    // it may leave by the other one.
+    const Base to_a{base.a, apex}, to_b{apex, base.b};
+    bool by_b = left_of(start->from, start->to, apex) > 0;
+    if (!is_beyond(by_b ? to_b : to_a, start->to, reach) && is_beyond(by_b ? to_a : to_b, start->to, reach)) by_b = !by_b;
+    const Base exit = by_b ? to_b : to_a;
     if (!is_beyond(exit, start->to, reach)) {
       const auto weights = weights_in(base, apex, start->to);
       Landing landing{static_cast<Index>(face), {}};

@@ -28,12 +28,14 @@ struct Box {
 struct Axis {
   std::int64_t start = 0, size = 1;
   bool alone = true;
+  double middle = 0;  // the window in the middle, perhaps between two
 
   Axis(double low, double high, std::int32_t texels, Wrap wrap) : size(texels) {
     if (wrap == Wrap::clamp || !(low <= high)) return;
     const auto first = static_cast<std::int64_t>(std::ceil(low));
     start = wrap == Wrap::repeat ? first : first - floor_mod(first, size);
     alone = std::floor(high) < static_cast<double>(start + size);
+    middle = 0.5 * static_cast<double>(window(low) + window(high));
   }
   std::int64_t window(double place) const {
     return static_cast<std::int64_t>(std::floor((place - static_cast<double>(start)) / static_cast<double>(size)));
@@ -41,8 +43,8 @@ struct Axis {
   // The windows that a face takes part in.
   std::pair<std::int64_t, std::int64_t> range(double low, double high, double periods) const {
     if (alone) return {0, 0};
-    const double middle = 0.5 * (low + high), reach = 0.5 * periods * static_cast<double>(size);
-    return {window(std::max(std::ceil(low), middle - reach)), window(std::min(high, middle + reach))};
+    const double centre = 0.5 * (low + high), reach = 0.5 * periods * static_cast<double>(size);
+    return {window(std::max(std::ceil(low), centre - reach)), window(std::min(high, centre + reach))};
   }
 };
 
@@ -117,15 +119,23 @@ class Maker {
     });
     struct Run {
       std::size_t begin, end;
-      double area;
+      double area, from_middle = 0;
+      // Windows as full as each other are told apart by where they lie: in the middle the chart goes on on all sides.
+      auto rank(double full) const { return std::tuple(-std::llround(1000 * area / full), from_middle); }
     };
     std::vector<Run> runs;
     for (std::size_t i = 0; i < parts.size(); ++i) {
-      if (i == 0 || parts[i].window() != parts[i - 1].window()) runs.push_back({i, i, 0});
+      if (i == 0 || parts[i].window() != parts[i - 1].window()) runs.push_back({i, i, 0, 0});
       runs.back().end = i + 1;
       runs.back().area += parts[i].area;
     }
-    std::stable_sort(runs.begin(), runs.end(), [](const Run& a, const Run& b) { return a.area > b.area; });
+    for (Run& run : runs) {
+      const double x = static_cast<double>(parts[run.begin].column) - columns.middle;
+      const double y = static_cast<double>(parts[run.begin].row) - rows.middle;
+      run.from_middle = x * x + y * y;
+    }
+    const double full = static_cast<double>(columns.size) * static_cast<double>(rows.size);
+    std::stable_sort(runs.begin(), runs.end(), [&](const Run& a, const Run& b) { return a.rank(full) < b.rank(full); });
     for (const Run& run : runs) {
       const Part& first = parts[run.begin];
       open_window(chart, columns.start + first.column * columns.size, rows.start + first.row * rows.size, false);

@@ -1,0 +1,92 @@
+"""Textured surfaces whose atlas is known: planes cut in charts, cubes, cylinders."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from beltrami_cli.mesh.textured import Texture, TexturedSurface
+
+# The symmetries of the square, as matrices: rotations by 90 degrees, then the same mirrored.
+TURNS = [np.linalg.matrix_power(np.array([[0, -1], [1, 0]]), k) for k in range(4)]
+SYMMETRIES = [*TURNS, *(turn @ np.diag([-1, 1]) for turn in TURNS)]
+
+
+def textured(positions, faces, texel_corners, sizes, texture_of=None, wrap=("repeat", "repeat")):
+    """A surface from corners in texels, (F, 3, 2), the corner of the image at (0, 0)."""
+    faces = np.asarray(faces, np.int32).reshape(-1, 3)
+    texture_of = np.zeros(len(faces), np.int32) if texture_of is None else np.asarray(texture_of, np.int32)
+    sizes = np.asarray(sizes, float)
+    uv = np.asarray(texel_corners, float).reshape(-1, 3, 2) / sizes[texture_of][:, None]
+    textures = tuple(Texture(str(i), f"{i}.png", b"", wrap=wrap) for i in range(len(sizes)))
+    return TexturedSurface(np.asarray(positions, float).reshape(-1, 3), faces, uv, texture_of, textures)
+
+
+def quads(columns, rows, side, flips):
+    """A plane of square quads, cut along either diagonal: vertices at multiples of `side`, faces by quad."""
+    y, x = np.mgrid[: rows + 1, : columns + 1]
+    positions = side * np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1)
+    faces = []
+    for row in range(rows):
+        for column in range(columns):
+            a = row * (columns + 1) + column
+            b, c, d = a + 1, a + columns + 1, a + columns + 2
+            faces += [[a, b, d], [a, d, c]] if flips[row, column] else [[a, b, c], [b, d, c]]
+    return positions.astype(float), np.array(faces, np.int32)
+
+
+class CutPlane:
+    """A plane of texels at unit distance; quads with the same label keep together in the image.
+
+    Attributes
+    ----------
+    surface : TexturedSurface
+    sizes : list of one (width, height)
+    place_of : ndarray of int, shape (height, width, 2)
+        The place (x, y) on the plane of each texel of the image.
+    turn : ndarray of int, shape (height, width, 2, 2)
+        Matrix from steps in the image to steps on the plane.
+    """
+
+    def __init__(self, labels, flips, symmetries, order, side=4, gap=0):
+        rows, columns = labels.shape
+        positions, faces = quads(columns, rows, side, flips)
+        self.width, self.height = columns * side, rows * side
+        cell = (
+            2 * max(self.width, self.height) + gap
+        )  # room enough for a part however it is turned about its corner
+        count = len(order)
+        self.sizes = [(cell * count, cell)]
+        corners = np.empty((len(faces), 3, 2))
+        self.place_of = np.full((cell, cell * count, 2), -1)
+        self.turn = np.zeros((cell, cell * count, 2, 2), int)
+        y, x = np.mgrid[: self.height, : self.width]
+        plane = np.stack([x, y], axis=-1).reshape(-1, 2)
+        plane_label = labels[plane[:, 1] // side, plane[:, 0] // side]
+        label_of_face = np.repeat(labels.ravel(), 2)
+        for label in range(count):
+            matrix = SYMMETRIES[symmetries[label]]
+            centre = np.array([order[label] * cell + cell // 2, cell // 2])
+            mine = label_of_face == label
+            corners[mine] = positions[faces[mine]][..., :2] @ matrix.T + centre
+            places = plane[plane_label == label]
+            texels = np.floor((places + 0.5) @ matrix.T + centre).astype(int)
+            self.place_of[texels[:, 1], texels[:, 0]] = places
+            self.turn[texels[:, 1], texels[:, 0]] = np.linalg.inv(matrix).round().astype(int)
+        self.surface = textured(positions, faces, corners, self.sizes)
+
+
+def cube(texels=16, gap=4):
+    """A cube of one chart a side."""
+    positions, faces, corners = [], [], []
+    for number in range(6):
+        axis, sign = number // 2, 1 - 2 * (number % 2)
+        square = np.zeros((4, 3))
+        square[:, axis] = sign
+        square[:, [(axis + 1) % 3, (axis + 2) % 3]] = [[-1, -1], [1, -1], [1, 1], [-1, 1]]
+        left = number * (texels + gap) + gap
+        right, bottom = left + texels, gap + texels
+        image = np.array([[left, gap], [right, gap], [right, bottom], [left, bottom]])
+        faces += [[4 * number, 4 * number + 1, 4 * number + 2], [4 * number, 4 * number + 2, 4 * number + 3]]
+        corners += [image[[0, 1, 2]], image[[0, 2, 3]]]
+        positions.append(square * texels / 2)
+    return textured(np.concatenate(positions), faces, corners, [(6 * (texels + gap) + gap, texels + 2 * gap)])
