@@ -64,9 +64,11 @@ class TriangulatedManifold:
     @property
     def split_corners(self) -> int: ...
 
+def local_scale(squared_lengths: NDArray[np.float32], window_radius: int) -> NDArray[np.float32]: ...
 def smooth_grid(
     kind: NDArray[np.uint8],
     squared_lengths: NDArray[np.float32],
+    scale: NDArray[np.float32] | None,
     metric: NDArray[np.float32],
     colours: NDArray[np.float32],
     beta: float,

@@ -32,8 +32,7 @@ def command(source: str, as_json: bool, verbose: int, **smoothing: Any) -> None:
         click.echo(json.dumps(facts, indent=2))
         return
     for section, content in facts.items():
-        parts = content if section == "textures" else [content]
-        for part in parts:
+        for part in content if isinstance(content, list) and section == "textures" else [content]:
             if part:
                 click.echo("\n".join([section, *_lines(part)]))
 

@@ -120,7 +120,7 @@ overwrite = click.option(
     "--overwrite", is_flag=True, help="Replace OUTPUT, and files beside it, if they exist."
 )
 output_format = click.option(
-    "--format", "output_format", type=click.Choice(OUTPUT_FORMATS),
+    "--format", "output_format", type=click.Choice(list(OUTPUT_FORMATS)),
     help="Format of OUTPUT where its name does not tell, as with -.",
 )  # fmt: skip
 quiet = click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")

@@ -83,7 +83,10 @@ class GridGuide:
 
     def smooth(self, planes: NDArray[np.float32]) -> NDArray[np.float32]:
         """Smooth planes of shape (N, R, C)."""
-        return np.stack([self._convolve(np.where(self._filled, plane, 0)) / self._total for plane in planes])
+        smoothed = np.empty_like(planes)
+        for plane, result in zip(planes, smoothed, strict=True):
+            np.divide(self._convolve(np.where(self._filled, plane, 0)), self._total, out=result)
+        return smoothed
 
     def _convolve(self, plane: NDArray[np.float32]) -> NDArray[np.float32]:
         from scipy.ndimage import correlate1d

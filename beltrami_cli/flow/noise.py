@@ -15,6 +15,9 @@ _SIGMA_PER_MEDIAN = 1.4826022
 # One level of an 8-bit file, spread evenly, has the deviation 1 / (255 sqrt(12)). Below that no noise can be told.
 _QUANTISATION = 1 / (255 * np.sqrt(12))
 
+# The median of so many squares is within 0.3 % of that of all.
+_ENOUGH_SQUARES = 200_000
+
 # Colour distance at which the kernel should fall off, in units of the noise: beta sigma. A search over the sample
 # meshes at sigma 10 to 40 of 255, with t = 2.4, one regularised and three plain iterations, has its flat optimum here.
 _BETA_SIGMA = 2.0
@@ -73,14 +76,23 @@ def estimate_sigma_on_grid(planes: NDArray[np.float32], filled: NDArray[np.bool_
     ndarray of float64, shape (N,)
         In units of `planes`; 0 where no square is filled.
     """
-    squares = filled[:-1, :-1] & filled[1:, :-1] & filled[:-1, 1:] & filled[1:, 1:]
+    upper, lower = _spread_rows(filled)
+    squares = filled[upper, :-1] & filled[lower, :-1] & filled[upper, 1:] & filled[lower, 1:]
     if not squares.any():
         return np.zeros(len(planes))
     sigma = []
     for plane in planes:
-        detail = (plane[:-1, :-1] - plane[1:, :-1] - plane[:-1, 1:] + plane[1:, 1:])[squares]
+        above, below = plane[upper], plane[lower]
+        detail = (above[:, :-1] - below[:, :-1] - above[:, 1:] + below[:, 1:])[squares]
         sigma.append(_SIGMA_PER_MEDIAN * float(np.median(np.abs(detail))) / 2)
     return np.array(sigma)
+
+
+def _spread_rows(filled: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Choose pairs of rows, evenly spread, that hold enough filled cells for a steady median."""
+    step = max(1, int(np.count_nonzero(filled)) // _ENOUGH_SQUARES)
+    upper = np.arange(0, len(filled) - 1, step)
+    return upper, upper + 1
 
 
 def choose_beta(sigma: NDArray[np.float64]) -> float:

@@ -41,33 +41,3 @@ def local_spacing(count: int, edges: NDArray[np.int32], lengths: NDArray[np.floa
         around = around + np.bincount(edges[:, 1], spacing[edges[:, 0]], count)
         spacing = np.asarray((spacing + around) / (degree + 1), np.float64)
     return spacing
-
-
-def grid_spacing(squared_lengths: NDArray[np.float32], window: int) -> NDArray[np.float32]:
-    """Compute the root mean square pitch around each cell of a grid.
-
-    Parameters
-    ----------
-    squared_lengths : ndarray of float32, shape (4, R, C)
-        Squared lengths of edges to the right, below and along the diagonals; infinite where there is none.
-    window : int
-        Cells a side of the square that the mean is taken over.
-
-    Returns
-    -------
-    ndarray of float32, shape (R, C)
-        Positive; 1 where the window holds no edge with a length.
-    """
-    from scipy.ndimage import uniform_filter
-
-    total = np.zeros(squared_lengths.shape[1:], np.float32)
-    count = np.zeros_like(total)
-    for plane in squared_lengths[:2]:
-        finite = np.isfinite(plane)
-        total += np.where(finite, plane, 0)
-        count += finite
-    total = uniform_filter(total, window, mode="constant")
-    count = uniform_filter(count, window, mode="constant")
-    # A running sum leaves rests of rounding where there is nothing.
-    known = (count > 0.5 / window**2) & (total > 0)
-    return np.sqrt(np.divide(total, count, out=np.ones_like(total), where=known))

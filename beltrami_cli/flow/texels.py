@@ -10,7 +10,6 @@ from beltrami_cli.flow.guide import GridGuide
 from beltrami_cli.flow.iteration import FlowResult, shifted
 from beltrami_cli.flow.noise import choose_beta, estimate_sigma_on_grid
 from beltrami_cli.flow.seams import find_colour_jumps
-from beltrami_cli.flow.spacing import grid_spacing
 from beltrami_cli.mesh.atlas import EMPTY, OWNED, without_halo
 
 if TYPE_CHECKING:
@@ -52,6 +51,8 @@ class TexelFlow:
     """
 
     def __init__(self, atlas: Atlas, colours: NDArray[np.float32], parameters: KernelParameters) -> None:
+        from beltrami_cli._native import local_scale
+
         self.parameters = parameters
         self._planes = np.zeros((colours.shape[1], *atlas.kind.shape), np.float32)
         self._planes.reshape(len(self._planes), -1)[:, atlas.owned_cells] = colours.T
@@ -63,12 +64,10 @@ class TexelFlow:
             seams = atlas.halo_seams
             atlas = without_halo(atlas, (seams >= 0) & different[np.maximum(seams, 0)])
         self.atlas = atlas
-        spacing = grid_spacing(atlas.squared_lengths, parameters.window)
-        owned_spacing = spacing.reshape(-1)[atlas.owned_cells]
-        self.spacing = float(owned_spacing.mean()) if len(owned_spacing) else 0.0
-        self._lengths = atlas.squared_lengths
-        if parameters.units == "spacing":
-            self._lengths = (atlas.squared_lengths / np.square(spacing)).astype(np.float32, copy=False)
+        scale = local_scale(atlas.squared_lengths, parameters.window // 2)
+        owned_scale = scale.reshape(-1)[atlas.owned_cells]
+        self.spacing = float(np.mean(1 / np.sqrt(owned_scale))) if len(owned_scale) else 0.0
+        self._scale = scale if parameters.units == "spacing" else None
         unit = self.spacing if parameters.units == "world" else 1.0
         self.beta = parameters.beta if parameters.beta is not None else choose_beta(self.sigma) * unit
         self._guide: GridGuide | None = None
@@ -97,7 +96,8 @@ class TexelFlow:
                 metric, beta = self._guide.smooth(planes), beta / self._guide.gain
             planes, held = smooth_grid(
                 self.atlas.kind,
-                self._lengths,
+                self.atlas.squared_lengths,
+                self._scale,
                 metric,
                 planes,
                 beta,

@@ -94,7 +94,7 @@ def without_halo(atlas: Atlas, dropped: NDArray[np.bool_]) -> Atlas:
     return dataclasses.replace(
         atlas,
         kind=kind,
-        squared_lengths=_only_between_filled(atlas.squared_lengths, kind),
+        squared_lengths=_without_edges_of(atlas.squared_lengths, atlas.halo_cells[dropped]),
         halo_cells=atlas.halo_cells[~dropped],
         halo_taps=atlas.halo_taps[~dropped],
         halo_weights=atlas.halo_weights[~dropped],
@@ -128,6 +128,7 @@ def without_owned(atlas: Atlas, dropped: NDArray[np.bool_]) -> Atlas:
     kept = dataclasses.replace(
         atlas,
         kind=kind,
+        squared_lengths=_without_edges_of(atlas.squared_lengths, atlas.owned_cells[dropped]),
         owned_cells=atlas.owned_cells[~dropped],
         owned_texels=atlas.owned_texels[~dropped],
         chart_of=atlas.chart_of[~dropped],
@@ -136,9 +137,11 @@ def without_owned(atlas: Atlas, dropped: NDArray[np.bool_]) -> Atlas:
     return without_halo(kept, orphaned)
 
 
-def _only_between_filled(squared_lengths: NDArray[np.float32], kind: NDArray[np.uint8]) -> NDArray[np.float32]:
-    empty = kind == EMPTY
+def _without_edges_of(squared_lengths: NDArray[np.float32], cells: NDArray[np.int64]) -> NDArray[np.float32]:
+    """Take away the edges of some cells (flat indices), none of them on the canvas's rim."""
     lengths = squared_lengths.copy()
-    for plane, (down, right) in zip(lengths, ((0, 1), (1, 0), (1, 1), (1, -1)), strict=True):
-        plane[empty | np.roll(empty, (-down, -right), axis=(0, 1))] = np.inf
+    columns = lengths.shape[2]
+    for plane, step in zip(lengths.reshape(4, -1), (1, columns, columns + 1, columns - 1), strict=True):
+        plane[cells] = np.inf
+        plane[np.maximum(cells - step, 0)] = np.inf
     return lengths

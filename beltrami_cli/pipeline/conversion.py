@@ -15,13 +15,14 @@ if TYPE_CHECKING:
 
     from beltrami_cli.formats.document import Document, Written
     from beltrami_cli.mesh.textured import ImageFile, Slot
+    from beltrami_cli.pipeline.settings import Format
 
 
 def make_files(
     document: Document,
     colours: NDArray[np.float32] | None,
     images: Mapping[tuple[Slot, str], ImageFile],
-    target_format: str,
+    target_format: Format,
     stem: str,
     *,
     moved: bool,

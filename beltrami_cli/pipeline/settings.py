@@ -8,7 +8,8 @@ from typing import Literal, get_args
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.parameters import KernelParameters, Space
 
-OUTPUT_FORMATS = ("ply", "obj", "glb", "gltf")
+Format = Literal["ply", "obj", "glb", "gltf"]
+OUTPUT_FORMATS: dict[str, Format] = {"ply": "ply", "obj": "obj", "glb": "glb", "gltf": "gltf"}
 
 Target = Literal["auto", "vertices", "texture", "both"]
 AlphaMode = Literal["keep", "smooth"]

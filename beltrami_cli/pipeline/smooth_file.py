@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
     from beltrami_cli.formats.document import Document, Written
     from beltrami_cli.mesh.textured import Slot
+    from beltrami_cli.pipeline.settings import Format
     from beltrami_cli.pipeline.smooth_textures import SlotReport
     from beltrami_cli.pipeline.work import Work
 
@@ -96,7 +97,7 @@ def smooth_file(
 
 
 def _names_beside(
-    document: Document, work: Work, target_format: str, target: str, references: list[str], *, moved: bool
+    document: Document, work: Work, target_format: Format, target: str, references: list[str], *, moved: bool
 ) -> set[str]:
     """Find the files that would be written beside the output, by writing the old images anew."""
     images = {

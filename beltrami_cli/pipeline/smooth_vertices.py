@@ -73,6 +73,8 @@ def smooth(
     units: Units = DEFAULTS.kernel.units,
     max_samples: int = DEFAULTS.kernel.max_samples,
     threads: int | None = DEFAULTS.kernel.threads,
+    metric_scale: float = DEFAULTS.kernel.metric_scale,
+    metric_steps: int = DEFAULTS.kernel.metric_steps,
     space: Space = DEFAULTS.space,
     encoding: Encoding = "srgb",
     progress: Callable[[int, int], None] | None = None,
@@ -104,6 +106,10 @@ def smooth(
         Largest number of samples in a kernel.
     threads : int or None
         None: all that the process may use. The result does not depend on it.
+    metric_scale : float
+        Take distances from colours smoothed by a Gaussian of this standard deviation, in sample spacings ...
+    metric_steps : int
+        ... in so many of the first iterations; the colours themselves are averaged.
     space : {"srgb", "linear", "oklab", "data"}
         What distances and averages of colours are taken in; "data": the numbers as they are.
     encoding : {"srgb", "linear"}
@@ -135,7 +141,18 @@ def smooth(
     .. [2] R. Kimmel, J. A. Sethian, "Computing geodesic paths on manifolds", PNAS 95(15), 1998,
        doi:10.1073/pnas.95.15.8431
     """
-    kernel = KernelParameters(iterations, t, beta, threshold, weights, units, max_samples, threads)
+    kernel = KernelParameters(
+        iterations=iterations,
+        t=t,
+        beta=beta,
+        threshold=threshold,
+        weights=weights,
+        units=units,
+        max_samples=max_samples,
+        threads=threads,
+        metric_scale=metric_scale,
+        metric_steps=metric_steps,
+    )
     shades = _colour_table(colours)
     names = ("red", "green", "blue") if shades.shape[1] == 3 else tuple(map(str, range(shades.shape[1])))
     painted = PaintedVertices(

@@ -12,7 +12,7 @@ from beltrami_cli.pipeline.settings import OUTPUT_FORMATS
 if TYPE_CHECKING:
     from beltrami_cli.formats.document import Document
     from beltrami_cli.mesh.textured import Slot
-    from beltrami_cli.pipeline.settings import SmoothSettings
+    from beltrami_cli.pipeline.settings import Format, SmoothSettings
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ def choose_work(document: Document, settings: SmoothSettings) -> Work:
     return Work(vertices=both, slots=slots, notices=notices)
 
 
-def choose_format(document: Document, target: str, chosen: str | None) -> str:
+def choose_format(document: Document, target: str, chosen: str | None) -> Format:
     """Choose the format to write, by option, by the output's name, or as the source.
 
     Raises
@@ -76,9 +76,9 @@ def choose_format(document: Document, target: str, chosen: str | None) -> str:
     """
     told = chosen or Path(target).suffix.lower().lstrip(".")
     if told in OUTPUT_FORMATS:
-        return told
+        return OUTPUT_FORMATS[told]
     if target == "-" or not told:
-        return document.format
+        return OUTPUT_FORMATS[document.format]
     raise UsageError(
         f"{target}: no format is known for .{told}; end the name in {', '.join('.' + f for f in OUTPUT_FORMATS)}, "
         "or say --format"

@@ -1,6 +1,7 @@
 // The parametric kernel for Python.
 #include "bindings/parametric.hpp"
 
+#include <nanobind/stl/optional.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/tuple.h>
 
@@ -8,6 +9,7 @@
 
 #include "bindings/arrays.hpp"
 #include "parametric/grid_stencils.hpp"
+#include "parametric/local_scale.hpp"
 #include "parametric/window_sweep.hpp"
 
 namespace beltrami::bindings {
@@ -15,6 +17,7 @@ namespace {
 
 using namespace beltrami::parametric;
 using Cells = nb::ndarray<const std::uint8_t, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
+using Plane = nb::ndarray<const float, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
 using Stack = nb::ndarray<const float, nb::ndim<3>, nb::c_contig, nb::device::cpu>;
 
 Planes planes_of(const Stack& stack, const Grid& grid) {
@@ -23,10 +26,12 @@ Planes planes_of(const Stack& stack, const Grid& grid) {
 }
 
 // One kernel iteration on a grid. scheme: "sweep" (window of the given radius), "triangles" or "metric" (heap march).
-auto smooth_grid(const Cells& kind, const Stack& squared_lengths, const Stack& metric, const Stack& colours, float beta,
+auto smooth_grid(const Cells& kind, const Stack& squared_lengths, const std::optional<Plane>& scale, const Stack& metric, const Stack& colours, float beta,
                  float time_step, float radius, int window_radius, const std::string& scheme, int repairs,
                  unsigned threads, const nb::object& progress) {
-  Grid grid{kind.shape(0), kind.shape(1), kind.data(), squared_lengths.data()};
+  Grid grid{kind.shape(0), kind.shape(1), kind.data(), squared_lengths.data(), scale ? scale->data() : nullptr};
+  if (scale && (scale->shape(0) != grid.rows || scale->shape(1) != grid.columns))
+    throw nb::value_error("the scale must have the grid's shape");
   if (planes_of(squared_lengths, grid).channels != direction_count) throw nb::value_error("four planes of lengths are needed");
   const Planes metric_planes = planes_of(metric, grid), colour_planes = planes_of(colours, grid);
   const SweepParameters parameters{time_step, radius, beta, repairs};
@@ -50,12 +55,24 @@ auto smooth_grid(const Cells& kind, const Stack& squared_lengths, const Stack& m
                          samples);
 }
 
+// What makes local units of squared lengths, see local_scale.
+auto local_scale_of(const Stack& squared_lengths, int window_radius) {
+  const std::size_t rows = squared_lengths.shape(1), columns = squared_lengths.shape(2);
+  std::unique_ptr<float[]> scale(new float[rows * columns]);
+  {
+    const nb::gil_scoped_release unlock;
+    local_scale(rows, columns, squared_lengths.data(), window_radius, scale.get());
+  }
+  return give<float, nb::ndim<2>>(std::move(scale), {rows, columns});
+}
+
 }  // namespace
 
 void bind_parametric(nb::module_& module) {
   using namespace nb::literals;
-  module.def("smooth_grid", &smooth_grid, "kind"_a, "squared_lengths"_a, "metric"_a, "colours"_a, "beta"_a, "time_step"_a,
+  module.def("smooth_grid", &smooth_grid, "kind"_a, "squared_lengths"_a, "scale"_a.none(), "metric"_a, "colours"_a, "beta"_a, "time_step"_a,
              "radius"_a, "window_radius"_a, "scheme"_a, "repairs"_a, "threads"_a, "progress"_a.none());
+  module.def("local_scale", &local_scale_of, "squared_lengths"_a, "window_radius"_a);
   module.def("sweep_instruction_set", &sweep_instruction_set);
 }
 

@@ -22,8 +22,10 @@ enum Kind : std::uint8_t { empty = 0, owned = 1, halo = 2 };
 struct Grid {
   std::size_t rows = 0, columns = 0;
   const std::uint8_t* kind = nullptr;       // rows * columns, see Kind
-  const float* squared_lengths = nullptr;   // direction_count planes of rows * columns, in space, in spacings;
-                                            // not finite where there is no edge
+  const float* squared_lengths = nullptr;  // direction_count planes of rows * columns, in space; not finite where
+                                           // there is no edge
+  const float* scale = nullptr;            // rows * columns: what a cell's squared lengths are multiplied by, which makes
+                                           // local units of them; nullptr: 1
   std::size_t cells() const { return rows * columns; }
 };
 

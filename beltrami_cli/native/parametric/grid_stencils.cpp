@@ -48,8 +48,10 @@ class ImageGrid {
     const auto other = at(cell, step);
     if (!other) return no_edge;
     const auto [plane, owner] = edge_place({0, 0}, step);
-    const float length = grid_.squared_lengths[plane * grid_.cells() + (owner == Offset{0, 0} ? cell : *other)];
-    return length < no_edge ? length : no_edge;
+    const std::size_t keeper = owner == Offset{0, 0} ? cell : *other;
+    const float length = grid_.squared_lengths[plane * grid_.cells() + keeper];
+    const float local = grid_.scale != nullptr ? length * grid_.scale[keeper] : length;
+    return local < no_edge ? local : no_edge;
   }
 
   // The same on the image manifold.

@@ -50,14 +50,16 @@ void copy_planes(const Grid& grid, Planes planes, const Tile& tile, const Layout
 }
 
 // |dX|^2 + beta^2 |dI|^2 of every edge in the tile and its border; no_edge where there is none.
-void measure_edges(const TileJob& job, const Tile& tile, const Layout& layout, const float* metric, float* squared,
-                   float* lengths) {
+void measure_edges(const TileJob& job, const Tile& tile, const Layout& layout, const float* metric,
+                   const float* scale, float* squared, float* lengths) {
   const Grid& grid = *job.grid;
   const float squared_beta = job.parameters->beta * job.parameters->beta;
   const std::array<std::size_t, direction_count> steps{1, layout.columns, layout.columns + 1, layout.columns - 1};
   for (std::size_t direction = 0; direction < direction_count; ++direction) {
     float* __restrict total = squared + direction * layout.size;
     copy_plane(grid, grid.squared_lengths + direction * grid.cells(), tile, layout, no_edge, total);
+    if (scale != nullptr)
+      for (std::size_t i = 0; i < layout.size; ++i) total[i] *= scale[i];
     const std::size_t last = layout.size - steps[direction];
     for (std::size_t channel = 0; channel < job.metric.channels; ++channel) {
       const float* __restrict from = metric + channel * layout.size;
@@ -170,7 +172,7 @@ std::int64_t sweep_tile(const TileJob& job, const Tile& tile, TileScratch& scrat
   const Grid& grid = *job.grid;
   const Layout layout(tile, job.program->radius);
   const int side = 2 * job.program->radius + 1;
-  const std::size_t colour_planes = job.metric.channels + job.colours.channels;
+  const std::size_t colour_planes = job.metric.channels + job.colours.channels + 1;
   scratch.planes.resize((plane_count + colour_planes) * layout.size);
   scratch.window.resize(static_cast<std::size_t>(side * side) * lane_count);
   scratch.sums.resize(job.colours.channels * lane_count);
@@ -181,7 +183,9 @@ std::int64_t sweep_tile(const TileJob& job, const Tile& tile, TileScratch& scrat
   float* colours = metric + job.metric.channels * layout.size;
   copy_planes(grid, job.metric, tile, layout, metric);
   copy_planes(grid, job.colours, tile, layout, colours);
-  measure_edges(job, tile, layout, metric, squared, lengths);
+  float* scale = grid.scale != nullptr ? colours + job.colours.channels * layout.size : nullptr;
+  if (scale != nullptr) copy_plane(grid, grid.scale, tile, layout, 1, scale);
+  measure_edges(job, tile, layout, metric, scale, squared, lengths);
   for (std::size_t i = 0; i < stencil_classes.size(); ++i)
     make_class(layout, squared, stencil_classes[i], coefficients + 3 * i * layout.size);
 
