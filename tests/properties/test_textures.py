@@ -1,0 +1,248 @@
+"""Smoothing over an atlas against the truths that do not know of charts."""
+
+from __future__ import annotations
+
+from math import log
+
+import numpy as np
+import pytest
+from oracles import surfaces
+
+import beltrami_cli
+from beltrami_cli._native import smooth_grid
+from beltrami_cli.flow.parameters import PRESETS, KernelParameters
+from properties.textured_planes import Board, smooth_image, textured
+
+RANDOM = np.random.default_rng(1)
+
+
+def painting(side, channels=3):
+    """Two regions with a slow gradient, and noise of 20 / 255."""
+    y, x = np.mgrid[0:side, 0:side] / side
+    base = np.where((x + 0.3 * y > 0.6)[..., None], 0.7 - 0.2 * y[..., None], 0.3 + 0.2 * x[..., None])
+    noise = np.random.default_rng(5).normal(0, 20 / 255, (side, side, channels))
+    return base + np.linspace(-0.1, 0.1, channels) + noise
+
+
+def uncut(cells, texels):
+    return Board(cells, texels, cells, cells * texels, 1, [(0, 0, 0, False)])
+
+
+PLAIN = {"metric_steps": 0, "beta": 8.0}
+REGULARISED = {"metric_scale": 0.7, "metric_steps": 2, "beta": 8.0}
+
+
+@pytest.mark.parametrize("parameters", [PLAIN, REGULARISED], ids=["plain", "regularised"])
+@pytest.mark.parametrize(
+    "places",
+    [
+        [(0, 0, 0, False), (0, 1, 0, False), (1, 0, 0, False), (1, 1, 0, False)],
+        [(1, 0, 0, False), (1, 1, 0, False), (0, 1, 0, False), (0, 0, 0, False)],
+        [(1, 1, 1, False), (0, 0, 2, False), (0, 1, 3, False), (1, 0, 1, False)],
+        [(0, 0, 0, True), (1, 1, 1, True), (0, 1, 2, False), (1, 0, 3, True)],
+    ],
+    ids=["apart", "shuffled", "turned", "mirrored"],
+)
+def test_a_plane_cut_into_charts_gives_the_uncut_result(places, parameters):
+    board = Board(cells=8, texels=6, block=4, slot=32, slots=2, places=places)
+    whole = uncut(8, 6)
+    picture = painting(48)
+    cut, flow = smooth_image(board.surface(), board.image_of(picture), **parameters)
+    truth, _ = smooth_image(whole.surface(), picture, **parameters)
+    assert flow.jumps == 0
+    # The same arithmetic in another order: sums of some 30 float32 terms, over four iterations.
+    assert np.abs(cut[board.texel_places()] - truth).max() < 2e-5
+
+
+def test_a_cylinder_is_smoothed_across_its_seam_like_the_periodic_plane():
+    cells, texels, rounds = 48, 2, 3
+    side = cells * texels
+    flat, faces = surfaces.plane(17, cells + 1)
+    angle = 2 * np.pi * flat[:, 0] / cells
+    radius = 0.5 / np.sin(np.pi / cells)  # facets of width 1
+    rolled = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), flat[:, 1]])
+    rolled[np.isclose(flat[:, 0], cells)] = rolled[np.isclose(flat[:, 0], 0)]
+    uv = flat[faces][:, :, :2] / [cells, 16]
+    x = np.arange(side) + 0.5
+    smooth = 0.5 + 0.3 * np.cos(2 * np.pi * x / side)[None, :, None] * np.ones((32, 1, 2))
+    picture = smooth + np.random.default_rng(5).normal(0, 20 / 255, smooth.shape)
+    cylinder, _ = smooth_image(textured(rolled, faces, uv), picture, **PLAIN)
+    long_flat, long_faces = surfaces.plane(17, rounds * cells + 1)
+    long_uv = long_flat[long_faces][:, :, :2] / [rounds * cells, 16]
+    plane, _ = smooth_image(textured(long_flat, long_faces, long_uv), np.tile(picture, (1, rounds, 1)), **PLAIN)
+    # Texels on both sides of a fold of 7.5 degrees are nearer by 1 - cos(3.75 degrees) = 0.2 %; a sample may cross the
+    # cut-off for it, where it weighs 0.01 of some 30.
+    difference = np.abs(cylinder - plane[:, side : 2 * side])
+    assert difference.mean() < 3e-4
+    assert difference.max() < 0.02
+
+
+def test_texture_and_vertex_colours_of_one_surface_agree_to_first_order():
+    texels = 64
+    positions, faces = surfaces.plane(texels, texels)
+    corner = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], float) * texels - 0.5
+    corner[:, 2] = 0
+    square = textured(corner, [[0, 1, 2], [0, 2, 3]], [[[0, 0], [1, 0], [1, 1]], [[0, 0], [1, 1], [0, 1]]])
+    picture = painting(texels)
+    # The window holds the whole kernel: its radius is sqrt(-4 t ln 0.01) = 4.3 texels.
+    parameters = {"metric_steps": 0, "beta": 5.0, "t": 1.0, "iterations": 2}
+    image, _ = smooth_image(square, picture, window=11, **parameters)
+    # Mean spacing of the triangulated plane is that of its edges, two of length 1 to one diagonal.
+    vertices = beltrami_cli.smooth(
+        positions, faces, picture.reshape(-1, 3), units="world", space="data", **parameters
+    ).colours.reshape(picture.shape)
+    change = np.sqrt(np.mean((image - picture) ** 2))
+    assert np.sqrt(np.mean((image - vertices) ** 2)) < 0.12 * change
+
+
+def test_no_kernel_reaches_over_charts_that_are_neighbours_in_the_image_only():
+    places = [(0, 0, 0, False), (0, 1, 0, False), (1, 0, 0, False), (1, 1, 0, False)]
+    board = Board(cells=8, texels=6, block=4, slot=24, slots=2, places=places)  # slots without gaps
+    surface = board.surface()
+    apart = surface.positions.copy()
+    chart = (surface.uv.mean(axis=1) >= 0.5) @ [1, 2]
+    positions = apart[surface.faces].reshape(-1, 3) + 100.0 * np.repeat(chart, 3)[:, None]
+    faces = np.arange(len(positions), dtype=np.int32).reshape(-1, 3)
+    image = board.image_of(painting(48))
+    together, _ = smooth_image(textured(positions, faces, surface.uv), image, **REGULARISED)
+    for number in range(4):
+        alone = image.copy()
+        rows, columns = divmod(number, 2)
+        kept = np.zeros(image.shape[:2], bool)
+        kept[24 * rows : 24 * rows + 24, 24 * columns : 24 * columns + 24] = True
+        alone[~kept] = RANDOM.random((np.count_nonzero(~kept), 3))
+        result, _ = smooth_image(textured(positions, faces, surface.uv), alone, **REGULARISED)
+        assert np.array_equal(result[kept], together[kept])
+
+
+def test_constants_stay_and_colours_stay_in_range_for_any_number_of_threads():
+    board = Board(8, 6, 4, 32, 2, [(1, 1, 1, False), (0, 0, 2, True), (0, 1, 3, False), (1, 0, 1, False)])
+    grey = np.full((64, 64, 2), 0.3, np.float32)
+    assert np.array_equal(smooth_image(board.surface(), grey)[0], grey)
+    image = board.image_of(painting(48))
+    one, flow = smooth_image(board.surface(), image, threads=1)
+    owned = image.reshape(-1, 3)[flow.atlas.owned_texels]
+    assert (one >= owned.min(axis=(0)) - 1e-6).reshape(-1, 3)[flow.atlas.owned_texels].all()
+    assert (one <= owned.max(axis=(0)) + 1e-6).reshape(-1, 3)[flow.atlas.owned_texels].all()
+    for threads in (2, 5):
+        assert np.array_equal(one, smooth_image(board.surface(), image, threads=threads)[0])
+
+
+def two_charts(jump, pattern=0.0):
+    board = Board(8, 6, 4, 32, 2, [(0, 0, 0, False), (0, 1, 0, False), (1, 0, 0, False), (1, 1, 0, False)])
+    y = np.arange(48)
+    step = jump + pattern * np.sign(np.sin(y / 2))[:, None] * np.ones((48, 48))
+    base = np.where(np.arange(48)[None, :] >= 24, step, 0.0)[..., None] + 0.4
+    noise = np.random.default_rng(2).normal(0, 8 / 255, (48, 48, 3))
+    return board, base + noise
+
+
+@pytest.mark.parametrize(("jump", "pattern", "expected"), [(0.0, 0.0, 0), (33 / 255, 0.0, 2), (0.0, 40 / 255, 2)])
+def test_a_seam_whose_sides_really_differ_is_told_from_a_noisy_one(jump, pattern, expected):
+    board, picture = two_charts(jump, pattern)
+    _, flow = smooth_image(board.surface(), board.image_of(picture))
+    assert flow.jumps == expected
+
+
+def test_nothing_is_smoothed_over_a_seam_whose_sides_really_differ():
+    board, picture = two_charts(33 / 255)
+    image = board.image_of(picture)
+    places = board.texel_places()
+    right = np.zeros(image.shape[:2], bool)
+    right[places[0][:, 24:], places[1][:, 24:]] = True
+    moved = image.copy()
+    moved[right] += 0.05
+    a, _ = smooth_image(board.surface(), image, beta=5.0)
+    b, _ = smooth_image(board.surface(), moved, beta=5.0)
+    assert np.array_equal(a[places][:, :24], b[places][:, :24])
+
+
+def grid(side):
+    kind = np.ones((side, side), np.uint8)
+    lengths = np.full((4, side, side), np.inf, np.float32)
+    lengths[0, :, :-1] = lengths[1, :-1] = 1
+    lengths[2, :-1, :-1] = lengths[3, :-1, 1:] = 2
+    return kind, lengths
+
+
+@pytest.mark.parametrize(("beta", "t", "mean", "largest"), [(5.0, 0.8, 6e-7, 1.2e-3), (13.0, 2.2, 4e-5, 5e-3)])
+@pytest.mark.parametrize("window", [3, 7, 11, 15])
+def test_window_sweeps_agree_with_the_heap_march(beta, t, mean, largest, window):
+    """One outward pass misses paths that bend around colour edges; they are rare, and long, so they weigh little."""
+    kind, lengths = grid(64)
+    noisy = np.ascontiguousarray(painting(64).transpose(2, 0, 1), np.float32)
+    radius = float(np.sqrt(-4 * t * log(0.01)))
+    results = {
+        scheme: smooth_grid(kind, lengths, None, noisy, noisy, beta, t, radius, window // 2, scheme, repairs, 1, None)[0]
+        for scheme, repairs in (("sweep", 0), ("triangles", 0))
+    }
+    difference = np.abs(results["sweep"] - results["triangles"])
+    assert difference.mean() < mean
+    assert difference.max() < largest
+    repaired, _ = smooth_grid(kind, lengths, None, noisy, noisy, beta, t, radius, window // 2, "sweep", 2, 1, None)
+    assert np.abs(repaired - results["triangles"]).mean() <= difference.mean() + 1e-8
+
+
+@pytest.mark.parametrize("name", ["x86-64-v4", "x86-64-v3", "baseline"])
+def test_every_instruction_set_gives_the_same_bits(name, monkeypatch):
+    kind, lengths = grid(50)
+    noisy = np.ascontiguousarray(painting(50).transpose(2, 0, 1), np.float32)
+    arguments = (kind, lengths, None, noisy, noisy, 8.0, 1.5, 5.0, 3, "sweep", 0, 1, None)
+    best, _ = smooth_grid(*arguments)
+    monkeypatch.setenv("BELTRAMI_SIMD", name)
+    try:
+        other, _ = smooth_grid(*arguments)
+    except ValueError:
+        pytest.skip(f"this machine cannot run {name}")
+    assert np.array_equal(best, other)
+
+
+@pytest.mark.parametrize("scheme", ["triangles", "metric", "sweep"])
+@pytest.mark.parametrize("shear", [0.0, 0.5])
+def test_every_scheme_smooths_by_a_gaussian_on_a_sheared_plane(scheme, shear):
+    """Where the grid is sheared its quadrants are obtuse; the metric splits them."""
+    side, t = 41, 1.5
+    kind, lengths = grid(side)
+    e1, e2 = np.array([1.0, 0.0]), np.array([shear, 1.0])
+    for plane, step in zip(lengths, (e1, e2, e1 + e2, e2 - e1), strict=True):
+        plane[np.isfinite(plane)] = step @ step
+    impulse = np.zeros((1, side, side), np.float32)
+    impulse[0, 20, 20] = 1
+    window = 0 if scheme != "sweep" else 7
+    radius = float(np.sqrt(-4 * t * log(0.001)))
+    ours, _ = smooth_grid(kind, lengths, None, impulse, impulse, 0.0, t, radius, window, scheme, 1, 1, None)
+    y, x = np.mgrid[-20:21, -20:21]
+    away = (x[..., None] * e1 + y[..., None] * e2) ** 2 @ [1, 1]
+    truth = np.where(away <= radius**2, np.exp(-away / (4 * t)), 0)
+    truth /= truth.sum()
+    # First-order distances at a point source are too long by up to 10 % a few steps away: d^2 / 4t by 20 %.
+    assert np.abs(ours[0] - truth).max() < 0.2 * truth.max()
+    assert np.abs(ours[0] - truth).sum() < 0.25
+
+
+def test_the_preset_of_the_paper_is_the_papers_kernel():
+    kernel = KernelParameters(**PRESETS["paper"])
+    assert (kernel.t, kernel.iterations, kernel.threshold, kernel.window) == (0.5, 1, 0.01, 7)
+    assert not kernel.is_regularised(0)
+    assert kernel.scheme == "metric"
+
+
+def test_a_window_beyond_the_sweeps_is_marched():
+    board = uncut(6, 6)
+    picture = painting(36)
+    wide, _ = smooth_image(board.surface(), picture, window=17, iterations=1, **PLAIN)
+    swept, _ = smooth_image(board.surface(), picture, window=15, iterations=1, **PLAIN)
+    assert np.abs(wide - swept).mean() < 2e-4
+
+
+def test_a_regularised_metric_resists_the_noise_that_it_does_not_see():
+    """Distances from smoothed colours reach further over noise, and beta means the same in both."""
+    board = uncut(16, 6)
+    picture = painting(96)
+    clean = picture - np.random.default_rng(5).normal(0, 20 / 255, (96, 96, 3))
+
+    def psnr(**parameters):
+        result, _ = smooth_image(board.surface(), picture, iterations=1, beta=18.0, t=2.4, **parameters)
+        return -10 * np.log10(np.mean((result - clean) ** 2))
+
+    assert psnr(metric_scale=0.7, metric_steps=1) > psnr(metric_steps=0) + 1

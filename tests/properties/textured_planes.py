@@ -1,0 +1,96 @@
+"""Textured surfaces whose texels line up, so that truths hold exactly."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from oracles import surfaces
+
+from beltrami_cli.flow.guide import guide_radius
+from beltrami_cli.flow.parameters import KernelParameters
+from beltrami_cli.flow.texels import TexelFlow
+from beltrami_cli.mesh.textured import Texture, TexturedSurface
+from beltrami_cli.sampling.atlas import build_atlas
+
+
+def textured(positions, faces, uv, wrap=("clamp", "clamp"), texture_of=None, textures=1):
+    texture_of = np.zeros(len(faces), np.int32) if texture_of is None else texture_of
+    images = tuple(Texture(f"image {i}", f"{i}.png", b"", (), wrap) for i in range(textures))
+    return TexturedSurface(positions, np.asarray(faces, np.int32), np.asarray(uv, float), texture_of, images)
+
+
+@dataclasses.dataclass
+class Board:
+    """A plane of cells x cells squares of `texels` texels, cut into charts, each somewhere in the image.
+
+    places : for each chart (square of `block` cells): row and column of its slot in the image, quarter turns, mirrored.
+    """
+
+    cells: int
+    texels: int
+    block: int
+    slot: int  # texels a side that a chart's slot in the image has
+    slots: int  # slots a side of the image
+    places: list
+
+    @property
+    def size(self):
+        return self.slot * self.slots
+
+    def surface(self):
+        positions, faces = surfaces.plane(self.cells + 1, self.cells + 1)
+        corners = positions[faces][:, :, :2]
+        middle = corners.mean(axis=1)
+        charts = self.cells // self.block
+        uv = np.empty(corners.shape)
+        for number, (row, column, turns, mirrored) in enumerate(self.places):
+            cy, cx = divmod(number, charts)
+            inside = (middle[:, 0] // self.block == cx) & (middle[:, 1] // self.block == cy)
+            local = (corners[inside] - self.block * np.array([cx, cy])) * self.texels
+            uv[inside] = (self._turn(local, turns, mirrored) + self._origin(row, column)) / self.size
+        return textured(positions, faces, uv)
+
+    def image_of(self, painting):
+        """Lay a painting (side, side, N), a texel per place, out in the image; the rest is noise."""
+        image = np.random.default_rng(99).random((self.size, self.size, painting.shape[2]))
+        y, x = self.texel_places()
+        image[y, x] = painting
+        return image
+
+    def texel_places(self):
+        """Row and column in the image of every texel of the painting."""
+        side = self.cells * self.texels
+        centre = np.stack(np.meshgrid(np.arange(side) + 0.5, np.arange(side) + 0.5), axis=-1)
+        extent, charts = self.block * self.texels, self.cells // self.block
+        places = np.empty((side, side, 2))
+        for number, (row, column, turns, mirrored) in enumerate(self.places):
+            cy, cx = divmod(number, charts)
+            part = np.s_[cy * extent : (cy + 1) * extent, cx * extent : (cx + 1) * extent]
+            local = centre[part] - extent * np.array([cx, cy])
+            places[part] = self._turn(local, turns, mirrored) + self._origin(row, column)
+        return places[..., 1].astype(int), places[..., 0].astype(int)
+
+    def _origin(self, row, column):
+        return np.array([column, row]) * self.slot + (self.slot - self.block * self.texels) // 2
+
+    def _turn(self, local, turns, mirrored):
+        extent = self.block * self.texels
+        x, y = local[..., 0], local[..., 1]
+        if mirrored:
+            x = extent - x
+        for _ in range(turns):
+            x, y = y, extent - x
+        return np.stack([x, y], axis=-1)
+
+
+def smooth_image(surface, image, **parameters):
+    """Smooth one image over a surface; texels that nothing covers stay."""
+    kernel = KernelParameters(**{"threads": 1, **parameters})
+    margin = kernel.window // 2 + (guide_radius(kernel.metric_scale) if kernel.metric_steps else 0)
+    atlas = build_atlas(surface, [(image.shape[1], image.shape[0])], margin, 1)
+    table = image.reshape(-1, image.shape[2]).astype(np.float32)
+    flow = TexelFlow(atlas, table[atlas.owned_texels], kernel)
+    smoothed = table.copy()
+    smoothed[atlas.owned_texels] = flow.run().colours
+    return smoothed.reshape(image.shape), flow
