@@ -4,7 +4,7 @@ PYTHON ?= python3
 VENV   ?= .venv
 BIN     = $(VENV)/bin
 
-.PHONY: demo test lint bench sanitize samples clean help
+.PHONY: demo test lint bench run-bench sanitize samples clean help
 .DELETE_ON_ERROR:
 
 help:
@@ -32,8 +32,10 @@ demo: $(VENV)/.installed-samples
 	@mkdir -p demo
 	$(BIN)/beltrami smooth sample_data/head-noisy.ply demo/head-smooth.ply --overwrite
 	$(BIN)/python sample_data/picture.py sample_data/head-noisy.ply demo/head-smooth.ply demo/before-after.png
-	@echo "Result:  demo/head-smooth.ply"
-	@echo "Picture: demo/before-after.png (before, after)"
+	$(BIN)/beltrami smooth sample_data/head-tex-noisy.glb demo/head-tex-smooth.glb --overwrite
+	$(BIN)/python sample_data/picture.py sample_data/head-tex-noisy.glb demo/head-tex-smooth.glb demo/before-after-texture.png
+	@echo "Vertex colours: demo/head-smooth.ply,     before and after in demo/before-after.png"
+	@echo "Texture:        demo/head-tex-smooth.glb, before and after in demo/before-after-texture.png"
 
 test: $(VENV)/.installed-test
 	$(BIN)/python -m pytest
@@ -44,14 +46,18 @@ lint: $(VENV)/.installed-test
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-bench: $(VENV)/.installed-bench
+# The peers have an environment of their own: they pin other versions of what the tests use.
+bench:
+	$(MAKE) --no-print-directory VENV=$(VENV)-bench run-bench
+
+run-bench: $(VENV)/.installed-bench
 	$(BIN)/python tests/benchmarks/bench_triangulated.py
 	$(BIN)/python tests/benchmarks/bench_textures.py
 
-sanitize:
-	cmake -S beltrami_cli/native -B build/sanitize -DCMAKE_BUILD_TYPE=RelWithDebInfo \
+sanitize: $(VENV)/.installed-test
+	$(BIN)/cmake -S beltrami_cli/native -B build/sanitize -DCMAKE_BUILD_TYPE=RelWithDebInfo \
 	  -DBELTRAMI_PYTHON=OFF -DBELTRAMI_TESTS=ON -DBELTRAMI_SANITIZE=ON
-	cmake --build build/sanitize --parallel 2
+	$(BIN)/cmake --build build/sanitize --parallel 2
 	build/sanitize/core_tests
 	build/sanitize/atlas_tests
 

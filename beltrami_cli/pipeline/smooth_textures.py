@@ -12,10 +12,10 @@ import numpy as np
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.guide import guide_radius
 from beltrami_cli.flow.texels import TexelFlow
-from beltrami_cli.formats.image import from_float, read_image, to_float, write_image
+from beltrami_cli.formats.image import from_float, losses, read_image, to_float, write_image
 from beltrami_cli.mesh.atlas import without_owned
 from beltrami_cli.pipeline.report import summarise_change
-from beltrami_cli.pipeline.texel_colours import TexelColours
+from beltrami_cli.pipeline.texel_colours import COLOUR_SLOTS, TexelColours
 from beltrami_cli.sampling.atlas import build_atlas
 from beltrami_cli.sampling.gutter import fill_gutter
 
@@ -28,6 +28,10 @@ if TYPE_CHECKING:
     from beltrami_cli.mesh.atlas import Atlas
     from beltrami_cli.mesh.textured import ImageFile, Slot, Texture, TexturedSurface
     from beltrami_cli.pipeline.settings import SmoothSettings, TextureSettings
+
+
+# Per cent of texels with several places; fewer come of rounding at the borders of charts.
+_WORTH_TELLING = 1.0
 
 
 @dataclass(frozen=True)
@@ -160,6 +164,9 @@ def smooth_slot(
     result = flow.run(progress)
     images: dict[tuple[Slot, str], ImageFile] = {}
     notices = [notice for picture in prepared.pictures for notice in picture.notices]
+    suffix = settings.textures.image_suffix
+    if suffix is not None:
+        notices += [loss for picture in prepared.pictures for loss in losses(picture, suffix)]
     changes = []
     for index, texture in enumerate(prepared.surface.textures):
         pixels, change = _repaint(prepared, flow, index, before, result.colours, settings.textures)
@@ -167,9 +174,10 @@ def smooth_slot(
         images[slot, texture.key] = write_image(
             prepared.pictures[index],
             pixels,
-            suffix=settings.textures.image_suffix,
+            suffix=suffix,
             jpeg_quality=settings.textures.jpeg_quality,
             small=settings.textures.small,
+            as_data=slot not in COLOUR_SLOTS,
         )
     report = SlotReport(
         slot=slot,
@@ -198,9 +206,9 @@ def atlas_counts(atlas: Atlas) -> dict[str, int]:
 def atlas_notices(prepared: PreparedSlot) -> tuple[str, ...]:
     """Return what the user should know about texture coordinates that use texels more than once."""
     atlas = prepared.atlas
-    if not atlas.overlapped:
-        return ()
     share = 100 * atlas.overlapped / max(1, atlas.covered)
+    if share < _WORTH_TELLING:
+        return ()
     return (
         f"{share:.0f} % of the covered texels lie at several places of the surface (mirrored, tiled or overlapping "
         "charts); each was smoothed at one of them",

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from beltrami_cli.mesh.textured import Slot
     from beltrami_cli.pipeline.settings import SmoothSettings
 
-_COLOUR_SLOTS = ("baseColor", "emissive")
+COLOUR_SLOTS = ("baseColor", "emissive")
 
 
 class TexelColours:
@@ -47,7 +47,7 @@ class TexelColours:
 
     def __init__(self, pictures: Sequence[Picture], slot: Slot, settings: SmoothSettings) -> None:
         self._pictures = pictures
-        self._space: Space = settings.space if slot in _COLOUR_SLOTS else "data"
+        self._space: Space = settings.space if slot in COLOUR_SLOTS else "data"
         self._is_normal = slot == "normal"
         self._width = max(len(picture.colour) for picture in pictures)
         names = ("red", "green", "blue") if self._width == 3 else ("grey",)
