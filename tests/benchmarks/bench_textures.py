@@ -9,10 +9,8 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import subprocess
 import sys
 import tempfile
-import time
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -23,13 +21,11 @@ import texture_peers
 import texture_scene
 from bench_triangulated import Row, show
 from peers import PeerError
-from scene import ROOT, SIGMA
+from scene import ROOT
+from texture_timing import memory_rows, smoothing, time_rows
 
 import beltrami_cli
 from beltrami_cli.errors import BeltramiError
-from beltrami_cli.formats.image import read_image
-from beltrami_cli.formats.source import open_document
-from beltrami_cli.pipeline.smooth_textures import prepare_slot
 
 SAMPLES = ("head-tex", "torus-two", "mirrored", "tiled", "sphere-exr", "scan")
 MODELS = {".obj", ".glb", ".gltf", ".ply"}
@@ -39,13 +35,10 @@ FILTERS = {
     "non-local means (scikit-image)": texture_peers.nonlocal_means,
     "total variation (scikit-image)": texture_peers.total_variation,
 }
-STEP = 2.4
 CONTRASTS = (1.05, 1.4, 2.1, 2.8)  # beta times the noise
 GUIDED = (0, 1, 2, 3, 4)  # iterations with the regularised metric
 PLAIN = (0, 1, 2, 3, 4, 6)  # and without, after them
-SCALE = 0.5**0.5  # of the binomial filter 1 2 1
 START = (1.4, 2, 2)
-TEXELS = 1024
 
 
 def main():
@@ -56,7 +49,7 @@ def main():
     parser.add_argument("--no-quality", action="store_true", help="time and memory only")
     parser.add_argument("--repeats", type=int, default=5, help="runs per time (default: 5)")
     options = parser.parse_args()
-    rows = [*time_rows(options), *memory_rows()]
+    rows = [*time_rows(options.repeats), *memory_rows()]
     if not options.no_quality:
         rows += quality_rows(options.quick)
     show(rows)
@@ -67,99 +60,6 @@ def main():
 def smooth(source, target, iterations, contrast, guided):
     """Smooth a model in this process with one thread."""
     beltrami_cli.smooth_file(source, target, smoothing(iterations, contrast, guided), overwrite=True)
-
-
-def smoothing(iterations, contrast, guided):
-    """Return the settings of so many iterations, the first `guided` of them with the regularised metric."""
-    settings = {"iterations": iterations, "t": STEP, "beta": contrast / SIGMA, "window": 7, "threads": 1}
-    scale = SCALE if guided else 0.0
-    kernel = beltrami_cli.KernelParameters(metric_scale=scale, metric_steps=guided, **settings)
-    return beltrami_cli.SmoothSettings(kernel=kernel)
-
-
-def time_rows(options):
-    """Measure an iteration and the set-up, in CPU time of one thread, on a torus in 16 charts.
-
-    All iterations start from the noisy colours. They and the peer take turns, so that a busy machine slows both.
-    """
-    scene = texture_scene.torus(TEXELS)
-    covered = int(scene.covered[0].sum())
-    times = {"bilateral": [], "plain": [], "regularised": [], "set-up": []}
-    with tempfile.TemporaryDirectory() as folder:
-        source = Path(folder) / "noisy.glb"
-        texture_files.write_glb(source, scene, scene.noisy)
-        for _ in range(options.repeats):
-            try:
-                times["bilateral"].append(texture_peers.bilateral_seconds(scene.noisy[0]))
-            except PeerError as missing:
-                print(missing, file=sys.stderr)
-            for kind, guided in (("regularised", 1), ("plain", 0)):
-                setup, iteration = stage_seconds(source, guided)
-                times[kind].append(iteration)
-            times["set-up"].append(setup)
-    seconds = {what: float(np.median(found)) if found else np.nan for what, found in times.items()}
-    where = f"{TEXELS} x {TEXELS}, {covered:,} covered texels"
-    bilateral = seconds["bilateral"] / TEXELS**2
-    rows = [Row("cv2.bilateralFilter(d = 7, float32), per texel", f"{1e6 * bilateral:.3f} us")]
-    for kind, goal in (("plain", 3.5), ("regularised", None)):
-        each = seconds[kind] / covered
-        what = f"{where}: {kind} iteration, 7 x 7"
-        rows.append(Row(f"{what}, per covered texel", f"{1e6 * each:.3f} us"))
-        ratio = each / bilateral
-        told = f"{what}, in bilateral passes", f"{ratio:.2f}"
-        rows.append(Row(*told, f"<= {goal}", ratio <= goal) if goal else Row(*told))
-    ratio = seconds["set-up"] / seconds["plain"]
-    value = f"{seconds['set-up']:.3f} s, {ratio:.2f} plain iterations"
-    return [*rows, Row(f"{where}: set-up", value, "<= 1 iteration", ratio <= 1)]
-
-
-def stage_seconds(source, guided):
-    """Return the CPU seconds that it takes to make the manifold of a model's texels, without decoding images, and
-    those of one iteration.
-    """
-    settings = smoothing(1, 1.4, guided)
-    surface = open_document(str(source)).textured("baseColor")
-    marks = [time.process_time()]
-    for texture in surface.textures:
-        read_image(texture.data, texture.name)
-    marks.append(time.process_time())
-    flow = prepare_slot(surface, "baseColor", settings).flow(settings)
-    marks.append(time.process_time())
-    flow.run()
-    decoding, setup, iteration = np.diff([*marks, time.process_time()])
-    return setup - decoding, iteration
-
-
-def memory_rows():
-    """Measure by how much the peak memory of a process grows with the texture."""
-    peaks = []
-    with tempfile.TemporaryDirectory() as folder:
-        source, target, report = (Path(folder) / name for name in ("noisy.glb", "smooth.glb", "report.json"))
-        for size in (128, TEXELS):
-            scene = texture_scene.torus(size)
-            texture_files.write_glb(source, scene, scene.noisy)
-            command = [
-                sys.executable,
-                "-m",
-                "beltrami_cli",
-                "smooth",
-                source,
-                target,
-                "-n",
-                "2",
-                "--overwrite",
-            ]
-            command += ["--quiet", "--beta", str(1.4 / SIGMA), "--report", report]
-            start = time.perf_counter()
-            subprocess.run(command, check=True, cwd=ROOT)
-            seconds = time.perf_counter() - start
-            peaks.append(json.loads(report.read_text())["peak_memory"])
-    each = (peaks[1] - peaks[0]) / (TEXELS**2 - 128**2)
-    what = f"{TEXELS} x {TEXELS}, a process for the whole job"
-    return [
-        Row(f"{what}: peak memory by texel", f"{each:.0f} bytes", "< 150 bytes", each < 150),
-        Row(f"{what}: wall", f"{seconds:.2f} s"),
-    ]
 
 
 def quality_rows(quick):
@@ -224,6 +124,7 @@ def scenes(quick):
             print(f"passed over: {error}", file=sys.stderr)
             continue
         if scene.clean:
+            print(scene.name, file=sys.stderr)
             yield scene
 
 
