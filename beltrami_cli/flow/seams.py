@@ -62,6 +62,53 @@ def find_colour_jumps(
     return different
 
 
+def halo_beyond(atlas: Atlas, different: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Find the halo cells that lie beyond seams whose two sides differ.
+
+    Near a corner of several charts a cell may be reached over a first seam and then a second: it counts if
+    either differs.
+
+    Parameters
+    ----------
+    atlas : Atlas
+        The atlas with S seams.
+    different : ndarray of bool, shape (S,)
+        As `find_colour_jumps` tells.
+
+    Returns
+    -------
+    ndarray of bool, shape (H,)
+    """
+    seams = atlas.halo_seams
+    beyond = (seams >= 0) & different[np.maximum(seams, 0)]
+    if not beyond.any():
+        return beyond
+    chart_at = np.full(atlas.kind.size, -1, np.int32)
+    chart_at[atlas.owned_cells] = atlas.chart_of
+    reached = chart_at[atlas.halo_taps[np.arange(len(seams)), atlas.halo_weights.argmax(axis=1)]]
+    sides = _sides_of_seams(atlas, chart_at, reached)
+    jumps = {tuple(pair) for seam, pair in enumerate(np.sort(sides, axis=1).tolist()) if different[seam]}
+    # Cells of a third chart, by the chart and the seam that they were reached over.
+    third = (seams >= 0) & ~beyond & (reached[:, None] != sides[seams]).all(axis=1)
+    for seam, chart in {*zip(seams[third].tolist(), reached[third].tolist(), strict=True)}:
+        if any((min(chart, side), max(chart, side)) in jumps for side in sides[seam].tolist()):
+            beyond |= third & (seams == seam) & (reached == chart)
+    return beyond
+
+
+def _sides_of_seams(
+    atlas: Atlas, chart_at: NDArray[np.int32], reached: NDArray[np.int32]
+) -> NDArray[np.int32]:
+    """Find the two charts of each seam, shape (S, 2): of an owned cell, and what the halo cell beside it shows."""
+    columns = atlas.kind.shape[1]
+    sides = np.full((max(1, atlas.seams), 2), -1, np.int32)
+    for step in (1, -1, columns, -columns):
+        own = chart_at[atlas.halo_cells - step]
+        beside = (atlas.halo_seams >= 0) & (own >= 0)
+        sides[atlas.halo_seams[beside]] = np.column_stack([own[beside], reached[beside]])
+    return sides
+
+
 def _steps_over_seams(
     atlas: Atlas, planes: NDArray[np.float32]
 ) -> tuple[NDArray[np.int32], NDArray[np.float32], NDArray[np.float32]]:

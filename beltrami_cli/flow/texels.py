@@ -9,7 +9,7 @@ import numpy as np
 from beltrami_cli.flow.guide import GridGuide
 from beltrami_cli.flow.iteration import FlowResult, shifted
 from beltrami_cli.flow.noise import choose_beta, estimate_sigma_on_grid
-from beltrami_cli.flow.seams import find_colour_jumps
+from beltrami_cli.flow.seams import find_colour_jumps, halo_beyond
 from beltrami_cli.mesh.atlas import EMPTY, OWNED, without_halo
 
 if TYPE_CHECKING:
@@ -61,8 +61,7 @@ class TexelFlow:
         different = find_colour_jumps(atlas, self._planes, self.sigma)
         self.jumps = int(np.count_nonzero(different))
         if self.jumps:
-            seams = atlas.halo_seams
-            atlas = without_halo(atlas, (seams >= 0) & different[np.maximum(seams, 0)])
+            atlas = without_halo(atlas, halo_beyond(atlas, different))
         self.atlas = atlas
         scale = local_scale(atlas.squared_lengths, parameters.window // 2)
         owned_scale = scale.reshape(-1)[atlas.owned_cells]
