@@ -1,0 +1,129 @@
+"""Colours of a surface put into the texels of an atlas."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from beltrami_cli.mesh.areas import triangle_areas
+from beltrami_cli.sampling.cover import border_faces, cover
+from beltrami_cli.sampling.gutter import fill_gutter
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import DTypeLike, NDArray
+
+    Shade = Callable[[NDArray[np.int64], NDArray[np.float64]], NDArray[Any]]
+
+SMALLEST, LARGEST = 256, 8192
+_COVERAGE = 0.55  # of a texture, by charts that xatlas packs
+_FAR = 1.0  # texels beyond a border that bilinear lookups on it touch
+_SIDES = sorted(
+    side * 2**k for k in range(8, 14) for side in (1.0, 0.75) if SMALLEST <= side * 2**k <= LARGEST
+)
+
+
+def bake(
+    uv: NDArray[np.float64],
+    size: tuple[int, int],
+    shade: Shade,
+    channels: int,
+    dtype: DTypeLike,
+    threads: int = 1,
+) -> NDArray[Any]:
+    """Paint a texture.
+
+    Parameters
+    ----------
+    uv : ndarray of float64, shape (F, 3, 2)
+        Texture coordinates, u to the right, v down.
+    size : (int, int)
+        Width and height in texels.
+    shade : callable
+        From triangles, shape (K,), and weights of their second and third corner, shape (K, 2), to the texels' values,
+        shape (K, `channels`), as they are to be stored. Beyond the borders of charts weights leave [0, 1].
+    channels : int
+        Of the texture.
+    dtype : data type
+        Of the texture.
+    threads : int
+        The result does not depend on it.
+
+    Returns
+    -------
+    ndarray, shape (height, width, channels)
+        Texels just beyond the border of a chart continue its triangles, so that bilinear lookups on the border are
+        right; all others have the colour of the nearest chart.
+    """
+    width, height = size
+    pixels = np.zeros((height * width, channels), dtype)
+    covered = np.zeros(height * width, bool)
+    beside = np.zeros(height * width, bool)
+    for part in cover(uv, size):
+        inside = part.inside
+        covered[part.texels[inside]] = True
+        pixels[part.texels[inside]] = shade(part.faces[inside], part.weights[inside])
+    for part in cover(uv, size, _FAR, border_faces(uv)):
+        free = ~covered[part.texels]
+        beside[part.texels[free]] = True
+        pixels[part.texels[free]] = shade(part.faces[free], part.weights[free])
+    shape = (height, width)
+    # Where charts are smaller than a texel, what lies beside them is all that there is.
+    source = covered if covered.any() else beside
+    return fill_gutter(
+        pixels.reshape(*shape, channels), source.reshape(shape), None, None, beside.reshape(shape), threads
+    )
+
+
+def interpolated(
+    corners: NDArray[np.float32], faces: NDArray[np.int64], weights: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Interpolate linearly between the corners of triangles.
+
+    Parameters
+    ----------
+    corners : ndarray of float32, shape (F, 3, C)
+        Values at the corners. Where all three agree they are returned exactly.
+    faces : ndarray of int64, shape (K,)
+        Which triangle.
+    weights : ndarray of float64, shape (K, 2)
+        Of its second and third corner. Outside the triangle the values go on linearly, but no further beyond those of
+        the corners than these differ.
+
+    Returns
+    -------
+    ndarray of float64, shape (K, C)
+    """
+    mine = corners[faces].astype(np.float64)
+    first = mine[:, 0]
+    steps = mine[:, 1:] - mine[:, :1]
+    values = first + weights[:, :1] * steps[:, 0] + weights[:, 1:] * steps[:, 1]
+    low, high = mine.min(axis=1), mine.max(axis=1)
+    limited: NDArray[np.float64] = np.clip(values, 2 * low - high, 2 * high - low)
+    return limited
+
+
+def overlap(uv: NDArray[np.float64], size: tuple[int, int]) -> float:
+    """Return which share of the covered texels lies inside more than one triangle."""
+    hits = np.zeros(size[0] * size[1], np.int32)
+    for part in cover(uv, size):
+        weights = part.weights
+        strictly = (weights > 1e-6).all(axis=1) & (weights.sum(axis=1) < 1 - 1e-6)
+        np.add.at(hits, part.texels[strictly], 1)
+    return float((hits > 1).sum() / max(1, (hits > 0).sum()))
+
+
+def side_for_vertices(positions: NDArray[np.float64], faces: NDArray[np.int32]) -> int:
+    """Choose the side of a texture so that a texel is about half as long as an edge."""
+    edges = np.linalg.norm(positions[faces] - positions[np.roll(faces, -1, axis=1)], axis=2)
+    mean = float(edges.mean()) if edges.size else 0.0
+    texels = 4 * float(triangle_areas(positions, faces).sum()) / mean**2 if mean > 0 else 0.0
+    return side_for_texels(texels)
+
+
+def side_for_texels(texels: float) -> int:
+    """Choose the side of a texture on which charts have this many texels: powers of two, or three quarters of one."""
+    needed = np.sqrt(texels / _COVERAGE)
+    return int(next((side for side in _SIDES if side >= needed), LARGEST))

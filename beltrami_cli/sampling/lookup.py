@@ -1,0 +1,108 @@
+"""Textures looked up as a renderer does: bilinearly, with wrap modes."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from beltrami_cli.mesh.textured import Wrap
+
+
+def look_up(
+    image: NDArray[np.float32], uv: NDArray[np.float64], wrap: tuple[Wrap, Wrap], alpha: int | None = None
+) -> NDArray[np.float64]:
+    """Interpolate between the four texels around each place.
+
+    Parameters
+    ----------
+    image : ndarray of float32, shape (H, W, C)
+        Row 0 is the upper one.
+    uv : ndarray of float64, shape (K, 2)
+        u to the right, v down; (0, 0) is the upper left corner of the image, (1, 1) its lower right corner.
+    wrap : tuple of two of {"repeat", "mirror", "clamp"}
+        What lies beyond, along u and v.
+    alpha : int or None
+        The channel that is the opacity: what cannot be seen lends no colour.
+
+    Returns
+    -------
+    ndarray of float64, shape (K, C)
+        Where the four agree, exactly their value.
+    """
+    height, width = image.shape[:2]
+    left, right, across = _taps(uv[:, 0], width, wrap[0])
+    upper, lower, down = _taps(uv[:, 1], height, wrap[1])
+    four = [image[row, column].astype(np.float64) for row in (upper, lower) for column in (left, right)]
+    plain = _mixed(four, across, down)
+    if alpha is None:
+        return plain
+    opacity = plain[:, alpha : alpha + 1]
+    weighted = _mixed([texel * texel[:, alpha : alpha + 1] for texel in four], across, down)
+    agree = np.ptp(np.stack([texel[:, alpha] for texel in four]), axis=0) == 0
+    seen = np.divide(weighted, opacity, out=plain.copy(), where=(opacity > 0) & ~agree[:, None])
+    seen[:, alpha] = plain[:, alpha]
+    return seen
+
+
+def noise_around(
+    image: NDArray[np.float32], uv: NDArray[np.float64], wrap: tuple[Wrap, Wrap]
+) -> NDArray[np.float64]:
+    """Return samples of the texture's noise: at each place what a mask gives that any plane turns to zero.
+
+    Parameters
+    ----------
+    image, uv, wrap
+        As for `look_up`.
+
+    Returns
+    -------
+    ndarray of float64, shape (K, C)
+        For independent noise, with its standard deviation.
+
+    References
+    ----------
+    .. [1] J. Immerkaer, "Fast noise variance estimation", CVIU 64 (1996).
+    """
+    height, width = image.shape[:2]
+    mask = np.outer([1, -2, 1], [1, -2, 1]) / 6
+    column, row = (np.floor(uv * [width, height]).astype(np.int64)).T
+    columns = [_wrapped(column + step, width, wrap[0]) for step in (-1, 0, 1)]
+    rows = [_wrapped(row + step, height, wrap[1]) for step in (-1, 0, 1)]
+    total = np.zeros((len(uv), image.shape[2]))
+    for i, j in np.ndindex(3, 3):
+        total += mask[i, j] * image[rows[i], columns[j]]
+    return total
+
+
+def _mixed(
+    four: list[NDArray[np.float64]], across: NDArray[np.float64], down: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    upper = four[0] + across[:, None] * (four[1] - four[0])
+    lower = four[2] + across[:, None] * (four[3] - four[2])
+    return upper + down[:, None] * (lower - upper)
+
+
+def _taps(
+    coordinate: NDArray[np.float64], count: int, wrap: Wrap
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
+    """Return the texels on both sides along one axis, and how far between them each place lies."""
+    # Whole periods are taken off first: coordinates may be huge, and only their remainder says anything.
+    period = 2.0 if wrap == "mirror" else 1.0
+    folded = np.clip(coordinate, -1, 2) if wrap == "clamp" else np.mod(coordinate, period)
+    at = folded * count - 0.5
+    first = np.floor(at).astype(np.int64)
+    return _wrapped(first, count, wrap), _wrapped(first + 1, count, wrap), at - first
+
+
+def _wrapped(index: NDArray[np.int64], count: int, wrap: Wrap) -> NDArray[np.int64]:
+    if wrap == "clamp":
+        inside: NDArray[np.int64] = np.clip(index, 0, count - 1)
+        return inside
+    if wrap == "repeat":
+        return index % count
+    folded = index % (2 * count)
+    return np.minimum(folded, 2 * count - 1 - folded)

@@ -1,0 +1,102 @@
+"""The process that runs xatlas: a mesh comes in by standard input, texture coordinates go out by standard output.
+
+xatlas tells nothing while it works, cannot be interrupted, and hangs on some meshes, so it gets a process that can be
+ended. `beltrami_cli.sampling.unwrap` starts it.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+_COVERAGE = 0.75  # that xatlas expects of its packing when it is told a resolution
+_ENOUGH = 0.92  # of the side of the texture that charts should fill
+_TRIES = 8
+
+
+def main() -> None:
+    """Read a mesh from standard input (a file), write its texture coordinates to standard output."""
+    # What a library prints must not come between the numbers.
+    out = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)
+    with np.load(sys.stdin.buffer, allow_pickle=False) as job:
+        positions, faces = job["positions"], job["faces"]
+        size, padding, seconds = job["numbers"].tolist()
+    if hasattr(signal, "alarm"):  # so that it ends even where the process that waits for it was killed
+        signal.alarm(seconds)
+    corners, charts = unwrapped(positions, faces, size, padding)
+    with out:
+        np.savez(out, corners=corners, charts=charts)
+
+
+def unwrapped(
+    positions: NDArray[np.float32], faces: NDArray[np.uint32], size: int, padding: int
+) -> tuple[NDArray[np.float64], int]:
+    """Cut a mesh into charts and pack them.
+
+    Parameters
+    ----------
+    positions : ndarray of float32, shape (V, 3)
+        Finite, of moderate size.
+    faces : ndarray of uint32, shape (F, 3)
+        Each with an area.
+    size, padding : int
+        Longest side that the packed charts may have, and texels between them.
+
+    Returns
+    -------
+    corners : ndarray of float64, shape (F, 3, 2)
+        Place of each corner, in texels from the upper left corner of the packed charts. If they do not fit even when
+        they are tiny, it reaches beyond `size`.
+    charts : int
+        How many.
+    """
+    import xatlas
+
+    atlas = xatlas.Atlas()
+    atlas.add_mesh(positions, faces)
+    atlas.generate(xatlas.ChartOptions(), _packing(xatlas, padding, resolution=max(8, int(_COVERAGE * size))))
+    charts = int(atlas.chart_count)
+    texels, corners = _packed(atlas)
+    islands = texels.astype(np.float32), corners
+    scale, best = 1.0, None
+    for _ in range(_TRIES):
+        side = max(1.0, float(texels.max()))
+        fits = side <= size
+        if fits and (best is None or side > float(best.max())):
+            best = texels[corners]
+        if fits and side >= _ENOUGH * size:
+            break
+        # Packing is not monotonic: aim a little lower than what would fit exactly.
+        scale *= 0.98 * size / side
+        atlas = xatlas.Atlas()
+        atlas.add_uv_mesh(*islands)
+        atlas.generate(xatlas.ChartOptions(), _packing(xatlas, padding, texels_per_unit=scale))
+        texels, corners = _packed(atlas)
+    return (texels[corners] if best is None else best), charts
+
+
+def _packing(xatlas: Any, padding: int, *, resolution: int = 0, texels_per_unit: float = 0.0) -> Any:
+    options = xatlas.PackOptions()
+    options.padding = padding
+    options.bilinear = True
+    options.resolution = resolution
+    options.texels_per_unit = texels_per_unit
+    return options
+
+
+def _packed(atlas: Any) -> tuple[NDArray[np.float64], NDArray[np.uint32]]:
+    """Return the places of all vertices in texels, and the faces."""
+    _, faces, uv = atlas.get_mesh(0)
+    return uv.astype(np.float64) * [atlas.width, atlas.height], faces
+
+
+if __name__ == "__main__":
+    main()
