@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from oracles.textured import CutPlane
+from oracles.textured import CutPlane, quads, textured
 
 from beltrami_cli.mesh.atlas import EMPTY, HALO, OWNED
 from beltrami_cli.sampling.atlas import build_atlas
@@ -83,3 +83,35 @@ def test_the_result_does_not_depend_on_threads_and_lists_are_sound(plane, margin
     border = np.ones_like(atlas.kind, bool)
     border[margin:-margin, margin:-margin] = False
     assert not (atlas.kind[border] == OWNED).any()
+
+
+@given(st.floats(0, 2 * np.pi), st.floats(0.6, 1.8), st.booleans())
+@settings(max_examples=60, deadline=None)
+def test_beyond_a_seam_texels_are_interpolated_where_the_plane_goes_on(angle, scale, mirrored):
+    """Two squares side by side; in the image the second is turned, scaled, perhaps mirrored."""
+    positions, faces = quads(2, 1, 16, np.array([[0, 1]]))
+    matrix = scale * np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    matrix = matrix @ np.diag([1, -1 if mirrored else 1])
+    shift = np.array([96.0, 48.0])
+    corners = positions[faces][..., :2] + 4
+    corners[2:] = (positions[faces[2:]][..., :2] - [24, 8]) @ matrix.T + shift
+    size = (160, 96)
+    atlas = build_atlas(textured(positions, faces, corners, [size]), [size], MARGIN)
+    centres = np.stack(np.divmod(atlas.owned_texels, size[0])[::-1], axis=1) + 0.5
+    turned = (centres - shift) @ np.linalg.inv(matrix).T + [24, 8]
+    place = np.full((atlas.kind.size, 2), np.nan)
+    place[atlas.owned_cells] = np.where(atlas.chart_of[:, None] == 0, centres - 4, turned)
+    shown = (place[atlas.halo_taps] * atlas.halo_weights[..., None]).sum(axis=1)
+    # The cells of the first chart lie on the grid of the plane: count them from an owned cell.
+    first = np.flatnonzero(atlas.chart_of == 0)[0]
+    origin = (
+        np.array(np.divmod(atlas.owned_cells[first], atlas.kind.shape[1])[::-1])
+        - place[atlas.owned_cells[first]]
+    )
+    wanted = np.stack(np.divmod(atlas.halo_cells, atlas.kind.shape[1])[::-1], axis=1) - origin
+    of_first = np.isin(atlas.halo_taps[:, 0], atlas.owned_cells[atlas.chart_of == 1])
+    whole = of_first & ((atlas.halo_weights > 0).sum(axis=1) == 4)
+    assert of_first.sum() == 16 * MARGIN
+    assert np.allclose(shown[whole], wanted[whole], atol=1e-4)
+    # Where texels around the place are missing at the border, what is shown is off by less than two of them.
+    assert np.abs(shown[of_first] - wanted[of_first]).max() < 2 / scale

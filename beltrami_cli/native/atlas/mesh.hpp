@@ -54,7 +54,8 @@ inline double doubled_area(const std::array<Point2, 3>& corners) {
 
 // Takes the textured faces; of those with equal places and equal texture coordinates the first. Two faces are
 // neighbours inside a chart if they share an edge in space and in the image and lie on its two sides there;
-// otherwise an edge of exactly two faces is a seam. All other edges are open.
+// otherwise an edge of exactly two faces is a seam, unless they lie on each other. Where more than two faces meet,
+// each pair that goes on inside a chart is joined. All other edges are open.
 // Throws std::invalid_argument if an index is out of range.
 Mesh make_mesh(const Surface& surface);
 
