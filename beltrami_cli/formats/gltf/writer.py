@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli.errors import InputError
 from beltrami_cli.formats.document import Written
 from beltrami_cli.formats.gltf.accessors import Stored, quantised
+from beltrami_cli.formats.gltf.arrays import Arrays, single_precision
 from beltrami_cli.formats.gltf.container import BIN_CHUNK, JSON_CHUNK, Chunk, encoded, glb_pieces
 from beltrami_cli.formats.gltf.files import as_uri
-from beltrami_cli.formats.gltf.layouts import COMPONENTS
 from beltrami_cli.mesh.polygons import triangulate
 from beltrami_cli.mesh.transfer import srgb_to_linear
 
@@ -21,9 +20,6 @@ if TYPE_CHECKING:
 
     from beltrami_cli.formats.gltf.json_text import Tree
     from beltrami_cli.mesh.painted import MeshContents
-
-_COMPONENT_TYPE = {np.dtype(name): number for number, name in COMPONENTS.items()}
-_MOST_FOR_U16 = 65535  # vertices: index 65535 would mean the restart of a strip
 
 _STORED_AS = {
     ("linear", "uint8"): "<u1",
@@ -72,22 +68,19 @@ def write_gltf(contents: MeshContents, stem: str) -> Written:
 
 def _assembled(contents: MeshContents, stem: str) -> tuple[Tree, bytes, tuple[str, ...]]:
     notices: list[str] = []
-    positions = _positions(contents, stem, notices)
+    positions = single_precision(contents.positions, stem, notices)
     colours = _colours(contents, notices)
     faces = triangulate(contents.positions, contents.corners, contents.offsets)
     if np.any(np.diff(contents.offsets) > 3):
         notices.append("Quads and polygons are cut into triangles.")
     notices += [f"glTF output leaves out: {', '.join(contents.left_out)}."] if contents.left_out else []
-    arrays = _Arrays()
+    arrays = Arrays()
     attributes = {"POSITION": arrays.add(positions, bounds=True), "COLOR_0": arrays.add(colours)}
     if contents.normals is not None:
         attributes["NORMAL"] = arrays.add(_unit(contents.normals))
     primitive: Tree = {"attributes": attributes, "material": 0}
     if len(faces):
-        narrow = len(positions) <= _MOST_FOR_U16
-        primitive["indices"] = arrays.add(
-            faces.reshape(-1, 1).astype("<u2" if narrow else "<u4"), target=34963
-        )
+        primitive["indices"] = arrays.add_faces(faces, len(positions))
     else:
         primitive["mode"] = 0
     tree = {
@@ -102,18 +95,6 @@ def _assembled(contents: MeshContents, stem: str) -> tuple[Tree, bytes, tuple[st
         "buffers": [{"byteLength": len(arrays.binary)}],
     }
     return tree, bytes(arrays.binary), tuple(notices)
-
-
-def _positions(contents: MeshContents, stem: str, notices: list[str]) -> Stored:
-    with np.errstate(over="ignore"):
-        positions = contents.positions.astype("<f4")
-    if not np.isfinite(positions).all():
-        raise InputError(
-            stem, "positions are too large for glTF, which stores float32", "scale the mesh down"
-        )
-    if np.any(positions != contents.positions):
-        notices.append("Positions are rounded to single precision.")
-    return positions
 
 
 def _colours(contents: MeshContents, notices: list[str]) -> Stored:
@@ -149,35 +130,3 @@ def _material(contents: MeshContents) -> Tree:
     if contents.alpha is not None and np.any(contents.alpha < 1):
         material["alphaMode"] = "BLEND"
     return material
-
-
-class _Arrays:
-    """Accessors, their views, and the bytes behind them, while they are put together."""
-
-    def __init__(self) -> None:
-        self.accessors: list[Tree] = []
-        self.views: list[Tree] = []
-        self.binary = bytearray()
-
-    def add(self, numbers: Stored, *, bounds: bool = False, target: int = 34962) -> int:
-        """Add an array of shape (n, width) and return its accessor; vertex elements are padded to 4 bytes."""
-        size = numbers.dtype.itemsize * numbers.shape[1]
-        stride = size if target == 34963 else -(-size // 4) * 4
-        octets = np.zeros((len(numbers), stride), np.uint8)
-        octets[:, :size] = np.ascontiguousarray(numbers).view(np.uint8)
-        self.binary += bytes(-len(self.binary) % 4)
-        view = {"buffer": 0, "byteOffset": len(self.binary), "byteLength": octets.size}
-        self.views.append(view | ({"byteStride": stride} if stride != size else {}) | {"target": target})
-        self.binary += octets.tobytes()
-        accessor: dict[str, Any] = {
-            "bufferView": len(self.views) - 1,
-            "componentType": _COMPONENT_TYPE[numbers.dtype],
-            "count": len(numbers),
-            "type": {1: "SCALAR", 3: "VEC3", 4: "VEC4"}[numbers.shape[1]],
-        }
-        if numbers.dtype.kind == "u" and target == 34962:
-            accessor["normalized"] = True
-        if bounds:
-            accessor |= {"min": numbers.min(axis=0).tolist(), "max": numbers.max(axis=0).tolist()}
-        self.accessors.append(accessor)
-        return len(self.accessors) - 1

@@ -54,35 +54,41 @@ def write_obj(contents: MeshContents, stem: str) -> Written:
 
 
 def _vertex_lines(positions: NDArray[np.float64], colours: NDArray[np.float32]) -> Iterator[bytes]:
-    with np.errstate(over="ignore"):  # Beyond float32 they become infinite, which is not equal.
-        single = positions.astype(np.float32)
-    shortest = single if bool((single == positions).all()) else positions
-    for block in _blocks(len(positions)):
-        tokens = [*_spell(shortest[block]), *colours[block].T.tolist()]
+    short = shortest(positions)
+    for block in blocks(len(positions)):
+        tokens = [*spell(short[block]), *colours[block].T.tolist()]
         rows = zip(*tokens, strict=True)
         yield "".join([f"v {x} {y} {z} {r:.6f} {g:.6f} {b:.6f}\n" for x, y, z, r, g, b in rows]).encode()
 
 
 def _normal_lines(normals: NDArray[np.float32]) -> Iterator[bytes]:
-    for block in _blocks(len(normals)):
-        tokens = _spell(normals[block])
+    for block in blocks(len(normals)):
+        tokens = spell(normals[block])
         yield "".join([f"vn {x} {y} {z}\n" for x, y, z in zip(*tokens, strict=True)]).encode()
 
 
 def _face_lines(corners: NDArray[np.int32], offsets: NDArray[np.int64], style: str) -> Iterator[bytes]:
-    for block in _blocks(len(offsets) - 1):
+    for block in blocks(len(offsets) - 1):
         ends = offsets[block.start : block.stop + 1]
         tokens = [style.format(index) for index in (corners[ends[0] : ends[-1]] + 1).tolist()]
         bounds = pairwise((ends - ends[0]).tolist())
         yield "".join([f"f {' '.join(tokens[first:stop])}\n" for first, stop in bounds]).encode()
 
 
-def _spell(rows: NDArray[np.float32] | NDArray[np.float64]) -> list[list[str]]:
+def shortest(positions: NDArray[np.float64]) -> NDArray[np.float32] | NDArray[np.float64]:
+    """Return positions as floats if that loses nothing, so that they are spelled with fewer digits."""
+    with np.errstate(over="ignore"):  # Beyond float32 they become infinite, which is not equal.
+        single = positions.astype(np.float32)
+    return single if bool((single == positions).all()) else positions
+
+
+def spell(rows: NDArray[np.float32] | NDArray[np.float64]) -> list[list[str]]:
     """Return the columns as the shortest tokens that are read back the same."""
     columns: list[list[str]] = rows.T.astype("U32").tolist()
     return columns
 
 
-def _blocks(count: int) -> Iterator[slice]:
+def blocks(count: int) -> Iterator[slice]:
+    """Split lines into blocks that are made at a time."""
     for first in range(0, count, _BLOCK):
         yield slice(first, min(first + _BLOCK, count))

@@ -52,7 +52,7 @@ def write_ply(contents: MeshContents, stem: str) -> Written:
         colours = np.column_stack([colours, contents.alpha])
     columns = [("x", "y", "z"), ("nx", "ny", "nz"), ("red", "green", "blue", "alpha")[: colours.shape[1]]]
     scale = 1.0 if kind == "f4" else float(np.iinfo(kind).max)
-    blocks = [_positions(contents.positions), contents.normals, store_colours(colours, scale, kind)]
+    blocks = [shortest(contents.positions), contents.normals, store_colours(colours, scale, kind)]
     properties, rows = _vertices(columns, blocks)
     announced, polygons = _faces(contents.corners, contents.offsets)
     header = [
@@ -66,7 +66,8 @@ def write_ply(contents: MeshContents, stem: str) -> Written:
     return Written([text.encode(), rows.tobytes(), polygons], notices=(*notices, *left_out(contents)))
 
 
-def _positions(positions: NDArray[np.float64]) -> NDArray[np.float32] | NDArray[np.float64]:
+def shortest(positions: NDArray[np.float64]) -> NDArray[np.float32] | NDArray[np.float64]:
+    """Return positions as floats if that loses nothing."""
     with np.errstate(over="ignore"):  # Beyond float32 they become infinite, which is not equal.
         single = positions.astype(np.float32)
     return single if bool((single == positions).all()) else positions
