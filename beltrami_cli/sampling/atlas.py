@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli import _native
+from beltrami_cli._native import build_atlas as build_native_atlas
 from beltrami_cli.errors import ProcessingError
 from beltrami_cli.mesh.atlas import Atlas
 from beltrami_cli.sampling.grouping import group_equal_rows
@@ -60,7 +60,7 @@ def build_atlas(
     place_of, first = group_equal_rows(*columns)
     grids = _grids(surface, sizes)
     try:
-        made = _native.build_atlas(
+        made = build_native_atlas(
             np.ascontiguousarray(surface.positions[first], np.float64),
             np.ascontiguousarray(place_of[surface.faces], np.int32).reshape(-1, 3),
             np.ascontiguousarray(surface.uv, np.float64).reshape(-1, 3, 2),

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from beltrami_cli import _native
+from beltrami_cli._native import nearest_marked
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -51,7 +51,7 @@ def fill_gutter(
     if not covered.any() or not target.any() or width == 0:
         return filled
     reach = sum(covered.shape) if width is None else width
-    nearest = _native.nearest_marked(np.ascontiguousarray(covered), reach, threads)
+    nearest = nearest_marked(np.ascontiguousarray(covered), reach, threads)
     target &= nearest >= 0
     rows, columns = np.divmod(nearest[target], covered.shape[1])
     filled[target] = pixels[rows, columns]
