@@ -38,7 +38,7 @@ class MeshGuide:
         self, count: int, edges: NDArray[np.int32], lengths: NDArray[np.float64], scale: float
     ) -> None:
         self._edges, self._count = edges, count
-        self._weights = np.exp(-(lengths**2) / (2 * scale**2))
+        self._weights = np.exp(-(lengths**2) / (2 * scale**2)).astype(np.float32)
         self._total = 1 + self._gather(self._weights)
         self.gain = float(np.mean(np.sqrt(1 + self._gather(self._weights**2)) / self._total))
 
@@ -47,13 +47,13 @@ class MeshGuide:
         low, high = self._edges.T
         smoothed = np.empty_like(colours)
         for channel in range(colours.shape[1]):
-            values = colours[:, channel].astype(np.float64)
+            values = colours[:, channel]
             total = values + np.bincount(low, self._weights * values[high], self._count)
             total += np.bincount(high, self._weights * values[low], self._count)
             smoothed[:, channel] = total / self._total
         return smoothed
 
-    def _gather(self, weights: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _gather(self, weights: NDArray[np.float32]) -> NDArray[np.float64]:
         low, high = self._edges.T
         sums = np.bincount(low, weights, self._count) + np.bincount(high, weights, self._count)
         return np.asarray(sums, np.float64)

@@ -136,7 +136,9 @@ class BeltramiFlow:
     def _set_metric(self, colours: NDArray[np.float32], iteration: int) -> None:
         """Induce the metric, eq. (1), for an iteration, by colours in the inner order."""
         beta = self.beta
-        if self._guide is not None and self.parameters.is_regularised(iteration):
+        if not self.parameters.is_regularised(iteration):
+            self._guide = None  # its arrays are not needed any more
+        elif self._guide is not None:
             colours, beta = self._guide.smooth(colours), beta / self._guide.gain
         threads = self.parameters.thread_count
         self._manifold.update_metric(self._positions, colours, beta, self._scales, True, threads)

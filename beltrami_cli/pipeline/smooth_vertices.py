@@ -195,18 +195,21 @@ def smooth_painted(
         If the settings name channels that are not there.
     """
     chosen, surface, sampling = prepare(painted, settings)
-    flow = BeltramiFlow(surface, settings.kernel).run(progress)
+    flow = BeltramiFlow(surface, settings.kernel)
+    before = surface.colours
+    del surface  # the flow has its own order of everything, and a large mesh is not held twice
+    result = flow.run(progress)
     colours = painted.colours.copy()
-    colours[:, chosen] = _to_vertices(painted, settings, chosen, surface, sampling, flow)
+    colours[:, chosen] = _to_vertices(painted, settings, chosen, before, sampling, result)
     return SmoothResult(
         colours,
-        flow.beta,
-        flow.spacing,
-        {painted.channels[i]: float(sigma) for i, sigma in zip(chosen, flow.sigma, strict=True)},
-        len(surface.colours),
-        len(surface.colours) - sampling.places,
-        flow.samples_per_kernel,
-        flow.truncated,
+        result.beta,
+        result.spacing,
+        {painted.channels[i]: float(sigma) for i, sigma in zip(chosen, result.sigma, strict=True)},
+        len(before),
+        len(before) - sampling.places,
+        result.samples_per_kernel,
+        result.truncated,
     )
 
 
@@ -250,7 +253,7 @@ def _to_vertices(
     painted: PaintedVertices,
     settings: SmoothSettings,
     chosen: list[int],
-    surface: SampledSurface,
+    samples: NDArray[np.float32],
     sampling: VertexSampling,
     flow: FlowResult,
 ) -> NDArray[np.float32]:
@@ -259,7 +262,7 @@ def _to_vertices(
     # The way there and back is not exact: what did not change keeps its bits, and what did stays in range.
     if len(before):
         back = np.clip(back, before.min(axis=0), before.max(axis=0))
-    changed = np.any(flow.colours != surface.colours, axis=1)[sampling.sample_of]
+    changed = np.any(flow.colours != samples, axis=1)[sampling.sample_of]
     return np.where(changed[:, None], back[sampling.sample_of], before)
 
 

@@ -63,10 +63,12 @@ def sample_vertices(
     if painted.space_of is not None:
         place_columns.append(painted.space_of)
     place_of, first_of_place = group_equal_rows(*place_columns)
-    if len(first_of_place) == len(place_of):
-        sample_of = first_vertex = np.arange(len(place_of), dtype=np.int32)
-    else:
-        sample_of, first_vertex = group_equal_rows(place_of, *painted.colours.T)
+    if len(first_of_place) == len(place_of):  # nothing is split: the vertices are the samples
+        every = np.arange(len(place_of), dtype=np.int32)
+        no_walls = np.empty((0, 3), np.int32)
+        surface = SampledSurface(painted.positions, painted.faces, no_walls, np.ascontiguousarray(colours))
+        return surface, VertexSampling(every, every, len(every))
+    sample_of, first_vertex = group_equal_rows(place_of, *painted.colours.T)
     faces = sample_of[painted.faces]
     sample_colours = np.ascontiguousarray(colours[first_vertex])
     walls = build_walls(faces, place_of[first_vertex], sample_colours)

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <numeric>
+#include <utility>
 
 #include "parallel.hpp"
 #include "triangulated/unfolding.hpp"
@@ -98,15 +99,17 @@ void group_splits(Stencils& stencils, const std::vector<ChunkFindings>& chunks) 
 
 }  // namespace
 
-Stencils make_stencils(const Topology& topology) {
+Stencils make_stencils(Topology& topology) {
   Stencils stencils;
-  stencils.link_offsets = topology.link_offsets;
+  stencils.link_offsets = std::move(topology.link_offsets);
   stencils.links.resize(topology.link_targets.size() + 1);
   for (std::size_t link = 0; link < topology.link_targets.size(); ++link)
     stencils.links[link] = {topology.link_targets[link], 0, topology.slot_offsets[link]};
   stencils.links.back() = {none, 0, topology.slot_offsets.back()};
   stencils.partners.resize(static_cast<std::size_t>(topology.slot_offsets.back()));
   stencils.split_offsets.assign(static_cast<std::size_t>(topology.vertex_count) + 1, 0);
+  topology.link_targets = {};
+  topology.slot_offsets = {};
   return stencils;
 }
 

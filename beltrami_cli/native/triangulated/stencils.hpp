@@ -45,7 +45,8 @@ struct Stencils {
 
 enum class ObtuseCorners { unfold, edges_only };
 
-Stencils make_stencils(const Topology& topology);
+// Takes over the topology's lists of links and slots, which nothing else reads: they are empty afterwards.
+Stencils make_stencils(Topology& topology);
 
 // Fills lengths, coefficients and splits for a metric given by its squared edge lengths.
 void update_stencils(Stencils& stencils, const Topology& topology, const std::vector<double>& squared_lengths,
