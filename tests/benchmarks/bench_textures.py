@@ -63,7 +63,10 @@ def smooth(source, target, iterations, contrast, guided):
 
 
 def quality_rows(quick):
-    """Measure the PSNR over covered texels, and near seams, beside the filters; all tuned on the truth."""
+    """Measure the PSNR over covered texels, and near seams, beside the filters; all tuned on the truth.
+
+    Rows are also told on stderr when they are known, for all of them together take long.
+    """
     rows, gains = [], []
     for scene in scenes(quick):
         try:
@@ -71,28 +74,34 @@ def quality_rows(quick):
         except BeltramiError as error:
             rows.append(Row(scene.name, str(error)))
             continue
-        for number, (best, settings, torn) in enumerate(ours):
-            where = f"{scene.name}, image {number + 1}: PSNR, near seams"
-            score = scorer(scene, number)
-            noisy = scene.noisy[number]
-            rows.append(Row(f"{where}: noisy", decibels(score(noisy / np.float32(255)))))
-            beside = {}
-            for name, run in FILTERS.items():
-                try:
-                    reached = run(noisy, score)
-                except PeerError as missing:
-                    rows.append(Row(f"{where}: {name}", str(missing)))
-                    continue
-                rows.append(Row(f"{where}: {name}", decibels(reached)))
-                beside[name] = np.subtract(best, reached)
-            told = "c {}, {} regularised and {} plain iterations".format(*settings)
-            rows.append(Row(f"{where}: beltrami, {told}", decibels(best)))
-            if np.isfinite(torn[1]):
-                halo = best[1] - torn[1]
-                what = f"{where}: across seams against torn at seams"
-                rows.append(Row(what, f"{halo:+.2f} dB near seams", ">= -0.1 dB", halo >= -0.1))
+        for number, found in enumerate(ours):
+            more, beside = image_rows(scene, number, *found)
+            rows += more
             gains.append(beside)
+            print(*(f"{row.what}: {row.value}" for row in more), sep="\n", file=sys.stderr, flush=True)
     return rows + mean_rows(gains)
+
+
+def image_rows(scene, number, best, settings, torn):
+    """Return the rows of an image, and by how much ours is better than each filter."""
+    where = f"{scene.name}, image {number + 1}: PSNR, near seams"
+    score, noisy, beside = scorer(scene, number), scene.noisy[number], {}
+    rows = [Row(f"{where}: noisy", decibels(score(noisy / np.float32(255))))]
+    for name, run in FILTERS.items():
+        try:
+            reached = run(noisy, score)
+        except PeerError as missing:
+            rows.append(Row(f"{where}: {name}", str(missing)))
+            continue
+        rows.append(Row(f"{where}: {name}", decibels(reached)))
+        beside[name] = np.subtract(best, reached)
+    told = "c {}, {} regularised and {} plain iterations".format(*settings)
+    rows.append(Row(f"{where}: beltrami, {told}", decibels(best)))
+    if np.isfinite(torn[1]):
+        halo = best[1] - torn[1]
+        what = f"{where}: across seams against torn at seams"
+        rows.append(Row(what, f"{halo:+.2f} dB near seams", ">= -0.1 dB", halo >= -0.1))
+    return rows, beside
 
 
 def mean_rows(gains):
@@ -124,7 +133,6 @@ def scenes(quick):
             print(f"passed over: {error}", file=sys.stderr)
             continue
         if scene.clean:
-            print(scene.name, file=sys.stderr)
             yield scene
 
 
