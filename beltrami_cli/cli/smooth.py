@@ -21,7 +21,7 @@ Examples:
   beltrami smooth scan.ply clean.ply -n 10 --beta 8     stronger
   beltrami smooth scan.ply clean.ply -n 2               gentler
   beltrami smooth photoscan.obj clean.obj               textures too, across their seams
-  beltrami smooth scan.glb clean.glb --metric-scale 0.7 --metric-steps 2     rich natural textures
+  beltrami smooth scan.glb clean.glb --metric-steps 4 -n 6                   rich natural textures
   beltrami smooth scan.glb clean.ply                    smooth vertex colours and convert
   beltrami smooth scan.ply blur.ply --beta 0            a Gaussian on the surface, for comparison
   beltrami smooth temperature.ply out.ply --space data  scalars painted as colours

@@ -18,8 +18,9 @@ _QUANTISATION = 1 / (255 * np.sqrt(12))
 # The median of so many squares is within 0.3 % of that of all.
 _ENOUGH_SQUARES = 200_000
 
-# Colour distance at which the kernel should fall off, in units of the noise: beta sigma. A search over the sample
-# meshes at sigma 10 to 40 of 255, with t = 2.4, one regularised and three plain iterations, has its flat optimum here.
+# Colour distance at which the kernel should fall off, in units of the noise: beta sigma. A search over vertex
+# colours and textures at sigma 10 to 40 of 255, with t = 2.4, two regularised and three plain iterations, has its flat
+# optimum here.
 _BETA_SIGMA = 2.0
 
 

@@ -57,7 +57,7 @@ class KernelParameters:
         If a value is out of its range.
     """
 
-    iterations: int = 4
+    iterations: int = 5
     t: float = 2.4
     beta: float | None = None
     threshold: float = 0.01
@@ -67,7 +67,7 @@ class KernelParameters:
     threads: int | None = None
     window: int = 7
     metric_scale: float = 0.7
-    metric_steps: int = 1
+    metric_steps: int = 2
     scheme: Scheme = "triangles"
 
     def __post_init__(self) -> None:

@@ -91,10 +91,13 @@ def without_halo(atlas: Atlas, dropped: NDArray[np.bool_]) -> Atlas:
     """
     kind = atlas.kind.copy()
     kind.reshape(-1)[atlas.halo_cells[dropped]] = EMPTY
+    seen = kind.reshape(-1)[atlas.gutter_cells] != EMPTY
     return dataclasses.replace(
         atlas,
         kind=kind,
         squared_lengths=_without_edges_of(atlas.squared_lengths, atlas.halo_cells[dropped]),
+        gutter_cells=atlas.gutter_cells[seen],
+        gutter_texels=atlas.gutter_texels[seen],
         halo_cells=atlas.halo_cells[~dropped],
         halo_taps=atlas.halo_taps[~dropped],
         halo_weights=atlas.halo_weights[~dropped],

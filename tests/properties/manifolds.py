@@ -12,7 +12,9 @@ from beltrami_cli import _native
 def image_manifold(positions, faces, colours, beta, unfold=True, threads=1):
     positions = np.ascontiguousarray(positions, np.float64)
     colours = np.ascontiguousarray(colours, np.float32)
-    manifold = _native.TriangulatedManifold(np.ascontiguousarray(faces, np.int32).reshape(-1, 3), len(positions))
+    manifold = _native.TriangulatedManifold(
+        np.ascontiguousarray(faces, np.int32).reshape(-1, 3), len(positions)
+    )
     manifold.update_metric(positions, colours, beta, None, unfold, threads)
     return manifold
 

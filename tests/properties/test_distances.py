@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from hypothesis import given, settings
+
 from oracles import strategies, surfaces
 from oracles.exact_geodesic import exact_distances
 from oracles.fast_marching import Manifold
-
 from properties.manifolds import distances, image_manifold
 
 

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
+import beltrami_cli
 from oracles import strategies, surfaces
 from oracles.kernel import embed, short_time_kernel
 from oracles.laplacian import laplace_beltrami
-
-import beltrami_cli
 from properties.manifolds import one_iteration
 
 # A colour may flip in or out at the cut-off, where its weight is the threshold and float32 decides otherwise
@@ -50,7 +50,7 @@ def test_without_beta_a_plane_is_smoothed_by_the_gaussian():
 @pytest.mark.parametrize("roll", [surfaces.rolled_cylinder, surfaces.rolled_cone])
 def test_a_plane_rolled_up_is_smoothed_like_the_plane(roll):
     flat, faces = surfaces.plane(24, 24, 0.02)
-    flat = flat + [0.5, 0.5, 0]
+    flat = flat + np.array([0.5, 0.5, 0])
     colours = np.random.default_rng(3).random((len(flat), 3))
     curved = roll(flat, 0.5)
     h = surfaces.mean_edge_length(flat, faces)
@@ -127,7 +127,12 @@ def test_the_result_does_not_depend_on_rotation_place_and_scale(noisy_terrain):
     positions, faces, colours = noisy_terrain
     plain = beltrami_cli.smooth(positions, faces, colours).colours
     rotation = np.linalg.qr(np.random.default_rng(4).normal(size=(3, 3)))[0]
-    for moved in (positions @ rotation.T, positions * 1000, positions * 1e-6, positions + [1e4, -1e5, 7]):
+    for moved in (
+        positions @ rotation.T,
+        positions * 1000,
+        positions * 1e-6,
+        positions + np.array([1e4, -1e5, 7]),
+    ):
         assert flips(beltrami_cli.smooth(moved, faces, colours).colours, plain)
 
 
@@ -146,7 +151,10 @@ def test_edges_stay_where_a_gaussian_blurs_them(noisy_terrain):
         return -10 * np.log10(np.mean((result - truth) ** 2))
 
     kept = psnr(beltrami_cli.smooth(positions, faces, colours).colours)
-    blurred = max(psnr(beltrami_cli.smooth(positions, faces, colours, beta=0, iterations=1, t=t).colours) for t in (0.3, 0.6, 1.2))
+    blurred = max(
+        psnr(beltrami_cli.smooth(positions, faces, colours, beta=0, iterations=1, t=t).colours)
+        for t in (0.3, 0.6, 1.2)
+    )
     assert kept > psnr(colours) + 10
     assert kept > blurred + 5
 
@@ -211,7 +219,9 @@ def test_the_threshold_bounds_the_kernel():
     positions, faces = surfaces.plane(41, 41)
     colours = np.zeros((len(positions), 1))
     for threshold in (0.5, 0.1, 0.01):
-        held = beltrami_cli.smooth(positions, faces, colours, beta=0, t=2, units="world", threshold=threshold, iterations=1)
+        held = beltrami_cli.smooth(
+            positions, faces, colours, beta=0, t=2, units="world", threshold=threshold, iterations=1
+        )
         # Without borders a disc of radius^2 = -4 t ln threshold holds pi radius^2 samples of area 1.
         disc = np.pi * -8 * log(threshold)
         assert 0.75 * disc * (1 - 0.06 * disc**0.5) < held.samples_per_kernel < 1.1 * disc

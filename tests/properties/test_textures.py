@@ -6,11 +6,11 @@ from math import log
 
 import numpy as np
 import pytest
-from oracles import surfaces
 
 import beltrami_cli
 from beltrami_cli._native import smooth_grid
 from beltrami_cli.flow.parameters import PRESETS, KernelParameters
+from oracles import surfaces
 from properties.textured_planes import Board, smooth_image, textured
 
 RANDOM = np.random.default_rng(1)
@@ -69,7 +69,9 @@ def test_a_cylinder_is_smoothed_across_its_seam_like_the_periodic_plane():
     cylinder, _ = smooth_image(textured(rolled, faces, uv), picture, **PLAIN)
     long_flat, long_faces = surfaces.plane(17, rounds * cells + 1)
     long_uv = long_flat[long_faces][:, :, :2] / [rounds * cells, 16]
-    plane, _ = smooth_image(textured(long_flat, long_faces, long_uv), np.tile(picture, (1, rounds, 1)), **PLAIN)
+    plane, _ = smooth_image(
+        textured(long_flat, long_faces, long_uv), np.tile(picture, (1, rounds, 1)), **PLAIN
+    )
     # Texels on both sides of a fold of 7.5 degrees are nearer by 1 - cos(3.75 degrees) = 0.2 %; a sample may cross the
     # cut-off for it, where it weighs 0.01 of some 30.
     difference = np.abs(cylinder - plane[:, side : 2 * side])
@@ -137,7 +139,9 @@ def two_charts(jump, pattern=0.0):
     return board, base + noise
 
 
-@pytest.mark.parametrize(("jump", "pattern", "expected"), [(0.0, 0.0, 0), (33 / 255, 0.0, 2), (0.0, 40 / 255, 2)])
+@pytest.mark.parametrize(
+    ("jump", "pattern", "expected"), [(0.0, 0.0, 0), (33 / 255, 0.0, 2), (0.0, 40 / 255, 2)]
+)
 def test_a_seam_whose_sides_really_differ_is_told_from_a_noisy_one(jump, pattern, expected):
     board, picture = two_charts(jump, pattern)
     _, flow = smooth_image(board.surface(), board.image_of(picture))
@@ -165,7 +169,9 @@ def grid(side):
     return kind, lengths
 
 
-@pytest.mark.parametrize(("beta", "t", "mean", "largest"), [(5.0, 0.8, 6e-7, 1.2e-3), (13.0, 2.2, 4e-5, 5e-3)])
+@pytest.mark.parametrize(
+    ("beta", "t", "mean", "largest"), [(5.0, 0.8, 6e-7, 1.2e-3), (13.0, 2.2, 4e-5, 5e-3)]
+)
 @pytest.mark.parametrize("window", [3, 7, 11, 15])
 def test_window_sweeps_agree_with_the_heap_march(beta, t, mean, largest, window):
     """One outward pass misses paths that bend around colour edges; they are rare, and long, so they weigh little."""
@@ -173,13 +179,17 @@ def test_window_sweeps_agree_with_the_heap_march(beta, t, mean, largest, window)
     noisy = np.ascontiguousarray(painting(64).transpose(2, 0, 1), np.float32)
     radius = float(np.sqrt(-4 * t * log(0.01)))
     results = {
-        scheme: smooth_grid(kind, lengths, None, noisy, noisy, beta, t, radius, window // 2, scheme, repairs, 1, None)[0]
+        scheme: smooth_grid(
+            kind, lengths, None, noisy, noisy, beta, t, radius, window // 2, scheme, repairs, 1, None
+        )[0]
         for scheme, repairs in (("sweep", 0), ("triangles", 0))
     }
     difference = np.abs(results["sweep"] - results["triangles"])
     assert difference.mean() < mean
     assert difference.max() < largest
-    repaired, _ = smooth_grid(kind, lengths, None, noisy, noisy, beta, t, radius, window // 2, "sweep", 2, 1, None)
+    repaired, _ = smooth_grid(
+        kind, lengths, None, noisy, noisy, beta, t, radius, window // 2, "sweep", 2, 1, None
+    )
     assert np.abs(repaired - results["triangles"]).mean() <= difference.mean() + 1e-8
 
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from oracles import surfaces
 
 from beltrami_cli.flow.guide import guide_radius
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.texels import TexelFlow
 from beltrami_cli.mesh.textured import Texture, TexturedSurface
 from beltrami_cli.sampling.atlas import build_atlas
+from oracles import surfaces
 
 
 def textured(positions, faces, uv, wrap=("clamp", "clamp"), texture_of=None, textures=1):

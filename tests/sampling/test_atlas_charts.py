@@ -6,10 +6,10 @@ import dataclasses
 
 import numpy as np
 import pytest
-from oracles.textured import cube, quads, textured
 
 from beltrami_cli.mesh.atlas import EMPTY, HALO, OWNED
 from beltrami_cli.sampling.atlas import build_atlas
+from oracles.textured import cube, quads, textured
 
 RIGHT, BELOW = 0, 1
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from oracles.textured import CutPlane, quads, textured
 
 from beltrami_cli.mesh.atlas import EMPTY, HALO, OWNED
 from beltrami_cli.sampling.atlas import build_atlas
+from oracles.textured import CutPlane, quads, textured
 
 MARGIN = 3
 STEPS = [(0, 1), (1, 0), (1, 1), (1, -1)]  # (down, right) of the planes of squared lengths

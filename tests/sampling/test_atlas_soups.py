@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from oracles.textured import textured
 
 from beltrami_cli.mesh.atlas import EMPTY, HALO, OWNED
 from beltrami_cli.sampling.atlas import build_atlas
+from oracles.textured import textured
 
 coordinates = st.one_of(
     st.integers(-64, 64).map(lambda i: i / 2),

@@ -5,18 +5,20 @@ from __future__ import annotations
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
-from oracles import surfaces
 
 import beltrami_cli
 from beltrami_cli.mesh.painted import PaintedVertices
 from beltrami_cli.sampling.grouping import group_equal_rows
 from beltrami_cli.sampling.vertices import sample_vertices
+from oracles import surfaces
 
 
 def painted(positions, faces, colours, space_of=None):
     colours = np.asarray(colours, np.float32)
     names = tuple("rgb"[: colours.shape[1]])
-    return PaintedVertices(positions, np.asarray(faces, np.int32), colours, names, "srgb", "float32", space_of)
+    return PaintedVertices(
+        positions, np.asarray(faces, np.int32), colours, names, "srgb", "float32", space_of
+    )
 
 
 def soup(positions, faces, colours):
@@ -25,7 +27,11 @@ def soup(positions, faces, colours):
     return positions[corners], np.arange(len(corners), dtype=np.int32).reshape(-1, 3), colours[corners]
 
 
-@given(st.lists(st.tuples(st.integers(-2, 2), st.sampled_from((0.0, -0.0, 1.5, 1e-300))), min_size=1, max_size=40))
+@given(
+    st.lists(
+        st.tuples(st.integers(-2, 2), st.sampled_from((0.0, -0.0, 1.5, 1e-300))), min_size=1, max_size=40
+    )
+)
 def test_equal_rows_are_numbered_in_the_order_of_their_first(rows):
     group_of, first = group_equal_rows(np.array([a for a, _ in rows]), np.array([b for _, b in rows]))
     seen = {}
@@ -103,7 +109,9 @@ def test_three_copies_of_an_edge_form_one_chain_and_walls_have_no_area():
     record = painted(positions, faces, colours)
     surface, _ = sample_vertices(record, record.colours)
     assert len(surface.walls) == 8
-    joined = {frozenset(pair) for wall in surface.colours[surface.walls][:, :, 0].tolist() for pair in [set(wall)]}
+    joined = {
+        frozenset(pair) for wall in surface.colours[surface.walls][:, :, 0].tolist() for pair in [set(wall)]
+    }
     assert {tuple(round(v, 1) for v in sorted(pair)) for pair in joined} == {(0.1, 0.5), (0.5, 0.9)}
 
 
