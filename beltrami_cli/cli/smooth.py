@@ -22,6 +22,7 @@ Examples:
   beltrami smooth scan.ply clean.ply -n 2               gentler
   beltrami smooth photoscan.obj clean.obj               textures too, across their seams
   beltrami smooth scan.glb clean.glb --metric-steps 4 -n 6                   rich natural textures
+  beltrami smooth scan.ply clean.glb --unwrap           in a new texture, for meshes without one
   beltrami smooth scan.glb clean.ply                    smooth vertex colours and convert
   beltrami smooth scan.ply blur.ply --beta 0            a Gaussian on the surface, for comparison
   beltrami smooth temperature.ply out.ply --space data  scalars painted as colours
@@ -37,6 +38,7 @@ raise -n, or lower --beta. See what a file is like with `beltrami info FILE`.
 @click.argument("source", metavar="INPUT")
 @click.argument("target", metavar="OUTPUT")
 @options.smoothing
+@options.unwrapping
 @options.output_format
 @options.overwrite
 @click.option("--dry-run", is_flag=True, help="Compute and report, but write no OUTPUT.")
@@ -62,6 +64,7 @@ def command(
     the colours; with another extension it is converted, and what the other format cannot hold is said.
     """
     settings = options.settings_from(smoothing)
+    unwrap = options.unwrapping_from(smoothing)
     messages = Messages(quiet=quiet, verbose=verbose)
     if report_path is not None:
         _check_report(report_path, source, target)
@@ -72,6 +75,7 @@ def command(
             source,
             target,
             settings,
+            unwrap=unwrap,
             format=output_format,
             overwrite=overwrite,
             dry_run=dry_run,

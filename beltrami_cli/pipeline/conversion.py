@@ -14,7 +14,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from beltrami_cli.formats.document import Document, Written
+    from beltrami_cli.mesh.painted import MeshContents
     from beltrami_cli.mesh.textured import ImageFile, Slot
+    from beltrami_cli.mesh.textured_mesh import TexturedMesh
     from beltrami_cli.pipeline.settings import Format
 
 
@@ -68,6 +70,11 @@ def make_files(
     contents = document.contents()
     if colours is not None:
         contents = dataclasses.replace(contents, colours=colours)
+    return write_contents(contents, target_format, stem)
+
+
+def write_contents(contents: MeshContents, target_format: Format, stem: str) -> Written:
+    """Write a mesh with vertex colours as a new file."""
     if target_format == "ply":
         from beltrami_cli.formats.ply import write_ply
 
@@ -79,3 +86,26 @@ def make_files(
     from beltrami_cli.formats.gltf import write_glb, write_gltf
 
     return write_glb(contents, stem) if target_format == "glb" else write_gltf(contents, stem)
+
+
+def write_textured(mesh: TexturedMesh, target_format: Format, stem: str) -> Written:
+    """Write a mesh with one texture as a new file."""
+    if target_format == "ply":
+        from beltrami_cli.formats.ply import write_textured_ply
+
+        return write_textured_ply(mesh, stem)
+    if target_format == "obj":
+        from beltrami_cli.formats.obj import write_textured_obj
+
+        return write_textured_obj(mesh, stem)
+    from beltrami_cli.formats.gltf import write_textured_glb, write_textured_gltf
+
+    return write_textured_glb(mesh, stem) if target_format == "glb" else write_textured_gltf(mesh, stem)
+
+
+def names_beside(target_format: Format, stem: str, image_suffix: str | None) -> list[str]:
+    """Return the files that `write_textured`, or without an image `write_contents`, puts beside the main one."""
+    names = [f"{stem}.bin"] if target_format == "gltf" else []
+    if image_suffix is None or target_format == "glb":
+        return names
+    return [*names, *([f"{stem}.mtl"] if target_format == "obj" else []), stem + image_suffix]

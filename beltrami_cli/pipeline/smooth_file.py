@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
     from beltrami_cli.formats.document import Document, Written
     from beltrami_cli.mesh.textured import Slot
+    from beltrami_cli.pipeline.bake_settings import BakeSettings
     from beltrami_cli.pipeline.settings import Format
     from beltrami_cli.pipeline.smooth_textures import SlotReport
     from beltrami_cli.pipeline.work import Work
@@ -32,6 +33,7 @@ def smooth_file(
     target: str | os.PathLike[str],
     settings: SmoothSettings = DEFAULTS,
     *,
+    unwrap: BakeSettings | None = None,
     format: str | None = None,  # noqa: A002 -- the name of the option
     overwrite: bool = False,
     dry_run: bool = False,
@@ -45,6 +47,8 @@ def smooth_file(
         PLY, OBJ, glTF or GLB; "-" for standard input or output. Another extension converts.
     settings : SmoothSettings
         The kernel's parameters, the working space, and what is smoothed.
+    unwrap : BakeSettings, optional
+        Put the colours in a new texture, smooth that, and write a new file with nothing else.
     format : {"ply", "obj", "glb", "gltf"}, optional
         Format to write where the name of `target` does not tell.
     overwrite : bool
@@ -68,6 +72,13 @@ def smooth_file(
         If the target cannot be written; existing files are as they were.
     """
     source, target = os.fspath(source), os.fspath(target)
+    if unwrap is not None:
+        from beltrami_cli.pipeline.unwrap_file import smooth_unwrapped
+
+        return smooth_unwrapped(
+            source, target, settings, unwrap,
+            format=format, overwrite=overwrite, dry_run=dry_run, progress=progress,
+        )  # fmt: skip
     watch = Stopwatch()
     output = None if dry_run else Output(target, overwrite=overwrite)
     with watch.stage("read"):

@@ -78,13 +78,13 @@ def bake(
 
 
 def interpolated(
-    corners: NDArray[np.float32], faces: NDArray[np.int64], weights: NDArray[np.float64]
+    corners: NDArray[np.floating[Any]], faces: NDArray[np.int64], weights: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Interpolate linearly between the corners of triangles.
 
     Parameters
     ----------
-    corners : ndarray of float32, shape (F, 3, C)
+    corners : ndarray of float, shape (F, 3, C)
         Values at the corners. Where all three agree they are returned exactly.
     faces : ndarray of int64, shape (K,)
         Which triangle.

@@ -26,11 +26,10 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-MOST_FACES = 100_000
 _WORKER = "beltrami_cli.sampling.unwrap_worker"
 _POLL = 0.1  # seconds between looks at whether it is done or the user wants to stop
 # Measured: 16 thousand triangles take 7 s, 82 thousand 109 s.
-_SECONDS_FOR_MOST, _GROWTH = 160.0, 1.7
+_SECONDS, _FACES, _GROWTH = 160.0, 100_000, 1.7
 _PATIENCE = 10  # times as long as expected; beyond that it hangs
 _LEAST_PATIENCE = 60.0
 _FLAT = 1e-6  # of the squared longest edge: what counts as a triangle without area, for single precision
@@ -63,8 +62,8 @@ def unwrap(
     padding: int,
     name: str,
     *,
+    most_faces: int,
     space_of: NDArray[np.int32] | None = None,
-    most_faces: int = MOST_FACES,
     progress: Callable[[int, int], None] | None = None,
 ) -> Unwrapped:
     """Lay a mesh out on a square.
@@ -81,10 +80,10 @@ def unwrap(
         Texels between charts, and around all of them.
     name : str
         Of the mesh, for messages.
-    space_of : ndarray of int32, shape (V,), or None
-        As in `PaintedVertices`.
     most_faces : int
         Refuse larger meshes.
+    space_of : ndarray of int32, shape (V,), or None
+        As in `PaintedVertices`.
     progress : callable, optional
         Called several times a second with the tenths of a second that went by and those that are expected; may raise.
 
@@ -169,7 +168,7 @@ def _collapse_others(
 
 
 def _seconds(faces: int) -> float:
-    return float(_SECONDS_FOR_MOST * (faces / MOST_FACES) ** _GROWTH)
+    return float(_SECONDS * (faces / _FACES) ** _GROWTH)
 
 
 def _ask_worker(

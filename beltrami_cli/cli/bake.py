@@ -1,0 +1,69 @@
+"""The command `beltrami bake`."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import click
+
+from beltrami_cli.cli import options
+from beltrami_cli.cli.console import Messages
+from beltrami_cli.pipeline.bake_settings import BakeSettings
+
+if TYPE_CHECKING:
+    from beltrami_cli.pipeline.bake_settings import BakeTo
+
+EPILOG = """\b
+Examples:
+  beltrami bake scan.ply scan.glb --to texture              vertex colours into a new texture
+  beltrami bake scan.ply scan.obj --to texture --size 2048
+  beltrami bake model.glb model.ply --to vertices           a texture into vertex colours
+
+\b
+The output is a new file: the triangles, and their colours. What else INPUT holds is not in it, and said.
+"""
+
+
+@click.command("bake", epilog=EPILOG)
+@click.argument("source", metavar="INPUT")
+@click.argument("target", metavar="OUTPUT")
+@click.option("--to", type=click.Choice(["texture", "vertices"]), required=True, help="Where the colours go.")
+@options.size
+@options.padding
+@options.keep_uv
+@options.max_unwrap_faces
+@options.output_format
+@options.overwrite
+@options.quiet
+@options.verbose
+def command(
+    source: str,
+    target: str,
+    to: BakeTo,
+    size: int | None,
+    padding: int,
+    keep_uv: bool,
+    max_unwrap_faces: int,
+    output_format: str | None,
+    overwrite: bool,
+    quiet: bool,
+    verbose: int,
+) -> None:
+    """Move the colours of INPUT from its vertices to a texture, or from its textures to the vertices.
+
+    A new texture gets a new atlas. Vertices take what a renderer would show where they are; those on a seam take the
+    mean of its sides, or stay split where a seam is a real colour edge.
+    """
+    settings = BakeSettings(size, padding, keep_uv, max_unwrap_faces)
+    messages = Messages(quiet=quiet, verbose=verbose)
+    from beltrami_cli.pipeline.bake_file import bake_file
+
+    with messages.progress() as progress:
+        report = bake_file(
+            source, target, to, settings, format=output_format, overwrite=overwrite, progress=progress
+        )
+    for warning in report.warnings:
+        messages.warn(f"{report.input}: {warning}")
+    for path in report.written[1:]:
+        messages.detail(f"beside it: {path}")
+    messages.say(f"{report.output}: {report.summary}")
