@@ -110,9 +110,10 @@ def torus(size, charts=4, cuts=16):
         uv.append((inset + where) / charts)
         # The gutter continues the painting, which is a function of place.
         back = rotated((centre - gutter) / (1 - 2 * gutter), -turn)
-        painted = chequer(on_torus((back + at) / charts).reshape(-1, 3) * 1.6).reshape(cell, cell, 3)
+        # Moved, so that no border of the pattern lies along a seam.
+        painted = chequer(on_torus((back + at) / charts).reshape(-1, 3) * 1.6 + (0.13, 0.09, 0.06))
         x, y = where * cell
-        clean[y : y + cell, x : x + cell] = painted
+        clean[y : y + cell, x : x + cell] = painted.reshape(cell, cell, 3)
     corners, uv = np.concatenate(corners), np.concatenate(uv)
     everywhere = [np.ones((size, size), bool)]
     return TexturedScene("torus", corners, uv, np.zeros(len(uv), np.int64), [clean], everywhere)
