@@ -6,6 +6,7 @@ import itertools
 
 import numpy as np
 from numpy.typing import NDArray
+
 from samples import Sample, normalised, quantised
 
 Array = NDArray[np.float64]

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import head
 import numpy as np
+
+import head
 from baking import baked
 from charts import segmented
 from packing import unwrapped

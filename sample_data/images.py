@@ -11,6 +11,7 @@ import OpenImageIO
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+
     from textured import Painting
 
 SUFFIX = {"png8": ".png", "png16": ".png", "jpeg": ".jpg", "exr": ".exr"}

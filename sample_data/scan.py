@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import head
 import numpy as np
+from numpy.typing import NDArray
+
+import head
 from baking import baked
 from charts import segmented
-from numpy.typing import NDArray
 from packing import unwrapped
 from samples import normalised
 from solid_noise import fractal, solid_noise

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
+
 from baking import baked
 from nonmanifold import grid_triangles
-from numpy.typing import NDArray
 from samples import normalised
 from solid_noise import fractal, solid_noise
 from textured import Painting, TexturedSample

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+
 from samples import Sample, normalised, quantised
 
 Array = NDArray[np.float64]

@@ -6,6 +6,7 @@ import json
 from typing import TYPE_CHECKING
 
 import numpy as np
+
 from images import MIME, SUFFIX, encode
 from writers import ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER, NOTE, accessor, glb_file, joined
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+
 from nonmanifold import grid_triangles
 from samples import normalised
 from textured import Painting, TexturedSample

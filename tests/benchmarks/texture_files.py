@@ -12,9 +12,8 @@ from scene import ROOT
 sys.path.insert(0, str(ROOT / "sample_data"))
 
 import images
-from textured import Painting
-
 from beltrami_cli.formats.source import open_document
+from textured import Painting
 
 
 def read_image(data, name):

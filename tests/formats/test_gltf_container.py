@@ -8,12 +8,12 @@ import struct
 
 import numpy as np
 import pytest
-from formats.gltf_files import Model, joined
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.gltf import GltfDocument
+from formats.gltf_files import Model, joined
 
 
 def small(indices=True, sparse=False):

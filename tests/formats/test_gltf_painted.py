@@ -7,12 +7,12 @@ import json
 import numpy as np
 import pytest
 import trimesh
-from formats.gltf_files import Model
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.gltf import GltfDocument
+from formats.gltf_files import Model
 
 TRIANGLE = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], "<f4")
 

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from formats.gltf_files import Model, joined, numbers, unpacked
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from beltrami_cli.formats.gltf import GltfDocument
+from formats.gltf_files import Model, joined, numbers, unpacked
 
 ARRANGEMENTS = (
     "dense",

@@ -6,11 +6,11 @@ import json
 
 import numpy as np
 import pytest
-from formats.gltf_files import Model, joined, numbers, unpacked
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from beltrami_cli.formats.gltf import GltfDocument
+from formats.gltf_files import Model, joined, numbers, unpacked
 
 
 def model_with_colours(seed=0, count=5):

@@ -6,13 +6,13 @@ import json
 
 import numpy as np
 import pytest
-from formats.gltf_files import JPEG, PNG, SLOT_PATHS, WEBP, Textured, data_uri, joined, picture, unpacked
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from beltrami_cli.errors import OutputError
 from beltrami_cli.formats.source import open_document
 from beltrami_cli.mesh.textured import ImageFile
+from formats.gltf_files import JPEG, PNG, SLOT_PATHS, WEBP, Textured, data_uri, joined, picture, unpacked
 
 HEADS = {".png": PNG, ".jpg": JPEG, ".webp": WEBP}
 MEDIA = {".png": "image/png", ".jpg": "image/jpeg", ".webp": "image/webp"}

@@ -6,12 +6,12 @@ import math
 
 import numpy as np
 import pytest
-from formats.gltf_files import JPEG, KTX2, WEBP, Textured, picture
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.source import open_document
+from formats.gltf_files import JPEG, KTX2, WEBP, Textured, picture
 
 SLOTS = ("baseColor", "emissive", "normal", "occlusion", "metallicRoughness")
 SQUARE = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], "<f4")

@@ -7,7 +7,6 @@ import json
 import numpy as np
 import pytest
 import trimesh
-from formats.gltf_files import Model, joined, numbers, unpacked
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -15,6 +14,7 @@ from beltrami_cli.errors import InputError
 from beltrami_cli.formats.gltf import GltfDocument, write_glb, write_gltf
 from beltrami_cli.mesh.painted import MeshContents
 from beltrami_cli.mesh.transfer import linear_to_srgb
+from formats.gltf_files import Model, joined, numbers, unpacked
 
 SQUARE = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], float)
 

@@ -9,12 +9,12 @@ import zlib
 import numpy as np
 import OpenImageIO
 import pytest
-from formats.image_files import LOSSLESS, SUFFIXES, encode, noise, png_chunk, riff, riff_chunks
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.image import read_image
+from formats.image_files import LOSSLESS, SUFFIXES, encode, noise, png_chunk, riff, riff_chunks
 
 KINDS = {known: (known, kind, channels) for known, kind, channels in LOSSLESS} | {
     "jpeg": ("jpeg", "uint8", 3),

@@ -7,6 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from beltrami_cli.formats.image import from_float, read_image, to_float, write_image
 from formats.image_files import (
     LOSSLESS,
     SUFFIXES,
@@ -18,10 +22,6 @@ from formats.image_files import (
     riff,
     riff_chunks,
 )  # fmt: skip
-from hypothesis import given, settings
-from hypothesis import strategies as st
-
-from beltrami_cli.formats.image import from_float, read_image, to_float, write_image
 
 if TYPE_CHECKING:
     from pathlib import Path

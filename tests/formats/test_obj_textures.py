@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 import trimesh
-from formats.image_files import encode, noise
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -16,6 +15,7 @@ from beltrami_cli.errors import InputError
 from beltrami_cli.formats.obj import ObjDocument
 from beltrami_cli.formats.source import open_document
 from beltrami_cli.mesh.textured import ImageFile
+from formats.image_files import encode, noise
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -6,12 +6,12 @@ import contextlib
 
 import numpy as np
 import pytest
-from formats.ply_files import ENCODINGS, build, coloured
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.ply import PlyDocument
+from formats.ply_files import ENCODINGS, build, coloured
 
 
 def read(data: bytes) -> None:

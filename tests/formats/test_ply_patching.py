@@ -6,11 +6,11 @@ import re
 
 import numpy as np
 import pytest
-from formats.ply_files import CODES, ENCODINGS, Built, Table, build, coloured
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from beltrami_cli.formats.ply import PlyDocument
+from formats.ply_files import CODES, ENCODINGS, Built, Table, build, coloured
 
 FAMILIES = (
     ("red", "green", "blue"),

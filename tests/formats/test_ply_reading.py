@@ -7,9 +7,9 @@ import io
 import numpy as np
 import pytest
 import trimesh
-from formats.ply_files import ENCODINGS, Table, build, coloured
 
 from beltrami_cli.formats.ply import PlyDocument
+from formats.ply_files import ENCODINGS, Table, build, coloured
 
 
 @pytest.mark.parametrize("encoding", ENCODINGS)

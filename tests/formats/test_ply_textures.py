@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from formats.ply_files import ENCODINGS, Table, build
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -14,6 +13,7 @@ from beltrami_cli.errors import InputError
 from beltrami_cli.formats.ply import PlyDocument
 from beltrami_cli.formats.source import open_document
 from beltrami_cli.mesh.textured import ImageFile
+from formats.ply_files import ENCODINGS, Table, build
 
 if TYPE_CHECKING:
     from pathlib import Path

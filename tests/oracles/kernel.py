@@ -9,6 +9,7 @@ from __future__ import annotations
 from math import log, sqrt
 
 import numpy as np
+
 from oracles.fast_marching import Manifold
 
 

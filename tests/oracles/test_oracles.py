@@ -7,13 +7,14 @@ from math import inf, log, pi
 import numpy as np
 import pytest
 from hypothesis import given, settings
+from scipy import sparse
+from scipy.sparse.csgraph import dijkstra
+
 from oracles import strategies, surfaces
 from oracles.exact_geodesic import exact_distances
 from oracles.fast_marching import Manifold, distances, triangle_update
 from oracles.kernel import embed, short_time_kernel
 from oracles.laplacian import laplace_beltrami
-from scipy import sparse
-from scipy.sparse.csgraph import dijkstra
 
 
 def edge_distances(embedding, faces, source):

@@ -49,9 +49,8 @@ def test_x_runs_to_the_right_and_y_upwards(picture):
 def test_a_texture_is_looked_up_between_texels_with_v_down_and_repeats(picture):
     pytest.importorskip("OpenImageIO")
     import images
-    from textured import Painting
-
     from beltrami_cli.mesh.textured import Texture, TexturedSurface
+    from textured import Painting
 
     corners, faces, _ = square(0.0, (0, 0, 0))
     row, column = np.mgrid[:16, :16] / 15
