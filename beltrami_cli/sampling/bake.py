@@ -117,9 +117,10 @@ def overlap(uv: NDArray[np.float64], size: tuple[int, int]) -> float:
 
 def side_for_vertices(positions: NDArray[np.float64], faces: NDArray[np.int32]) -> int:
     """Choose the side of a texture so that a texel is about half as long as an edge."""
-    edges = np.linalg.norm(positions[faces] - positions[np.roll(faces, -1, axis=1)], axis=2)
+    unit = positions / max(float(np.abs(positions).max(initial=0)), np.finfo(float).tiny)
+    edges = np.linalg.norm(unit[faces] - unit[np.roll(faces, -1, axis=1)], axis=2)
     mean = float(edges.mean()) if edges.size else 0.0
-    texels = 4 * float(triangle_areas(positions, faces).sum()) / mean**2 if mean > 0 else 0.0
+    texels = 4 * float(triangle_areas(unit, faces).sum()) / mean**2 if mean > 0 else 0.0
     return side_for_texels(texels)
 
 

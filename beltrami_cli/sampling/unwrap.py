@@ -108,13 +108,15 @@ def unwrap(
             f"{_seconds(len(faces)) / 60:.0f} minutes, growing faster than their number",
             f"simplify it, or allow it with --max-unwrap-faces {len(faces)}",
         )
-    whole = np.flatnonzero(_with_area(positions, faces))
+    used, row_of = np.unique(faces, return_inverse=True)
+    unit, rows = _of_unit_size(positions[used]), row_of.reshape(-1, 3).astype(np.int32)
+    whole = np.flatnonzero(_with_area(unit, rows))
     if not len(whole):
         raise InputError(name, "it has no triangle with an area", "nothing in it can be unwrapped")
-    place_of, first = group_equal_rows(*positions.T, *([] if space_of is None else [space_of]))
-    corners, charts = _ask_worker(
-        _rescaled(positions[first], len(faces)), place_of[faces[whole]], size - 2 * padding, padding, progress
-    )
+    place_of, first = group_equal_rows(*positions[used].T, *([] if space_of is None else [space_of[used]]))
+    # Edges of about one unit are what xatlas' fixed tolerances suit.
+    scaled = (np.sqrt(len(whole)) * unit[first]).astype(np.float32)
+    corners, charts = _ask_worker(scaled, place_of[rows[whole]], size - 2 * padding, padding, progress)
     largest = corners.reshape(-1, 2).max(axis=0)
     if not np.isfinite(corners).all():
         raise ProcessingError(f"{name}: no texture coordinates can be found for it; repair the mesh first")
@@ -130,20 +132,22 @@ def unwrap(
     return Unwrapped(uv, (width, height), charts)
 
 
+def _of_unit_size(positions: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Bring positions into [-1/2, 1/2]; halves come first, so that nothing overflows."""
+    if not len(positions):
+        return positions
+    low, high = positions.min(axis=0) / 2, positions.max(axis=0) / 2
+    extent = float((high - low).max())
+    unit: NDArray[np.float64] = (positions / 2 - (low + high) / 2) / (extent if extent > 0 else 1.0)
+    return unit
+
+
 def _with_area(positions: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.bool_]:
     edges = positions[faces] - positions[np.roll(faces, -1, axis=1)]
     longest = np.square(edges).sum(axis=2).max(axis=1, initial=0)
     distinct = (faces != np.roll(faces, -1, axis=1)).all(axis=1)
     whole: NDArray[np.bool_] = distinct & (triangle_areas(positions, faces) > _FLAT * longest)
     return whole
-
-
-def _rescaled(positions: NDArray[np.float64], faces: int) -> NDArray[np.float32]:
-    """Bring a mesh to where edges are about one unit long, which is what xatlas' fixed tolerances suit."""
-    low, high = positions.min(axis=0), positions.max(axis=0)
-    scaled = (positions - (low / 2 + high / 2)) / (high - low).max()
-    single: NDArray[np.float32] = (np.sqrt(faces) * scaled).astype(np.float32)
-    return single
 
 
 def _side(needed: float, size: int) -> int:
