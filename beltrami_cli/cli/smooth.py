@@ -116,7 +116,7 @@ def _tell(messages: Messages, report: SmoothReport, *, dry_run: bool) -> None:
         messages.say(name + _summary(what, done.noise, done.beta, counts["samples_per_kernel"], done.change))
     for slot in report.textures:
         textures = f"{len(slot.textures)} {slot.slot} texture{'s' if len(slot.textures) > 1 else ''}"
-        what = f"{textures}, {slot.covered} texels in {slot.charts} charts"
+        what = f"{textures}, {slot.counts['covered']} texels in {slot.counts['charts']} charts"
         messages.say(name + _summary(what, slot.noise, slot.beta, slot.samples_per_kernel, slot.change))
         if slot.jumps:
             messages.detail(

@@ -78,22 +78,23 @@ class GridGuide:
     def __init__(self, filled: NDArray[np.bool_], scale: float) -> None:
         self._taps = _gaussian_taps(scale)
         self.gain = float(np.sum(self._taps**2))
-        self._total = np.maximum(self._convolve(filled.astype(np.float32)), np.float32(1e-6))
-        self._filled = filled
+        self._total = self._convolve(filled.astype(np.float32), np.empty(filled.shape, np.float32))
+        np.maximum(self._total, np.float32(1e-6), out=self._total)
 
     def smooth(self, planes: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Smooth planes of shape (N, R, C)."""
+        """Smooth planes of shape (N, R, C), which must be 0 where cells are not filled."""
         smoothed = np.empty_like(planes)
         for plane, result in zip(planes, smoothed, strict=True):
-            np.divide(self._convolve(np.where(self._filled, plane, 0)), self._total, out=result)
+            self._convolve(plane, result)
+            result /= self._total
         return smoothed
 
-    def _convolve(self, plane: NDArray[np.float32]) -> NDArray[np.float32]:
+    def _convolve(self, plane: NDArray[np.float32], result: NDArray[np.float32]) -> NDArray[np.float32]:
         from scipy.ndimage import correlate1d
 
-        for axis in (0, 1):
-            plane = correlate1d(plane, self._taps, axis, mode="constant")
-        return plane
+        along = correlate1d(plane, self._taps, 0, mode="constant")
+        correlate1d(along, self._taps, 1, mode="constant", output=result)
+        return result
 
 
 def guide_radius(scale: float) -> int:

@@ -103,7 +103,9 @@ def _sides_of_seams(
     columns = atlas.kind.shape[1]
     sides = np.full((max(1, atlas.seams), 2), -1, np.int32)
     for step in (1, -1, columns, -columns):
-        own = chart_at[atlas.halo_cells - step]
+        inner = atlas.halo_cells - step
+        inside = (inner >= 0) & (inner < len(chart_at))
+        own = np.where(inside, chart_at[np.where(inside, inner, 0)], -1)
         beside = (atlas.halo_seams >= 0) & (own >= 0)
         sides[atlas.halo_seams[beside]] = np.column_stack([own[beside], reached[beside]])
     return sides

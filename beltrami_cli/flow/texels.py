@@ -61,7 +61,9 @@ class TexelFlow:
         different = find_colour_jumps(atlas, self._planes, self.sigma)
         self.jumps = int(np.count_nonzero(different))
         if self.jumps:
-            atlas = without_halo(atlas, halo_beyond(atlas, different))
+            beyond = halo_beyond(atlas, different)
+            self._planes.reshape(len(self._planes), -1)[:, atlas.halo_cells[beyond]] = 0
+            atlas = without_halo(atlas, beyond)
         self.atlas = atlas
         scale = local_scale(atlas.squared_lengths, parameters.window // 2)
         owned_scale = scale.reshape(-1)[atlas.owned_cells]
@@ -88,10 +90,16 @@ class TexelFlow:
         """
         from beltrami_cli._native import smooth_grid
 
-        parameters, planes, samples = self.parameters, self._planes, 0
+        parameters, samples = self.parameters, 0
+        planes, self._planes = (
+            self._planes,
+            np.empty((0, 0, 0), np.float32),
+        )  # freed once the first step is done
         for iteration in range(parameters.iterations):
             metric, beta = planes, self.beta
-            if self._guide is not None and parameters.is_regularised(iteration):
+            if not parameters.is_regularised(iteration):
+                self._guide = None  # its planes are not needed any more
+            elif self._guide is not None:
                 metric, beta = self._guide.smooth(planes), beta / self._guide.gain
             planes, held = smooth_grid(
                 self.atlas.kind,
@@ -110,6 +118,7 @@ class TexelFlow:
                     progress, iteration * self.atlas.kind.size, parameters.iterations * self.atlas.kind.size
                 ),
             )
+            del metric
             refresh_halo(planes, self.atlas)
             samples += held
         self._planes = planes
@@ -119,9 +128,9 @@ class TexelFlow:
             np.ascontiguousarray(owned.T), self.spacing, self.beta, self.sigma, samples / kernels, 0
         )
 
-    def colours_at(self, cells: NDArray[np.int64]) -> NDArray[np.float32]:
-        """Return the colours that cells (flat indices) have now, shape (K, N)."""
-        return np.ascontiguousarray(self._planes.reshape(len(self._planes), -1)[:, cells].T)
+    def gutter_colours(self) -> NDArray[np.float32]:
+        """Return the colours that the atlas's gutter cells have now, shape (G, N)."""
+        return np.ascontiguousarray(self._planes.reshape(len(self._planes), -1)[:, self.atlas.gutter_cells].T)
 
     def _scheme(self) -> str:
         if self.parameters.scheme == "metric":

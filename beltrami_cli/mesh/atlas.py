@@ -28,7 +28,7 @@ class Atlas:
         EMPTY, OWNED or HALO. A margin as wide as the halo is EMPTY or HALO on all sides.
     squared_lengths : ndarray of float32, shape (4, R, C)
         Squared distance in space, in the surface's own unit, from the cell to its neighbour on the right, below, below
-        right, and below left. Where either cell is EMPTY, or the neighbour lies outside: infinity.
+        right, and below left. Infinite where the neighbour lies outside; without meaning where either is EMPTY.
     owned_cells : ndarray of int64, shape (T,)
         Flat indices of the owned cells, ascending.
     owned_texels : ndarray of int64, shape (T,)
@@ -87,7 +87,6 @@ def without_halo(atlas: Atlas, dropped: NDArray[np.bool_]) -> Atlas:
     Returns
     -------
     Atlas
-        Lengths of edges to them are infinite.
     """
     kind = atlas.kind.copy()
     kind.reshape(-1)[atlas.halo_cells[dropped]] = EMPTY
@@ -95,7 +94,6 @@ def without_halo(atlas: Atlas, dropped: NDArray[np.bool_]) -> Atlas:
     return dataclasses.replace(
         atlas,
         kind=kind,
-        squared_lengths=_without_edges_of(atlas.squared_lengths, atlas.halo_cells[dropped]),
         gutter_cells=atlas.gutter_cells[seen],
         gutter_texels=atlas.gutter_texels[seen],
         halo_cells=atlas.halo_cells[~dropped],
@@ -131,20 +129,9 @@ def without_owned(atlas: Atlas, dropped: NDArray[np.bool_]) -> Atlas:
     kept = dataclasses.replace(
         atlas,
         kind=kind,
-        squared_lengths=_without_edges_of(atlas.squared_lengths, atlas.owned_cells[dropped]),
         owned_cells=atlas.owned_cells[~dropped],
         owned_texels=atlas.owned_texels[~dropped],
         chart_of=atlas.chart_of[~dropped],
         halo_weights=weights.astype(np.float32),
     )
     return without_halo(kept, orphaned)
-
-
-def _without_edges_of(squared_lengths: NDArray[np.float32], cells: NDArray[np.int64]) -> NDArray[np.float32]:
-    """Take away the edges of some cells (flat indices), none of them on the canvas's rim."""
-    lengths = squared_lengths.copy()
-    columns = lengths.shape[2]
-    for plane, step in zip(lengths.reshape(4, -1), (1, columns, columns + 1, columns - 1), strict=True):
-        plane[cells] = np.inf
-        plane[np.maximum(cells - step, 0)] = np.inf
-    return lengths

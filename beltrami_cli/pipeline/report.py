@@ -11,6 +11,8 @@ import numpy as np
 from beltrami_cli.pipeline.stopwatch import peak_memory
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from numpy.typing import NDArray
 
     from beltrami_cli.formats.document import Document
@@ -18,6 +20,37 @@ if TYPE_CHECKING:
     from beltrami_cli.pipeline.smooth_textures import SlotReport
     from beltrami_cli.pipeline.smooth_vertices import SmoothResult
     from beltrami_cli.pipeline.stopwatch import Stopwatch
+
+
+@dataclass(frozen=True)
+class Change:
+    """How much colour values changed: how many there are, the sums of changes and of their squares, the largest."""
+
+    count: int = 0
+    total: float = 0.0
+    squares: float = 0.0
+    largest: float = 0.0
+
+    @classmethod
+    def between(cls, before: NDArray[np.float32], after: NDArray[np.float32]) -> Change:
+        """Compare two arrays of the same shape."""
+        difference = np.abs(after - before)
+        if not difference.size:
+            return cls()
+        squares = float(np.einsum("i,i->", difference.ravel(), difference.ravel(), dtype=np.float64))
+        return cls(difference.size, float(difference.sum(dtype=np.float64)), squares, float(difference.max()))
+
+    @classmethod
+    def joined(cls, changes: Iterable[Change]) -> Change:
+        """Take several together."""
+        parts = [dataclasses.astuple(change) for change in changes]
+        counts, totals, squares, largest = zip(*parts, strict=True) if parts else ((), (), (), (0.0,))
+        return cls(sum(counts), sum(totals), sum(squares), max(largest))
+
+    def summary(self) -> dict[str, float]:
+        """Return the mean, the root mean square and the largest change."""
+        count = max(1, self.count)
+        return {"mean": self.total / count, "rms": (self.squares / count) ** 0.5, "largest": self.largest}
 
 
 @dataclass(frozen=True)
@@ -132,17 +165,5 @@ def _vertex_report(document: Document, result: SmoothResult) -> VertexReport:
         spacing=result.spacing,
         beta=result.beta,
         noise=result.noise,
-        change=summarise_change(painted.colours, result.colours),
+        change=Change.between(painted.colours, result.colours).summary(),
     )
-
-
-def summarise_change(before: NDArray[np.float32], after: NDArray[np.float32]) -> dict[str, float]:
-    """Return the mean, the root mean square and the largest change."""
-    difference = np.abs(after - before)
-    if not difference.size:
-        return {"mean": 0.0, "rms": 0.0, "largest": 0.0}
-    return {
-        "mean": float(difference.mean(dtype=np.float64)),
-        "rms": float(np.sqrt(np.mean(np.square(difference), dtype=np.float64))),
-        "largest": float(difference.max()),
-    }

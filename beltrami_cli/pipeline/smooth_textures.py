@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from fnmatch import fnmatch
 from typing import TYPE_CHECKING, Any
 
@@ -12,12 +12,12 @@ import numpy as np
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.guide import guide_radius
 from beltrami_cli.flow.texels import TexelFlow
-from beltrami_cli.formats.image import from_float, losses, read_image, to_float, write_image
+from beltrami_cli.formats.image import losses, read_image, write_image
 from beltrami_cli.mesh.atlas import without_owned
-from beltrami_cli.pipeline.report import summarise_change
+from beltrami_cli.pipeline.repainting import SmoothedTexels, repaint
+from beltrami_cli.pipeline.report import Change
 from beltrami_cli.pipeline.texel_colours import COLOUR_SLOTS, TexelColours
 from beltrami_cli.sampling.atlas import build_atlas
-from beltrami_cli.sampling.gutter import fill_gutter
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -44,8 +44,8 @@ class SlotReport:
         The slot.
     textures : list of dict
         For each texture its name, size, type, and how many of its texels the surface covers.
-    charts, seams, jumps, covered, overlapped : int
-        Of all textures together; jumps are seams whose two sides really differ, which nothing was smoothed over.
+    counts : dict of str to int
+        Charts, seams, jumps, covered and overlapped texels of all textures together; jumps are seams whose two sides really differ, which nothing was smoothed over.
     pitch : float
         Mean distance of neighbouring texels on the surface, in the model's own unit of length.
     beta : float
@@ -60,16 +60,12 @@ class SlotReport:
 
     slot: str
     textures: list[dict[str, object]]
-    charts: int
-    seams: int
-    jumps: int
-    covered: int
-    overlapped: int
+    counts: dict[str, int]
     pitch: float
     beta: float
     noise: dict[str, float]
     samples_per_kernel: float
-    change: dict[str, float]
+    change: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -160,37 +156,48 @@ def smooth_slot(
     """
     prepared = prepare_slot(surface, slot, settings)
     flow = prepared.flow(settings)
-    before = flow.colours_at(prepared.atlas.owned_cells)
     result = flow.run(progress)
-    images: dict[tuple[Slot, str], ImageFile] = {}
-    notices = [notice for picture in prepared.pictures for notice in picture.notices]
-    suffix = settings.textures.image_suffix
-    if suffix is not None:
-        notices += [loss for picture in prepared.pictures for loss in losses(picture, suffix)]
-    changes = []
-    for index, texture in enumerate(prepared.surface.textures):
-        pixels, change = _repaint(prepared, flow, index, before, result.colours, settings.textures)
-        changes.append(change)
-        images[slot, texture.key] = write_image(
-            prepared.pictures[index],
-            pixels,
-            suffix=suffix,
-            jpeg_quality=settings.textures.jpeg_quality,
-            small=settings.textures.small,
-            as_data=slot not in COLOUR_SLOTS,
-        )
     report = SlotReport(
         slot=slot,
         textures=describe_textures(prepared),
-        jumps=flow.jumps,
-        **atlas_counts(prepared.atlas),
-        pitch=flow.spacing,
-        beta=flow.beta,
-        noise=prepared.colours.named(flow.sigma),
+        counts={**atlas_counts(prepared.atlas), "jumps": flow.jumps},
+        pitch=result.spacing,
+        beta=result.beta,
+        noise=prepared.colours.named(result.sigma),
         samples_per_kernel=round(result.samples_per_kernel, 2),
-        change=summarise_change(*map(np.concatenate, zip(*changes, strict=True))),
     )
-    return SlotResult(images, report, (*notices, *atlas_notices(prepared)))
+    notices = list(atlas_notices(prepared.atlas))
+    smoothed = SmoothedTexels(
+        prepared.atlas.texture_offsets,
+        prepared.atlas.owned_texels,
+        result.colours,
+        flow.atlas.gutter_texels,
+        flow.gutter_colours(),
+    )
+    pictures, colours, textures = prepared.pictures, prepared.colours, prepared.surface.textures
+    del prepared, flow  # canvases as large as the pictures that are made now
+    images: dict[tuple[Slot, str], ImageFile] = {}
+    changes = []
+    for index, (texture, picture) in enumerate(zip(textures, pictures, strict=True)):
+        pixels, change = repaint(picture, index, colours, smoothed, settings.textures.gutter)
+        changes.append(change)
+        images[slot, texture.key] = _encode(picture, pixels, slot, settings.textures)
+        notices += picture.notices
+        if settings.textures.image_suffix is not None:
+            notices += losses(picture, settings.textures.image_suffix)
+    report = dataclasses.replace(report, change=Change.joined(changes).summary())
+    return SlotResult(images, report, tuple(notices))
+
+
+def _encode(picture: Picture, pixels: NDArray[Any], slot: Slot, wanted: TextureSettings) -> ImageFile:
+    return write_image(
+        picture,
+        pixels,
+        suffix=wanted.image_suffix,
+        jpeg_quality=wanted.jpeg_quality,
+        small=wanted.small,
+        as_data=slot not in COLOUR_SLOTS,
+    )
 
 
 def atlas_counts(atlas: Atlas) -> dict[str, int]:
@@ -203,9 +210,8 @@ def atlas_counts(atlas: Atlas) -> dict[str, int]:
     }
 
 
-def atlas_notices(prepared: PreparedSlot) -> tuple[str, ...]:
+def atlas_notices(atlas: Atlas) -> tuple[str, ...]:
     """Return what the user should know about texture coordinates that use texels more than once."""
-    atlas = prepared.atlas
     share = 100 * atlas.overlapped / max(1, atlas.covered)
     if share < _WORTH_TELLING:
         return ()
@@ -253,37 +259,3 @@ def _chosen(surface: TexturedSurface, slot: Slot, wanted: TextureSettings) -> Te
         textures=tuple(surface.textures[index] for index in kept),
         texture_of=new_index[surface.texture_of],
     )
-
-
-def _repaint(
-    prepared: PreparedSlot,
-    flow: TexelFlow,
-    index: int,
-    before: NDArray[np.float32],
-    after: NDArray[np.float32],
-    wanted: TextureSettings,
-) -> tuple[NDArray[Any], tuple[NDArray[np.float32], NDArray[np.float32]]]:
-    """Return a texture's new pixels, and the values of its covered texels before and after."""
-    picture, atlas = prepared.pictures[index], prepared.atlas
-    old = to_float(picture)
-    new = old.copy()
-    height, width = old.shape[:2]
-
-    def place(texels: NDArray[np.int64]) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
-        inside = (texels >= atlas.texture_offsets[index]) & (texels < atlas.texture_offsets[index + 1])
-        return inside, texels[inside] - atlas.texture_offsets[index]
-
-    inside, texels = place(atlas.owned_texels)
-    moved = np.any(before[inside] != after[inside], axis=1)
-    prepared.colours.write(new, index, texels[moved], after[inside][moved])
-    covered = np.zeros((height, width), bool)
-    covered.reshape(-1)[texels] = True
-    change = old[covered].ravel(), new[covered].ravel()
-    if wanted.gutter is not None:
-        known = np.zeros_like(covered)
-        beside, gutter_texels = place(atlas.gutter_texels)
-        prepared.colours.write(new, index, gutter_texels, flow.colours_at(atlas.gutter_cells[beside]))
-        known.reshape(-1)[gutter_texels] = True
-        channels = prepared.colours.columns(index)
-        new[..., channels] = fill_gutter(new[..., channels], covered, None, wanted.gutter, known)
-    return from_float(picture, new, new != old), change

@@ -66,9 +66,17 @@ class TexelColours:
         table = np.empty((len(atlas.owned_texels), len(self.names)), np.float32)
         for index, picture in enumerate(self._pictures):
             inside, texels = self._texels(atlas, index)
-            pixels = picture.pixels.reshape(-1, picture.pixels.shape[2])[texels]
-            table[inside] = self._to_working(picture, full_scale_one(pixels))
+            table[inside] = self.working(picture, texels)
         return table
+
+    def working(self, picture: Picture, texels: NDArray[np.int64]) -> NDArray[np.float32]:
+        """Return the colours of some texels (row * width + column) of a picture in the working space."""
+        pixels = full_scale_one(picture.pixels.reshape(-1, picture.pixels.shape[2])[texels])
+        working = to_space(self._widened(picture, pixels), picture.encoding, self._space)[:, self._kept]
+        if not self._alpha:
+            return working
+        opacity = pixels[:, picture.alpha] if picture.alpha is not None else np.ones(len(pixels), np.float32)
+        return np.column_stack([working, opacity])
 
     def transparent(self, atlas: Atlas) -> NDArray[np.bool_]:
         """Tell which owned cells lend no colour, because their texel cannot be seen."""
@@ -134,13 +142,6 @@ class TexelColours:
     def _widened(self, picture: Picture, pixels: NDArray[np.float32]) -> NDArray[np.float32]:
         colours = pixels[:, list(picture.colour)]
         return np.repeat(colours, self._width, axis=1) if colours.shape[1] < self._width else colours
-
-    def _to_working(self, picture: Picture, pixels: NDArray[np.float32]) -> NDArray[np.float32]:
-        working = to_space(self._widened(picture, pixels), picture.encoding, self._space)[:, self._kept]
-        if not self._alpha:
-            return working
-        opacity = pixels[:, picture.alpha] if picture.alpha is not None else np.ones(len(pixels), np.float32)
-        return np.column_stack([working, opacity])
 
 
 def _choose(names: tuple[str, ...], settings: SmoothSettings) -> list[int]:

@@ -89,7 +89,29 @@ inline Lanes load(const float* from) {
 }
 inline void store(float* to, Lanes value) { std::memcpy(to, &value, sizeof value); }
 
-inline Lanes smaller(Lanes a, Lanes b) { return select(a < b, a, b); }
+// a < b ? a : b and a > b ? a : b, which is what the instructions do.
+inline Lanes smaller(Lanes a, Lanes b) {
+#if defined(__AVX512F__)
+  return reinterpret_cast<Lanes>(_mm512_maskz_min_ps(0xffff, reinterpret_cast<__m512>(a), reinterpret_cast<__m512>(b)));
+#elif defined(__AVX__)
+  return reinterpret_cast<Lanes>(_mm256_min_ps(reinterpret_cast<__m256>(a), reinterpret_cast<__m256>(b)));
+#elif defined(__SSE__)
+  return reinterpret_cast<Lanes>(_mm_min_ps(reinterpret_cast<__m128>(a), reinterpret_cast<__m128>(b)));
+#else
+  return select(a < b, a, b);
+#endif
+}
+inline Lanes larger(Lanes a, Lanes b) {
+#if defined(__AVX512F__)
+  return reinterpret_cast<Lanes>(_mm512_maskz_max_ps(0xffff, reinterpret_cast<__m512>(a), reinterpret_cast<__m512>(b)));
+#elif defined(__AVX__)
+  return reinterpret_cast<Lanes>(_mm256_max_ps(reinterpret_cast<__m256>(a), reinterpret_cast<__m256>(b)));
+#elif defined(__SSE__)
+  return reinterpret_cast<Lanes>(_mm_max_ps(reinterpret_cast<__m128>(a), reinterpret_cast<__m128>(b)));
+#else
+  return select(a > b, a, b);
+#endif
+}
 
 inline Lanes square_root(Lanes value) {
 #if defined(__AVX512F__)
@@ -110,7 +132,7 @@ inline Lanes square_root(Lanes value) {
 // exp(x) for x <= 0: range reduction to [-ln2/2, ln2/2], then a polynomial, relative error below 2e-7.
 // Coefficients: S. Moshier, Cephes expf.
 inline Lanes exponential(Lanes x) {
-  x = select(x < -87.0F, splat(-87.0F), x);
+  x = larger(x, splat(-87.0F));
   // Adding and subtracting 1.5 * 2^23 rounds to the nearest integer.
   const Lanes whole = (x * 1.44269504088896341F + 12582912.0F) - 12582912.0F;
   const Lanes rest = x - whole * 0.693359375F + whole * 2.12194440e-4F;

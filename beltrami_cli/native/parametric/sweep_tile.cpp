@@ -30,8 +30,10 @@ struct Layout {
   std::ptrdiff_t at(Offset offset) const { return offset.y * static_cast<std::ptrdiff_t>(columns) + offset.x; }
 };
 
-// Copies a plane of the grid to the tile and its border; `fill` stands outside the grid.
-void copy_plane(const Grid& grid, const float* plane, const Tile& tile, const Layout& layout, float fill, float* out) {
+// Copies a plane of the grid to the tile and its border, each value converted; `fill` stands outside the grid.
+template <class T, class Convert>
+void copy_plane(const Grid& grid, const T* plane, const Tile& tile, const Layout& layout, float fill, float* out,
+                Convert convert) {
   std::fill(out, out + layout.size, fill);
   // The grid's rectangle in the tile's planes.
   const auto first = [&](std::size_t begin) { return begin < layout.border ? layout.border - begin : 0; };
@@ -39,9 +41,13 @@ void copy_plane(const Grid& grid, const float* plane, const Tile& tile, const La
   const std::size_t right_end = std::min(layout.columns, grid.columns + layout.border - tile.column);
   const std::size_t bottom = std::min(layout.rows, grid.rows + layout.border - tile.row);
   for (std::size_t y = top; y < bottom; ++y) {
-    const float* row = plane + (tile.row + y - layout.border) * grid.columns + (tile.column + left - layout.border);
-    std::copy(row, row + (right_end - left), out + y * layout.columns + left);
+    const T* row = plane + (tile.row + y - layout.border) * grid.columns + (tile.column + left - layout.border);
+    std::transform(row, row + (right_end - left), out + y * layout.columns + left, convert);
   }
+}
+
+void copy_plane(const Grid& grid, const float* plane, const Tile& tile, const Layout& layout, float fill, float* out) {
+  copy_plane(grid, plane, tile, layout, fill, out, [](float value) { return value; });
 }
 
 void copy_planes(const Grid& grid, Planes planes, const Tile& tile, const Layout& layout, float* out) {
@@ -51,9 +57,11 @@ void copy_planes(const Grid& grid, Planes planes, const Tile& tile, const Layout
 
 // |dX|^2 + beta^2 |dI|^2 of every edge in the tile and its border; no_edge where there is none.
 void measure_edges(const TileJob& job, const Tile& tile, const Layout& layout, const float* metric,
-                   const float* scale, float* squared, float* lengths) {
+                   const float* scale, float* blocked, float* squared, float* lengths) {
   const Grid& grid = *job.grid;
   const float squared_beta = job.parameters->beta * job.parameters->beta;
+  copy_plane(grid, grid.kind, tile, layout, no_edge, blocked,
+             [](std::uint8_t kind) { return kind == empty ? no_edge : 0.0F; });
   const std::array<std::size_t, direction_count> steps{1, layout.columns, layout.columns + 1, layout.columns - 1};
   for (std::size_t direction = 0; direction < direction_count; ++direction) {
     float* __restrict total = squared + direction * layout.size;
@@ -61,6 +69,8 @@ void measure_edges(const TileJob& job, const Tile& tile, const Layout& layout, c
     if (scale != nullptr)
       for (std::size_t i = 0; i < layout.size; ++i) total[i] *= scale[i];
     const std::size_t last = layout.size - steps[direction];
+    const float* __restrict blocked_there = blocked + steps[direction];
+    for (std::size_t i = 0; i < last; ++i) total[i] += blocked[i] + blocked_there[i];
     for (std::size_t channel = 0; channel < job.metric.channels; ++channel) {
       const float* __restrict from = metric + channel * layout.size;
       const float* __restrict to = from + steps[direction];
@@ -85,13 +95,14 @@ void make_class(const Layout& layout, const float* squared, const StencilClass& 
   // One cell in from every side, where all neighbours are at hand; further out no window reaches.
   const std::size_t first = layout.columns + 1, last = (layout.rows - 1) * layout.columns - 1;
   for (std::size_t i = first; i < last; ++i) {
-    const float slope = (b[i] + c[i] - a[i]) / (2 * c[i]);
+    const float inverse = 1 / c[i];
+    const float slope = (b[i] + c[i] - a[i]) * 0.5F * inverse;
     const float squared_height = b[i] - slope * slope * c[i];
     const bool usable = (a[i] + b[i] >= c[i]) & (a[i] < no_edge) & (b[i] < no_edge) & (c[i] < no_edge) & (c[i] > 0) &
                         (squared_height > 0);
     k[i] = usable ? slope : 0;
     height[i] = usable ? squared_height : 0;
-    n[i] = usable ? squared_height / c[i] : 0;
+    n[i] = usable ? squared_height * inverse : 0;
   }
 }
 
@@ -112,10 +123,10 @@ void pass(const std::vector<Target>& targets, const Layout& layout, const float*
       const Lanes u = load(window + static_cast<std::size_t>(triangle.diagonal) * lane_count) - axis;
       const Lanes k = load(k_plane), nu = load(k_plane + 2 * layout.size) * u;
       const Lanes radicand = load(k_plane + layout.size) - nu * u;
-      const Lanes s = square_root(select(radicand > 0.0F, radicand, Lanes{}));
+      const Lanes s = square_root(larger(radicand, Lanes{}));
       const Lanes through = axis + k * u + s;
-      const Mask from_within = (k * s > nu) & (k * s - s < nu) & (through < best);
-      best = select(from_within, through, best);
+      const Mask from_within = (k * s > nu) & (k * s - s < nu);
+      best = select(from_within, smaller(through, best), best);
     }
     store(phi, best);
   }
@@ -172,7 +183,8 @@ std::int64_t sweep_tile(const TileJob& job, const Tile& tile, TileScratch& scrat
   const Grid& grid = *job.grid;
   const Layout layout(tile, job.program->radius);
   const int side = 2 * job.program->radius + 1;
-  const std::size_t colour_planes = job.metric.channels + job.colours.channels + 1;
+  // Besides the colours, the scale and what is blocked.
+  const std::size_t colour_planes = job.metric.channels + job.colours.channels + 2;
   scratch.planes.resize((plane_count + colour_planes) * layout.size);
   scratch.window.resize(static_cast<std::size_t>(side * side) * lane_count);
   scratch.sums.resize(job.colours.channels * lane_count);
@@ -183,9 +195,10 @@ std::int64_t sweep_tile(const TileJob& job, const Tile& tile, TileScratch& scrat
   float* colours = metric + job.metric.channels * layout.size;
   copy_planes(grid, job.metric, tile, layout, metric);
   copy_planes(grid, job.colours, tile, layout, colours);
-  float* scale = grid.scale != nullptr ? colours + job.colours.channels * layout.size : nullptr;
+  float* blocked = colours + job.colours.channels * layout.size;
+  float* scale = grid.scale != nullptr ? blocked + layout.size : nullptr;
   if (scale != nullptr) copy_plane(grid, grid.scale, tile, layout, 1, scale);
-  measure_edges(job, tile, layout, metric, scale, squared, lengths);
+  measure_edges(job, tile, layout, metric, scale, blocked, squared, lengths);
   for (std::size_t i = 0; i < stencil_classes.size(); ++i)
     make_class(layout, squared, stencil_classes[i], coefficients + 3 * i * layout.size);
 

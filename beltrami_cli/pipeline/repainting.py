@@ -1,0 +1,95 @@
+"""Smoothed texels put back into pictures, and their gutters refilled."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from beltrami_cli.formats.image import from_float, to_float
+from beltrami_cli.pipeline.report import Change
+from beltrami_cli.sampling.gutter import fill_gutter
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from beltrami_cli.formats.image import Picture
+    from beltrami_cli.pipeline.texel_colours import TexelColours
+
+
+@dataclass(frozen=True)
+class SmoothedTexels:
+    """What the flow made of the texels of all pictures.
+
+    Attributes
+    ----------
+    texture_offsets : ndarray of int64, shape (number of textures + 1,)
+        Texels of texture i are numbered from its offset, row by row.
+    texels : ndarray of int64, shape (T,)
+        The covered texels.
+    colours : ndarray of float32, shape (T, N)
+        Their colours, in the working space.
+    gutter_texels : ndarray of int64, shape (G,)
+        Texels just beyond charts.
+    gutter_colours : ndarray of float32, shape (G, N)
+        Colours of the surface as it continues there.
+    """
+
+    texture_offsets: NDArray[np.int64]
+    texels: NDArray[np.int64]
+    colours: NDArray[np.float32]
+    gutter_texels: NDArray[np.int64]
+    gutter_colours: NDArray[np.float32]
+
+    def of_texture(
+        self, texels: NDArray[np.int64], index: int
+    ) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
+        """Choose the texels of one texture, and number them from its first."""
+        first, last = self.texture_offsets[index : index + 2]
+        inside = (texels >= first) & (texels < last)
+        return inside, texels[inside] - first
+
+
+def repaint(
+    picture: Picture, index: int, colours: TexelColours, smoothed: SmoothedTexels, gutter: int | None
+) -> tuple[NDArray[Any], Change]:
+    """Return a picture's new pixels, and how its covered texels changed.
+
+    Parameters
+    ----------
+    picture : Picture
+        The source.
+    index : int
+        Which of the atlas's textures it is.
+    colours : TexelColours
+        The way from working colours to pixels.
+    smoothed : SmoothedTexels
+        New colours of covered texels and of the gutter.
+    gutter : int or None
+        Texels beyond the charts that are refilled; None: none.
+
+    Returns
+    -------
+    pixels : ndarray, shape (H, W, C)
+        In the picture's type. Texels that did not change keep their exact values.
+    change : Change
+        Of the covered texels.
+    """
+    old = to_float(picture)
+    new = old.copy()
+    inside, texels = smoothed.of_texture(smoothed.texels, index)
+    after = smoothed.colours[inside]
+    moved = np.any(colours.working(picture, texels) != after, axis=1)
+    colours.write(new, index, texels[moved], after[moved])
+    covered = np.zeros(old.shape[:2], bool)
+    covered.reshape(-1)[texels] = True
+    change = Change.between(old[covered], new[covered])
+    if gutter is not None:
+        known = np.zeros_like(covered)
+        beside, gutter_texels = smoothed.of_texture(smoothed.gutter_texels, index)
+        colours.write(new, index, gutter_texels, smoothed.gutter_colours[beside])
+        known.reshape(-1)[gutter_texels] = True
+        columns = colours.columns(index)
+        new[..., columns] = fill_gutter(new[..., columns], covered, None, gutter, known)
+    return from_float(picture, new, new != old), change
