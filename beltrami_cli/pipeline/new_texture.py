@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +15,7 @@ from beltrami_cli.mesh.polygons import triangulate
 from beltrami_cli.mesh.textured import Texture, TexturedSurface
 from beltrami_cli.mesh.textured_mesh import TexturedMesh
 from beltrami_cli.mesh.transfer import linear_to_srgb
-from beltrami_cli.sampling.bake import bake, interpolated, overlap, side_for_texels, side_for_vertices
+from beltrami_cli.sampling.bake import bake, interpolated, overlap, texels_for_vertices
 from beltrami_cli.sampling.lookup import look_up
 from beltrami_cli.sampling.unwrap import unwrap
 
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
     from beltrami_cli.mesh.painted import Encoding, MeshContents
     from beltrami_cli.mesh.textured import ImageFile
     from beltrami_cli.pipeline.bake_settings import BakeSettings
+    from beltrami_cli.sampling.unwrap import Unwrapped
 
     Progress = Callable[[str, int, int], None] | None
 
@@ -60,9 +62,10 @@ class NewTexture:
     charts: int | None
     notices: tuple[str, ...]
 
-    def encoded(self) -> ImageFile:
-        """Return the texture as a PNG file."""
-        return write_image(fresh_picture(self.pixels, "the new texture"), self.pixels)
+    def encoded(self, suffix: str | None = None, jpeg_quality: int = 98, *, small: bool = False) -> ImageFile:
+        """Return the texture as a file, PNG by default; options as for `write_image`."""
+        picture = fresh_picture(self.pixels, "the new texture")
+        return write_image(picture, self.pixels, suffix=suffix, jpeg_quality=jpeg_quality, small=small)
 
     def surface(self) -> TexturedSurface:
         """Return the textured surface, as a document would."""
@@ -78,11 +81,18 @@ class NewTexture:
         return TexturedMesh(self.positions, self.faces, self.uv, image, transparent)
 
 
-def texture_from_vertices(document: Document, wanted: BakeSettings, progress: Progress = None) -> NewTexture:
+def texture_from_vertices(
+    document: Document,
+    wanted: BakeSettings,
+    progress: Progress = None,
+    colours: NDArray[np.float32] | None = None,
+) -> NewTexture:
     """Spread the vertex colours over the texels of a texture.
 
-    They are interpolated as the numbers that are stored (in glTF linear light), and rounded once, to 8 bits if 8 bits
-    hold the colours and otherwise to 16.
+    `colours`, shape (V, C), stand in for those of the document if they are given.
+
+    They are interpolated as the numbers that are stored (in glTF linear light), and rounded once: to 8 bits if 8 bits
+    hold the colours, otherwise to 16.
 
     Raises
     ------
@@ -102,10 +112,13 @@ def texture_from_vertices(document: Document, wanted: BakeSettings, progress: Pr
         uv, size = _kept_uv(document, contents.positions[faces], wanted.size)
         charts = None
     else:
-        side = wanted.size or side_for_vertices(contents.positions, faces)
-        made = _unwrapped(document, contents.positions, faces, space_of, side, wanted, progress)
+        texels = texels_for_vertices(contents.positions, faces)
+        made = _unwrapped(document, contents.positions, faces, space_of, texels, wanted, progress)
         uv, size, charts = made.uv, made.size, made.charts
-    values, dtype = _vertex_values(contents), _depth(contents)
+    dtype = _depth(contents)
+    if colours is not None:
+        contents = dataclasses.replace(contents, colours=colours)
+    values = _vertex_values(contents)
     corners = values[faces]
 
     def shade(owners: NDArray[np.int64], weights: NDArray[np.float64]) -> NDArray[Any]:
@@ -129,8 +142,7 @@ def texture_from_textures(document: Document, wanted: BakeSettings, progress: Pr
     old = document.textured("baseColor")
     pictures = [read_image(texture.data, texture.name) for texture in old.textures]
     sizes = np.array([picture.pixels.shape[1::-1] for picture in pictures])
-    side = wanted.size or side_for_texels(_texels(old, sizes))
-    made = _unwrapped(document, old.positions, old.faces, old.space_of, side, wanted, progress)
+    made = _unwrapped(document, old.positions, old.faces, old.space_of, _texels(old, sizes), wanted, progress)
     channels = 4 if any(picture.alpha is not None for picture in pictures) else 3
     images = []
     for picture in pictures:
@@ -165,18 +177,19 @@ def _unwrapped(
     positions: NDArray[np.float64],
     faces: NDArray[np.int32],
     space_of: NDArray[np.int32] | None,
-    side: int,
+    texels: float,
     wanted: BakeSettings,
     progress: Progress,
-) -> Any:
+) -> Unwrapped:
     return unwrap(
         positions,
         faces,
-        side,
+        wanted.size,
         wanted.padding,
         document.name,
         space_of=space_of,
         most_faces=wanted.max_unwrap_faces,
+        texels=texels,
         progress=None if progress is None else lambda done, total: progress("unwrapping", done, total),
     )
 
@@ -206,10 +219,15 @@ def _kept_uv(
 def _vertex_values(contents: MeshContents) -> NDArray[np.float32]:
     colours = contents.colours
     colours = np.repeat(colours, 3, axis=1) if colours.shape[1] == 1 else colours
-    return colours if contents.alpha is None else np.column_stack([colours, contents.alpha])
+    if contents.alpha is None or (contents.alpha >= 1).all():
+        return colours
+    return np.column_stack([colours, contents.alpha])
 
 
 def _depth(contents: MeshContents) -> type[np.uint8] | type[np.uint16]:
+    """Return the type of the texture: that of the colours, or what holds them where they are text or linear light."""
+    if contents.encoding == "srgb" and contents.stored in ("uint8", "uint16"):
+        return np.uint8 if contents.stored == "uint8" else np.uint16
     levels = 255 * _as_srgb(_vertex_values(contents).astype(np.float64), contents.encoding)
     return np.uint8 if np.abs(levels - np.rint(levels)).max(initial=0) < _ON_A_LEVEL else np.uint16
 

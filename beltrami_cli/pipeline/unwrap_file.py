@@ -1,8 +1,8 @@
-"""Smooth the colours of a file in a new texture: unwrap, bake, smooth, write."""
+"""Smooth the colours of a file and write them in a new texture: unwrap, bake, write."""
 
 from __future__ import annotations
 
-import dataclasses
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,6 +13,7 @@ from beltrami_cli.pipeline.new_texture import texture_from_textures, texture_fro
 from beltrami_cli.pipeline.output import Output
 from beltrami_cli.pipeline.report import SmoothReport, make_report
 from beltrami_cli.pipeline.smooth_textures import smooth_slot
+from beltrami_cli.pipeline.smooth_vertices import require_surface, smooth_painted
 from beltrami_cli.pipeline.stopwatch import Stopwatch
 from beltrami_cli.pipeline.work import choose_format
 
@@ -20,9 +21,25 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from beltrami_cli.formats.document import Document
+    from beltrami_cli.mesh.textured import ImageFile
     from beltrami_cli.pipeline.bake_settings import BakeSettings
     from beltrami_cli.pipeline.new_texture import NewTexture
     from beltrami_cli.pipeline.settings import SmoothSettings
+    from beltrami_cli.pipeline.smooth_textures import SlotReport
+    from beltrami_cli.pipeline.smooth_vertices import SmoothResult
+
+    Progress = Callable[[str, int, int], None] | None
+
+
+@dataclass(frozen=True)
+class _Done:
+    """A new texture, its smoothed image, what to tell the user, and reports of what was smoothed."""
+
+    made: NewTexture
+    image: ImageFile
+    notices: list[str]
+    vertices: SmoothResult | None = None
+    slots: list[SlotReport] = field(default_factory=list)
 
 
 def smooth_unwrapped(
@@ -34,7 +51,7 @@ def smooth_unwrapped(
     format: str | None = None,  # noqa: A002 -- the name of the option
     overwrite: bool = False,
     dry_run: bool = False,
-    progress: Callable[[str, int, int], None] | None = None,
+    progress: Progress = None,
 ) -> SmoothReport:
     """Smooth the base colour, or else the vertex colours, in a new texture, and write a new file with that.
 
@@ -64,27 +81,19 @@ def smooth_unwrapped(
         if output is not None:
             suffix = settings.textures.image_suffix or ".png"
             output.check_sidecars(names_beside(target_format, stem, suffix))
-    with watch.stage("unwrap"):
-        made = _new_texture(document, settings, wanted, progress)
-    image, slots, notices = made.encoded(), [], list(made.notices)
-    with watch.stage("smooth"):
-        if settings.kernel.iterations > 0:
-            label = "the new texture"
-            result = smooth_slot(
-                made.surface(),
-                "baseColor",
-                settings,
-                None if progress is None else lambda done, total: progress(label, done, total),
-            )
-            (image,), slots = result.images.values(), [result.report]
-            notices += result.notices
+    if _is_textured(document, settings):
+        done = _smooth_in_texture(document, settings, wanted, watch, progress)
+    else:
+        done = _smooth_on_vertices(document, settings, wanted, watch, progress)
     with watch.stage("write"):
-        written = write_textured(made.mesh(image), target_format, stem)
+        written = write_textured(done.made.mesh(done.image), target_format, stem)
         if output is not None:
             output.write(written)
     files = [] if output is None else [target, *written.sidecars]
-    warnings = [*document.notices, *notices, *written.notices]
-    return make_report(source, target, target_format, document, settings, None, slots, watch, files, warnings)
+    warnings = [*document.notices, *done.notices, *written.notices]
+    return make_report(
+        source, target, target_format, document, settings, done.vertices, done.slots, watch, files, warnings
+    )
 
 
 def _check(settings: SmoothSettings) -> None:
@@ -98,17 +107,45 @@ def _check(settings: SmoothSettings) -> None:
         )
 
 
-def _new_texture(
-    document: Document,
-    settings: SmoothSettings,
-    wanted: BakeSettings,
-    progress: Callable[[str, int, int], None] | None,
-) -> NewTexture:
-    textured = settings.on != "vertices" and (settings.on == "texture" or "baseColor" in document.slots())
-    if not textured:
-        return texture_from_vertices(document, wanted, progress)
-    made = texture_from_textures(document, wanted, progress)
-    if not document.has_vertex_colours():
-        return made
-    dropped = "Its vertex colours are not in the new file; --on vertices takes them rather than the texture."
-    return dataclasses.replace(made, notices=(*made.notices, dropped))
+def _is_textured(document: Document, settings: SmoothSettings) -> bool:
+    return settings.on != "vertices" and (settings.on == "texture" or "baseColor" in document.slots())
+
+
+def _smooth_in_texture(
+    document: Document, settings: SmoothSettings, wanted: BakeSettings, watch: Stopwatch, progress: Progress
+) -> _Done:
+    with watch.stage("unwrap"):
+        made = texture_from_textures(document, wanted, progress)
+    notices = list(made.notices)
+    if document.has_vertex_colours():
+        notices.append("Vertex colours are not in the new file; --on vertices takes them, not the texture.")
+    if settings.kernel.iterations == 0:
+        return _Done(made, made.encoded(), notices)
+    with watch.stage("smooth"):
+        result = smooth_slot(made.surface(), "baseColor", settings, _labelled(progress, "the new texture"))
+    (image,) = result.images.values()
+    return _Done(made, image, [*notices, *result.notices], slots=[result.report])
+
+
+def _smooth_on_vertices(
+    document: Document, settings: SmoothSettings, wanted: BakeSettings, watch: Stopwatch, progress: Progress
+) -> _Done:
+    """Smooth the vertex colours, then make the texture.
+
+    In a texture their noise would be spread over several texels each, where it looks like a pattern and stays.
+    """
+    painted, smoothed = document.painted(), None
+    require_surface(painted, document.name)
+    if settings.kernel.iterations > 0:
+        with watch.stage("smooth"):
+            smoothed = smooth_painted(painted, settings, _labelled(progress, "vertex colours"))
+    with watch.stage("unwrap"):
+        colours = None if smoothed is None else smoothed.colours
+        made = texture_from_vertices(document, wanted, progress, colours)
+    textures = settings.textures
+    image = made.encoded(textures.image_suffix, textures.jpeg_quality, small=textures.small)
+    return _Done(made, image, list(made.notices), vertices=smoothed)
+
+
+def _labelled(progress: Progress, label: str) -> Callable[[int, int], None] | None:
+    return None if progress is None else lambda done, total: progress(label, done, total)

@@ -17,12 +17,7 @@ if TYPE_CHECKING:
 
     Shade = Callable[[NDArray[np.int64], NDArray[np.float64]], NDArray[Any]]
 
-SMALLEST, LARGEST = 256, 8192
-_COVERAGE = 0.55  # of a texture, by charts that xatlas packs
 _FAR = 1.0  # texels beyond a border that bilinear lookups on it touch
-_SIDES = sorted(
-    side * 2**k for k in range(8, 14) for side in (1.0, 0.75) if SMALLEST <= side * 2**k <= LARGEST
-)
 
 
 def bake(
@@ -115,16 +110,9 @@ def overlap(uv: NDArray[np.float64], size: tuple[int, int]) -> float:
     return float((hits > 1).sum() / max(1, (hits > 0).sum()))
 
 
-def side_for_vertices(positions: NDArray[np.float64], faces: NDArray[np.int32]) -> int:
-    """Choose the side of a texture so that a texel is about half as long as an edge."""
+def texels_for_vertices(positions: NDArray[np.float64], faces: NDArray[np.int32]) -> float:
+    """Return how many texels cover a mesh if each is half as long as an edge."""
     unit = positions / max(float(np.abs(positions).max(initial=0)), np.finfo(float).tiny)
     edges = np.linalg.norm(unit[faces] - unit[np.roll(faces, -1, axis=1)], axis=2)
     mean = float(edges.mean()) if edges.size else 0.0
-    texels = 4 * float(triangle_areas(unit, faces).sum()) / mean**2 if mean > 0 else 0.0
-    return side_for_texels(texels)
-
-
-def side_for_texels(texels: float) -> int:
-    """Choose the side of a texture on which charts have this many texels: powers of two, or three quarters of one."""
-    needed = np.sqrt(texels / _COVERAGE)
-    return int(next((side for side in _SIDES if side >= needed), LARGEST))
+    return 4 * float(triangle_areas(unit, faces).sum()) / mean**2 if mean > 0 else 0.0

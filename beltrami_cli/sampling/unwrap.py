@@ -13,7 +13,7 @@ import sys
 import tempfile
 import time
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+_SIDES = [*sorted(part * 2**k for k in range(7, 12) for part in (2, 3)), 8192]
 _WORKER = "beltrami_cli.sampling.unwrap_worker"
 _POLL = 0.1  # seconds between looks at whether it is done or the user wants to stop
 # Measured: 16 thousand triangles take 7 s, 82 thousand 109 s.
@@ -58,11 +59,12 @@ class Unwrapped:
 def unwrap(
     positions: NDArray[np.float64],
     faces: NDArray[np.int32],
-    size: int,
+    size: int | None,
     padding: int,
     name: str,
     *,
     most_faces: int,
+    texels: float = 0.0,
     space_of: NDArray[np.int32] | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Unwrapped:
@@ -74,14 +76,17 @@ def unwrap(
         Vertices at exactly one place (and in one space) are one.
     faces : ndarray of int32, shape (F, 3)
         Triangles. Equal ones each get a place of their own, since their colours may differ.
-    size : int
-        Longest side of the texture, in texels.
+    size : int or None
+        Longest side of the texture, in texels. None: chosen for `texels` among powers of two and three quarters of
+        them, from 256 to 8192.
     padding : int
         Texels between charts, and around all of them.
     name : str
         Of the mesh, for messages.
     most_faces : int
         Refuse larger meshes.
+    texels : float
+        How many the charts should cover.
     space_of : ndarray of int32, shape (V,), or None
         As in `PaintedVertices`.
     progress : callable, optional
@@ -116,7 +121,15 @@ def unwrap(
     place_of, first = group_equal_rows(*positions[used].T, *([] if space_of is None else [space_of[used]]))
     # Edges of about one unit are what xatlas' fixed tolerances suit.
     scaled = (np.sqrt(len(whole)) * unit[first]).astype(np.float32)
-    corners, charts = _ask_worker(scaled, place_of[rows[whole]], size - 2 * padding, padding, progress)
+    sizes = [side - 2 * padding for side in (_SIDES if size is None else [size])]
+    job = {
+        "positions": scaled,
+        "faces": place_of[rows[whole]].astype(np.uint32),
+        "sizes": sizes,
+        "texels": texels,
+    }
+    corners, inner, charts = _ask_worker(job, padding, progress)
+    size = inner + 2 * padding
     largest = corners.reshape(-1, 2).max(axis=0)
     if not np.isfinite(corners).all():
         raise ProcessingError(f"{name}: no texture coordinates can be found for it; repair the mesh first")
@@ -176,13 +189,10 @@ def _seconds(faces: int) -> float:
 
 
 def _ask_worker(
-    positions: NDArray[np.float32],
-    faces: NDArray[np.int32],
-    size: int,
-    padding: int,
-    progress: Callable[[int, int], None] | None,
-) -> tuple[NDArray[np.float64], int]:
-    expected = _seconds(len(faces))
+    arrays: dict[str, Any], padding: int, progress: Callable[[int, int], None] | None
+) -> tuple[NDArray[np.float64], int, int]:
+    """Return places of corners in texels, the side that was chosen (without the margin), and the number of charts."""
+    expected = _seconds(len(arrays["faces"]))
     patience = max(_LEAST_PATIENCE, _PATIENCE * expected)
     # Files without a name, which are gone with the last process that has them open; pipes would fill up and stall.
     with (
@@ -190,12 +200,7 @@ def _ask_worker(
         tempfile.TemporaryFile() as answer,
         tempfile.TemporaryFile() as said,
     ):
-        np.savez(
-            job,
-            positions=positions,
-            faces=faces.astype(np.uint32),
-            numbers=[size, padding, int(patience) + 10],
-        )
+        np.savez(job, numbers=[padding, int(patience) + 10], **arrays)
         job.seek(0)
         # Without -P a file in the folder where the user happens to be could stand in for a module. In a session of
         # its own the process does not see Ctrl-C, which is for this one.
@@ -218,7 +223,7 @@ def _ask_worker(
             cause = reason[-1] if reason else f"it ended with code {worker.returncode}"
             raise ProcessingError(f"xatlas could not unwrap the mesh ({cause}); repair or simplify it")
         with np.load(answer, allow_pickle=False) as made:
-            return made["corners"], int(made["charts"])
+            return made["corners"], int(made["size"]), int(made["charts"])
 
 
 def _wait(

@@ -28,17 +28,18 @@ def main() -> None:
     os.dup2(2, 1)
     with np.load(sys.stdin.buffer, allow_pickle=False) as job:
         positions, faces = job["positions"], job["faces"]
-        size, padding, seconds = job["numbers"].tolist()
+        sizes, texels = job["sizes"].tolist(), float(job["texels"])
+        padding, seconds = job["numbers"].tolist()
     if hasattr(signal, "alarm"):  # so that it ends even where the process that waits for it was killed
         signal.alarm(seconds)
-    corners, charts = unwrapped(positions, faces, size, padding)
+    corners, size, charts = unwrapped(positions, faces, sizes, texels, padding)
     with out:
-        np.savez(out, corners=corners, charts=charts)
+        np.savez(out, corners=corners, size=size, charts=charts)
 
 
 def unwrapped(
-    positions: NDArray[np.float32], faces: NDArray[np.uint32], size: int, padding: int
-) -> tuple[NDArray[np.float64], int]:
+    positions: NDArray[np.float32], faces: NDArray[np.uint32], sizes: list[int], wanted: float, padding: int
+) -> tuple[NDArray[np.float64], int, int]:
     """Cut a mesh into charts and pack them.
 
     Parameters
@@ -47,40 +48,61 @@ def unwrapped(
         Finite, of moderate size.
     faces : ndarray of uint32, shape (F, 3)
         Each with an area.
-    size, padding : int
-        Longest side that the packed charts may have, and texels between them.
+    sizes : list of int
+        Longest sides that the packed charts may have, ascending: the first is taken on which they have as many texels
+        as wanted, or the last.
+    wanted : float
+        Texels that the charts should cover.
+    padding : int
+        Texels between charts.
 
     Returns
     -------
     corners : ndarray of float64, shape (F, 3, 2)
         Place of each corner, in texels from the upper left corner of the packed charts. If they do not fit even when
-        they are tiny, it reaches beyond `size`.
-    charts : int
-        How many.
+        they are tiny, it reaches beyond the size.
+    size, charts : int
+        Which size was taken, and how many charts there are.
     """
     import xatlas
 
     atlas = xatlas.Atlas()
     atlas.add_mesh(positions, faces)
-    atlas.generate(xatlas.ChartOptions(), _packing(xatlas, padding, resolution=max(8, int(_COVERAGE * size))))
+    atlas.generate(
+        xatlas.ChartOptions(), _packing(xatlas, padding, resolution=max(8, int(_COVERAGE * sizes[0])))
+    )
     charts = int(atlas.chart_count)
     texels, corners = _packed(atlas)
-    islands = texels.astype(np.float32), corners
-    scale, best = 1.0, None
+    flat = texels.astype(np.float32), corners
+
+    def packed(scale: float) -> tuple[NDArray[np.float64], float]:
+        again = xatlas.Atlas()
+        again.add_uv_mesh(*flat)
+        again.generate(xatlas.ChartOptions(), _packing(xatlas, padding, texels_per_unit=scale))
+        places, theirs = _packed(again)
+        return places[theirs], max(1.0, float(places.max()))
+
+    scale, size = 1.0, sizes[-1]
+    if len(sizes) > 1:
+        scale = float(np.sqrt(max(wanted, 1.0) / max(_area(texels[corners]), 1.0)))
+        side = packed(scale)[1]
+        size = next((size for size in sizes if size >= side), size)
+    best: tuple[NDArray[np.float64], float] | None = None
+    tried = packed(scale)
     for _ in range(_TRIES):
-        side = max(1.0, float(texels.max()))
-        fits = side <= size
-        if fits and (best is None or side > float(best.max())):
-            best = texels[corners]
-        if fits and side >= _ENOUGH * size:
+        if tried[1] <= size and (best is None or tried[1] > best[1]):
+            best = tried
+        if _ENOUGH * size <= tried[1] <= size:
             break
         # Packing is not monotonic: aim a little lower than what would fit exactly.
-        scale *= 0.98 * size / side
-        atlas = xatlas.Atlas()
-        atlas.add_uv_mesh(*islands)
-        atlas.generate(xatlas.ChartOptions(), _packing(xatlas, padding, texels_per_unit=scale))
-        texels, corners = _packed(atlas)
-    return (texels[corners] if best is None else best), charts
+        scale *= 0.98 * size / tried[1]
+        tried = packed(scale)
+    return (best or tried)[0], size, charts
+
+
+def _area(corners: NDArray[np.float64]) -> float:
+    one, two = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    return float(np.abs(one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0]).sum() / 2)
 
 
 def _packing(xatlas: Any, padding: int, *, resolution: int = 0, texels_per_unit: float = 0.0) -> Any:

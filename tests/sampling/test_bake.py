@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from beltrami_cli.sampling.bake import bake, interpolated, overlap, side_for_texels, side_for_vertices
+from beltrami_cli.sampling.bake import bake, interpolated, overlap, texels_for_vertices
 from beltrami_cli.sampling.cover import border_faces, cover
 from beltrami_cli.sampling.lookup import look_up, noise_around
 from beltrami_cli.sampling.unwrap import unwrap
@@ -178,11 +178,8 @@ def test_noise_is_found_and_planes_have_none():
     assert noise_around(noisy, uv, CLAMP).std() == pytest.approx(0.05, rel=0.1)
 
 
-def test_the_chosen_size_makes_texels_half_as_long_as_edges():
-    positions, faces = surfaces.plane(201, 201)
-    assert (
-        side_for_vertices(positions, faces) == 512
-    )  # 80000 of edges 1, 1 and 1.41: 110 thousand texels, half empty
-    assert side_for_vertices(1e300 * positions, faces) == 512
-    assert side_for_texels(0) == 256
-    assert side_for_texels(1e12) == 8192
+def test_texels_half_as_long_as_edges_are_asked_for_in_any_unit():
+    positions, faces = surfaces.lattice(60, 60)  # triangles of side 1
+    expected = 4 * len(faces) * 3**0.5 / 4
+    for unit in (1, 1e300, 1e-300):
+        assert texels_for_vertices(unit * positions, faces) == pytest.approx(expected)

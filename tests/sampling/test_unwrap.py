@@ -101,6 +101,16 @@ def test_charts_fill_the_texture_and_hardly_stretch():
     assert density.max() < 4 * density.min()
 
 
+@pytest.mark.parametrize(("texels", "size"), [(0, 256), (20_000, 256), (60_000, 384), (400_000, 1024)])
+def test_the_smallest_size_with_as_many_texels_as_wanted_is_chosen(texels, size):
+    positions, faces = surfaces.icosphere(2)
+    made = unwrapped(positions, faces, None, texels=texels)
+    assert max(made.size) == size
+    corners = made.uv * made.size
+    one, two = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    assert np.abs(one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0]).sum() / 2 > 0.9 * texels
+
+
 def test_the_same_mesh_gives_the_same_atlas_in_any_unit_and_place():
     positions, faces = surfaces.icosphere(2)
     one = unwrapped(positions, faces)
