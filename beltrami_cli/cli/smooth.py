@@ -118,10 +118,9 @@ def _tell(messages: Messages, report: SmoothReport, *, dry_run: bool) -> None:
         textures = f"{len(slot.textures)} {slot.slot} texture{'s' if len(slot.textures) > 1 else ''}"
         what = f"{textures}, {slot.counts['covered']} texels in {slot.counts['charts']} charts"
         messages.say(name + _summary(what, slot.noise, slot.beta, slot.samples_per_kernel, slot.change))
-        if slot.jumps:
-            messages.detail(
-                f"{slot.jumps} of {slot.seams} seams are real colour edges and were not smoothed over"
-            )
+        if slot.counts["jumps"]:
+            jumps = f"{slot.counts['jumps']} of {slot.counts['seams']} seams"
+            messages.detail(f"{jumps} are real colour edges and were not smoothed over")
 
 
 def _summary(

@@ -38,7 +38,8 @@ FILTERS = {
 CONTRASTS = (1.05, 1.4, 2.1, 2.8)  # beta times the noise
 GUIDED = (0, 1, 2, 3, 4)  # iterations with the regularised metric
 PLAIN = (0, 1, 2, 3, 4, 6)  # and without, after them
-START = (1.4, 2, 2)
+STEPS = (1.2, 2.4, 4.0)  # time step: what the bilateral filter's spatial sigma is to it
+START = (2.1, 2, 2, 2.4)
 
 
 def main():
@@ -57,9 +58,9 @@ def main():
         options.json.write_text(json.dumps([asdict(row) for row in rows], indent=1) + "\n")
 
 
-def smooth(source, target, iterations, contrast, guided):
+def smooth(source, target, iterations, contrast, guided, step):
     """Smooth a model in this process with one thread."""
-    beltrami_cli.smooth_file(source, target, smoothing(iterations, contrast, guided), overwrite=True)
+    beltrami_cli.smooth_file(source, target, smoothing(iterations, contrast, guided, step), overwrite=True)
 
 
 def quality_rows(quick):
@@ -95,7 +96,7 @@ def image_rows(scene, number, best, settings, torn):
             continue
         rows.append(Row(f"{where}: {name}", decibels(reached)))
         beside[name] = np.subtract(best, reached)
-    told = "c {}, {} regularised and {} plain iterations".format(*settings)
+    told = "c {}, {} regularised and {} plain iterations, t {}".format(*settings)
     rows.append(Row(f"{where}: beltrami, {told}", decibels(best)))
     if np.isfinite(torn[1]):
         halo = best[1] - torn[1]
@@ -149,9 +150,9 @@ def tuned(scene):
 
         def scores(settings, source=whole):
             if (settings, source) not in known:
-                contrast, guided, plain = settings
+                contrast, guided, plain, step = settings
                 if guided + plain:
-                    smooth(source, target, guided + plain, contrast, guided)
+                    smooth(source, target, guided + plain, contrast, guided, step)
                 found = texture_files.read_images(target if guided + plain else source)
                 known[settings, source] = [scorer(scene, k)(image) for k, image in enumerate(found)]
             return known[settings, source]
@@ -160,7 +161,7 @@ def tuned(scene):
             best, before = START, None
             while best != before:
                 before = best
-                for axis, choices in ((1, GUIDED), (2, PLAIN), (0, CONTRASTS)):
+                for axis, choices in ((3, STEPS), (1, GUIDED), (2, PLAIN), (0, CONTRASTS)):
                     tried = [(*best[:axis], choice, *best[axis + 1 :]) for choice in choices]
                     best = max(tried, key=lambda settings: scores(settings)[number][0])
             yield scores(best)[number], best, scores(best, torn)[number]

@@ -27,9 +27,9 @@ STEP = 2.4
 SCALE = 0.5**0.5  # of the binomial filter 1 2 1
 
 
-def smoothing(iterations, contrast, guided):
+def smoothing(iterations, contrast, guided, step=STEP):
     """Return the settings of so many iterations, the first `guided` of them with the regularised metric."""
-    settings = {"iterations": iterations, "t": STEP, "beta": contrast / SIGMA, "window": 7, "threads": 1}
+    settings = {"iterations": iterations, "t": step, "beta": contrast / SIGMA, "window": 7, "threads": 1}
     scale = SCALE if guided else 0.0
     kernel = beltrami_cli.KernelParameters(metric_scale=scale, metric_steps=guided, **settings)
     return beltrami_cli.SmoothSettings(kernel=kernel)
