@@ -26,13 +26,16 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-_SIDES = [*sorted(part * 2**k for k in range(7, 12) for part in (2, 3)), 8192]
+_SIDES = [
+    *(part * 2**k for k in range(6, 11) for part in (4, 5, 6, 7)),
+    8192,
+]  # 256, 320, 384, 448, 512, 640 ...
 _WORKER = "beltrami_cli.sampling.unwrap_worker"
 _POLL = 0.1  # seconds between looks at whether it is done or the user wants to stop
 # Measured: 16 thousand triangles take 7 s, 82 thousand 109 s.
 _SECONDS, _FACES, _GROWTH = 160.0, 100_000, 1.7
 _PATIENCE = 10  # times as long as expected; beyond that it hangs
-_LEAST_PATIENCE = 60.0
+_LEAST_PATIENCE = 120.0
 _FLAT = 1e-6  # of the squared longest edge: what counts as a triangle without area, for single precision
 
 
@@ -77,8 +80,7 @@ def unwrap(
     faces : ndarray of int32, shape (F, 3)
         Triangles. Equal ones each get a place of their own, since their colours may differ.
     size : int or None
-        Longest side of the texture, in texels. None: chosen for `texels` among powers of two and three quarters of
-        them, from 256 to 8192.
+        Longest side of the texture, in texels. None: from 256 to 8192, as `texels` need.
     padding : int
         Texels between charts, and around all of them.
     name : str
@@ -86,7 +88,7 @@ def unwrap(
     most_faces : int
         Refuse larger meshes.
     texels : float
-        How many the charts should cover.
+        How many the charts should cover, if no size is given.
     space_of : ndarray of int32, shape (V,), or None
         As in `PaintedVertices`.
     progress : callable, optional

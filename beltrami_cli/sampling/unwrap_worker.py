@@ -49,10 +49,10 @@ def unwrapped(
     faces : ndarray of uint32, shape (F, 3)
         Each with an area.
     sizes : list of int
-        Longest sides that the packed charts may have, ascending: the first is taken on which they have as many texels
-        as wanted, or the last.
+        Longest sides that the packed charts may have, ascending. One alone is filled; of several the first is taken
+        that has room for as many texels as wanted, or else the last is filled.
     wanted : float
-        Texels that the charts should cover.
+        Texels that the charts should cover, if there are several sizes.
     padding : int
         Texels between charts.
 
@@ -84,9 +84,11 @@ def unwrapped(
 
     scale, size = 1.0, sizes[-1]
     if len(sizes) > 1:
-        scale = float(np.sqrt(max(wanted, 1.0) / max(_area(texels[corners]), 1.0)))
-        side = packed(scale)[1]
-        size = next((size for size in sizes if size >= side), size)
+        possible = min(max(wanted, 1.0), float(size) ** 2)
+        scale = float(np.sqrt(possible / max(_area(texels[corners]), 1.0)))
+        places, side = packed(scale)
+        if side <= size:
+            return places, next(size for size in sizes if size >= side), charts
     best: tuple[NDArray[np.float64], float] | None = None
     tried = packed(scale)
     for _ in range(_TRIES):

@@ -13,6 +13,7 @@ import pytest
 from beltrami_cli.errors import InputError, ProcessingError
 from beltrami_cli.mesh.areas import triangle_areas
 from beltrami_cli.sampling import unwrap as unwrapping
+from beltrami_cli.sampling import unwrap_worker
 from beltrami_cli.sampling.unwrap import unwrap
 from oracles import surfaces
 
@@ -101,14 +102,25 @@ def test_charts_fill_the_texture_and_hardly_stretch():
     assert density.max() < 4 * density.min()
 
 
-@pytest.mark.parametrize(("texels", "size"), [(0, 256), (20_000, 256), (60_000, 384), (400_000, 1024)])
-def test_the_smallest_size_with_as_many_texels_as_wanted_is_chosen(texels, size):
+@pytest.mark.parametrize("texels", [10_000, 40_000, 70_000, 400_000])
+def test_charts_have_as_many_texels_as_wanted_on_no_larger_a_texture_than_they_need(texels):
     positions, faces = surfaces.icosphere(2)
     made = unwrapped(positions, faces, None, texels=texels)
-    assert max(made.size) == size
     corners = made.uv * made.size
     one, two = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    assert np.abs(one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0]).sum() / 2 > 0.9 * texels
+    assert np.abs(one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0]).sum() / 2 == pytest.approx(texels, rel=0.05)
+    side = max(made.size)
+    assert side == 256 or corners.max() > 0.75 * side
+
+
+def test_more_texels_than_there_is_room_for_fill_the_largest_size():
+    positions, faces = surfaces.icosphere(1)
+    corners, size, charts = unwrap_worker.unwrapped(
+        positions.astype(np.float32), faces.astype(np.uint32), [64, 128], 1e12, 2
+    )
+    assert size == 128
+    assert charts > 1
+    assert 0.8 * 128 < corners.max() <= 128
 
 
 def test_the_same_mesh_gives_the_same_atlas_in_any_unit_and_place():
