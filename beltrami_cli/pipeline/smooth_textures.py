@@ -45,7 +45,8 @@ class SlotReport:
     textures : list of dict
         For each texture its name, size, type, and how many of its texels the surface covers.
     counts : dict of str to int
-        Charts, seams, jumps, covered and overlapped texels of all textures together; jumps are seams whose two sides really differ, which nothing was smoothed over.
+        Charts, seams, jumps, covered and overlapped texels of all textures together; jumps are seams whose two
+        sides really differ, which nothing was smoothed over.
     pitch : float
         Mean distance of neighbouring texels on the surface, in the model's own unit of length.
     beta : float
