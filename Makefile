@@ -38,7 +38,7 @@ demo: $(VENV)/.installed-samples
 	@echo "Texture:        demo/head-tex-smooth.glb, before and after in demo/before-after-texture.png"
 
 test: $(VENV)/.installed-test
-	$(BIN)/python -m pytest
+	$(BIN)/pytest
 
 lint: $(VENV)/.installed-test
 	$(BIN)/ruff check .

@@ -7,7 +7,8 @@ import sys
 from pathlib import Path
 
 SAMPLES = Path(__file__).parents[2] / "sample_data"
-COMMAND = [sys.executable, "-m", "beltrami_cli"]
+# -P: the installed package is run, not the sources in the working directory.
+COMMAND = [sys.executable, "-P", "-m", "beltrami_cli"]
 
 
 def beltrami(*arguments, stdin=b"", cwd=None):

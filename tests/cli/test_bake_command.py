@@ -271,6 +271,6 @@ def test_help_loads_nothing_heavy():
         "import sys; from beltrami_cli.cli.main import group; group.main(['bake', '--help'], standalone_mode=False);"
         "sys.exit(any(name in sys.modules for name in ('numpy', 'OpenImageIO', 'xatlas', 'scipy', 'rich')))"
     )
-    run = subprocess.run([sys.executable, "-c", code], capture_output=True, check=False, timeout=60)
+    run = subprocess.run([sys.executable, "-P", "-c", code], capture_output=True, check=False, timeout=60)
     assert run.returncode == 0
     assert b"Examples:" in run.stdout

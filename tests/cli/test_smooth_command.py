@@ -275,7 +275,7 @@ def test_help_starts_with_click_alone():
         "import sys; from beltrami_cli.cli.main import group; group.main(['--help'], standalone_mode=False)"
     )
     check = f"{heavy}; assert not {{'numpy', 'rich', 'beltrami_cli._native'}} & set(sys.modules), sys.modules"
-    run = subprocess.run([sys.executable, "-c", check], capture_output=True, check=False)
+    run = subprocess.run([sys.executable, "-P", "-c", check], capture_output=True, check=False)
     assert run.returncode == 0, run.stderr
     for command in ("smooth", "info"):
         assert b"Examples:" in beltrami(command, "--help").stdout

@@ -240,4 +240,4 @@ def test_xatlas_is_loaded_by_the_other_process_only():
         "unwrap(numpy.eye(3), numpy.array([[0, 1, 2]]), 64, 2, 'mesh', most_faces=9)\n"
         "sys.exit('xatlas' in sys.modules)"
     )
-    assert subprocess.run([sys.executable, "-c", code], check=False, timeout=60).returncode == 0
+    assert subprocess.run([sys.executable, "-P", "-c", code], check=False, timeout=60).returncode == 0
