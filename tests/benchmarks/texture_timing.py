@@ -98,6 +98,7 @@ def memory_rows():
             texture_files.write_glb(source, scene, scene.noisy)
             command = [
                 sys.executable,
+                "-P",
                 "-m",
                 "beltrami_cli",
                 "smooth",
