@@ -40,7 +40,9 @@ class MeshGuide:
         self._edges, self._count = edges, count
         self._weights = np.exp(-(lengths**2) / (2 * scale**2)).astype(np.float32)
         self._total = 1 + self._gather(self._weights)
-        self.gain = float(np.mean(np.sqrt(1 + self._gather(self._weights**2)) / self._total))
+        gains = np.sqrt(1 + self._gather(self._weights**2)) / self._total
+        joined = self._total > 1  # vertices without neighbours keep their noise, and do not count
+        self.gain = float(gains[joined].mean()) if joined.any() else 1.0
 
     def smooth(self, colours: NDArray[np.float32]) -> NDArray[np.float32]:
         """Smooth colours of shape (count, N)."""

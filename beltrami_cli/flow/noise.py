@@ -109,5 +109,7 @@ def choose_beta(sigma: NDArray[np.float64]) -> float:
     float
         Sample spacings per unit of colour. Without noise it is large, so that colours stay as they are.
     """
-    overall = float(np.sqrt(np.mean(np.square(sigma)))) if len(sigma) else 0.0
+    # A channel without noise, such as constant alpha, says nothing of how far noise carries in the others.
+    noisy = sigma[sigma > 0.1 * sigma.max()] if len(sigma) else sigma
+    overall = float(np.sqrt(np.mean(np.square(noisy)))) if len(noisy) else 0.0
     return _BETA_SIGMA / max(overall, float(_QUANTISATION))

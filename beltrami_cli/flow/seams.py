@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 # A jump counts if it is this many standard errors of the mean over the seam ...
 _ERRORS = 4.0
 # ... and this much of the noise: below, averaging over the seam still wins more (noise) than it loses (bias) ...
-_OF_NOISE = 0.6
+_OF_NOISE = 0.3
 # ... and more than JPEG blocks and rounding leave between two charts of one continuous painting.
 _LEAST = 4 / 255
 # Where a pattern runs into the seam the jump changes its sign; then the typical step tells, against that beside it.

@@ -29,6 +29,8 @@ class Texture:
         Names of the materials that use it.
     wrap : tuple of two of {"repeat", "mirror", "clamp"}
         What lies beyond 0 and 1, along u and along v.
+    alpha_hides : bool
+        Whether texels of opacity 0 cannot be seen; in opaque materials of glTF alpha means nothing.
     """
 
     key: str
@@ -36,6 +38,7 @@ class Texture:
     data: bytes
     materials: tuple[str, ...] = ()
     wrap: tuple[Wrap, Wrap] = ("repeat", "repeat")
+    alpha_hides: bool = True
 
 
 @dataclass(frozen=True)

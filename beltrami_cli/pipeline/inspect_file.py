@@ -6,14 +6,20 @@ import dataclasses
 import os
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from beltrami_cli.formats.source import open_document
 from beltrami_cli.pipeline.settings import DEFAULTS, SmoothSettings
 from beltrami_cli.pipeline.work import choose_work
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from beltrami_cli.formats.document import Document
     from beltrami_cli.mesh.painted import PaintedVertices
+    from beltrami_cli.mesh.surface import SampledSurface
     from beltrami_cli.mesh.textured import Slot
+    from beltrami_cli.sampling.vertices import VertexSampling
 
 # Enough for a mean within a few per cent, and a matter of milliseconds.
 _PROBED_KERNELS = 1000
@@ -75,7 +81,9 @@ def _describe_vertices(document: Document, settings: SmoothSettings) -> dict[str
             "samples": len(surface.colours),
             "coincident_vertices": len(painted.positions) - sampling.places,
             "hard_edge_samples": len(surface.colours) - sampling.places,
-            **dataclasses.asdict(count_topology(surface.positions, surface.faces)),
+            **dataclasses.asdict(
+                count_topology(_place_positions(surface, sampling), sampling.place_of[surface.faces])
+            ),
             "mean_edge_length": flow.mean_edge_length,
             "bounds": _bounds(painted),
         },
@@ -83,6 +91,13 @@ def _describe_vertices(document: Document, settings: SmoothSettings) -> dict[str
         "smooth": _describe_kernel(settings, flow.beta)
         | {"samples_per_kernel": round(flow.probe_samples(_PROBED_KERNELS), 1)},
     }
+
+
+def _place_positions(surface: SampledSurface, sampling: VertexSampling) -> NDArray[np.float64]:
+    """Return the position of each place: a hard colour edge is no boundary of the surface."""
+    positions = np.empty((sampling.places, surface.positions.shape[1]))
+    positions[sampling.place_of] = surface.positions
+    return positions
 
 
 def _describe_slot(document: Document, slot: Slot, settings: SmoothSettings) -> dict[str, object]:

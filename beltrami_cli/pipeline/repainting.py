@@ -88,8 +88,17 @@ def repaint(
     if gutter is not None:
         known = np.zeros_like(covered)
         beside, gutter_texels = smoothed.of_texture(smoothed.gutter_texels, index)
+        near = _within(covered, gutter).reshape(-1)[gutter_texels]
+        beside[beside], gutter_texels = near, gutter_texels[near]
         colours.write(new, index, gutter_texels, smoothed.gutter_colours[beside])
         known.reshape(-1)[gutter_texels] = True
         columns = colours.columns(index)
         new[..., columns] = fill_gutter(new[..., columns], covered, None, gutter, known)
     return from_float(picture, new, new != old), change
+
+
+def _within(covered: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
+    """Tell which texels lie at most `reach` rows and columns from a covered one."""
+    from scipy.ndimage import maximum_filter
+
+    return np.asarray(maximum_filter(covered, 2 * reach + 1, mode="constant"), bool)

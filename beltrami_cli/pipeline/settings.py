@@ -13,6 +13,7 @@ OUTPUT_FORMATS: dict[str, Format] = {"ply": "ply", "obj": "obj", "glb": "glb", "
 
 Target = Literal["auto", "vertices", "texture", "both"]
 AlphaMode = Literal["keep", "smooth"]
+IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".exr", ".tga", ".bmp", ".hdr")
 SLOTS = ("baseColor", "emissive", "normal", "occlusion", "metallicRoughness")
 
 
@@ -60,6 +61,10 @@ class TextureSettings:
             raise UsageError(f"alpha is {self.alpha}, but must be keep or smooth")
         if self.gutter is not None and self.gutter < 0:
             raise UsageError(f"gutter is {self.gutter}, but must be 0 or more, or keep")
+        if self.image_suffix is not None and self.image_suffix not in IMAGE_SUFFIXES:
+            raise UsageError(
+                f"no image format is known for {self.image_suffix}; choose {', '.join(IMAGE_SUFFIXES)}"
+            )
         if not 1 <= self.jpeg_quality <= 100:
             raise UsageError(f"jpeg_quality is {self.jpeg_quality}, but must be between 1 and 100")
 

@@ -15,7 +15,7 @@ from beltrami_cli.pipeline.report import SmoothReport, make_report
 from beltrami_cli.pipeline.settings import DEFAULTS, SmoothSettings
 from beltrami_cli.pipeline.smooth_vertices import SmoothResult, require_surface, smooth_painted
 from beltrami_cli.pipeline.stopwatch import Stopwatch
-from beltrami_cli.pipeline.work import choose_format, choose_work
+from beltrami_cli.pipeline.work import Work, choose_format, choose_work
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from beltrami_cli.pipeline.bake_settings import BakeSettings
     from beltrami_cli.pipeline.settings import Format
     from beltrami_cli.pipeline.smooth_textures import SlotReport
-    from beltrami_cli.pipeline.work import Work
 
 
 def smooth_file(
@@ -85,11 +84,13 @@ def smooth_file(
         document = open_document(source)
         target_format = choose_format(document, target, format)
         work = choose_work(document, settings)
+        if settings.kernel.iterations == 0:
+            work = Work(vertices=False, slots=())  # the output is the input
         moved = _is_moved(source, target)
         references = list(document.references()) if moved and target_format == document.format else []
         if output is not None:
             output.check_sidecars(
-                _names_beside(document, work, target_format, target, references, moved=moved)
+                _names_beside(document, work, settings, target_format, target, references, moved=moved)
             )
     with watch.stage("smooth"):
         vertices = _smooth_vertices(document, work, settings, progress)
@@ -108,13 +109,23 @@ def smooth_file(
 
 
 def _names_beside(
-    document: Document, work: Work, target_format: Format, target: str, references: list[str], *, moved: bool
+    document: Document,
+    work: Work,
+    settings: SmoothSettings,
+    target_format: Format,
+    target: str,
+    references: list[str],
+    *,
+    moved: bool,
 ) -> set[str]:
     """Find the files that would be written beside the output, by writing the old images anew."""
+    from beltrami_cli.pipeline.smooth_textures import choose_textures
+
+    suffix = settings.textures.image_suffix
     images = {
-        (slot, texture.key): ImageFile(texture.data, Path(texture.name).suffix.lower() or ".png")
+        (slot, texture.key): ImageFile(texture.data, suffix or Path(texture.name).suffix.lower() or ".png")
         for slot in work.slots
-        for texture in document.textured(slot).textures
+        for texture in choose_textures(document.textured(slot), settings.textures).textures
     }
     written = make_files(document, None, images, target_format, Path(target).stem, moved=moved)
     return {*references, *written.sidecars}
@@ -148,8 +159,6 @@ def _smooth_slots(
     images: dict[tuple[Slot, str], ImageFile] = {}
     reports: list[SlotReport] = []
     notices: list[str] = []
-    if settings.kernel.iterations == 0:
-        return images, reports, notices
     for slot in work.slots:
         from beltrami_cli.pipeline.smooth_textures import smooth_slot
 

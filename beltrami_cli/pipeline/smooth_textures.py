@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.guide import guide_radius
 from beltrami_cli.flow.texels import TexelFlow
 from beltrami_cli.formats.image import losses, read_image, write_image
@@ -110,18 +109,18 @@ def prepare_slot(surface: TexturedSurface, slot: Slot, settings: SmoothSettings)
     Raises
     ------
     UsageError
-        If no texture is chosen, or the settings contradict the textures.
+        If the settings contradict the textures.
     InputError
         If an image cannot be decoded.
     """
-    surface = _chosen(surface, slot, settings.textures)
+    surface = choose_textures(surface, settings.textures)
     pictures = [read_image(texture.data, texture.name) for texture in surface.textures]
     kernel = settings.kernel
     margin = kernel.window // 2 + (guide_radius(kernel.metric_scale) if kernel.metric_steps else 0)
     sizes = [(picture.pixels.shape[1], picture.pixels.shape[0]) for picture in pictures]
     atlas = build_atlas(surface, sizes, margin, kernel.thread_count)
     colours = TexelColours(pictures, slot, settings)
-    transparent = colours.transparent(atlas)
+    transparent = colours.transparent(atlas, surface.textures)
     if transparent.any():
         atlas = without_owned(atlas, transparent)
     return PreparedSlot(surface, pictures, atlas, colours)
@@ -212,7 +211,11 @@ def atlas_counts(atlas: Atlas) -> dict[str, int]:
 
 
 def atlas_notices(atlas: Atlas) -> tuple[str, ...]:
-    """Return what the user should know about texture coordinates that use texels more than once."""
+    """Return what the user should know of texels that are covered more than once, or not at all."""
+    if not len(atlas.owned_texels):
+        return (
+            "no visible texel is covered by the surface, so nothing was smoothed; --unwrap makes a new atlas",
+        )
     share = 100 * atlas.overlapped / max(1, atlas.covered)
     if share < _WORTH_TELLING:
         return ()
@@ -239,8 +242,8 @@ def describe_textures(prepared: PreparedSlot) -> list[dict[str, object]]:
     ]
 
 
-def _chosen(surface: TexturedSurface, slot: Slot, wanted: TextureSettings) -> TexturedSurface:
-    """Keep the textures that the globs choose."""
+def choose_textures(surface: TexturedSurface, wanted: TextureSettings) -> TexturedSurface:
+    """Keep the textures that the globs choose, which may be none."""
 
     def fits(texture: Texture) -> bool:
         by_name = not wanted.names or any(fnmatch(texture.name, glob) for glob in wanted.names)
@@ -250,9 +253,6 @@ def _chosen(surface: TexturedSurface, slot: Slot, wanted: TextureSettings) -> Te
         return by_name and by_material
 
     kept = [index for index, texture in enumerate(surface.textures) if fits(texture)]
-    if not kept:
-        names = ", ".join(texture.name for texture in surface.textures)
-        raise UsageError(f"no {slot} texture fits the globs; there are {names}")
     new_index = np.full(len(surface.textures) + 1, -1, np.int32)
     new_index[kept] = np.arange(len(kept), dtype=np.int32)
     return dataclasses.replace(

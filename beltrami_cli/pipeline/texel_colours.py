@@ -18,10 +18,13 @@ if TYPE_CHECKING:
     from beltrami_cli.flow.parameters import Space
     from beltrami_cli.formats.image import Picture
     from beltrami_cli.mesh.atlas import Atlas
-    from beltrami_cli.mesh.textured import Slot
+    from beltrami_cli.mesh.textured import Slot, Texture
     from beltrami_cli.pipeline.settings import SmoothSettings
 
 COLOUR_SLOTS = ("baseColor", "emissive")
+
+# The channels that a data slot means; others of the same image belong to another slot.
+_SLOT_CHANNELS = {"occlusion": {"red", "grey"}, "metallicRoughness": {"green", "blue", "grey"}}
 
 
 class TexelColours:
@@ -53,7 +56,13 @@ class TexelColours:
         names = ("red", "green", "blue") if self._width == 3 else ("grey",)
         if self._space == "oklab" and self._width != 3:
             raise UsageError("the space oklab needs red, green and blue, but all textures are grey")
-        self._kept = _choose(names, settings)
+        meant = _SLOT_CHANNELS.get(slot, set(names))
+        self._kept = [i for i in _choose(names, settings) if names[i] in meant]
+        if not self._kept:
+            raise UsageError(
+                f"no chosen channel belongs to the slot {slot}, which uses {' and '.join(sorted(meant))}"
+            )
+        self._hides = slot in COLOUR_SLOTS and settings.textures.alpha != "smooth"
         self._alpha = settings.textures.alpha == "smooth" and any(p.alpha is not None for p in pictures)
         self.names = tuple(names[i] for i in self._kept) + (("alpha",) if self._alpha else ())
 
@@ -78,13 +87,13 @@ class TexelColours:
         opacity = pixels[:, picture.alpha] if picture.alpha is not None else np.ones(len(pixels), np.float32)
         return np.column_stack([working, opacity])
 
-    def transparent(self, atlas: Atlas) -> NDArray[np.bool_]:
+    def transparent(self, atlas: Atlas, textures: Sequence[Texture]) -> NDArray[np.bool_]:
         """Tell which owned cells lend no colour, because their texel cannot be seen."""
         hidden = np.zeros(len(atlas.owned_texels), bool)
-        if self._alpha:
+        if not self._hides:
             return hidden
-        for index, picture in enumerate(self._pictures):
-            if picture.alpha is not None:
+        for index, (picture, texture) in enumerate(zip(self._pictures, textures, strict=True)):
+            if picture.alpha is not None and texture.alpha_hides:
                 inside, texels = self._texels(atlas, index)
                 hidden[inside] = picture.pixels[..., picture.alpha].reshape(-1)[texels] == 0
         return hidden

@@ -57,13 +57,30 @@ def choose_work(document: Document, settings: SmoothSettings) -> Work:
             document.name,
             "it has neither vertex colours nor textures to smooth"
             + (f", but textures in the slots {', '.join(present)}" if present else ""),
-            f"add --slots {present[0]}" if present else "paint it first, or name the image file itself",
+            f"add --slots {present[0]}" if present else "",
         )
+    slots = _with_chosen_textures(document, slots, settings)
     both = settings.on == "both"
     notices = (
         ("its vertex colours stay as they are; --on both smooths them too",) if coloured and not both else ()
     )
     return Work(vertices=both, slots=slots, notices=notices)
+
+
+def _with_chosen_textures(
+    document: Document, slots: tuple[Slot, ...], settings: SmoothSettings
+) -> tuple[Slot, ...]:
+    """Leave out the slots in which the globs choose nothing."""
+    wanted = settings.textures
+    if not (wanted.names or wanted.materials):
+        return slots
+    from beltrami_cli.pipeline.smooth_textures import choose_textures
+
+    kept = tuple(slot for slot in slots if choose_textures(document.textured(slot), wanted).textures)
+    if not kept:
+        names = {texture.name for slot in slots for texture in document.textured(slot).textures}
+        raise UsageError(f"{document.name}: no texture fits the globs; there are {', '.join(sorted(names))}")
+    return kept
 
 
 def choose_format(document: Document, target: str, chosen: str | None) -> Format:

@@ -27,12 +27,15 @@ class VertexSampling:
         Sample of each vertex. Vertices at one place with one colour are one sample.
     first_vertex : ndarray of int32, shape (S,)
         A vertex of each sample.
+    place_of : ndarray of int32, shape (S,)
+        Place of each sample; coincident vertices that differ in colour are samples of one place.
     places : int
-        Distinct places; smaller than S where coincident vertices differ in colour.
+        Distinct places, at most S.
     """
 
     sample_of: NDArray[np.int32]
     first_vertex: NDArray[np.int32]
+    place_of: NDArray[np.int32]
     places: int
 
 
@@ -67,11 +70,11 @@ def sample_vertices(
         every = np.arange(len(place_of), dtype=np.int32)
         no_walls = np.empty((0, 3), np.int32)
         surface = SampledSurface(painted.positions, painted.faces, no_walls, np.ascontiguousarray(colours))
-        return surface, VertexSampling(every, every, len(every))
+        return surface, VertexSampling(every, every, every, len(every))
     sample_of, first_vertex = group_equal_rows(place_of, *painted.colours.T)
     faces = sample_of[painted.faces]
     sample_colours = np.ascontiguousarray(colours[first_vertex])
     walls = build_walls(faces, place_of[first_vertex], sample_colours)
     positions = np.ascontiguousarray(painted.positions[first_vertex])
     surface = SampledSurface(positions, faces, walls, sample_colours)
-    return surface, VertexSampling(sample_of, first_vertex, len(first_of_place))
+    return surface, VertexSampling(sample_of, first_vertex, place_of[first_vertex], len(first_of_place))

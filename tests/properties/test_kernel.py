@@ -194,6 +194,16 @@ def test_world_units_scale_with_the_mesh():
     assert flips(spacing, world)
 
 
+def test_isolated_vertices_change_nothing_elsewhere(noisy_terrain):
+    positions, faces, colours = noisy_terrain
+    random = np.random.default_rng(3)
+    strays = 1000 + random.random((9 * len(positions), 3))
+    more = np.concatenate([colours, random.random((len(strays), 3))])
+    plain = beltrami_cli.smooth(positions, faces, colours, beta=8).colours
+    beside = beltrami_cli.smooth(np.concatenate([positions, strays]), faces, more, beta=8).colours
+    assert flips(beside[: len(plain)], plain)
+
+
 def test_isolated_vertices_and_meshes_without_faces_stay_as_they_are():
     positions, faces = surfaces.plane(4, 4)
     colours = np.random.default_rng(0).random((18, 3)).astype(np.float32)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import beltrami_cli
-from beltrami_cli._native import smooth_grid
+from beltrami_cli._native import local_scale, smooth_grid
 from beltrami_cli.flow.parameters import PRESETS, KernelParameters
 from oracles import surfaces
 from properties.textured_planes import Board, smooth_image, textured
@@ -97,7 +97,11 @@ def test_texture_and_vertex_colours_of_one_surface_agree_to_first_order():
     assert np.sqrt(np.mean((image - vertices) ** 2)) < 0.12 * change
 
 
-def test_no_kernel_reaches_over_charts_that_are_neighbours_in_the_image_only():
+@pytest.mark.parametrize(
+    "scheme", [{}, {"scheme": "metric"}, {"window": 17}], ids=["sweep", "metric", "march"]
+)
+def test_no_kernel_reaches_over_charts_that_are_neighbours_in_the_image_only(scheme):
+    parameters = {**REGULARISED, **scheme, "iterations": 2}
     places = [(0, 0, 0, False), (0, 1, 0, False), (1, 0, 0, False), (1, 1, 0, False)]
     board = Board(cells=8, texels=6, block=4, slot=24, slots=2, places=places)  # slots without gaps
     surface = board.surface()
@@ -106,14 +110,14 @@ def test_no_kernel_reaches_over_charts_that_are_neighbours_in_the_image_only():
     positions = apart[surface.faces].reshape(-1, 3) + 100.0 * np.repeat(chart, 3)[:, None]
     faces = np.arange(len(positions), dtype=np.int32).reshape(-1, 3)
     image = board.image_of(painting(48))
-    together, _ = smooth_image(textured(positions, faces, surface.uv), image, **REGULARISED)
+    together, _ = smooth_image(textured(positions, faces, surface.uv), image, **parameters)
     for number in range(4):
         alone = image.copy()
         rows, columns = divmod(number, 2)
         kept = np.zeros(image.shape[:2], bool)
         kept[24 * rows : 24 * rows + 24, 24 * columns : 24 * columns + 24] = True
         alone[~kept] = RANDOM.random((np.count_nonzero(~kept), 3))
-        result, _ = smooth_image(textured(positions, faces, surface.uv), alone, **REGULARISED)
+        result, _ = smooth_image(textured(positions, faces, surface.uv), alone, **parameters)
         assert np.array_equal(result[kept], together[kept])
 
 
@@ -128,6 +132,40 @@ def test_constants_stay_and_colours_stay_in_range_for_any_number_of_threads():
     assert (one <= owned.max(axis=(0)) + 1e-6).reshape(-1, 3)[flow.atlas.owned_texels].all()
     for threads in (2, 5):
         assert np.array_equal(one, smooth_image(board.surface(), image, threads=threads)[0])
+
+
+@pytest.mark.parametrize("factor", [1e-9, 1e9])
+def test_the_unit_of_length_does_not_matter(factor):
+    surface = uncut(8, 6).surface()
+    picture = painting(48)
+    plain, _ = smooth_image(surface, picture)
+    scaled = textured(factor * surface.positions, surface.faces, surface.uv)
+    assert np.abs(smooth_image(scaled, picture)[0] - plain).max() < 5e-3
+
+
+@pytest.mark.parametrize("scheme", ["sweep", "triangles", "metric"])
+def test_missing_edges_and_empty_rows_are_not_crossed(scheme):
+    """Whatever the metric: here the plane is sheared, so that supports of split quadrants lie further off."""
+    kind, lengths = grid(24)
+    e1, e2 = np.array([1.0, 0.0]), np.array([1.0, 1.0])
+    for plane, step in zip(lengths, (e1, e2, e1 + e2, e2 - e1), strict=True):
+        plane[np.isfinite(plane)] = step @ step
+    kind[12] = 0
+    colours = np.zeros((1, 24, 24), np.float32)
+    colours[0, 13:] = 1
+    window = 3 if scheme == "sweep" else 0
+    result, _ = smooth_grid(kind, lengths, None, colours, colours, 0.0, 2.0, 6.0, window, scheme, 1, 1, None)
+    assert np.array_equal(result, colours)
+
+
+def test_a_slit_does_not_spoil_the_unit_of_length_beside_it():
+    """Texels that are neighbours in the image but far apart on the surface, as on both sides of a closed mouth."""
+    _, lengths = grid(40)
+    lengths[1, 19] = 113.0**2
+    scale = local_scale(lengths, 3)
+    # 7 of the window's 98 edges are long: the geometric mean of lengths grows to 113^(1/14) = 1.40.
+    assert np.sqrt(1 / scale).max() < 1.45
+    assert np.allclose(scale[:10], 1)
 
 
 def two_charts(jump, pattern=0.0):

@@ -48,6 +48,8 @@ class Painting:
         The attribute with its texture coordinates, "TEXCOORD_0" or another.
     transform : tuple of float
         The rows (a, b, c) and (d, e, f) of u' = a u + b v + c, v' = d u + e v + f.
+    alpha_hides : bool
+        Whether the material's alphaMode makes anything of opacity; the default, OPAQUE, does not.
     """
 
     material: str
@@ -55,6 +57,7 @@ class Painting:
     texture: int
     coordinates: str
     transform: tuple[float, float, float, float, float, float]
+    alpha_hides: bool
 
     def placed(self, uv: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return texture coordinates, shape (n, 2), with the transform applied; overflow gives infinity."""
@@ -95,11 +98,12 @@ def paintings(root: Entry, slot: Slot) -> list[Painting | None]:
     for index, material in enumerate(root.entries("materials")):
         info = next(iter(infos(material, slot)), None)
         name = material.text("name") or f"material {index}"
-        found.append(None if info is None else _painting(name, info, count))
+        hides = material.text("alphaMode") in ("MASK", "BLEND")
+        found.append(None if info is None else _painting(name, info, count, hides))
     return found
 
 
-def _painting(name: str, info: Entry, count: int) -> Painting:
+def _painting(name: str, info: Entry, count: int, alpha_hides: bool) -> Painting:
     transform = info.entry("extensions").entry(_TRANSFORM)
     owner = transform if "texCoord" in transform else info
     return Painting(
@@ -108,6 +112,7 @@ def _painting(name: str, info: Entry, count: int) -> Painting:
         texture=info.integer("index", below=count),
         coordinates=f"TEXCOORD_{owner.integer('texCoord', default=0)}",
         transform=_affine(transform),
+        alpha_hides=alpha_hides,
     )
 
 

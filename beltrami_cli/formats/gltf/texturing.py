@@ -86,6 +86,7 @@ class _Painted:
     data: bytes
     wraps: list[tuple[Wrap, Wrap]] = field(default_factory=list)
     materials: list[str] = field(default_factory=list)
+    hides: bool = False
 
 
 class _Gathering:
@@ -181,6 +182,7 @@ class _Gathering:
     def _use(self, image: int, painting: Painting) -> int:
         painted = self.painted[image]
         painted.wraps.append(self.pictures.wrap(painting.texture))
+        painted.hides |= painting.alpha_hides
         if painting.material not in painted.materials:
             painted.materials.append(painting.material)
         return painted.number
@@ -233,7 +235,8 @@ class _Gathering:
 
     def _texture(self, image: int, painted: _Painted) -> Texture:
         name = self.pictures.name(image)
-        return Texture(key_of(image), name, painted.data, tuple(painted.materials), painted.wraps[0])
+        materials = tuple(painted.materials)
+        return Texture(key_of(image), name, painted.data, materials, painted.wraps[0], painted.hides)
 
     def excuse(self) -> str:
         """Return why no texture of the slot can be shown."""

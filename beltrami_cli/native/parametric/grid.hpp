@@ -17,6 +17,9 @@ constexpr std::size_t direction_count = 4;
 // An edge that does not exist: longer than any radius, and small enough that no arithmetic on it overflows.
 constexpr float no_edge = 1e12F;
 
+// No kernel reaches further, so none goes over an edge that does not exist.
+constexpr float longest_radius = 9e5F;
+
 enum Kind : std::uint8_t { empty = 0, owned = 1, halo = 2 };
 
 struct Grid {

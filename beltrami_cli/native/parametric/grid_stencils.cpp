@@ -152,13 +152,12 @@ class LinkMaker {
     for (const int x : {-1, 1})
       for (const int y : {-1, 1}) {
         const Offset first{x, 0}, second{0, y};
-        if (!g) {  // alone in its row or column: edges only
-          add_pair(cell, first, second, image_.squared_edge(cell, first), image_.squared_edge(cell, second), no_edge, found);
-          continue;
-        }
-        if (g->product(first, second) >= 0) {
+        const float along = image_.squared_edge(cell, first), down = image_.squared_edge(cell, second);
+        if (!g || along >= no_edge || down >= no_edge) {  // no quadrant here: edges only
+          add_pair(cell, first, second, along, down, no_edge, found);
+        } else if (g->product(first, second) >= 0) {
           add_metric_pair(cell, *g, first, second, found);
-        } else if (const auto support = find_support(*g, first, second); support && image_.at(cell, *support)) {
+        } else if (const auto support = find_support(*g, first, second); support && filled_up_to(cell, *support)) {
           add_metric_pair(cell, *g, first, *support, found);
           add_metric_pair(cell, *g, *support, second, found);
         } else {
@@ -168,6 +167,20 @@ class LinkMaker {
   }
 
  private:
+  // Whether the manifold continues from a cell to a support: every cell of the rectangle between them is joined to
+  // its neighbours in it.
+  bool filled_up_to(std::size_t cell, Offset support) const {
+    const int step_x = support.x > 0 ? 1 : -1, step_y = support.y > 0 ? 1 : -1;
+    for (int y = 0; y != support.y + step_y; y += step_y)
+      for (int x = 0; x != support.x + step_x; x += step_x) {
+        const auto here = image_.at(cell, {x, y});
+        if (!here) return false;
+        if (x != support.x && image_.squared_edge(*here, {step_x, 0}) >= no_edge) return false;
+        if (y != support.y && image_.squared_edge(*here, {0, step_y}) >= no_edge) return false;
+      }
+    return true;
+  }
+
   void add_metric_pair(std::size_t cell, const Metric& g, Offset p, Offset q, std::vector<FoundLink>& found) const {
     add_pair(cell, p, q, static_cast<float>(g.squared_length(p)), static_cast<float>(g.squared_length(q)),
              static_cast<float>(g.squared_length(q - p)), found);
@@ -251,7 +264,7 @@ std::int64_t smooth_by_marching(const Grid& grid, Planes metric, Planes colours,
   const Poll cell_poll = poll ? Poll([&](std::size_t done) { return poll(done * grid.cells() / count); }) : Poll();
   const triangulated::Selection selection{wanted.data(), window_radius > 0 ? places.data() : nullptr, window_radius};
   const auto statistics = triangulated::smooth(stencils, {rows.data(), colours.channels}, nullptr,
-                                               {parameters.time_step, parameters.radius, count}, result.data(), threads, cell_poll,
+                                               {parameters.time_step, std::min(parameters.radius, longest_radius), count}, result.data(), threads, cell_poll,
                                                selection);
   std::copy(colours.data, colours.data + colours.channels * grid.cells(), smoothed);
   for (std::size_t i = 0; i < count; ++i)

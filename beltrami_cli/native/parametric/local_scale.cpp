@@ -1,6 +1,7 @@
 #include "parametric/local_scale.hpp"
 
 #include <algorithm>
+#include <cmath>
 #include <vector>
 
 #include "parametric/grid.hpp"
@@ -9,7 +10,7 @@ namespace beltrami::parametric {
 namespace {
 
 struct Sum {
-  double length = 0;
+  double logarithm = 0;  // of squared lengths
   double count = 0;
 };
 
@@ -18,8 +19,8 @@ Sum edges_at(const float* squared_lengths, std::size_t cells, std::size_t cell) 
   Sum sum;
   for (const Direction axis : {right, below}) {
     const float length = squared_lengths[axis * cells + cell];
-    if (length < no_edge) {
-      sum.length += static_cast<double>(length);
+    if (std::isfinite(length) && length > 0) {
+      sum.logarithm += static_cast<double>(std::log(length));
       sum.count += 1;
     }
   }
@@ -36,7 +37,7 @@ void local_scale(std::size_t rows, std::size_t columns, const float* squared_len
   const auto move = [&](std::size_t row, double sign) {
     for (std::size_t column = 0; column < columns; ++column) {
       const Sum edges = edges_at(squared_lengths, cells, row * columns + column);
-      down[column].length += sign * edges.length;
+      down[column].logarithm += sign * edges.logarithm;
       down[column].count += sign * edges.count;
     }
   };
@@ -46,16 +47,16 @@ void local_scale(std::size_t rows, std::size_t columns, const float* squared_len
     if (row > reach) move(row - reach - 1, -1);
     Sum window;
     const auto add = [&](std::size_t column, double sign) {
-      window.length += sign * down[column].length;
+      window.logarithm += sign * down[column].logarithm;
       window.count += sign * down[column].count;
     };
     for (std::size_t column = 0; column < std::min(reach, columns); ++column) add(column, 1);
     for (std::size_t column = 0; column < columns; ++column) {
       if (column + reach < columns) add(column + reach, 1);
       if (column > reach) add(column - reach - 1, -1);
-      // Counts are whole, so they come out exactly; lengths leave rests of rounding.
-      const bool known = window.count > 0.5 && window.length > 0;
-      scale[row * columns + column] = known ? static_cast<float>(window.count / window.length) : 1;
+      // Counts are whole, so they come out exactly.
+      scale[row * columns + column] =
+          window.count > 0.5 ? static_cast<float>(std::exp(-window.logarithm / window.count)) : 1;
     }
   }
 }

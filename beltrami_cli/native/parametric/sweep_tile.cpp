@@ -140,7 +140,8 @@ struct Averages {
 // Sums over the window's cells within the radius, as differences from the centres, so that a constant stays.
 Averages average(const TileJob& job, const Layout& layout, const float* window, const float* colours,
                  std::size_t centre, float* sums) {
-  const float factor = -1 / (4 * job.parameters->time_step), reach = job.parameters->radius;
+  const float factor = -1 / (4 * job.parameters->time_step);
+  const float reach = std::min(job.parameters->radius, longest_radius);
   Averages averages{splat(1), splat(1), sums};
   std::fill(sums, sums + job.colours.channels * lane_count, 0.0F);
   for (const Target& target : job.program->outward) {
