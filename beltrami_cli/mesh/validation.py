@@ -1,15 +1,15 @@
-"""What every painted mesh must fulfil before anything is computed on it."""
+"""What every painted mesh must fulfil before anything is computed on it, and the way to it from arrays of any type."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from beltrami_cli.errors import InputError
+from beltrami_cli.errors import InputError, UsageError
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from numpy.typing import ArrayLike, NDArray
 
     from beltrami_cli.mesh.painted import PaintedVertices
 
@@ -38,6 +38,112 @@ def check_mesh(painted: PaintedVertices, name: str) -> None:
         raise InputError(name, f"a face names a vertex outside 0 to {len(positions) - 1}")
     _check_finite(positions, "position", name)
     _check_finite(colours, "colour", name)
+
+
+def position_table(positions: ArrayLike) -> NDArray[np.float64]:
+    """Take positions of any numeric type.
+
+    Parameters
+    ----------
+    positions : array_like, shape (V, M)
+        Numbers; M is 1 or more. An empty list has M = 3.
+
+    Returns
+    -------
+    ndarray of float64, shape (V, M)
+
+    Raises
+    ------
+    UsageError
+        If the shape or the type does not fit.
+    """
+    table = _array(positions, "positions")
+    if table.shape == (0,):
+        table = table.reshape(0, 3)
+    if table.ndim != 2 or table.shape[1] == 0 or table.dtype.kind not in "uif":
+        raise UsageError(f"positions must be numbers of shape (V, M), not {_described(table)}")
+    return _as_floats(table, np.float64)
+
+
+def face_table(faces: ArrayLike, count: int) -> NDArray[np.int32]:
+    """Take triangles of any integer type; nothing wraps or is cut off.
+
+    Parameters
+    ----------
+    faces : array_like of int, shape (F, 3)
+        Indices of vertices. Empty ones may be of any type.
+    count : int
+        Number V of vertices.
+
+    Returns
+    -------
+    ndarray of int32, shape (F, 3)
+
+    Raises
+    ------
+    UsageError
+        If the shape or the type does not fit, or an index is not in [0, V).
+    """
+    table = _array(faces, "faces")
+    if table.shape in ((0,), (0, 3)):
+        return np.empty((0, 3), np.int32)
+    if table.ndim != 2 or table.shape[1] != 3:
+        raise UsageError(f"faces must be triangles, of shape (F, 3), not {_described(table)}")
+    if table.dtype.kind not in "ui":
+        raise UsageError(f"faces must be whole numbers, not {_described(table)}")
+    wrong = ((table < 0) | (table >= count)).any(axis=1)
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        raise UsageError(f"face {row} is {table[row].tolist()}, but there are {count} vertices, from 0 on")
+    return np.ascontiguousarray(table, np.int32)
+
+
+def colour_table(colours: ArrayLike) -> NDArray[np.float32]:
+    """Take colours: floats as they are, unsigned integers by their full scale.
+
+    Parameters
+    ----------
+    colours : array_like, shape (V, C) or (V,)
+        Floats of full scale 1, or uint8, uint16 or uint32. An empty list has C = 3.
+
+    Returns
+    -------
+    ndarray of float32, shape (V, C)
+
+    Raises
+    ------
+    UsageError
+        If the shape or the type does not fit.
+    """
+    table = _array(colours, "colours")
+    if table.ndim == 1:
+        table = table[:, None] if len(table) else table.reshape(0, 3)
+    if table.ndim != 2 or table.shape[1] == 0 or table.dtype.kind not in "uif":
+        raise UsageError(f"colours must be numbers of shape (V, C), not {_described(table)}")
+    if table.dtype.kind == "f":
+        return _as_floats(table, np.float32)
+    # Of other integers nobody knows the full scale: a list of 0 to 255 becomes int64.
+    if table.dtype not in (np.uint8, np.uint16, np.uint32):
+        raise UsageError(
+            f"colours of type {table.dtype} have no full scale; give uint8, as 0 to 255, or floats, as 0 to 1"
+        )
+    return np.ascontiguousarray(table / np.iinfo(table.dtype).max, np.float32)
+
+
+def _array(values: ArrayLike, name: str) -> NDArray[Any]:
+    try:
+        return np.asarray(values)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise UsageError(f"{name} must be a table whose rows have the same length") from error
+
+
+def _described(table: NDArray[Any]) -> str:
+    return f"{table.dtype} of shape {table.shape}"
+
+
+def _as_floats[T: np.floating](table: NDArray[Any], kind: type[T]) -> NDArray[T]:
+    with np.errstate(over="ignore"):  # what is too large becomes infinite, and `check_mesh` names it
+        return np.ascontiguousarray(table, kind)
 
 
 def _check_finite(table: NDArray[np.floating], what: str, name: str) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, get_args
 
 import numpy as np
 
@@ -11,8 +11,8 @@ from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.flow.colour_space import from_space, to_space
 from beltrami_cli.flow.iteration import BeltramiFlow, FlowResult
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.mesh.painted import PaintedVertices
-from beltrami_cli.mesh.validation import check_mesh
+from beltrami_cli.mesh.painted import Encoding, PaintedVertices
+from beltrami_cli.mesh.validation import check_mesh, colour_table, face_table, position_table
 from beltrami_cli.pipeline.settings import DEFAULTS, SmoothSettings
 from beltrami_cli.sampling.vertices import VertexSampling, sample_vertices
 
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from beltrami_cli.flow.parameters import Space, Units, Weights
-    from beltrami_cli.mesh.painted import Encoding
     from beltrami_cli.mesh.surface import SampledSurface
 
 
@@ -88,8 +87,8 @@ def smooth(
     faces : array_like of int, shape (F, 3)
         Triangles as vertex indices; any set of triangles, non-manifold ones included.
     colours : array_like, shape (V, C) or (V,)
-        Any number of channels, finite. Integer types are taken by their full scale, floats as they are
-        (full scale 1).
+        Any number of channels, finite. uint8, uint16 and uint32 are taken by their full scale, floats as they are
+        (full scale 1); other integers are refused, for their full scale is not known.
     iterations : int
         Number N of kernel iterations.
     t : float
@@ -125,9 +124,10 @@ def smooth(
     Raises
     ------
     UsageError
-        If a parameter is out of its range, or an array's shape or type does not fit.
+        If a parameter is out of its range, an array's shape or type does not fit, or a face names a vertex that is
+        not there.
     InputError
-        If positions or colours are not finite, or a face names a vertex that is not there.
+        If positions or colours are not finite, or are not of the same number.
 
     Notes
     -----
@@ -141,6 +141,15 @@ def smooth(
     .. [2] R. Kimmel, J. A. Sethian, "Computing geodesic paths on manifolds", PNAS 95(15), 1998,
        doi:10.1073/pnas.95.15.8431
     """
+    _check_numbers(
+        {
+            "iterations": iterations,
+            "max_samples": max_samples,
+            "metric_steps": metric_steps,
+            "threads": 1 if threads is None else threads,
+        },
+        {"t": t, "beta": 0 if beta is None else beta, "threshold": threshold, "metric_scale": metric_scale},
+    )
     kernel = KernelParameters(
         iterations=iterations,
         t=t,
@@ -153,11 +162,13 @@ def smooth(
         metric_scale=metric_scale,
         metric_steps=metric_steps,
     )
-    shades = _colour_table(colours)
+    if encoding not in get_args(Encoding):
+        raise UsageError(f"encoding is {encoding}, but must be {' or '.join(get_args(Encoding))}")
+    places, shades = position_table(positions), colour_table(colours)
     names = ("red", "green", "blue") if shades.shape[1] == 3 else tuple(map(str, range(shades.shape[1])))
     painted = PaintedVertices(
-        np.ascontiguousarray(positions, np.float64),
-        np.ascontiguousarray(faces, np.int32).reshape(-1, 3),
+        places,
+        face_table(faces, len(places)),
         shades,
         names,
         encoding,
@@ -278,11 +289,11 @@ def _chosen_channels(painted: PaintedVertices, settings: SmoothSettings) -> list
     return sorted(set(chosen))
 
 
-def _colour_table(colours: Any) -> NDArray[np.float32]:
-    table = np.asarray(colours)
-    if table.ndim == 1:
-        table = table[:, None]
-    if table.ndim != 2 or table.dtype.kind not in "uif":
-        raise UsageError(f"colours must be numbers of shape (V, C), not {table.dtype} of shape {table.shape}")
-    scale = np.iinfo(table.dtype).max if table.dtype.kind in "ui" else 1
-    return np.ascontiguousarray(table / scale, np.float32)
+def _check_numbers(whole: dict[str, object], real: dict[str, object]) -> None:
+    """Refuse what is no number, before anything is compared with it."""
+    for name, value in whole.items():
+        if not isinstance(value, (int, np.integer)):
+            raise UsageError(f"{name} is {value!r}, but must be a whole number")
+    for name, value in real.items():
+        if not isinstance(value, (int, float, np.integer, np.floating)):
+            raise UsageError(f"{name} is {value!r}, but must be a number")
