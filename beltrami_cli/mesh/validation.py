@@ -62,7 +62,8 @@ def position_table(positions: ArrayLike) -> NDArray[np.float64]:
         table = table.reshape(0, 3)
     if table.ndim != 2 or table.shape[1] == 0 or table.dtype.kind not in "uif":
         raise UsageError(f"positions must be numbers of shape (V, M), not {_described(table)}")
-    return _as_floats(table, np.float64)
+    with np.errstate(over="ignore"):  # what is too large becomes infinite, and `check_mesh` names it
+        return np.ascontiguousarray(table, np.float64)
 
 
 def face_table(faces: ArrayLike, count: int) -> NDArray[np.int32]:
@@ -121,7 +122,8 @@ def colour_table(colours: ArrayLike) -> NDArray[np.float32]:
     if table.ndim != 2 or table.shape[1] == 0 or table.dtype.kind not in "uif":
         raise UsageError(f"colours must be numbers of shape (V, C), not {_described(table)}")
     if table.dtype.kind == "f":
-        return _as_floats(table, np.float32)
+        with np.errstate(over="ignore"):
+            return np.ascontiguousarray(table, np.float32)
     # Of other integers nobody knows the full scale: a list of 0 to 255 becomes int64.
     if table.dtype not in (np.uint8, np.uint16, np.uint32):
         raise UsageError(
@@ -139,11 +141,6 @@ def _array(values: ArrayLike, name: str) -> NDArray[Any]:
 
 def _described(table: NDArray[Any]) -> str:
     return f"{table.dtype} of shape {table.shape}"
-
-
-def _as_floats[T: np.floating](table: NDArray[Any], kind: type[T]) -> NDArray[T]:
-    with np.errstate(over="ignore"):  # what is too large becomes infinite, and `check_mesh` names it
-        return np.ascontiguousarray(table, kind)
 
 
 def _check_finite(table: NDArray[np.floating], what: str, name: str) -> None:
