@@ -19,8 +19,8 @@ _ERRORS = 4.0
 _OF_NOISE = 0.3
 # ... and more than JPEG blocks and rounding leave between two charts of one continuous painting.
 _LEAST = 4 / 255
-# Where a pattern runs into the seam the jump changes its sign; then the typical step tells, against that beside it.
-_OF_STEPS = 2.5
+# Steps over a seam from which its energy can be told.
+_FEWEST = 8
 
 
 def find_colour_jumps(
@@ -55,11 +55,17 @@ def find_colour_jumps(
         # A step between two noisy samples has the deviation sqrt(2) sigma, and a median 1.25 times a mean's error.
         error = 1.25 * np.sqrt(2) * noise / np.sqrt(len(members))
         shifted = jump > max(_ERRORS * error, _OF_NOISE * noise, _LEAST)
-        across = np.median(np.linalg.norm(steps[members], axis=1))
-        within = np.median(np.linalg.norm(beside[members], axis=1))
-        patterned = len(members) >= 8 and across > _OF_STEPS * within + max(_LEAST, _OF_NOISE * noise)
-        different[seam[members[0]]] = shifted or patterned
+        different[seam[members[0]]] = shifted or _is_patterned(steps[members], beside[members], noise)
     return different
+
+
+def _is_patterned(steps: NDArray[np.float32], beside: NDArray[np.float32], noise: float) -> bool:
+    """Tell a jump that changes its sign along the seam: steps over it have more energy than those beside it."""
+    if len(steps) < _FEWEST:
+        return False
+    excess = np.mean(np.square(steps) - np.square(beside), axis=1, dtype=np.float64)
+    error = float(excess.std()) / np.sqrt(len(excess))
+    return bool(excess.mean() > max(_ERRORS * error, (_OF_NOISE * noise) ** 2 + _LEAST**2))
 
 
 def halo_beyond(atlas: Atlas, different: NDArray[np.bool_]) -> NDArray[np.bool_]:
