@@ -87,6 +87,11 @@ def main() -> NoReturn:
         _end(error.exit_code, str(error))
     except MemoryError:
         _end(1, "there is not enough memory; use a smaller mesh or a machine with more")
+    except Exception as error:  # the last resort: even a mistake of ours ends in one line
+        if _wants_traceback():
+            traceback.print_exc()
+        cause = " ".join(f"{type(error).__name__}: {error}".split())
+        _end(1, f"unexpected error: {cause}; run again with -vv and report it")
 
 
 def _interrupt(number: int, frame: FrameType | None) -> NoReturn:
@@ -94,9 +99,14 @@ def _interrupt(number: int, frame: FrameType | None) -> NoReturn:
 
 
 def _wants_traceback() -> bool:
-    return any(
-        arg.startswith("-v") and arg.count("v") >= 2 and set(arg) == {"-", "v"} for arg in sys.argv[1:]
-    )
+    return sum(map(_verbosity, sys.argv[1:])) >= 2
+
+
+def _verbosity(argument: str) -> int:
+    """Count what an argument adds to --verbose; -v may stand in one word with other flags."""
+    if argument.startswith("--"):
+        return int(argument == "--verbose")
+    return argument.count("v") if argument.startswith("-") and set(argument) <= set("-qv") else 0
 
 
 def _end(code: int, message: str) -> NoReturn:

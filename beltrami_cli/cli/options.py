@@ -24,13 +24,18 @@ if TYPE_CHECKING:
 
 _KERNEL, _TEXTURES = DEFAULTS.kernel, DEFAULTS.textures
 
+# A Gaussian of a smaller standard deviation, in sample spacings, has no weight beyond its own sample.
+SMALLEST_SCALE = 0.05
+
 iterations = click.option(
-    "-n", "--iterations", type=int, default=_KERNEL.iterations, show_default=True, metavar="N",
+    "-n", "--iterations", type=click.IntRange(0), default=_KERNEL.iterations, show_default=True, metavar="N",
     help="Kernel iterations; more smooth further. 0 leaves every byte as it is.",
 )  # fmt: skip
 time_step = click.option(
     "-t", "--time-step", "t", type=float, default=_KERNEL.t, show_default=True, metavar="T",
-    help="Time step of an iteration: away from edges it is a Gaussian of variance 2T, in squared sample spacings.",
+    help="Time step of an iteration: away from edges it is a Gaussian of variance 2T, in squared sample spacings. "
+    "On textures the window bounds the kernel, so that it is this Gaussian only if the window holds it: raise "
+    "--window for a large T.",
 )  # fmt: skip
 beta = click.option(
     "--beta", type=float, default=_KERNEL.beta, metavar="B",
@@ -47,7 +52,7 @@ metric_scale = click.option(
     "themselves are averaged. 0: never.",
 )  # fmt: skip
 metric_steps = click.option(
-    "--metric-steps", type=int, default=_KERNEL.metric_steps, show_default=True, metavar="K",
+    "--metric-steps", type=click.IntRange(0), default=_KERNEL.metric_steps, show_default=True, metavar="K",
     help="Do so in the first K iterations; the others take distances from the colours as they are.",
 )  # fmt: skip
 preset = click.option(
@@ -61,14 +66,14 @@ weights = click.option(
 )  # fmt: skip
 units = click.option(
     "--units", type=click.Choice(get_args(Units)), default=_KERNEL.units, show_default=True,
-    help="Unit of length of -t and --beta: the local sample spacing, or that of the file.",
+    help="Unit of length of -t and --beta: the local sample spacing, or that of the file, which needs -t.",
 )  # fmt: skip
 max_samples = click.option(
-    "--max-samples", type=int, default=_KERNEL.max_samples, show_default=True, metavar="COUNT",
+    "--max-samples", type=click.IntRange(1, 2**31 - 1), default=_KERNEL.max_samples, show_default=True, metavar="COUNT",
     help="On vertices: the largest kernel, a guard against a time step that is too large. Warns when it takes effect.",
 )  # fmt: skip
 threads = click.option(
-    "--threads", type=int, default=_KERNEL.threads, metavar="COUNT",
+    "--threads", type=click.IntRange(1, 1024), default=_KERNEL.threads, metavar="COUNT",
     help="Threads; the result does not depend on it.  [default: all processors]",
 )  # fmt: skip
 space = click.option(
@@ -85,7 +90,7 @@ on = click.option(
     help="Smooth the vertex colours, the texture, or both; auto takes the texture where there is one.",
 )  # fmt: skip
 window = click.option(
-    "--window", type=int, default=_KERNEL.window, show_default=True, metavar="W",
+    "--window", type=click.IntRange(3, 255), default=_KERNEL.window, show_default=True, metavar="W",
     help="On textures: side of the square in which a kernel is looked for, odd, 3 to 15; wider ones are slow.",
 )  # fmt: skip
 slots = click.option(
@@ -102,7 +107,8 @@ texture_names = click.option(
 )  # fmt: skip
 alpha = click.option(
     "--alpha", type=click.Choice(get_args(AlphaMode)), default=_TEXTURES.alpha, show_default=True,
-    help="Keep the opacity of textures, or smooth it with the colours. Invisible texels lend no colour.",
+    help="Keep the opacity of textures, or smooth it with the colours. Invisible texels lend no colour "
+    "unless it is smoothed.",
 )  # fmt: skip
 gutter = click.option(
     "--gutter", default=str(_TEXTURES.gutter), show_default=True, metavar="N|keep",
@@ -206,10 +212,10 @@ def settings_from(options: dict[str, Any]) -> SmoothSettings:
     return SmoothSettings(
         kernel=_kernel_from(options),
         space=options["space"],
-        channels=None if options["channels"] is None else _names(options["channels"]),
+        channels=None if options["channels"] is None else _names(options["channels"], "--channels"),
         on=options["on"],
         textures=TextureSettings(
-            slots=_names(options["slots"]),
+            slots=_names(options["slots"], "--slots"),
             materials=options["materials"],
             names=options["texture_names"],
             alpha=options["alpha"],
@@ -223,16 +229,27 @@ def settings_from(options: dict[str, Any]) -> SmoothSettings:
 
 def _kernel_from(options: dict[str, Any]) -> KernelParameters:
     values: dict[str, Any] = dict(PRESETS[options["preset"]]) if options["preset"] else {}
-    context = click.get_current_context()
     for name in _KERNEL_OPTIONS:
-        given = context.get_parameter_source(name) is not click.core.ParameterSource.DEFAULT
-        if given or name not in values:
+        if _is_given(name) or name not in values:
             values[name] = options[name]
+    if values["units"] == "world" and not _is_given("t"):
+        raise UsageError("--units world needs -t, in squared units of the file")
+    if 0 < values["metric_scale"] < SMALLEST_SCALE:
+        scale = values["metric_scale"]
+        raise UsageError(f"metric_scale is {scale}, but must be 0, or between {SMALLEST_SCALE} and 3")
     return KernelParameters(**values)
 
 
-def _names(text: str) -> tuple[str, ...]:
-    return tuple(name.strip() for name in text.split(",") if name.strip())
+def _is_given(name: str) -> bool:
+    source = click.get_current_context().get_parameter_source(name)
+    return source is not click.core.ParameterSource.DEFAULT
+
+
+def _names(text: str, option: str) -> tuple[str, ...]:
+    names = tuple(name.strip() for name in text.split(",") if name.strip())
+    if not names:
+        raise UsageError(f"{option} names nothing; give names, with commas between them, or leave it out")
+    return names
 
 
 def _suffix(text: str | None) -> str | None:
@@ -242,6 +259,7 @@ def _suffix(text: str | None) -> str | None:
 def _gutter(text: str) -> int | None:
     if text == "keep":
         return None
-    if not text.isdigit():
-        raise UsageError(f"gutter is {text}, but must be a number of texels, or keep")
+    # Alone, isdigit would let other scripts and ² pass, which int does not take.
+    if not (text.isascii() and text.isdigit() and len(text) <= 5):
+        raise UsageError(f"gutter is {text}, but must be a number of texels from 0 to 99999, or keep")
     return int(text)

@@ -13,6 +13,7 @@ from beltrami_cli.cli.console import Messages
 from beltrami_cli.errors import OutputError
 
 if TYPE_CHECKING:
+    from beltrami_cli.pipeline.output import Output
     from beltrami_cli.pipeline.report import SmoothReport
 
 EPILOG = """\b
@@ -61,13 +62,13 @@ def command(
     """Smooth the colours of INPUT, in its vertices or textures, and write OUTPUT with nothing else changed.
 
     INPUT and OUTPUT are PLY, OBJ, glTF or GLB files, or - for a pipe. OUTPUT keeps the bytes of INPUT apart from
-    the colours; with another extension it is converted, and what the other format cannot hold is said.
+    the colours. With another extension it is converted, and what the other format cannot hold is said: vertex colours
+    go to any format, textures between glTF and GLB; other textured files keep their format.
     """
     settings = options.settings_from(smoothing)
     unwrap = options.unwrapping_from(smoothing)
     messages = Messages(quiet=quiet, verbose=verbose)
-    if report_path is not None:
-        _check_report(report_path, source, target)
+    report_file = None if report_path is None else _open_report(report_path, source, target, overwrite)
     from beltrami_cli.pipeline.smooth_file import smooth_file
 
     with messages.progress() as progress:
@@ -81,25 +82,51 @@ def command(
             dry_run=dry_run,
             progress=progress,
         )
-    if report_path is not None:
-        _write_report(report_path, report)
+    if report_file is not None:
+        _write_report(report_file, report)
+    if not settings.kernel.iterations:
+        _tell_unchanged(messages, report, unwrapped=unwrap is not None, dry_run=dry_run)
+        return
     _tell(messages, report, dry_run=dry_run)
 
 
-def _check_report(path: str, source: str, target: str) -> None:
+def _open_report(path: str, source: str, target: str, overwrite: bool) -> Output:
+    """Check that a report can be written before anything is computed."""
+    from beltrami_cli.pipeline.output import Output
+
+    if path == "-":
+        raise OutputError(path, "the report is a file; standard output is for OUTPUT", "name a file")
     if Path(path).resolve() in (Path(source).resolve(), Path(target).resolve()):
         raise OutputError(path, "the report would replace INPUT or OUTPUT", "choose another name")
-    if not Path(path).resolve().parent.is_dir():
-        raise OutputError(path, "its folder does not exist", "make it first")
+    return Output(path, overwrite=overwrite)
 
 
-def _write_report(path: str, report: SmoothReport) -> None:
+def _write_report(output: Output, report: SmoothReport) -> None:
     from dataclasses import asdict
 
-    try:
-        Path(path).write_text(json.dumps(asdict(report), indent=2) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise OutputError(path, f"cannot be written ({error.strerror})", "choose another place") from error
+    from beltrami_cli.formats.document import Written
+
+    # Files beside OUTPUT are named relative to it.
+    folder = Path(report.output).resolve().parent
+    if output.path in {(folder / name).resolve() for name in report.written[1:]}:
+        raise OutputError(
+            output.target,
+            "the report would replace a file of OUTPUT, which is written",
+            "choose another name",
+        )
+    output.write(Written(main=[(json.dumps(asdict(report), indent=2) + "\n").encode()]))
+
+
+def _tell_unchanged(messages: Messages, report: SmoothReport, *, unwrapped: bool, dry_run: bool) -> None:
+    for warning in report.warnings:
+        messages.warn(f"{report.input}: {warning}")
+    same = Path(report.input).suffix.lower() == f".{report.format}" and not unwrapped
+    what = "would be" if dry_run else "is"
+    messages.say(
+        f"{report.output}: no iterations, so the file {what} copied unchanged"
+        if same
+        else f"{report.output}: no iterations, so the colours are unchanged"
+    )
 
 
 def _tell(messages: Messages, report: SmoothReport, *, dry_run: bool) -> None:
