@@ -30,7 +30,7 @@ COLOUR_SMOOTHING = {
     "Open3D simple": partial(peers.open3d_smoothing, "simple"),
 }
 OURS = {
-    "beltrami, beta 13, t 1.3, 10 iterations": {"beta": 13.0, "t": 1.3, "iterations": 10},
+    "beltrami, beta 13, t 1.3, 10 iterations": {"beta": 13.0, "t": 1.3, "iterations": 10, "metric_steps": 0},
     "beltrami, defaults": {},
 }
 GOAL_MICROSECONDS = {20: 3.5, 50: 8.5}

@@ -28,7 +28,7 @@ def iteration_seconds(scene, repeats, **options):
         times = []
         for iterations in (0, 1):
             start = time.process_time()
-            result = smooth(scene, iterations=iterations, **options)
+            result = smooth(scene, metric_steps=0, iterations=iterations, **options)
             times.append(time.process_time() - start)
         differences.append(times[1] - times[0])
         samples = result.samples_per_kernel
@@ -45,7 +45,7 @@ def thread_gain(scene, repeats, **options):
         for run in ((0, 1), (1, 1), (0, 2), (1, 2)):
             iterations, threads = run
             start = time.perf_counter()
-            smooth(scene, iterations=iterations, threads=threads, **options)
+            smooth(scene, metric_steps=0, iterations=iterations, threads=threads, **options)
             shortest[run] = min(time.perf_counter() - start, shortest.get(run, float("inf")))
     return (shortest[1, 1] - shortest[0, 1]) / (shortest[1, 2] - shortest[0, 2])
 
@@ -62,5 +62,5 @@ def time_step_for(samples, scene, beta):
     """
     t = samples / 34
     for _ in range(4):
-        t *= samples / smooth(scene, iterations=1, t=t, beta=beta).samples_per_kernel
+        t *= samples / smooth(scene, metric_steps=0, iterations=1, t=t, beta=beta).samples_per_kernel
     return t
