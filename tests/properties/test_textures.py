@@ -163,7 +163,8 @@ def test_a_slit_does_not_spoil_the_unit_of_length_beside_it():
     _, lengths = grid(40)
     lengths[1, 19] = 113.0**2
     scale = local_scale(lengths, 3)
-    # 7 of the window's 98 edges are long: the geometric mean of lengths grows to 113^(1/14) = 1.40; a little more at the rim.
+    # 7 of the window's 98 edges are long: the geometric mean of lengths grows to 113^(1/14) = 1.40, and at the
+    # rim a little more.
     assert np.sqrt(1 / scale).max() < 1.5
     assert np.allclose(scale[:10], 1)
 
