@@ -1,0 +1,283 @@
+"""Every option for textures does what its help says, and files beside a model come whole or not at all."""
+
+from __future__ import annotations
+
+import shutil
+import signal
+import struct
+import subprocess
+import time
+import zlib
+
+import numpy as np
+import pytest
+
+from beltrami_cli.formats.image.reading import read_image
+from beltrami_cli.formats.source import open_document
+from cli.commands import COMMAND, SAMPLES, beltrami
+
+MIRRORED = SAMPLES / "mirrored-noisy.obj"
+TORUS = SAMPLES / "torus-two-noisy.gltf"
+TEXTURED = [
+    "head-tex-noisy.glb",
+    "head-tex-noisy.obj",
+    "torus-two-noisy.gltf",
+    "scan-noisy.ply",
+    "mirrored-noisy.obj",
+    "sphere-exr-noisy.obj",
+    "tiled-noisy.glb",
+]
+SIDE = 64
+CHART = slice(SIDE // 4, 3 * SIDE // 4)
+
+
+def png(pixels):
+    """Encode RGBA pixels of 8 bits."""
+
+    def chunk(kind, data):
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+    height, width = pixels.shape[:2]
+    rows = b"".join(b"\0" + row.tobytes() for row in pixels)
+    header = struct.pack(">IIBBBBB", width, height, 8, 6, 0, 0, 0)
+    return (
+        b"\x89PNG\r\n\x1a\n"
+        + chunk(b"IHDR", header)
+        + chunk(b"IDAT", zlib.compress(rows))
+        + chunk(b"IEND", b"")
+    )
+
+
+def noise():
+    """Grey noise, opaque."""
+    pixels = np.random.default_rng(1).integers(88, 168, (SIDE, SIDE, 4), dtype=np.uint8)
+    pixels[..., 3] = 255
+    return pixels
+
+
+@pytest.fixture
+def square(tmp_path):
+    """Make a square whose chart is the middle of a texture."""
+
+    def make(pixels):
+        folder = tmp_path / "source"
+        folder.mkdir()
+        (folder / "square.png").write_bytes(png(pixels))
+        (folder / "square.mtl").write_text("newmtl paint\nmap_Kd square.png\n")
+        (folder / "square.obj").write_text(
+            "mtllib square.mtl\nusemtl paint\nv 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"
+            "vt .25 .25\nvt .75 .25\nvt .75 .75\nvt .25 .75\nf 1/1 2/2 3/3 4/4\n"
+        )
+        return folder / "square.obj"
+
+    return make
+
+
+def smooth(source, target, *arguments):
+    target.parent.mkdir(exist_ok=True)
+    run = beltrami("smooth", source, target, "--quiet", *arguments)
+    assert run.returncode == 0, run.stderr
+    return target
+
+
+def images(model):
+    textures = open_document(str(model)).textured("baseColor").textures
+    return [read_image(texture.data, texture.name) for texture in textures]
+
+
+def pixels(model):
+    return images(model)[0].pixels.astype(int)
+
+
+def files(folder):
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def test_the_gutter_is_kept_or_refilled_as_far_as_asked(square, tmp_path):
+    before = noise()
+    source = square(before)
+    changed = {}
+    for gutter in ("keep", "0", "8"):
+        after = pixels(smooth(source, tmp_path / gutter / "out.obj", "-n", "1", "--gutter", gutter))
+        changed[gutter] = np.any(after != before, axis=2)
+        assert changed[gutter][CHART, CHART].mean() > 0.9
+    near = slice(CHART.start - 5, CHART.start - 3)
+    beyond = CHART.start - 10
+    for gutter in ("keep", "0"):
+        assert not changed[gutter][near, CHART].any()
+    assert changed["8"][near, CHART].mean() > 0.9
+    assert not changed["8"][:beyond].any()
+    assert not changed["8"][:, :beyond].any()
+
+
+def test_a_wider_window_smooths_a_large_time_step_further(square, tmp_path):
+    source = square(noise())
+    left = [
+        pixels(smooth(source, tmp_path / w / "out.obj", "-n", "1", "-t", "4", "--beta", "0", "--window", w))
+        for w in ("3", "9")
+    ]
+    narrow, wide = (image[CHART, CHART, :3].std() for image in left)
+    assert wide < 0.7 * narrow
+
+
+def test_the_papers_preset_is_one_iteration_and_not_the_default(square, tmp_path):
+    source = square(noise())
+    paper = pixels(smooth(source, tmp_path / "paper" / "out.obj", "--preset", "paper", "--beta", "5"))
+    once = pixels(
+        smooth(source, tmp_path / "once" / "out.obj", "--preset", "paper", "-n", "1", "--beta", "5")
+    )
+    default = pixels(smooth(source, tmp_path / "default" / "out.obj", "--beta", "5"))
+    assert np.array_equal(paper, once)
+    assert not np.array_equal(paper, default)
+
+
+def test_no_metric_steps_are_the_same_as_no_metric_scale(square, tmp_path):
+    source = square(noise())
+    common = ("-n", "2", "--beta", "10")
+    steps = pixels(smooth(source, tmp_path / "steps" / "out.obj", *common, "--metric-steps", "0"))
+    scale = pixels(smooth(source, tmp_path / "scale" / "out.obj", *common, "--metric-scale", "0"))
+    default = pixels(smooth(source, tmp_path / "default" / "out.obj", *common))
+    assert np.array_equal(steps, scale)
+    assert not np.array_equal(steps, default)
+
+
+def test_opacity_is_kept_or_smoothed_and_invisible_texels_lend_no_colour(square, tmp_path):
+    before = np.full((SIDE, SIDE, 4), 100, np.uint8)
+    before[..., 3] = 255
+    before[:, SIDE // 2 :] = (255, 0, 0, 0)
+    source = square(before)
+    common = ("-n", "1", "--beta", "0")
+    kept = pixels(smooth(source, tmp_path / "keep" / "out.obj", *common, "--alpha", "keep"))
+    smoothed = pixels(smooth(source, tmp_path / "smooth" / "out.obj", *common, "--alpha", "smooth"))
+    assert np.array_equal(kept[..., 3], before[..., 3])
+    assert np.abs(kept[:, : SIDE // 2, :3] - 100).max() <= 1
+    assert set(np.unique(smoothed[CHART, CHART, 3])) > {0, 255}
+
+
+@pytest.mark.parametrize("arguments", [("--material", "ic*"), ("--texture", "*-icing.*")])
+def test_globs_choose_textures_by_material_and_by_name(arguments, tmp_path):
+    smooth(TORUS, tmp_path / TORUS.name, "-n", "1", *arguments)
+    dough, icing = "torus-two-noisy-dough.png", "torus-two-noisy-icing.png"
+    icing_after = tmp_path / icing
+    if not icing_after.exists():
+        (icing_after,) = tmp_path.glob("*icing*.png")
+    assert icing_after.read_bytes() != (SAMPLES / icing).read_bytes()
+    assert (tmp_path / dough).read_bytes() == (SAMPLES / dough).read_bytes()
+    refused = beltrami("smooth", TORUS, tmp_path / "none.gltf", arguments[0], "nothing*")
+    assert refused.returncode == 2
+
+
+def test_world_units_are_those_of_the_file(square, tmp_path):
+    source = square(noise())
+    texel = 1 / (SIDE // 2)  # the square has the side 1, and half the texture's texels
+    spacing = pixels(smooth(source, tmp_path / "spacing" / "out.obj", "-n", "1", "-t", "2", "--beta", "0"))
+    world = pixels(
+        smooth(
+            source, tmp_path / "world" / "out.obj", "-n", "1", "--beta", "0",
+            "--units", "world", "-t", 2 * texel**2,
+        )
+    )  # fmt: skip
+    assert np.abs(world - spacing).max() <= 1
+
+
+def test_weights_by_area_change_the_vertex_colours(tmp_path):
+    source = SAMPLES / "nonmanifold-noisy.ply"
+    uniform = smooth(source, tmp_path / "uniform.ply", "-n", "1")
+    area = smooth(source, tmp_path / "area.ply", "-n", "1", "--weights", "area")
+    assert uniform.read_bytes() != area.read_bytes()
+
+
+def test_small_files_hold_the_same_pixels(tmp_path):
+    plain = smooth(MIRRORED, tmp_path / "plain" / "out.obj", "-n", "1")
+    small = smooth(MIRRORED, tmp_path / "small" / "out.obj", "-n", "1", "--small")
+    assert np.array_equal(pixels(plain), pixels(small))
+    (large_file,), (small_file,) = plain.parent.glob("*.png"), small.parent.glob("*.png")
+    assert small_file.stat().st_size < large_file.stat().st_size
+
+
+def test_jpeg_textures_grow_with_their_quality(tmp_path):
+    sizes = []
+    for quality in ("50", "98"):
+        out = smooth(
+            SAMPLES / "scan-noisy.ply", tmp_path / quality / "out.ply", "-n", "1", "--jpeg-quality", quality
+        )
+        (image,) = out.parent.glob("*.jpg")
+        sizes.append(image.stat().st_size)
+    assert sizes == sorted(set(sizes))
+
+
+@pytest.mark.parametrize(("source", "kind"), [("mirrored-noisy.obj", "jpg"), ("sphere-exr-noisy.obj", "png")])
+def test_another_image_format_is_named_in_the_material_and_opens_again(source, kind, tmp_path):
+    out = smooth(SAMPLES / source, tmp_path / "out.obj", "-n", "1", "--texture-format", kind)
+    (image,), (library,) = tmp_path.glob(f"*.{kind}"), tmp_path.glob("*.mtl")
+    assert f"map_Kd {image.name}" in library.read_text()
+    assert images(out)[0].format == {"jpg": "jpeg"}.get(kind, kind)
+
+
+def test_the_number_of_threads_changes_no_byte(tmp_path):
+    for threads in ("1", "2"):
+        smooth(MIRRORED, tmp_path / threads / "out.obj", "-n", "1", "--threads", threads)
+    assert files(tmp_path / "1") == files(tmp_path / "2")
+
+
+@pytest.mark.parametrize(
+    ("source", "on"),
+    [
+        ("terrain-noisy.ply", "texture"),
+        ("terrain-noisy.ply", "both"),
+        ("mirrored-noisy.obj", "vertices"),
+        ("mirrored-noisy.obj", "both"),
+    ],
+)
+def test_colours_that_are_not_there_cannot_be_asked_for(source, on, tmp_path):
+    run = beltrami("smooth", SAMPLES / source, tmp_path / source, "--on", on)
+    assert run.returncode in (2, 3)
+    assert run.stderr.count(b"\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", TEXTURED)
+def test_no_iterations_carry_every_file_byte_by_byte_to_another_folder(name, tmp_path):
+    smooth(SAMPLES / name, tmp_path / name, "-n", "0")
+    written = files(tmp_path)
+    assert name in written
+    assert written == {each: (SAMPLES / each).read_bytes() for each in written}
+    assert images(tmp_path / name)
+
+
+def test_smoothing_to_another_folder_carries_all_files_of_the_model(tmp_path):
+    out = smooth(TORUS, tmp_path / "out.gltf", "-n", "1", "--material", "icing")
+    assert len(list(tmp_path.glob("*.png"))) == 2
+    assert (tmp_path / "torus-two-noisy.bin").exists()
+    assert len(images(out)) == 2
+
+
+def test_textured_gltf_converts_to_glb_with_its_textures(tmp_path):
+    out = smooth(TORUS, tmp_path / "out.glb", "-n", "1")
+    assert [path.name for path in tmp_path.iterdir()] == ["out.glb"]
+    assert len(images(out)) == 2
+
+
+def test_a_dry_run_writes_no_file_of_a_textured_model(tmp_path):
+    smooth(MIRRORED, tmp_path / "out.obj", "-n", "1", "--dry-run")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_interrupt_while_textures_are_smoothed_leaves_nothing_behind(tmp_path):
+    source = tmp_path / "source"
+    source.mkdir()
+    for path in SAMPLES.glob("mirrored-noisy.*"):
+        shutil.copy(path, source)
+    target = tmp_path / "target"
+    target.mkdir()
+    arguments = ["smooth", str(source / MIRRORED.name), str(target / "out.obj"), "-n", "2000"]
+    with subprocess.Popen([*COMMAND, *arguments], stderr=subprocess.PIPE) as process:
+        time.sleep(1.2)
+        process.send_signal(signal.SIGINT)
+        sent = time.monotonic()
+        _, errors = process.communicate(timeout=30)
+    assert process.returncode == 130, errors
+    assert time.monotonic() - sent < 2
+    assert b"Traceback" not in errors
+    assert list(target.iterdir()) == []
+    assert len(list(source.iterdir())) == 3
