@@ -63,8 +63,8 @@ def _is_patterned(steps: NDArray[np.float32], beside: NDArray[np.float32], noise
     """Tell a jump that changes its sign along the seam: steps over it have more energy than those beside it."""
     if len(steps) < _FEWEST:
         return False
-    excess = np.mean(np.square(steps) - np.square(beside), axis=1, dtype=np.float64)
-    error = float(excess.std()) / np.sqrt(len(excess))
+    excess = np.square(steps).mean(axis=1) - np.square(beside).mean(axis=1)
+    error = float(excess.std()) / np.sqrt(len(steps))
     return bool(excess.mean() > max(_ERRORS * error, (_OF_NOISE * noise) ** 2 + _LEAST**2))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -82,19 +83,23 @@ def repaint(
     after = smoothed.colours[inside]
     moved = np.any(colours.working(picture, texels) != after, axis=1)
     colours.write(new, index, texels[moved], after[moved])
-    covered = np.zeros(old.shape[:2], bool)
+    del after
+    # Texels that are not covered have not changed yet, and do not count.
+    change = dataclasses.replace(Change.between(old, new), count=len(texels) * old.shape[2])
+    covered, known = np.zeros(old.shape[:2], bool), np.zeros(old.shape[:2], bool)
     covered.reshape(-1)[texels] = True
-    change = Change.between(old[covered], new[covered])
     if gutter is not None:
-        known = np.zeros_like(covered)
         beside, gutter_texels = smoothed.of_texture(smoothed.gutter_texels, index)
         near = _within(covered, gutter).reshape(-1)[gutter_texels]
         beside[beside], gutter_texels = near, gutter_texels[near]
         colours.write(new, index, gutter_texels, smoothed.gutter_colours[beside])
         known.reshape(-1)[gutter_texels] = True
+    pixels = from_float(picture, new, new != old)
+    del old, new  # the rest of the gutter copies pixels, for which the picture's own type will do
+    if gutter is not None:
         columns = colours.columns(index)
-        new[..., columns] = fill_gutter(new[..., columns], covered, None, gutter, known)
-    return from_float(picture, new, new != old), change
+        pixels[..., columns] = fill_gutter(pixels[..., columns], covered, None, gutter, known)
+    return pixels, change
 
 
 def _within(covered: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
