@@ -72,6 +72,8 @@ class TexelColours:
 
     def samples(self, atlas: Atlas) -> NDArray[np.float32]:
         """Return the colours of the owned cells in the working space, shape (T, N)."""
+        if len(self._pictures) == 1:
+            return self.working(self._pictures[0], atlas.owned_texels)
         table = np.empty((len(atlas.owned_texels), len(self.names)), np.float32)
         for index, picture in enumerate(self._pictures):
             inside, texels = self._texels(atlas, index)
@@ -81,7 +83,9 @@ class TexelColours:
     def working(self, picture: Picture, texels: NDArray[np.int64]) -> NDArray[np.float32]:
         """Return the colours of some texels (row * width + column) of a picture in the working space."""
         pixels = full_scale_one(picture.pixels.reshape(-1, picture.pixels.shape[2])[texels])
-        working = to_space(self._widened(picture, pixels), picture.encoding, self._space)[:, self._kept]
+        working = to_space(self._widened(picture, pixels), picture.encoding, self._space)
+        if len(self._kept) < self._width:
+            working = working[:, self._kept]
         if not self._alpha:
             return working
         opacity = pixels[:, picture.alpha] if picture.alpha is not None else np.ones(len(pixels), np.float32)
@@ -149,7 +153,8 @@ class TexelColours:
         return inside, atlas.owned_texels[inside] - first
 
     def _widened(self, picture: Picture, pixels: NDArray[np.float32]) -> NDArray[np.float32]:
-        colours = pixels[:, list(picture.colour)]
+        every = tuple(range(pixels.shape[1]))
+        colours = pixels if picture.colour == every else pixels[:, list(picture.colour)]
         return np.repeat(colours, self._width, axis=1) if colours.shape[1] < self._width else colours
 
 

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
     from beltrami_cli.mesh.painted import Encoding
 
-_BLOCK = 1 << 22  # values rounded at a time, which bounds the memory for them in double precision
+_BLOCK = 1 << 19  # values rounded at a time, which bounds the memory for them in double precision
 
 
 @dataclass(frozen=True)
