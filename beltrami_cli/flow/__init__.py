@@ -1,1 +1,1 @@
-"""The Beltrami flow: embedding, units, noise, colour spaces and the iteration; sole user of the compiled core."""
+"""The Beltrami flow: embedding, units, noise, colour spaces and the iteration."""
