@@ -60,6 +60,7 @@ sanitize: $(VENV)/.installed-test
 	$(BIN)/cmake --build build/sanitize --parallel 2
 	build/sanitize/core_tests
 	build/sanitize/atlas_tests
+	build/sanitize/parametric_tests
 
 samples: $(VENV)/.installed-samples
 	$(BIN)/python sample_data/make.py

@@ -1,0 +1,68 @@
+// Tests of the parametric kernel without Python, meant to be run under the sanitizers: grids of every shape, with holes.
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+#include <cstdlib>
+#include <limits>
+#include <random>
+#include <vector>
+
+#include "parametric/grid_stencils.hpp"
+#include "parametric/local_scale.hpp"
+#include "parametric/window_sweep.hpp"
+
+using namespace beltrami::parametric;
+
+namespace {
+
+void check(bool holds, const char* what, int line) {
+  if (holds) return;
+  std::fprintf(stderr, "parametric_tests.cpp:%d: not true: %s\n", line, what);
+  std::exit(1);
+}
+#define CHECK(condition) check((condition), #condition, __LINE__)
+
+struct Canvas {
+  Canvas(std::size_t rows, std::size_t columns, std::mt19937& random)
+      : kind(rows * columns), lengths(4 * rows * columns), colours(2 * rows * columns), scale(rows * columns) {
+    const std::size_t cells = rows * columns;
+    for (auto& cell : kind) cell = static_cast<std::uint8_t>(random() % 8 < 6 ? owned : random() % 2 ? halo : empty);
+    for (float& length : lengths) length = random() % 9 == 0 ? std::numeric_limits<float>::infinity() : 0.1F + static_cast<float>(random() % 30) / 10.0F;
+    for (float& colour : colours) colour = static_cast<float>(random() % 256) / 255.0F;
+    local_scale(rows, columns, lengths.data(), 3, scale.data());
+    for (std::size_t i = 0; i < cells; ++i) CHECK(scale[i] > 0 && std::isfinite(scale[i]));
+    grid = {rows, columns, kind.data(), lengths.data(), random() % 2 ? scale.data() : nullptr};
+  }
+  std::vector<std::uint8_t> kind;
+  std::vector<float> lengths, colours, scale;
+  Grid grid;
+};
+
+void sweeps_and_marches_keep_the_range_and_every_cell_that_is_not_owned() {
+  std::mt19937 random(11);
+  for (int trial = 0; trial < 150; ++trial) {
+    const Canvas canvas(1 + random() % 45, 1 + random() % 130, random);
+    const Planes planes{canvas.colours.data(), 2};
+    const SweepParameters parameters{1.5F, 5.0F, trial % 3 == 0 ? 0.0F : 4.0F, trial % 2};
+    const auto program = make_window_program(1 + trial % 7);
+    std::vector<float> swept(canvas.colours.size()), again(swept.size()), marched(swept.size());
+    smooth_by_sweeps(canvas.grid, planes, planes, parameters, program, swept.data(), 1);
+    smooth_by_sweeps(canvas.grid, planes, planes, parameters, program, again.data(), 3);
+    CHECK(swept == again);
+    const Scheme scheme = trial % 2 == 0 ? Scheme::metric : Scheme::triangles;
+    smooth_by_marching(canvas.grid, planes, planes, parameters, trial % 4, scheme, marched.data(), 2);
+    for (std::size_t i = 0; i < swept.size(); ++i) {
+      for (const float value : {swept[i], marched[i]}) CHECK(value >= -1e-6F && value <= 1 + 1e-6F);
+      if (canvas.kind[i % canvas.grid.cells()] == owned) continue;
+      CHECK(swept[i] == canvas.colours[i] && marched[i] == canvas.colours[i]);
+    }
+  }
+}
+
+}  // namespace
+
+int main() {
+  sweeps_and_marches_keep_the_range_and_every_cell_that_is_not_owned();
+  std::puts("parametric tests passed");
+  return 0;
+}
