@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import re
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import TYPE_CHECKING
 
+from beltrami_cli.formats.beside import renamed, unused, with_suffix
 from beltrami_cli.formats.gltf.files import UnfitReferenceError, as_uri, is_data, relative_name
-from beltrami_cli.formats.gltf.storing import MEDIA
 
 if TYPE_CHECKING:
     from beltrami_cli.formats.document import Bytes
@@ -58,34 +57,10 @@ def place_pictures(edit: Edit, tree: Tree, stem: str, *, moved: bool) -> dict[st
             keeps = moved and index < known
             name = with_suffix(old if keeps else renamed(old, source, stem), file.suffix)
             if not keeps or name != old:
-                name = _unused(name, taken)
+                name = unused(name, taken)
             chosen[key] = name
             taken.add(name.casefold())
             sidecars[name] = file.data
         if chosen[key] != old:
             tree["images"][index]["uri"] = as_uri(chosen[key])
     return sidecars
-
-
-def renamed(name: str, source: str, stem: str) -> str:
-    """Return the path of a file named after another model: its stem replaced as a word, or put in front."""
-    path = PurePosixPath(name)
-    word = rf"(?<![^\W_]){re.escape(source)}(?![^\W_])"
-    new, count = re.subn(word, lambda _: stem, path.name, count=1)
-    return str(path.with_name(new if count else f"{stem}_{path.name}"))
-
-
-def with_suffix(name: str, suffix: str) -> str:
-    """Return a path that ends as its type asks for; unchanged if it already does."""
-    path = PurePosixPath(name)
-    if MEDIA.get(path.suffix.lower()) == MEDIA[suffix.lower()]:
-        return name
-    return str(path.with_suffix(suffix))
-
-
-def _unused(name: str, taken: set[str]) -> str:
-    path, number = PurePosixPath(name), 2
-    while name.casefold() in taken:
-        name = str(path.with_name(f"{path.stem}-{number}{path.suffix}"))
-        number += 1
-    return name
