@@ -80,4 +80,16 @@ def smooth_grid(
     threads: int,
     progress: Callable[[int], None] | None,
 ) -> tuple[NDArray[np.float32], int]: ...
+def grid_distances(
+    kind: NDArray[np.uint8],
+    squared_lengths: NDArray[np.float32],
+    scale: NDArray[np.float32] | None,
+    metric: NDArray[np.float32],
+    beta: float,
+    radius: float,
+    window_radius: int,
+    scheme: str,
+    repairs: int,
+    cell: int,
+) -> NDArray[np.float32]: ...
 def sweep_instruction_set() -> str: ...

@@ -8,8 +8,8 @@
 #include <cmath>
 
 #include "bindings/arrays.hpp"
-#include "parametric/grid_stencils.hpp"
 #include "parametric/local_scale.hpp"
+#include "parametric/window_march.hpp"
 #include "parametric/window_sweep.hpp"
 
 namespace beltrami::bindings {
@@ -25,14 +25,21 @@ Planes planes_of(const Stack& stack, const Grid& grid) {
   return {stack.data(), stack.shape(0)};
 }
 
+Grid grid_of(const Cells& kind, const Stack& squared_lengths, const std::optional<Plane>& scale) {
+  const Grid grid{kind.shape(0), kind.shape(1), kind.data(), squared_lengths.data(), scale ? scale->data() : nullptr};
+  if (scale && (scale->shape(0) != grid.rows || scale->shape(1) != grid.columns))
+    throw nb::value_error("the scale must have the grid's shape");
+  if (planes_of(squared_lengths, grid).channels != direction_count) throw nb::value_error("four planes of lengths are needed");
+  return grid;
+}
+
+Scheme march_of(const std::string& scheme) { return scheme == "metric" ? Scheme::metric : Scheme::triangles; }
+
 // One kernel iteration on a grid. scheme: "sweep" (window of the given radius), "triangles" or "metric" (heap march).
 auto smooth_grid(const Cells& kind, const Stack& squared_lengths, const std::optional<Plane>& scale, const Stack& metric, const Stack& colours, float beta,
                  float time_step, float radius, int window_radius, const std::string& scheme, int repairs,
                  unsigned threads, const nb::object& progress) {
-  Grid grid{kind.shape(0), kind.shape(1), kind.data(), squared_lengths.data(), scale ? scale->data() : nullptr};
-  if (scale && (scale->shape(0) != grid.rows || scale->shape(1) != grid.columns))
-    throw nb::value_error("the scale must have the grid's shape");
-  if (planes_of(squared_lengths, grid).channels != direction_count) throw nb::value_error("four planes of lengths are needed");
+  const Grid grid = grid_of(kind, squared_lengths, scale);
   const Planes metric_planes = planes_of(metric, grid), colour_planes = planes_of(colours, grid);
   const SweepParameters parameters{time_step, radius, beta, repairs};
   std::unique_ptr<float[]> smoothed(new float[colours.size()]);
@@ -45,14 +52,33 @@ auto smooth_grid(const Cells& kind, const Stack& squared_lengths, const std::opt
                                  smoothed.get(), threads, poll.poll());
     else
       samples = smooth_by_marching(grid, metric_planes, colour_planes, parameters, window_radius,
-                                   scheme == "metric" ? Scheme::metric : Scheme::triangles, smoothed.get(), threads,
-                                   poll.poll());
+                                   march_of(scheme), smoothed.get(), threads, poll.poll());
   } catch (const Cancelled&) {
     poll.rethrow();
     throw;
   }
   return std::make_tuple(give<float, nb::ndim<3>>(std::move(smoothed), {colours.shape(0), colours.shape(1), colours.shape(2)}),
                          samples);
+}
+
+// The distances of one kernel over its window, with the arguments of smooth_grid; the cell is a flat index.
+auto grid_distances(const Cells& kind, const Stack& squared_lengths, const std::optional<Plane>& scale, const Stack& metric,
+                    float beta, float radius, int window_radius, const std::string& scheme, int repairs, std::size_t cell) {
+  const Grid grid = grid_of(kind, squared_lengths, scale);
+  const Planes metric_planes = planes_of(metric, grid);
+  if (cell >= grid.cells() || grid.kind[cell] != owned) throw nb::index_error("the cell holds no sample");
+  if (window_radius < 1) throw nb::value_error("the window must have a radius");
+  const SweepParameters parameters{1, radius, beta, repairs};
+  const auto side = 2 * static_cast<std::size_t>(window_radius) + 1;
+  std::unique_ptr<float[]> distances(new float[side * side]);
+  {
+    const nb::gil_scoped_release unlock;
+    if (scheme == "sweep")
+      distances_by_sweeps(grid, metric_planes, parameters, make_window_program(window_radius), cell, distances.get());
+    else
+      distances_by_marching(grid, metric_planes, parameters, window_radius, march_of(scheme), cell, distances.get());
+  }
+  return give<float, nb::ndim<2>>(std::move(distances), {side, side});
 }
 
 // What makes local units of squared lengths, see local_scale.
@@ -72,6 +98,8 @@ void bind_parametric(nb::module_& module) {
   using namespace nb::literals;
   module.def("smooth_grid", &smooth_grid, "kind"_a, "squared_lengths"_a, "scale"_a.none(), "metric"_a, "colours"_a, "beta"_a, "time_step"_a,
              "radius"_a, "window_radius"_a, "scheme"_a, "repairs"_a, "threads"_a, "progress"_a.none());
+  module.def("grid_distances", &grid_distances, "kind"_a, "squared_lengths"_a, "scale"_a.none(), "metric"_a, "beta"_a, "radius"_a,
+             "window_radius"_a, "scheme"_a, "repairs"_a, "cell"_a);
   module.def("local_scale", &local_scale_of, "squared_lengths"_a, "window_radius"_a);
   module.def("sweep_instruction_set", &sweep_instruction_set);
 }

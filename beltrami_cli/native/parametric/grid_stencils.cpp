@@ -5,8 +5,8 @@
 #include <numeric>
 #include <optional>
 
+#include "parallel.hpp"
 #include "parametric/stencil_classes.hpp"
-#include "triangulated/fast_marching.hpp"
 
 namespace beltrami::parametric {
 namespace {
@@ -243,35 +243,6 @@ triangulated::Stencils make_grid_stencils(const Grid& grid, const CellNumbers& n
     for (const auto& found : chunk)
       stencils.splits[static_cast<std::size_t>(cursor[static_cast<std::size_t>(found.support)]++)] = found.link;
   return stencils;
-}
-
-std::int64_t smooth_by_marching(const Grid& grid, Planes metric, Planes colours, const SweepParameters& parameters,
-                                int window_radius, Scheme scheme, float* smoothed, unsigned threads, const Poll& poll) {
-  const CellNumbers numbers = number_cells(grid);
-  const Stencils stencils = make_grid_stencils(grid, numbers, metric, parameters.beta, scheme, threads);
-  const std::size_t count = numbers.cell_of.size();
-  std::vector<float> rows(count * colours.channels), result(rows.size());
-  std::vector<std::uint8_t> wanted(count);
-  std::vector<triangulated::GridPlace> places(window_radius > 0 ? count : 0);
-  for (std::size_t i = 0; i < count; ++i) {
-    const std::size_t cell = numbers.cell_of[i];
-    wanted[i] = grid.kind[cell] == owned;
-    if (window_radius > 0)
-      places[i] = {static_cast<std::int32_t>(cell / grid.columns), static_cast<std::int32_t>(cell % grid.columns)};
-    for (std::size_t channel = 0; channel < colours.channels; ++channel)
-      rows[i * colours.channels + channel] = colours.data[channel * grid.cells() + cell];
-  }
-  const Poll cell_poll = poll ? Poll([&](std::size_t done) { return poll(done * grid.cells() / count); }) : Poll();
-  const triangulated::Selection selection{wanted.data(), window_radius > 0 ? places.data() : nullptr, window_radius};
-  const auto statistics = triangulated::smooth(stencils, {rows.data(), colours.channels}, nullptr,
-                                               {parameters.time_step, std::min(parameters.radius, longest_radius), count}, result.data(), threads, cell_poll,
-                                               selection);
-  std::copy(colours.data, colours.data + colours.channels * grid.cells(), smoothed);
-  for (std::size_t i = 0; i < count; ++i)
-    if (wanted[i])
-      for (std::size_t channel = 0; channel < colours.channels; ++channel)
-        smoothed[channel * grid.cells() + numbers.cell_of[i]] = result[i * colours.channels + channel];
-  return statistics.samples;
 }
 
 }  // namespace beltrami::parametric

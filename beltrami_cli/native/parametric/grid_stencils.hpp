@@ -6,11 +6,10 @@
 // grid point (i, j) within it supports two acute ones. All lengths come from the metric g at the updated point.
 #pragma once
 
+#include <cstddef>
 #include <vector>
 
 #include "parametric/grid.hpp"
-#include "parametric/window_sweep.hpp"
-#include "triangulated/short_time_kernel.hpp"
 #include "triangulated/stencils.hpp"
 
 namespace beltrami::parametric {
@@ -33,11 +32,5 @@ CellNumbers number_cells(const Grid& grid);
 // Stencils between the non-empty cells for the metric that `metric` colours induce.
 triangulated::Stencils make_grid_stencils(const Grid& grid, const CellNumbers& numbers, Planes metric, float beta,
                                           Scheme scheme, unsigned threads);
-
-// As smooth_by_sweeps, by a heap march for every owned cell; cells further than window_radius in rows or columns
-// are left out, which 0 turns off.
-std::int64_t smooth_by_marching(const Grid& grid, Planes metric, Planes colours, const SweepParameters& parameters,
-                                int window_radius, Scheme scheme, float* smoothed, unsigned threads,
-                                const Poll& poll = {});
 
 }  // namespace beltrami::parametric

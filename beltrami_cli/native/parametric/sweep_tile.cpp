@@ -174,6 +174,11 @@ std::int64_t write_owned(const TileJob& job, const Averages& averages, std::size
   return samples;
 }
 
+// Writes the distances from the first centre.
+void write_window(const float* window, int slots, float* distances) {
+  for (int slot = 0; slot < slots; ++slot) distances[slot] = window[static_cast<std::size_t>(slot) * lane_count];
+}
+
 bool any_owned(const std::uint8_t* kind, std::size_t count) {
   return std::find(kind, kind + count, owned) != kind + count;
 }
@@ -217,6 +222,7 @@ std::int64_t sweep_tile(const TileJob& job, const Tile& tile, TileScratch& scrat
       pass(job.program->outward, layout, lengths, coefficients, centre, window);
       for (int repair = 0; repair < job.parameters->repairs; ++repair)
         pass(job.program->repair, layout, lengths, coefficients, centre, window);
+      if (job.distances != nullptr) write_window(window, side * side, job.distances);
       const Averages averages = average(job, layout, window, colours, centre, scratch.sums.data());
       samples += write_owned(job, averages, cell, count);
     }

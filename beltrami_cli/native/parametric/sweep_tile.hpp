@@ -20,6 +20,7 @@ struct TileJob {
   const SweepParameters* parameters;
   const WindowProgram* program;
   float* smoothed;
+  float* distances = nullptr;  // of a tile of one cell: where its window's distances go
 };
 
 // Scratch memory of one thread, grown on first use and kept.

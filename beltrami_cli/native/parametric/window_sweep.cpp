@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cstdlib>
 #include <cstring>
+#include <limits>
 #include <numeric>
 #include <stdexcept>
 #include <vector>
@@ -73,6 +74,17 @@ std::int64_t smooth_by_sweeps(const Grid& grid, Planes metric, Planes colours, c
       },
       poll ? Poll([&](std::size_t done) { return poll(done * grid.cells() / tiles.size()); }) : Poll());
   return std::accumulate(samples.begin(), samples.end(), std::int64_t{0});
+}
+
+void distances_by_sweeps(const Grid& grid, Planes metric, const SweepParameters& parameters, const WindowProgram& program,
+                         std::size_t cell, float* distances) {
+  const std::size_t side = 2 * static_cast<std::size_t>(program.radius) + 1;
+  TileScratch scratch;
+  const TileJob job{&grid, metric, {nullptr, 0}, &parameters, &program, nullptr, distances};
+  choose_variant().sweep(job, {cell / grid.columns, cell % grid.columns, 1, 1}, scratch);
+  const float reach = std::min(parameters.radius, longest_radius);
+  std::replace_if(distances, distances + side * side, [&](float distance) { return !(distance <= reach); },
+                  std::numeric_limits<float>::infinity());
 }
 
 const char* sweep_instruction_set() { return choose_variant().name; }

@@ -30,6 +30,11 @@ struct SweepParameters {
 std::int64_t smooth_by_sweeps(const Grid& grid, Planes metric, Planes colours, const SweepParameters& parameters,
                               const WindowProgram& program, float* smoothed, unsigned threads, const Poll& poll = {});
 
+// Distances from one owned cell, as smooth_by_sweeps takes them: (2 program.radius + 1)^2 values, row by row, infinite
+// beyond parameters.radius. The time step has no effect.
+void distances_by_sweeps(const Grid& grid, Planes metric, const SweepParameters& parameters, const WindowProgram& program,
+                         std::size_t cell, float* distances);
+
 // Which instruction set smooth_by_sweeps uses on this machine: "x86-64-v4", "x86-64-v3" or "baseline". The variable
 // BELTRAMI_SIMD of the environment may ask for a lesser one.
 const char* sweep_instruction_set();

@@ -7,8 +7,8 @@
 #include <random>
 #include <vector>
 
-#include "parametric/grid_stencils.hpp"
 #include "parametric/local_scale.hpp"
+#include "parametric/window_march.hpp"
 #include "parametric/window_sweep.hpp"
 
 using namespace beltrami::parametric;
@@ -59,10 +59,49 @@ void sweeps_and_marches_keep_the_range_and_every_cell_that_is_not_owned() {
   }
 }
 
+// The mean over a kernel's window, eq. (9), by its distances.
+float mean_by_distances(const Canvas& canvas, std::size_t cell, int radius, float t, const std::vector<float>& distances) {
+  const auto columns = static_cast<std::ptrdiff_t>(canvas.grid.columns);
+  double sum = 0, total = 0;
+  for (int y = -radius; y <= radius; ++y)
+    for (int x = -radius; x <= radius; ++x) {
+      const double distance = static_cast<double>(distances[static_cast<std::size_t>((y + radius) * (2 * radius + 1) + x + radius)]);
+      if (!std::isfinite(distance)) continue;
+      const double kernel = std::exp(-distance * distance / (4 * static_cast<double>(t)));
+      total += kernel;
+      sum += kernel * static_cast<double>(canvas.colours[cell + static_cast<std::size_t>(y * columns + x)]);
+    }
+  return static_cast<float>(sum / total);
+}
+
+void distances_of_one_kernel_are_those_that_the_kernel_averages_by() {
+  std::mt19937 random(12);
+  for (int trial = 0; trial < 40; ++trial) {
+    const Canvas canvas(1 + random() % 45, 1 + random() % 130, random);
+    const Planes planes{canvas.colours.data(), 2};
+    const int radius = 1 + trial % 7;
+    const SweepParameters parameters{1.5F, 5.0F, trial % 3 == 0 ? 0.0F : 4.0F, trial % 2};
+    const auto program = make_window_program(radius);
+    const Scheme scheme = trial % 2 == 0 ? Scheme::metric : Scheme::triangles;
+    std::vector<float> swept(canvas.colours.size()), marched(swept.size());
+    smooth_by_sweeps(canvas.grid, planes, planes, parameters, program, swept.data(), 1);
+    smooth_by_marching(canvas.grid, planes, planes, parameters, radius, scheme, marched.data(), 1);
+    std::vector<float> distances(static_cast<std::size_t>((2 * radius + 1) * (2 * radius + 1)));
+    for (std::size_t cell = random() % 97; cell < canvas.grid.cells(); cell += 97) {
+      if (canvas.kind[cell] != owned) continue;
+      distances_by_sweeps(canvas.grid, planes, parameters, program, cell, distances.data());
+      CHECK(std::abs(mean_by_distances(canvas, cell, radius, 1.5F, distances) - swept[cell]) < 1e-5F);
+      distances_by_marching(canvas.grid, planes, parameters, radius, scheme, cell, distances.data());
+      CHECK(std::abs(mean_by_distances(canvas, cell, radius, 1.5F, distances) - marched[cell]) < 1e-5F);
+    }
+  }
+}
+
 }  // namespace
 
 int main() {
   sweeps_and_marches_keep_the_range_and_every_cell_that_is_not_owned();
+  distances_of_one_kernel_are_those_that_the_kernel_averages_by();
   std::puts("parametric tests passed");
   return 0;
 }
