@@ -9,6 +9,7 @@ import numpy as np
 
 from beltrami_cli.flow.guide import MeshGuide
 from beltrami_cli.flow.noise import choose_beta, estimate_sigma
+from beltrami_cli.flow.one_kernel import SampledKernel, kernel_values
 from beltrami_cli.flow.spacing import local_spacing
 from beltrami_cli.mesh.areas import vertex_areas
 
@@ -126,12 +127,24 @@ class BeltramiFlow:
             )
             samples += held
             truncated += cut
+        self._colours = colours
         smoothed = np.empty_like(colours)
         smoothed[self._order] = colours
         kernels = max(1, parameters.iterations * count)
         return FlowResult(
             smoothed, self.mean_edge_length, self.beta, self.sigma, samples / kernels, truncated
         )
+
+    def kernel_at(self, sample: int) -> SampledKernel:
+        """Return the kernel that one more iteration, after those that were run, would have at a sample."""
+        parameters = self.parameters
+        self._set_metric(self._colours, parameters.iterations)
+        (source,) = np.flatnonzero(self._order == sample)
+        held, distances = self._manifold.distances(int(source), parameters.radius, parameters.max_samples)
+        weights = kernel_values(distances, parameters.t)
+        if self._weights is not None:
+            weights = weights * self._weights[held]
+        return SampledKernel(self._order[held].astype(np.int64), distances, weights, self._colours[held])
 
     def _set_metric(self, colours: NDArray[np.float32], iteration: int) -> None:
         """Induce the metric, eq. (1), for an iteration, by colours in the inner order."""

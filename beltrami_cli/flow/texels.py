@@ -9,6 +9,7 @@ import numpy as np
 from beltrami_cli.flow.guide import GridGuide
 from beltrami_cli.flow.iteration import FlowResult, shifted
 from beltrami_cli.flow.noise import choose_beta, estimate_sigma_on_grid
+from beltrami_cli.flow.one_kernel import SampledKernel, kernel_on_grid
 from beltrami_cli.flow.seams import find_colour_jumps, halo_beyond
 from beltrami_cli.mesh.atlas import EMPTY, OWNED, without_halo
 
@@ -96,11 +97,7 @@ class TexelFlow:
             np.empty((0, 0, 0), np.float32),
         )  # freed once the first step is done
         for iteration in range(parameters.iterations):
-            metric, beta = planes, self.beta
-            if not parameters.is_regularised(iteration):
-                self._guide = None  # its planes are not needed any more
-            elif self._guide is not None:
-                metric, beta = self._guide.smooth(planes), beta / self._guide.gain
+            metric, beta = self._metric(planes, iteration)
             planes, held = smooth_grid(
                 self.atlas.kind,
                 self.atlas.squared_lengths,
@@ -127,6 +124,31 @@ class TexelFlow:
         return FlowResult(
             np.ascontiguousarray(owned.T), self.spacing, self.beta, self.sigma, samples / kernels, 0
         )
+
+    def kernel_at(self, cell: int) -> SampledKernel:
+        """Return the kernel that one more iteration, after those that were run, would have at an owned cell.
+
+        Parameters
+        ----------
+        cell : int
+            Flat index on the atlas's canvas.
+
+        Returns
+        -------
+        SampledKernel
+        """
+        metric, beta = self._metric(self._planes, self.parameters.iterations)
+        return kernel_on_grid(
+            self.atlas, self._scale, metric, self._planes, beta, self.parameters, self._scheme(), cell
+        )
+
+    def _metric(self, planes: NDArray[np.float32], iteration: int) -> tuple[NDArray[np.float32], float]:
+        """Return the colours and the beta that an iteration takes distances from."""
+        if not self.parameters.is_regularised(iteration):
+            self._guide = None  # its planes are not needed any more
+        if self._guide is None:
+            return planes, self.beta
+        return self._guide.smooth(planes), self.beta / self._guide.gain
 
     def gutter_colours(self) -> NDArray[np.float32]:
         """Return the colours that the atlas's gutter cells have now, shape (G, N)."""
