@@ -43,7 +43,7 @@ class SampledKernel:
         """The colour that the iteration gives p, shape (N,): sum w I / sum w."""
         weights = self.weights.astype(np.float64)
         if not weights.any():  # a sample that stands for no area, alone
-            return self.colours[0].astype(np.float64)
+            return np.asarray(self.colours[0], np.float64)
         return np.asarray(np.average(self.colours, axis=0, weights=weights), np.float64)
 
 
