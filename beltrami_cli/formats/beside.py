@@ -3,33 +3,53 @@
 from __future__ import annotations
 
 import os
+import posixpath
 import re
 from pathlib import PurePosixPath
 from typing import TYPE_CHECKING
 
+from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access, read_regular
 from beltrami_cli.formats.image.recognition import format_of_suffix
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-_SCHEME = re.compile(r"^[a-z][a-z0-9+.-]*:", re.IGNORECASE)  # a URL, or the letter of a drive
+_SCHEME = re.compile(r"[a-z][a-z0-9+.-]*:", re.IGNORECASE)  # a URL, or the letter of a drive
+_NETWORK = re.compile(r"[a-z][a-z0-9+.-]+:|//", re.IGNORECASE)
 _HERE = PurePosixPath()
+
+LEFT_OUTSIDE = "lies outside the model's folder; the output names it as the input does, and it is not copied."
+
+
+class UnfitReferenceError(Exception):
+    """A name that is not followed; the message is the reason, to be put behind the name."""
 
 
 class Beside:
-    """The folder of a model, out of which no name leads.
+    """The folder of a model, out of which no name leads unless that is allowed.
 
     Parameters
     ----------
     folder : pathlib.Path or None
         Where the model lies; None if it lies in no folder, and so has no files beside it.
+    access : Access
+        What may be read.
     """
 
-    def __init__(self, folder: Path | None) -> None:
+    def __init__(self, folder: Path | None, access: Access = EVERYTHING_INSIDE) -> None:
         self._folder = None if folder is None else folder.resolve()
+        self._known: dict[tuple[str, PurePosixPath], str | UnfitReferenceError] = {}
+        self.access = access
 
     def find(self, name: str, within: PurePosixPath = _HERE) -> str | None:
-        r"""Return the path of a regular file inside the folder, relative to it and with "/", or None.
+        """Return what `locate` does, or None where that raises."""
+        try:
+            return self.locate(name, within)
+        except UnfitReferenceError:
+            return None
+
+    def locate(self, name: str, within: PurePosixPath = _HERE) -> str:
+        r"""Return the path of a regular file, relative to the folder and with "/".
 
         Parameters
         ----------
@@ -37,29 +57,85 @@ class Beside:
             As the model names it; "/" and "\" separate folders.
         within : PurePosixPath
             Where the file lies that names it, relative to the folder.
+
+        Returns
+        -------
+        str
+            Inside the folder; if more is allowed, it may start with ".." or "/", see `is_outside`.
+
+        Raises
+        ------
+        UnfitReferenceError
+            If there is no such file, or the name must not be followed.
         """
-        path = within / name.replace("\\", "/")
-        if (
-            self._folder is None
-            or not name
-            or path.is_absolute()
-            or ".." in path.parts
-            or _SCHEME.match(name)
-        ):
-            return None
+        key = name, within
+        if key not in self._known:  # A hostile file names the same one a million times.
+            try:
+                self._known[key] = self._locate(name, within)
+            except UnfitReferenceError as error:
+                self._known[key] = error
+        found = self._known[key]
+        if isinstance(found, UnfitReferenceError):
+            raise UnfitReferenceError(str(found))
+        return found
+
+    def _locate(self, name: str, within: PurePosixPath) -> str:
+        path = meant_path(name, within, outside=self.access.outside)
+        if self._folder is None:
+            raise UnfitReferenceError("is a file beside the model, whose folder is not known")
         try:
             there = (self._folder / path).resolve()
-            inside = there.is_relative_to(self._folder) and there.is_file()
+            if not self.access.outside and not there.is_relative_to(self._folder):
+                raise UnfitReferenceError("leads out of the model's folder; only files inside it are read")
+            if not there.is_file():
+                raise UnfitReferenceError("is not a regular file" if there.exists() else "is missing")
         except (OSError, ValueError, RuntimeError):  # Names that no file can have: too long, or with a NUL.
-            return None
-        return str(path) if inside else None
+            raise UnfitReferenceError("cannot be the name of a file") from None
+        return path
 
     def read(self, path: str, most: int = -1) -> bytes:
-        """Return the content of a file that `find` found, or its first bytes; OSError if it cannot be read."""
+        """Return the content of a file that was located, or its first bytes; OSError if it cannot be read."""
         if self._folder is None:
             raise FileNotFoundError(path)
-        with (self._folder / path).open("rb") as file:
-            return file.read(most)
+        return read_regular(self._folder / path, self.access, most)
+
+
+def meant_path(name: str, within: PurePosixPath = _HERE, *, outside: bool) -> str:
+    r"""Return the path that a name means, without looking at the disk.
+
+    Parameters
+    ----------
+    name, within
+        As for `Beside.locate`.
+    outside : bool
+        Whether it may lead out of the model's folder.
+
+    Raises
+    ------
+    UnfitReferenceError
+        If it must not be followed.
+    """
+    plain = name.replace("\\", "/")
+    if not name:
+        raise UnfitReferenceError("is empty")
+    if _NETWORK.match(plain) or (_SCHEME.match(plain) and not outside):
+        raise UnfitReferenceError("is not a relative path; only files beside the model are read")
+    path = within / plain
+    if any(part.startswith(".") and part != ".." for part in path.parts):
+        raise UnfitReferenceError("is a hidden file, which is not read")
+    if not outside and (path.is_absolute() or ".." in path.parts):
+        raise UnfitReferenceError("leaves the model's folder; only files inside it are read")
+    return posixpath.normpath(path) if outside else str(path)
+
+
+def is_outside(path: str) -> bool:
+    """Tell whether a located path leads out of the model's folder."""
+    return path.startswith(("/", "../")) or path == ".." or bool(_SCHEME.match(path))
+
+
+def brought_inside(path: str) -> str:
+    """Return a path as it is, or for one outside the folder its name alone: nothing is written out there."""
+    return PurePosixPath(path).name if is_outside(path) else path
 
 
 def renamed(path: str, source: str, stem: str) -> str:
@@ -95,9 +171,21 @@ def unused(path: str, taken: set[str]) -> str:
     return path
 
 
-def respelled(name: str, path: str, new: str) -> bytes:
-    """Return a file's new name in the spelling of the old one, from which it differs in the last part only."""
+def respelled(name: str, path: str, new: str, folder: str = "") -> bytes:
+    """Return a file's new name in the spelling of the old one, from which it differs in the last part only.
+
+    Parameters
+    ----------
+    name : str
+        As a file names it.
+    path, new : str
+        Where that led, and where it is to lead, relative to the model's folder.
+    folder : str
+        Where the file lies that names it, relative to the model's folder; needed if `path` leads outside.
+    """
     if new == path:
         return os.fsencode(name)
-    folder = max(name.rfind("/"), name.rfind("\\")) + 1
-    return os.fsencode(name[:folder] + PurePosixPath(new).name)
+    if is_outside(path):
+        return os.fsencode(posixpath.relpath(new, folder or "."))
+    kept = max(name.rfind("/"), name.rfind("\\")) + 1
+    return os.fsencode(name[:kept] + PurePosixPath(new).name)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Literal
 
-from beltrami_cli.formats.gltf.files import UnfitReferenceError, is_data, read, relative_name
+from beltrami_cli.formats.beside import UnfitReferenceError
+from beltrami_cli.formats.gltf.files import is_data, read, relative_name
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
+    from beltrami_cli.formats.beside import Beside
     from beltrami_cli.formats.document import Bytes
     from beltrami_cli.formats.gltf.container import Container
 
@@ -22,8 +22,8 @@ class Buffers:
     ----------
     container : Container
         The file.
-    folder : pathlib.Path or None
-        Where external buffers are looked for; None when the file came through a pipe.
+    beside : Beside
+        Where external buffers are looked for.
 
     Raises
     ------
@@ -31,8 +31,8 @@ class Buffers:
         If a buffer is described wrongly. Missing bytes are reported only when they are asked for.
     """
 
-    def __init__(self, container: Container, folder: Path | None) -> None:
-        self._container, self._folder = container, folder
+    def __init__(self, container: Container, beside: Beside) -> None:
+        self._container, self._beside = container, beside
         self._entries = container.root.entries("buffers")
         self._loaded: dict[int, Bytes] = {}
         self.lengths = [entry.integer("byteLength", least=0) for entry in self._entries]
@@ -46,9 +46,11 @@ class Buffers:
     def _key(self, index: int) -> str:
         uri = self.uris[index]
         try:
-            return relative_name(uri) if uri is not None and not is_data(uri) else f"\0{index}"
+            if uri is not None and not is_data(uri):
+                return relative_name(uri, outside=self._beside.access.outside)
         except UnfitReferenceError:
-            return f"\0{index}"
+            pass  # whoever asks for its bytes is told
+        return f"\0{index}"
 
     def canonical(self, index: int) -> int:
         """Return the first buffer that is the same file as this one, usually itself."""
@@ -73,7 +75,7 @@ class Buffers:
             entry, uri = self._entries[index], self.uris[index]
             if uri is not None:
                 try:
-                    data: Bytes = read(uri, self._folder)
+                    data: Bytes = read(uri, self._beside)
                 except UnfitReferenceError as error:
                     remedy = "keep the model's files together" if self.source(index) == "file" else ""
                     raise entry.fault("uri", str(error), remedy) from None

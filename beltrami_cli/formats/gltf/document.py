@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
+from beltrami_cli.formats.beside import Beside
 from beltrami_cli.formats.document import NO_IMAGES, Document
 from beltrami_cli.formats.gltf.accessors import Accessors, Stored, fractions
 from beltrami_cli.formats.gltf.buffers import Buffers
@@ -50,6 +52,8 @@ class GltfDocument(Document):
         The file as the user named it.
     folder : pathlib.Path or None
         Where buffers and images beside the file are looked for; None when it came through a pipe.
+    access : Access
+        What may be read.
 
     Raises
     ------
@@ -64,18 +68,20 @@ class GltfDocument(Document):
 
     format: str  # type: ignore[misc]  # one class reads both forms, so only an instance knows its format
 
-    def __init__(self, data: bytes, name: str, folder: Path | None) -> None:
+    def __init__(
+        self, data: bytes, name: str, folder: Path | None, access: Access = EVERYTHING_INSIDE
+    ) -> None:
         super().__init__(name)
-        self.folder = folder
+        self._beside = Beside(folder, access)
         self.container = read_container(data, name)
         self.format = self.container.kind
         self.root = self.container.root
-        self.buffers = Buffers(self.container, folder)
+        self.buffers = Buffers(self.container, self._beside)
         self.accessors = Accessors(self.root, self.buffers)
         self.places = placements(self.root)
-        self.pictures = Pictures(self.root, self.accessors, folder)
+        self.pictures = Pictures(self.root, self.accessors, self._beside)
         self._textured: dict[Slot, TexturedSurface] = {}
-        self._references, missing = present(self.root, folder)
+        self._references, missing = present(self.root, self._beside)
         if self.container.has_bom:
             self.notices.append(
                 "The JSON starts with a byte order mark, which glTF does not allow; it is kept."
@@ -183,7 +189,7 @@ class GltfDocument(Document):
         edit = self.edit(colours, images)
         if form == self.format:
             return written(edit, stem, moved=moved)
-        return as_glb(edit, self.folder) if form == "glb" else as_gltf(edit, stem, moved=moved)
+        return as_glb(edit, self._beside) if form == "glb" else as_gltf(edit, stem, moved=moved)
 
     def references(self) -> Sequence[str]:
         """Return relative paths of the existing buffers and images beside the file ("/" separates).

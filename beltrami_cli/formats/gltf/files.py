@@ -4,21 +4,14 @@ from __future__ import annotations
 
 import base64
 import binascii
-import re
-from pathlib import PurePosixPath
 from typing import TYPE_CHECKING
 from urllib.parse import quote, unquote, unquote_to_bytes
 
+from beltrami_cli.formats.beside import UnfitReferenceError, meant_path
+
 if TYPE_CHECKING:
-    from pathlib import Path
-
+    from beltrami_cli.formats.beside import Beside
     from beltrami_cli.formats.document import Bytes
-
-_SCHEME = re.compile(r"[A-Za-z][A-Za-z0-9+.-]*:")
-
-
-class UnfitReferenceError(Exception):
-    """A URI that is not followed; the message is the reason, to be put after the place where it stands."""
 
 
 def is_data(uri: str) -> bool:
@@ -53,57 +46,54 @@ def re_embedded(uri: str, data: Bytes) -> str:
     return f"{head},{base64.b64encode(data).decode('ascii')}"
 
 
-def relative_name(uri: str) -> str:
+def relative_name(uri: str, *, outside: bool = False) -> str:
     """Return the relative path that a URI names, percent-decoded, with "/" as separator.
-
-    Raises
-    ------
-    UnfitReferenceError
-        If it has a scheme, is absolute, or steps out of the folder.
-    """
-    name = unquote(uri)
-    if _SCHEME.match(uri) or _SCHEME.match(name):
-        raise UnfitReferenceError(
-            f"{_short(uri)} is not a relative path; only files beside the model are read"
-        )
-    if not name or name.startswith("/") or "\\" in name or "\0" in name or ".." in name.split("/"):
-        raise UnfitReferenceError(f"{_short(uri)} leaves the model's folder; only files inside it are read")
-    return str(PurePosixPath(name))
-
-
-def located(uri: str, folder: Path | None) -> Path:
-    """Return the path of a regular file inside the folder.
 
     Parameters
     ----------
     uri : str
         As it stands in the JSON.
-    folder : pathlib.Path or None
-        Folder of the model; None when the model came through a pipe.
+    outside : bool
+        Whether the path may be absolute or step out of the folder.
 
     Raises
     ------
     UnfitReferenceError
-        If the file is missing, not a regular file, or outside the folder (also through a symbolic link).
+        If it is no such path.
     """
-    name = relative_name(uri)
-    if folder is None:
-        raise UnfitReferenceError(f"{_short(uri)} is a file beside the model, whose folder is not known")
+    name = unquote(uri)
     try:
-        path = (folder / name).resolve()
-        if not path.is_relative_to(folder.resolve()):
-            raise UnfitReferenceError(f"{_short(uri)} leads out of the model's folder")
-        if not path.is_file():
-            raise UnfitReferenceError(
-                f"{_short(uri)} " + ("is not a regular file" if path.exists() else "is missing")
-            )
-    except (OSError, RuntimeError, ValueError) as error:
-        raise UnfitReferenceError(f"{_short(uri)} cannot be opened ({error})") from None
-    return path
+        if "\\" in name or "\0" in name:
+            raise UnfitReferenceError("is not a path as glTF spells it")
+        return meant_path(name, outside=outside)
+    except UnfitReferenceError as error:
+        raise UnfitReferenceError(f"{_short(uri)} {error}") from None
 
 
-def read(uri: str, folder: Path | None) -> bytes:
-    """Return the bytes that a URI stands for: embedded ones, or those of a file inside the folder.
+def located(uri: str, beside: Beside) -> str:
+    """Return the path of a regular file, relative to the model's folder.
+
+    Parameters
+    ----------
+    uri : str
+        As it stands in the JSON.
+    beside : Beside
+        The folder of the model.
+
+    Raises
+    ------
+    UnfitReferenceError
+        If the file is missing, not a regular file, or must not be read.
+    """
+    name = relative_name(uri, outside=beside.access.outside)
+    try:
+        return beside.locate(name)
+    except UnfitReferenceError as error:
+        raise UnfitReferenceError(f"{_short(uri)} {error}") from None
+
+
+def read(uri: str, beside: Beside) -> bytes:
+    """Return the bytes that a URI stands for: embedded ones, or those of a file.
 
     Raises
     ------
@@ -113,7 +103,7 @@ def read(uri: str, folder: Path | None) -> bytes:
     if is_data(uri):
         return embedded(uri)
     try:
-        return located(uri, folder).read_bytes()
+        return beside.read(located(uri, beside))
     except OSError as error:
         raise UnfitReferenceError(f"{_short(uri)} cannot be read ({error.strerror})") from None
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from beltrami_cli.formats.beside import renamed, unused, with_suffix
-from beltrami_cli.formats.gltf.files import UnfitReferenceError, as_uri, is_data, relative_name
+from beltrami_cli.formats.beside import UnfitReferenceError, brought_inside, renamed, unused, with_suffix
+from beltrami_cli.formats.gltf.files import as_uri, is_data, relative_name
 
 if TYPE_CHECKING:
     from beltrami_cli.formats.document import Bytes
@@ -51,11 +51,13 @@ def place_pictures(edit: Edit, tree: Tree, stem: str, *, moved: bool) -> dict[st
     taken, source = used_names(edit.container.root), Path(edit.container.name).stem
     known = len(edit.container.root.entries("images"))
     for index, file in edit.pictures.items():
-        old = relative_name(tree["images"][index]["uri"])
+        old = relative_name(tree["images"][index]["uri"], outside=True)
         key = old, index < known, file
         if key not in chosen:
             keeps = moved and index < known
-            name = with_suffix(old if keeps else renamed(old, source, stem), file.suffix)
+            name = with_suffix(
+                brought_inside(old) if keeps else renamed(brought_inside(old), source, stem), file.suffix
+            )
             if not keeps or name != old:
                 name = unused(name, taken)
             chosen[key] = name

@@ -5,12 +5,13 @@ from __future__ import annotations
 from pathlib import PurePosixPath
 from typing import TYPE_CHECKING
 
-from beltrami_cli.formats.gltf.files import UnfitReferenceError, is_data, read, relative_name
+from beltrami_cli.formats.beside import UnfitReferenceError
+from beltrami_cli.formats.gltf.files import is_data, read, relative_name
 
 if TYPE_CHECKING:
     from collections.abc import Hashable
-    from pathlib import Path
 
+    from beltrami_cli.formats.beside import Beside
     from beltrami_cli.formats.gltf.accessors import Accessors
     from beltrami_cli.formats.gltf.json_text import Tree
     from beltrami_cli.formats.gltf.tree import Entry
@@ -35,8 +36,8 @@ class Pictures:
         If an image is described wrongly.
     """
 
-    def __init__(self, root: Entry, accessors: Accessors, folder: Path | None) -> None:
-        self._accessors, self._folder = accessors, folder
+    def __init__(self, root: Entry, accessors: Accessors, beside: Beside) -> None:
+        self._accessors, self._beside = accessors, beside
         self.images = root.entries("images")
         self.textures = root.entries("textures")
         self._samplers = root.entries("samplers")
@@ -52,7 +53,7 @@ class Pictures:
         if uri is None or is_data(uri):
             return "own", index
         try:
-            return "file", relative_name(uri)
+            return "file", relative_name(uri, outside=self._beside.access.outside)
         except UnfitReferenceError:
             return "own", index
 
@@ -65,7 +66,7 @@ class Pictures:
         image, uri = self.images[index], self.images[index].text("uri")
         if uri is not None and not is_data(uri):
             try:
-                return PurePosixPath(relative_name(uri)).name
+                return PurePosixPath(relative_name(uri, outside=True)).name
             except UnfitReferenceError:
                 return uri
         return image.text("name") or f"image {index}"
@@ -130,7 +131,7 @@ class Pictures:
             octets = self._accessors.buffers.stored(view.buffer)
             data = bytes(octets[view.offset : view.offset + view.length])
         elif uri is not None:
-            data = read(uri, self._folder)
+            data = read(uri, self._beside)
         else:
             raise UnfitReferenceError("has neither a uri nor a bufferView")
         if not data:

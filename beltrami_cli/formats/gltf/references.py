@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from beltrami_cli.formats.gltf.files import UnfitReferenceError, is_data, located, relative_name
+from beltrami_cli.formats.beside import LEFT_OUTSIDE, UnfitReferenceError, is_outside
+from beltrami_cli.formats.gltf.files import is_data, located
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
+    from beltrami_cli.formats.beside import Beside
     from beltrami_cli.formats.gltf.tree import Entry
 
 
-def present(root: Entry, folder: Path | None) -> tuple[list[str], list[str]]:
+def present(root: Entry, beside: Beside) -> tuple[list[str], list[str]]:
     """Return the relative paths of files that exist inside the folder, and a notice for every other.
 
     Raises
@@ -28,8 +28,11 @@ def present(root: Entry, folder: Path | None) -> tuple[list[str], list[str]]:
             if uri is None or is_data(uri):
                 continue
             try:
-                located(uri, folder)
-                names[relative_name(uri)] = None
+                path = located(uri, beside)
+                if is_outside(path):
+                    notices[f"{entry.place}: {uri!r} {LEFT_OUTSIDE}"] = None
+                else:
+                    names[path] = None
             except UnfitReferenceError as error:
                 notices[f"{entry.place}: {error}."] = None
     return list(names), list(notices)

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from beltrami_cli.formats.beside import UnfitReferenceError
 from beltrami_cli.formats.document import Written
 from beltrami_cli.formats.gltf.container import BIN_CHUNK, JSON_CHUNK, Chunk, encoded, glb_pieces
-from beltrami_cli.formats.gltf.files import UnfitReferenceError, as_uri, is_data, read
+from beltrami_cli.formats.gltf.files import as_uri, is_data, read
 from beltrami_cli.formats.gltf.json_text import Tree, revised
 from beltrami_cli.formats.gltf.naming import place_pictures
 from beltrami_cli.formats.gltf.pictures import media_type
 from beltrami_cli.formats.gltf.saving import place_buffers, sidecar_names
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
+    from beltrami_cli.formats.beside import Beside
     from beltrami_cli.formats.document import Bytes
     from beltrami_cli.formats.gltf.patching import Edit
 
@@ -45,14 +45,14 @@ def as_gltf(edit: Edit, stem: str, *, moved: bool) -> Written:
     return Written([encoded(revised(edit.container.text, tree))], sidecars, (*edit.notices, *notices))
 
 
-def as_glb(edit: Edit, folder: Path | None) -> Written:
+def as_glb(edit: Edit, beside: Beside) -> Written:
     """Return a text file as binary: all buffers merged into BIN, images inside the folder embedded.
 
     Parameters
     ----------
     edit : Edit
         The changes.
-    folder : pathlib.Path or None
+    beside : Beside
         Where images are looked for.
 
     Raises
@@ -62,7 +62,7 @@ def as_glb(edit: Edit, folder: Path | None) -> Written:
     """
     tree = edit.tree
     binary = _merge_buffers(edit, tree)
-    notices = [*edit.notices, *_embed_images(edit, binary, folder)]
+    notices = [*edit.notices, *_embed_images(edit, binary, beside)]
     chunks = []
     if binary:
         tree["buffers"][0]["byteLength"] = len(binary)
@@ -103,7 +103,7 @@ def _merge_buffers(edit: Edit, tree: Tree) -> bytearray:
     return binary
 
 
-def _embed_images(edit: Edit, binary: bytearray, folder: Path | None) -> list[str]:
+def _embed_images(edit: Edit, binary: bytearray, beside: Beside) -> list[str]:
     """Move images from the folder into the binary; return a notice for each that stays outside."""
     notices, tree = [], edit.tree
     for index, image in enumerate(tree.get("images", [])):
@@ -112,7 +112,7 @@ def _embed_images(edit: Edit, binary: bytearray, folder: Path | None) -> list[st
             continue
         try:
             new = edit.pictures.get(index)
-            data = read(uri, folder) if new is None else new.data
+            data = read(uri, beside) if new is None else new.data
             kind = image.get("mimeType") or media_type(data)
             if kind is None:
                 raise UnfitReferenceError("its type is not known, so it cannot be embedded")

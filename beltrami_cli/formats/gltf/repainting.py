@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from beltrami_cli.errors import OutputError
-from beltrami_cli.formats.gltf.files import UnfitReferenceError
+from beltrami_cli.formats.beside import UnfitReferenceError
 from beltrami_cli.formats.gltf.materials import PATHS
 from beltrami_cli.formats.gltf.pictures import FOREIGN, WEBP, named_images
 from beltrami_cli.formats.gltf.sharing import objects

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from beltrami_cli.formats.beside import brought_inside
 from beltrami_cli.formats.document import Written
 from beltrami_cli.formats.gltf.files import as_uri, re_embedded, relative_name
 from beltrami_cli.formats.gltf.naming import place_pictures, used_names
@@ -61,10 +62,11 @@ def place_buffers(edit: Edit, tree: Tree, names: Iterator[str], *, moved: bool) 
         if source == "data":
             tree["buffers"][index]["uri"] = re_embedded(tree["buffers"][index]["uri"], data)
         elif source == "file":
-            name = relative_name(buffers.uris[index] or "") if moved else next(names)
+            old = relative_name(buffers.uris[index] or "", outside=True)
+            name = brought_inside(old) if moved else next(names)
             sidecars[name] = data
             for other in range(len(buffers)):
-                if buffers.canonical(other) == index and not moved:
+                if buffers.canonical(other) == index and name != old:
                     tree["buffers"][other]["uri"] = as_uri(name)
     return sidecars
 

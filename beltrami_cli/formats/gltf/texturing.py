@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.gltf.files import UnfitReferenceError
+from beltrami_cli.formats.beside import UnfitReferenceError
 from beltrami_cli.formats.gltf.materials import Painting, paintings
 from beltrami_cli.formats.gltf.primitives import (
     drawing_mode,
