@@ -11,7 +11,7 @@ import numpy as np
 
 from beltrami_cli.flow.guide import guide_radius
 from beltrami_cli.flow.texels import TexelFlow
-from beltrami_cli.formats.image import losses, read_image, write_image
+from beltrami_cli.formats.image import check_writable, losses, read_image, write_image
 from beltrami_cli.mesh.atlas import without_owned
 from beltrami_cli.pipeline.repainting import SmoothedTexels, repaint
 from beltrami_cli.pipeline.report import Change
@@ -155,6 +155,8 @@ def smooth_slot(
         As `prepare_slot`.
     """
     prepared = prepare_slot(surface, slot, settings)
+    for picture in prepared.pictures:
+        check_writable(picture, settings.textures.image_suffix)
     flow = prepared.flow(settings)
     result = flow.run(progress)
     report = SlotReport(

@@ -26,6 +26,10 @@ SUFFIXES = {
     "png": ".png", "tiff": ".tif", "openexr": ".exr", "targa": ".tga", "bmp": ".bmp", "webp": ".webp",
     "jpeg": ".jpg", "hdr": ".hdr",
 }  # fmt: skip
+RARER_SUFFIXES = {
+    "jpegxl": ".jxl", "jpeg2000": ".jp2", "pnm": ".pnm", "dpx": ".dpx", "sgi": ".sgi",
+    "fits": ".fits", "rla": ".rla", "gif": ".gif", "ico": ".ico", "zfile": ".z",
+}  # fmt: skip
 
 
 def noise(kind: str, channels: int, height: int = 5, width: int = 7, seed: int = 0) -> NDArray[Any]:
@@ -58,6 +62,8 @@ def encode(
     if types:
         spec.channelformats = tuple(OpenImageIO.TypeDesc(name) for name in types)
     options = {"oiio__UnassociatedAlpha": 1, "tiff__half": 1}
+    if known == "jpegxl":
+        options |= {"compression": "jpegxl:100"}
     if known == "webp":
         options |= {"compression": "lossless", "webp__method": 0}
     for name, value in {**options, **attributes}.items():
@@ -66,7 +72,7 @@ def encode(
         else:
             spec.attribute(name.replace("__", ":"), value)
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / f"image{SUFFIXES[known]}"
+        path = Path(folder) / f"image{(SUFFIXES | RARER_SUFFIXES)[known]}"
         file = OpenImageIO.ImageOutput.create(known)
         assert file.open(str(path), spec), file.geterror()
         assert file.write_image(np.ascontiguousarray(pixels))

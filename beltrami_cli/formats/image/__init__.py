@@ -3,14 +3,16 @@
 from beltrami_cli.formats.image.conversion import losses
 from beltrami_cli.formats.image.picture import Picture, from_float, to_float
 from beltrami_cli.formats.image.reading import read_image
-from beltrami_cli.formats.image.recognition import format_of, format_of_suffix
-from beltrami_cli.formats.image.writing import write_image
+from beltrami_cli.formats.image.recognition import format_of, format_of_suffix, label_of
+from beltrami_cli.formats.image.writing import check_writable, write_image
 
 __all__ = [
     "Picture",
+    "check_writable",
     "format_of",
     "format_of_suffix",
     "from_float",
+    "label_of",
     "losses",
     "read_image",
     "to_float",

@@ -17,8 +17,13 @@ if TYPE_CHECKING:
 
 _BITS = {"uint8": 8, "uint16": 16, "float16": 16, "float32": 32}
 _OIIO_TYPES = {"uint8": "uint8", "uint16": "uint16", "float16": "half", "float32": "float"}
-_TECHNICAL = ("oiio:", "jpeg:", "png:", "webp:", "tiff:", "openexr:", "targa:", "bmp:", "ICCProfile:")
-_ALSO_TECHNICAL = ("compression", "planarconfig", "ICCProfile", "chromaticities", "DateTime")
+_INEXACT = ("jpeg", "webp", "hdr")
+_INEXACT = ("jpeg", "webp", "hdr")
+_TECHNICAL = (
+    "oiio:", "jpeg:", "png:", "webp:", "tiff:", "openexr:", "targa:", "bmp:", "ICCProfile:", "jpegxl:", "pnm:", "dpx:",
+    "rla:", "gif:", "psd:",
+)  # fmt: skip
+_ALSO_TECHNICAL = ("compression", "planarconfig", "ICCProfile", "chromaticities", "DateTime", "textureformat")
 
 
 def losses(picture: Picture, suffix: str) -> tuple[str, ...]:
@@ -35,7 +40,7 @@ def losses(picture: Picture, suffix: str) -> tuple[str, ...]:
     if known is None or known == picture.format:
         return ()
     traits, name, label = FORMATS[known], picture.name, suffix.lower().lstrip(".").upper()
-    stored = _type_in(picture.stored, known)
+    source, stored = _finest(picture, known), _type_in(_finest(picture, known), known)
     found = []
     if picture.alpha is not None and not traits.alpha:
         found.append(f"{name}: {label} has no alpha, which is dropped.")
@@ -45,11 +50,11 @@ def losses(picture: Picture, suffix: str) -> tuple[str, ...]:
         found.append(f"{name}: {label} has no such grey; it becomes equal red, green and blue.")
     if picture.encoding == "linear" and stored.startswith("uint"):
         found.append(f"{name}: floats become {_BITS[stored]}-bit integers in {label}, clipped to 0..1.")
-    elif _BITS[stored] < _BITS[picture.stored]:
-        found.append(
-            f"{name}: {_BITS[picture.stored]}-bit samples become {_BITS[stored]}-bit ones in {label}."
-        )
-    if known in ("jpeg", "webp", "hdr"):
+    elif _BITS[stored] < _BITS[source]:
+        found.append(f"{name}: {_BITS[source]}-bit samples become {_BITS[stored]}-bit ones in {label}.")
+    if stored.startswith("uint") and picture.pixels.dtype.kind == "f" and np.isnan(picture.pixels).any():
+        found.append(f"{name}: what is no number becomes 0 in {label}.")
+    if known in _INEXACT:
         found.append(f"{name}: {label} is not exact, so untouched colours change slightly as well.")
     return tuple(found)
 
@@ -77,7 +82,7 @@ def converted(
     spec : OpenImageIO.ImageSpec
         With the metadata that do not belong to the old format.
     """
-    stored = _type_in(picture.stored, known)
+    stored = _type_in(_finest(picture, known), known)
     kept = _kept_channels(picture, known)
     values = full_scale_one(pixels[:, :, kept])
     colour = [kept.index(channel) for channel in picture.colour]
@@ -97,6 +102,11 @@ def converted(
     return as_stored(values, stored), _spec(picture, values.shape, names, stored)
 
 
+def _finest(picture: Picture, known: str) -> str:
+    """Return the type of the channels that another format takes over, the finest if they differ."""
+    return max((picture.kinds[channel] for channel in _kept_channels(picture, known)), key=_BITS.__getitem__)
+
+
 def _type_in(stored: str, known: str) -> str:
     """Return the type that a format stores samples of a type in: the coarsest that holds them, or the finest."""
     types = FORMATS[known].types
@@ -108,7 +118,7 @@ def _type_in(stored: str, known: str) -> str:
 
 def _holds_any(known: str) -> bool:
     """Tell whether a format has room for channels beside colours and alpha."""
-    return known in ("tiff", "openexr")
+    return known in ("tiff", "openexr", "rla")
 
 
 def _kept_channels(picture: Picture, known: str) -> list[int]:

@@ -28,6 +28,7 @@ def fresh_picture(pixels: NDArray[Any], name: str) -> Picture:
     import OpenImageIO
 
     height, width, channels = pixels.shape
+    stored = "uint8" if pixels.dtype == "uint8" else "uint16"
     return Picture(
         name=name,
         pixels=pixels,
@@ -35,7 +36,8 @@ def fresh_picture(pixels: NDArray[Any], name: str) -> Picture:
         colour=(0, 1, 2),
         alpha=3 if channels == 4 else None,
         encoding="srgb",
-        stored="uint8" if pixels.dtype == "uint8" else "uint16",
+        stored=stored,
+        kinds=(stored,) * channels,
         format="png",
         suffix=".png",
         notices=(),

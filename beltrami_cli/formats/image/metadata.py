@@ -64,6 +64,11 @@ def is_animated(data: bytes, known: str) -> bool:
     return known == "webp" and data[12:16] == b"VP8X" and len(data) > 20 and bool(data[20] & _WEBP_ANIMATION)
 
 
+def has_palette(data: bytes) -> bool:
+    """Tell whether a PNG file stores numbers of colours in a palette."""
+    return data[25:26] == b"\3"  # colour type, in the header that every file starts with
+
+
 def is_lossless_webp(data: bytes) -> bool:
     """Tell whether the (first) picture of a WebP file is coded without loss."""
     return any(kind == b"VP8L" or b"VP8L" in payload[16:40] for kind, payload in _webp_chunks(data))

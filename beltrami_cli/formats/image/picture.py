@@ -35,7 +35,9 @@ class Picture:
     encoding : {"srgb", "linear"}
         What colours mean: display values in integer types, linear light in floats.
     stored : {"uint8", "uint16", "float16", "float32"}
-        Type in the file (of most channels, if they differ).
+        Type of the colours in the file.
+    kinds : tuple of str
+        Type of every channel in the file; they differ in some EXR files only.
     format : str
         A key of `recognition.FORMATS`.
     suffix : str
@@ -58,6 +60,7 @@ class Picture:
     format: str
     suffix: str
     notices: tuple[str, ...]
+    kinds: tuple[str, ...]
     source: bytes = field(repr=False)
     spec: Any = field(repr=False)
 
@@ -95,7 +98,10 @@ def from_float(picture: Picture, values: NDArray[np.float32], changed: NDArray[n
     rows = max(1, _BLOCK // max(1, pixels.shape[1] * pixels.shape[2]))
     for first in range(0, len(pixels), rows):
         block = slice(first, first + rows)
-        pixels[block][chosen[block]] = as_stored(values[block][chosen[block]], picture.stored)
+        for kind in sorted(set(picture.kinds)):
+            channels = np.array([other == kind for other in picture.kinds])
+            here = chosen[block] & channels
+            pixels[block][here] = as_stored(values[block][here], kind)
     return pixels
 
 
@@ -108,11 +114,14 @@ def full_scale_one(pixels: NDArray[Any]) -> NDArray[np.float32]:
 
 
 def as_stored(values: NDArray[np.float32], kind: str) -> NDArray[Any]:
-    """Round values of full scale 1 to a type, clipping them to its range; halves are returned as float32."""
+    """Round values of full scale 1 to a type, clipping them to its range; halves are returned as float32.
+
+    What is no number becomes 0 in integers.
+    """
     if kind == "float32":
         return values
     if kind == "float16":
         largest = np.finfo(np.float16).max
         return np.clip(values, -largest, largest).astype(np.float16).astype(np.float32)
     whole: NDArray[np.float64] = np.rint(np.clip(values, 0, 1).astype(np.float64) * np.iinfo(kind).max)
-    return whole.astype(kind)
+    return np.nan_to_num(whole, copy=False).astype(kind)

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.image.metadata import is_animated, is_cmyk_jpeg
+from beltrami_cli.formats.image.metadata import has_palette, is_animated, is_cmyk_jpeg
 from beltrami_cli.formats.image.picture import Picture
-from beltrami_cli.formats.image.recognition import FORMATS, READABLE, format_of, suffix_of
+from beltrami_cli.formats.image.recognition import FORMATS, READABLE, format_of, label_of, suffix_of
 from beltrami_cli.formats.image.scratch import scratch_file
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ _STORED = {"uint8": "uint8", "uint16": "uint16", "half": "float16", "float": "fl
 _EXPORT = "export it as RGB or grey with 8 or 16 bits, or as floats"
 
 
-def read_image(data: bytes, name: str) -> Picture:
+def read_image(data: bytes, name: str, *, finite: bool = True) -> Picture:
     """Decode an image file.
 
     Parameters
@@ -33,6 +33,8 @@ def read_image(data: bytes, name: str) -> Picture:
         The file.
     name : str
         Its name, for messages and for telling TGA files.
+    finite : bool
+        Whether values that are not finite are refused.
 
     Returns
     -------
@@ -42,7 +44,7 @@ def read_image(data: bytes, name: str) -> Picture:
     ------
     InputError
         If it is of no known format, damaged or cut off, of no size or too large, of a type of sample that is not
-        supported, in the inks of print (CMYK), or has values that are not finite.
+        supported, in the inks of print (CMYK), or has values that are not finite and must not.
     """
     import OpenImageIO
 
@@ -51,6 +53,10 @@ def read_image(data: bytes, name: str) -> Picture:
         raise InputError(name, "the content is of no known image format", READABLE)
     if known == "jpeg" and is_cmyk_jpeg(data):
         raise InputError(name, "its colours are the inks of print (CMYK)", "convert it to RGB")
+    if known not in OpenImageIO.get_string_attribute("input_format_list").split(","):
+        raise InputError(
+            name, f"this build of OpenImageIO does not read {label_of(known)}", "convert it to PNG or EXR"
+        )
     OpenImageIO.attribute("limits:imagesize_MB", _MOST_MEGABYTES)
     config = OpenImageIO.ImageSpec()
     config.attribute("oiio:UnassociatedAlpha", 1)
@@ -65,13 +71,34 @@ def read_image(data: bytes, name: str) -> Picture:
             error = file.geterror()
             if pixels is None or error:
                 raise _damaged(name, known, error, path)
-            several = is_animated(data, known) or file.seek_subimage(1, 0)
+            notices = _left_out(file, data, known, name)
         finally:
             file.close()
             file.geterror()
             OpenImageIO.geterror()
-    notice = f"{name} holds several images, of which only the first is read and kept." if several else ""
-    return _picture(data, name, known, spec, pixels, notice)
+    pixels = pixels.reshape(spec.height, spec.width, spec.nchannels)
+    if pixels.dtype.kind == "f":
+        pixels = pixels.astype(np.float32)
+        unfit = pixels.size - int(np.count_nonzero(np.isfinite(pixels))) if finite else 0
+        if unfit:
+            raise InputError(
+                name, f"{unfit} of its values are not finite numbers", "repair or export it anew"
+            )
+    return _picture(data, name, known, spec, pixels, notices)
+
+
+def _left_out(file: Any, data: bytes, known: str, name: str) -> tuple[str, ...]:
+    """Say what of the file is neither read nor kept."""
+    notices = []
+    if known == "psd":  # whose first image is all its layers together
+        notices.append(f"{name} is taken as it is shown, its layers together.")
+    elif is_animated(data, known) or file.seek_subimage(1, 0):
+        notices.append(f"{name} holds several images, of which only the first is read and kept.")
+    if file.seek_subimage(0, 1):
+        notices.append(f"{name} holds smaller copies of itself (mip levels), which are left out.")
+    if known == "gif" or (known == "png" and has_palette(data)):
+        notices.append(f"{name} has a palette, which becomes full colours.")
+    return tuple(notices)
 
 
 def _check(spec: Any, opened: str, known: str, name: str) -> None:
@@ -79,7 +106,9 @@ def _check(spec: Any, opened: str, known: str, name: str) -> None:
     width, height = spec.width, spec.height
     if opened != known:
         raise InputError(name, f"it starts like a {known} image, but is none", READABLE)
-    if width <= 0 or height <= 0 or not 0 < spec.nchannels <= _MOST_CHANNELS or spec.depth > 1 or spec.deep:
+    if spec.deep:
+        raise InputError(name, "it is a deep image, with many samples a pixel", "flatten it")
+    if width <= 0 or height <= 0 or not 0 < spec.nchannels <= _MOST_CHANNELS or spec.depth > 1:
         cause = f"its size of {width} x {height} pixels, {spec.nchannels} channels cannot be used"
         raise InputError(name, cause, "export it as a plain image")
     if width * height > _LARGEST:
@@ -92,16 +121,10 @@ def _check(spec: Any, opened: str, known: str, name: str) -> None:
         raise InputError(name, "its colours are the inks of print (CMYK)", "convert it to RGB")
 
 
-def _picture(data: bytes, name: str, known: str, spec: Any, pixels: NDArray[Any], notice: str) -> Picture:
-    pixels = pixels.reshape(spec.height, spec.width, spec.nchannels)
-    kinds = [_STORED[str(kind)] for kind in (spec.channelformats or [spec.format] * spec.nchannels)]
-    if pixels.dtype.kind == "f":
-        pixels = pixels.astype(np.float32)
-        unfit = pixels.size - int(np.count_nonzero(np.isfinite(pixels)))
-        if unfit:
-            raise InputError(
-                name, f"{unfit} of its values are not finite numbers", "repair or export it anew"
-            )
+def _picture(
+    data: bytes, name: str, known: str, spec: Any, pixels: NDArray[Any], notices: tuple[str, ...]
+) -> Picture:
+    kinds = tuple(_STORED[str(kind)] for kind in (spec.channelformats or [spec.format] * spec.nchannels))
     channels = tuple(spec.channelnames)
     if known == "targa" and len(channels) == 2:  # OpenImageIO calls grey and alpha red and green there.
         channels = ("Y", "A")
@@ -116,9 +139,10 @@ def _picture(data: bytes, name: str, known: str, spec: Any, pixels: NDArray[Any]
         alpha=alpha,
         encoding="linear" if pixels.dtype.kind == "f" else "srgb",
         stored=kinds[colour[0]],
+        kinds=kinds,
         format=known,
         suffix=suffix if suffix in FORMATS[known].suffixes else FORMATS[known].suffixes[0],
-        notices=(notice,) if notice else (),
+        notices=notices,
         source=data,
         spec=spec,
     )
@@ -129,7 +153,7 @@ def _colour_channels(channels: tuple[str, ...], alpha: int | None) -> tuple[int,
     lower = [channel.lower() for channel in channels]
     if all(letter in lower for letter in "rgb"):
         return tuple(lower.index(letter) for letter in "rgb")
-    if "y" in lower:
+    if "y" in lower and "x" not in lower:  # a luminance, and no coordinate
         return (lower.index("y"),)
     others = [i for i in range(len(channels)) if i != alpha] or [0]
     return tuple(others[:3]) if len(others) >= 3 else (others[0],)
@@ -140,6 +164,6 @@ def _damaged(name: str, known: str, error: str, path: Path) -> InputError:
     shown = "".join(c if c.isprintable() else "?" for c in lines[0][:150]) if lines else "no reason given"
     return InputError(
         name,
-        f"the {FORMATS[known].suffixes[0][1:].upper()} image is damaged or cut off ({shown})",
+        f"the {label_of(known)} image is damaged or cut off ({shown})",
         "export it anew",
     )

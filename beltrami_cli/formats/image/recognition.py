@@ -20,12 +20,15 @@ class ImageFormat:
         Numbers of channels: 1 is grey, 3 red, green and blue; 2 and 4 have alpha besides.
     signatures : tuple of bytes
         What its files start with.
+    writable : bool
+        Whether what it holds can be written as it was; otherwise it is only read.
     """
 
     suffixes: tuple[str, ...]
-    types: tuple[str, ...]
+    types: tuple[str, ...] = ("uint8",)
     channels: tuple[int, ...] = (1, 2, 3, 4)
     signatures: tuple[bytes, ...] = ()
+    writable: bool = True
 
     @property
     def alpha(self) -> bool:
@@ -38,7 +41,7 @@ FORMATS = {
     "jpeg": ImageFormat((".jpg", ".jpeg", ".jpe", ".jfif"), ("uint8",), (1, 3), (b"\xff\xd8\xff",)),
     "webp": ImageFormat((".webp",), ("uint8",), (3, 4), (b"RIFF",)),
     "tiff": ImageFormat(
-        (".tif", ".tiff"),
+        (".tif", ".tiff", ".tx"),
         ("uint8", "uint16", "float16", "float32"),
         signatures=(b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"),
     ),
@@ -46,15 +49,52 @@ FORMATS = {
     "targa": ImageFormat((".tga", ".targa", ".tpic"), ("uint8",)),
     "bmp": ImageFormat((".bmp", ".dib"), ("uint8",), (1, 3, 4), (b"BM",)),
     "hdr": ImageFormat((".hdr", ".rgbe"), ("float32",), (3,), (b"#?",)),
+    "jpegxl": ImageFormat(
+        (".jxl",),
+        ("uint8", "uint16", "float16", "float32"),
+        (1, 3, 4),
+        (b"\xff\x0a", b"\0\0\0\x0cJXL \r\n\x87\n"),
+    ),
+    "jpeg2000": ImageFormat(
+        (".jp2", ".j2k", ".j2c"),
+        ("uint8", "uint16"),
+        (1, 3, 4),
+        (b"\0\0\0\x0cjP  \r\n\x87\n", b"\xff\x4f\xff\x51"),
+    ),
+    "pnm": ImageFormat(
+        (".ppm", ".pgm", ".pnm", ".pbm", ".pfm"),
+        ("uint8", "uint16", "float32"),
+        (1, 3),
+        tuple(b"P%c%c" % (kind, space) for kind in b"123456Ff" for space in b" \t\r\n"),
+    ),
+    "dpx": ImageFormat((".dpx",), ("uint8", "uint16", "float32"), (1, 3, 4), (b"SDPX", b"XPDS")),
+    "sgi": ImageFormat((".sgi", ".rgb", ".rgba", ".bw"), ("uint8", "uint16"), (1, 3, 4), (b"\x01\xda",)),
+    "fits": ImageFormat((".fits", ".fit", ".fts"), ("uint8", "float32"), (1, 3, 4), (b"SIMPLE  =",)),
+    "rla": ImageFormat((".rla",), ("uint8", "uint16", "float32")),
+    # What these hold (palettes, layers, blocks, several sizes) would not come back as it was.
+    "gif": ImageFormat((".gif",), signatures=(b"GIF87a", b"GIF89a"), writable=False),
+    "psd": ImageFormat((".psd", ".psb"), signatures=(b"8BPS",), writable=False),
+    "dds": ImageFormat((".dds",), signatures=(b"DDS ",), writable=False),
+    "ico": ImageFormat((".ico",), signatures=(b"\0\0\1\0",), writable=False),
+    "iff": ImageFormat((".iff",), signatures=(b"FOR4",), writable=False),
+    "cineon": ImageFormat((".cin",), signatures=(b"\x80\x2a\x5f\xd7", b"\xd7\x5f\x2a\x80"), writable=False),
+    "softimage": ImageFormat((".pic",), signatures=(b"\x53\x80\xf6\x34",), writable=False),
+    "zfile": ImageFormat((".z",), signatures=(b"\x2f\x08\x67\xab", b"\xab\x67\x08\x2f"), writable=False),
+    "heif": ImageFormat((".heic", ".heif", ".avif"), writable=False),
 }
 """The formats by OpenImageIO's names."""
 
-READABLE = "PNG, JPEG, WebP, TIFF, EXR, TGA, BMP and HDR images are read"
+WRITABLE = tuple(traits.suffixes[0] for traits in FORMATS.values() if traits.writable)
+"""The usual extensions of the formats that can be written."""
+
+READABLE = "PNG, JPEG, WebP, TIFF, EXR, TGA, BMP, HDR and what else OpenImageIO knows is read"
 _TARGA_FOOTER = b"TRUEVISION-XFILE.\0"
+_HEIF_BRANDS = (b"heic", b"heix", b"mif1", b"msf1", b"avif", b"avis")
+_WITHOUT_MARK = ("targa", "rla")
 
 
 def format_of(data: bytes, name: str) -> str | None:
-    """Tell the format of an image file by its content; TGA, which need not have a mark, also by its name.
+    """Tell the format of an image file by its content; TGA and RLA, which need not have a mark, also by its name.
 
     Parameters
     ----------
@@ -71,9 +111,12 @@ def format_of(data: bytes, name: str) -> str | None:
     for known, traits in FORMATS.items():
         if data.startswith(traits.signatures) and (known != "webp" or data[8:12] == b"WEBP"):
             return known
-    if data.endswith(_TARGA_FOOTER) or format_of_suffix(suffix_of(name)) == "targa":
+    if data[4:8] == b"ftyp" and data[8:12] in _HEIF_BRANDS:
+        return "heif"
+    if data.endswith(_TARGA_FOOTER):
         return "targa"
-    return None
+    by_name = format_of_suffix(suffix_of(name))
+    return by_name if by_name in _WITHOUT_MARK else None
 
 
 def format_of_suffix(suffix: str) -> str | None:
@@ -82,6 +125,11 @@ def format_of_suffix(suffix: str) -> str | None:
         if suffix.lower() in traits.suffixes:
             return known
     return None
+
+
+def label_of(known: str) -> str:
+    """Return what users call a format."""
+    return FORMATS[known].suffixes[0][1:].upper()
 
 
 def suffix_of(name: str) -> str:

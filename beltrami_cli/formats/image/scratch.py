@@ -15,20 +15,22 @@ _OPEN_FILES = Path("/proc/self/fd")
 
 
 @contextmanager
-def scratch_file(data: bytes = b"") -> Iterator[Path]:
+def scratch_file(data: bytes = b"", suffix: str = "") -> Iterator[Path]:
     """Give a file a name for a while: in memory on Linux, in the folder for temporary files elsewhere.
 
     Parameters
     ----------
     data : bytes
         What it holds at first.
+    suffix : str
+        Extension with the dot, which no file in memory has.
 
     Yields
     ------
     pathlib.Path
-        Its name, without an extension.
+        Its name.
     """
-    if hasattr(os, "memfd_create") and _OPEN_FILES.is_dir():
+    if not suffix and hasattr(os, "memfd_create") and _OPEN_FILES.is_dir():
         descriptor = os.memfd_create("image")
         try:
             path = _OPEN_FILES / str(descriptor)
@@ -38,6 +40,6 @@ def scratch_file(data: bytes = b"") -> Iterator[Path]:
             os.close(descriptor)
     else:
         with tempfile.TemporaryDirectory(prefix="beltrami-") as folder:
-            path = Path(folder) / "image"
+            path = Path(folder) / f"image{suffix}"
             path.write_bytes(data)
             yield path

@@ -9,7 +9,7 @@ import numpy as np
 from beltrami_cli.errors import ProcessingError, UsageError
 from beltrami_cli.formats.image.conversion import converted
 from beltrami_cli.formats.image.metadata import carry_over, is_lossless_webp, without_additions
-from beltrami_cli.formats.image.recognition import FORMATS, format_of_suffix
+from beltrami_cli.formats.image.recognition import FORMATS, WRITABLE, format_of_suffix, label_of
 from beltrami_cli.formats.image.scratch import scratch_file
 from beltrami_cli.mesh.textured import ImageFile
 
@@ -19,6 +19,15 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.image.picture import Picture
 
 _SPLICED = ("png", "jpeg", "webp")  # formats whose metadata are carried over as bytes
+_OF_MIP_LEVELS = (
+    "textureformat",
+    "openexr:levelmode",
+    "openexr:roundingmode",
+    "oiio:AverageColor",
+    "oiio:ConstantColor",
+)
+_LEAST_JPEG_2000 = 32  # what is halved five times; of smaller ones nobody reads what OpenImageIO writes
+_NEEDS_SUFFIX = ("jpeg2000",)  # which OpenImageIO writes in two ways, by the name
 _TYPES = {"uint8": "uint8", "uint16": "uint16", "float16": "half", "float32": "float"}
 
 
@@ -55,7 +64,7 @@ def write_image(
     Raises
     ------
     UsageError
-        If the extension is of no format that can be written.
+        As `check_writable`.
     ProcessingError
         If OpenImageIO cannot write it.
 
@@ -64,10 +73,7 @@ def write_image(
     PNG, TIFF, TGA, BMP, lossless WebP and floats keep every value; in WebP, colours under an alpha of 0 are lost.
     `losses` says what another format cannot hold.
     """
-    known = picture.format if suffix is None else format_of_suffix(suffix)
-    if known is None:
-        usual = ", ".join(traits.suffixes[0] for traits in FORMATS.values())
-        raise UsageError(f"textures cannot be written as {suffix}, only as {usual}")
+    known = check_writable(picture, suffix)
     if known != picture.format:
         values, spec = converted(picture, pixels, known, as_data=as_data)
         _set_options(spec, known, "", jpeg_quality, small=small)
@@ -78,6 +84,30 @@ def write_image(
     _set_options(spec, known, compression, jpeg_quality, small=small)
     data = _encode(spec, pixels, known, picture.name)
     return ImageFile(carry_over(picture.source, data, known), picture.suffix)
+
+
+def check_writable(picture: Picture, suffix: str | None) -> str:
+    """Return the format that a picture would be written as, a key of `recognition.FORMATS`.
+
+    Parameters
+    ----------
+    picture : Picture
+        The source.
+    suffix : str or None
+        Extension of the format wanted, with the dot; None: the picture's own.
+
+    Raises
+    ------
+    UsageError
+        If that is no format, or one that is only read, or not fit for so small a picture.
+    """
+    known = picture.format if suffix is None else format_of_suffix(suffix)
+    if known in _NEEDS_SUFFIX and min(picture.pixels.shape[:2]) < _LEAST_JPEG_2000:
+        raise UsageError(f"{picture.name}: an image of fewer than 32 pixels a side cannot be written as JP2")
+    if known is not None and FORMATS[known].writable:
+        return known
+    what = label_of(known) if known is not None else suffix
+    raise UsageError(f"{picture.name}: images cannot be written as {what}; choose {', '.join(WRITABLE)}")
 
 
 def _bare_spec(picture: Picture) -> Any:
@@ -99,6 +129,9 @@ def _kept_spec(picture: Picture) -> Any:
         # Single fields of the profile would be kept beside it; samples of fewer bits would lose what is new in them.
         if attribute.name.startswith("ICCProfile:") or attribute.name == "oiio:BitsPerSample":
             spec.erase_attribute(attribute.name)
+        # One image is written; announced as more it would count as cut off, and these means are those of the old one.
+        if attribute.name.startswith(_OF_MIP_LEVELS):
+            spec.erase_attribute(attribute.name)
     if picture.format not in ("tiff", "openexr"):  # Those two store, and say, whether alpha is multiplied in.
         spec.attribute("oiio:UnassociatedAlpha", 1)
     return spec
@@ -117,6 +150,8 @@ def _set_options(spec: Any, known: str, compression: str, quality: int, *, small
         case "webp":
             spec.attribute("compression", f"webp:{quality}")
             spec.attribute("webp:method", 6 if small else 4)
+        case "jpegxl":  # without loss
+            spec.attribute("compression", "jpegxl:100")
         case "tiff":
             spec.attribute("tiff:half", 1)
             if spec.get_string_attribute("compression") == "jpeg":
@@ -134,7 +169,7 @@ def _encode(spec: Any, pixels: NDArray[Any], known: str, name: str) -> bytes:
         raise ProcessingError(f"{name}: this OpenImageIO cannot write {known} images")
     if str(spec.format) == "half" and not spec.channelformats:
         pixels = pixels.astype(np.float16)
-    with scratch_file() as path:
+    with scratch_file(suffix=FORMATS[known].suffixes[0] if known in _NEEDS_SUFFIX else "") as path:
         written = file.open(str(path), spec) and file.write_image(np.ascontiguousarray(pixels))
         closed = file.close()
         error = file.geterror()  # TIFF reports a missing EXIF directory though all is written.

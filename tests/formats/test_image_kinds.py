@@ -1,0 +1,154 @@
+"""The rarer image formats, and files with more in them than one plain picture."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from typing import TYPE_CHECKING
+
+import numpy as np
+import OpenImageIO
+import pytest
+
+from beltrami_cli.errors import InputError, UsageError
+from beltrami_cli.formats.image import check_writable, from_float, losses, read_image, to_float, write_image
+from formats.image_files import RARER_SUFFIXES, encode, noise, png_chunk
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+WRITTEN = [
+    *(("jpegxl", kind, channels) for kind in ("uint8", "uint16", "half", "float") for channels in (1, 3, 4)),
+    *(("jpeg2000", kind, channels) for kind in ("uint8", "uint16") for channels in (1, 3, 4)),
+    *(("pnm", kind, channels) for kind in ("uint8", "uint16", "float") for channels in (1, 3)),
+    *(("dpx", kind, channels) for kind in ("uint8", "uint16", "float") for channels in (1, 3, 4)),
+    *(("sgi", kind, channels) for kind in ("uint8", "uint16") for channels in (1, 3, 4)),
+    *(("fits", kind, channels) for kind in ("uint8", "float") for channels in (1, 3, 4)),
+    *(("rla", kind, channels) for kind in ("uint8", "uint16", "float") for channels in (1, 3, 4)),
+]
+
+
+@pytest.mark.parametrize(("known", "kind", "channels"), WRITTEN)
+def test_rarer_formats_come_back_value_for_value(known: str, kind: str, channels: int) -> None:
+    pixels = noise(kind, channels, 40, 43)  # JPEG 2000 halves the sides five times
+    picture = read_image(encode(pixels, known, kind), "x" + RARER_SUFFIXES[known])
+    assert (picture.format, picture.alpha) == (known, 3 if channels == 4 else None)
+    np.testing.assert_array_equal(picture.pixels, pixels)
+    changed = np.zeros(pixels.shape, bool)
+    changed[1:3] = True
+    new = from_float(picture, 0.5 * to_float(picture), changed)
+    again = read_image(write_image(picture, new).data, "y" + RARER_SUFFIXES[known])
+    np.testing.assert_array_equal(again.pixels, new)
+    assert again.stored == picture.stored
+
+
+def dds(pixels: np.ndarray) -> bytes:
+    """Uncompressed BGRA, as Microsoft's description of the DDS header has it."""
+    height, width, _ = pixels.shape
+    form = struct.pack("<8I", 32, 0x41, 0, 32, 0xFF0000, 0xFF00, 0xFF, 0xFF000000)
+    header = struct.pack("<7I44x", 124, 0x100F, height, width, 4 * width, 0, 0) + form
+    return b"DDS " + header + struct.pack("<5I", 0x1000, 0, 0, 0, 0) + pixels[..., [2, 1, 0, 3]].tobytes()
+
+
+def psd(pixels: np.ndarray) -> bytes:
+    """Without layers and without compression, as Adobe's description of the Photoshop format has it."""
+    height, width, channels = pixels.shape
+    header = b"8BPS" + struct.pack(">H6xHIIHH", 1, channels, height, width, 8, 3)
+    return header + bytes(12) + bytes(2) + np.moveaxis(pixels, 2, 0).tobytes()
+
+
+def read_only() -> list[tuple[str, bytes, np.ndarray]]:
+    opaque = noise("uint8", 4)
+    opaque[..., 3] = 255
+    flat = np.full((5, 7, 3), 9, np.uint8)
+    return [
+        ("x.dds", dds(opaque), opaque),
+        ("x.psd", psd(opaque[..., :3]), opaque[..., :3]),
+        ("x.ico", encode(opaque, "ico"), opaque),
+        ("x.gif", encode(flat, "gif"), np.dstack([flat, np.full((5, 7), 255, np.uint8)])),
+        ("x.z", encode(noise("float", 1), "zfile"), noise("float", 1)),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("name", "data", "pixels"), read_only(), ids=lambda value: value if isinstance(value, str) else ""
+)
+def test_formats_that_are_only_read_say_what_else_there_is(
+    name: str, data: bytes, pixels: np.ndarray
+) -> None:
+    picture = read_image(data, name)
+    np.testing.assert_array_equal(picture.pixels, pixels)
+    with pytest.raises(
+        UsageError, match=f"{name}: images cannot be written as {name[2:].upper()}; choose .png"
+    ):
+        check_writable(picture, None)
+    again = read_image(write_image(picture, picture.pixels, suffix=".tif").data, "x.tif")
+    np.testing.assert_array_equal(again.pixels, pixels)
+
+
+def test_a_format_that_this_build_lacks_is_named() -> None:
+    if "heif" in OpenImageIO.get_string_attribute("input_format_list").split(","):
+        pytest.skip("this build reads it")
+    with pytest.raises(InputError, match="does not read HEIC"):
+        read_image(bytes(4) + b"ftypheic" + bytes(20), "photo.heic")
+
+
+@pytest.mark.parametrize("suffix", [".exr", ".tif"])
+def test_of_mip_mapped_files_the_full_size_is_kept_and_said_so(suffix: str, tmp_path: Path) -> None:
+    pixels, path = noise("float", 3, 64, 64), tmp_path / f"skin{suffix}"
+    OpenImageIO.ImageBufAlgo.make_texture(OpenImageIO.MakeTxTexture, OpenImageIO.ImageBuf(pixels), str(path))
+    picture = read_image(path.read_bytes(), path.name)
+    assert "mip levels" in picture.notices[0]
+    for target in (".exr", ".tif"):  # an EXR that announces levels it does not have counts as damaged
+        again = read_image(write_image(picture, picture.pixels, suffix=target).data, f"skin{target}")
+        np.testing.assert_array_equal(again.pixels, pixels)
+        assert not again.notices
+
+
+def test_a_palette_is_told_of() -> None:
+    header = (2).to_bytes(4) + (1).to_bytes(4) + bytes([8, 3, 0, 0, 0])
+    line = zlib.compress(bytes([0, 0, 1]))
+    chunks = [(b"IHDR", header), (b"PLTE", bytes(6)), (b"IDAT", line), (b"IEND", b"")]
+    source = b"\x89PNG\r\n\x1a\n" + b"".join(png_chunk(*chunk) for chunk in chunks)
+    assert "palette" in read_image(source, "x.png").notices[0]
+    assert not read_image(encode(noise("uint8", 3), "png"), "x.png").notices
+
+
+def test_channels_of_several_types_are_each_rounded_to_their_own() -> None:
+    types = ["half"] * 4 + ["float"]
+    picture = read_image(encode(noise("float", 5), "openexr", "float", types), "x.exr")
+    third = np.full(picture.pixels.shape, 1 / 3, np.float32)
+    pixels = from_float(picture, third, np.ones_like(third, bool))
+    again = read_image(write_image(picture, pixels).data, "x.exr").pixels
+    assert (again[..., :4] == np.float32(np.float16(1 / 3))).all()
+    assert (again[..., 4] == np.float32(1 / 3)).all()
+    as_tiff = read_image(write_image(picture, pixels, suffix=".tif").data, "x.tif")
+    assert as_tiff.stored == "float32"
+    assert (as_tiff.pixels[..., 4] == np.float32(1 / 3)).all()
+
+
+def test_values_that_are_not_finite_can_be_asked_for_and_stay() -> None:
+    pixels = noise("float", 3)
+    pixels[0, 0], pixels[1, 1, 1] = np.nan, -np.inf
+    picture = read_image(encode(pixels, "openexr", "float"), "x.exr", finite=False)
+    again = read_image(write_image(picture, picture.pixels).data, "x.exr", finite=False)
+    np.testing.assert_array_equal(again.pixels, pixels)
+    assert any("no number becomes 0" in loss for loss in losses(picture, ".png"))
+    png = read_image(write_image(picture, picture.pixels, suffix=".png").data, "x.png")
+    assert png.pixels[0, 0].tolist() == [0, 0, 0]
+
+
+def test_coordinates_are_no_luminance(tmp_path: Path) -> None:
+    spec = OpenImageIO.ImageSpec(7, 5, 3, "float")
+    spec.channelnames = ("X", "Y", "Z")
+    file = OpenImageIO.ImageOutput.create("openexr")
+    assert file.open(str(tmp_path / "x.exr"), spec)
+    assert file.write_image(noise("float", 3))
+    file.close()
+    assert len(read_image((tmp_path / "x.exr").read_bytes(), "x.exr").colour) == 3
+
+
+def test_jpeg_2000_is_refused_where_it_would_be_damaged() -> None:
+    picture = read_image(encode(noise("uint8", 3, 31, 40), "png"), "x.png")
+    with pytest.raises(UsageError, match="fewer than 32 pixels"):
+        write_image(picture, picture.pixels, suffix=".jp2")
