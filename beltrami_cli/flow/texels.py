@@ -36,6 +36,8 @@ class TexelFlow:
         Colours of the owned cells, in the working space.
     parameters : KernelParameters
         What to run with.
+    walls : bool
+        Whether the regularised metric must not look over empty cells either; see `GridGuide`.
 
     Attributes
     ----------
@@ -51,7 +53,9 @@ class TexelFlow:
         Seams whose two sides really differ.
     """
 
-    def __init__(self, atlas: Atlas, colours: NDArray[np.float32], parameters: KernelParameters) -> None:
+    def __init__(
+        self, atlas: Atlas, colours: NDArray[np.float32], parameters: KernelParameters, *, walls: bool = False
+    ) -> None:
         from beltrami_cli._native import local_scale
 
         self.parameters = parameters
@@ -74,7 +78,7 @@ class TexelFlow:
         self.beta = parameters.beta if parameters.beta is not None else choose_beta(self.sigma) * unit
         self._guide: GridGuide | None = None
         if parameters.is_regularised(0):
-            self._guide = GridGuide(atlas.kind != EMPTY, parameters.metric_scale)
+            self._guide = GridGuide(atlas.kind != EMPTY, parameters.metric_scale, walls=walls)
 
     def run(self, progress: Callable[[int, int], None] | None = None) -> FlowResult:
         """Run all iterations.
