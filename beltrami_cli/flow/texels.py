@@ -129,6 +129,11 @@ class TexelFlow:
             np.ascontiguousarray(owned.T), self.spacing, self.beta, self.sigma, samples / kernels, 0
         )
 
+    @property
+    def planes(self) -> NDArray[np.float32]:
+        """The colours on the canvas as they are now, shape (N, R, C); 0 where cells are empty."""
+        return self._planes
+
     def kernel_at(self, cell: int) -> SampledKernel:
         """Return the kernel that one more iteration, after those that were run, would have at an owned cell.
 

@@ -42,6 +42,13 @@ class TexelColours:
     settings : SmoothSettings
         The working space, the channels, and whether alpha is smoothed.
 
+    Attributes
+    ----------
+    names : tuple of str
+        The channels of the samples.
+    space : {"srgb", "linear", "oklab", "data"}
+        What they are in.
+
     Raises
     ------
     UsageError
@@ -50,11 +57,11 @@ class TexelColours:
 
     def __init__(self, pictures: Sequence[Picture], slot: Slot, settings: SmoothSettings) -> None:
         self._pictures = pictures
-        self._space: Space = settings.space if slot in COLOUR_SLOTS else "data"
+        self.space: Space = settings.space if slot in COLOUR_SLOTS else "data"
         self._is_normal = slot == "normal"
         self._width = max(len(picture.colour) for picture in pictures)
         names = ("red", "green", "blue") if self._width == 3 else ("grey",)
-        if self._space == "oklab" and self._width != 3:
+        if self.space == "oklab" and self._width != 3:
             raise UsageError("the space oklab needs red, green and blue, but all textures are grey")
         meant = _SLOT_CHANNELS.get(slot, set(names))
         self._kept = [i for i in _choose(names, settings) if names[i] in meant]
@@ -83,7 +90,7 @@ class TexelColours:
     def working(self, picture: Picture, texels: NDArray[np.int64]) -> NDArray[np.float32]:
         """Return the colours of some texels (row * width + column) of a picture in the working space."""
         pixels = full_scale_one(picture.pixels.reshape(-1, picture.pixels.shape[2])[texels])
-        working = to_space(self._widened(picture, pixels), picture.encoding, self._space)
+        working = to_space(self._widened(picture, pixels), picture.encoding, self.space)
         if len(self._kept) < self._width:
             working = working[:, self._kept]
         if not self._alpha:
@@ -131,10 +138,10 @@ class TexelColours:
         picture = self._pictures[index]
         table = values.reshape(-1, values.shape[2])
         whole = self._widened(picture, table[texels])
-        working = to_space(whole, picture.encoding, self._space)
+        working = to_space(whole, picture.encoding, self.space)
         working = working.copy()
         working[:, self._kept] = samples[:, : len(self._kept)]
-        stored = from_space(working, picture.encoding, self._space)
+        stored = from_space(working, picture.encoding, self.space)
         if self._is_normal:
             stored = _renormalised(stored)
         if picture.stored in ("uint8", "uint16"):
