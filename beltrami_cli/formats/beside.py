@@ -171,21 +171,17 @@ def unused(path: str, taken: set[str]) -> str:
     return path
 
 
-def respelled(name: str, path: str, new: str, folder: str = "") -> bytes:
+def respelled(name: str, path: str, new: str) -> bytes:
     """Return a file's new name in the spelling of the old one, from which it differs in the last part only.
 
     Parameters
     ----------
     name : str
-        As a file names it.
+        As a file in the model's folder names it.
     path, new : str
         Where that led, and where it is to lead, relative to the model's folder.
-    folder : str
-        Where the file lies that names it, relative to the model's folder; needed if `path` leads outside.
     """
     if new == path:
         return os.fsencode(name)
-    if is_outside(path):
-        return os.fsencode(posixpath.relpath(new, folder or "."))
-    kept = max(name.rfind("/"), name.rfind("\\")) + 1
-    return os.fsencode(name[:kept] + PurePosixPath(new).name)
+    folder = 0 if is_outside(path) else max(name.rfind("/"), name.rfind("\\")) + 1
+    return os.fsencode(name[:folder] + PurePosixPath(new).name)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from beltrami_cli.errors import InputError
+from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.beside import Beside
 from beltrami_cli.formats.document import NO_IMAGES, Document, Written
 from beltrami_cli.formats.obj.materials import Materials
@@ -68,14 +69,18 @@ class ObjDocument(Document):
         Its name for messages.
     folder : pathlib.Path or None
         Where it lies, for the files that its materials name.
+    access : Access
+        What may be read.
     """
 
     format: ClassVar[str] = "obj"
 
-    def __init__(self, data: bytes, name: str, folder: Path | None) -> None:
+    def __init__(
+        self, data: bytes, name: str, folder: Path | None, access: Access = EVERYTHING_INSIDE
+    ) -> None:
         super().__init__(name)
         self._data = data
-        self._beside = Beside(folder)
+        self._beside = Beside(folder, access)
         self._textured: dict[Slot, TexturedSurface] = {}
 
     def painted(self) -> PaintedVertices:

@@ -8,16 +8,19 @@ from dataclasses import dataclass
 from pathlib import PurePosixPath
 from typing import TYPE_CHECKING
 
+from beltrami_cli.errors import InputError
+from beltrami_cli.formats.beside import LEFT_OUTSIDE, Beside, UnfitReferenceError, is_outside
 from beltrami_cli.formats.obj.libraries import SLOTS, Map, read_maps
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from beltrami_cli.formats.beside import Beside
     from beltrami_cli.mesh.textured import Slot
 
 _LARGEST = 1 << 24  # bytes of a material file that are read
-_MTL = re.compile(r"\S.*?\.mtl(?=\s|$)|\S+", re.IGNORECASE)
+_MOST_NOTICES = 20
+_END_OF_NAME = re.compile(r"\.mtl(?=\s|$)", re.IGNORECASE)
+_WORD = re.compile(r"\S+")
 
 
 @dataclass(frozen=True)
@@ -58,7 +61,7 @@ class Materials:
     Attributes
     ----------
     paths : list of str
-        Relative to the folder, "/" separates; all are regular files inside it.
+        Regular files inside the folder, relative to it, "/" separates.
     libraries : list of Library
         In the order in which they are named first.
     notices : list of str
@@ -69,6 +72,8 @@ class Materials:
         self.paths: list[str] = []
         self.notices: list[str] = []
         self._beside = beside
+        self._reasons: dict[str, str] = {}
+        self._listed: set[str] = set()
         mentions: dict[str, list[tuple[str, int, int]]] = {}
         for text, start in statements:
             for name, begin in self._names(text, start):
@@ -85,6 +90,17 @@ class Materials:
     def painting(self, material: str, slot: Slot) -> tuple[Map, str | None] | None:
         """Return the map that a material has in a slot, and its file if that can be used."""
         return self._shown.get((material, slot))
+
+    def reason(self, name: str) -> str:
+        """Return why a file is not read that a map names."""
+        return self._reasons.get(name, "cannot be read").rstrip(".")
+
+    def read(self, path: str) -> bytes:
+        """Return the content of a file that was found; InputError if it has become unreadable."""
+        try:
+            return self._beside.read(path)
+        except OSError as error:
+            raise InputError(path, f"cannot be read ({error.strerror})") from error
 
     def slots(self) -> set[Slot]:
         """Return the slots that some material has a map in."""
@@ -122,8 +138,8 @@ class Materials:
         if self._beside.find(whole) is not None:
             yield whole, start
             return
-        for match in _MTL.finditer(whole.split(" #")[0]):  # A comment may follow.
-            yield match[0], start + len(os.fsencode(whole[: match.start()]))
+        for begin, end in _split(whole.split(" #")[0]):  # A comment may follow.
+            yield whole[begin:end], start + len(os.fsencode(whole[:begin]))
 
     def _read(self, path: str, mentions: list[tuple[str, int, int]]) -> Library:
         try:
@@ -141,10 +157,35 @@ class Materials:
 
     def _found(self, name: str, within: PurePosixPath) -> str | None:
         """Return the path of a file, adding it once, or None with a notice if it is not there."""
-        path = self._beside.find(name, within)
-        if path is None:
-            sentence = f"'{name}' is missing or not inside the model's folder, and is left alone."
-            self.notices += [] if sentence in self.notices else [sentence]
-        elif path not in self.paths:
+        try:
+            path = self._beside.locate(name, within)
+        except UnfitReferenceError as error:
+            self._tell(name, f"{error}, and is left alone.")
+            return None
+        if is_outside(path):
+            self._tell(name, LEFT_OUTSIDE)
+        elif path not in self._listed:
+            self._listed.add(path)
             self.paths.append(path)
         return path
+
+    def _tell(self, name: str, reason: str) -> None:
+        """Give notice of a file, once; of a million files, of the first few."""
+        if name in self._reasons:
+            return
+        self._reasons[name] = reason
+        if len(self._reasons) <= _MOST_NOTICES:
+            self.notices.append(f"'{name}' {reason}")
+        elif len(self._reasons) == _MOST_NOTICES + 1:
+            self.notices.append("Further files are missing as well.")
+
+
+def _split(names: str) -> Iterator[tuple[int, int]]:
+    """Give where each of several names of libraries stands: up to .mtl or, behind the last of these, each word."""
+    at = 0
+    for match in _END_OF_NAME.finditer(names):
+        begin = at + len(names[at : match.end()]) - len(names[at : match.end()].lstrip())
+        yield begin, match.end()
+        at = match.end()
+    for match in _WORD.finditer(names, at):
+        yield match.span()

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import PurePosixPath
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli.formats.beside import renamed, respelled, unused, with_suffix
+from beltrami_cli.formats.beside import brought_inside, is_outside, renamed, respelled, unused, with_suffix
 from beltrami_cli.formats.tokens import Spans, exchange_spans
 
 if TYPE_CHECKING:
@@ -16,7 +17,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from beltrami_cli.formats.document import Bytes
-    from beltrami_cli.formats.obj.materials import Materials
+    from beltrami_cli.formats.obj.libraries import Map
+    from beltrami_cli.formats.obj.materials import Library, Materials
     from beltrami_cli.mesh.textured import ImageFile, Slot
 
 
@@ -55,25 +57,55 @@ def repainted(
         affected = list(materials.affected(slot, path))
         # Its name is free only if no map that keeps the old image has it.
         keeps = moved and len(affected) == materials.uses(path)
-        new = with_suffix(path if keeps else renamed(path, source, stem), image.suffix)
-        new = new if keeps and new == path else unused(new, taken)
+        inside = brought_inside(path)
+        new = with_suffix(inside if keeps else renamed(inside, source, stem), image.suffix)
+        new = new if keeps and new == path else _reserve(new, taken)
         taken.add(new.casefold())
         sidecars[new] = image.data
         for library, found in affected:
-            edits.setdefault(library.path, {})[found.start, found.end] = respelled(found.name, path, new)
+            edits.setdefault(library.path, {})[found.start, found.end] = _spelled(found, path, new, library)
     spans: Spans = {}
     for library in materials.libraries:
-        data = exchange_spans(library.data, edits.get(library.path, {}))
-        if data == library.data:
+        if exchange_spans(library.data, edits.get(library.path, {})) == library.data:
             continue
         new = library.path
-        if not moved:
-            new = unused(str(PurePosixPath(library.path).with_name(f"{stem}.mtl")), taken)
-            taken.add(new.casefold())
+        if is_outside(library.path):
+            _take_along(materials, library, edits[library.path], sidecars, taken)
+        if not moved or is_outside(library.path):
+            new = _reserve(str(PurePosixPath(brought_inside(library.path)).with_name(f"{stem}.mtl")), taken)
             for name, start, end in library.mentions:
                 spans[start, end] = respelled(name, library.path, new)
-        sidecars[new] = data
+        sidecars[new] = exchange_spans(library.data, edits[library.path])
     return sidecars, spans
+
+
+def _reserve(path: str, taken: set[str]) -> str:
+    new = unused(path, taken)
+    taken.add(new.casefold())
+    return new
+
+
+def _spelled(found: Map, path: str, new: str, library: Library) -> bytes:
+    """Return how a library names an image that was at one path and is to be at another."""
+    if is_outside(path) or is_outside(library.path):
+        home = PurePosixPath(brought_inside(library.path)).parent
+        return os.fsencode("../" * len(home.parts) + new)
+    return respelled(found.name, path, new)
+
+
+def _take_along(
+    materials: Materials, library: Library, edits: Spans, sidecars: dict[str, Bytes], taken: set[str]
+) -> None:
+    """Make a library from outside the folder, which is written inside, find its other images from there."""
+    copies: dict[str, str] = {}
+    for found, path in library.maps:
+        if path is None or (found.start, found.end) in edits:
+            continue
+        if path not in copies:
+            copies[path] = _reserve(brought_inside(path), taken) if is_outside(path) else path
+            if is_outside(path):
+                sidecars[copies[path]] = materials.read(path)
+        edits[found.start, found.end] = os.fsencode(copies[path])
 
 
 def shifted(places: NDArray[np.int64], spans: Spans) -> NDArray[np.int64]:

@@ -203,15 +203,15 @@ class _Palette:
         if self._painted:
             return f"it has a {self.slot} texture, but no texture coordinates for it"
         if self._missing:
-            cause = f"its {self.slot} texture '{next(iter(self._missing))}'"
-            return f"{cause} is missing, cannot be read, or is not inside the model's folder"
+            name = next(iter(self._missing))
+            return f"its {self.slot} texture '{name}' {self._materials.reason(name)}"
         return f"it has no {self.slot} texture"
 
     def notices(self) -> list[str]:
         """Return what the user should know."""
         found = [
-            f"The {self.slot} texture of {', '.join(map(repr, materials))} is left as it is: '{name}' is missing, "
-            "cannot be read, or is not inside the model's folder."
+            f"The {self.slot} texture of {', '.join(map(repr, materials))} is left as it is: '{name}' "
+            f"{self._materials.reason(name)}."
             for name, materials in self._missing.items()
         ]
         found += [

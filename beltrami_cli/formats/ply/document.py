@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.beside import Beside
+from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
+from beltrami_cli.formats.beside import Beside, is_outside
 from beltrami_cli.formats.document import NO_IMAGES, Document, Written
 from beltrami_cli.formats.ply.body import values_in_bytes
 from beltrami_cli.formats.ply.header import read_header
@@ -47,6 +48,8 @@ class PlyDocument(Document):
         Its name for messages.
     folder : pathlib.Path or None
         Where it lies, for the images that its comments name.
+    access : Access
+        What may be read.
 
     Raises
     ------
@@ -56,10 +59,16 @@ class PlyDocument(Document):
 
     format: ClassVar[str] = "ply"
 
-    def __init__(self, data: bytes, name: str, folder: Path | None = None) -> None:
+    def __init__(
+        self,
+        data: bytes,
+        name: str,
+        folder: Path | None = None,
+        access: Access = EVERYTHING_INSIDE,
+    ) -> None:
         super().__init__(name)
         self._data = data
-        self._beside = Beside(folder)
+        self._beside = Beside(folder, access)
         self._header = read_header(data, name)
 
     def painted(self) -> PaintedVertices:
@@ -159,7 +168,11 @@ class PlyDocument(Document):
 
     def references(self) -> Sequence[str]:
         """Return the images that comments name."""
-        return list(dict.fromkeys(image.path for image in self._images if image.path is not None))
+        return list(
+            dict.fromkeys(
+                image.path for image in self._images if image.path is not None and not is_outside(image.path)
+            )
+        )
 
     def contents(self) -> MeshContents:
         """Return the mesh for conversion; see `Document.contents`."""
@@ -198,11 +211,7 @@ class PlyDocument(Document):
     @cached_property
     def _images(self) -> list[TextureComment]:
         comments = read_comments(self._data[: self._header.end], self._beside)
-        self.notices += [
-            f"'{comment.name}' is missing or not inside the model's folder, and is left alone."
-            for comment in comments
-            if comment.path is None
-        ]
+        self.notices += [f"'{comment.name}' {comment.reason}" for comment in comments if comment.reason]
         return comments
 
     @cached_property

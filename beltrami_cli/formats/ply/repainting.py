@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from beltrami_cli.formats.beside import renamed, respelled, unused, with_suffix
+from beltrami_cli.formats.beside import brought_inside, renamed, respelled, unused, with_suffix
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -40,7 +40,8 @@ def renamed_images(
     sidecars: dict[str, Bytes] = {}
     spans: Spans = {}
     for (_, path), image in images.items():
-        new = with_suffix(path if moved else renamed(path, source, stem), image.suffix)
+        inside = brought_inside(path)
+        new = with_suffix(inside if moved else renamed(inside, source, stem), image.suffix)
         new = new if moved and new == path else unused(new, taken)
         taken.add(new.casefold())
         sidecars[new] = image.data

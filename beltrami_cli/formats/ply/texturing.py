@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.errors import InputError
+from beltrami_cli.formats.beside import LEFT_OUTSIDE, UnfitReferenceError, is_outside
 from beltrami_cli.formats.ply.paint import finite_columns
 from beltrami_cli.mesh.polygons import triangulate_corners
 from beltrami_cli.mesh.textured import Texture, TexturedSurface
@@ -34,12 +35,25 @@ _NUMBER = "texnumber"
 
 @dataclass(frozen=True)
 class TextureComment:
-    """A comment that names an image: its file, if that can be used, and where the name stands in the PLY file."""
+    """A comment that names an image.
+
+    Attributes
+    ----------
+    name : str
+        The file, as it is named there.
+    path : str or None
+        The file relative to the model's folder, if it can be used.
+    start, end : int
+        Where the name stands in the PLY file.
+    reason : str
+        What the user should know of the file, to be put behind its name; or empty.
+    """
 
     name: str
     path: str | None
     start: int
     end: int
+    reason: str = ""
 
 
 def read_comments(header: bytes, beside: Beside) -> list[TextureComment]:
@@ -47,7 +61,12 @@ def read_comments(header: bytes, beside: Beside) -> list[TextureComment]:
     found = []
     for match in _COMMENT.finditer(header):
         name = os.fsdecode(match[1])
-        found.append(TextureComment(name, beside.find(name), *match.span(1)))
+        try:
+            path: str | None = beside.locate(name)
+            reason = LEFT_OUTSIDE if is_outside(beside.locate(name)) else ""
+        except UnfitReferenceError as error:
+            path, reason = None, f"{error}, and is left alone."
+        found.append(TextureComment(name, path, *match.span(1), reason))
     return found
 
 
@@ -98,7 +117,8 @@ def gather_textured(
         cause = "no texture coordinates" if comments else "no 'comment TextureFile' that names an image"
         raise InputError(name, f"it has no texture: {cause}")
     numbers, notices = _numbers(tables, len(offsets) - 1, len(comments), name)
-    textures, of_number = _load(comments, beside)
+    textures, of_number, unreadable = _load(comments, beside)
+    notices += unreadable
     if properties == (_OF_FACES,):
         values, bare = _face_coordinates(tables["face"], offsets, name)
     else:
@@ -107,12 +127,8 @@ def gather_textured(
     cut, polygon = triangulate_corners(positions, corners, offsets)
     texture_of = np.where(bare, -1, of_number[numbers])[polygon]
     if not (texture_of >= 0).any():
-        missing = next((f"'{c.name}'" for c in comments if c.path is None), "")
-        cause = (
-            f"{missing} is missing, cannot be read, or is not inside the model's folder"
-            if missing
-            else "no face"
-        )
+        missing = [f"'{c.name}' {c.reason}" for c in comments if c.path is None]
+        cause = next(iter([*missing, *unreadable]), "no face shows one").rstrip(".")
         raise InputError(name, f"it has no texture that can be shown: {cause}")
     uv = values[cut] * [1, -1] + [0, 1]
     surface = TexturedSurface(positions, corners[cut], uv, texture_of.astype(np.int32), textures)
@@ -139,9 +155,10 @@ def _numbers(
 
 def _load(
     comments: Sequence[TextureComment], beside: Beside
-) -> tuple[tuple[Texture, ...], NDArray[np.int64]]:
-    """Return each image once, and which of them every number means; one more row for the number -1."""
+) -> tuple[tuple[Texture, ...], NDArray[np.int64], list[str]]:
+    """Return each image once, which of them every number means (the last row: -1), and those that are unreadable."""
     textures: dict[str, tuple[int, Texture]] = {}
+    unreadable = []
     of_number = np.full(len(comments) + 1, -1, np.int64)
     for number, comment in enumerate(comments):
         if comment.path is None:
@@ -149,12 +166,13 @@ def _load(
         if comment.path not in textures:
             try:
                 data = beside.read(comment.path)
-            except OSError:
+            except OSError as error:
+                unreadable.append(f"'{comment.name}' cannot be read ({error.strerror}), and is left alone.")
                 continue
             texture = Texture(comment.path, comment.path.rpartition("/")[2], data)
             textures[comment.path] = len(textures), texture
         of_number[number] = textures[comment.path][0]
-    return tuple(texture for _, texture in textures.values()), of_number
+    return tuple(texture for _, texture in textures.values()), of_number, unreadable
 
 
 def _face_coordinates(
