@@ -2,27 +2,44 @@
 
 from __future__ import annotations
 
-import os
-import stat
+import errno
+import re
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from beltrami_cli.errors import InputError
+from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access, NotRegularError, read_regular
 
 if TYPE_CHECKING:
     from beltrami_cli.formats.document import Document
 
+_ARCHIVES = {
+    "ZIP": (b"PK\x03\x04", 0),
+    "empty ZIP": (b"PK\x05\x06", 0),
+    "gzip": (b"\x1f\x8b", 0),
+    "bzip2": (b"BZh", 0),
+    "xz": (b"\xfd7zXZ\0", 0),
+    "Zstandard": (b"\x28\xb5\x2f\xfd", 0),
+    "7z": (b"7z\xbc\xaf\x27\x1c", 0),
+    "RAR": (b"Rar!\x1a\x07", 0),
+    "tar": (b"ustar", 257),
+}
+"""What archives and compressed files start with, and where that stands."""
+
+_JSON = re.compile(rb"(?:\xef\xbb\xbf)?[ \t\r\n]*\{")
 _READABLE = "beltrami reads PLY, OBJ, glTF (.gltf) and GLB files"
 
 
-def open_document(source: str) -> Document:
+def open_document(source: str, access: Access = EVERYTHING_INSIDE) -> Document:
     """Read a file, or standard input, as the document that it is.
 
     Parameters
     ----------
     source : str
         Path, or "-" for standard input (PLY or GLB).
+    access : Access
+        What may be read.
 
     Returns
     -------
@@ -34,13 +51,31 @@ def open_document(source: str) -> Document:
     InputError
         If the file cannot be read or is of none of the formats.
     """
+    data = read_source(source, access)
     if source == "-":
-        return recognise(sys.stdin.buffer.read(), "<stdin>", None)
-    path = Path(source)
-    return recognise(_read(path, source), source, path.parent)
+        return recognise(data, "<stdin>", None, access)
+    return recognise(data, source, Path(source).parent, access)
 
 
-def recognise(data: bytes, name: str, folder: Path | None) -> Document:
+def read_source(source: str, access: Access = EVERYTHING_INSIDE) -> bytes:
+    """Read a whole file, or standard input.
+
+    Parameters
+    ----------
+    source : str
+        Path, or "-" for standard input.
+    access : Access
+        What may be read.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read.
+    """
+    return _read_stdin(access) if source == "-" else _read_file(Path(source), source, access)
+
+
+def recognise(data: bytes, name: str, folder: Path | None, access: Access = EVERYTHING_INSIDE) -> Document:
     """Choose the format by content.
 
     Parameters
@@ -51,6 +86,8 @@ def recognise(data: bytes, name: str, folder: Path | None) -> Document:
         The file as the user named it.
     folder : Path or None
         Where other files that belong to the model may lie; None: nowhere.
+    access : Access
+        What may be read.
 
     Returns
     -------
@@ -62,34 +99,50 @@ def recognise(data: bytes, name: str, folder: Path | None) -> Document:
         If no format fits, or the one that does finds the file damaged.
     """
     # Each format's reader is imported only when it is needed, to start fast.
-    if data[:4] in (b"ply\n", b"ply\r"):
+    if data[:3] == b"ply" and data[3:4] in (b"\n", b"\r", b" ", b"\t"):
         from beltrami_cli.formats.ply import PlyDocument
 
-        return PlyDocument(data, name, folder)
-    if data[:4] == b"glTF" or data.lstrip(b"\xef\xbb\xbf \t\r\n")[:1] == b"{":
+        return PlyDocument(data, name, folder, access)
+    if data[:4] == b"glTF" or _JSON.match(data):
         from beltrami_cli.formats.gltf import GltfDocument
 
-        return GltfDocument(data, name, folder)
+        return GltfDocument(data, name, folder, access)
+    archive = _archive(data)
+    if archive is not None:
+        raise InputError(
+            name, f"it is a {archive} archive, which is not opened", "unpack it, and give the model"
+        )
     if name.lower().endswith(".obj"):
         from beltrami_cli.formats.obj import ObjDocument
 
-        return ObjDocument(data, name, folder)
+        return ObjDocument(data, name, folder, access)
     if not data:
         raise InputError(name, "the file is empty", _READABLE)
     raise InputError(name, "the content is of no known format", _READABLE)
 
 
-def _read(path: Path, name: str) -> bytes:
+def _read_file(path: Path, name: str, access: Access) -> bytes:
     try:
-        # Without O_NONBLOCK, opening a FIFO that nobody writes to would wait for ever.
-        descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
-        with os.fdopen(descriptor, "rb") as file:
-            if not stat.S_ISREG(os.fstat(descriptor).st_mode):
-                raise InputError(
-                    name, "it is not a regular file", "give a file, or pipe the model in and name it -"
-                )
-            return file.read()
+        return read_regular(path, access)
+    except NotRegularError as error:
+        remedy = "give a file, or pipe the model in and name it -"
+        raise InputError(name, "it is not a regular file", remedy) from error
     except OSError as error:
-        raise InputError(
-            name, f"cannot be read ({error.strerror})", "check the path and its permissions"
-        ) from error
+        too_large = error.errno == errno.EFBIG
+        remedy = "raise --max-memory" if too_large else "check the path and its permissions"
+        raise InputError(name, f"cannot be read ({error.strerror})", remedy) from error
+
+
+def _read_stdin(access: Access) -> bytes:
+    data = sys.stdin.buffer.read(-1 if access.memory is None else access.memory + 1)
+    if access.memory is not None and len(data) > access.memory:
+        raise InputError("<stdin>", f"it has more than {access.memory} bytes", "raise --max-memory")
+    return data
+
+
+def _archive(data: bytes) -> str | None:
+    """Tell the kind of an archive or compressed file by its first bytes."""
+    for kind, (signature, at) in _ARCHIVES.items():
+        if data[at : at + len(signature)] == signature:
+            return kind
+    return None
