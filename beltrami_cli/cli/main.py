@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from types import FrameType
 
 # Command -> module; a module is imported only when its command, or the list of all commands, is asked for.
-COMMANDS = {"bake": "bake", "info": "info", "smooth": "smooth"}
+COMMANDS = {"bake": "bake", "info": "info", "kernel": "kernel", "smooth": "smooth"}
 
 INTERRUPTED = 130
 

@@ -165,6 +165,19 @@ _SMOOTHING = (
     threads,
 )  # fmt: skip
 
+# Those of one kernel, which is not written back, and what the others are without being asked for.
+_STUDYING = (
+    time_step, beta, threshold, metric_scale, metric_steps, preset, on, space, channels, units, weights, max_samples,
+    window, slots, materials, texture_names, alpha, threads,
+)  # fmt: skip
+_UNASKED = {
+    "iterations": _KERNEL.iterations,
+    "gutter": str(_TEXTURES.gutter),
+    "texture_format": _TEXTURES.image_suffix,
+    "jpeg_quality": _TEXTURES.jpeg_quality,
+    "small": _TEXTURES.small,
+}
+
 # Options that are parameters of the kernel, under the names that they have there.
 _KERNEL_OPTIONS = (
     "iterations", "t", "beta", "threshold", "weights", "units", "max_samples", "threads", "window", "metric_scale",
@@ -175,6 +188,13 @@ _KERNEL_OPTIONS = (
 def smoothing(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add all options that make up `SmoothSettings`."""
     for option in reversed(_SMOOTHING):
+        command = option(command)
+    return command
+
+
+def studying(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add the options of `smoothing` that bear on a single kernel."""
+    for option in reversed(_STUDYING):
         command = option(command)
     return command
 
@@ -202,13 +222,14 @@ def unwrapping_from(options: dict[str, Any]) -> BakeSettings | None:
 
 
 def settings_from(options: dict[str, Any]) -> SmoothSettings:
-    """Make the settings from the values of the options that `smoothing` adds.
+    """Make the settings from the values of the options that `smoothing` or `studying` adds.
 
     Raises
     ------
     UsageError
         If a value is out of its range.
     """
+    options = {**_UNASKED, **options}
     return SmoothSettings(
         kernel=_kernel_from(options),
         space=options["space"],

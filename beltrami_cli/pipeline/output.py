@@ -28,6 +28,8 @@ class Output:
         Path, or "-" for standard output.
     overwrite : bool
         Whether existing files may be replaced.
+    is_text : bool
+        Whether a terminal can show it.
 
     Raises
     ------
@@ -35,7 +37,7 @@ class Output:
         If `target` exists and must not be replaced, or its folder cannot be written to.
     """
 
-    def __init__(self, target: str, *, overwrite: bool) -> None:
+    def __init__(self, target: str, *, overwrite: bool, is_text: bool = False) -> None:
         self.target = target
         self.overwrite = overwrite
         self.is_stdout = target == "-"
@@ -43,7 +45,7 @@ class Output:
         self.path = Path(os.path.realpath(target))
         self.is_device = not self.is_stdout and _is_special(self.path)
         if self.is_stdout:
-            if sys.stdout.isatty():
+            if sys.stdout.isatty() and not is_text:
                 raise OutputError(
                     "<stdout>", "a model is not written to a terminal", "redirect it to a file or pipe"
                 )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -13,6 +13,8 @@ from beltrami_cli.formats.ply.header import TYPES
 from beltrami_cli.formats.ply.paint import store_colours
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from beltrami_cli.mesh.painted import MeshContents
@@ -53,8 +55,8 @@ def write_ply(contents: MeshContents, stem: str) -> Written:
     columns = [("x", "y", "z"), ("nx", "ny", "nz"), ("red", "green", "blue", "alpha")[: colours.shape[1]]]
     scale = 1.0 if kind == "f4" else float(np.iinfo(kind).max)
     blocks = [shortest(contents.positions), contents.normals, store_colours(colours, scale, kind)]
-    properties, rows = _vertices(columns, blocks)
-    announced, polygons = _faces(contents.corners, contents.offsets)
+    properties, rows = vertex_element(columns, blocks)
+    announced, polygons = face_element(contents.corners, contents.offsets)
     header = [
         "ply",
         "format binary_little_endian 1.0",
@@ -73,11 +75,18 @@ def shortest(positions: NDArray[np.float64]) -> NDArray[np.float32] | NDArray[np
     return single if bool((single == positions).all()) else positions
 
 
-def _vertices(
-    columns: list[tuple[str, ...]],
-    blocks: list[NDArray[np.float32] | NDArray[np.float64] | None],
+def vertex_element(
+    columns: Sequence[tuple[str, ...]], blocks: Sequence[NDArray[Any] | None]
 ) -> tuple[list[str], NDArray[np.void]]:
-    """Return the property lines and the rows of the vertex element."""
+    """Return the property lines and the rows of the vertex element.
+
+    Parameters
+    ----------
+    columns : sequence of tuple of str
+        Names of properties, block by block.
+    blocks : sequence of ndarray of shape (V, number of the names), or None
+        Their values, which become properties of the array's type; None: these properties are left out.
+    """
     fields = [
         (name, values.dtype.str[1:])
         for names, values in zip(columns, blocks, strict=True)
@@ -93,8 +102,16 @@ def _vertices(
     return [f"property {_NAMES[kind]} {name}" for name, kind in fields], rows
 
 
-def _faces(corners: NDArray[np.int32], offsets: NDArray[np.int64]) -> tuple[list[str], bytearray]:
-    """Return the lines and the rows of the face element; none of either for a cloud of points."""
+def face_element(corners: NDArray[np.int32], offsets: NDArray[np.int64]) -> tuple[list[str], bytearray]:
+    """Return the lines and the rows of the face element; none of either for a cloud of points.
+
+    Parameters
+    ----------
+    corners : ndarray of int32, shape (K,)
+        The corners of all polygons one after the other.
+    offsets : ndarray of int64, shape (P + 1,)
+        Polygon p has the corners from offsets[p] to offsets[p + 1].
+    """
     sizes = np.diff(offsets)
     if not sizes.size:
         return [], bytearray()

@@ -1,0 +1,87 @@
+"""The command `beltrami kernel`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+
+from beltrami_cli.cli import options
+from beltrami_cli.cli.console import Messages
+
+EPILOG = """\b
+Examples:
+  beltrami kernel scan.ply kernel.ply --at 1234               of a vertex, as a mesh to look at
+  beltrami kernel scan.ply kernel.ply --at 0.1,0.2,0.3        of the vertex nearest to a position
+  beltrami kernel model.glb kernel.png --at 0.31,0.62         of a texel, by its texture coordinates
+  beltrami kernel model.obj kernel.png --at skin*:512px,300px in one of several textures, by its pixel
+  beltrami kernel scan.ply gauss.ply --at 1234 --beta 0       the linear kernel, for comparison
+  beltrami kernel scan.ply - --at 1234 --preset paper         the paper's kernel, as a table
+  beltrami kernel scan.ply later.ply --at 1234 --iteration 5  of the fifth iteration
+
+\b
+OUTPUT by its extension:
+  .ply                a mesh: bright is near, dark is where the kernel ends, grey beyond; its vertices
+                      have the properties distance (NaN beyond) and weight
+  .png and the like   three squares: the painting, the distances, the weights
+  .csv .json .npz     the samples of the kernel: which, distance, weight, colour. The sum of weight times
+                      colour over the sum of the weights is what the iteration makes of the sample.
+"""
+
+
+@click.command("kernel", epilog=EPILOG)
+@click.argument("source", metavar="FILE")
+@click.argument("target", metavar="OUTPUT")
+@click.option(
+    "--at", required=True, metavar="INDEX|X,Y,Z|[GLOB:]U,V|X,Y",
+    help="Which sample: a vertex by its index or a position near it; a texel by texture coordinates, or as "
+    "300px,200px; a pixel of an image by column and row. All count from 0.",
+)  # fmt: skip
+@click.option(
+    "--iteration", type=click.IntRange(1), default=1, show_default=True, metavar="K",
+    help="Of which iteration; those before it are run.",
+)  # fmt: skip
+@click.option("--whole", is_flag=True, help="Write the whole mesh, and not only what lies around the kernel.")
+@options.studying
+@options.overwrite
+@options.quiet
+@options.verbose
+def command(
+    source: str,
+    target: str,
+    at: str,
+    iteration: int,
+    whole: bool,
+    overwrite: bool,
+    quiet: bool,
+    verbose: int,
+    **smoothing: Any,
+) -> None:
+    """Write the geodesic distances and the weights of one kernel of FILE, to be looked at.
+
+    Distances are on the image manifold, so they go through space and colour together.
+    """
+    settings = options.settings_from(smoothing)
+    messages = Messages(quiet=quiet, verbose=verbose)
+    from beltrami_cli.pipeline.kernel_file import kernel_file
+
+    with messages.progress() as progress:
+        facts = kernel_file(
+            source,
+            target,
+            at,
+            settings,
+            iteration=iteration,
+            whole=whole,
+            overwrite=overwrite,
+            progress=None
+            if progress is None
+            else lambda done, total: progress("iterations before", done, total),
+        )
+    messages.say(
+        f"{target}: kernel of the {facts['at']}, {facts['samples']} samples up to {facts['furthest']:.3g} of "
+        f"{facts['radius']:.3g} away ({facts['unit_of_length']}), beta {facts['beta']:.3g}"
+    )
+    for when in ("before", "after"):
+        colours: Any = facts[when]
+        messages.detail(f"{when:>8}: " + ", ".join(f"{name} {value:.4f}" for name, value in colours.items()))
