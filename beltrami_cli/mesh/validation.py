@@ -132,6 +132,27 @@ def colour_table(colours: ArrayLike) -> NDArray[np.float32]:
     return np.ascontiguousarray(table / np.iinfo(table.dtype).max, np.float32)
 
 
+def check_numbers(whole: dict[str, object], real: dict[str, object]) -> None:
+    """Refuse parameters that are no numbers, before anything is compared with them.
+
+    Parameters
+    ----------
+    whole, real : dict of str to object
+        Values by the names of the parameters, which must be whole or any numbers.
+
+    Raises
+    ------
+    UsageError
+        If one is not.
+    """
+    for name, value in whole.items():
+        if not isinstance(value, (int, np.integer)):
+            raise UsageError(f"{name} is {value!r}, but must be a whole number")
+    for name, value in real.items():
+        if not isinstance(value, (int, float, np.integer, np.floating)):
+            raise UsageError(f"{name} is {value!r}, but must be a number")
+
+
 def _array(values: ArrayLike, name: str) -> NDArray[Any]:
     try:
         return np.asarray(values)

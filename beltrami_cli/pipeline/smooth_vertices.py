@@ -12,7 +12,7 @@ from beltrami_cli.flow.colour_space import from_space, to_space
 from beltrami_cli.flow.iteration import BeltramiFlow, FlowResult
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.mesh.painted import Encoding, PaintedVertices
-from beltrami_cli.mesh.validation import check_mesh, colour_table, face_table, position_table
+from beltrami_cli.mesh.validation import check_mesh, check_numbers, colour_table, face_table, position_table
 from beltrami_cli.pipeline.settings import DEFAULTS, SmoothSettings
 from beltrami_cli.sampling.vertices import VertexSampling, sample_vertices
 
@@ -141,7 +141,7 @@ def smooth(
     .. [2] R. Kimmel, J. A. Sethian, "Computing geodesic paths on manifolds", PNAS 95(15), 1998,
        doi:10.1073/pnas.95.15.8431
     """
-    _check_numbers(
+    check_numbers(
         {
             "iterations": iterations,
             "max_samples": max_samples,
@@ -287,13 +287,3 @@ def _chosen_channels(painted: PaintedVertices, settings: SmoothSettings) -> list
             raise UsageError(f"there is no channel {name}; the colours have {', '.join(painted.channels)}")
         chosen.append(fits[0])
     return sorted(set(chosen))
-
-
-def _check_numbers(whole: dict[str, object], real: dict[str, object]) -> None:
-    """Refuse what is no number, before anything is compared with it."""
-    for name, value in whole.items():
-        if not isinstance(value, (int, np.integer)):
-            raise UsageError(f"{name} is {value!r}, but must be a whole number")
-    for name, value in real.items():
-        if not isinstance(value, (int, float, np.integer, np.floating)):
-            raise UsageError(f"{name} is {value!r}, but must be a number")
