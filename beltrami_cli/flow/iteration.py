@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from beltrami_cli.flow.guide import MeshGuide
-from beltrami_cli.flow.noise import choose_beta, estimate_sigma
+from beltrami_cli.flow.geometry import GeometryParameters, MovingPositions
+from beltrami_cli.flow.mesh_metric import MeshMetric
 from beltrami_cli.flow.one_kernel import SampledKernel, kernel_values
 from beltrami_cli.flow.spacing import local_spacing
 from beltrami_cli.mesh.areas import vertex_areas
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
     from beltrami_cli._native import TriangulatedManifold
+    from beltrami_cli.flow.guidance import Guide
     from beltrami_cli.flow.parameters import KernelParameters
     from beltrami_cli.mesh.surface import SampledSurface
 
@@ -41,6 +43,8 @@ class FlowResult:
         Mean over samples and iterations; 0 without iterations.
     truncated : int
         Kernels that `max_samples` cut short, over all iterations.
+    positions : ndarray of float64, shape (S, 3), or None
+        New positions, if they were smoothed.
     """
 
     colours: NDArray[np.float32]
@@ -49,6 +53,7 @@ class FlowResult:
     sigma: NDArray[np.float64]
     samples_per_kernel: float
     truncated: int
+    positions: NDArray[np.float64] | None = None
 
 
 class BeltramiFlow:
@@ -62,6 +67,12 @@ class BeltramiFlow:
         Positions, triangles and colours of S samples.
     parameters : KernelParameters
         What to run with.
+    guides : sequence of Guide
+        Channels that enter the metric and stay as they are; S rows each.
+    metric_channels : sequence of int, optional
+        Which of the N colour channels enter the metric; without it all.
+    geometry : GeometryParameters, optional
+        How the positions are smoothed along; without it they stay.
 
     Attributes
     ----------
@@ -70,10 +81,22 @@ class BeltramiFlow:
     sigma : ndarray of float64, shape (N,)
         Estimated noise per channel.
     beta : float
-        As used, in units of length per unit of colour.
+        As used, in units of length per unit of colour; 0 if no colour enters the metric.
+    guide_betas : dict of str to float
+        Units of length per unit of each guide, by its name.
+    moving : MovingPositions or None
+        The positions, if they are smoothed.
     """
 
-    def __init__(self, surface: SampledSurface, parameters: KernelParameters) -> None:
+    def __init__(
+        self,
+        surface: SampledSurface,
+        parameters: KernelParameters,
+        *,
+        guides: Sequence[Guide] = (),
+        metric_channels: Sequence[int] | None = None,
+        geometry: GeometryParameters | None = None,
+    ) -> None:
         from beltrami_cli._native import TriangulatedManifold, morton_order
 
         self.parameters = parameters
@@ -90,12 +113,18 @@ class BeltramiFlow:
         self._scales: NDArray[np.float32] | None = None
         if parameters.units == "spacing":
             self._scales = (1 / spacing).astype(np.float32)
-        self.sigma = estimate_sigma(self._colours, edges)
-        self.beta = parameters.beta if parameters.beta is not None else self._choose_beta()
-        self._guide: MeshGuide | None = None
-        if parameters.is_regularised(0):
-            in_spacings = lengths / np.sqrt(spacing[edges[:, 0]] * spacing[edges[:, 1]])
-            self._guide = MeshGuide(len(rank), edges, in_spacings, parameters.metric_scale)
+        unit = self.mean_edge_length if parameters.units == "world" else 1.0
+        in_spacings = lengths / np.sqrt(spacing[edges[:, 0]] * spacing[edges[:, 1]])
+        guides = [dataclasses.replace(guide, values=guide.values[self._order]) for guide in guides]
+        metric = MeshMetric(edges, in_spacings, self._colours, unit, parameters, guides, metric_channels)
+        self._metric, self.sigma, self.beta = metric, metric.sigma, metric.beta
+        self.guide_betas = metric.guide_betas
+        self.moving: MovingPositions | None = None
+        if geometry is not None:
+            places = GeometryParameters(geometry.places[self._order], geometry.normal_beta)
+            self.moving = MovingPositions(
+                self._positions, rank[surface.faces], edges, self.mean_edge_length or 1.0, unit, places
+            )
         self._weights: NDArray[np.float32] | None = None
         if parameters.weights == "area":
             self._weights = vertex_areas(self._positions, rank[surface.faces])
@@ -116,24 +145,45 @@ class BeltramiFlow:
         colours, samples, truncated = self._colours, 0, 0
         for iteration in range(parameters.iterations):
             self._set_metric(colours, iteration)
-            colours, held, cut = self._manifold.smooth(
-                colours,
-                self._weights,
-                parameters.t,
-                parameters.radius,
-                parameters.max_samples,
-                parameters.thread_count,
-                shifted(progress, iteration * count, parameters.iterations * count),
+            colours, held, cut = self._average(
+                colours, shifted(progress, iteration * count, parameters.iterations * count)
             )
             samples += held
             truncated += cut
         self._colours = colours
-        smoothed = np.empty_like(colours)
-        smoothed[self._order] = colours
-        kernels = max(1, parameters.iterations * count)
         return FlowResult(
-            smoothed, self.mean_edge_length, self.beta, self.sigma, samples / kernels, truncated
+            self._in_order(colours),
+            self.mean_edge_length,
+            self.beta,
+            self.sigma,
+            samples / max(1, parameters.iterations * count),
+            truncated,
+            None if self.moving is None else self._in_order(self.moving.positions),
         )
+
+    def _average(
+        self, colours: NDArray[np.float32], progress: Callable[[int], None] | None
+    ) -> tuple[NDArray[np.float32], int, int]:
+        """Average the colours, and the positions if they move, by eq. (9)."""
+        parameters, before = self.parameters, None
+        if self.moving is not None:
+            before = self.moving.channels()
+            colours = np.concatenate([colours, before], axis=1)
+        smoothed, held, cut = self._manifold.smooth(
+            colours,
+            self._weights,
+            parameters.t,
+            parameters.radius,
+            parameters.max_samples,
+            parameters.thread_count,
+            progress,
+        )
+        if self.moving is None or before is None:
+            return smoothed, held, cut
+        width = colours.shape[1] - before.shape[1]
+        self.moving.move(before, smoothed[:, width:])
+        self._positions = self.moving.positions
+        return np.ascontiguousarray(smoothed[:, :width]), held, cut
 
     def kernel_at(self, sample: int) -> SampledKernel:
         """Return the kernel that one more iteration, after those that were run, would have at a sample."""
@@ -148,17 +198,16 @@ class BeltramiFlow:
 
     def _set_metric(self, colours: NDArray[np.float32], iteration: int) -> None:
         """Induce the metric, eq. (1), for an iteration, by colours in the inner order."""
-        beta = self.beta
-        if not self.parameters.is_regularised(iteration):
-            self._guide = None  # its arrays are not needed any more
-        elif self._guide is not None:
-            colours, beta = self._guide.smooth(colours), beta / self._guide.gain
+        normals = None if self.moving is None else (self.moving.normals, self.moving.beta)
+        channels, beta = self._metric.channels(colours, iteration, normals)
         threads = self.parameters.thread_count
-        self._manifold.update_metric(self._positions, colours, beta, self._scales, True, threads)
+        self._manifold.update_metric(self._positions, channels, beta, self._scales, True, threads)
 
-    def _choose_beta(self) -> float:
-        unit = self.mean_edge_length if self.parameters.units == "world" else 1.0
-        return choose_beta(self.sigma) * unit
+    def _in_order(self, rows: NDArray[Any]) -> NDArray[Any]:
+        """Bring rows back to the order that the caller gave them in."""
+        ordered = np.empty_like(rows)
+        ordered[self._order] = rows
+        return ordered
 
     def probe_samples(self, kernels: int) -> float:
         """Measure how many samples a kernel of the first iteration holds, from some kernels spread evenly."""

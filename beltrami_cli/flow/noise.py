@@ -7,10 +7,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from numpy.typing import NDArray
 
 # For a normal distribution the standard deviation is 1 / Phi^-1(3/4) times the median absolute deviation.
 _SIGMA_PER_MEDIAN = 1.4826022
+
+# The length of a vector of two independent normal numbers has the median sqrt(2 ln 2).
+_SIGMA_PER_MEDIAN_LENGTH = 1 / np.sqrt(2 * np.log(2))
 
 # One level of an 8-bit file, spread evenly, has the deviation 1 / (255 sqrt(12)). Below that no noise can be told.
 _QUANTISATION = 1 / (255 * np.sqrt(12))
@@ -42,20 +47,48 @@ def estimate_sigma(colours: NDArray[np.float32], edges: NDArray[np.int32]) -> ND
     ndarray of float64, shape (N,)
         In units of `colours`; 0 where no sample has neighbours.
     """
-    count = len(colours)
+    return np.array(
+        [
+            _SIGMA_PER_MEDIAN * np.median(np.abs(residual)) if residual.size else 0.0
+            for residual in _residuals(colours, edges)
+        ]
+    )
+
+
+def estimate_normal_sigma(normals: NDArray[np.float32], edges: NDArray[np.int32]) -> float:
+    """Estimate how far noise turns the normals of a surface, as `estimate_sigma` does for colours.
+
+    The lengths of the residuals are looked at, not their components, so that turning the surface changes nothing.
+
+    Parameters
+    ----------
+    normals : ndarray of float32, shape (S, 3)
+        Unit vectors; noise turns them about two axes.
+    edges : ndarray of int32, shape (E, 2)
+        Distinct edges, without the walls of hard colour edges.
+
+    Returns
+    -------
+    float
+        Standard deviation about each axis, in radians; 0 where no sample has neighbours.
+    """
+    squares = sum(np.square(residual) for residual in _residuals(normals, edges))
+    if not np.size(squares):
+        return 0.0
+    return float(_SIGMA_PER_MEDIAN_LENGTH * np.sqrt(np.median(squares)))
+
+
+def _residuals(values: NDArray[np.float32], edges: NDArray[np.int32]) -> Iterator[NDArray[np.float64]]:
+    """Go through the channels; find how samples differ from the mean of their neighbours, in units of their noise."""
+    count = len(values)
     degree = np.bincount(edges.ravel(), minlength=count)
     inside = degree >= 3  # fewer neighbours: a border or a stray edge, whose mean leans to one side
-    sigma = np.zeros(colours.shape[1])
-    if not inside.any():
-        return sigma
     scale = np.sqrt(degree[inside] / (degree[inside] + 1.0))
-    for channel in range(colours.shape[1]):
-        values = colours[:, channel].astype(np.float64)
-        total = np.bincount(edges[:, 0], values[edges[:, 1]], count)
-        total += np.bincount(edges[:, 1], values[edges[:, 0]], count)
-        residual = (values[inside] - total[inside] / degree[inside]) * scale
-        sigma[channel] = _SIGMA_PER_MEDIAN * np.median(np.abs(residual))
-    return sigma
+    for column in values.T:
+        channel = column.astype(np.float64)
+        total = np.bincount(edges[:, 0], channel[edges[:, 1]], count)
+        total += np.bincount(edges[:, 1], channel[edges[:, 0]], count)
+        yield (channel[inside] - total[inside] / degree[inside]) * scale
 
 
 def estimate_sigma_on_grid(planes: NDArray[np.float32], filled: NDArray[np.bool_]) -> NDArray[np.float64]:

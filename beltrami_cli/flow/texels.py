@@ -6,18 +6,19 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli.flow.guide import GridGuide
+from beltrami_cli.flow.grid_metric import GridMetric
 from beltrami_cli.flow.iteration import FlowResult, shifted
-from beltrami_cli.flow.noise import choose_beta, estimate_sigma_on_grid
+from beltrami_cli.flow.noise import estimate_sigma_on_grid
 from beltrami_cli.flow.one_kernel import SampledKernel, kernel_on_grid
 from beltrami_cli.flow.seams import find_colour_jumps, halo_beyond
-from beltrami_cli.mesh.atlas import EMPTY, OWNED, without_halo
+from beltrami_cli.mesh.atlas import OWNED, refresh_halo, without_halo
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
+    from beltrami_cli.flow.guidance import Guide
     from beltrami_cli.flow.parameters import KernelParameters
     from beltrami_cli.mesh.atlas import Atlas
 
@@ -38,6 +39,10 @@ class TexelFlow:
         What to run with.
     walls : bool
         Whether the regularised metric must not look over empty cells either; see `GridGuide`.
+    guides : sequence of Guide
+        Channels that enter the metric and stay as they are; T rows each.
+    metric_channels : sequence of int, optional
+        Which of the N colour channels enter the metric; without it all.
 
     Attributes
     ----------
@@ -48,13 +53,22 @@ class TexelFlow:
     sigma : ndarray of float64, shape (N,)
         Estimated noise per channel.
     beta : float
-        As used, in units of length per unit of colour.
+        As used, in units of length per unit of colour; 0 if no colour enters the metric.
+    guide_betas : dict of str to float
+        Units of length per unit of each guide, by its name.
     jumps : int
         Seams whose two sides really differ.
     """
 
     def __init__(
-        self, atlas: Atlas, colours: NDArray[np.float32], parameters: KernelParameters, *, walls: bool = False
+        self,
+        atlas: Atlas,
+        colours: NDArray[np.float32],
+        parameters: KernelParameters,
+        *,
+        walls: bool = False,
+        guides: Sequence[Guide] = (),
+        metric_channels: Sequence[int] | None = None,
     ) -> None:
         from beltrami_cli._native import local_scale
 
@@ -75,10 +89,8 @@ class TexelFlow:
         self.spacing = float(np.mean(1 / np.sqrt(owned_scale))) if len(owned_scale) else 0.0
         self._scale = scale if parameters.units == "spacing" else None
         unit = self.spacing if parameters.units == "world" else 1.0
-        self.beta = parameters.beta if parameters.beta is not None else choose_beta(self.sigma) * unit
-        self._guide: GridGuide | None = None
-        if parameters.is_regularised(0):
-            self._guide = GridGuide(atlas.kind != EMPTY, parameters.metric_scale, walls=walls)
+        self._metric = GridMetric(atlas, self.sigma, unit, parameters, guides, metric_channels, walls=walls)
+        self.beta, self.guide_betas = self._metric.beta, self._metric.guide_betas
 
     def run(self, progress: Callable[[int, int], None] | None = None) -> FlowResult:
         """Run all iterations.
@@ -101,7 +113,7 @@ class TexelFlow:
             np.empty((0, 0, 0), np.float32),
         )  # freed once the first step is done
         for iteration in range(parameters.iterations):
-            metric, beta = self._metric(planes, iteration)
+            metric, beta = self._metric.planes(planes, iteration)
             planes, held = smooth_grid(
                 self.atlas.kind,
                 self.atlas.squared_lengths,
@@ -146,18 +158,10 @@ class TexelFlow:
         -------
         SampledKernel
         """
-        metric, beta = self._metric(self._planes, self.parameters.iterations)
+        metric, beta = self._metric.planes(self._planes, self.parameters.iterations)
         return kernel_on_grid(
             self.atlas, self._scale, metric, self._planes, beta, self.parameters, self._scheme(), cell
         )
-
-    def _metric(self, planes: NDArray[np.float32], iteration: int) -> tuple[NDArray[np.float32], float]:
-        """Return the colours and the beta that an iteration takes distances from."""
-        if not self.parameters.is_regularised(iteration):
-            self._guide = None  # its planes are not needed any more
-        if self._guide is None:
-            return planes, self.beta
-        return self._guide.smooth(planes), self.beta / self._guide.gain
 
     def gutter_colours(self) -> NDArray[np.float32]:
         """Return the colours that the atlas's gutter cells have now, shape (G, N)."""
@@ -167,17 +171,3 @@ class TexelFlow:
         if self.parameters.scheme == "metric":
             return "metric"
         return "sweep" if self.parameters.window <= _WIDEST_SWEEP else "triangles"
-
-
-def refresh_halo(planes: NDArray[np.float32], atlas: Atlas) -> None:
-    """Give the halo cells of all planes, in place, the colours of the owned cells that they stand for.
-
-    Parameters
-    ----------
-    planes : ndarray of float32, shape (N, R, C)
-        Colours on the canvas.
-    atlas : Atlas
-        Which cells are halo, and where their colours come from.
-    """
-    for plane in planes.reshape(len(planes), -1):
-        plane[atlas.halo_cells] = np.einsum("ht,ht->h", plane[atlas.halo_taps], atlas.halo_weights)

@@ -74,6 +74,20 @@ class Atlas:
     overlapped: int
 
 
+def refresh_halo(planes: NDArray[np.float32], atlas: Atlas) -> None:
+    """Give the halo cells of all planes, in place, the colours of the owned cells that they stand for.
+
+    Parameters
+    ----------
+    planes : ndarray of float32, shape (N, R, C)
+        Colours on the canvas.
+    atlas : Atlas
+        Which cells are halo, and where their colours come from.
+    """
+    for plane in planes.reshape(len(planes), -1):
+        plane[atlas.halo_cells] = np.einsum("ht,ht->h", plane[atlas.halo_taps], atlas.halo_weights)
+
+
 def without_halo(atlas: Atlas, dropped: NDArray[np.bool_]) -> Atlas:
     """Return the atlas with some of its halo cells empty.
 

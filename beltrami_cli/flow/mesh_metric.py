@@ -1,0 +1,111 @@
+"""What of the samples of a mesh enters the metric, iteration by iteration."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from beltrami_cli.flow.guidance import choose_guide_beta, join_channels
+from beltrami_cli.flow.guide import MeshGuide
+from beltrami_cli.flow.noise import choose_beta, estimate_sigma
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from beltrami_cli.flow.guidance import Guide
+    from beltrami_cli.flow.parameters import KernelParameters
+
+
+class MeshMetric:
+    """The channels beside the positions that eq. (1) is made of.
+
+    Parameters
+    ----------
+    edges : ndarray of int32, shape (E, 2)
+        Edges with a length in space, without the walls of hard colour edges.
+    lengths : ndarray of float64, shape (E,)
+        Their lengths, in sample spacings.
+    colours : ndarray of float32, shape (S, N)
+        Colours of the samples, to tell their noise.
+    unit : float
+        The sample spacing in units of length.
+    parameters : KernelParameters
+        What to run with.
+    guides : sequence of Guide
+        With S rows each.
+    metric_channels : sequence of int or None
+        Which of the N colour channels count; None: all.
+
+    Attributes
+    ----------
+    sigma : ndarray of float64, shape (N,)
+        Estimated noise per colour channel.
+    beta : float
+        Of the colours, in units of length per unit of colour; 0 if none counts.
+    guide_betas : dict of str to float
+        Units of length per unit of each guide, by its name.
+    """
+
+    def __init__(
+        self,
+        edges: NDArray[np.int32],
+        lengths: NDArray[np.float64],
+        colours: NDArray[np.float32],
+        unit: float,
+        parameters: KernelParameters,
+        guides: Sequence[Guide],
+        metric_channels: Sequence[int] | None,
+    ) -> None:
+        self._parameters, self._unit = parameters, unit
+        self._chosen = None if metric_channels is None else list(metric_channels)
+        self.sigma = estimate_sigma(colours, edges)
+        counting = self.sigma if self._chosen is None else self.sigma[self._chosen]
+        self.beta = choose_beta(counting) * unit if parameters.beta is None else parameters.beta
+        if not len(counting):
+            self.beta = 0.0
+        self._guide: MeshGuide | None = None
+        if parameters.is_regularised(0):
+            self._guide = MeshGuide(len(colours), edges, lengths, parameters.metric_scale)
+        self.guide_betas: dict[str, float] = {}
+        self._guide_channels = [self._take(guide, edges) for guide in guides]
+
+    def channels(
+        self, colours: NDArray[np.float32], iteration: int, normals: tuple[NDArray[np.float32], float] | None
+    ) -> tuple[NDArray[np.float32], float]:
+        """Return the channels that an iteration takes distances from, and their beta.
+
+        Parameters
+        ----------
+        colours : ndarray of float32, shape (S, N)
+            As they are before the iteration.
+        iteration : int
+            Counted from 0.
+        normals : (ndarray of float32, shape (S, 3), float) or None
+            Normals of a surface that moves, and their beta.
+        """
+        if not self._parameters.is_regularised(iteration):
+            self._guide = None  # its arrays are not needed any more
+        if self._chosen is not None:
+            colours = np.ascontiguousarray(colours[:, self._chosen])
+        parts = [self._regularised(colours, self.beta), *self._guide_channels]
+        if normals is not None:
+            parts.append(self._regularised(*normals))
+        return join_channels(parts, axis=1)
+
+    def _regularised(self, channels: NDArray[np.float32], beta: float) -> tuple[NDArray[np.float32], float]:
+        """Return what distances are taken from in place of noisy channels, and its beta."""
+        if self._guide is None or beta == 0:
+            return channels, beta
+        return self._guide.smooth(channels), beta / self._guide.gain
+
+    def _take(self, guide: Guide, edges: NDArray[np.int32]) -> tuple[NDArray[np.float32], float]:
+        """Return the channels and the beta that a guide adds to the metric, and note the beta."""
+        beta = guide.beta
+        if beta is None:
+            steps = guide.values[edges[:, 0]] - guide.values[edges[:, 1]]
+            beta = choose_guide_beta(guide.values, steps) * self._unit
+        self.guide_betas[guide.name] = beta
+        return guide.values, beta
