@@ -61,7 +61,7 @@ def choose_guide_beta(values: NDArray[np.float32], steps: NDArray[np.float32]) -
 
     Notes
     -----
-    A guide is meant to be clean and is taken as it is, at every iteration. So its slopes, and what noise it has, must not
+    A guide is meant to be clean and is taken as it is, at every iteration. So its slopes, and its noise, must not
     stop the kernel. The scale of usual steps is their median [1]_, in units of white noise. It says nothing of a guide
     of flat regions, whose steps are mostly 0: there the standard deviation of the guide does.
 
