@@ -1,5 +1,11 @@
 """The command `beltrami`, also as ``python -m beltrami_cli``."""
 
+import signal
+
+# While modules are loaded, Ctrl-C ends the process as it ends any other; later `main` says what it did.
+if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
 from beltrami_cli.cli.main import main
 
 if __name__ == "__main__":

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -33,6 +33,7 @@ The output is a new file: the triangles, and their colours. What else INPUT hold
 @options.keep_uv
 @options.max_unwrap_faces
 @options.output_format
+@options.reading
 @options.overwrite
 @options.quiet
 @options.verbose
@@ -48,6 +49,7 @@ def command(
     overwrite: bool,
     quiet: bool,
     verbose: int,
+    **reading: Any,
 ) -> None:
     """Move the colours of INPUT from its vertices to a texture, or from its textures to the vertices.
 
@@ -58,9 +60,16 @@ def command(
     messages = Messages(quiet=quiet, verbose=verbose)
     from beltrami_cli.pipeline.bake_file import bake_file
 
-    with messages.progress() as progress:
+    with options.reading_from(reading, source) as access, messages.progress() as progress:
         report = bake_file(
-            source, target, to, settings, format=output_format, overwrite=overwrite, progress=progress
+            source,
+            target,
+            to,
+            settings,
+            format=output_format,
+            overwrite=overwrite,
+            progress=progress,
+            access=access,
         )
     for warning in report.warnings:
         messages.warn(f"{report.input}: {warning}")

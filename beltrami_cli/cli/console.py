@@ -14,6 +14,11 @@ if TYPE_CHECKING:
     from rich.progress import TaskID
 
 
+def printable(text: str) -> str:
+    """Return text that moves no cursor and fits any terminal: files may hold names with control characters."""
+    return "".join(character if character.isprintable() else "?" for character in text)
+
+
 class Messages:
     """What is told to the user, by how much they want to hear.
 
@@ -32,12 +37,12 @@ class Messages:
     def say(self, text: str) -> None:
         """Tell a result."""
         if not self.quiet:
-            click.echo(text, err=True)
+            click.echo(printable(text), err=True)
 
     def detail(self, text: str) -> None:
         """Tell what interests only those who asked for it."""
         if self.verbose and not self.quiet:
-            click.echo(text, err=True)
+            click.echo(printable(text), err=True)
 
     def warn(self, text: str) -> None:
         """Tell what the user should know."""

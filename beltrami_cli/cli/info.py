@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from beltrami_cli.cli import options
+from beltrami_cli.cli.console import printable
 
 EPILOG = """\b
 Examples:
@@ -21,20 +22,22 @@ Examples:
 @click.argument("source", metavar="FILE")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 @options.smoothing
+@options.reading
 @options.verbose
 def command(source: str, as_json: bool, verbose: int, **smoothing: Any) -> None:
     """Show what is coloured in FILE and how, how noisy it is, and what smoothing it would do."""
     settings = options.settings_from(smoothing)
     from beltrami_cli.pipeline.inspect_file import inspect_file
 
-    facts = inspect_file(source, settings)
+    with options.reading_from(smoothing, source) as access:
+        facts = inspect_file(source, settings, access)
     if as_json:
         click.echo(json.dumps(facts, indent=2))
         return
     for section, content in facts.items():
         for part in content if isinstance(content, list) and section == "textures" else [content]:
             if part:
-                click.echo("\n".join([section, *_lines(part)]))
+                click.echo("\n".join(map(printable, [section, *_lines(part)])))
 
 
 def _lines(content: Any) -> list[str]:

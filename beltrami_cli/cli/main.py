@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import os
 import signal
 import sys
 import traceback
@@ -10,6 +11,7 @@ from typing import TYPE_CHECKING, NoReturn
 
 import click
 
+from beltrami_cli.cli.console import printable
 from beltrami_cli.errors import BeltramiError
 
 if TYPE_CHECKING:
@@ -19,6 +21,8 @@ if TYPE_CHECKING:
 COMMANDS = {"bake": "bake", "info": "info", "kernel": "kernel", "smooth": "smooth"}
 
 INTERRUPTED = 130
+_INTERRUPTION = "interrupted; files are as they were, or complete"
+_ENDINGS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 
 
 class LazyGroup(click.Group):
@@ -71,13 +75,17 @@ def group() -> None:
 
 def main() -> NoReturn:
     """Run the command line and exit with the documented code."""
-    signal.signal(signal.SIGTERM, _interrupt)
+    # OpenBLAS takes some 30 MB a processor for products of large matrices, of which there are none here.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    for ending in _ENDINGS:
+        if signal.getsignal(ending) is not signal.SIG_IGN:  # as nohup wants it
+            signal.signal(ending, _interrupt)
     try:
         sys.exit(group.main(prog_name="beltrami", standalone_mode=False) or 0)
     except click.Abort:
-        _end(INTERRUPTED, "interrupted; nothing was written")
+        _end(INTERRUPTED, _INTERRUPTION)
     except KeyboardInterrupt:
-        _end(INTERRUPTED, "interrupted; nothing was written")
+        _end(INTERRUPTED, _INTERRUPTION)
     except click.ClickException as error:
         error.show()
         sys.exit(error.exit_code)
@@ -110,5 +118,5 @@ def _verbosity(argument: str) -> int:
 
 
 def _end(code: int, message: str) -> NoReturn:
-    click.echo(f"beltrami: {message}", err=True)
+    click.echo(f"beltrami: {printable(message)}", err=True)
     sys.exit(code)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, get_args
 
 import click
 
+from beltrami_cli.cli.memory import limited_memory, memory_of_machine, parse_size
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.parameters import PRESETS, KernelParameters, Space, Units, Weights
+from beltrami_cli.formats.access import Access
 from beltrami_cli.pipeline.bake_settings import DEFAULT_BAKE, BakeSettings
 from beltrami_cli.pipeline.settings import (
     DEFAULTS,
@@ -20,7 +23,20 @@ from beltrami_cli.pipeline.settings import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
+
+
+def _size(context: click.Context, parameter: click.Parameter, text: str | None) -> int | None:
+    if text is None:
+        return None
+    try:
+        size = parse_size(text)
+    except ValueError:
+        raise click.BadParameter(f"{text!r} is no size such as 500M or 4G") from None
+    if size == 0:
+        raise click.BadParameter("nothing can be done in no memory")
+    return size
+
 
 _KERNEL, _TEXTURES = DEFAULTS.kernel, DEFAULTS.textures
 
@@ -154,6 +170,15 @@ output_format = click.option(
     "--format", "output_format", type=click.Choice(list(OUTPUT_FORMATS)),
     help="Format of OUTPUT where its name does not tell, as with -.",
 )  # fmt: skip
+allow_outside = click.option(
+    "--allow-outside", is_flag=True,
+    help="Also read files that INPUT names beyond its own folder (absolute paths, '..', links). What OUTPUT needs of "
+    "them anew goes into its own folder; nothing is written out there.",
+)  # fmt: skip
+max_memory = click.option(
+    "--max-memory", callback=_size, metavar="SIZE",
+    help="Refuse INPUT if it or the work on it takes more memory, such as 500M or 4G.  [default: what the machine has]",
+)  # fmt: skip
 quiet = click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
 verbose = click.option(
     "-v", "--verbose", count=True, help="Print what is done; twice: also where an error arose."
@@ -197,6 +222,25 @@ def studying(command: Callable[..., Any]) -> Callable[..., Any]:
     for option in reversed(_STUDYING):
         command = option(command)
     return command
+
+
+def reading(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add all options that `reading_from` takes."""
+    return allow_outside(max_memory(command))
+
+
+@contextmanager
+def reading_from(options: dict[str, Any], source: str) -> Iterator[Access]:
+    """Give what a job on a file may read, and hold it to its memory, by the options that `reading` adds.
+
+    Raises
+    ------
+    InputError
+        If the job wants more memory.
+    """
+    size = options.pop("max_memory") or memory_of_machine()
+    with limited_memory(size, source):
+        yield Access(outside=options.pop("allow_outside"), memory=size)
 
 
 def unwrapping(command: Callable[..., Any]) -> Callable[..., Any]:

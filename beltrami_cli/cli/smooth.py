@@ -41,6 +41,7 @@ raise -n, or lower --beta. See what a file is like with `beltrami info FILE`.
 @options.smoothing
 @options.unwrapping
 @options.output_format
+@options.reading
 @options.overwrite
 @click.option("--dry-run", is_flag=True, help="Compute and report, but write no OUTPUT.")
 @click.option(
@@ -71,7 +72,7 @@ def command(
     report_file = None if report_path is None else _open_report(report_path, source, target, overwrite)
     from beltrami_cli.pipeline.smooth_file import smooth_file
 
-    with messages.progress() as progress:
+    with options.reading_from(smoothing, source) as access, messages.progress() as progress:
         report = smooth_file(
             source,
             target,
@@ -81,6 +82,7 @@ def command(
             overwrite=overwrite,
             dry_run=dry_run,
             progress=progress,
+            access=access,
         )
     if report_file is not None:
         _write_report(report_file, report)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.source import open_document
 from beltrami_cli.pipeline.bake_settings import DEFAULT_BAKE, BakeSettings, BakeTo
 from beltrami_cli.pipeline.conversion import names_beside, write_contents, write_textured
@@ -53,6 +54,7 @@ def bake_file(
     format: str | None = None,  # noqa: A002 -- the name of the option
     overwrite: bool = False,
     progress: Callable[[str, int, int], None] | None = None,
+    access: Access = EVERYTHING_INSIDE,
 ) -> BakeReport:
     """Write a new file whose colours are in a texture, or in the vertices.
 
@@ -70,6 +72,8 @@ def bake_file(
         Whether existing files may be replaced.
     progress : callable, optional
         Called with a label, the work done so far and the work to do; may raise to stop.
+    access : Access
+        What may be read.
 
     Returns
     -------
@@ -82,7 +86,7 @@ def bake_file(
     """
     source, target = os.fspath(source), os.fspath(target)
     output = Output(target, overwrite=overwrite)
-    document = open_document(source)
+    document = open_document(source, access)
     kind, stem = choose_format(document, target, format), Path(target).stem
     output.check_sidecars(names_beside(kind, stem, ".png" if to == "texture" else None))
     if to == "texture":

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.source import open_document
 from beltrami_cli.pipeline.settings import DEFAULTS, SmoothSettings
 from beltrami_cli.pipeline.work import choose_work
@@ -25,7 +26,9 @@ if TYPE_CHECKING:
 _PROBED_KERNELS = 1000
 
 
-def inspect_file(source: str | os.PathLike[str], settings: SmoothSettings = DEFAULTS) -> dict[str, object]:
+def inspect_file(
+    source: str | os.PathLike[str], settings: SmoothSettings = DEFAULTS, access: Access = EVERYTHING_INSIDE
+) -> dict[str, object]:
     """Describe a mesh file and what `smooth_file` would do with it.
 
     Parameters
@@ -34,6 +37,8 @@ def inspect_file(source: str | os.PathLike[str], settings: SmoothSettings = DEFA
         PLY, OBJ, glTF or GLB; "-" for standard input.
     settings : SmoothSettings
         What smoothing would be told.
+    access : Access
+        What may be read.
 
     Returns
     -------
@@ -50,7 +55,7 @@ def inspect_file(source: str | os.PathLike[str], settings: SmoothSettings = DEFA
     UsageError
         If the settings contradict the file.
     """
-    document = open_document(os.fspath(source))
+    document = open_document(os.fspath(source), access)
     work = choose_work(document, settings)
     facts: dict[str, object] = {
         "file": {"name": document.name, "format": document.format, **document.facts()}

@@ -7,6 +7,7 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.source import open_document
 from beltrami_cli.mesh.textured import ImageFile
 from beltrami_cli.pipeline.conversion import make_files
@@ -37,6 +38,7 @@ def smooth_file(
     overwrite: bool = False,
     dry_run: bool = False,
     progress: Callable[[str, int, int], None] | None = None,
+    access: Access = EVERYTHING_INSIDE,
 ) -> SmoothReport:
     """Smooth the colours of a mesh file, in its vertices or textures, and change nothing else.
 
@@ -56,6 +58,8 @@ def smooth_file(
         Compute everything and write nothing.
     progress : callable, optional
         Called with a label of what is being smoothed, the work done so far and the work to do; may raise to stop.
+    access : Access
+        What may be read.
 
     Returns
     -------
@@ -76,12 +80,12 @@ def smooth_file(
 
         return smooth_unwrapped(
             source, target, settings, unwrap,
-            format=format, overwrite=overwrite, dry_run=dry_run, progress=progress,
+            format=format, overwrite=overwrite, dry_run=dry_run, progress=progress, access=access,
         )  # fmt: skip
     watch = Stopwatch()
     output = None if dry_run else Output(target, overwrite=overwrite)
     with watch.stage("read"):
-        document = open_document(source)
+        document = open_document(source, access)
         target_format = choose_format(document, target, format)
         work = choose_work(document, settings)
         if settings.kernel.iterations == 0:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from beltrami_cli.errors import UsageError
+from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.source import open_document
 from beltrami_cli.pipeline.conversion import names_beside, write_textured
 from beltrami_cli.pipeline.new_texture import texture_from_textures, texture_from_vertices
@@ -52,12 +53,13 @@ def smooth_unwrapped(
     overwrite: bool = False,
     dry_run: bool = False,
     progress: Progress = None,
+    access: Access = EVERYTHING_INSIDE,
 ) -> SmoothReport:
     """Smooth the base colour, or else the vertex colours, in a new texture, and write a new file with that.
 
     Parameters
     ----------
-    source, target, settings, format, overwrite, dry_run, progress
+    source, target, settings, format, overwrite, dry_run, progress, access
         As for `smooth_file`.
     wanted : BakeSettings
         How the texture is made.
@@ -76,7 +78,7 @@ def smooth_unwrapped(
     output = None if dry_run else Output(target, overwrite=overwrite)
     stem = Path(target).stem
     with watch.stage("read"):
-        document = open_document(source)
+        document = open_document(source, access)
         target_format = choose_format(document, target, format)
         if output is not None:
             suffix = settings.textures.image_suffix or ".png"

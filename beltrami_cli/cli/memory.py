@@ -1,0 +1,98 @@
+"""How much memory a command may take, and what happens when it wants more."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from beltrami_cli.errors import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+_SIZE = re.compile(r"(\d+(?:\.\d+)?)\s*([KMGT]?)(?:i?B)?", re.IGNORECASE)
+_UNITS = {"": 1, "K": 1 << 10, "M": 1 << 20, "G": 1 << 30, "T": 1 << 40}
+_LARGEST = 1 << 60  # what the system can be told
+_CGROUP_LIMITS = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes")
+# What the program itself takes: libraries, and for each processor the stacks of its threads.
+_PROGRAM, _PER_PROCESSOR = 160 << 20, 24 << 20
+
+
+def parse_size(text: str) -> int:
+    """Return the bytes that a text like 500M or 1.5G means, in powers of 1024; ValueError if it is none."""
+    match = _SIZE.fullmatch(text.strip())
+    if match is None or len(match[1]) > 20:
+        raise ValueError(text)
+    return min(int(float(match[1]) * _UNITS[match[2].upper()]), _LARGEST)
+
+
+def show_size(size: int) -> str:
+    """Return a number of bytes in the unit that suits it."""
+    for unit, scale in reversed(_UNITS.items()):
+        if size >= scale > 1:
+            return f"{size / scale:.3g}{unit}"
+    return str(size)
+
+
+def memory_of_machine() -> int | None:
+    """Return the bytes of memory that the machine or its container has; None if that cannot be told."""
+    found = []
+    with contextlib.suppress(AttributeError, OSError, ValueError):
+        found.append(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
+    for path in _CGROUP_LIMITS:
+        with contextlib.suppress(OSError, ValueError):  # "max" is no limit
+            found.append(int(Path(path).read_text(encoding="ascii")))
+    return min((size for size in found if size > 0), default=None)
+
+
+@contextlib.contextmanager
+def limited_memory(size: int | None, name: str) -> Iterator[None]:
+    """Let the process take no more memory for a while than a job may have.
+
+    Parameters
+    ----------
+    size : int or None
+        Bytes; None: without a limit.
+    name : str
+        The file that the job is about, for the message.
+
+    Raises
+    ------
+    InputError
+        If the job wants more.
+
+    Notes
+    -----
+    Where the system has no such limit (Windows, macOS), only what is refused beforehand is refused.
+    """
+    try:
+        with _data_limit(size):
+            yield
+    except MemoryError as error:
+        limit = "the memory of this machine" if size is None else f"{show_size(size)} of memory"
+        raise InputError(
+            name, f"needs more than {limit}", "raise --max-memory, or give a smaller model"
+        ) from error
+
+
+@contextlib.contextmanager
+def _data_limit(size: int | None) -> Iterator[None]:
+    try:
+        import resource
+    except ImportError:
+        yield
+        return
+    if size is None:
+        yield
+        return
+    before, most = resource.getrlimit(resource.RLIMIT_DATA)
+    wanted = size + _PROGRAM + _PER_PROCESSOR * (os.cpu_count() or 1)
+    known = [limit for limit in (before, most) if limit != resource.RLIM_INFINITY]
+    resource.setrlimit(resource.RLIMIT_DATA, (min([wanted, *known]), most))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_DATA, (before, most))
