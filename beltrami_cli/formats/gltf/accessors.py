@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from beltrami_cli.formats.gltf.draco import DracoMeshes
 from beltrami_cli.formats.gltf.layouts import Accessor, Layout, read_accessors, read_views
 
 if TYPE_CHECKING:
@@ -18,8 +20,6 @@ if TYPE_CHECKING:
 Stored = np.ndarray[Any, np.dtype[Any]]
 """Numbers as they are in the file: little-endian integers or float32."""
 
-_DECOMPRESS = "decompress the model first with a glTF optimiser, and smooth the plain file"
-
 
 class Accessors:
     """All accessors of one file; descriptions are checked at once, bytes are read when asked for.
@@ -28,18 +28,48 @@ class Accessors:
     ------
     InputError
         If a description is wrong.
+
+    Attributes
+    ----------
+    buffers : Buffers
+        Where the bytes are.
+    views : list of View
+        The bufferViews.
+    all : list of Accessor
+        Those of the JSON. Higher indices are those that were decoded.
+    draco : DracoMeshes
+        What can be decoded besides.
     """
 
     def __init__(self, root: Entry, buffers: Buffers) -> None:
         self.buffers = buffers
         self.views = read_views(root, buffers)
         self.all = read_accessors(root, self.views)
+        self.draco = DracoMeshes(self)
+        self._added: list[Accessor] = []
 
     def __len__(self) -> int:
         return len(self.all)
 
     def __getitem__(self, index: int) -> Accessor:
-        return self.all[index]
+        return self.all[index] if index < len(self.all) else self._added[index - len(self.all)]
+
+    def add(self, described: Accessor, numbers: Stored) -> int:
+        """Add an accessor for decoded numbers, shape (n, width), with another one's description; return its index."""
+        octets = numbers.tobytes()
+        buffer = self.buffers.add(len(octets), lambda: octets)
+        size = numbers.dtype.itemsize * numbers.shape[1]
+        layout = Layout(buffer, 0, size, size, len(numbers))
+        self._added.append(
+            replace(
+                described, component=numbers.dtype, count=len(numbers), view=None, layout=layout, sparse=None
+            )
+        )
+        return len(self.all) + len(self._added) - 1
+
+    def is_added(self, index: int) -> bool:
+        """Return whether an accessor is none of the JSON's, but decoded."""
+        return index >= len(self.all)
 
     def require_bytes(self, index: int) -> None:
         """Load the buffer of an accessor, so that its count is known to be backed by bytes.
@@ -49,18 +79,11 @@ class Accessors:
         InputError
             If the bytes are missing; if it has none, when it has more elements than all files have bytes.
         """
-        accessor = self.all[index]
+        accessor = self[index]
         if accessor.layout is not None:
             self.buffers.stored(accessor.layout.buffer)
         elif accessor.count > self.buffers.bytes_at_hand:
             raise accessor.entry.fault("count", f"{accessor.count} zeros are more than the file has bytes")
-
-    def require_plain(self, index: int) -> None:
-        """Raise an InputError that names the extension if the bytes of an accessor are compressed."""
-        accessor = self.all[index]
-        if accessor.compression:
-            cause = f"is compressed with {accessor.compression}, which beltrami does not decode"
-            raise accessor.entry.fault("", cause, _DECOMPRESS)
 
     def stored(self, index: int) -> Stored:
         """Return the numbers as stored, sparse replacements applied.
@@ -72,10 +95,9 @@ class Accessors:
         Raises
         ------
         InputError
-            If the bytes are missing or compressed, or sparse indices are not increasing and in range.
+            If the bytes are missing or cannot be decoded, or sparse indices are not increasing and in range.
         """
-        accessor = self.all[index]
-        self.require_plain(index)
+        accessor = self[index]
         if accessor.layout is not None:
             numbers = self._numbers(accessor.layout, accessor.component)
         else:
@@ -97,7 +119,7 @@ class Accessors:
         InputError
             As `stored`, and if a number is not finite.
         """
-        accessor, stored = self.all[index], self.stored(index)
+        accessor, stored = self[index], self.stored(index)
         numbers = stored.astype(np.float64)
         if accessor.component.kind == "f":
             if not np.isfinite(stored).all():

@@ -8,7 +8,6 @@ import numpy as np
 
 from beltrami_cli.formats.gltf.accessors import fractions
 from beltrami_cli.formats.gltf.materials import present_slots
-from beltrami_cli.formats.gltf.primitives import DRACO
 from beltrami_cli.formats.gltf.sharing import objects
 from beltrami_cli.mesh.painted import MeshContents
 
@@ -84,13 +83,7 @@ def _attributes(primitive: Tree) -> Tree:
 
 def has_colours(tree: Tree) -> bool:
     """Return whether any primitive has COLOR_0, compressed or not."""
-    for primitive in _primitives(tree):
-        extensions = primitive.get("extensions")
-        packed = extensions.get(DRACO) if isinstance(extensions, dict) else None
-        holders = [primitive, packed if isinstance(packed, dict) else {}]
-        if any("COLOR_0" in _attributes(holder) for holder in holders):
-            return True
-    return False
+    return any("COLOR_0" in _attributes(primitive) for primitive in _primitives(tree))
 
 
 def _left_out(tree: Tree) -> Iterator[str]:

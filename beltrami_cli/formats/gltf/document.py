@@ -14,8 +14,9 @@ from beltrami_cli.formats.gltf.accessors import Accessors, Stored, fractions
 from beltrami_cli.formats.gltf.buffers import Buffers
 from beltrami_cli.formats.gltf.container import read_container
 from beltrami_cli.formats.gltf.contents import contents_of, has_colours, summary
+from beltrami_cli.formats.gltf.editing import Edit
 from beltrami_cli.formats.gltf.materials import present_slots
-from beltrami_cli.formats.gltf.patching import Edit, recolour
+from beltrami_cli.formats.gltf.patching import recolour
 from beltrami_cli.formats.gltf.pictures import Pictures
 from beltrami_cli.formats.gltf.primitives import in_world
 from beltrami_cli.formats.gltf.references import present

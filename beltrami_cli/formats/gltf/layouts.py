@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
+
+from beltrami_cli.formats.gltf.meshopt import Packed, read_packed, unpacked
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -19,18 +22,21 @@ COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5
 SHAPES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 """Components of one element by glTF's type."""
 
-_COMPRESSED = ("EXT_meshopt_compression", "KHR_meshopt_compression")
-
 
 @dataclass(frozen=True)
 class View:
-    """A bufferView: `length` bytes from byte `offset` of a buffer; stride 0 means packed elements."""
+    """A bufferView: `length` bytes from byte `offset` of a buffer; stride 0 means packed elements.
+
+    Of a compressed view, these say where its bytes are once they are decoded; `packed` says how they are compressed,
+    and `fallback` (a buffer and an offset) where the file may have them uncompressed.
+    """
 
     buffer: int
     offset: int
     length: int
     stride: int
-    compression: str | None
+    packed: Packed | None = None
+    fallback: tuple[int, int] | None = None
 
 
 @dataclass(frozen=True)
@@ -82,8 +88,6 @@ class Accessor:
         Where its elements lie; None if they are zeros (but for sparse ones).
     sparse : Sparse or None
         Replaced elements.
-    compression : str or None
-        Extension that must be decoded before the bytes can be read.
     """
 
     entry: Entry
@@ -95,7 +99,6 @@ class Accessor:
     view: int | None
     layout: Layout | None
     sparse: Sparse | None
-    compression: str | None
 
 
 def read_views(root: Entry, buffers: Buffers) -> list[View]:
@@ -104,7 +107,7 @@ def read_views(root: Entry, buffers: Buffers) -> list[View]:
     Raises
     ------
     InputError
-        If one leaves its buffer.
+        If one leaves its buffer, or is said to be compressed in a way that cannot be.
     """
     views = []
     for entry in root.entries("bufferViews"):
@@ -115,10 +118,17 @@ def read_views(root: Entry, buffers: Buffers) -> list[View]:
         stride = (
             entry.integer("byteStride", least=1, below=1 << 16, default=1) if "byteStride" in entry else 0
         )
-        extensions = entry.entry("extensions")
-        compression = next((name for name in _COMPRESSED if name in extensions), None)
-        views.append(View(buffer, offset, length, stride, compression))
+        packed = read_packed(entry, length, buffers)
+        if packed is None:
+            views.append(View(buffer, offset, length, stride))
+        else:
+            decoded = buffers.add(length, partial(_decoded, packed, buffers))
+            views.append(View(decoded, 0, length, stride, packed, (buffer, offset)))
     return views
+
+
+def _decoded(packed: Packed, buffers: Buffers) -> bytes:
+    return unpacked(packed, buffers.stored(packed.buffer))
 
 
 def read_accessors(root: Entry, views: Sequence[View]) -> list[Accessor]:
@@ -144,23 +154,9 @@ def _accessor(entry: Entry, views: Sequence[View]) -> Accessor:
     index = entry.integer("bufferView", below=len(views)) if "bufferView" in entry else None
     size = _element_size(shape, component)
     layout = None if index is None else _layout(entry, views[index], index, size, count)
-    compression = None if index is None else views[index].compression
-    sparse = None
-    if "sparse" in entry:
-        sparse, packed = _sparse(entry.entry("sparse"), views, size, count)
-        compression = compression or packed
-    return Accessor(
-        entry,
-        component,
-        SHAPES[shape],
-        shape,
-        count,
-        entry.flag("normalized"),
-        index,
-        layout,
-        sparse,
-        compression,
-    )
+    sparse = _sparse(entry.entry("sparse"), views, size, count) if "sparse" in entry else None
+    normalised = entry.flag("normalized")
+    return Accessor(entry, component, SHAPES[shape], shape, count, normalised, index, layout, sparse)
 
 
 def _component(entry: Entry) -> np.dtype[np.generic]:
@@ -194,16 +190,15 @@ def _layout(entry: Entry, view: View, index: int, size: int, count: int) -> Layo
     return layout
 
 
-def _sparse(entry: Entry, views: Sequence[View], size: int, count: int) -> tuple[Sparse, str | None]:
+def _sparse(entry: Entry, views: Sequence[View], size: int, count: int) -> Sparse:
     replaced = entry.integer("count", least=1, below=count + 1)
     where, what = entry.entry("indices"), entry.entry("values")
     index_type = _component(where)
     if index_type.kind != "u":
         raise where.fault("componentType", "must be an unsigned integer type")
     first, second = (part.integer("bufferView", below=len(views)) for part in (where, what))
-    sparse = Sparse(
+    return Sparse(
         _layout(where, views[first], first, index_type.itemsize, replaced),
         index_type,
         _layout(what, views[second], second, size, replaced),
     )
-    return sparse, views[first].compression or views[second].compression

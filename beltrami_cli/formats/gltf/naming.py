@@ -10,8 +10,8 @@ from beltrami_cli.formats.gltf.files import as_uri, is_data, relative_name
 
 if TYPE_CHECKING:
     from beltrami_cli.formats.document import Bytes
+    from beltrami_cli.formats.gltf.editing import Edit
     from beltrami_cli.formats.gltf.json_text import Tree
-    from beltrami_cli.formats.gltf.patching import Edit
     from beltrami_cli.formats.gltf.tree import Entry
     from beltrami_cli.mesh.textured import ImageFile
 

@@ -126,8 +126,6 @@ class Pictures:
         if "bufferView" in image:
             number = image.integer("bufferView", below=len(self._accessors.views))
             view = self._accessors.views[number]
-            if view.compression:
-                raise UnfitReferenceError(f"is compressed with {view.compression}")
             octets = self._accessors.buffers.stored(view.buffer)
             data = bytes(octets[view.offset : view.offset + view.length])
         elif uri is not None:

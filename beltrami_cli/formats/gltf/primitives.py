@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli.formats.gltf.triangles import triangles
+from beltrami_cli.formats.gltf.draco import packed_in
+from beltrami_cli.formats.gltf.triangles import TRIANGLES, triangles
 
 if TYPE_CHECKING:
     from collections.abc import Hashable
@@ -17,43 +18,57 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.gltf.scene import Placement
     from beltrami_cli.formats.gltf.tree import Entry
 
-DRACO = "KHR_draco_mesh_compression"
+
+def attribute_accessor(primitive: Entry, name: str, accessors: Accessors) -> int:
+    """Return the accessor of an attribute, the decoded one if the primitive is compressed.
+
+    Raises
+    ------
+    InputError
+        If it is missing, or cannot be decoded.
+    """
+    index = primitive.entry("attributes").integer(name, below=len(accessors))
+    packed = packed_in(primitive)
+    if packed is None or name not in packed.entry("attributes"):
+        return index
+    return accessors.draco.attribute(packed, name, index)
 
 
-def require_uncompressed(primitive: Entry) -> None:
-    """Raise an InputError if a primitive is compressed with Draco."""
-    if DRACO in primitive.entry("extensions"):
-        remedy = "decompress the model first with a glTF optimiser, and smooth the plain file"
-        raise primitive.fault("extensions", f"{DRACO} is not decoded by beltrami", remedy)
-
-
-def position_accessor(attributes: Entry, accessors: Accessors) -> int:
+def position_accessor(primitive: Entry, accessors: Accessors) -> int:
     """Return the accessor of positions.
 
     Raises
     ------
     InputError
-        If it is missing, compressed, without its bytes, or not made of positions.
+        If it is missing, cannot be decoded, is without its bytes, or not made of positions.
     """
-    index = attributes.integer("POSITION", below=len(accessors))
+    index = attribute_accessor(primitive, "POSITION", accessors)
     accessor = accessors[index]
     if accessor.shape != "VEC3" or accessor.component.name == "uint32":
-        raise attributes.fault(
-            "POSITION", f"is {accessor.shape} of {accessor.component.name}, not a position"
-        )
-    accessors.require_plain(index)
+        cause = f"is {accessor.shape} of {accessor.component.name}, not a position"
+        raise primitive.entry("attributes").fault("POSITION", cause)
     accessors.require_bytes(index)
     return index
 
 
 def index_accessor(primitive: Entry, accessors: Accessors) -> int | None:
-    """Return the accessor of indices, None where vertices are drawn in their order."""
+    """Return the accessor of indices, None where vertices are drawn in their order.
+
+    Raises
+    ------
+    InputError
+        If they are missing though they are compressed, or cannot be decoded.
+    """
+    packed = packed_in(primitive)
+    if packed is not None:
+        return accessors.draco.indices(packed, primitive.integer("indices", below=len(accessors)))
     return primitive.integer("indices", below=len(accessors)) if "indices" in primitive else None
 
 
 def drawing_mode(primitive: Entry) -> int:
-    """Return the drawing mode, triangles if it is not said."""
-    return primitive.integer("mode", below=7, default=4)
+    """Return the drawing mode of the indices: triangles if it is not said, or if strips were decoded."""
+    mode = primitive.integer("mode", below=7, default=TRIANGLES)
+    return mode if packed_in(primitive) is None else TRIANGLES
 
 
 def drawn(primitive: Entry, accessors: Accessors, count: int, placement: Placement) -> NDArray[np.int64]:

@@ -9,6 +9,7 @@ from beltrami_cli.formats.document import Written
 from beltrami_cli.formats.gltf.container import BIN_CHUNK, JSON_CHUNK, Chunk, encoded, glb_pieces
 from beltrami_cli.formats.gltf.files import as_uri, is_data, read
 from beltrami_cli.formats.gltf.json_text import Tree, revised
+from beltrami_cli.formats.gltf.meshopt import EXTENSIONS
 from beltrami_cli.formats.gltf.naming import place_pictures
 from beltrami_cli.formats.gltf.pictures import media_type
 from beltrami_cli.formats.gltf.saving import place_buffers, sidecar_names
@@ -16,7 +17,7 @@ from beltrami_cli.formats.gltf.saving import place_buffers, sidecar_names
 if TYPE_CHECKING:
     from beltrami_cli.formats.beside import Beside
     from beltrami_cli.formats.document import Bytes
-    from beltrami_cli.formats.gltf.patching import Edit
+    from beltrami_cli.formats.gltf.editing import Edit
 
 _ALIGNMENT = 8  # of merged buffers: more than any component needs, and what KHR extensions ask for
 
@@ -99,6 +100,9 @@ def _merge_buffers(edit: Edit, tree: Tree) -> bytearray:
             if start and isinstance(holder.get("byteOffset", 0), int):
                 holder["byteOffset"] = holder.get("byteOffset", 0) + start
     merged = {key: value for key, value in tree["buffers"][next(iter(starts))].items() if key != "uri"}
+    if "extensions" in merged:  # it is more than a substitute for what is compressed
+        rest = {key: value for key, value in merged.pop("extensions").items() if key not in EXTENSIONS}
+        merged |= {"extensions": rest} if rest else {}
     tree["buffers"] = [merged, *(tree["buffers"][index] for index in kept)]
     return binary
 

@@ -22,8 +22,8 @@ from beltrami_cli.formats.gltf.texturing import key_of
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
+    from beltrami_cli.formats.gltf.editing import Edit
     from beltrami_cli.formats.gltf.json_text import Tree
-    from beltrami_cli.formats.gltf.patching import Edit
     from beltrami_cli.formats.gltf.pictures import Pictures
     from beltrami_cli.mesh.textured import ImageFile, Slot
 

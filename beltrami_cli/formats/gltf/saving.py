@@ -13,8 +13,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from beltrami_cli.formats.document import Bytes
+    from beltrami_cli.formats.gltf.editing import Edit
     from beltrami_cli.formats.gltf.json_text import Tree
-    from beltrami_cli.formats.gltf.patching import Edit
     from beltrami_cli.formats.gltf.tree import Entry
 
 

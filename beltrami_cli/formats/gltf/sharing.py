@@ -83,19 +83,30 @@ def _others(tree: Tree, accessors: Accessors, members: set[int]) -> Iterator[Lay
     for index, view in enumerate(accessors.views):
         if index in named or index not in viewed:
             yield Layout(view.buffer, view.offset, view.length, view.length, 1)
-    for raw in objects(tree.get("bufferViews")):
-        for extension in objects(list(raw.get("extensions", {}).values())):
-            yield from extended(extension, accessors.buffers.lengths)
+    for (index, extension), layout in named_places(tree, accessors.buffers.lengths):
+        if extension is not None or accessors.views[index].packed is not None:
+            yield layout
 
 
-def extended(extension: Tree, lengths: Sequence[int]) -> Iterator[Layout]:
-    """Find the bytes that an extension of a view names itself, if it does so in the usual words."""
-    buffer, offset, length = (extension.get(key) for key in ("buffer", "byteOffset", "byteLength"))
-    offset = 0 if offset is None else offset
-    if isinstance(buffer, int) and isinstance(offset, int) and isinstance(length, int):
-        inside = 0 <= buffer < len(lengths) and offset >= 0 and length > 0
-        if inside and offset + length <= lengths[buffer]:
-            yield Layout(buffer, offset, length, length, 1)
+def named_places(tree: Tree, lengths: Sequence[int]) -> Iterator[tuple[tuple[int, str | None], Layout]]:
+    """Find the bytes that views name, and those that their extensions name in the usual words.
+
+    Yields
+    ------
+    place : (int, str or None)
+        The view's index, and the extension.
+    layout : Layout
+        The bytes, as one element.
+    """
+    for index, view in enumerate(objects(tree.get("bufferViews"))):
+        for name, holder in [(None, view), *view.get("extensions", {}).items()]:
+            if not isinstance(holder, dict):
+                continue
+            buffer, offset, length = (holder.get(key, 0) for key in ("buffer", "byteOffset", "byteLength"))
+            if isinstance(buffer, int) and isinstance(offset, int) and isinstance(length, int):
+                inside = 0 <= buffer < len(lengths) and offset >= 0 and length > 0
+                if "buffer" in holder and inside and offset + length <= lengths[buffer]:
+                    yield (index, name), Layout(buffer, offset, length, length, 1)
 
 
 def _views_of_sparse(accessor: Tree) -> set[int]:
@@ -124,6 +135,8 @@ def _canonical(accessors: Accessors, layout: Layout | None) -> Layout | None:
 def _extent(accessors: Accessors, buffer: int) -> int:
     """Return a length that no view of this buffer, or of another over the same file, goes beyond."""
     buffers = accessors.buffers
+    if buffers.source(buffer) == "decoded":
+        return buffers.length(buffer)
     return max(buffers.lengths[index] for index in range(len(buffers)) if buffers.canonical(index) == buffer)
 
 

@@ -7,13 +7,13 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from beltrami_cli.formats.gltf.files import re_embedded
-from beltrami_cli.formats.gltf.sharing import extended, named_views, objects
+from beltrami_cli.formats.gltf.sharing import named_places, named_views
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from beltrami_cli.formats.gltf.editing import Edit
     from beltrami_cli.formats.gltf.json_text import Tree
-    from beltrami_cli.formats.gltf.patching import Edit
     from beltrami_cli.formats.gltf.pictures import Pictures
     from beltrami_cli.mesh.textured import ImageFile
 
@@ -143,13 +143,9 @@ def _spans(edit: Edit, buffer: int) -> list[tuple[int | None, tuple[int, int]]]:
     same = {index for index in range(known) if canonical(index) == buffer} | {buffer}
     spans: list[tuple[int | None, tuple[int, int]]] = []
     lengths = [entry["byteLength"] for entry in tree["buffers"]]
-    for index, view in enumerate(tree["bufferViews"]):
-        if view["buffer"] in same:
-            spans.append((index, _span(view)))
-        for extension in objects(list(view.get("extensions", {}).values())):
-            spans += [
-                (None, (part.start, part.end)) for part in extended(extension, lengths) if part.buffer in same
-            ]
+    for (index, extension), part in named_places(tree, lengths):
+        if part.buffer in same:
+            spans.append((None if extension else index, (part.start, part.end)))
     # Another buffer over the same file keeps its length, and so all of its bytes.
     return spans + [(None, (0, lengths[index])) for index in same - {buffer}]
 

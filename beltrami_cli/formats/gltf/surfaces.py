@@ -13,13 +13,12 @@ import numpy as np
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.gltf.primitives import (
-    DRACO,
+    attribute_accessor,
     drawing_mode,
     drawn,
     identity,
     index_accessor,
     position_accessor,
-    require_uncompressed,
 )
 
 if TYPE_CHECKING:
@@ -53,6 +52,8 @@ class Block:
         Accessor of the normals of the first primitive.
     members : set of int
         All accessors over these colours that primitives name as COLOR_0.
+    users : list of (int, int)
+        Those primitives, each by the index of its mesh and its own in that.
     """
 
     position: int
@@ -62,6 +63,7 @@ class Block:
     count: int
     normal: int | None
     members: set[int] = field(default_factory=set)
+    users: list[tuple[int, int]] = field(default_factory=list)
 
 
 @dataclass
@@ -79,12 +81,12 @@ def gather(root: Entry, accessors: Accessors, places: Sequence[Placement]) -> Su
     Raises
     ------
     InputError
-        If there are none, one is compressed, or its attributes or indices are damaged.
+        If there are none, one cannot be decoded, or its attributes or indices are damaged.
     """
     gathering = _Gathering(accessors)
-    for mesh, placement in zip(root.entries("meshes"), places, strict=True):
-        for primitive in mesh.entries("primitives"):
-            gathering.take(primitive, placement)
+    for number, (mesh, placement) in enumerate(zip(root.entries("meshes"), places, strict=True)):
+        for part, primitive in enumerate(mesh.entries("primitives")):
+            gathering.take(primitive, placement, (number, part))
     if not gathering.blocks:
         remedy = "paint the vertices first, or bake the texture into them"
         raise InputError(root.name, "the model has no vertex colours (COLOR_0)", remedy)
@@ -103,22 +105,20 @@ class _Gathering:
         self._counts = dict.fromkeys(("uncoloured", "elsewhere", "instanced", "morphed", "plain"), 0)
         self._instanced: set[int] = set()
 
-    def take(self, primitive: Entry, placement: Placement) -> None:
+    def take(self, primitive: Entry, placement: Placement, number: tuple[int, int]) -> None:
         """Take one primitive: its rows if they are new, and its triangles."""
-        attributes = primitive.entry("attributes")
-        packed = primitive.entry("extensions").entry(DRACO)
-        if "COLOR_0" not in attributes and "COLOR_0" not in packed.entry("attributes"):
+        if "COLOR_0" not in primitive.entry("attributes"):
             self._counts["uncoloured"] += 1
             return
-        require_uncompressed(primitive)
         self._counts["morphed"] += any("COLOR_0" in target for target in primitive.entries("targets"))
-        block = self._block(attributes, placement)
+        block = self._block(primitive, placement, number)
         if block is not None:
             self._take_faces(primitive, block, placement)
 
-    def _block(self, attributes: Entry, placement: Placement) -> Block | None:
+    def _block(self, primitive: Entry, placement: Placement, number: tuple[int, int]) -> Block | None:
         """Return the block of a primitive; None if its colours already have rows at other positions."""
-        position, colour = position_accessor(attributes, self.accessors), self._colour(attributes)
+        attributes = primitive.entry("attributes")
+        position, colour = position_accessor(primitive, self.accessors), self._colour(primitive)
         count = self.accessors[colour].count
         if self.accessors[position].count != count:
             raise attributes.fault(
@@ -126,7 +126,7 @@ class _Gathering:
             )
         key, place = identity(self.accessors, colour), identity(self.accessors, position)
         if key not in self._block_of:
-            normal = self._normal(attributes, count)
+            normal = self._normal(primitive, count)
             block = Block(position, colour, placement, self._rows, count, normal)
             self._block_of[key] = block
             self.blocks.append(block)
@@ -136,6 +136,7 @@ class _Gathering:
             self._counts["instanced"] += placement.nodes > 1
         block = self._block_of[key]
         block.members.add(colour)
+        block.users.append(number)
         if identity(self.accessors, block.position) != place:
             self._counts["elsewhere"] += 1
             return None
@@ -144,20 +145,20 @@ class _Gathering:
             self._counts["instanced"] += not same or block.placement.space != placement.space
         return block
 
-    def _colour(self, attributes: Entry) -> int:
-        index = attributes.integer("COLOR_0", below=len(self.accessors))
+    def _colour(self, primitive: Entry) -> int:
+        index = attribute_accessor(primitive, "COLOR_0", self.accessors)
         accessor = self.accessors[index]
         if accessor.shape not in ("VEC3", "VEC4") or accessor.component.name not in COLOUR_TYPES:
-            raise attributes.fault(
-                "COLOR_0", f"is {accessor.shape} of {accessor.component.name}, not a colour"
-            )
+            cause = f"is {accessor.shape} of {accessor.component.name}, not a colour"
+            raise primitive.entry("attributes").fault("COLOR_0", cause)
         self._counts["plain"] += accessor.component.kind == "u" and not accessor.normalised
         return index
 
-    def _normal(self, attributes: Entry, count: int) -> int | None:
+    def _normal(self, primitive: Entry, count: int) -> int | None:
+        attributes = primitive.entry("attributes")
         if "NORMAL" not in attributes:
             return None
-        index = attributes.integer("NORMAL", below=len(self.accessors))
+        index = attribute_accessor(primitive, "NORMAL", self.accessors)
         accessor = self.accessors[index]
         if accessor.shape != "VEC3" or accessor.count != count:
             raise attributes.fault("NORMAL", f"is {accessor.count} {accessor.shape}, not {count} normals")

@@ -11,13 +11,13 @@ from beltrami_cli.errors import InputError
 from beltrami_cli.formats.beside import UnfitReferenceError
 from beltrami_cli.formats.gltf.materials import Painting, paintings
 from beltrami_cli.formats.gltf.primitives import (
+    attribute_accessor,
     drawing_mode,
     drawn,
     identity,
     in_world,
     index_accessor,
     position_accessor,
-    require_uncompressed,
 )
 from beltrami_cli.formats.gltf.triangles import TRIANGLES
 from beltrami_cli.mesh.textured import Texture, TexturedSurface
@@ -105,26 +105,24 @@ class _Gathering:
 
     def take(self, primitive: Entry, placement: Placement) -> None:
         """Take one primitive: its triangles where they stand first, with their texture if they have one."""
-        attributes = primitive.entry("attributes")
         if drawing_mode(primitive) < TRIANGLES:
             return
-        require_uncompressed(primitive)
-        if "POSITION" not in attributes:
+        if "POSITION" not in primitive.entry("attributes"):
             return  # it draws nothing
-        position = position_accessor(attributes, self.accessors)
+        position = position_accessor(primitive, self.accessors)
         count = self.accessors[position].count
         faces = drawn(primitive, self.accessors, count, placement)
         if not len(faces):
             return
-        painting, image = self._painting(primitive, attributes)
+        painting, image = self._painting(primitive)
         self._counts["variants"] += "KHR_materials_variants" in primitive.entry("extensions")
         self._counts["instanced"] += image is not None and placement.nodes > 1
-        if self._repeated(primitive, attributes, position, painting):
+        if self._repeated(primitive, position, painting):
             self._counts["instanced"] += image is not None and placement.nodes <= 1
             return
         uv, number = np.zeros((len(faces), 3, 2)), -1
         if painting is not None and image is not None:
-            uv = self._coordinates(attributes, painting, count)[faces]
+            uv = self._coordinates(primitive, painting, count)[faces]
             number = self._use(image, painting)
         place = (identity(self.accessors, position), placement.matrix.tobytes(), placement.space)
         part = self.parts.setdefault(place, _Part(position, placement))
@@ -132,22 +130,20 @@ class _Gathering:
         part.uv.append(uv)
         part.texture.append(np.full(len(faces), number, np.int32))
 
-    def _repeated(
-        self, primitive: Entry, attributes: Entry, position: int, painting: Painting | None
-    ) -> bool:
+    def _repeated(self, primitive: Entry, position: int, painting: Painting | None) -> bool:
         """Return whether the same triangles were taken with the same texture before, there or elsewhere."""
         index = index_accessor(primitive, self.accessors)
         key: list[Hashable] = [identity(self.accessors, position), drawing_mode(primitive)]
         key.append(None if index is None else identity(self.accessors, index))
         if painting is not None:
-            coordinates = self._coordinate_accessor(attributes, painting)
+            coordinates = self._coordinate_accessor(primitive, painting)
             key += [painting.texture, painting.transform]
             key.append(None if coordinates is None else identity(self.accessors, coordinates))
         repeated = tuple(key) in self._seen
         self._seen.add(tuple(key))
         return repeated
 
-    def _painting(self, primitive: Entry, attributes: Entry) -> tuple[Painting | None, int | None]:
+    def _painting(self, primitive: Entry) -> tuple[Painting | None, int | None]:
         """Return what a primitive's material has in the slot, and its image if that can be shown."""
         if "material" not in primitive:
             return None, None
@@ -159,7 +155,7 @@ class _Gathering:
         except UnfitReferenceError as error:
             self._miss(f"{self.pictures.textures[painting.texture].place}: {error}", painting)
             return painting, None
-        if self._coordinate_accessor(attributes, painting) is None:
+        if painting.coordinates not in primitive.entry("attributes"):
             self._counts["bare"] += 1
             return painting, None
         return painting, image if self._loaded(image, painting) else None
@@ -187,17 +183,18 @@ class _Gathering:
             painted.materials.append(painting.material)
         return painted.number
 
-    def _coordinate_accessor(self, attributes: Entry, painting: Painting) -> int | None:
-        if painting.coordinates not in attributes:
+    def _coordinate_accessor(self, primitive: Entry, painting: Painting) -> int | None:
+        if painting.coordinates not in primitive.entry("attributes"):
             return None
-        return attributes.integer(painting.coordinates, below=len(self.accessors))
+        return attribute_accessor(primitive, painting.coordinates, self.accessors)
 
-    def _coordinates(self, attributes: Entry, painting: Painting, count: int) -> NDArray[np.float64]:
+    def _coordinates(self, primitive: Entry, painting: Painting, count: int) -> NDArray[np.float64]:
         """Return the texture coordinates of all vertices, shape (count, 2), transform applied."""
-        index = attributes.integer(painting.coordinates, below=len(self.accessors))
+        index = attribute_accessor(primitive, painting.coordinates, self.accessors)
         accessor = self.accessors[index]
         if accessor.shape != "VEC2" or accessor.component.name == "uint32" or accessor.count != count:
             cause = f"is {accessor.count} {accessor.shape} of {accessor.component.name}"
+            attributes = primitive.entry("attributes")
             raise attributes.fault(painting.coordinates, f"{cause}, not {count} texture coordinates")
         uv = painting.placed(self._values(index))
         if not np.isfinite(uv).all():
