@@ -1,0 +1,106 @@
+"""Opening volumes: which format it is, by content."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from beltrami_cli.errors import InputError
+from beltrami_cli.formats.npz import NpzArchive
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from beltrami_cli.mesh.volume import GridColours, NearColours, Volume
+
+_NRRD = b"NRRD000"
+_OPENVDB = b" BDV\0\0\0\0"
+
+
+def is_volume(data: bytes, name: str) -> bool:
+    """Tell whether a file is a level set, or claims to be one.
+
+    Parameters
+    ----------
+    data : bytes
+        The whole file.
+    name : str
+        The file as the user named it.
+
+    Raises
+    ------
+    InputError
+        If it is an archive of arrays that is damaged.
+    """
+    if data.startswith((_NRRD, _OPENVDB)):
+        return True
+    return NpzArchive.recognises(data) and NpzArchive(data, name).kind() == "level set"
+
+
+def read_volume(data: bytes, name: str, folder: Path | None, most: int) -> Volume:
+    """Read a level set.
+
+    Parameters
+    ----------
+    data : bytes
+        The whole file, one for which `is_volume` holds.
+    name : str
+        The file as the user named it.
+    folder : Path or None
+        Where the data of an NRRD header may lie; None: nowhere.
+    most : int
+        Samples that the grid may have.
+
+    Returns
+    -------
+    Volume
+
+    Raises
+    ------
+    InputError
+        If the file is damaged, too large, or of a kind that cannot be read, or a package is missing.
+    """
+    if data.startswith(_OPENVDB):
+        raise InputError(
+            name,
+            "it is an OpenVDB file, for which there is no Python package to read it",
+            "save its grid as .npz with the arrays values, colours, spacing and origin, or as .nrrd",
+        )
+    if data.startswith(_NRRD):
+        from beltrami_cli.formats.volume.nrrd_file import read_nrrd
+
+        return read_nrrd(data, name, folder, most)
+    from beltrami_cli.formats.volume.npz_file import read_npz
+
+    return read_npz(NpzArchive(data, name), name, most)
+
+
+def read_colours(data: bytes, name: str, folder: Path | None, most: int) -> GridColours | NearColours | None:
+    """Read a file of colours for a level set.
+
+    Parameters
+    ----------
+    data, name, folder, most
+        As for `read_volume`.
+
+    Returns
+    -------
+    GridColours, NearColours or None
+        None if it is no volume and no archive: it may be a mesh or a cloud of points.
+
+    Raises
+    ------
+    InputError
+        As `read_volume`; or if there are no colours in it.
+    """
+    if data.startswith(_NRRD):
+        from beltrami_cli.formats.volume.nrrd_file import read_nrrd_colours
+
+        return read_nrrd_colours(data, name, folder, most)
+    if not NpzArchive.recognises(data):
+        return None
+    from beltrami_cli.formats.volume.npz_file import read_npz_colours
+
+    colours = read_npz_colours(NpzArchive(data, name), name, most)
+    if colours is None:
+        raise InputError(name, "there is no array colours in it", "name it so, or points and point_colours")
+    return colours

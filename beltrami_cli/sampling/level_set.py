@@ -1,0 +1,178 @@
+"""A level set on a grid as triangles: marching cubes, with one vertex for each voxel that the surface passes.
+
+Marching cubes [1]_ puts a vertex on every edge of the grid that the surface cuts. Where it passes close to a grid
+point, up to six of them crowd there: slivers for the march, samples that are uneven, and colours that all come from the
+same voxel, whose common noise no average removes. So what crowds at a grid point becomes one vertex in the middle [2]_.
+Edges then are between some 0.5 and 2 voxels long, and the noise of neighbours is nearly independent, as the kernel
+takes it to be. Only what triangles join is put together, so that the two sides of a thin sheet stay apart.
+
+References
+----------
+.. [1] T. Lewiner, H. Lopes, A. W. Vieira, G. Tavares, "Efficient implementation of Marching Cubes' cases with
+   topological guarantees", J. Graphics Tools 8(2), 2003, doi:10.1080/10867651.2003.10487582
+.. [2] D. Moore, J. Warren, "Compact isocontours from sampled data", in: Graphics Gems III, 1992, pp. 23-28
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+# In units of the change of values across the surface: nearer to the level than that is outside by that much, since
+# marching cubes leaves holes where values are on the level itself.
+_LEAST = 1e-6
+# Beyond that, the exact value moves no vertex; float32 must hold its products.
+_MOST = 1e9
+_SLAB = 1 << 22  # voxels looked at together, which bounds the memory for their double precision
+
+
+@dataclass(frozen=True)
+class Crossings:
+    """What the surface of a level set will be like, before it is made.
+
+    Attributes
+    ----------
+    count : int
+        Edges of the grid that it cuts: the vertices that marching cubes makes, apart from a few inside cells.
+    scale : float
+        A power of two near 1 / the geometric mean of the change of values along these edges.
+    """
+
+    count: int
+    scale: float
+
+
+def find_crossings(values: NDArray[Any], level: float, known: NDArray[np.bool_] | None = None) -> Crossings:
+    """Count the edges of a grid that a level set cuts.
+
+    Parameters
+    ----------
+    values : ndarray, shape (X, Y, Z)
+        Numbers of any real type; those that are not finite are unknown.
+    level : float
+        Value on the surface.
+    known : ndarray of bool, shape (X, Y, Z), optional
+        False where the value is unknown whatever it is.
+
+    Returns
+    -------
+    Crossings
+    """
+    count, total = 0, 0.0
+    for first, stop in _slabs(values.shape, overlap=1):
+        offsets = values[first:stop].astype(np.float64) - level
+        if known is not None:
+            offsets[~known[first:stop]] = np.nan
+        for axis in range(3):
+            # The last layer of a slab is the first of the next, which then looks at the edges within it.
+            layers = offsets[:-1] if axis > 0 and stop < len(values) else offsets
+            lower = np.take(layers, range(layers.shape[axis] - 1), axis)
+            upper = np.take(layers, range(1, layers.shape[axis]), axis)
+            cut = np.isfinite(lower) & np.isfinite(upper) & ((lower < 0) != (upper < 0))
+            count += int(np.count_nonzero(cut))
+            total += float(np.log2(np.abs(upper[cut] - lower[cut])).sum())
+    return Crossings(count, float(2.0 ** -round(total / count)) if count else 1.0)
+
+
+def triangulate_level_set(
+    values: NDArray[Any], level: float, scale: float, known: NDArray[np.bool_] | None = None
+) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """Triangulate a level set.
+
+    Parameters
+    ----------
+    values, level, known
+        As for `find_crossings`.
+    scale : float
+        Of its result, which must have counted something.
+
+    Returns
+    -------
+    vertices : ndarray of float64, shape (V, 3)
+        In units of the grid: sample [i, j, k] is at (i, j, k).
+    faces : ndarray of int32, shape (F, 3)
+        Counter-clockwise where values grow towards the viewer. Cells with a corner that is unknown have none, so that
+        the surface has holes there. Both may be empty.
+    """
+    from skimage.measure import marching_cubes
+
+    offsets, cells = _prepared(values, level, scale, known)
+    try:
+        # "descent" counts by the left hand: by the right hand, triangles face larger values.
+        vertices, faces, _, _ = marching_cubes(offsets, 0.0, gradient_direction="descent", mask=cells)
+    except RuntimeError:  # nothing is cut in any known cell
+        return np.empty((0, 3)), np.empty((0, 3), np.int32)
+    return _compacted(vertices.astype(np.float64), faces)
+
+
+def _slabs(shape: tuple[int, ...], overlap: int) -> Iterator[tuple[int, int]]:
+    """Split the first index into ranges of a bounded number of voxels, which share so many layers."""
+    thickness = max(1, _SLAB // (shape[1] * shape[2]))
+    for first in range(0, shape[0] - overlap, thickness):
+        yield first, min(first + thickness + overlap, shape[0])
+
+
+def _prepared(
+    values: NDArray[Any], level: float, scale: float, known: NDArray[np.bool_] | None
+) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """Return the values relative to the level, and which cells to look at, each at its last corner.
+
+    The cell of (i, j, k) has its first corner at (i - 1, j - 1, k - 1): so scikit-image reads its mask.
+    """
+    offsets = np.empty(values.shape, np.float32)
+    finite = np.empty(values.shape, bool)
+    for first, stop in _slabs(values.shape, overlap=0):
+        exact = (values[first:stop].astype(np.float64) - level) * scale
+        finite[first:stop] = np.isfinite(exact)
+        exact = np.clip(np.nan_to_num(exact, nan=_MOST), -_MOST, _MOST)
+        offsets[first:stop] = np.where(np.abs(exact) < _LEAST, np.where(exact < 0, -_LEAST, _LEAST), exact)
+    if known is not None:
+        finite &= known
+    for axis in range(3):  # a cell is known if its corners are
+        later: list[slice] = [slice(None)] * 3
+        earlier = list(later)
+        later[axis], earlier[axis] = slice(1, None), slice(None, -1)
+        finite[tuple(later)] &= finite[tuple(earlier)].copy()
+    return offsets, finite
+
+
+def _compacted(
+    vertices: NDArray[np.float64], faces: NDArray[np.int32]
+) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """Put together vertices that edges join and whose nearest grid point is the same, in the middle of them."""
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    nearest = np.rint(vertices)
+    edges = edges[(nearest[edges[:, 0]] == nearest[edges[:, 1]]).all(axis=1)]
+    joins = coo_array((np.ones(len(edges), bool), edges.T), shape=(len(vertices), len(vertices)))
+    count, group_of = connected_components(joins, directed=False)
+    members = np.bincount(group_of, minlength=count)
+    middles = np.column_stack([np.bincount(group_of, column, count) / members for column in vertices.T])
+    return _without_loose(middles, _distinct(group_of[faces].astype(np.int32)))
+
+
+def _distinct(faces: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Leave out triangles that have collapsed, and pairs of opposite ones, which bound nothing."""
+    ordered = np.sort(faces, axis=1)
+    proper = (ordered[:, 0] != ordered[:, 1]) & (ordered[:, 1] != ordered[:, 2])
+    faces, ordered = faces[proper], ordered[proper]
+    _, first, uses = np.unique(ordered, axis=0, return_index=True, return_counts=True)
+    kept: NDArray[np.int32] = faces[np.sort(first[uses % 2 == 1])]
+    return kept
+
+
+def _without_loose(
+    vertices: NDArray[np.float64], faces: NDArray[np.int32]
+) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """Leave out vertices that are in no triangle."""
+    used = np.zeros(len(vertices), bool)
+    used[faces] = True
+    return vertices[used], (np.cumsum(used, dtype=np.int32) - 1)[faces].astype(np.int32)
