@@ -15,8 +15,9 @@ if TYPE_CHECKING:
     from beltrami_cli.pipeline.inspect_file import inspect_file
     from beltrami_cli.pipeline.report import SmoothReport
     from beltrami_cli.pipeline.settings import SmoothSettings, TextureSettings
+    from beltrami_cli.pipeline.smooth_arrays import smooth
     from beltrami_cli.pipeline.smooth_file import smooth_file
-    from beltrami_cli.pipeline.smooth_vertices import SmoothResult, smooth
+    from beltrami_cli.pipeline.smooth_vertices import SmoothResult
 
 _HOME_OF = {
     "BeltramiError": "errors",
@@ -30,7 +31,7 @@ _HOME_OF = {
     "TextureSettings": "pipeline.settings",
     "UsageError": "errors",
     "inspect_file": "pipeline.inspect_file",
-    "smooth": "pipeline.smooth_vertices",
+    "smooth": "pipeline.smooth_arrays",
     "smooth_file": "pipeline.smooth_file",
 }
 
