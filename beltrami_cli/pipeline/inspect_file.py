@@ -70,14 +70,13 @@ def inspect_file(
 
 
 def _describe_vertices(document: Document, settings: SmoothSettings) -> dict[str, object]:
-    from beltrami_cli.flow.iteration import BeltramiFlow
     from beltrami_cli.mesh.topology import count_topology
     from beltrami_cli.pipeline.smooth_vertices import prepare, require_surface
 
     painted = document.painted()
     require_surface(painted, document.name)
-    chosen, surface, sampling = prepare(painted, settings)
-    flow = BeltramiFlow(surface, settings.kernel)
+    prepared = prepare(painted, settings)
+    surface, sampling, flow = prepared.surface, prepared.sampling, prepared.flow(settings)
     return {
         "colours": _describe_colours(painted),
         "surface": {
@@ -92,7 +91,7 @@ def _describe_vertices(document: Document, settings: SmoothSettings) -> dict[str
             "mean_edge_length": flow.mean_edge_length,
             "bounds": _bounds(painted),
         },
-        "noise": {painted.channels[i]: float(s) for i, s in zip(chosen, flow.sigma, strict=True)},
+        "noise": {painted.channels[i]: float(s) for i, s in zip(prepared.channels, flow.sigma, strict=True)},
         "smooth": _describe_kernel(settings, flow.beta)
         | {"samples_per_kernel": round(flow.probe_samples(_PROBED_KERNELS), 1)},
     }

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli.flow.iteration import BeltramiFlow
 from beltrami_cli.pipeline.kernel_study import KernelStudy, MeshView, Shown, describe, table
 from beltrami_cli.pipeline.smooth_vertices import prepare, require_surface
 
@@ -59,9 +58,9 @@ def study_vertex(
     painted = document.painted()
     require_surface(painted, document.name)
     vertex = place.vertex_among(painted.positions, document.name)
-    chosen, surface, sampling = prepare(painted, settings)
-    flow = BeltramiFlow(surface, settings.kernel)
-    shown = Shown(tuple(painted.channels[i] for i in chosen), settings.space)
+    prepared = prepare(painted, settings)
+    flow, sampling = prepared.flow(settings), prepared.sampling
+    shown = Shown(tuple(painted.channels[i] for i in prepared.channels), settings.space)
     shades = shown.shades(flow.run(progress).colours)
     kernel = flow.kernel_at(int(sampling.sample_of[vertex]))
     vertices = sampling.first_vertex[kernel.samples]

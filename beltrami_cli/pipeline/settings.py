@@ -7,9 +7,14 @@ from typing import Literal, get_args
 
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.parameters import KernelParameters, Space
+from beltrami_cli.pipeline.embedding_settings import EmbeddingSettings
+from beltrami_cli.pipeline.image_settings import ImageSettings
 
 Format = Literal["ply", "obj", "glb", "gltf"]
 OUTPUT_FORMATS: dict[str, Format] = {"ply": "ply", "obj": "obj", "glb": "glb", "gltf": "gltf"}
+
+# What --format can name besides; output names may end in every extension of a format that can be written.
+IMAGE_FORMATS = ("png", "jpg", "webp", "tif", "exr", "tga", "bmp", "hdr", "jxl", "jp2", "ppm")
 
 Target = Literal["auto", "vertices", "texture", "both"]
 AlphaMode = Literal["keep", "smooth"]
@@ -80,11 +85,16 @@ class SmoothSettings:
     space : {"srgb", "linear", "oklab", "data"}
         What colour distances and averages are taken in; "data" takes the stored numbers as they are.
     channels : tuple of str or None
-        Names of the channels to smooth, which alone enter the metric; None: all. Alpha is always kept.
+        Names of the channels to smooth, which alone enter the metric unless `embedding` says otherwise; None: all.
+        Alpha is always kept.
     on : {"auto", "vertices", "texture", "both"}
         What is smoothed; "auto": the textures, or the vertex colours where there is no texture.
     textures : TextureSettings
-        What concerns only textures.
+        What concerns textures; images obey its alpha, JPEG quality and size of PNG files too.
+    image : ImageSettings
+        What concerns only images.
+    embedding : EmbeddingSettings
+        Guides, which colours enter the metric, and whether positions move.
 
     Raises
     ------
@@ -97,6 +107,8 @@ class SmoothSettings:
     channels: tuple[str, ...] | None = None
     on: Target = "auto"
     textures: TextureSettings = field(default_factory=TextureSettings)
+    image: ImageSettings = field(default_factory=ImageSettings)
+    embedding: EmbeddingSettings = field(default_factory=EmbeddingSettings)
 
     def __post_init__(self) -> None:
         if self.space not in get_args(Space):
@@ -105,6 +117,8 @@ class SmoothSettings:
             raise UsageError(f"on is {self.on}, but must be {', '.join(get_args(Target))}")
         if self.space == "oklab" and self.channels is not None:
             raise UsageError("the space oklab mixes the channels, so --channels cannot choose among them")
+        if self.space == "oklab" and self.embedding.metric_channels:
+            raise UsageError("the space oklab mixes the channels, so --metric-channels can only be none")
 
 
 DEFAULTS = SmoothSettings()

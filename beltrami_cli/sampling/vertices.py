@@ -38,6 +38,15 @@ class VertexSampling:
     place_of: NDArray[np.int32]
     places: int
 
+    def means(self, values: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Give each sample the mean of what its vertices have, shape (V, G) to (S, G)."""
+        if len(self.first_vertex) == len(self.sample_of):  # each sample is one vertex
+            return values[self.first_vertex]
+        samples = len(self.first_vertex)
+        count = np.bincount(self.sample_of, minlength=samples)
+        sums = [np.bincount(self.sample_of, column, samples) for column in values.T.astype(np.float64)]
+        return np.ascontiguousarray((np.array(sums) / count).T, np.float32)
+
 
 def sample_vertices(
     painted: PaintedVertices, colours: NDArray[np.float32]
