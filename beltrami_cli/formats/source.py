@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access, NotRegularError, read_regular
+from beltrami_cli.formats.image.recognition import is_image
 
 if TYPE_CHECKING:
     from beltrami_cli.formats.document import Document
@@ -51,7 +52,11 @@ def open_document(source: str, access: Access = EVERYTHING_INSIDE) -> Document:
     InputError
         If the file cannot be read or is of none of the formats.
     """
-    data = read_source(source, access)
+    return document_of(read_source(source, access), source, access)
+
+
+def document_of(data: bytes, source: str, access: Access = EVERYTHING_INSIDE) -> Document:
+    """Return the document that a source is whose bytes have been read already; see `open_document`."""
     if source == "-":
         return recognise(data, "<stdin>", None, access)
     return recognise(data, source, Path(source).parent, access)
@@ -118,6 +123,8 @@ def recognise(data: bytes, name: str, folder: Path | None, access: Access = EVER
         return ObjDocument(data, name, folder, access)
     if not data:
         raise InputError(name, "the file is empty", _READABLE)
+    if is_image(data, name):
+        raise InputError(name, "it is an image, and no model", _READABLE)
     raise InputError(name, "the content is of no known format", _READABLE)
 
 

@@ -57,7 +57,7 @@ def position_table(positions: ArrayLike) -> NDArray[np.float64]:
     UsageError
         If the shape or the type does not fit.
     """
-    table = _array(positions, "positions")
+    table = array_of(positions, "positions")
     if table.shape == (0,):
         table = table.reshape(0, 3)
     if table.ndim != 2 or table.shape[1] == 0 or table.dtype.kind not in "uif":
@@ -85,7 +85,7 @@ def face_table(faces: ArrayLike, count: int) -> NDArray[np.int32]:
     UsageError
         If the shape or the type does not fit, or an index is not in [0, V).
     """
-    table = _array(faces, "faces")
+    table = array_of(faces, "faces")
     if table.shape in ((0,), (0, 3)):
         return np.empty((0, 3), np.int32)
     if table.ndim != 2 or table.shape[1] != 3:
@@ -116,7 +116,7 @@ def colour_table(colours: ArrayLike) -> NDArray[np.float32]:
     UsageError
         If the shape or the type does not fit.
     """
-    table = _array(colours, "colours")
+    table = array_of(colours, "colours")
     if table.ndim == 1:
         table = table[:, None] if len(table) else table.reshape(0, 3)
     if table.ndim != 2 or table.shape[1] == 0 or table.dtype.kind not in "uif":
@@ -153,7 +153,8 @@ def check_numbers(whole: dict[str, object], real: dict[str, object]) -> None:
             raise UsageError(f"{name} is {value!r}, but must be a number")
 
 
-def _array(values: ArrayLike, name: str) -> NDArray[Any]:
+def array_of(values: ArrayLike, name: str) -> NDArray[Any]:
+    """Make an array of anything like one; UsageError, with the name, if its rows are of several lengths."""
     try:
         return np.asarray(values)
     except (TypeError, ValueError, OverflowError) as error:

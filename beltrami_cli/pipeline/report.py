@@ -79,6 +79,35 @@ class VertexReport:
 
 
 @dataclass(frozen=True)
+class ImageReport:
+    """What was done to an image.
+
+    Attributes
+    ----------
+    image : dict
+        Its size, format and channels, which of them were smoothed, on which surface ("plane", "height" or "positions"),
+        and how many of its pixels are holes.
+    pitch : float
+        Mean distance of neighbouring pixels on the surface, in its own unit of length.
+    beta : float
+        As used.
+    noise : dict of str to float
+        Estimated standard deviation per channel, full scale 1, in the working space.
+    samples_per_kernel : float
+        Mean number of pixels that a kernel held.
+    change : dict of str to float
+        Mean, root mean square and largest change of a smoothed value, full scale 1, as stored.
+    """
+
+    image: dict[str, object]
+    pitch: float
+    beta: float
+    noise: dict[str, float]
+    samples_per_kernel: float
+    change: dict[str, float]
+
+
+@dataclass(frozen=True)
 class SmoothReport:
     """What was done to a file; `dataclasses.asdict` gives JSON types.
 
@@ -100,6 +129,8 @@ class SmoothReport:
         The files that were written; none on a dry run.
     warnings : list of str
         What the user should know.
+    image : ImageReport or None
+        For an image, if it was smoothed.
     """
 
     input: str
@@ -112,6 +143,33 @@ class SmoothReport:
     peak_memory: int | None
     written: list[str]
     warnings: list[str]
+    image: ImageReport | None = None
+
+
+def make_image_report(
+    source: str,
+    target: str,
+    target_format: str,
+    settings: SmoothSettings,
+    image: ImageReport | None,
+    watch: Stopwatch,
+    files: list[str],
+    warnings: list[str],
+) -> SmoothReport:
+    """Put together what a job did to an image."""
+    return SmoothReport(
+        input=source,
+        output=target,
+        format=target_format,
+        parameters=_parameters(settings),
+        vertices=None,
+        textures=[],
+        stages=watch.stages,
+        peak_memory=peak_memory(),
+        written=files,
+        warnings=warnings,
+        image=image,
+    )
 
 
 def make_report(
@@ -137,14 +195,7 @@ def make_report(
         input=source,
         output=target,
         format=target_format,
-        parameters={
-            **dataclasses.asdict(settings.kernel),
-            "threads": settings.kernel.thread_count,
-            "space": settings.space,
-            "channels": settings.channels,
-            "on": settings.on,
-            "textures": dataclasses.asdict(settings.textures),
-        },
+        parameters=_parameters(settings),
         vertices=None if vertices is None else _vertex_report(document, vertices),
         textures=slots,
         stages=watch.stages,
@@ -152,6 +203,18 @@ def make_report(
         written=files,
         warnings=warnings,
     )
+
+
+def _parameters(settings: SmoothSettings) -> dict[str, object]:
+    return {
+        **dataclasses.asdict(settings.kernel),
+        "threads": settings.kernel.thread_count,
+        "space": settings.space,
+        "channels": settings.channels,
+        "on": settings.on,
+        "textures": dataclasses.asdict(settings.textures),
+        "image": dataclasses.asdict(settings.image),
+    }
 
 
 def _vertex_report(document: Document, result: SmoothResult) -> VertexReport:

@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
-from beltrami_cli.formats.source import open_document
+from beltrami_cli.formats.image.recognition import is_image
+from beltrami_cli.formats.source import document_of, read_source
 from beltrami_cli.mesh.textured import ImageFile
 from beltrami_cli.pipeline.conversion import make_files
 from beltrami_cli.pipeline.output import Output
@@ -40,17 +41,17 @@ def smooth_file(
     progress: Callable[[str, int, int], None] | None = None,
     access: Access = EVERYTHING_INSIDE,
 ) -> SmoothReport:
-    """Smooth the colours of a mesh file, in its vertices or textures, and change nothing else.
+    """Smooth the colours of a mesh file, in its vertices or textures, or of an image, and change nothing else.
 
     Parameters
     ----------
     source, target : path
-        PLY, OBJ, glTF or GLB; "-" for standard input or output. Another extension converts.
+        PLY, OBJ, glTF or GLB, or an image; "-" for standard input or output. Another extension converts.
     settings : SmoothSettings
         The kernel's parameters, the working space, and what is smoothed.
     unwrap : BakeSettings, optional
         Put the colours in a new texture, smooth that, and write a new file with nothing else.
-    format : {"ply", "obj", "glb", "gltf"}, optional
+    format : {"ply", "obj", "glb", "gltf", "png", ...}, optional
         Format to write where the name of `target` does not tell.
     overwrite : bool
         Whether existing files may be replaced.
@@ -85,7 +86,15 @@ def smooth_file(
     watch = Stopwatch()
     output = None if dry_run else Output(target, overwrite=overwrite)
     with watch.stage("read"):
-        document = open_document(source, access)
+        data = read_source(source, access)
+    if is_image(data, source):
+        from beltrami_cli.pipeline.smooth_image_file import smooth_image_file
+
+        return smooth_image_file(
+            data, source, target, settings, output, watch, format=format, progress=progress, access=access
+        )
+    with watch.stage("read"):
+        document = document_of(data, source, access)
         target_format = choose_format(document, target, format)
         work = choose_work(document, settings)
         if settings.kernel.iterations == 0:

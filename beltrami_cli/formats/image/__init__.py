@@ -1,17 +1,20 @@
 """Images: every pixel through OpenImageIO, every byte of metadata carried over."""
 
-from beltrami_cli.formats.image.conversion import losses
+from beltrami_cli.formats.image.conversion import is_exact, losses
 from beltrami_cli.formats.image.picture import Picture, from_float, to_float
 from beltrami_cli.formats.image.reading import read_image
-from beltrami_cli.formats.image.recognition import format_of, format_of_suffix, label_of
+from beltrami_cli.formats.image.recognition import WRITABLE, format_of, format_of_suffix, is_image, label_of
 from beltrami_cli.formats.image.writing import check_writable, write_image
 
 __all__ = [
+    "WRITABLE",
     "Picture",
     "check_writable",
     "format_of",
     "format_of_suffix",
     "from_float",
+    "is_exact",
+    "is_image",
     "label_of",
     "losses",
     "read_image",

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from beltrami_cli.formats.image.metadata import is_lossless_webp
 from beltrami_cli.formats.image.picture import as_stored, full_scale_one
 from beltrami_cli.formats.image.recognition import FORMATS, format_of_suffix
 from beltrami_cli.mesh.transfer import linear_to_srgb, srgb_to_linear
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
 _BITS = {"uint8": 8, "uint16": 16, "float16": 16, "float32": 32}
 _OIIO_TYPES = {"uint8": "uint8", "uint16": "uint16", "float16": "half", "float32": "float"}
 _INEXACT = ("jpeg", "webp", "hdr")
-_INEXACT = ("jpeg", "webp", "hdr")
+_LOSSY = ("jpeg", "b44", "b44a", "dwaa", "dwab", "pxr24")  # compressions of TIFF and EXR
 _TECHNICAL = (
     "oiio:", "jpeg:", "png:", "webp:", "tiff:", "openexr:", "targa:", "bmp:", "ICCProfile:", "jpegxl:", "pnm:", "dpx:",
     "rla:", "gif:", "psd:",
@@ -57,6 +58,13 @@ def losses(picture: Picture, suffix: str) -> tuple[str, ...]:
     if known in _INEXACT:
         found.append(f"{name}: {label} is not exact, so untouched colours change slightly as well.")
     return tuple(found)
+
+
+def is_exact(picture: Picture) -> bool:
+    """Tell whether a picture written in its own format keeps the values that are not changed."""
+    if picture.format == "webp":
+        return is_lossless_webp(picture.source)
+    return picture.format != "jpeg" and picture.spec.get_string_attribute("compression") not in _LOSSY
 
 
 def converted(

@@ -90,6 +90,7 @@ WRITABLE = tuple(traits.suffixes[0] for traits in FORMATS.values() if traits.wri
 READABLE = "PNG, JPEG, WebP, TIFF, EXR, TGA, BMP, HDR and what else OpenImageIO knows is read"
 _TARGA_FOOTER = b"TRUEVISION-XFILE.\0"
 _HEIF_BRANDS = (b"heic", b"heix", b"mif1", b"msf1", b"avif", b"avis")
+_MODELS = (".ply", ".obj", ".gltf", ".glb", ".xyz", ".pts", ".txt", ".asc", ".csv", ".npz", ".nrrd", ".nhdr")
 _WITHOUT_MARK = ("targa", "rla")
 
 
@@ -117,6 +118,11 @@ def format_of(data: bytes, name: str) -> str | None:
         return "targa"
     by_name = format_of_suffix(suffix_of(name))
     return by_name if by_name in _WITHOUT_MARK else None
+
+
+def is_image(data: bytes, name: str) -> bool:
+    """Tell whether a file is an image, and none of the models and clouds whose text might start like one."""
+    return format_of(data, name) is not None and suffix_of(name).lower() not in _MODELS
 
 
 def format_of_suffix(suffix: str) -> str | None:
