@@ -12,6 +12,8 @@ from beltrami_cli.formats.source import open_document
 from beltrami_cli.pipeline.bake_settings import DEFAULT_BAKE, BakeSettings, BakeTo
 from beltrami_cli.pipeline.conversion import names_beside, write_contents, write_textured
 from beltrami_cli.pipeline.output import Output
+from beltrami_cli.pipeline.room import require_room_for_textures
+from beltrami_cli.pipeline.settings import DEFAULTS
 from beltrami_cli.pipeline.work import choose_format
 
 if TYPE_CHECKING:
@@ -92,6 +94,7 @@ def bake_file(
     if to == "texture":
         written, summary, notices = _to_texture(document, kind, stem, settings, progress)
     else:
+        require_room_for_textures(document, ("baseColor",), DEFAULTS.textures, access)
         written, summary, notices = _to_vertices(document, kind, stem)
     output.write(written)
     warnings = [*document.notices, *notices, *written.notices]

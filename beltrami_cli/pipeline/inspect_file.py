@@ -10,6 +10,7 @@ import numpy as np
 
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.source import open_document
+from beltrami_cli.pipeline.room import require_room_for_textures
 from beltrami_cli.pipeline.settings import DEFAULTS, SmoothSettings
 from beltrami_cli.pipeline.work import choose_work
 
@@ -62,6 +63,7 @@ def inspect_file(
     }
     if work.vertices:
         facts.update(_describe_vertices(document, settings))
+    require_room_for_textures(document, work.slots, settings.textures, access)
     slots = [_describe_slot(document, slot, settings) for slot in work.slots]
     if slots:
         facts["textures"] = slots

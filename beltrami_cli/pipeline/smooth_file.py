@@ -14,6 +14,7 @@ from beltrami_cli.mesh.textured import ImageFile
 from beltrami_cli.pipeline.conversion import make_files
 from beltrami_cli.pipeline.output import Output
 from beltrami_cli.pipeline.report import SmoothReport, make_report
+from beltrami_cli.pipeline.room import require_room_for_textures
 from beltrami_cli.pipeline.settings import DEFAULTS, SmoothSettings
 from beltrami_cli.pipeline.smooth_vertices import SmoothResult, require_surface, smooth_painted
 from beltrami_cli.pipeline.stopwatch import Stopwatch
@@ -99,6 +100,7 @@ def smooth_file(
         work = choose_work(document, settings)
         if settings.kernel.iterations == 0:
             work = Work(vertices=False, slots=())  # the output is the input
+        require_room_for_textures(document, work.slots, settings.textures, access)
         moved = _is_moved(source, target)
         references = list(document.references()) if moved and target_format == document.format else []
         if output is not None:

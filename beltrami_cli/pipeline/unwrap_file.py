@@ -13,6 +13,7 @@ from beltrami_cli.pipeline.conversion import names_beside, write_textured
 from beltrami_cli.pipeline.new_texture import texture_from_textures, texture_from_vertices
 from beltrami_cli.pipeline.output import Output
 from beltrami_cli.pipeline.report import SmoothReport, make_report
+from beltrami_cli.pipeline.room import require_room_for_textures
 from beltrami_cli.pipeline.smooth_textures import smooth_slot
 from beltrami_cli.pipeline.smooth_vertices import require_surface, smooth_painted
 from beltrami_cli.pipeline.stopwatch import Stopwatch
@@ -84,6 +85,7 @@ def smooth_unwrapped(
             suffix = settings.textures.image_suffix or ".png"
             output.check_sidecars(names_beside(target_format, stem, suffix))
     if _is_textured(document, settings):
+        require_room_for_textures(document, ("baseColor",), settings.textures, access)
         done = _smooth_in_texture(document, settings, wanted, watch, progress)
     else:
         done = _smooth_on_vertices(document, settings, wanted, watch, progress)
