@@ -12,8 +12,10 @@ from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.parameters import PRESETS, KernelParameters, Space, Units, Weights
 from beltrami_cli.formats.access import Access
 from beltrami_cli.pipeline.bake_settings import DEFAULT_BAKE, BakeSettings
+from beltrami_cli.pipeline.image_settings import ImageSettings
 from beltrami_cli.pipeline.settings import (
     DEFAULTS,
+    IMAGE_FORMATS,
     OUTPUT_FORMATS,
     SLOTS,
     AlphaMode,
@@ -38,7 +40,7 @@ def _size(context: click.Context, parameter: click.Parameter, text: str | None) 
     return size
 
 
-_KERNEL, _TEXTURES = DEFAULTS.kernel, DEFAULTS.textures
+_KERNEL, _TEXTURES, _IMAGE = DEFAULTS.kernel, DEFAULTS.textures, DEFAULTS.image
 
 # A Gaussian of a smaller standard deviation, in sample spacings, has no weight beyond its own sample.
 SMALLEST_SCALE = 0.05
@@ -50,8 +52,8 @@ iterations = click.option(
 time_step = click.option(
     "-t", "--time-step", "t", type=float, default=_KERNEL.t, show_default=True, metavar="T",
     help="Time step of an iteration: away from edges it is a Gaussian of variance 2T, in squared sample spacings. "
-    "On textures the window bounds the kernel, so that it is this Gaussian only if the window holds it: raise "
-    "--window for a large T.",
+    "On textures and images the window bounds the kernel, so that it is this Gaussian only if the window holds it: "
+    "raise --window for a large T.",
 )  # fmt: skip
 beta = click.option(
     "--beta", type=float, default=_KERNEL.beta, metavar="B",
@@ -74,7 +76,7 @@ metric_steps = click.option(
 preset = click.option(
     "--preset", type=click.Choice(sorted(PRESETS)),
     help="Parameters as a set, which single options still override. 'paper' is the paper's kernel to the letter: "
-    "one iteration, t 0.5, threshold 0.01, a window of 7, on textures its parametric fast marching.",
+    "one iteration, t 0.5, threshold 0.01, a window of 7, on textures and images its parametric fast marching.",
 )  # fmt: skip
 weights = click.option(
     "--weights", type=click.Choice(get_args(Weights)), default=_KERNEL.weights, show_default=True,
@@ -82,7 +84,8 @@ weights = click.option(
 )  # fmt: skip
 units = click.option(
     "--units", type=click.Choice(get_args(Units)), default=_KERNEL.units, show_default=True,
-    help="Unit of length of -t and --beta: the local sample spacing, or that of the file, which needs -t.",
+    help="Unit of length of -t and --beta: the local sample spacing, or that of the file, which needs -t. On images, "
+    "with or without --height, it is the pixel.",
 )  # fmt: skip
 max_samples = click.option(
     "--max-samples", type=click.IntRange(1, 2**31 - 1), default=_KERNEL.max_samples, show_default=True, metavar="COUNT",
@@ -99,7 +102,8 @@ space = click.option(
 )  # fmt: skip
 channels = click.option(
     "--channels", metavar="LIST",
-    help="Smooth only these channels, such as r,g; the others stay and do not count.",
+    help="Smooth only these channels, such as r,g; the others stay and do not count. Channels of images have the names "
+    "that `beltrami info` shows.",
 )  # fmt: skip
 on = click.option(
     "--on", type=click.Choice(get_args(Target)), default=DEFAULTS.on, show_default=True,
@@ -107,7 +111,8 @@ on = click.option(
 )  # fmt: skip
 window = click.option(
     "--window", type=click.IntRange(3, 255), default=_KERNEL.window, show_default=True, metavar="W",
-    help="On textures: side of the square in which a kernel is looked for, odd, 3 to 15; wider ones are slow.",
+    help="On textures and images: side of the square in which a kernel is looked for, odd, 3 to 15; wider ones are "
+    "slow.",
 )  # fmt: skip
 slots = click.option(
     "--slots", default=",".join(_TEXTURES.slots), show_default=True, metavar="LIST",
@@ -123,7 +128,7 @@ texture_names = click.option(
 )  # fmt: skip
 alpha = click.option(
     "--alpha", type=click.Choice(get_args(AlphaMode)), default=_TEXTURES.alpha, show_default=True,
-    help="Keep the opacity of textures, or smooth it with the colours. Invisible texels lend no colour "
+    help="Keep the opacity of textures and images, or smooth it with the colours. Invisible texels lend no colour "
     "unless it is smoothed.",
 )  # fmt: skip
 gutter = click.option(
@@ -136,9 +141,27 @@ texture_format = click.option(
 )  # fmt: skip
 jpeg_quality = click.option(
     "--jpeg-quality", type=click.IntRange(1, 100), default=_TEXTURES.jpeg_quality, show_default=True,
-    help="Quality of JPEG and lossy WebP textures; the subsampling stays that of the source.",
+    help="Quality of JPEG and lossy WebP textures and images; the subsampling stays that of the source.",
 )  # fmt: skip
-small_png = click.option("--small", is_flag=True, help="Compress PNG textures well, which takes longer.")
+small_png = click.option("--small", is_flag=True, help="Compress PNG files well, which takes longer.")
+height = click.option(
+    "--height", metavar="FILE",
+    help="Of an image: an image of the same size with heights over its plane, which make it the surface (x, y, S h). "
+    "Depth images (EXR, 16-bit PNG) do as well. Where a height is no finite number is a hole.",
+)  # fmt: skip
+height_scale = click.option(
+    "--height-scale", type=float, default=_IMAGE.height_scale, show_default=True, metavar="S",
+    help="Pixels per unit of --height. Floats are taken as they are, integers as 0 to 1.",
+)  # fmt: skip
+positions = click.option(
+    "--positions", metavar="FILE",
+    help="Of an image: an image of the same size with the place x, y, z of every pixel, as range scanners and bakers "
+    "write them. Where one is not finite, or has an alpha of 0, is a hole.",
+)  # fmt: skip
+mask = click.option(
+    "--mask", metavar="FILE",
+    help="Of an image: an image of the same size that is 0 at holes. They stay as they are, and nothing crosses them.",
+)  # fmt: skip
 texture_size = click.option(
     "--texture-size", type=int, default=DEFAULT_BAKE.size, metavar="N",
     help="Longest side of the new texture in texels.  [default: from the triangles, or the old texture]",
@@ -167,7 +190,7 @@ overwrite = click.option(
     "--overwrite", is_flag=True, help="Replace OUTPUT, and files beside it, if they exist."
 )
 output_format = click.option(
-    "--format", "output_format", type=click.Choice(list(OUTPUT_FORMATS)),
+    "--format", "output_format", type=click.Choice([*OUTPUT_FORMATS, *IMAGE_FORMATS]),
     help="Format of OUTPUT where its name does not tell, as with -.",
 )  # fmt: skip
 allow_outside = click.option(
@@ -186,14 +209,14 @@ verbose = click.option(
 
 _SMOOTHING = (
     iterations, time_step, beta, threshold, metric_scale, metric_steps, preset, on, space, channels, units, weights,
-    max_samples, window, slots, materials, texture_names, alpha, gutter, texture_format, jpeg_quality, small_png,
-    threads,
+    max_samples, window, height, height_scale, positions, mask, slots, materials, texture_names, alpha, gutter,
+    texture_format, jpeg_quality, small_png, threads,
 )  # fmt: skip
 
 # Those of one kernel, which is not written back, and what the others are without being asked for.
 _STUDYING = (
     time_step, beta, threshold, metric_scale, metric_steps, preset, on, space, channels, units, weights, max_samples,
-    window, slots, materials, texture_names, alpha, threads,
+    window, height, height_scale, positions, mask, slots, materials, texture_names, alpha, threads,
 )  # fmt: skip
 _UNASKED = {
     "iterations": _KERNEL.iterations,
@@ -288,6 +311,12 @@ def settings_from(options: dict[str, Any]) -> SmoothSettings:
             image_suffix=_suffix(options["texture_format"]),
             jpeg_quality=options["jpeg_quality"],
             small=options["small"],
+        ),
+        image=ImageSettings(
+            height=options["height"],
+            height_scale=options["height_scale"],
+            positions=options["positions"],
+            mask=options["mask"],
         ),
     )
 

@@ -25,6 +25,8 @@ Examples:
   beltrami smooth scan.glb clean.glb --metric-steps 4 -n 6                   rich natural textures
   beltrami smooth scan.ply clean.glb --unwrap           in a new texture, for meshes without one
   beltrami smooth scan.glb clean.ply                    smooth vertex colours and convert
+  beltrami smooth photo.jpg clean.png                   an image, on its plane
+  beltrami smooth photo.png clean.png --height depth.exr --height-scale 200  an image on a height map
   beltrami smooth scan.ply blur.ply --beta 0            a Gaussian on the surface, for comparison
   beltrami smooth temperature.ply out.ply --space data  scalars painted as colours
   zcat scan.ply.gz | beltrami smooth - - | gzip > clean.ply.gz
@@ -60,11 +62,12 @@ def command(
     verbose: int,
     **smoothing: Any,
 ) -> None:
-    """Smooth the colours of INPUT, in its vertices or textures, and write OUTPUT with nothing else changed.
+    """Smooth the colours of INPUT, in its vertices or textures or pixels, and write OUTPUT with nothing else changed.
 
-    INPUT and OUTPUT are PLY, OBJ, glTF or GLB files, or - for a pipe. OUTPUT keeps the bytes of INPUT apart from
-    the colours. With another extension it is converted, and what the other format cannot hold is said: vertex colours
-    go to any format, textures between glTF and GLB; other textured files keep their format.
+    INPUT and OUTPUT are PLY, OBJ, glTF or GLB files, or images (PNG, JPEG, TIFF, EXR and what else OpenImageIO
+    reads), or - for a pipe. OUTPUT keeps the bytes of INPUT apart from the colours. With another extension it is
+    converted, and what the other format cannot hold is said: vertex colours go to any format, textures between glTF and
+    GLB, images to any image format; other textured files keep their format.
     """
     settings = options.settings_from(smoothing)
     unwrap = options.unwrapping_from(smoothing)
@@ -119,9 +122,14 @@ def _write_report(output: Output, report: SmoothReport) -> None:
     output.write(Written(main=[(json.dumps(asdict(report), indent=2) + "\n").encode()]))
 
 
-def _tell_unchanged(messages: Messages, report: SmoothReport, *, unwrapped: bool, dry_run: bool) -> None:
+def _warn(messages: Messages, report: SmoothReport) -> None:
     for warning in report.warnings:
-        messages.warn(f"{report.input}: {warning}")
+        named = warning.startswith(report.input)  # as what is said of images is
+        messages.warn(warning if named else f"{report.input}: {warning}")
+
+
+def _tell_unchanged(messages: Messages, report: SmoothReport, *, unwrapped: bool, dry_run: bool) -> None:
+    _warn(messages, report)
     same = Path(report.input).suffix.lower() == f".{report.format}" and not unwrapped
     what = "would be" if dry_run else "is"
     messages.say(
@@ -132,8 +140,7 @@ def _tell_unchanged(messages: Messages, report: SmoothReport, *, unwrapped: bool
 
 
 def _tell(messages: Messages, report: SmoothReport, *, dry_run: bool) -> None:
-    for warning in report.warnings:
-        messages.warn(f"{report.input}: {warning}")
+    _warn(messages, report)
     for stage, seconds in report.stages.items():
         messages.detail(f"{stage:>14}: {seconds['wall']:.2f} s, {seconds['cpu']:.2f} s CPU")
     for key in ("iterations", "t", "threshold", "metric_scale", "metric_steps", "space"):
@@ -143,6 +150,12 @@ def _tell(messages: Messages, report: SmoothReport, *, dry_run: bool) -> None:
         done, counts = report.vertices, report.vertices.counts
         what = f"{counts['vertices']} vertices"
         messages.say(name + _summary(what, done.noise, done.beta, counts["samples_per_kernel"], done.change))
+    if report.image is not None:
+        done_image, facts = report.image, report.image.image
+        size = f"{facts['width']} x {facts['height']} pixels"
+        what = size + (f" with {facts['holes']} holes" if facts["holes"] else "")
+        samples = done_image.samples_per_kernel
+        messages.say(name + _summary(what, done_image.noise, done_image.beta, samples, done_image.change))
     for slot in report.textures:
         textures = f"{len(slot.textures)} {slot.slot} texture{'s' if len(slot.textures) > 1 else ''}"
         what = f"{textures}, {slot.counts['covered']} texels in {slot.counts['charts']} charts"
