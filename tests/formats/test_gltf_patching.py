@@ -160,7 +160,7 @@ def check_rest(old_tree, old_buffers, new_tree, new_buffers, expected):
         assert "byteStride" in view or expected[0].nbytes % 4 == 0
     touched = {part["attributes"]["COLOR_0"] for part in old_tree["meshes"][0]["primitives"]}
     for index, accessor in enumerate(old_tree["accessors"]):
-        now, free = new_tree["accessors"][index], {"bufferView", "byteOffset", "sparse", "min", "max"}
+        now, free = new_tree["accessors"][index], {"bufferView", "byteOffset", "min", "max"}
         free = free if index in touched else set()
         assert {k: v for k, v in now.items() if k not in free} == {
             k: v for k, v in accessor.items() if k not in free
@@ -178,13 +178,15 @@ def check_rest(old_tree, old_buffers, new_tree, new_buffers, expected):
 
 
 def mark(mine, tree, accessor):
-    if "bufferView" in accessor:
-        view = tree["bufferViews"][accessor["bufferView"]]
-        width = int(accessor["type"][3])
-        size = {5121: 1, 5123: 2, 5126: 4}[accessor["componentType"]] * width
-        for row in range(accessor["count"]):
-            start = view["byteOffset"] + accessor["byteOffset"] + row * view["byteStride"]
-            mine[start : start + size] = True
+    width = int(accessor["type"][3])
+    size = {5121: 1, 5123: 2, 5126: 4}[accessor["componentType"]] * width
+    sparse = accessor.get("sparse", {})
+    for part, count in ((accessor, accessor["count"]), (sparse.get("values", {}), sparse.get("count"))):
+        if "bufferView" in part:
+            view = tree["bufferViews"][part["bufferView"]]
+            for row in range(count):
+                start = view["byteOffset"] + part.get("byteOffset", 0) + row * view.get("byteStride", size)
+                mine[start : start + size] = True
 
 
 def check_bounds(old, new, expected):

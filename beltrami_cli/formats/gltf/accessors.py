@@ -104,12 +104,25 @@ class Accessors:
             self.require_bytes(index)
             numbers = np.zeros((accessor.count, accessor.width), accessor.component)
         if accessor.sparse is not None:
-            rows = self._numbers(accessor.sparse.indices, accessor.sparse.index_type)[:, 0].astype(np.int64)
-            if rows[-1] >= accessor.count or np.any(np.diff(rows) <= 0):
-                raise accessor.entry.fault("sparse.indices", f"must increase and stay below {accessor.count}")
             numbers = numbers.copy()  # it may be a view of the buffer
-            numbers[rows] = self._numbers(accessor.sparse.values, accessor.component)
+            numbers[self.replaced(index)] = self._numbers(accessor.sparse.values, accessor.component)
         return numbers
+
+    def replaced(self, index: int) -> NDArray[np.int64]:
+        """Return the elements that a sparse accessor replaces, in order; none if it is not sparse.
+
+        Raises
+        ------
+        InputError
+            As `stored`.
+        """
+        accessor = self[index]
+        if accessor.sparse is None:
+            return np.empty(0, np.int64)
+        rows = self._numbers(accessor.sparse.indices, accessor.sparse.index_type)[:, 0].astype(np.int64)
+        if rows[-1] >= accessor.count or np.any(np.diff(rows) <= 0):
+            raise accessor.entry.fault("sparse.indices", f"must increase and stay below {accessor.count}")
+        return rows
 
     def values(self, index: int) -> NDArray[np.float64]:
         """Return the numbers that an accessor means, shape (count, width), integers decoded if normalised.

@@ -94,9 +94,10 @@ def copied(accessor: Tree) -> Tree:
     return {key: list(value) if isinstance(value, list) else value for key, value in accessor.items()}
 
 
-def point_at(accessor: Tree, view: int) -> None:
-    """Let an accessor take its elements from the start of a view, all of them."""
-    accessor.pop("sparse", None)
+def point_at(accessor: Tree, view: int, *, keep_sparse: bool = False) -> None:
+    """Let an accessor take its elements from the start of a view: all, or all but sparse ones."""
+    if not keep_sparse:
+        accessor.pop("sparse", None)
     accessor["bufferView"] = view
     if "byteOffset" in accessor:
         accessor["byteOffset"] = 0

@@ -61,7 +61,8 @@ def _children(parent: object) -> list[Any]:
 def _unique(pairs: list[tuple[str, Any]]) -> Tree:
     tree = dict(pairs)
     if len(tree) < len(pairs):
-        repeated = next(key for key in tree if sum(key == other for other, _ in pairs) > 1)
+        seen: set[str] = set()
+        repeated = next(key for key, _ in pairs if key in seen or seen.add(key))  # type: ignore[func-returns-value]
         raise ValueError(f"the key {repeated!r} occurs twice in one object")
     return tree
 

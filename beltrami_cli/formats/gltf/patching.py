@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
     from beltrami_cli.formats.gltf.editing import Edit
     from beltrami_cli.formats.gltf.json_text import Tree
+    from beltrami_cli.formats.gltf.layouts import Layout
     from beltrami_cli.formats.gltf.surfaces import Block
 
 
@@ -83,11 +84,21 @@ def recolour(
 
 
 def _overwrite(edit: Edit, block: Block, after: Stored) -> None:
-    layout = edit.accessors[block.colour].layout
-    if layout is None:
-        raise AssertionError("colours without bytes cannot be overwritten")
-    data = edit.open(edit.accessors.buffers.canonical(layout.buffer))
-    element_bytes(data, layout)[...] = after.view(np.uint8)
+    """Put the colours where they are; of a sparse accessor each where it is read, the elements that it replaces too."""
+    accessor, rows = edit.accessors[block.colour], edit.accessors.replaced(block.colour)
+    own, octets = np.ones(len(after), bool), after.view(np.uint8)
+    own[rows] = False
+    if accessor.sparse is not None:
+        _elements(edit, accessor.sparse.values)[...] = octets[rows]
+    if accessor.layout is not None:
+        _elements(edit, accessor.layout)[own] = octets[own]
+    elif octets[own].any():  # no more zeros
+        view = edit.append_attribute(_home(edit, block), after)
+        point_at(edit.tree["accessors"][block.colour], view, keep_sparse=True)
+
+
+def _elements(edit: Edit, layout: Layout) -> NDArray[np.uint8]:
+    return element_bytes(edit.open(edit.accessors.buffers.canonical(layout.buffer)), layout)
 
 
 def _own_accessors(tree: Tree, members: set[int], shared: set[int]) -> set[int]:
@@ -106,8 +117,13 @@ def _own_accessors(tree: Tree, members: set[int], shared: set[int]) -> set[int]:
 
 def _append(edit: Edit, block: Block, members: set[int], after: Stored) -> None:
     """Put the colours into a new view at the end of their buffer and point their accessors at it."""
-    accessor, position = edit.accessors[block.colour], edit.accessors[block.position]
-    layouts = [accessor.layout, accessor.sparse.values if accessor.sparse else None, position.layout]
-    view = edit.append_attribute(edit.home(layout.buffer for layout in layouts if layout), after)
+    view = edit.append_attribute(_home(edit, block), after)
     for index in members:
         point_at(edit.tree["accessors"][index], view)
+
+
+def _home(edit: Edit, block: Block) -> int:
+    """Return the buffer that takes new colours: that of the old ones, of the positions, or any with bytes."""
+    accessor, position = edit.accessors[block.colour], edit.accessors[block.position]
+    layouts = [accessor.layout, accessor.sparse.values if accessor.sparse else None, position.layout]
+    return edit.home(layout.buffer for layout in layouts if layout)

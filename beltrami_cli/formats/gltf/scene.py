@@ -52,14 +52,11 @@ def placements(root: Entry) -> list[Placement]:
     shown: dict[int, list[tuple[NDArray[np.float64], int]]] = {}
     seen: set[int] = set()
     for rank, scene in enumerate(order):
-        for node, matrix in _walk(scenes[scene], nodes, children):
+        for node, matrix in _walk(scenes[scene], nodes, children, seen):
             if "mesh" in nodes[node]:
                 mesh = nodes[node].integer("mesh", below=len(meshes))
                 place = np.eye(4) if "skin" in nodes[node] else matrix
-                shown.setdefault(mesh, [])
-                if node not in seen:
-                    shown[mesh].append((place, 0 if default is None else rank))
-            seen.add(node)
+                shown.setdefault(mesh, []).append((place, 0 if default is None else rank))
     found = []
     for mesh in range(len(meshes)):
         places = shown.get(mesh) or [(np.eye(4), len(scenes) + mesh)]
@@ -80,9 +77,12 @@ def _children(nodes: list[Entry]) -> list[list[int]]:
 
 
 def _walk(
-    scene: Entry, nodes: list[Entry], children: list[list[int]]
+    scene: Entry, nodes: list[Entry], children: list[list[int]], seen: set[int]
 ) -> list[tuple[int, NDArray[np.float64]]]:
-    """Return the nodes of a scene, depth first, each with its matrix to the scene's space."""
+    """Return the nodes of a scene that no scene before has, depth first, each with its matrix to the scene's space.
+
+    They are added to those seen. What hangs below a node that was seen was seen as well.
+    """
     found: list[tuple[int, NDArray[np.float64]]] = []
     stack = [(node, np.eye(4)) for node in reversed(scene.integers("nodes", below=len(nodes)))]
     met: set[int] = set()
@@ -91,6 +91,9 @@ def _walk(
         if node in met:
             raise scene.fault("nodes", f"nodes[{node}] is reached twice: the nodes are not a tree")
         met.add(node)
+        if node in seen:
+            continue
+        seen.add(node)
         with np.errstate(over="ignore", invalid="ignore"):
             matrix = above @ _local(nodes[node])
         if not np.isfinite(matrix).all():

@@ -49,28 +49,33 @@ def alone(tree: Tree, accessors: Accessors, blocks: Sequence[Block]) -> list[boo
     serve images, extensions, or nothing that we know.
     """
     otherwise = used_otherwise(tree)
-    own = [_canonical(accessors, accessors[block.colour].layout) for block in blocks]
+    own = [_colours(accessors, block) for block in blocks]
     members = set().union(*(block.members for block in blocks))
     others = [_canonical(accessors, layout) for layout in _others(tree, accessors, members)]
-    counts = {
-        layout.buffer: np.zeros(_extent(accessors, layout.buffer), np.uint8) for layout in own if layout
-    }
-    ranges = np.array([(layout.buffer, layout.start, layout.end) for layout in own if layout]).reshape(-1, 3)
-    for layout in [*own, *others]:
-        if layout is not None and _meets(layout, ranges):
+    ranges = [(layout.buffer, layout.start, layout.end) for layouts in own for layout in layouts]
+    places = np.array(ranges, np.int64).reshape(-1, 3)
+    counts = {buffer: np.zeros(_extent(accessors, buffer), np.uint8) for buffer, _, _ in ranges}
+    for layout in [*(layout for layouts in own for layout in layouts), *others]:
+        if _meets(layout, places):
             uses = element_bytes(counts[layout.buffer], layout)
             uses[...] = np.minimum(uses + 1, 2)
     return [
-        layout is not None
-        and accessors[block.colour].sparse is None
+        bool(layouts)
         and not block.members & otherwise
-        and bool((element_bytes(counts[layout.buffer], layout) == 1).all())
-        for block, layout in zip(blocks, own, strict=True)
+        and all((element_bytes(counts[layout.buffer], layout) == 1).all() for layout in layouts)
+        for block, layouts in zip(blocks, own, strict=True)
     ]
 
 
+def _colours(accessors: Accessors, block: Block) -> list[Layout]:
+    """Return where the colours of a block are: plain elements, and those that replace some of them."""
+    accessor = accessors[block.colour]
+    layouts = [accessor.layout, accessor.sparse.values if accessor.sparse else None]
+    return [_canonical(accessors, layout) for layout in layouts if layout is not None]
+
+
 def _others(tree: Tree, accessors: Accessors, members: set[int]) -> Iterator[Layout]:
-    """Find the bytes of everything that is not the plain elements of painted colours."""
+    """Find the bytes of everything that is not the elements of painted colours."""
     viewed = set()
     for index, accessor in enumerate(accessors.all):
         viewed.add(accessor.view)
@@ -78,7 +83,9 @@ def _others(tree: Tree, accessors: Accessors, members: set[int]) -> Iterator[Lay
             yield accessor.layout
         if accessor.sparse is not None:
             viewed |= _views_of_sparse(accessor.entry.value)
-            yield from (accessor.sparse.indices, accessor.sparse.values)
+            yield accessor.sparse.indices
+            if index not in members:
+                yield accessor.sparse.values
     named = set(named_views({key: value for key, value in tree.items() if key != "accessors"}))
     for index, view in enumerate(accessors.views):
         if index in named or index not in viewed:
@@ -126,9 +133,7 @@ def named_views(value: object) -> Iterator[int]:
             yield from named_views(child)
 
 
-def _canonical(accessors: Accessors, layout: Layout | None) -> Layout | None:
-    if layout is None:
-        return None
+def _canonical(accessors: Accessors, layout: Layout) -> Layout:
     return replace(layout, buffer=accessors.buffers.canonical(layout.buffer))
 
 
