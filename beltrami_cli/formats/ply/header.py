@@ -32,6 +32,7 @@ TYPES = {
 """PLY's type names, old and new, with NumPy's codes."""
 
 _ENCODINGS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
+_MOST = 4096  # elements, and properties of one; real files have a hundred at most
 _DIGITS = 18  # of a count, more than any file can hold and no more than an int64 can
 
 
@@ -151,6 +152,8 @@ class _Lines:
             raise self._error(f"'{count[:30]}' is no count of elements")
         if any(element.name == name for element in self.elements):
             raise self._error(f"element '{name}' is announced twice")
+        if len(self.elements) >= _MOST:
+            raise self._error(f"there are more than {_MOST} elements")
         self.elements.append(Element(name, int(count)))
 
     def _add_property(self, name: str, kind: str, count: str = "") -> None:
@@ -164,6 +167,8 @@ class _Lines:
         element = self.elements[-1]
         if any(known.name == name for known in element.properties):
             raise self._error(f"element '{element.name}' has two properties '{name}'")
+        if len(element.properties) >= _MOST:
+            raise self._error(f"element '{element.name}' has more than {_MOST} properties")
         new = Property(name, TYPES[kind], TYPES[count] if count else "")
         self.elements[-1] = replace(element, properties=(*element.properties, new))
 
