@@ -41,7 +41,12 @@ def choose_work(document: Document, settings: SmoothSettings) -> Work:
     ------
     InputError
         If there is nothing of what is asked for; the message says what there is.
+    UsageError
+        If something is asked for that only images have.
     """
+    if settings.image.given:
+        wrong = ", ".join(settings.image.given)
+        raise UsageError(f"{wrong}: for images only, but {document.name} is none; leave it out")
     present = document.slots()
     slots = tuple(slot for slot in present if slot in settings.textures.slots)
     coloured = settings.on != "texture" and document.has_vertex_colours()
@@ -95,7 +100,7 @@ def choose_format(document: Document, target: str, chosen: str | None) -> Format
     if told in OUTPUT_FORMATS:
         return OUTPUT_FORMATS[told]
     if target == "-" or not told:
-        return OUTPUT_FORMATS[document.format]
+        return OUTPUT_FORMATS.get(document.format, "ply")
     raise UsageError(
         f"{target}: no format is known for .{told}; end the name in {', '.join('.' + f for f in OUTPUT_FORMATS)}, "
         "or say --format"
