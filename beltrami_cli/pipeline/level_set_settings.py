@@ -57,6 +57,3 @@ class LevelSetSettings:
             for name in ("level", "inside", "colours", "max_voxels")
             if getattr(self, name) != getattr(LevelSetSettings, name)
         )
-
-
-DEFAULT_LEVEL_SET = LevelSetSettings()

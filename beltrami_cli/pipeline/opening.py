@@ -6,32 +6,26 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from beltrami_cli.errors import UsageError
-from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
-from beltrami_cli.formats.source import read_source, recognise
-from beltrami_cli.pipeline.level_set_settings import DEFAULT_LEVEL_SET, LevelSetSettings
+from beltrami_cli.formats.source import document_of, read_source
+from beltrami_cli.formats.volume import is_volume
 
 if TYPE_CHECKING:
+    from beltrami_cli.formats.access import Access
     from beltrami_cli.formats.document import Document
+    from beltrami_cli.pipeline.settings import SmoothSettings
 
 
-def open_input(
-    source: str,
-    access: Access = EVERYTHING_INSIDE,
-    level_set: LevelSetSettings = DEFAULT_LEVEL_SET,
-    threads: int = 1,
-) -> Document:
+def open_input(source: str, settings: SmoothSettings, access: Access) -> Document:
     """Read a file, or standard input, as the document that it is.
 
     Parameters
     ----------
     source : str
         Path, or "-" for standard input.
+    settings : SmoothSettings
+        Which surface in a volume is meant, where its colours are, and how many threads there are.
     access : Access
         What may be read.
-    level_set : LevelSetSettings
-        The surface in a volume, and its colours.
-    threads : int
-        To triangulate with.
 
     Returns
     -------
@@ -44,14 +38,21 @@ def open_input(
     UsageError
         If settings of level sets are given, and it is none.
     """
-    from beltrami_cli.formats.volume import is_volume
+    return document_from(read_source(source, access), source, settings, access)
 
-    data = read_source(source, access)
+
+def document_from(data: bytes, source: str, settings: SmoothSettings, access: Access) -> Document:
+    """Return the document that a source is whose bytes have been read already; see `open_input`."""
     name, folder = ("<stdin>", None) if source == "-" else (source, Path(source).parent)
     if is_volume(data, name):
         from beltrami_cli.pipeline.level_set import LevelSetDocument
 
-        return LevelSetDocument(data, name, folder, level_set, access, threads)
-    if level_set.given:
-        raise UsageError(f"{', '.join(level_set.given)}: for level sets only, and {name} is none")
-    return recognise(data, name, folder, access)
+        return LevelSetDocument(data, name, folder, settings.level_set, access, settings.kernel.thread_count)
+    refuse_options_of_level_sets(settings, name)
+    return document_of(data, source, access)
+
+
+def refuse_options_of_level_sets(settings: SmoothSettings, name: str) -> None:
+    """Raise UsageError if there are any, for a file that is no level set."""
+    if settings.level_set.given:
+        raise UsageError(f"{', '.join(settings.level_set.given)}: for level sets, and {name} is none")

@@ -214,6 +214,7 @@ def _parameters(settings: SmoothSettings) -> dict[str, object]:
         "on": settings.on,
         "textures": dataclasses.asdict(settings.textures),
         "image": dataclasses.asdict(settings.image),
+        "level_set": dataclasses.asdict(settings.level_set),
     }
 
 

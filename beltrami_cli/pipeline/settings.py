@@ -9,6 +9,7 @@ from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.parameters import KernelParameters, Space
 from beltrami_cli.pipeline.embedding_settings import EmbeddingSettings
 from beltrami_cli.pipeline.image_settings import ImageSettings
+from beltrami_cli.pipeline.level_set_settings import LevelSetSettings
 
 Format = Literal["ply", "obj", "glb", "gltf"]
 OUTPUT_FORMATS: dict[str, Format] = {"ply": "ply", "obj": "obj", "glb": "glb", "gltf": "gltf"}
@@ -93,6 +94,8 @@ class SmoothSettings:
         What concerns textures; images obey its alpha, JPEG quality and size of PNG files too.
     image : ImageSettings
         What concerns only images.
+    level_set : LevelSetSettings
+        What concerns only level sets.
     embedding : EmbeddingSettings
         Guides, which colours enter the metric, and whether positions move.
 
@@ -108,6 +111,7 @@ class SmoothSettings:
     on: Target = "auto"
     textures: TextureSettings = field(default_factory=TextureSettings)
     image: ImageSettings = field(default_factory=ImageSettings)
+    level_set: LevelSetSettings = field(default_factory=LevelSetSettings)
     embedding: EmbeddingSettings = field(default_factory=EmbeddingSettings)
 
     def __post_init__(self) -> None:

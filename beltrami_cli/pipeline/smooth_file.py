@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING
 
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.image.recognition import is_image
-from beltrami_cli.formats.source import document_of, read_source
+from beltrami_cli.formats.source import read_source
 from beltrami_cli.mesh.textured import ImageFile
 from beltrami_cli.pipeline.conversion import make_files
+from beltrami_cli.pipeline.opening import document_from, refuse_options_of_level_sets
 from beltrami_cli.pipeline.output import Output
 from beltrami_cli.pipeline.report import SmoothReport, make_report
 from beltrami_cli.pipeline.room import require_room_for_textures
@@ -48,6 +49,7 @@ def smooth_file(
     ----------
     source, target : path
         PLY, OBJ, glTF or GLB, or an image; "-" for standard input or output. Another extension converts.
+        `source` may also be a level set on a grid (.npz, .nrrd), which is written as a mesh.
     settings : SmoothSettings
         The kernel's parameters, the working space, and what is smoothed.
     unwrap : BakeSettings, optional
@@ -91,11 +93,12 @@ def smooth_file(
     if is_image(data, source):
         from beltrami_cli.pipeline.smooth_image_file import smooth_image_file
 
+        refuse_options_of_level_sets(settings, source)
         return smooth_image_file(
             data, source, target, settings, output, watch, format=format, progress=progress, access=access
         )
     with watch.stage("read"):
-        document = document_of(data, source, access)
+        document = document_from(data, source, settings, access)
         target_format = choose_format(document, target, format)
         work = choose_work(document, settings)
         if settings.kernel.iterations == 0:

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 from beltrami_cli.errors import UsageError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
-from beltrami_cli.formats.source import open_document
 from beltrami_cli.pipeline.conversion import names_beside, write_textured
 from beltrami_cli.pipeline.new_texture import texture_from_textures, texture_from_vertices
+from beltrami_cli.pipeline.opening import open_input
 from beltrami_cli.pipeline.output import Output
 from beltrami_cli.pipeline.report import SmoothReport, make_report
 from beltrami_cli.pipeline.room import require_room_for_textures
@@ -79,7 +79,7 @@ def smooth_unwrapped(
     output = None if dry_run else Output(target, overwrite=overwrite)
     stem = Path(target).stem
     with watch.stage("read"):
-        document = open_document(source, access)
+        document = open_input(source, settings, access)
         target_format = choose_format(document, target, format)
         if output is not None:
             suffix = settings.textures.image_suffix or ".png"
