@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from beltrami_cli.mesh.painted import MeshContents, PaintedVertices
+    from beltrami_cli.mesh.painted import MeshContents, MovedVertices, PaintedVertices
     from beltrami_cli.mesh.textured import ImageFile, Slot, TexturedSurface
 
 Bytes = bytes | bytearray | memoryview
@@ -82,6 +82,42 @@ class Document(ABC):
             return False
         return True
 
+    def attributes(self) -> tuple[str, ...]:
+        """Return the names of what vertices have beside places and colours; "normal" if they have normals."""
+        return ()
+
+    def attribute(self, name: str) -> NDArray[np.float64]:
+        """Return what vertices have beside places and colours.
+
+        Parameters
+        ----------
+        name : str
+            As `attributes` gives it; in any case of letters.
+
+        Returns
+        -------
+        ndarray of float64, shape (V, G)
+            Rows as in `painted().colours`. Integers of full scale count as such only where the format says that they
+            are fractions. Normals are of unit length or 0, and in the space of the positions.
+
+        Raises
+        ------
+        InputError
+            If vertices have nothing of this name, or it is damaged.
+        """
+        known = ", ".join(self.attributes()) or "nothing"
+        raise InputError(self.name, f"its vertices have no {name}, but {known} beside their colours")
+
+    def require_movable(self) -> None:
+        """Check that `patch` can take new places of vertices.
+
+        Raises
+        ------
+        InputError
+            If the format, or the way that they are stored, does not let positions be replaced.
+        """
+        raise InputError(self.name, f"the positions of a {self.format} file cannot be replaced")
+
     def slots(self) -> tuple[Slot, ...]:
         """Return the material slots that have textures, the base colour first."""
         return ()
@@ -110,6 +146,7 @@ class Document(ABC):
         *,
         moved: bool,
         images: Mapping[tuple[Slot, str], ImageFile] = NO_IMAGES,
+        places: MovedVertices | None = None,
     ) -> Written:
         """Return the document's files with other colours and everything else as it was.
 
@@ -121,6 +158,9 @@ class Document(ABC):
         images : mapping of (Slot, str) to ImageFile
             New images by slot and `Texture.key`, of the same size in pixels: each replaces that image in that slot and
             nowhere else. The type of file may be another one than before.
+        places : MovedVertices or None
+            New places of the vertices, which `require_movable` has allowed; None: as they are. Every coordinate that
+            equals the one there keeps its stored bytes; others are rounded to the stored type once.
         stem : str
             Name of the output file without folder and extension, for naming changed sidecars.
         moved : bool

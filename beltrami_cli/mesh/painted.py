@@ -49,6 +49,22 @@ class PaintedVertices:
 
 
 @dataclass(frozen=True)
+class MovedVertices:
+    """New places of painted vertices.
+
+    Attributes
+    ----------
+    positions : ndarray of float64, shape (V, 3)
+        Rows and space as in `PaintedVertices`.
+    normals : ndarray of float32, shape (V, 3), or None
+        New unit normals, for a document that has one for each vertex; NaN where the old one stays. None: all stay.
+    """
+
+    positions: NDArray[np.float64]
+    normals: NDArray[np.float32] | None = None
+
+
+@dataclass(frozen=True)
 class MeshContents:
     """A whole coloured mesh, as far as it can be written in another format.
 

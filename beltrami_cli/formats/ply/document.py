@@ -12,15 +12,17 @@ from beltrami_cli.errors import InputError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.beside import Beside, is_outside
 from beltrami_cli.formats.document import NO_IMAGES, Document, Written
-from beltrami_cli.formats.ply.body import values_in_bytes
+from beltrami_cli.formats.ply.attributes import NORMAL, POSITION, attribute_names, read_attribute
 from beltrami_cli.formats.ply.header import read_header
+from beltrami_cli.formats.ply.moving import moved_changes, require_real
 from beltrami_cli.formats.ply.paint import find_paint, finite_columns, read_colours, store_colours
+from beltrami_cli.formats.ply.patching import Change, patch_body
 from beltrami_cli.formats.ply.polygons import VERTEX_LISTS, read_polygons
 from beltrami_cli.formats.ply.repainting import renamed_images
-from beltrami_cli.formats.ply.tables import indices, read_tables
+from beltrami_cli.formats.ply.tables import read_tables
 from beltrami_cli.formats.ply.texturing import find_coordinates, gather_textured, read_comments
-from beltrami_cli.formats.tokens import exchange_spans, exchange_tokens, find_tokens
-from beltrami_cli.mesh.painted import MeshContents, PaintedVertices
+from beltrami_cli.formats.tokens import exchange_spans
+from beltrami_cli.mesh.painted import MeshContents, MovedVertices, PaintedVertices
 from beltrami_cli.mesh.polygons import triangulate
 
 if TYPE_CHECKING:
@@ -29,12 +31,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from beltrami_cli.formats.ply.paint import Colours, Paint
-    from beltrami_cli.formats.ply.tables import Places, Table
+    from beltrami_cli.formats.ply.tables import Table
     from beltrami_cli.formats.ply.texturing import TextureComment
     from beltrami_cli.mesh.textured import ImageFile, Slot, TexturedSurface
-
-_POSITION = ("x", "y", "z")
-_NORMAL = ("nx", "ny", "nz")
 
 
 class PlyDocument(Document):
@@ -119,52 +118,38 @@ class PlyDocument(Document):
         *,
         moved: bool,
         images: Mapping[tuple[Slot, str], ImageFile] = NO_IMAGES,
+        places: MovedVertices | None = None,
     ) -> Written:
         """Return the files with other colours and images; see `Document.patch`."""
         sidecars, spans = renamed_images(self._images, images, Path(self.name).stem, stem, moved=moved)
         header = exchange_spans(self._data[: self._header.end], spans)
+        changes = [] if colours is None else self._recoloured(colours)
+        changes += [] if places is None else moved_changes(self._vertices, self._kinds, places)
+        if any(change.rows.any() for change in changes):
+            return Written([header, *patch_body(self._data, self._header, self._vertices, changes)], sidecars)
         body = memoryview(self._data)[self._header.end :]
-        if colours is None or not (changed := colours != self._colours.values).any():
-            return Written([header, body] if spans else [self._data], sidecars)
-        places = [self._vertices.places(known) for known in self._paint.names]
-        if self._header.order:
-            patched = memoryview(self._patch_bytes(colours, changed, places))[self._header.end :]
-            return Written([header, patched], sidecars)
-        return Written([header, *self._patch_text(colours, changed, places)], sidecars)
+        return Written([header, body] if spans else [self._data], sidecars)
 
-    def _patch_bytes(
-        self, colours: NDArray[np.float32], changed: NDArray[np.bool_], places: Sequence[Places]
-    ) -> bytearray:
-        data = bytearray(self._data)
-        everywhere = values_in_bytes(data, self._header.order + self._paint.type)
-        for channel, where in enumerate(places):
-            rows = changed[:, channel]
-            stored = store_colours(colours[rows, channel], self._colours.scale, self._paint.type)
-            if isinstance(where, slice):
-                everywhere[where][rows] = stored
-            else:
-                everywhere[where[rows]] = stored
-        return data
+    def _recoloured(self, colours: NDArray[np.float32]) -> list[Change]:
+        changed = colours != self._colours.values
+        stored = [
+            store_colours(colours[rows, channel], self._colours.scale, self._paint.type)
+            for channel, rows in enumerate(changed.T)
+        ]
+        return [Change(*change) for change in zip(self._paint.names, changed.T, stored, strict=True)]
 
-    def _patch_text(
-        self, colours: NDArray[np.float32], changed: NDArray[np.bool_], places: Sequence[Places]
-    ) -> list[bytes | memoryview]:
-        text = self._data[self._header.end :]
-        starts, ends = find_tokens(text)
-        tokens = np.column_stack([indices(where) for where in places])[changed]
-        order = np.argsort(tokens)  # Columns may stand in any order; tokens are exchanged from first to last.
-        stored = store_colours(colours[changed][order], self._colours.scale, self._paint.type)
+    def attributes(self) -> tuple[str, ...]:
+        """Return what vertices have beside places and colours; see `Document.attributes`."""
+        return attribute_names(self._kinds, self._paint.names if self.has_vertex_colours() else ())
 
-        def spell(block: slice) -> list[bytes]:
-            if self._paint.type[0] == "u":
-                return [b"%d" % value for value in stored[block].tolist()]
-            spelled: list[bytes] = (
-                stored[block].astype("S32").tolist()
-            )  # the shortest that reads back the same
-            return spelled
+    def attribute(self, name: str) -> NDArray[np.float64]:
+        """Return a property, or the three of a normal; see `Document.attribute`."""
+        fits = [known for known in self.attributes() if known.lower() == name.lower()]
+        return read_attribute(self._vertices, fits[0], self.name) if fits else super().attribute(name)
 
-        there = tokens[order]
-        return exchange_tokens(text, starts[there], ends[there], spell)
+    def require_movable(self) -> None:
+        """Check that positions are real numbers; see `Document.require_movable`."""
+        require_real(self._kinds, POSITION, self.name)
 
     def references(self) -> Sequence[str]:
         """Return the images that comments name."""
@@ -177,8 +162,7 @@ class PlyDocument(Document):
     def contents(self) -> MeshContents:
         """Return the mesh for conversion; see `Document.contents`."""
         corners, offsets = self._polygons
-        known = {known.name for known in self._vertices.element.properties if not known.count}
-        has_normals = known.issuperset(_NORMAL)
+        has_normals = self._kinds.keys() >= {*NORMAL}
         return MeshContents(
             positions=self._positions,
             corners=corners,
@@ -219,10 +203,15 @@ class PlyDocument(Document):
         element = self._header.element("vertex")
         if element is None or element.count == 0:
             raise InputError(self.name, "there are no vertices", "nothing in it can be smoothed")
-        missing = set(_POSITION) - {known.name for known in element.properties if not known.count}
+        missing = set(POSITION) - {known.name for known in element.properties if not known.count}
         if missing:
             raise InputError(self.name, f"vertices have no property {', '.join(sorted(missing))}")
         return self._tables["vertex"]
+
+    @cached_property
+    def _kinds(self) -> dict[str, str]:
+        """The types of the scalar properties of vertices."""
+        return {known.name: known.type for known in self._vertices.element.properties if not known.count}
 
     @cached_property
     def _paint(self) -> Paint:
@@ -236,7 +225,7 @@ class PlyDocument(Document):
 
     @cached_property
     def _positions(self) -> NDArray[np.float64]:
-        return self._columns(_POSITION, "position")
+        return self._columns(POSITION, "position")
 
     @cached_property
     def _polygons(self) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
@@ -257,10 +246,10 @@ class PlyDocument(Document):
 
     def _normals(self) -> NDArray[np.float32]:
         largest = np.finfo(np.float32).max
-        return np.clip(self._columns(_NORMAL, "normal"), -largest, largest).astype(np.float32)
+        return np.clip(self._columns(NORMAL, "normal"), -largest, largest).astype(np.float32)
 
     def _left_out(self, has_normals: bool) -> tuple[str, ...]:
-        used = {*_POSITION, *self._paint.names, self._paint.alpha, *(_NORMAL if has_normals else ())}
+        used = {*POSITION, *self._paint.names, self._paint.alpha, *(NORMAL if has_normals else ())}
         dropped = []
         for element in self._header.elements:
             known = used if element.name == "vertex" else VERTEX_LISTS.get(element.name, ())
