@@ -1,7 +1,8 @@
 """Smooth the colours painted on a surface with the short-time Beltrami kernel.
 
-`smooth` takes arrays, `smooth_file` and `inspect_file` take files; `SmoothSettings` and `KernelParameters` hold the
-parameters with their defaults. Importing the package loads nothing heavy: names are resolved when they are used.
+`smooth` takes the arrays of a mesh, `smooth_image` those of an image, `smooth_file` and `inspect_file` take files;
+`SmoothSettings` and `KernelParameters` hold the parameters with their defaults. Importing the package loads nothing
+heavy: names are resolved when they are used.
 """
 
 from __future__ import annotations
@@ -12,15 +13,19 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from beltrami_cli.errors import BeltramiError, InputError, OutputError, ProcessingError, UsageError
     from beltrami_cli.flow.parameters import KernelParameters
+    from beltrami_cli.pipeline.image_settings import ImageSettings
     from beltrami_cli.pipeline.inspect_file import inspect_file
     from beltrami_cli.pipeline.report import SmoothReport
     from beltrami_cli.pipeline.settings import SmoothSettings, TextureSettings
     from beltrami_cli.pipeline.smooth_arrays import smooth
     from beltrami_cli.pipeline.smooth_file import smooth_file
+    from beltrami_cli.pipeline.smooth_image import ImageResult, smooth_image
     from beltrami_cli.pipeline.smooth_vertices import SmoothResult
 
 _HOME_OF = {
     "BeltramiError": "errors",
+    "ImageResult": "pipeline.smooth_image",
+    "ImageSettings": "pipeline.image_settings",
     "InputError": "errors",
     "KernelParameters": "flow.parameters",
     "OutputError": "errors",
@@ -33,10 +38,13 @@ _HOME_OF = {
     "inspect_file": "pipeline.inspect_file",
     "smooth": "pipeline.smooth_arrays",
     "smooth_file": "pipeline.smooth_file",
+    "smooth_image": "pipeline.smooth_image",
 }
 
 __all__ = [
     "BeltramiError",
+    "ImageResult",
+    "ImageSettings",
     "InputError",
     "KernelParameters",
     "OutputError",
@@ -49,6 +57,7 @@ __all__ = [
     "inspect_file",
     "smooth",
     "smooth_file",
+    "smooth_image",
 ]
 
 
