@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
-from beltrami_cli.formats.source import open_document
+from beltrami_cli.formats.image.recognition import is_image
+from beltrami_cli.formats.source import document_of, read_source
 from beltrami_cli.pipeline.room import require_room_for_textures
 from beltrami_cli.pipeline.settings import DEFAULTS, SmoothSettings
 from beltrami_cli.pipeline.work import choose_work
@@ -30,12 +31,12 @@ _PROBED_KERNELS = 1000
 def inspect_file(
     source: str | os.PathLike[str], settings: SmoothSettings = DEFAULTS, access: Access = EVERYTHING_INSIDE
 ) -> dict[str, object]:
-    """Describe a mesh file and what `smooth_file` would do with it.
+    """Describe a mesh file or an image, and what `smooth_file` would do with it.
 
     Parameters
     ----------
     source : path
-        PLY, OBJ, glTF or GLB; "-" for standard input.
+        PLY, OBJ, glTF or GLB, or an image; "-" for standard input.
     settings : SmoothSettings
         What smoothing would be told.
     access : Access
@@ -47,7 +48,8 @@ def inspect_file(
         JSON types only: "file" (facts of the format); for vertex colours "colours", "surface" (counts, spacing,
         bounds), "noise" (standard deviation per channel, full scale 1) and "smooth" (parameters as they would be
         used, and the mean number of samples that a kernel of the first iteration would hold); "textures", a list
-        with an entry for each slot that would be smoothed; "notices".
+        with an entry for each slot that would be smoothed; "notices". For an image "file", "image", "noise",
+        "smooth" and "notices".
 
     Raises
     ------
@@ -56,7 +58,11 @@ def inspect_file(
     UsageError
         If the settings contradict the file.
     """
-    document = open_document(os.fspath(source), access)
+    name = os.fspath(source)
+    data = read_source(name, access)
+    if is_image(data, name):
+        return _describe_image(data, "<stdin>" if name == "-" else name, settings, access)
+    document = document_of(data, name, access)
     work = choose_work(document, settings)
     facts: dict[str, object] = {
         "file": {"name": document.name, "format": document.format, **document.facts()}
@@ -69,6 +75,21 @@ def inspect_file(
         facts["textures"] = slots
     facts["notices"] = [*document.notices, *work.notices]
     return facts
+
+
+def _describe_image(data: bytes, name: str, settings: SmoothSettings, access: Access) -> dict[str, object]:
+    from beltrami_cli.pipeline.prepare_image import prepare_image
+
+    prepared = prepare_image(data, name, settings, access)
+    flow = prepared.flow(settings)
+    facts = prepared.facts()
+    return {
+        "file": {"name": name, "format": facts.pop("format"), "bytes": len(data)},
+        "image": {**facts, "pitch": flow.spacing},
+        "noise": prepared.colours.named(flow.sigma),
+        "smooth": _describe_kernel(settings, flow.beta),
+        "notices": list(prepared.notices),
+    }
 
 
 def _describe_vertices(document: Document, settings: SmoothSettings) -> dict[str, object]:
