@@ -13,14 +13,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
+from beltrami_cli.errors import InputError
 
+if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-Point = tuple[float, float]
-
 _BLOCK = 1 << 16  # polygons cut at a time, which bounds the memory for their corners
+_MOST_EARS = 1 << 14  # corners of a polygon that is not convex: some ten seconds of work at most
 
 
 def triangulate(
@@ -42,6 +41,11 @@ def triangulate(
     ndarray of int32, shape (F, 3)
         n - 2 triangles for every polygon of n corners, in the order and the orientation of the polygons;
         none for polygons of fewer than three corners.
+
+    Raises
+    ------
+    InputError
+        If a polygon that is not convex has too many corners.
 
     Notes
     -----
@@ -100,6 +104,9 @@ def _cut(positions: NDArray[np.float64], polygons: NDArray[np.int32]) -> NDArray
     normals = np.cross(points, np.roll(points, -1, axis=1)).sum(axis=1)
     areas = np.einsum("pfi,pi->pf", np.cross(points[:, 1:-1], points[:, 2:]), normals)
     for bad in np.flatnonzero((areas < 0).any(axis=1)).tolist():
+        if size > _MOST_EARS:
+            cause = f"a polygon of {size} corners is not convex; up to {_MOST_EARS} are cut into triangles"
+            raise InputError("the mesh", cause, "triangulate it first")
         cut[bad] = polygons[bad][_ears(_flatten(points[bad], normals[bad]))]
     return cut
 
@@ -123,46 +130,65 @@ def _upright(triangles: NDArray[np.float64], normals: NDArray[np.float64]) -> ND
     return upright
 
 
-def _flatten(points: NDArray[np.float64], normal: NDArray[np.float64]) -> list[Point]:
+def _flatten(points: NDArray[np.float64], normal: NDArray[np.float64]) -> NDArray[np.float64]:
     """Drop the axis that the normal is closest to, keeping the polygon counter-clockwise."""
     axis = int(np.argmax(np.abs(normal)))
     first, second = (axis + 1) % 3, (axis + 2) % 3
     if normal[axis] < 0:
         first, second = second, first
-    return [(x, y) for x, y in points[:, [first, second]].tolist()]
+    return points[:, [first, second]]
 
 
-def _ears(points: Sequence[Point]) -> NDArray[np.intp]:
-    """Cut a counter-clockwise polygon of n points by taking ears off, in triangles of shape (n - 2, 3)."""
-    ring = list(range(len(points)))
-    triangles = []
-    at = 0
-    while len(ring) > 3:
-        for step in range(len(ring)):
-            tip = (at + step) % len(ring)
-            if _is_ear(points, ring, tip):
+def _ears(points: NDArray[np.float64]) -> NDArray[np.intp]:
+    """Cut a counter-clockwise polygon, shape (n, 2), by taking ears off, into triangles of shape (n - 2, 3).
+
+    Only the two neighbours of an ear can become ears, or cease to be any, when it is taken off. So the work grows
+    with the square of n, whatever the polygon is like.
+    """
+    ring = _Ring(points)
+    ears = [ring.is_ear(tip) for tip in range(len(points))]
+    triangles, at = [], 0
+    for left in range(len(points), 3, -1):
+        tip = at
+        for _ in range(left):
+            if ears[tip]:
                 break
+            tip = ring.after[tip]
         else:  # The polygon crosses itself.
-            tip = at % len(ring)
-        triangles.append((ring[tip - 1], ring[tip], ring[(tip + 1) % len(ring)]))
-        del ring[tip]
-        at = tip  # Going on behind the gap, so that the triangles do not all meet in one corner.
-    triangles.append((ring[0], ring[1], ring[2]))
+            tip = at
+        before, at = ring.before[tip], ring.after[tip]  # Going on behind the gap spreads the corners.
+        triangles.append((before, tip, at))
+        ring.take_off(tip)
+        ears[before], ears[at] = ring.is_ear(before), ring.is_ear(at)
+    triangles.append((ring.before[at], at, ring.after[at]))
     return np.array(triangles, np.intp)
 
 
-def _is_ear(points: Sequence[Point], ring: Sequence[int], tip: int) -> bool:
-    a, b, c = (points[ring[(tip + step) % len(ring)]] for step in (-1, 0, 1))
-    if _turn(a, b, c) <= 0:
-        return False
-    for index in ring:
-        p = points[index]
-        inside = _turn(a, b, p) >= 0 and _turn(b, c, p) >= 0 and _turn(c, a, p) >= 0
-        if inside and p not in (a, b, c):
+class _Ring:
+    """What is left of a polygon: the corner before and after each, and which are there."""
+
+    def __init__(self, points: NDArray[np.float64]) -> None:
+        count = len(points)
+        self._x, self._y = points.T
+        self._left = np.ones(count, bool)
+        self.before, self.after = [count - 1, *range(count - 1)], [*range(1, count), 0]
+
+    def take_off(self, tip: int) -> None:
+        """Join the neighbours of a corner."""
+        before, after = self.before[tip], self.after[tip]
+        self.after[before], self.before[after] = after, before
+        self._left[tip] = False
+
+    def is_ear(self, tip: int) -> bool:
+        """Tell whether a corner and its neighbours are a triangle that looks up and holds no other corner."""
+        corners = self.before[tip], tip, self.after[tip]
+        (ax, ay), (bx, by), (cx, cy) = ((float(self._x[i]), float(self._y[i])) for i in corners)
+        if (bx - ax) * (cy - ay) - (by - ay) * (cx - ax) <= 0:
             return False
-    return True
-
-
-def _turn(a: Point, b: Point, c: Point) -> float:
-    """Twice the signed area of a triangle, positive if it is counter-clockwise."""
-    return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+        x, y = self._x, self._y
+        inside = self._left & ((bx - ax) * (y - ay) - (by - ay) * (x - ax) >= 0)
+        inside &= (cx - bx) * (y - by) - (cy - by) * (x - bx) >= 0
+        inside &= (ax - cx) * (y - cy) - (ay - cy) * (x - cx) >= 0
+        for px, py in ((ax, ay), (bx, by), (cx, cy)):
+            inside &= (x != px) | (y != py)
+        return not inside.any()

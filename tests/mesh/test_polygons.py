@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from beltrami_cli.errors import InputError
 from beltrami_cli.mesh.polygons import triangulate
 
 
@@ -114,3 +115,21 @@ def test_many_mixed_polygons_are_all_cut() -> None:
 def test_huge_polygons_are_cut_without_warnings(size: int) -> None:
     points = np.random.default_rng(3).normal(size=(size, 3)) * 1e300
     assert cut(points, list(range(size))).shape == (size - 2, 3)
+
+
+def test_large_polygons_that_cross_themselves_are_cut_in_bounded_time():
+    # Every corner is looked at for every other one at most: with the cube instead, this would take hours.
+    points = np.random.default_rng(3).random((3000, 3))
+    faces = triangulate(points, np.arange(3000, dtype=np.int32), np.array([0, 3000]))
+    assert faces.shape == (2998, 3)
+    assert set(faces.ravel().tolist()) == set(range(3000))
+
+
+def test_polygons_too_large_to_be_cut_are_refused_unless_they_are_convex():
+    angle = np.linspace(0, 2 * np.pi, 20_000, endpoint=False)
+    circle = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(20_000)])
+    corners, offsets = np.arange(20_000, dtype=np.int32), np.array([0, 20_000])
+    assert len(triangulate(circle, corners, offsets)) == 19_998
+    circle[10_000, :2] *= 0.5
+    with pytest.raises(InputError, match="20000 corners is not convex"):
+        triangulate(circle, corners, offsets)
