@@ -189,14 +189,44 @@ def test_the_same_triangles_with_another_texture_are_taken_too(tmp_path):
     np.testing.assert_array_equal(surface(model, tmp_path).texture_of, [0, 0, 1, 1])
 
 
-def test_diffuse_is_the_base_colour_where_there_is_no_other(tmp_path):
+def test_diffuse_is_the_base_colour_alone_or_beside_another(tmp_path):
     model = Textured()
     plain, gloss = (model.texture(model.image(picture(n))) for n in (1, 2))
     square(model, model.material(diffuse=gloss))
     square(model, model.material(diffuse=gloss, baseColor=plain), translation=[1, 0, 0])
+    square(model, model.material(diffuse=plain, baseColor=plain), translation=[2, 0, 0])
     found = surface(model, tmp_path)
     assert [texture.data for texture in found.textures] == [picture(2), picture(1)]
-    np.testing.assert_array_equal(found.texture_of, [0, 0, 1, 1])
+    places = found.positions[found.faces][:, :, 0].min(axis=1)
+    shown = list(zip(places.tolist(), found.texture_of.tolist(), strict=True))
+    assert sorted(shown) == [(0, 0)] * 2 + [(1, 0)] * 2 + [(1, 1)] * 2 + [(2, 1)] * 2
+    spaces = found.space_of[found.faces[:, 0]]
+    assert [set(spaces[places == place]) for place in (0, 2)] == [{0}, {0}]
+    assert len(set(spaces[places == 1])) == 2
+
+
+def test_every_variant_of_a_material_is_a_surface_of_its_own(tmp_path):
+    model = Textured()
+    materials = [model.material(baseColor=model.texture(model.image(picture(n)))) for n in range(3)]
+    mappings = [
+        {"material": 1, "variants": [0, 2]},
+        {"material": 2, "variants": [1]},
+        {"material": 0, "variants": [3]},
+    ]
+    for shift in (0, 1):
+        mesh = square(model, materials[0], translation=[shift, 0, 0])
+        primitive = model.tree["meshes"][mesh]["primitives"][0]
+        primitive["extensions"] = {"KHR_materials_variants": {"mappings": mappings}}
+    found = surface(model, tmp_path)
+    spaces = found.space_of[found.faces[:, 0]]
+    assert [texture.data for texture in found.textures] == [picture(n) for n in range(3)]
+    for number in range(3):
+        shown = found.texture_of == number
+        assert (
+            np.count_nonzero(shown) == 4
+        )  # both squares, once each, though two variants show the second image
+        assert len(set(spaces[shown])) == 1
+    assert len(set(spaces)) == 3
 
 
 def test_webp_is_taken_before_its_fallback(tmp_path):

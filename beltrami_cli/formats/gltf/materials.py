@@ -10,6 +10,8 @@ import numpy as np
 from beltrami_cli.mesh.textured import Slot
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from beltrami_cli.formats.gltf.tree import Entry
@@ -27,9 +29,11 @@ PATHS: dict[Slot, tuple[tuple[str, ...], ...]] = {
     "occlusion": (("occlusionTexture",),),
     "metallicRoughness": (("pbrMetallicRoughness", "metallicRoughnessTexture"),),
 }
-"""Where a material holds the textureInfos of a slot; the first that is there is the one that is smoothed on."""
+"""Where a material holds the textureInfos of a slot; where there are several, a viewer shows one or the other."""
 
 _TRANSFORM = "KHR_texture_transform"
+_VARIANTS = "KHR_materials_variants"
+_MOST_VARIANTS = 1 << 16
 
 
 @dataclass(frozen=True)
@@ -68,7 +72,7 @@ class Painting:
 
 
 def infos(material: Entry, slot: Slot) -> list[Entry]:
-    """Return the textureInfos that a material has for a slot, the one that counts first."""
+    """Return the textureInfos that a material has for a slot, that of core glTF first."""
     found = []
     for *parents, last in PATHS[slot]:
         holder = material
@@ -85,8 +89,8 @@ def present_slots(root: Entry) -> tuple[Slot, ...]:
     return tuple(slot for slot in SLOTS if any(infos(material, slot) for material in materials))
 
 
-def paintings(root: Entry, slot: Slot) -> list[Painting | None]:
-    """Return what each material has in a slot.
+def paintings(root: Entry, slot: Slot) -> list[list[Painting]]:
+    """Return what each material has in a slot: none, one, or several of which a viewer shows one.
 
     Raises
     ------
@@ -94,13 +98,47 @@ def paintings(root: Entry, slot: Slot) -> list[Painting | None]:
         If a texture does not exist, or its transform is not made of finite numbers.
     """
     count = len(root.entries("textures"))
-    found: list[Painting | None] = []
+    found: list[list[Painting]] = []
     for index, material in enumerate(root.entries("materials")):
-        info = next(iter(infos(material, slot)), None)
         name = material.text("name") or f"material {index}"
         hides = material.text("alphaMode") in ("MASK", "BLEND")
-        found.append(None if info is None else _painting(name, info, count, hides))
+        found.append([_painting(name, info, count, hides) for info in infos(material, slot)])
     return found
+
+
+def looks(primitive: Entry, palette: Sequence[Sequence[Painting]]) -> list[tuple[int, Painting | None]]:
+    """Return what a primitive can be painted with.
+
+    Parameters
+    ----------
+    primitive : Entry
+        The primitive.
+    palette : sequence of sequence of Painting
+        What each material has.
+
+    Returns
+    -------
+    list of (int, Painting or None)
+        First look 0, which viewers show by default, then others, of which primitives with the same number are shown
+        together: an extension's material in place of the core one, and variants of materials.
+
+    Raises
+    ------
+    InputError
+        If a material does not exist.
+    """
+    default = _palette(primitive, palette)
+    found: list[tuple[int, Painting | None]] = [(0, default[0] if default else None)]
+    found += [(1, painting) for painting in default[1:]]
+    for mapping in primitive.entry("extensions").entry(_VARIANTS).entries("mappings"):
+        chosen = _palette(mapping, palette)[:1]
+        variants = mapping.integers("variants", below=_MOST_VARIANTS)
+        found += [(2 + variant, painting) for variant in variants for painting in chosen]
+    return found
+
+
+def _palette(holder: Entry, palette: Sequence[Sequence[Painting]]) -> Sequence[Painting]:
+    return palette[holder.integer("material", below=len(palette))] if "material" in holder else ()
 
 
 def _painting(name: str, info: Entry, count: int, alpha_hides: bool) -> Painting:
