@@ -14,15 +14,16 @@ from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.beside import Beside
 from beltrami_cli.formats.document import NO_IMAGES, Document, Written
 from beltrami_cli.formats.obj.materials import Materials
+from beltrami_cli.formats.obj.normals import read_normals
 from beltrami_cli.formats.obj.polygons import among, read_polygons
-from beltrami_cli.formats.obj.recolouring import recoloured
+from beltrami_cli.formats.obj.renumbering import new_colours, new_positions, renumbered
 from beltrami_cli.formats.obj.repainting import repainted, shifted
 from beltrami_cli.formats.obj.statements import Statements
 from beltrami_cli.formats.obj.texturing import gather_textured, read_coordinates
 from beltrami_cli.formats.obj.vertices import read_vertices
 from beltrami_cli.formats.scale import full_scale
 from beltrami_cli.formats.tokens import Spans, exchange_spans
-from beltrami_cli.mesh.painted import MeshContents, PaintedVertices
+from beltrami_cli.mesh.painted import MeshContents, MovedVertices, PaintedVertices
 from beltrami_cli.mesh.polygons import triangulate
 
 if TYPE_CHECKING:
@@ -128,6 +129,7 @@ class ObjDocument(Document):
         *,
         moved: bool,
         images: Mapping[tuple[Slot, str], ImageFile] = NO_IMAGES,
+        places: MovedVertices | None = None,
     ) -> Written:
         """Return the files with other colours and images; see `Document.patch`."""
         sidecars: dict[str, Bytes] = {}
@@ -136,14 +138,35 @@ class ObjDocument(Document):
             source = Path(self.name).stem
             sidecars, spans = repainted(self._materials, images, source, stem, moved=moved)
         data = exchange_spans(self._data, spans)
-        if colours is None:
-            return Written([data], sidecars)
-        starts, ends = (
-            shifted(places, spans)
-            for places in (self._scan.vertices.token_starts, self._scan.vertices.token_ends)
-        )
-        changed = colours != self._colours
-        return Written(recoloured(data, starts, ends, colours, changed, self._scale), sidecars)
+        known = self._scan.vertices
+        starts, ends = (shifted(tokens, spans) for tokens in (known.token_starts, known.token_ends))
+        parts = []
+        if colours is not None:
+            changed = colours != self._colours
+            parts.append(new_colours(data, starts[:, 3:], ends[:, 3:], colours, changed, self._scale))
+        if places is not None:
+            changed = places.positions != known.positions[known.coloured]
+            parts.append(new_positions(data, starts[:, :3], ends[:, :3], places.positions, changed))
+        return Written(renumbered(data, parts) if parts else [data], sidecars)
+
+    def require_movable(self) -> None:
+        """Check nothing: any number can be exchanged in a text."""
+
+    def attributes(self) -> tuple[str, ...]:
+        """Return whether there are normals; see `Document.attributes`."""
+        return ("normal",) if "normals" in self._scan.dropped else ()
+
+    def attribute(self, name: str) -> NDArray[np.float64]:
+        """Return the normals of the coloured vertices; see `Document.attribute`."""
+        if name.lower() not in self.attributes():
+            return super().attribute(name)
+        vertices = self._scan.vertices
+        statements = Statements(self._data, self.name)
+        normals = read_normals(statements, self._scan.corners, len(vertices.positions))[vertices.coloured]
+        if np.isnan(normals).any():
+            row = int(vertices.coloured[int(np.argmax(np.isnan(normals).any(axis=1)))])
+            raise InputError(self.name, f"vertex {row + 1} has no normal, so normals cannot guide")
+        return normals
 
     def references(self) -> Sequence[str]:
         """Return the material files inside the folder and the textures that they name."""

@@ -110,16 +110,23 @@ class Statements:
 
     def second_indices(self, tokens: NDArray[np.int64]) -> NDArray[np.int64]:
         """Read the whole numbers that tokens have behind their first "/"; 0 where there is none."""
+        return self._indices_behind(tokens, 1, "texture coordinates")
+
+    def third_indices(self, tokens: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Read the whole numbers that tokens have behind their second "/"; 0 where there is none."""
+        return self._indices_behind(tokens, 2, "a normal")
+
+    def _indices_behind(self, tokens: NDArray[np.int64], slash: int, of: str) -> NDArray[np.int64]:
         values = np.zeros(len(tokens), np.int64)
-        slashes = np.append(np.flatnonzero(self._characters == ord("/")), len(self._characters))
+        ends = np.full(slash, len(self._characters))
+        slashes = np.append(np.flatnonzero(self._characters == ord("/")), ends)
         for block in _blocks(len(tokens)):
             chosen = tokens[block]
-            begins = slashes[np.searchsorted(slashes, self.starts[chosen])] + 1
+            begins = slashes[np.searchsorted(slashes[:-slash], self.starts[chosen]) + slash - 1] + 1
             given = begins < self.ends[chosen]
             given[given] = self._characters[begins[given]] != ord("/")
-            values[block][given], zeros = self._whole(
-                chosen[given], begins[given], "has no index of texture coordinates behind its first '/'"
-            )
+            cause = f"has no index of {of} behind its {'first' if slash == 1 else 'second'} '/'"
+            values[block][given], zeros = self._whole(chosen[given], begins[given], cause)
             if zeros.any():
                 raise self.error(
                     chosen[given][int(np.argmax(zeros))], "has the index 0; indices count from 1"

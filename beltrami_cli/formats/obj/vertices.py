@@ -32,8 +32,8 @@ class Vertices:
         The numbers in the file.
     alpha : ndarray of float64, shape (V,), or None
         The numbers in the file, if all coloured vertices have one.
-    token_starts, token_ends : ndarray of int64, shape (V, 3)
-        Where the colours stand in the file.
+    token_starts, token_ends : ndarray of int64, shape (V, 6)
+        Where the positions and the colours of coloured vertices stand in the file.
     notice : str
         How numbers were understood that can mean two things, or empty.
     """
@@ -89,14 +89,15 @@ def read_vertices(statements: Statements, name: str) -> Vertices:
         + ((sizes[coloured] == _BOTH) | ((sizes[coloured] == _ALPHA_OR_WEIGHT) & weights))
     )
     colour_at = colour_at[:, None] + np.arange(3)
+    known_at = np.column_stack([offsets[coloured, None] + np.arange(3), colour_at])
     has_alpha = offsets[coloured + 1] - colour_at[:, 2] > 1
     return Vertices(
         positions=values[offsets[:-1, None] + np.arange(3)],
         coloured=coloured,
         colours=values[colour_at],
         alpha=values[colour_at[:, 2] + 1] if has_alpha.size and has_alpha.all() else None,
-        token_starts=statements.starts[tokens[colour_at]],
-        token_ends=statements.ends[tokens[colour_at]],
+        token_starts=statements.starts[tokens[known_at]],
+        token_ends=statements.ends[tokens[known_at]],
         notice=notice,
     )
 
