@@ -74,6 +74,17 @@ class Document(ABC):
             If the document has no vertex colours, or they or the geometry are damaged.
         """
 
+    def grid(self) -> NDArray[np.int64] | None:
+        """Return the regular grid that the vertices were measured on, if that is their surface.
+
+        Returns
+        -------
+        ndarray of int64, shape (H, W), or None
+            Which row of `painted()` stands at each place, -1 for none. Positions may then not be finite, where nothing
+            was measured. None: the vertices are no range image.
+        """
+        return None
+
     def has_vertex_colours(self) -> bool:
         """Tell whether `painted` has anything to return, without checking all of it."""
         try:

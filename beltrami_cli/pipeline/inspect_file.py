@@ -10,7 +10,8 @@ import numpy as np
 
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.image.recognition import is_image
-from beltrami_cli.formats.source import document_of, read_source
+from beltrami_cli.formats.source import read_source
+from beltrami_cli.pipeline.opening import document_from, refuse_options_of_level_sets
 from beltrami_cli.pipeline.room import require_room_for_textures
 from beltrami_cli.pipeline.settings import DEFAULTS, SmoothSettings
 from beltrami_cli.pipeline.work import choose_work
@@ -36,7 +37,7 @@ def inspect_file(
     Parameters
     ----------
     source : path
-        PLY, OBJ, glTF or GLB, or an image; "-" for standard input.
+        PLY, OBJ, glTF or GLB, an image, or a level set on a grid (.npz, .nrrd); "-" for standard input.
     settings : SmoothSettings
         What smoothing would be told.
     access : Access
@@ -61,13 +62,17 @@ def inspect_file(
     name = os.fspath(source)
     data = read_source(name, access)
     if is_image(data, name):
+        refuse_options_of_level_sets(settings, name)
         return _describe_image(data, "<stdin>" if name == "-" else name, settings, access)
-    document = document_of(data, name, access)
+    document = document_from(data, name, settings, access)
     work = choose_work(document, settings)
     facts: dict[str, object] = {
         "file": {"name": document.name, "format": document.format, **document.facts()}
     }
-    if work.vertices:
+    grid = document.grid() if work.vertices else None
+    if grid is not None:
+        facts.update(_describe_range(document, grid, settings))
+    elif work.vertices:
         facts.update(_describe_vertices(document, settings))
     require_room_for_textures(document, work.slots, settings.textures, access)
     slots = [_describe_slot(document, slot, settings) for slot in work.slots]
@@ -117,6 +122,28 @@ def _describe_vertices(document: Document, settings: SmoothSettings) -> dict[str
         "noise": {painted.channels[i]: float(s) for i, s in zip(prepared.channels, flow.sigma, strict=True)},
         "smooth": _describe_kernel(settings, flow.beta)
         | {"samples_per_kernel": round(flow.probe_samples(_PROBED_KERNELS), 1)},
+    }
+
+
+def _describe_range(
+    document: Document, grid: NDArray[np.int64], settings: SmoothSettings
+) -> dict[str, object]:
+    from beltrami_cli.pipeline.smooth_range import prepare_range
+
+    prepared = prepare_range(document.painted(), grid, settings)
+    flow = prepared.flow(settings)
+    samples = len(flow.atlas.owned_texels)
+    return {
+        "colours": _describe_colours(prepared.painted),
+        "surface": {
+            "range_image": [grid.shape[1], grid.shape[0]],
+            "vertices": len(prepared.painted.positions),
+            "samples": samples,
+            "holes": grid.size - samples,
+            "mean_edge_length": flow.spacing,
+        },
+        "noise": prepared.named(flow.sigma),
+        "smooth": _describe_kernel(settings, flow.beta),
     }
 
 

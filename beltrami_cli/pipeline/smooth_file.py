@@ -163,7 +163,11 @@ def _smooth_vertices(
 ) -> SmoothResult | None:
     if not work.vertices:
         return None
-    painted = document.painted()
+    painted, grid = document.painted(), document.grid()
+    if grid is not None:
+        from beltrami_cli.pipeline.smooth_range import smooth_range
+
+        return smooth_range(painted, grid, settings, _labelled(progress, "range image"))
     require_surface(painted, document.name)
     return smooth_painted(painted, settings, _labelled(progress, "vertex colours"))
 

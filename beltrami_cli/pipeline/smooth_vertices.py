@@ -126,9 +126,9 @@ def prepare(
     UsageError
         If the settings name channels that are not there.
     """
-    changing = _columns(painted, settings.channels)
+    changing = chosen_columns(painted, settings.channels)
     wanted = settings.embedding.metric_channels
-    counting = changing if wanted is None else _columns(painted, wanted)
+    counting = changing if wanted is None else chosen_columns(painted, wanted)
     channels = sorted({*changing, *counting})
     working = to_space(painted.colours[:, channels], painted.encoding, settings.space)
     surface, sampling = sample_vertices(painted, working)
@@ -170,7 +170,7 @@ def smooth_painted(
     channels, before = prepared.channels, prepared.surface.colours
     del prepared  # the flow has its own order of everything, and a large mesh is not held twice
     result = flow.run(progress)
-    changing = _columns(painted, settings.channels)
+    changing = chosen_columns(painted, settings.channels)
     written = [channels.index(channel) for channel in changing]
     colours = painted.colours.copy()
     colours[:, changing] = _to_vertices(painted, settings, changing, before, sampling, result, written)
@@ -225,8 +225,8 @@ def _to_vertices(
     return np.where(changed[:, None], back[sampling.sample_of], before)
 
 
-def _columns(painted: PaintedVertices, names: tuple[str, ...] | None) -> list[int]:
-    """Find the columns of channels by their names or first letters; None: all."""
+def chosen_columns(painted: PaintedVertices, names: tuple[str, ...] | None) -> list[int]:
+    """Find the columns of channels by their names or first letters; None: all. UsageError if one is not there."""
     if names is None:
         return list(range(len(painted.channels)))
     columns = []

@@ -18,6 +18,7 @@ from beltrami_cli.formats.ply.moving import moved_changes, require_real
 from beltrami_cli.formats.ply.paint import find_paint, finite_columns, read_colours, store_colours
 from beltrami_cli.formats.ply.patching import Change, patch_body
 from beltrami_cli.formats.ply.polygons import VERTEX_LISTS, read_polygons
+from beltrami_cli.formats.ply.range_grid import read_grid
 from beltrami_cli.formats.ply.repainting import renamed_images
 from beltrami_cli.formats.ply.tables import read_tables
 from beltrami_cli.formats.ply.texturing import find_coordinates, gather_textured, read_comments
@@ -77,14 +78,23 @@ class PlyDocument(Document):
     @cached_property
     def _painted(self) -> PaintedVertices:
         corners, offsets = self._polygons
+        positions = self._positions if self.grid() is None else self._measured
         return PaintedVertices(
-            positions=self._positions,
-            faces=triangulate(self._positions, corners, offsets),
+            positions=positions,
+            faces=triangulate(positions, corners, offsets),
             colours=self._colours.values,
             channels=self._paint.channels,
             encoding="srgb",
             stored=str(np.dtype(self._paint.type)),
         )
+
+    def grid(self) -> NDArray[np.int64] | None:
+        """Return the grid of a range image; see `Document.grid`."""
+        return self._grid
+
+    @cached_property
+    def _grid(self) -> NDArray[np.int64] | None:
+        return read_grid(self._data[: self._header.end], self._tables, self.name)
 
     def has_vertex_colours(self) -> bool:
         """Tell whether the vertices have colours."""
@@ -226,6 +236,12 @@ class PlyDocument(Document):
     @cached_property
     def _positions(self) -> NDArray[np.float64]:
         return self._columns(POSITION, "position")
+
+    @cached_property
+    def _measured(self) -> NDArray[np.float64]:
+        """Positions of a range image, in which what was not measured is not finite."""
+        with np.errstate(invalid="ignore"):
+            return np.column_stack([self._vertices.scalars(name) for name in POSITION]).astype(np.float64)
 
     @cached_property
     def _polygons(self) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
