@@ -13,6 +13,7 @@ from beltrami_cli.flow.parameters import PRESETS, KernelParameters, Space, Units
 from beltrami_cli.formats.access import Access
 from beltrami_cli.pipeline.bake_settings import DEFAULT_BAKE, BakeSettings
 from beltrami_cli.pipeline.image_settings import ImageSettings
+from beltrami_cli.pipeline.level_set_settings import MOST_VOXELS, Inside, LevelSetSettings
 from beltrami_cli.pipeline.settings import (
     DEFAULTS,
     IMAGE_FORMATS,
@@ -40,7 +41,12 @@ def _size(context: click.Context, parameter: click.Parameter, text: str | None) 
     return size
 
 
-_KERNEL, _TEXTURES, _IMAGE = DEFAULTS.kernel, DEFAULTS.textures, DEFAULTS.image
+_KERNEL, _TEXTURES, _IMAGE, _LEVEL_SET = (
+    DEFAULTS.kernel,
+    DEFAULTS.textures,
+    DEFAULTS.image,
+    DEFAULTS.level_set,
+)
 
 # A Gaussian of a smaller standard deviation, in sample spacings, has no weight beyond its own sample.
 SMALLEST_SCALE = 0.05
@@ -162,6 +168,24 @@ mask = click.option(
     "--mask", metavar="FILE",
     help="Of an image: an image of the same size that is 0 at holes. They stay as they are, and nothing crosses them.",
 )  # fmt: skip
+level = click.option(
+    "--level", type=float, default=_LEVEL_SET.level, metavar="L",
+    help="Of a level set: the value on its surface, such as 0.5 for occupancies.  [default: as INPUT says, or 0]",
+)  # fmt: skip
+inside = click.option(
+    "--inside", type=click.Choice(get_args(Inside)), default=_LEVEL_SET.inside, show_default=True,
+    help="Of a level set: which values are inside, below the level as signed distances, or above it as densities. "
+    "Triangles face outwards.",
+)  # fmt: skip
+colours = click.option(
+    "--colours", metavar="FILE",
+    help="Of a level set: a file with its colours, which may be on a grid of their own (.nrrd, .npz), or at points or "
+    "vertices near the surface (.npz, PLY and all other models).  [default: those in INPUT]",
+)  # fmt: skip
+max_voxels = click.option(
+    "--max-voxels", type=click.IntRange(8, MOST_VOXELS), default=_LEVEL_SET.max_voxels, show_default=True,
+    metavar="COUNT", help="Of a level set: the largest grid that is read.",
+)  # fmt: skip
 texture_size = click.option(
     "--texture-size", type=int, default=DEFAULT_BAKE.size, metavar="N",
     help="Longest side of the new texture in texels.  [default: from the triangles, or the old texture]",
@@ -209,14 +233,15 @@ verbose = click.option(
 
 _SMOOTHING = (
     iterations, time_step, beta, threshold, metric_scale, metric_steps, preset, on, space, channels, units, weights,
-    max_samples, window, height, height_scale, positions, mask, slots, materials, texture_names, alpha, gutter,
-    texture_format, jpeg_quality, small_png, threads,
+    max_samples, window, height, height_scale, positions, mask, level, inside, colours, max_voxels, slots, materials,
+    texture_names, alpha, gutter, texture_format, jpeg_quality, small_png, threads,
 )  # fmt: skip
 
 # Those of one kernel, which is not written back, and what the others are without being asked for.
 _STUDYING = (
     time_step, beta, threshold, metric_scale, metric_steps, preset, on, space, channels, units, weights, max_samples,
-    window, height, height_scale, positions, mask, slots, materials, texture_names, alpha, threads,
+    window, height, height_scale, positions, mask, level, inside, colours, max_voxels, slots, materials, texture_names,
+    alpha, threads,
 )  # fmt: skip
 _UNASKED = {
     "iterations": _KERNEL.iterations,
@@ -231,6 +256,7 @@ _KERNEL_OPTIONS = (
     "iterations", "t", "beta", "threshold", "weights", "units", "max_samples", "threads", "window", "metric_scale",
     "metric_steps",
 )  # fmt: skip
+_LEVEL_SET_OPTIONS = ("level", "inside", "colours", "max_voxels")
 
 
 def smoothing(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -318,6 +344,7 @@ def settings_from(options: dict[str, Any]) -> SmoothSettings:
             positions=options["positions"],
             mask=options["mask"],
         ),
+        level_set=LevelSetSettings(**{name: options[name] for name in _LEVEL_SET_OPTIONS}),
     )
 
 

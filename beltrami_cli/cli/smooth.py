@@ -27,6 +27,8 @@ Examples:
   beltrami smooth scan.glb clean.ply                    smooth vertex colours and convert
   beltrami smooth photo.jpg clean.png                   an image, on its plane
   beltrami smooth photo.png clean.png --height depth.exr --height-scale 200  an image on a height map
+  beltrami smooth fusion.npz clean.ply                  a level set with colours, as a mesh
+  beltrami smooth density.nrrd clean.glb --level 0.5 --inside above --colours points.ply
   beltrami smooth scan.ply blur.ply --beta 0            a Gaussian on the surface, for comparison
   beltrami smooth temperature.ply out.ply --space data  scalars painted as colours
   zcat scan.ply.gz | beltrami smooth - - | gzip > clean.ply.gz
@@ -68,6 +70,10 @@ def command(
     reads), or - for a pipe. OUTPUT keeps the bytes of INPUT apart from the colours. With another extension it is
     converted, and what the other format cannot hold is said: vertex colours go to any format, textures between glTF and
     GLB, images to any image format; other textured files keep their format.
+
+    INPUT may also be a level set on a grid, which becomes a mesh with a vertex for each voxel on the surface: NRRD, or
+    .npz with the arrays values (X, Y, Z) and colours (X, Y, Z, C), or points (P, 3) and point_colours (P, C) near the
+    surface; and, if there are, spacing, origin, level and mask (X, Y, Z). NaN, and 0 in the mask, are holes.
     """
     settings = options.settings_from(smoothing)
     unwrap = options.unwrapping_from(smoothing)

@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
-import csv
 import dataclasses
-import io
-import json
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from beltrami_cli.errors import UsageError
-from beltrami_cli.formats.document import Written
-from beltrami_cli.formats.source import open_document
-from beltrami_cli.pipeline.kernel_picture import draw_mesh, draw_window
+from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
+from beltrami_cli.formats.image.recognition import is_image
+from beltrami_cli.formats.source import read_source
+from beltrami_cli.pipeline.kernel_encoding import SUFFIXES, encode
 from beltrami_cli.pipeline.kernel_place import read_place
-from beltrami_cli.pipeline.kernel_study import MeshView
+from beltrami_cli.pipeline.opening import document_from, refuse_options_of_level_sets
 from beltrami_cli.pipeline.output import Output
-from beltrami_cli.pipeline.settings import DEFAULTS, IMAGE_SUFFIXES
+from beltrami_cli.pipeline.room import require_room_for_textures
+from beltrami_cli.pipeline.settings import DEFAULTS
 from beltrami_cli.pipeline.work import choose_work
 
 if TYPE_CHECKING:
@@ -29,8 +26,6 @@ if TYPE_CHECKING:
     from beltrami_cli.pipeline.kernel_place import Place
     from beltrami_cli.pipeline.kernel_study import KernelStudy
     from beltrami_cli.pipeline.settings import SmoothSettings
-
-_TABLES = (".csv", ".json", ".npz")
 
 
 def kernel_file(
@@ -43,6 +38,7 @@ def kernel_file(
     whole: bool = False,
     overwrite: bool = False,
     progress: Callable[[int, int], None] | None = None,
+    access: Access = EVERYTHING_INSIDE,
 ) -> dict[str, object]:
     """Write the geodesic distances and the weights of one kernel.
 
@@ -67,6 +63,8 @@ def kernel_file(
         Whether an existing file may be replaced.
     progress : callable, optional
         Called with the work done so far and the work to do of the iterations before; may raise to stop.
+    access : Access
+        What may be read.
 
     Returns
     -------
@@ -86,7 +84,7 @@ def kernel_file(
     if iteration < 1:
         raise UsageError(f"iteration is {iteration}, but must be 1 or more")
     suffix = ".csv" if target == "-" else Path(target).suffix.lower()
-    if suffix not in (*_TABLES, *IMAGE_SUFFIXES, ".ply"):
+    if suffix not in SUFFIXES:
         raise UsageError(
             f"{target}: a kernel is written as .ply, .png, .csv, .json or .npz; end the name in one"
         )
@@ -94,10 +92,18 @@ def kernel_file(
     output = Output(target, overwrite=overwrite, is_text=suffix == ".csv")
     kernel = dataclasses.replace(settings.kernel, iterations=iteration - 1)
     settings = dataclasses.replace(settings, kernel=kernel)
-    document = open_document(source)
-    study = _study(document, place, settings, whole=whole, progress=progress)
+    data = read_source(source, access)
+    if is_image(data, source):
+        from beltrami_cli.pipeline.kernel_pixels import study_pixel
+
+        name = "<stdin>" if source == "-" else source
+        refuse_options_of_level_sets(settings, name)
+        study = study_pixel(data, name, place, settings, access, progress)
+    else:
+        document = document_from(data, source, settings, access)
+        study = _study(document, place, settings, access, whole=whole, progress=progress)
     facts = {"input": source, "output": target, **study.facts}
-    output.write(_written(study, facts, suffix))
+    output.write(encode(study, facts, suffix))
     return facts
 
 
@@ -105,6 +111,7 @@ def _study(
     document: Document,
     place: Place,
     settings: SmoothSettings,
+    access: Access,
     *,
     whole: bool,
     progress: Callable[[int, int], None] | None,
@@ -118,46 +125,7 @@ def _study(
         raise UsageError(
             f"{document.name}: a kernel is of one image; choose --on vertices, or --on texture and one of --slots"
         )
+    require_room_for_textures(document, work.slots, settings.textures, access)
     from beltrami_cli.pipeline.kernel_texels import study_texel
 
     return study_texel(document, work.slots[0], place, settings, progress)
-
-
-def _written(study: KernelStudy, facts: dict[str, object], suffix: str) -> Written:
-    """Encode a study in the form that the extension asks for."""
-    if suffix == ".csv":
-        return Written([_as_csv(study).encode()])
-    if suffix == ".json":
-        columns = {name: values.tolist() for name, values in study.columns.items()}
-        return Written([(json.dumps({**facts, "columns": columns}, indent=2) + "\n").encode()])
-    if suffix == ".npz":
-        buffer = io.BytesIO()
-        np.savez(buffer, allow_pickle=False, facts=json.dumps(facts), **study.columns)
-        return Written([buffer.getvalue()])
-    view = study.view
-    if isinstance(view, MeshView) != (suffix == ".ply"):
-        shown = ".ply" if isinstance(view, MeshView) else ".png"
-        raise UsageError(
-            f"{facts['output']}: the kernel of a {str(facts['at']).split()[0]} is drawn as {shown}, or written as "
-            f"{', '.join(_TABLES)}"
-        )
-    if isinstance(view, MeshView):
-        from beltrami_cli.formats.ply.scalar_writer import write_scalars_as_ply
-
-        scalars = {"distance": view.distances, "weight": view.weights}
-        comments = [f"kernel of {facts['at']}, beta {facts['beta']:.6g}, t {facts['t']:.6g}"]
-        shades = draw_mesh(view, study.radius)
-        return write_scalars_as_ply(view.positions, view.faces, shades, scalars, comments)
-    from beltrami_cli.formats.image import write_image
-    from beltrami_cli.formats.image.fresh import fresh_picture
-
-    pixels = draw_window(view, study.radius)
-    return Written([write_image(fresh_picture(pixels, str(facts["output"])), pixels, suffix=suffix).data])
-
-
-def _as_csv(study: KernelStudy) -> str:
-    text = io.StringIO()
-    rows = csv.writer(text, lineterminator="\n")
-    rows.writerow(study.columns)
-    rows.writerows(zip(*(values.tolist() for values in study.columns.values()), strict=True))
-    return text.getvalue()

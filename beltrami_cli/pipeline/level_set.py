@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from beltrami_cli.formats.access import Access
     from beltrami_cli.formats.document import Written
-    from beltrami_cli.mesh.painted import PaintedVertices
+    from beltrami_cli.mesh.painted import MovedVertices, PaintedVertices
     from beltrami_cli.mesh.textured import ImageFile, Slot
     from beltrami_cli.mesh.volume import Volume
     from beltrami_cli.pipeline.level_set_settings import Inside, LevelSetSettings
@@ -119,6 +119,7 @@ class LevelSetDocument(Document):
         *,
         moved: bool,
         images: Mapping[tuple[Slot, str], ImageFile] = NO_IMAGES,
+        places: MovedVertices | None = None,
     ) -> Written:
         """Raise: a volume is no output."""
         raise InputError(
