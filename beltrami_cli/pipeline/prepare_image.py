@@ -136,6 +136,9 @@ def refuse_options_of_meshes(settings: SmoothSettings, name: str) -> None:
         "--texture-format": textures.image_suffix != usual.image_suffix,
         "--weights": kernel.weights != usual_kernel.weights,
         "--max-samples": kernel.max_samples != usual_kernel.max_samples,
+        "--guide": bool(settings.embedding.guides),
+        "--metric-channels": settings.embedding.metric_channels is not None,
+        "--smooth-geometry": settings.embedding.smooth_geometry,
     }
     wrong = [option for option, is_given in given.items() if is_given]
     if not wrong:
