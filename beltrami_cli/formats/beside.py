@@ -91,6 +91,8 @@ class Beside:
                 raise UnfitReferenceError("is not a regular file" if there.exists() else "is missing")
         except (OSError, ValueError, RuntimeError):  # Names that no file can have: too long, or with a NUL.
             raise UnfitReferenceError("cannot be the name of a file") from None
+        if is_outside(path) and there.is_relative_to(self._folder):  # out, and in again
+            return there.relative_to(self._folder).as_posix()
         return path
 
     def read(self, path: str, most: int = -1) -> bytes:

@@ -66,9 +66,11 @@ def repainted(
             edits.setdefault(library.path, {})[found.start, found.end] = _spelled(found, path, new, library)
     spans: Spans = {}
     for library in materials.libraries:
-        if exchange_spans(library.data, edits.get(library.path, {})) == library.data:
+        if library.path not in edits:
             continue
         new = library.path
+        if not is_outside(new) and exchange_spans(library.data, edits[new]) == library.data:
+            continue
         if is_outside(library.path):
             _take_along(materials, library, edits[library.path], sidecars, taken)
         if not moved or is_outside(library.path):

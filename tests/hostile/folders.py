@@ -1,0 +1,24 @@
+"""Folders as they are on the disk, to be compared."""
+
+from __future__ import annotations
+
+import stat
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+def snapshot(folder: Path) -> dict[str, tuple[int, bytes]]:
+    """Return the type, the mode and the content of everything in a folder, by relative path."""
+    found = {}
+    for path in sorted(folder.rglob("*")):
+        status = path.lstat()
+        if stat.S_ISLNK(status.st_mode):
+            content = str(path.readlink()).encode()
+        elif stat.S_ISREG(status.st_mode):
+            content = path.read_bytes()
+        else:
+            content = b""
+        found[str(path.relative_to(folder))] = status.st_mode, content
+    return found

@@ -1,0 +1,160 @@
+"""Only files inside the model's own folder are read unless that is allowed, and nothing is ever written outside."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from beltrami_cli.errors import InputError
+from beltrami_cli.formats.access import Access
+from beltrami_cli.formats.beside import Beside, UnfitReferenceError
+from beltrami_cli.formats.source import open_document
+from beltrami_cli.pipeline.smooth_file import smooth_file
+from hostile.folders import snapshot
+from hostile.textured_models import OTHER, PICTURE, write_model
+
+KINDS = ("obj", "ply", "gltf")
+OUTSIDE = Access(outside=True)
+
+
+@pytest.fixture
+def world(tmp_path: Path) -> Path:
+    """A folder of a model, and a secret one beside it."""
+    (tmp_path / "secret").mkdir()
+    (tmp_path / "secret" / "key.png").write_bytes(PICTURE)
+    (tmp_path / "secret" / "other.png").write_bytes(OTHER)
+    (tmp_path / "in").mkdir()
+    return tmp_path
+
+
+def hidden_names(world: Path) -> dict[str, str]:
+    """Names that must not be followed, by the words that say why."""
+    inside = world / "in"
+    os.mkfifo(inside / "fifo.png")
+    (inside / "folder.png").mkdir()
+    (inside / "zero.png").symlink_to("/dev/zero")
+    (inside / "link.png").symlink_to(world / "secret" / "key.png")
+    (inside / "loop.png").symlink_to("loop.png")
+    (inside / "linked").symlink_to(world / "secret")
+    (inside / ".hidden.png").write_bytes(PICTURE)
+    return {
+        "../secret/key.png": "leaves the model's folder",
+        "a/../../secret/key.png": "leaves the model's folder",
+        str(world / "secret" / "key.png"): "leaves the model's folder",
+        "http://127.0.0.1:9/key.png": "is not a relative path",
+        "https://127.0.0.1:9/key.png": "is not a relative path",
+        "file:///etc/passwd": "is not a relative path",
+        "//127.0.0.1/share/key.png": "is not a relative path",
+        "C:/secret/key.png": "is not a relative path",
+        "link.png": "leads out of the model's folder",
+        "linked/key.png": "leads out of the model's folder",
+        "fifo.png": "is not a regular file",
+        "folder.png": "is not a regular file",
+        "zero.png": "leads out of the model's folder",
+        "loop.png": "cannot be the name of a file",
+        ".hidden.png": "is a hidden file",
+        "absent.png": "is missing",
+        "a" * 5000: "cannot be the name of a file",
+    }
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_names_that_lead_elsewhere_are_refused_with_the_reason(kind: str, world: Path) -> None:
+    for name, reason in hidden_names(world).items():
+        model = write_model(world / "in", kind, name)
+        before = snapshot(world)
+        with pytest.raises(InputError) as caught:
+            smooth_file(model, world / f"out.{kind}")
+        assert reason in str(caught.value), name
+        assert "\n" not in str(caught.value)
+        assert snapshot(world) == before
+
+
+@pytest.mark.parametrize("name", ["..\\secret\\key.png", "\\\\127.0.0.1\\share\\key.png", "\\etc\\passwd"])
+@pytest.mark.parametrize("kind", ["obj", "ply"])
+def test_backslashes_lead_nowhere_else_either(kind: str, name: str, world: Path) -> None:
+    model = write_model(world / "in", kind, name)
+    with pytest.raises(InputError, match=r"leaves the model's folder|is not a relative path"):
+        open_document(str(model)).textured("baseColor")
+
+
+@pytest.mark.parametrize("library", ["../secret/m.mtl", "/dev/zero", "http://127.0.0.1:9/m.mtl", "fifo.mtl"])
+def test_material_libraries_elsewhere_are_left_alone(library: str, world: Path) -> None:
+    (world / "secret" / "m.mtl").write_text("newmtl m\nmap_Kd key.png\n")
+    model = write_model(world / "in", "obj", "key.png", library if "fifo" not in library else "m.mtl")
+    if "fifo" in library:
+        os.mkfifo(world / "in" / "fifo.mtl")
+        model.write_text(model.read_text().replace("m.mtl", "fifo.mtl"))
+    document = open_document(str(model))
+    assert document.slots() == ()
+    assert list(document.references()) == []
+    assert any(library in notice for notice in document.notices)
+
+
+def test_networks_and_devices_are_not_read_even_if_more_is_allowed(world: Path) -> None:
+    beside = Beside(world / "in", OUTSIDE)
+    os.mkfifo(world / "secret" / "fifo")
+    for name in (
+        "http://127.0.0.1:9/key.png",
+        "//127.0.0.1/key.png",
+        "/dev/zero",
+        "../secret/fifo",
+        "../.netrc",
+    ):
+        with pytest.raises(UnfitReferenceError):
+            beside.locate(name)
+
+
+def test_a_file_that_becomes_a_fifo_is_not_waited_for(world: Path) -> None:
+    path = world / "in" / "a.png"
+    path.write_bytes(PICTURE)
+    beside = Beside(world / "in")
+    located = beside.locate("a.png")
+    path.unlink()
+    os.mkfifo(path)
+    with pytest.raises(OSError, match="not a regular file"):
+        beside.read(located)
+
+
+@pytest.mark.parametrize("moved", [True, False])
+@pytest.mark.parametrize("absolute", [True, False])
+@pytest.mark.parametrize("kind", KINDS)
+def test_when_allowed_they_are_read_and_new_ones_written_inside(
+    kind: str, absolute: bool, moved: bool, world: Path
+) -> None:
+    name = str(world / "secret" / "key.png") if absolute else "../secret/key.png"
+    model = write_model(world / "in", kind, name)
+    target = (world / "out" if moved else world / "in") / f"result.{kind}"
+    target.parent.mkdir(exist_ok=True)
+    before = snapshot(world)
+    smooth_file(model, target, access=OUTSIDE)
+    after = snapshot(world)
+    assert {path: after[path] for path in before} == before
+    new = sorted(set(after) - set(before))
+    assert all(Path(path).parent.name == target.parent.name for path in new)
+    images = [path for path in new if path.endswith(".png")]
+    assert images == [f"{target.parent.name}/{'key.png' if moved else 'result_key.png'}"]
+    # Alone, in a folder of its own, the result is whole.
+    (texture,) = open_document(str(target)).textured("baseColor").textures
+    assert texture.data == after[images[0]][1] != PICTURE
+
+
+@pytest.mark.parametrize("moved", [True, False])
+def test_a_library_from_outside_comes_inside_with_all_its_images(moved: bool, world: Path) -> None:
+    (world / "secret" / "m.mtl").write_text(
+        "newmtl m\nmap_Kd key.png\nmap_Bump other.png\nnewmtl n\nmap_Kd ../in/own.png\n"
+    )
+    (world / "in" / "own.png").write_bytes(OTHER)
+    model = write_model(world / "in", "obj", "", "../secret/m.mtl")
+    target = (world / "out" if moved else world / "in") / "result.obj"
+    target.parent.mkdir(exist_ok=True)
+    before = snapshot(world)
+    smooth_file(model, target, access=OUTSIDE)
+    after = snapshot(world)
+    assert {path: after[path] for path in before} == before
+    document = open_document(str(target))
+    assert document.notices == []
+    assert document.textured("normal").textures[0].data == OTHER
+    assert (target.parent / "result.mtl").is_file()

@@ -1,0 +1,90 @@
+"""One textured square in each format that names files beside it, with the names to be chosen."""
+
+from __future__ import annotations
+
+import json
+import struct
+from pathlib import Path
+
+import numpy as np
+
+from formats.image_files import encode
+
+PICTURE = encode(np.random.default_rng(1).integers(0, 256, (16, 16, 3), np.uint8), "png")
+OTHER = encode(np.random.default_rng(2).integers(0, 256, (16, 16, 3), np.uint8), "png")
+
+_SQUARE = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\nusemtl m\nf 1/1 2/2 3/3 4/4\n"
+_HEADER = """ply
+format ascii 1.0
+comment TextureFile {}
+element vertex 4
+property float x
+property float y
+property float z
+property float s
+property float t
+element face 1
+property list uchar int vertex_indices
+end_header
+0 0 0 0 0
+1 0 0 1 0
+1 1 0 1 1
+0 1 0 0 1
+4 0 1 2 3
+"""
+
+
+def write_model(folder: Path, kind: str, image: str, library: str = "m.mtl") -> Path:
+    """Write model.KIND, and for OBJ its library, so that the texture has some name; return the model."""
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / f"model.{kind}"
+    if kind == "obj":
+        path.write_text(f"mtllib {library}\n{_SQUARE}")
+        beside = Path(library.replace("\\", "/"))
+        if not beside.is_absolute() and ".." not in beside.parts and ":" not in library:
+            (folder / beside).parent.mkdir(parents=True, exist_ok=True)
+            (folder / beside).write_text(f"newmtl m\nmap_Kd {image}\n")
+    elif kind == "ply":
+        path.write_text(_HEADER.format(image))
+    else:
+        path.write_bytes(_gltf(image))
+    return path
+
+
+def _gltf(image: str) -> bytes:
+    corners = [0, 0, 0, 1, 0, 0, 1, 1, 0, 0, 1, 0, 0, 1, 1, 1, 1, 0, 0, 0]
+    binary = struct.pack("<20f6B", *corners, 0, 1, 2, 0, 2, 3)
+    views = [(0, 48), (48, 32), (80, 6)]
+    tree = {
+        "asset": {"version": "2.0"},
+        "buffers": [{"byteLength": len(binary), "uri": f"data:;base64,{_base64(binary)}"}],
+        "bufferViews": [{"buffer": 0, "byteOffset": a, "byteLength": n} for a, n in views],
+        "accessors": [
+            {
+                "bufferView": 0,
+                "componentType": 5126,
+                "count": 4,
+                "type": "VEC3",
+                "min": [0, 0, 0],
+                "max": [1, 1, 0],
+            },
+            {"bufferView": 1, "componentType": 5126, "count": 4, "type": "VEC2"},
+            {"bufferView": 2, "componentType": 5121, "count": 6, "type": "SCALAR"},
+        ],
+        "meshes": [
+            {"primitives": [{"attributes": {"POSITION": 0, "TEXCOORD_0": 1}, "indices": 2, "material": 0}]}
+        ],
+        "materials": [{"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}],
+        "textures": [{"source": 0}],
+        "images": [{"uri": image}],
+        "nodes": [{"mesh": 0}],
+        "scenes": [{"nodes": [0]}],
+        "scene": 0,
+    }
+    return json.dumps(tree).encode()
+
+
+def _base64(data: bytes) -> str:
+    import base64
+
+    return base64.b64encode(data).decode()
