@@ -15,6 +15,8 @@ Examples:
   beltrami kernel scan.ply kernel.ply --at 0.1,0.2,0.3        of the vertex nearest to a position
   beltrami kernel model.glb kernel.png --at 0.31,0.62         of a texel, by its texture coordinates
   beltrami kernel model.obj kernel.png --at skin*:512px,300px in one of several textures, by its pixel
+  beltrami kernel photo.jpg kernel.png --at 640,360           of a pixel of an image, by column and row
+  beltrami kernel face.png kernel.png --at 90,170 --height depth.exr          on the surface of an image
   beltrami kernel scan.ply gauss.ply --at 1234 --beta 0       the linear kernel, for comparison
   beltrami kernel scan.ply - --at 1234 --preset paper         the paper's kernel, as a table
   beltrami kernel scan.ply later.ply --at 1234 --iteration 5  of the fifth iteration
@@ -43,6 +45,7 @@ OUTPUT by its extension:
 )  # fmt: skip
 @click.option("--whole", is_flag=True, help="Write the whole mesh, and not only what lies around the kernel.")
 @options.studying
+@options.reading
 @options.overwrite
 @options.quiet
 @options.verbose
@@ -65,7 +68,7 @@ def command(
     messages = Messages(quiet=quiet, verbose=verbose)
     from beltrami_cli.pipeline.kernel_file import kernel_file
 
-    with messages.progress() as progress:
+    with options.reading_from(smoothing, source) as access, messages.progress() as progress:
         facts = kernel_file(
             source,
             target,
@@ -77,6 +80,7 @@ def command(
             progress=None
             if progress is None
             else lambda done, total: progress("iterations before", done, total),
+            access=access,
         )
     messages.say(
         f"{target}: kernel of the {facts['at']}, {facts['samples']} samples up to {facts['furthest']:.3g} of "

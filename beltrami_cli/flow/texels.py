@@ -77,7 +77,10 @@ class TexelFlow:
         self._planes.reshape(len(self._planes), -1)[:, atlas.owned_cells] = colours.T
         refresh_halo(self._planes, atlas)
         self.sigma = estimate_sigma_on_grid(self._planes, atlas.kind == OWNED)
-        different = find_colour_jumps(atlas, self._planes, self.sigma)
+        different = np.zeros(max(1, atlas.seams), bool)
+        # Where colours do not count as distance, a jump of theirs is no edge.
+        if parameters.beta != 0 and (metric_channels is None or len(metric_channels)):
+            different = find_colour_jumps(atlas, self._planes, self.sigma)
         self.jumps = int(np.count_nonzero(different))
         if self.jumps:
             beyond = halo_beyond(atlas, different)

@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from beltrami_cli.flow.one_kernel import SampledKernel
     from beltrami_cli.flow.parameters import KernelParameters, Space
 
+_COLOURS = ("red", "green", "blue", "grey")
+
 
 @dataclass(frozen=True)
 class MeshView:
@@ -105,25 +107,30 @@ class Shown:
         return ("L", "a", "b", *self.channels[3:]) if self.space == "oklab" else self.channels
 
     def shades(self, colours: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return colours, shape (S, N), as display values of red, green and blue in [0, 1]; fewer become grey."""
-        coloured = [i for i, channel in enumerate(self.channels) if channel != "alpha"]
-        shades = from_space(colours[:, coloured], "srgb", self.space)
+        """Return colours, shape (S, N), as display values of red, green and blue in [0, 1]; other data are grey."""
+        coloured = [i for i, channel in enumerate(self.channels) if channel in _COLOURS]
+        if coloured:
+            shades = from_space(colours[:, coloured], "srgb", self.space)
+        else:  # data alone, whose numbers may have any range
+            low, high = colours[:, 0].min(), colours[:, 0].max()
+            shades = (colours[:, :1] - low) / max(high - low, np.float32(1e-30))
         if shades.shape[1] != 3:
             shades = np.repeat(shades.mean(axis=1, keepdims=True), 3, axis=1)
         return np.clip(shades, 0, 1)
 
 
 def describe(
-    kernel: SampledKernel, shown: Shown, parameters: KernelParameters, beta: float
+    kernel: SampledKernel, shown: Shown, parameters: KernelParameters, beta: float, unit: str = ""
 ) -> dict[str, object]:
-    """Return the facts of a kernel that do not depend on what it is on."""
+    """Return the facts of a kernel that do not depend on what it is on; `unit`: of length, if it is another."""
+    unit = unit or ("sample spacing" if parameters.units == "spacing" else "that of the file")
     return {
         "iteration": parameters.iterations + 1,
         "regularised_metric": parameters.is_regularised(parameters.iterations),
         "t": parameters.t,
         "beta": beta,
         "threshold": parameters.threshold,
-        "unit_of_length": "sample spacing" if parameters.units == "spacing" else "that of the file",
+        "unit_of_length": unit,
         "radius": parameters.radius,
         "space": shown.space,
         "samples": len(kernel.samples),
