@@ -135,6 +135,9 @@ def unpacked(data, files=None):
     for buffer in tree["buffers"]:
         uri = buffer.get("uri")
         if uri is None:
+            if len(buffers):  # only the first is in the chunk; others stand for what is compressed
+                buffers.append(None)
+                continue
             octets = binary
         elif uri.startswith("data:"):
             octets = base64.b64decode(uri.split(",")[1])

@@ -274,6 +274,15 @@ def test_numbers_that_are_not_finite_are_refused(attribute):
         document(model).painted()
 
 
+def test_signalling_nans_raise_no_warning():
+    model = Model()
+    octets = np.zeros((3, 3), "<u4")
+    octets[0, 0] = 0x7F800001
+    model.mesh(triangle(model, positions=octets.view("<f4")))
+    with pytest.raises(InputError, match="element 0 is not finite"):
+        document(model).painted()
+
+
 def test_shared_children_are_refused_before_they_multiply():
     model = broken(lambda tree, _: tree["nodes"].extend([{"children": [0]}, {"children": [0]}]))
     with pytest.raises(InputError, match="another parent"):

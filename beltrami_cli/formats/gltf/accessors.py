@@ -133,12 +133,11 @@ class Accessors:
             As `stored`, and if a number is not finite.
         """
         accessor, stored = self[index], self.stored(index)
+        if accessor.component.kind == "f" and not np.isfinite(stored).all():
+            row = int(np.nonzero(~np.isfinite(stored).all(axis=1))[0][0])
+            raise accessor.entry.fault("", f"element {row} is not finite")
         numbers = stored.astype(np.float64)
-        if accessor.component.kind == "f":
-            if not np.isfinite(stored).all():
-                row = int(np.nonzero(~np.isfinite(stored).all(axis=1))[0][0])
-                raise accessor.entry.fault("", f"element {row} is not finite")
-        elif accessor.normalised:
+        if accessor.component.kind != "f" and accessor.normalised:
             numbers = np.maximum(numbers / np.iinfo(stored.dtype).max, -1.0)
         return numbers
 

@@ -195,5 +195,7 @@ def _colours(stored: NDArray[Any]) -> NDArray[Any]:
         full = full | full >> shift  # all ones below the highest one
     opacity = (alpha << 1 & full) | (alpha & 1)
     values = np.stack([luma + orange - green, luma + green, luma - orange - green, opacity], axis=1)
-    scaled = values * ((2.0**bits - 1) / np.maximum(full, 1))[:, None]
-    return np.clip(np.rint(scaled), 0, 2**bits - 1).astype(stored.dtype)
+    # In single precision, as the decoders of viewers do.
+    scale = np.float32(2**bits - 1) / np.maximum(full, 1).astype(np.float32)
+    rounded = np.rint(values.astype(np.float32) * scale[:, None])
+    return np.clip(rounded, 0, 2**bits - 1).astype(stored.dtype)

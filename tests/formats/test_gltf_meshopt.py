@@ -1,0 +1,292 @@
+"""Views compressed by meshoptimizer: decoded as their extension defines, and compressed again without loss."""
+
+from __future__ import annotations
+
+import json
+import sys
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from beltrami_cli.errors import InputError
+from beltrami_cli.formats.gltf import GltfDocument
+from formats.gltf_comparison import json_differences
+from formats.gltf_compressed import CORNERS, GRID, SIDE, UV, meshopt_model, packed_attribute, packed_view
+from formats.gltf_files import Textured, joined, picture, unpacked
+
+EXTENSIONS = ("EXT_meshopt_compression", "KHR_meshopt_compression")
+COLOURS = np.random.default_rng(7).integers(0, 256, (len(GRID), 4)).astype("u1")
+
+
+def document(model, folder=None):
+    return GltfDocument(model.glb(), "model.glb", folder)
+
+
+def one_line(error):
+    assert "\n" not in str(error)
+
+
+@pytest.mark.parametrize("extension", EXTENSIONS)
+@pytest.mark.parametrize("mode", ["TRIANGLES", "INDICES"])
+@pytest.mark.parametrize("indices", ["<u2", "<u4"])
+@pytest.mark.parametrize("kind", ["<u1", "<u2", "<f4"])
+def test_compressed_models_are_what_they_were(extension, mode, indices, kind):
+    colours = COLOURS.astype(kind) / (255 if kind == "<f4" else 1)
+    model = meshopt_model(colours.astype(kind), indices=indices, mode=mode, extension=extension)
+    material = model.material(baseColor=model.texture(model.image(picture(1))))
+    model.tree["meshes"][0]["primitives"][0]["material"] = material
+    painted, surface = document(model).painted(), document(model).textured("baseColor")
+    turned = {tuple(np.roll(face, -int(np.argmin(face))).tolist()) for face in painted.faces}
+    assert turned == {tuple(np.roll(face, -int(np.argmin(face))).tolist()) for face in CORNERS}
+    full = 1 if kind == "<f4" else np.iinfo(kind).max
+    np.testing.assert_array_equal(painted.positions, GRID)
+    np.testing.assert_array_equal(painted.colours, (colours[:, :3] / full).astype(np.float32))
+    rows = surface.positions[surface.faces][..., :2] @ [1, SIDE]
+    np.testing.assert_allclose(surface.uv, UV[rows.astype(int)], atol=1 / 65535)
+
+
+def octahedral(x, y, one, rest, top):
+    """Return a normal as the extension's text spells it out."""
+    x, y = x / one, y / one
+    z = 1 - abs(x) - abs(y)
+    shift = max(-z, 0)
+    x += shift if x < 0 else -shift
+    y += shift if y < 0 else -shift
+    length = np.sqrt(x * x + y * y + z * z)
+    return [round(value / length * top) for value in (x, y, z)] + [rest]
+
+
+@pytest.mark.parametrize("kind", ["i1", "i2"])
+def test_octahedral_normals_are_decoded(kind):
+    top, rng = np.iinfo(kind).max, np.random.default_rng(0)
+    packed = rng.integers(-top, top + 1, (len(GRID), 4))
+    packed[:, 2] = top
+    expected = np.array([octahedral(*row, top) for row in packed.tolist()])
+    model = meshopt_model(COLOURS)
+    normals = packed_attribute(
+        model, expected.astype(f"<{kind}")[:, :3], filtered=packed.astype(f"<{kind}"), filter_name="OCTAHEDRAL",
+        normalized=True,
+    )  # fmt: skip
+    model.tree["meshes"][0]["primitives"][0]["attributes"]["NORMAL"] = normals
+    found = document(model).accessors.stored(normals)
+    np.testing.assert_allclose(found, expected[:, :3], atol=1)  # the decoder's own single precision
+
+
+def test_exponents_of_positions_are_decoded():
+    mantissas, exponents = np.rint(GRID * 8).astype("<i4"), -3
+    packed = (mantissas & 0xFFFFFF) | (exponents << 24)
+    model = meshopt_model(COLOURS)
+    position = packed_attribute(
+        model, GRID, filtered=packed.astype("<i4"), filter_name="EXPONENTIAL", bounds=True
+    )
+    model.tree["meshes"][0]["primitives"][0]["attributes"]["POSITION"] = position
+    np.testing.assert_array_equal(document(model).painted().positions, GRID)
+
+
+@pytest.mark.parametrize("kind", ["u1", "u2"])
+def test_luma_and_chroma_are_decoded_and_stored_as_colours_again(kind):
+    """By hand: with all bits in use, red = y + co - cg, green = y + cg, blue = y - co - cg."""
+    top = np.iinfo(kind).max
+    half = top // 2
+    packed = np.array([[half, 30, 10, top], [half, -40, -20, top], [half, 0, 0, half + 1]] * 12)
+    expected = np.array(
+        [
+            [half + 20, half + 10, half - 40, top],
+            [half - 20, half - 20, half + 60, top],
+            [half, half, half, 0],
+        ]
+        * 12
+    )
+    model = meshopt_model(COLOURS)
+    colour = packed_attribute(
+        model,
+        expected.astype(f"<{kind}"),
+        filtered=packed.astype(f"<{kind}"),
+        filter_name="COLOR",
+        normalized=True,
+    )
+    model.tree["meshes"][0]["primitives"][0]["attributes"]["COLOR_0"] = colour
+    opened = document(model)
+    stored = opened.accessors.stored(colour)
+    np.testing.assert_array_equal(stored, expected)
+    after = GltfDocument(
+        joined(opened.patch(1 - opened.painted().colours, "out", moved=False)), "out.glb", None
+    )
+    expected[:, :3] = top - expected[:, :3]
+    np.testing.assert_array_equal(after.accessors.stored(colour), expected)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    extension=st.sampled_from(EXTENSIONS),
+    seed=st.integers(0, 99),
+    fallback=st.booleans(),
+    steps=st.lists(st.sampled_from(("noise", "flat", "turned")), min_size=1, max_size=3),
+)
+def test_only_the_compressed_colours_change(tmp_path_factory, extension, seed, fallback, steps):
+    rng, folder = np.random.default_rng(seed), tmp_path_factory.mktemp("packed")
+    model = meshopt_model(COLOURS, extension=extension)
+    if fallback:
+        model.tree["buffers"][1]["uri"] = "plain.bin"
+        (folder / "plain.bin").write_bytes(bytes(model.fallback))
+    data = model.glb()
+    for step in steps:
+        opened = GltfDocument(data, "model.glb", folder)
+        colours = opened.painted().colours
+        made = {
+            "noise": rng.random(colours.shape),
+            "flat": np.full(colours.shape, 0.5),
+            "turned": 1 - colours,
+        }
+        written = opened.patch(made[step].astype(np.float32), "out", moved=True)
+        for name, octets in written.sidecars.items():
+            (folder / name).write_bytes(bytes(octets))
+        data = joined(written)
+        after = GltfDocument(data, "out.glb", folder)
+        expected = np.rint(made[step].astype(np.float32).astype(float) * 255)
+        stored = after.accessors.stored(1)
+        np.testing.assert_array_equal(stored[:, :3], expected)
+        np.testing.assert_array_equal(stored[:, 3], COLOURS[:, 3])
+        for index in (0, 2, 3):
+            np.testing.assert_array_equal(after.accessors.stored(index), opened.accessors.stored(index))
+        if fallback:
+            check_fallback(data, folder)
+    free = ("buffers[0].byteLength", "bufferViews[1].extensions", "accessors[1].m")
+    (old, old_buffers), (new, new_buffers) = (
+        unpacked(octets, {"plain.bin": (folder / "plain.bin").read_bytes()} if fallback else {})
+        for octets in (model.glb(), data)
+    )
+    assert [place for place in json_differences(old, new) if not place.startswith(free)] == []
+    check_bytes(old, old_buffers[0], new_buffers[0], extension)
+
+
+def check_bytes(old, before, after, extension):
+    """All bytes of the first buffer but those of the compressed colours are where they were."""
+    place = old["bufferViews"][1]["extensions"][extension]
+    start, end = place["byteOffset"], place["byteOffset"] + place["byteLength"]
+    size = old["buffers"][0]["byteLength"]
+    assert after[:start] == before[:start]
+    assert after[end:size] == before[end:size]
+
+
+def check_fallback(data, folder):
+    """Viewers that do not know the extension read the same numbers."""
+    opened = GltfDocument(data, "out.glb", folder)
+    tree = json.loads(json.dumps(opened.container.tree))
+    for view in tree["bufferViews"]:
+        view.pop("extensions", None)
+    plain = Textured()
+    plain.tree, plain.binary = tree, bytearray(opened.buffers.stored(0))
+    other = GltfDocument(plain.glb(), "plain.glb", folder)
+    for index in range(3):  # not the triangles, which the codec turns round
+        np.testing.assert_array_equal(other.accessors.stored(index), opened.accessors.stored(index))
+
+
+def test_colours_interleaved_with_other_attributes_leave_these_alone():
+    model = meshopt_model(COLOURS)
+    octets = np.concatenate([GRID.view(np.uint8).reshape(len(GRID), 12), COLOURS], axis=1)
+    view = packed_view(model, octets.tobytes(), 16, "ATTRIBUTES")
+    attributes = model.tree["meshes"][0]["primitives"][0]["attributes"]
+    attributes["POSITION"] = model.accessor(GRID, view, bounds=True)
+    attributes["COLOR_0"] = model.accessor(COLOURS, view, offset=12, normalized=True)
+    opened = document(model)
+    after = GltfDocument(
+        joined(opened.patch(1 - opened.painted().colours, "out", moved=False)), "out.glb", None
+    )
+    np.testing.assert_array_equal(after.accessors.stored(attributes["COLOR_0"])[:, :3], 255 - COLOURS[:, :3])
+    np.testing.assert_array_equal(after.accessors.stored(attributes["POSITION"]), GRID)
+
+
+def test_data_that_two_views_share_is_not_written_over():
+    model = meshopt_model(COLOURS)
+    views, accessors = model.tree["bufferViews"], model.tree["accessors"]
+    views.append(json.loads(json.dumps(views[1])))
+    accessors.append({**accessors[1], "bufferView": len(views) - 1})
+    model.tree["meshes"][0]["primitives"][0]["attributes"]["_KEPT"] = len(accessors) - 1
+    opened = document(model)
+    flat = np.full_like(opened.painted().colours, 0.5)  # which takes less room than noise
+    after = GltfDocument(joined(opened.patch(flat, "out", moved=False)), "out.glb", None)
+    np.testing.assert_array_equal(after.accessors.stored(len(accessors) - 1), COLOURS)
+    assert set(after.accessors.stored(1)[:, 0].tolist()) == {128}
+
+
+@pytest.mark.parametrize("changed", [False, True])
+def test_compressed_views_survive_the_way_to_text_and_back(tmp_path, changed):
+    model = meshopt_model(COLOURS)
+    opened = document(model)
+    colours = 1 - opened.painted().colours if changed else None
+    text = opened.repackaged(colours, "out", "gltf", moved=True)
+    for name, octets in text.sidecars.items():
+        (tmp_path / name).write_bytes(bytes(octets))
+    between = GltfDocument(joined(text), "out.gltf", tmp_path)
+    back = GltfDocument(joined(between.repackaged(None, "out", "glb", moved=True)), "out.glb", None)
+    for index in range(4):
+        expected = opened.accessors.stored(index).copy()
+        if changed and index == 1:
+            expected[:, :3] = 255 - expected[:, :3]
+        np.testing.assert_array_equal(back.accessors.stored(index), expected)
+    assert back.container.tree["bufferViews"][0]["extensions"]
+
+
+def test_a_substitute_that_becomes_part_of_the_file_is_no_substitute_any_more(tmp_path):
+    model = meshopt_model(COLOURS)
+    model.tree["buffers"].reverse()
+    for view in model.tree["bufferViews"]:
+        view["buffer"] = 0
+        view["extensions"]["EXT_meshopt_compression"]["buffer"] = 1
+    model.tree["buffers"][0]["uri"] = "plain.bin"
+    model.tree["buffers"][1] = {"uri": "packed.bin", "byteLength": len(model.binary)}
+    (tmp_path / "plain.bin").write_bytes(bytes(model.fallback))
+    (tmp_path / "packed.bin").write_bytes(bytes(model.binary))
+    opened = GltfDocument(json.dumps(model.tree).encode(), "model.gltf", tmp_path)
+    merged = GltfDocument(joined(opened.repackaged(None, "out", "glb", moved=True)), "out.glb", None)
+    assert len(merged.container.tree["buffers"]) == 1
+    assert "extensions" not in merged.container.tree["buffers"][0]
+    np.testing.assert_array_equal(merged.painted().colours, opened.painted().colours)
+
+
+def test_without_the_package_its_extra_is_named(monkeypatch):
+    opened = document(meshopt_model(COLOURS))
+    monkeypatch.setitem(sys.modules, "meshoptimizer", None)
+    with pytest.raises(InputError) as caught:
+        opened.painted()
+    assert "EXT_meshopt_compression" in str(caught.value)
+    assert "pip install 'beltrami-cli[meshopt]'" in str(caught.value)
+    assert opened.facts()["colour accessors"]
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "cause"),
+    [
+        ("buffer", 2, "buffer: is 2"),
+        ("byteOffset", 1 << 40, "leave buffers[0]"),
+        ("byteLength", 5, "its compressed data is damaged"),
+        ("count", 35, "count: is 35: 140 bytes, but the view has 144"),
+        ("byteStride", 6, "byteStride: is 6"),
+        ("mode", "SPHERES", "mode: is 'SPHERES'"),
+        ("mode", "TRIANGLES", "its compressed data is damaged"),
+        ("filter", "SEPIA", "filter: is 'SEPIA'"),
+        ("filter", "QUATERNION", "byteStride: is 4"),
+    ],
+)
+def test_contradictions_are_named_with_their_place(key, value, cause):
+    model = meshopt_model(COLOURS)
+    model.tree["bufferViews"][1]["extensions"]["EXT_meshopt_compression"][key] = value
+    with pytest.raises(InputError, match=r"bufferViews\[1\]\.extensions\.EXT_meshopt_compression") as caught:
+        document(model).painted()
+    assert cause in str(caught.value)
+
+
+@settings(max_examples=150, deadline=None)
+@given(where=st.integers(0, 2000), what=st.binary(min_size=1, max_size=5))
+def test_damaged_data_raises_only_input_errors(where, what):
+    model = meshopt_model(COLOURS)
+    where %= len(model.binary) - len(what)
+    model.binary[where : where + len(what)] = what
+    try:
+        opened = document(model)
+        opened.patch(1 - opened.painted().colours, "out", moved=False)
+    except InputError as error:
+        one_line(error)
