@@ -13,6 +13,7 @@ from beltrami_cli.formats.image import read_image
 from beltrami_cli.pipeline.grid_flow import grid_flow
 from beltrami_cli.pipeline.image_colours import ImageColours
 from beltrami_cli.pipeline.image_surface import read_surface
+from beltrami_cli.pipeline.room import require_room
 from beltrami_cli.pipeline.settings import DEFAULTS
 
 if TYPE_CHECKING:
@@ -95,9 +96,10 @@ def prepare_image(
     UsageError
         If the settings contradict the image, or are of meshes.
     InputError
-        If it, or an image of the surface, cannot be decoded or does not fit.
+        If it, or an image of the surface, cannot be decoded, does not fit, or needs more memory than there is.
     """
     refuse_options_of_meshes(settings, name)
+    require_room([(name, data)], access)
     picture = read_image(data, name, finite=False)
     colours = ImageColours(picture, settings)
     surface = read_surface(picture, settings.image, access)
