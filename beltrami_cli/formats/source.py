@@ -29,6 +29,7 @@ _ARCHIVES = {
 """What archives and compressed files start with, and where that stands."""
 
 _JSON = re.compile(rb"(?:\xef\xbb\xbf)?[ \t\r\n]*\{")
+_PIECE = 1 << 24
 _READABLE = "beltrami reads PLY, OBJ, glTF (.gltf) and GLB files"
 
 
@@ -141,10 +142,13 @@ def _read_file(path: Path, name: str, access: Access) -> bytes:
 
 
 def _read_stdin(access: Access) -> bytes:
-    data = sys.stdin.buffer.read(-1 if access.memory is None else access.memory + 1)
-    if access.memory is not None and len(data) > access.memory:
-        raise InputError("<stdin>", f"it has more than {access.memory} bytes", "raise --max-memory")
-    return data
+    pieces, size = [], 0
+    while piece := sys.stdin.buffer.read(_PIECE):  # room for all that is asked for at once is taken at once
+        pieces.append(piece)
+        size += len(piece)
+        if access.memory is not None and size > access.memory:
+            raise InputError("<stdin>", f"it has more than {access.memory} bytes", "raise --max-memory")
+    return b"".join(pieces)
 
 
 def _archive(data: bytes) -> str | None:

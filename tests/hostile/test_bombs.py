@@ -1,0 +1,168 @@
+"""Small files that promise huge contents cost no more than their refusal: one line, exit code 3, little memory."""
+
+from __future__ import annotations
+
+import gzip
+import json
+import os
+import struct
+import subprocess
+import zlib
+from typing import TYPE_CHECKING
+
+import pytest
+
+from cli.commands import COMMAND
+from formats.image_files import png_chunk
+from hostile.textured_models import PICTURE, write_model
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+LIMIT = "300M"
+# What the program takes before it has read anything, and the limit: more than that was not taken by the bomb.
+MOST = (160 + 300) << 20
+VERTICES = "\n".join(
+    [f"property float {axis}" for axis in "xyz"]
+    + [f"property uchar {name}" for name in ("red", "green", "blue")]
+)
+
+
+def ply(*lines: str, body: bytes = b"") -> bytes:
+    header = "\n".join(["ply", "format binary_little_endian 1.0", *lines, "end_header", ""])
+    return header.encode() + body
+
+
+def png(width: int, height: int, data: bytes, *chunks: bytes) -> bytes:
+    header = png_chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0))
+    return b"".join(
+        [b"\x89PNG\r\n\x1a\n", header, *chunks, png_chunk(b"IDAT", data), png_chunk(b"IEND", b"")]
+    )
+
+
+def gltf(tree: dict[str, object]) -> bytes:
+    return json.dumps({"asset": {"version": "2.0"}, **tree}).encode()
+
+
+def painted(count: int, **accessor: object) -> dict[str, object]:
+    """A glTF of one painted primitive whose accessors have some count and no bytes."""
+    colour = {"componentType": 5121, "normalized": True, "count": count, "type": "VEC3", **accessor}
+    return {
+        "accessors": [{"componentType": 5126, "count": count, "type": "VEC3"}, colour],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0, "COLOR_0": 1}}]}],
+    }
+
+
+def with_texture(image: bytes) -> Callable[[Path], Path]:
+    def make(folder: Path) -> Path:
+        path = write_model(folder, "ply", "bomb.png")
+        (folder / "bomb.png").write_bytes(image)
+        return path
+
+    return make
+
+
+def file(name: str, data: bytes) -> Callable[[Path], Path]:
+    def make(folder: Path) -> Path:
+        (folder / name).write_bytes(data)
+        return folder / name
+
+    return make
+
+
+def sparse_file(folder: Path) -> Path:
+    """A file of a tebibyte that takes no room on the disk."""
+    path = folder / "sparse.ply"
+    path.write_bytes(b"ply\n")
+    os.truncate(path, 1 << 40)
+    return path
+
+
+def many_maps(folder: Path) -> Path:
+    path = write_model(folder, "obj", "")
+    (folder / "m.mtl").write_text("newmtl m\n" + "".join(f"map_Kd {i}.png\n" for i in range(50_000)))
+    return path
+
+
+CROWD = {"nodes": [{"children": [i + 1]} if i < 19_999 else {} for i in range(20_000)]}
+NESTED = b'{"asset":' + b"[" * 200_000 + b"]" * 200_000 + b"}"
+REPEATED = b"{" + b",".join(b'"%d":0' % i for i in range(200_000)) + b',"199999":1}'
+SQUARE = "v 0 0 0\nv 1 0 0\nv 1 1 0\nf 1 2 3\n"
+BOMBS: dict[str, Callable[[Path], Path]] = {
+    "rows": file("a.ply", ply("element vertex 100000000000000000", VERTICES)),
+    "rows of nothing": file("a.ply", ply("element ghost 100000000000000000", "element vertex 3", VERTICES)),
+    "properties": file("a.ply", ply("element vertex 1", *(f"property char p{i}" for i in range(200_000)))),
+    "elements": file("a.ply", ply(*(f"element e{i} 0" for i in range(200_000)))),
+    "list": file(
+        "a.ply",
+        ply(
+            "element vertex 1",
+            VERTICES,
+            "element face 1",
+            "property list int int vertex_indices",
+            body=bytes(15) + struct.pack("<i", 2**31 - 1),
+        ),
+    ),
+    "sparse file": sparse_file,
+    "elements without bytes": file("a.gltf", gltf(painted(2**31 - 1))),
+    "sparse elements": file(
+        "a.gltf",
+        gltf(
+            {
+                "buffers": [{"byteLength": 8, "uri": "data:;base64,AAAAAAAAAAA="}],
+                "bufferViews": [{"buffer": 0, "byteLength": 8}],
+                **painted(
+                    2**31 - 1,
+                    sparse={
+                        "count": 1,
+                        "indices": {"bufferView": 0, "componentType": 5125},
+                        "values": {"bufferView": 0},
+                    },
+                ),
+            }
+        ),
+    ),
+    "buffer": file("a.gltf", gltf({"buffers": [{"byteLength": 2**40, "uri": "data:;base64,AAAA"}]})),
+    "chunk": file("a.glb", struct.pack("<4sIIII", b"glTF", 2, 20, 2**32 - 1, 0x4E4F534A)),
+    "nested": file("a.gltf", NESTED),
+    "repeated keys": file("a.gltf", REPEATED),
+    "scenes of all nodes": file("a.gltf", gltf({**CROWD, "scenes": [{"nodes": [0]}] * 20_000})),
+    "words of mtllib": file("a.obj", f"mtllib {'m ' * 500_000}\n{SQUARE}".encode()),
+    "names of mtllib": file("a.obj", (SQUARE + "mtllib m.mtl\n" * 200_000).encode()),
+    "missing maps": many_maps,
+    "pixels by the header": with_texture(png(65535, 65535, zlib.compress(b""))),
+    "pixels that are there": with_texture(png(8192, 8192, zlib.compress(bytes(8192 * (3 * 8192 + 1)), 9))),
+    "profile": with_texture(png(4, 4, b"", png_chunk(b"iCCP", b"a\0\0" + zlib.compress(bytes(1 << 28), 9)))),
+    "text": with_texture(png(4, 4, b"", png_chunk(b"zTXt", b"a\0\0" + zlib.compress(bytes(1 << 28), 9)))),
+    "archive": file("a.obj", b"PK\x03\x04" + bytes(100)),
+    "compressed": file("a.ply", gzip.compress(bytes(1 << 24))),
+}
+
+
+@pytest.mark.parametrize("bomb", BOMBS.values(), ids=BOMBS)
+def test_bombs_are_refused_in_one_line_and_little_memory(
+    bomb: Callable[[Path], Path], tmp_path: Path
+) -> None:
+    model = bomb(tmp_path)
+    before = sorted(path.name for path in tmp_path.iterdir())
+    out = tmp_path / f"out{model.suffix}"
+    arguments = [*COMMAND, "smooth", str(model), str(out), "--max-memory", LIMIT, "--threads", "1"]
+    run = subprocess.Popen(arguments, stderr=subprocess.PIPE)
+    assert run.stderr is not None
+    with run.stderr:
+        said = run.stderr.read().decode()
+    _, status, usage = os.wait4(run.pid, 0)
+    run.returncode = os.waitstatus_to_exitcode(status)
+    assert (run.returncode, said.count("\n")) == (3, 1), said
+    assert "Traceback" not in said
+    assert len(said) < 1000
+    assert usage.ru_maxrss << 10 < MOST, f"{usage.ru_maxrss >> 10} MiB"
+    assert usage.ru_utime + usage.ru_stime < 20, said
+    assert sorted(path.name for path in tmp_path.iterdir()) == before
+
+
+def test_a_large_image_is_smoothed_where_there_is_room(tmp_path: Path) -> None:
+    model = with_texture(PICTURE)(tmp_path)
+    arguments = [*COMMAND, "smooth", str(model), str(tmp_path / "out.ply"), "--max-memory", LIMIT]
+    assert subprocess.run(arguments, check=False).returncode == 0
