@@ -1,0 +1,120 @@
+"""`beltrami_cli.smooth_image` takes arrays that fit, and refuses all others with one line."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import beltrami_cli
+from beltrami_cli import smooth_image
+from beltrami_cli.errors import UsageError
+from beltrami_cli.mesh.transfer import linear_to_srgb, srgb_to_linear
+
+RANDOM = np.random.default_rng(0)
+IMAGE = np.clip(0.4 + 0.3 * (np.arange(20) > 9)[:, None] + RANDOM.normal(0, 0.05, (14, 20, 3)), 0, 1)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"colours": [0.1, 0.2]}, r"shape \(H, W\) or \(H, W, C\)"),
+        ({"colours": np.zeros((2, 3, 4, 5))}, r"\(H, W\) or"),
+        ({"colours": np.zeros((0, 3))}, r"\(H, W\) or"),
+        ({"colours": [[0.1], [0.2, 0.3]]}, "same length"),
+        ({"colours": [[0, 255], [255, 0]]}, "uint8"),
+        ({"positions": np.zeros((20, 14, 3))}, r"positions must be numbers of shape \(14, 20, M\)"),
+        ({"positions": np.zeros((14, 20))}, r"\(14, 20, M\)"),
+        ({"height": np.zeros((14, 20, 1))}, r"height must be numbers of shape \(14, 20\)"),
+        ({"height": [["a"] * 20] * 14}, "height must be numbers"),
+        ({"valid": np.ones((14, 19), bool)}, "valid must be numbers"),
+        ({"valid": np.ones((14, 20))}, "valid must be numbers"),
+        ({"height": np.zeros((14, 20)), "positions": np.zeros((14, 20, 3))}, "two surfaces"),
+        ({"window": 6}, "window is 6"),
+        ({"window": "7"}, "window is '7'"),
+        ({"height_scale": None}, "height_scale is None"),
+        ({"scheme": "other"}, "scheme is other"),
+        ({"space": "lab"}, "space is lab"),
+        ({"encoding": "gamma"}, "encoding is gamma"),
+        ({"space": "oklab", "colours": IMAGE[..., :2]}, "three channels"),
+    ],
+)
+def test_arrays_and_parameters_that_do_not_fit_are_refused_by_one_line(change, said):
+    with pytest.raises(UsageError, match=said) as caught:
+        smooth_image(**{"colours": IMAGE, **change})
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("kind", [np.uint8, np.uint16])
+def test_integers_are_taken_by_their_full_scale(kind):
+    whole = np.rint(IMAGE * np.iinfo(kind).max)
+    expected = smooth_image(whole / np.iinfo(kind).max, beta=5).colours
+    assert np.abs(smooth_image(whole.astype(kind), beta=5).colours - expected).max() < 1e-6
+
+
+def test_an_image_of_one_channel_needs_no_axis_for_it():
+    flat = smooth_image(IMAGE[..., 0], beta=5)
+    assert flat.colours.shape == (14, 20, 1)
+    np.testing.assert_array_equal(flat.colours, smooth_image(IMAGE[..., :1], beta=5).colours)
+
+
+def test_heights_are_positions_over_the_pixels():
+    y, x = np.mgrid[:14, :20]
+    height = np.sin(x) + y / 5
+    positions = np.dstack([x, y, 3 * height])
+    over = smooth_image(IMAGE, height=height, height_scale=3, beta=6)
+    at = smooth_image(IMAGE, positions=positions, beta=6, units="world")
+    np.testing.assert_array_equal(over.colours, at.colours)
+    level = smooth_image(IMAGE, height=height, height_scale=0, beta=6)
+    np.testing.assert_array_equal(level.colours, smooth_image(IMAGE, beta=6).colours)
+
+
+def test_what_is_not_finite_or_not_valid_is_a_hole_and_keeps_its_bits():
+    image, height, valid = IMAGE.astype(np.float32), np.zeros((14, 20)), np.ones((14, 20), bool)
+    image[2, 3, 1], image[5, 6] = np.nan, np.inf
+    height[7, 8], valid[9, 10] = -np.inf, False
+    result = smooth_image(image, height=height, valid=valid)
+    holes = [(2, 3), (5, 6), (7, 8), (9, 10)]
+    for place in holes:
+        assert result.colours[place].tobytes() == image[place].tobytes()
+    assert result.samples == image[..., 0].size - len(holes)
+    others = np.ones((14, 20), bool)
+    others[tuple(np.transpose(holes))] = False
+    assert (result.colours != image).any(axis=2)[others].all()
+
+
+def test_an_image_of_holes_only_comes_back():
+    image = np.full((4, 5, 2), np.nan)
+    result = smooth_image(image)
+    assert np.isnan(result.colours).all()
+    assert (result.samples, result.spacing) == (0, 0)
+
+
+def test_the_space_is_where_averages_are_taken():
+    for encoding, there, back in (
+        ("srgb", srgb_to_linear, linear_to_srgb),
+        ("linear", linear_to_srgb, srgb_to_linear),
+    ):
+        space = "linear" if encoding == "srgb" else "srgb"
+        expected = back(smooth_image(there(IMAGE), beta=4, space="data").colours)
+        found = smooth_image(IMAGE, beta=4, space=space, encoding=encoding).colours
+        assert np.abs(found - expected).max() < 1e-5
+    assert smooth_image(IMAGE, beta=4, space="oklab").colours.shape == IMAGE.shape
+
+
+def test_progress_rises_to_the_whole_and_can_stop_the_work():
+    calls = []
+    smooth_image(IMAGE, progress=lambda done, total: calls.append((done, total)))
+    done, totals = zip(*calls, strict=True)
+    assert list(done) == sorted(done)
+    assert done[-1] == totals[-1]
+
+    def stop(done, total):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        smooth_image(IMAGE, progress=stop)
+
+
+def test_it_is_offered_by_the_package():
+    assert beltrami_cli.smooth_image is smooth_image
+    assert "smooth_image" in beltrami_cli.__all__
