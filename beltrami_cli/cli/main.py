@@ -80,6 +80,8 @@ def main() -> NoReturn:
     for ending in _ENDINGS:
         if signal.getsignal(ending) is not signal.SIG_IGN:  # as nohup wants it
             signal.signal(ending, _interrupt)
+    if not any(map(_verbosity, sys.argv[1:])):
+        _part_from_libraries()
     try:
         sys.exit(group.main(prog_name="beltrami", standalone_mode=False) or 0)
     except click.Abort:
@@ -104,6 +106,18 @@ def main() -> NoReturn:
 
 def _interrupt(number: int, frame: FrameType | None) -> NoReturn:
     raise KeyboardInterrupt
+
+
+def _part_from_libraries() -> None:
+    """Keep messages of image decoders, which write to the standard error themselves, out of ours."""
+    try:
+        ours = os.dup(sys.stderr.fileno())
+    except (AttributeError, OSError, ValueError):  # There is none, or it is no file.
+        return
+    sys.stderr = os.fdopen(ours, "w", buffering=1, encoding=sys.stderr.encoding, errors="backslashreplace")
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 2)
+    os.close(nowhere)
 
 
 def _wants_traceback() -> bool:

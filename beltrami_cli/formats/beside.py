@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import posixpath
 import re
+import stat
 from pathlib import PurePosixPath
 from typing import TYPE_CHECKING
 
@@ -84,13 +85,16 @@ class Beside:
         if self._folder is None:
             raise UnfitReferenceError("is a file beside the model, whose folder is not known")
         try:
+            is_file = stat.S_ISREG((self._folder / path).stat().st_mode)
             there = (self._folder / path).resolve()
-            if not self.access.outside and not there.is_relative_to(self._folder):
-                raise UnfitReferenceError("leads out of the model's folder; only files inside it are read")
-            if not there.is_file():
-                raise UnfitReferenceError("is not a regular file" if there.exists() else "is missing")
+        except (FileNotFoundError, NotADirectoryError):
+            raise UnfitReferenceError("is missing") from None
         except (OSError, ValueError, RuntimeError):  # Names that no file can have: too long, or with a NUL.
             raise UnfitReferenceError("cannot be the name of a file") from None
+        if not self.access.outside and not there.is_relative_to(self._folder):
+            raise UnfitReferenceError("leads out of the model's folder; only files inside it are read")
+        if not is_file:
+            raise UnfitReferenceError("is not a regular file")
         if is_outside(path) and there.is_relative_to(self._folder):  # out, and in again
             return there.relative_to(self._folder).as_posix()
         return path

@@ -138,8 +138,11 @@ class Materials:
         if self._beside.find(whole) is not None:
             yield whole, start
             return
+        done = 0
         for begin, end in _split(whole.split(" #")[0]):  # A comment may follow.
-            yield whole[begin:end], start + len(os.fsencode(whole[:begin]))
+            start += len(os.fsencode(whole[done:begin]))
+            done = begin
+            yield whole[begin:end], start
 
     def _read(self, path: str, mentions: list[tuple[str, int, int]]) -> Library:
         try:
