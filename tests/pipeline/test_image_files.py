@@ -1,0 +1,327 @@
+"""Image files through `smooth_file`: what is kept, what is a hole, and what is refused."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+
+import numpy as np
+import pytest
+
+from beltrami_cli import (
+    ImageSettings,
+    InputError,
+    KernelParameters,
+    SmoothSettings,
+    TextureSettings,
+    UsageError,
+    inspect_file,
+    smooth_file,
+    smooth_image,
+)
+from beltrami_cli.formats.image import read_image, to_float
+from formats.image_files import RARER_SUFFIXES, SUFFIXES, encode, icc_profile
+
+ROWS, COLUMNS = 36, 44
+KINDS = [
+    ("png", "uint8", 1), ("png", "uint8", 3), ("png", "uint16", 4), ("tiff", "uint16", 3), ("tiff", "uint8", 2),
+    ("tiff", "half", 3), ("tiff", "float", 1), ("tiff", "uint16", 5), ("openexr", "half", 3), ("openexr", "float", 4),
+    ("openexr", "half", 5), ("bmp", "uint8", 3), ("targa", "uint8", 4), ("webp", "uint8", 3), ("jpegxl", "uint8", 3),
+    ("jpeg2000", "uint16", 3), ("pnm", "float", 3), ("dpx", "uint16", 3), ("sgi", "uint8", 3), ("fits", "float", 1),
+    ("rla", "uint8", 4),
+]  # fmt: skip
+
+
+def pixels_of(kind, channels, seed=0):
+    """Two colours with noise; alpha from 0 to 1 over the columns, in the middle of which 0."""
+    y, x = np.mgrid[:ROWS, :COLUMNS]
+    base = 0.3 + 0.3 * (x > y)[..., None] + np.linspace(0, 0.2, channels)
+    values = np.clip(base + np.random.default_rng(seed).normal(0, 0.05, base.shape), 0, 1)
+    if channels in (2, 4, 5):
+        values[..., 3 if channels == 5 else -1] = np.where(abs(x - 22) < 4, 0, 0.5 + x / 100)
+    if kind in ("uint8", "uint16"):
+        return np.rint(values * np.iinfo(kind).max).astype(kind)
+    return values.astype(np.float16 if kind == "half" else np.float32)
+
+
+def save(path, pixels, known=None, kind=None, **attributes):
+    known = known or next(k for k, suffix in (SUFFIXES | RARER_SUFFIXES).items() if suffix == path.suffix)
+    path.write_bytes(
+        encode(pixels, known, kind or str(pixels.dtype).replace("float32", "float"), **attributes)
+    )
+    return path
+
+
+def load(path):
+    return read_image(path.read_bytes(), path.name, finite=False)
+
+
+@pytest.mark.parametrize(("known", "kind", "channels"), KINDS)
+def test_a_file_keeps_its_type_its_alpha_and_what_cannot_be_seen(known, kind, channels, tmp_path):
+    pixels = pixels_of(kind, channels)
+    source = save(tmp_path / f"a{(SUFFIXES | RARER_SUFFIXES)[known]}", pixels, known, kind)
+    target = tmp_path / f"b{source.suffix}"
+    report = smooth_file(source, target)
+    old, new = load(source), load(target)
+    assert (new.stored, new.kinds, new.channels, new.format) == (old.stored, old.kinds, old.channels, known)
+    smoothed = [channel for channel in range(channels) if channel != old.alpha]
+    hidden = np.zeros((ROWS, COLUMNS), bool)
+    if old.alpha is not None:
+        np.testing.assert_array_equal(new.pixels[..., old.alpha], old.pixels[..., old.alpha])
+        hidden = old.pixels[..., old.alpha] == 0
+        np.testing.assert_array_equal(new.pixels[hidden], old.pixels[hidden])
+        assert report.image.image["holes"] == np.count_nonzero(hidden) > 0
+    for channel in smoothed:  # noise goes, in every channel
+        step = np.abs(np.diff(to_float(new)[..., channel], axis=1))
+        before = np.abs(np.diff(to_float(old)[..., channel], axis=1))
+        seen = ~(hidden[:, 1:] | hidden[:, :-1])
+        assert np.median(step[seen]) < 0.5 * np.median(before[seen])
+
+
+def test_the_file_has_what_the_arrays_give(tmp_path):
+    pixels = pixels_of("uint16", 3)
+    smooth_file(save(tmp_path / "a.tif", pixels), tmp_path / "b.tif")
+    expected = np.rint(smooth_image(pixels).colours * 65535.0)
+    assert np.abs(load(tmp_path / "b.tif").pixels - expected).max() <= 1  # of 65535: rounding halves
+
+
+def test_floats_are_linear_light_that_is_smoothed_as_the_eye_sees_it(tmp_path):
+    pixels = pixels_of("float", 3)
+    smooth_file(save(tmp_path / "a.exr", pixels), tmp_path / "b.exr")
+    expected = smooth_image(pixels, encoding="linear", space="srgb").colours
+    assert np.abs(load(tmp_path / "b.exr").pixels - expected).max() < 1e-5
+    smooth_file(tmp_path / "a.exr", tmp_path / "c.exr", SmoothSettings(space="data"))
+    expected = smooth_image(pixels, space="data").colours
+    assert np.abs(load(tmp_path / "c.exr").pixels - expected).max() < 1e-6
+
+
+def test_profile_and_texts_stay(tmp_path):
+    for name in ("a.png", "a.tif", "a.jpg"):
+        source = save(tmp_path / name, pixels_of("uint8", 3), ICCProfile=icc_profile(), Artist="me")
+        target = tmp_path / f"b{source.suffix}"
+        smooth_file(source, target)
+        old, new = load(source).spec, load(target).spec
+        assert new.getattribute("Artist") == old.getattribute("Artist") == "me"
+        if name != "a.png":  # where OpenImageIO writes no profile as small as this one
+            assert bytes(new.getattribute("ICCProfile")) == icc_profile()
+
+
+@pytest.mark.parametrize("name", ["a.png", "a.jpg", "a.gif", "a.exr"])
+def test_without_iterations_the_file_is_copied(name, tmp_path):
+    pixels = (
+        np.zeros((5, 7, 3), np.uint8)
+        if name == "a.gif"
+        else pixels_of("half" if name == "a.exr" else "uint8", 3)
+    )
+    source, target = (
+        save(tmp_path / name, pixels, kind=str(pixels.dtype).replace("float16", "half")),
+        tmp_path / f"b{name}",
+    )
+    smooth_file(source, target, SmoothSettings(KernelParameters(iterations=0)))
+    assert target.read_bytes() == source.read_bytes()
+
+
+def test_another_extension_converts_and_says_what_is_lost(tmp_path):
+    source = save(tmp_path / "a.png", pixels_of("uint16", 4))
+    report = smooth_file(
+        source, tmp_path / "b.jpg", SmoothSettings(textures=TextureSettings(jpeg_quality=90))
+    )
+    assert load(tmp_path / "b.jpg").stored == "uint8"
+    assert report.format == "jpg"
+    assert any("no alpha" in warning for warning in report.warnings)
+    small = tmp_path / "c.jpg"
+    smooth_file(source, small, SmoothSettings(textures=TextureSettings(jpeg_quality=20)))
+    assert small.stat().st_size < (tmp_path / "b.jpg").stat().st_size
+    smooth_file(source, tmp_path / "d.exr", SmoothSettings(KernelParameters(iterations=0)))
+    assert load(tmp_path / "d.exr").encoding == "linear"
+    smooth_file(source, tmp_path / "e", format="tif")
+    assert load(tmp_path / "e").format == "tiff"
+
+
+def test_channels_beyond_colours_are_smoothed_too_unless_left_out(tmp_path):
+    pixels = pixels_of("uint16", 5)
+    source = save(tmp_path / "a.tif", pixels)
+    report = smooth_file(source, tmp_path / "b.tif")
+    assert list(report.image.noise)[:3] == ["red", "green", "blue"]
+    assert len(report.image.noise) == 4
+    assert any("--channels leaves them out" in warning for warning in report.warnings)
+    assert (load(tmp_path / "b.tif").pixels != pixels)[..., 4].any()
+    report = smooth_file(source, tmp_path / "c.tif", SmoothSettings(channels=("r", "green")))
+    changed = (load(tmp_path / "c.tif").pixels != pixels).any(axis=(0, 1))
+    assert changed.tolist() == [True, True, False, False, False]
+    assert report.image.image["smoothed"] == ["red", "green"]
+    with pytest.raises(UsageError, match=r"no channel x; .* has red, green, blue"):
+        smooth_file(source, tmp_path / "d.tif", SmoothSettings(channels=("x",)))
+
+
+def test_alpha_is_smoothed_if_asked_for_and_then_nothing_is_hidden(tmp_path):
+    pixels = pixels_of("uint16", 4)
+    source = save(tmp_path / "a.png", pixels)
+    report = smooth_file(source, tmp_path / "b.png", SmoothSettings(textures=TextureSettings(alpha="smooth")))
+    assert list(report.image.noise) == ["red", "green", "blue", "alpha"]
+    assert report.image.image["holes"] == 0
+    hidden = pixels[..., 3] == 0
+    assert (load(tmp_path / "b.png").pixels != pixels)[hidden].any(axis=0)[:3].all()
+    assert (load(tmp_path / "b.png").pixels != pixels)[~hidden].any(axis=0).all()
+
+
+def test_what_is_no_finite_number_is_a_hole_that_stays(tmp_path):
+    pixels = pixels_of("float", 3)
+    pixels[4:8, 5:9], pixels[20, 30, 1] = np.nan, -np.inf
+    source = save(tmp_path / "a.exr", pixels)
+    report = smooth_file(source, tmp_path / "b.exr")
+    holes = ~np.isfinite(pixels).all(axis=2)
+    new = load(tmp_path / "b.exr").pixels
+    assert new[holes].tobytes() == pixels[holes].tobytes()
+    assert np.isfinite(new[~holes]).all()
+    assert any("17 pixels" in warning for warning in report.warnings)
+    report = smooth_file(source, tmp_path / "b.png")
+    assert any("no number becomes 0" in warning for warning in report.warnings)
+
+
+def test_a_mask_makes_holes_that_stay_and_lend_nothing(tmp_path):
+    pixels = pixels_of("uint8", 3)
+    mask = np.full((ROWS, COLUMNS, 1), 255, np.uint8)
+    mask[:, 20] = 0
+    source, shape = save(tmp_path / "a.png", pixels), save(tmp_path / "mask.png", mask)
+    settings = SmoothSettings(KernelParameters(beta=10), image=ImageSettings(mask=str(shape)))
+    smooth_file(source, tmp_path / "b.png", settings)
+    new = load(tmp_path / "b.png").pixels
+    np.testing.assert_array_equal(new[:, 20], pixels[:, 20])
+    other = pixels.copy()
+    other[:, 20:] = 255 - other[:, 20:]
+    smooth_file(save(tmp_path / "c.png", other), tmp_path / "d.png", settings)
+    np.testing.assert_array_equal(load(tmp_path / "d.png").pixels[:, :20], new[:, :20])
+
+
+def test_heights_and_positions_are_read_from_images(tmp_path):
+    pixels = pixels_of("float", 3)
+    y, x = np.mgrid[:ROWS, :COLUMNS].astype(np.float32)
+    height = (np.sin(x / 4) + 2).astype(np.float32)
+    height[3, 4] = np.nan
+    source = save(tmp_path / "a.exr", pixels)
+    kernel = KernelParameters(beta=8)
+
+    def smoothed(**images):
+        smooth_file(
+            source,
+            tmp_path / "b.exr",
+            SmoothSettings(kernel, "data", image=ImageSettings(**images)),
+            overwrite=True,
+        )
+        return load(tmp_path / "b.exr").pixels
+
+    depth = str(save(tmp_path / "depth.exr", height[..., None]))
+    expected = smooth_image(pixels, beta=8, space="data", height=height, height_scale=5).colours
+    assert np.abs(smoothed(height=depth, height_scale=5) - expected).max() < 1e-6
+    whole = np.rint(65535 * np.nan_to_num(height) / 4).astype(np.uint16)
+    depth = str(save(tmp_path / "depth.png", whole[..., None]))
+    expected = smooth_image(pixels, beta=8, space="data", height=whole / 65535, height_scale=20).colours
+    assert np.abs(smoothed(height=depth, height_scale=20) - expected).max() < 1e-6
+    places = np.dstack([x, 2 * y, height])
+    positions = str(save(tmp_path / "places.exr", places))
+    expected = smooth_image(pixels, beta=8, space="data", positions=places).colours
+    assert np.abs(smoothed(positions=positions) - expected).max() < 1e-6
+    seen = np.where(x > 5, 1, 0).astype(np.float32)
+    positions = str(save(tmp_path / "seen.exr", np.dstack([places, seen])))
+    expected = smooth_image(pixels, beta=8, space="data", positions=places, valid=seen > 0).colours
+    # OpenEXR has alpha multiplied in, of which 0 leaves nothing.
+    assert np.abs(smoothed(positions=positions) - expected)[seen > 0].max() < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("name", "pixels", "images", "error", "said"),
+    [
+        (
+            "m.exr",
+            np.zeros((4, 5, 1), np.float32),
+            "height",
+            InputError,
+            "m.exr: its 5 x 4 pixels do not fit the 44 x 36",
+        ),
+        ("m.exr", np.zeros((4, 5, 3), np.float32), "positions", InputError, "do not fit"),
+        ("m.png", np.zeros((4, 5, 1), np.uint8), "mask", InputError, "do not fit"),
+        ("m.png", pixels_of("uint8", 3), "height", InputError, "which of its channels R, G, B is the height"),
+        ("m.png", pixels_of("uint8", 1), "positions", InputError, "its channels Y are no positions"),
+        ("m.png", None, "mask", InputError, "cannot be read"),
+    ],
+)
+def test_images_that_do_not_fit_are_refused(name, pixels, images, error, said, tmp_path):
+    if pixels is not None:
+        save(tmp_path / name, pixels)
+    settings = SmoothSettings(image=ImageSettings(**{images: str(tmp_path / name)}))
+    with pytest.raises(error, match=said):
+        smooth_file(save(tmp_path / "a.png", pixels_of("uint8", 3)), tmp_path / "b.png", settings)
+    assert not (tmp_path / "b.png").exists()
+
+
+def test_a_height_may_be_one_channel_of_many_or_grey_in_three(tmp_path):
+    source = save(tmp_path / "a.png", pixels_of("uint8", 3))
+    render, height = pixels_of("float", 5), np.float32(7) * pixels_of("float", 1)
+    render[..., 4:] = height  # R, G, B, A, Z
+    results = []
+    for name, pixels in (("z.exr", render), ("one.exr", height), ("grey.exr", np.repeat(height, 3, axis=2))):
+        path = str(save(tmp_path / name, pixels))
+        settings = SmoothSettings(KernelParameters(beta=9, iterations=2), image=ImageSettings(height=path))
+        smooth_file(source, tmp_path / f"{name}.png", settings)
+        results.append(load(tmp_path / f"{name}.png").pixels)
+    np.testing.assert_array_equal(results[1], results[2])
+    seen = render[..., 3] > 0
+    border = np.s_[
+        :, :9
+    ]  # from column 19 on pixels are hidden, and two kernels with their metrics reach 10 columns
+    assert seen[border].all()
+    np.testing.assert_array_equal(results[0][border], results[1][border])
+
+
+@pytest.mark.parametrize(
+    ("settings", "option"),
+    [
+        (SmoothSettings(on="vertices"), "--on"),
+        (SmoothSettings(textures=TextureSettings(slots=("normal",))), "--slots"),
+        (SmoothSettings(textures=TextureSettings(materials=("skin",))), "--material"),
+        (SmoothSettings(textures=TextureSettings(names=("a.png",))), "--texture"),
+        (SmoothSettings(textures=TextureSettings(gutter=3)), "--gutter"),
+        (SmoothSettings(textures=TextureSettings(image_suffix=".png")), "--texture-format.* extension"),
+        (SmoothSettings(KernelParameters(weights="area")), "--weights"),
+        (SmoothSettings(KernelParameters(max_samples=9)), "--max-samples"),
+    ],
+)
+def test_what_can_be_said_of_meshes_only_is_refused_by_name(settings, option, tmp_path):
+    source = save(tmp_path / "a.png", pixels_of("uint8", 3))
+    with pytest.raises(UsageError, match=option):
+        smooth_file(source, tmp_path / "b.png", settings)
+
+
+def test_settings_of_images_contradict_neither_each_other_nor_the_file(tmp_path):
+    with pytest.raises(UsageError, match="two surfaces"):
+        ImageSettings(height="a", positions="b")
+    with pytest.raises(UsageError, match="add --height"):
+        ImageSettings(height_scale=2)
+    with pytest.raises(UsageError, match="finite"):
+        ImageSettings(height="a", height_scale=np.nan)
+    (tmp_path / "a.obj").write_text("v 0 0 0 1 0 0\nv 1 0 0 1 0 0\nv 0 1 0 1 0 0\nf 1 2 3\n")
+    with pytest.raises(UsageError, match="--mask: for images only"):
+        smooth_file(tmp_path / "a.obj", tmp_path / "b.obj", SmoothSettings(image=ImageSettings(mask="m.png")))
+    source = save(tmp_path / "a.png", pixels_of("uint8", 3))
+    for target in ("b.glb", "b.nothing"):
+        with pytest.raises(UsageError, match="no image format is known"):
+            smooth_file(source, tmp_path / target)
+    with pytest.raises(UsageError, match="cannot be written as GIF"):
+        smooth_file(source, tmp_path / "b.gif")
+    with pytest.raises(UsageError, match="grey"):
+        smooth_file(
+            save(tmp_path / "g.png", pixels_of("uint8", 1)), tmp_path / "b.png", SmoothSettings(space="oklab")
+        )
+
+
+def test_the_report_and_info_describe_the_image_in_json_types(tmp_path):
+    source = save(tmp_path / "a.png", pixels_of("uint8", 4))
+    report = asdict(smooth_file(source, tmp_path / "b.png", dry_run=True))
+    assert json.loads(json.dumps(report))["image"]["image"]["width"] == COLUMNS
+    assert report["written"] == []
+    assert not (tmp_path / "b.png").exists()
+    facts = json.loads(json.dumps(inspect_file(source)))
+    assert (facts["image"]["width"], facts["image"]["height"]) == (COLUMNS, ROWS)
+    assert facts["noise"] == report["image"]["noise"]
+    assert facts["smooth"]["beta"] == report["image"]["beta"]
