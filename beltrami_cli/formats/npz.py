@@ -1,4 +1,4 @@
-"""Archives of NumPy arrays (.npz): what is in them by their headers, and arrays no larger than allowed.
+"""NumPy's arrays, alone (.npy) and in archives (.npz): what they are by their headers, and none larger than allowed.
 
 Nothing is unpickled, and nothing is allocated before the headers have been checked: an archive costs no more than its
 refusal. The format: https://numpy.org/doc/stable/reference/generated/numpy.lib.format.html
@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import io
 import math
+import tokenize
+import warnings
 import zipfile
 import zlib
 from dataclasses import dataclass
@@ -23,6 +25,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _MAGIC = b"PK\x03\x04"
+NPY_MAGIC = b"\x93NUMPY"
 _LONGEST_HEADER = 10_000  # as NumPy has it: a longer one could burden the parser of Python literals
 _DEFLATE_RATIO = 1032  # a byte cannot stand for more: zlib's technical notes
 
@@ -171,6 +174,41 @@ class NpzArchive:
         return InputError(self._name, f"the array {key} {cause}", "write it with numpy.savez_compressed")
 
 
+def read_npy(data: bytes, name: str) -> NDArray[Any]:
+    """Read the file of a single array.
+
+    Parameters
+    ----------
+    data : bytes
+        The whole file.
+    name : str
+        The file as the user named it.
+
+    Returns
+    -------
+    ndarray
+        Of numbers or booleans, in the byte order of the machine.
+
+    Raises
+    ------
+    InputError
+        If it is damaged, or holds anything else.
+    """
+    try:
+        header = _parse(data[: _LONGEST_HEADER + 12])
+    except (ValueError, EOFError, OSError) as error:
+        raise InputError(name, f"the array is damaged ({error})", "write it with numpy.save") from error
+    if header.dtype.kind not in "buif" or header.dtype.itemsize > 8:
+        raise InputError(name, f"the array is of type {header.dtype}, and not of real numbers")
+    if len(data) - header.offset < header.size:
+        raise InputError(
+            name, f"the array of shape {header.shape} has too few numbers", "the file is cut off"
+        )
+    flat = np.frombuffer(data, header.dtype, math.prod(header.shape), header.offset)
+    array = flat.reshape(header.shape, order="F" if header.fortran else "C")
+    return array.astype(header.dtype.newbyteorder("="), copy=False)
+
+
 def _parse(start: bytes) -> Header:
     """Parse the header of an array from its first bytes."""
     file = io.BytesIO(start)
@@ -179,7 +217,11 @@ def _parse(start: bytes) -> Header:
         raise ValueError(f"version {version} of the format is for records only")
     # The length stands in the header itself; what was read is bounded, so a false one is found, not followed.
     read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-    shape, fortran, dtype = read(file, max_header_size=_LONGEST_HEADER)
+    with warnings.catch_warnings(action="ignore"):  # of headers as Python 2 wrote them, which are understood
+        try:
+            shape, fortran, dtype = read(file, max_header_size=_LONGEST_HEADER)
+        except (SyntaxError, tokenize.TokenError, TypeError, RecursionError, MemoryError) as error:
+            raise ValueError("its header is no description of an array") from error
     if any(side < 0 for side in shape):
         raise ValueError(f"the shape is {shape}")
     return Header(shape, dtype, fortran, file.tell())

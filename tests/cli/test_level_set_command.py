@@ -1,0 +1,82 @@
+"""Level sets on the command line, as a user meets them."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from beltrami_cli.formats.source import open_document
+from cli.commands import SAMPLES, beltrami
+from formats.volume_files import npz
+from oracles.level_sets import CENTRE, sphere
+
+
+@pytest.fixture(scope="module")
+def volume(tmp_path_factory):
+    """An occupancy whose sphere of radius 1 is at 0.5, in random colours."""
+    values, steps, origin = sphere(0.2)
+    colours = np.random.default_rng(1).integers(0, 256, (*values.shape, 3)).astype(np.uint8)
+    path = tmp_path_factory.mktemp("volume") / "occupancy.npz"
+    path.write_bytes(npz(values=0.5 - values, colours=colours, spacing=steps, origin=origin))
+    return path
+
+
+OPTIONS = ("--level", 0.5, "--inside", "above")
+
+
+@pytest.mark.parametrize("extension", ["ply", "obj", "glb", "gltf"])
+def test_the_surface_is_written_in_the_format_of_the_name(extension, volume, tmp_path):
+    result = tmp_path / f"out.{extension}"
+    run = beltrami("smooth", volume, result, *OPTIONS, "--report", tmp_path / "report.json")
+    assert run.returncode == 0, run.stderr
+    painted = open_document(str(result)).painted()
+    radii = np.linalg.norm(painted.positions - CENTRE, axis=1)
+    np.testing.assert_allclose(radii, 1, atol=0.5 * 0.2**2)
+    report = json.loads((tmp_path / "report.json").read_text())
+    assert report["vertices"]["counts"]["vertices"] == len(radii)
+    assert report["parameters"]["level_set"]["level"] == 0.5
+
+
+def test_a_pipe_takes_an_archive_and_gives_a_ply_file(volume):
+    run = beltrami("smooth", "-", "-", *OPTIONS, stdin=volume.read_bytes())
+    assert run.returncode == 0, run.stderr
+    assert run.stdout[:4] == b"ply\n"
+
+
+def test_info_tells_of_the_grid_and_of_its_surface(volume):
+    facts = json.loads(beltrami("info", volume, "--json", *OPTIONS).stdout)
+    assert facts["file"]["format"] == "level set"
+    assert facts["file"]["level"] == 0.5
+    assert facts["surface"]["boundary_edges"] == facts["surface"]["degenerate_faces"] == 0
+    assert facts["smooth"]["samples_per_kernel"] > 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "line"),
+    [
+        (("--level", 50), 3, b"no surface at level 50; the values go from"),
+        (("--max-voxels", 100), 3, b"100 are allowed"),
+        (("--colours", "missing.npz"), 3, b"missing.npz: cannot be read"),
+        (("--level", "nan"), 2, b"finite"),
+    ],
+)
+def test_failures_are_one_line_and_leave_nothing(arguments, code, line, volume, tmp_path):
+    run = beltrami("smooth", volume, tmp_path / "out.ply", *arguments)
+    assert run.returncode == code
+    assert line in run.stderr
+    assert run.stderr.count(b"\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_meshes_take_no_options_of_level_sets(tmp_path):
+    run = beltrami("smooth", SAMPLES / "knot-noisy.ply", tmp_path / "out.ply", *OPTIONS)
+    assert run.returncode == 2
+    assert b"--level, --inside" in run.stderr
+
+
+def test_a_level_set_can_be_unwrapped_to_a_texture(volume, tmp_path):
+    run = beltrami("smooth", volume, tmp_path / "out.glb", *OPTIONS, "--unwrap", "--texture-size", 128)
+    assert run.returncode == 0, run.stderr
+    assert open_document(str(tmp_path / "out.glb")).slots() == ("baseColor",)
