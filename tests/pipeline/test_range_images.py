@@ -1,0 +1,176 @@
+"""PLY files whose vertices lie on a grid: recognised, smoothed like an image on a surface, patched in place."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from beltrami_cli import (
+    InputError,
+    KernelParameters,
+    SmoothSettings,
+    UsageError,
+    inspect_file,
+    smooth_file,
+    smooth_image,
+)
+from beltrami_cli.formats.source import open_document
+
+ROWS, COLUMNS = 20, 26
+VERTEX = "property float x\nproperty float y\nproperty float z\n" + "".join(
+    f"property uchar {name}\n" for name in ("red", "green", "blue")
+)
+RECORD = {">": [("place", ">f4", 3), ("colour", "u1", 3)], "<": [("place", "<f4", 3), ("colour", "u1", 3)]}
+
+
+def scene():
+    """Places, 8-bit colours and measured places of a scan with a step in depth."""
+    y, x = np.mgrid[:ROWS, :COLUMNS]
+    places = np.dstack([x, y, 3 * np.sin(x / 4) + 40 * (y > 11)]).astype(np.float32)
+    colours = 90 + 60 * (x > 12)[..., None] + np.random.default_rng(0).normal(0, 12, (ROWS, COLUMNS, 3))
+    return places, np.rint(colours).astype(np.uint8), np.random.default_rng(1).random((ROWS, COLUMNS)) > 0.1
+
+
+def vertices(places, colours, order):
+    table = np.zeros(len(places), RECORD[order])
+    table["place"], table["colour"] = places, colours
+    return table.tobytes()
+
+
+def stanford(rows=ROWS, columns=COLUMNS, listed=None):
+    """A range_grid as the Stanford repository has it; vertices in the order of `listed`."""
+    places, colours, measured = scene()
+    number = np.full((ROWS, COLUMNS), -1)
+    number[measured] = np.random.default_rng(2).permutation(np.count_nonzero(measured))
+    order = np.argsort(number[measured])
+    number = number.ravel() if listed is None else listed
+    header = (
+        f"ply\nformat binary_big_endian 1.0\nobj_info num_cols {columns}\nobj_info num_rows {rows}\n"
+        f"element vertex {len(order)}\n{VERTEX}element range_grid {len(number)}\n"
+        "property list uchar int vertex_indices\nend_header\n"
+    )
+    grid = b"".join(b"\0" if n < 0 else b"\1" + int(n).to_bytes(4, "big") for n in number)
+    return header.encode() + vertices(places[measured][order], colours[measured][order], ">") + grid
+
+
+def organised(size, text=False):
+    """Every place a vertex, NaN where nothing was measured; `size` tells the grid."""
+    places, colours, measured = scene()
+    places[~measured] = np.nan
+    form = "ascii" if text else "binary_little_endian"
+    head, tail = (size, b"") if isinstance(size, str) else ("", size[1])
+    header = f"ply\nformat {form} 1.0\n{head}element vertex {ROWS * COLUMNS}\n{VERTEX}"
+    header += "" if isinstance(size, str) else size[0]
+    places, colours = places.reshape(-1, 3), colours.reshape(-1, 3)
+    body = vertices(places, colours, "<")
+    if text:
+        rows = zip(places.tolist(), colours.tolist(), strict=True)
+        body = "".join(" ".join(map(str, (*place, *colour))) + "\n" for place, colour in rows).encode()
+    return header.encode() + b"end_header\n" + body + tail
+
+
+CAMERA = (
+    "element camera 1\nproperty float view_px\nproperty int viewportx\nproperty int viewporty\n",
+    np.float32(0).tobytes() + np.array([COLUMNS, ROWS], "<i4").tobytes(),
+)
+FILES = {
+    "range_grid": stanford(),
+    "camera": organised(CAMERA),
+    "obj_info": organised(f"obj_info width {COLUMNS}\nobj_info height {ROWS}\n"),
+    "comments": organised(f"comment width: {COLUMNS}\ncomment height: {ROWS}\n", text=True),
+}
+
+
+def colours_on_grid(path):
+    document = open_document(str(path))
+    grid, image = document.grid(), np.zeros((ROWS, COLUMNS, 3), np.float32)
+    image[grid >= 0] = document.painted().colours[grid[grid >= 0]]
+    return image
+
+
+@pytest.mark.parametrize("data", FILES.values(), ids=FILES)
+def test_a_range_image_is_smoothed_like_the_image_at_its_positions(data, tmp_path):
+    source, target = tmp_path / "a.ply", tmp_path / "b.ply"
+    source.write_bytes(data)
+    report = smooth_file(source, target, SmoothSettings(KernelParameters(beta=9)))
+    places, colours, measured = scene()
+    expected = smooth_image(colours, positions=places, valid=measured, beta=9).colours
+    rounded = np.rint(255 * expected) / 255
+    assert (
+        np.abs(colours_on_grid(target) - rounded)[measured].max() < 1.5 / 255
+    )  # halves may round either way
+    assert np.abs(colours_on_grid(target) - rounded)[measured].mean() < 1e-4
+    assert report.vertices.counts["samples"] == np.count_nonzero(measured)
+    assert report.vertices.spacing > 0
+
+
+def test_only_colours_of_what_was_measured_change(tmp_path):
+    for number, data in enumerate((FILES["range_grid"], FILES["camera"])):
+        source, target = tmp_path / f"a{number}.ply", tmp_path / f"b{number}.ply"
+        source.write_bytes(data)
+        smooth_file(source, target)
+        new = target.read_bytes()
+        assert len(new) == len(data)
+        start = data.index(b"end_header\n") + len(b"end_header\n")
+        changed = np.flatnonzero(np.frombuffer(new, np.uint8) != np.frombuffer(data, np.uint8)) - start
+        assert len(changed) > 500
+        assert (changed % 15 >= 12).all()  # of 15 bytes of a vertex the last three
+        if number == 1:
+            assert scene()[2].ravel()[changed // 15].all()
+        smooth_file(source, target, SmoothSettings(KernelParameters(iterations=0)), overwrite=True)
+        assert target.read_bytes() == data
+
+
+def test_a_step_in_depth_is_not_smoothed_over_even_without_an_edge_in_colour_to_keep():
+    places, _, measured = scene()
+    image = np.where(places[..., 2:] > 20, 0.8, 0.2)
+    blurred = []
+    for depth in (1, 0):
+        settings = {"positions": places * [1, 1, depth], "valid": measured, "beta": 0, "units": "world"}
+        blurred.append(np.abs(smooth_image(image, **settings).colours - image).max())
+    assert blurred[0] < 1e-6
+    assert blurred[1] > 0.1
+
+
+@pytest.mark.parametrize(
+    "size", ["", f"comment width {COLUMNS}\ncomment height {ROWS + 1}\n", "comment width 9\n"]
+)
+def test_without_a_grid_of_the_right_size_vertices_are_no_image(size):
+    from beltrami_cli.formats.ply import PlyDocument
+
+    assert PlyDocument(organised(size), "a.ply").grid() is None
+
+
+def test_faces_count_more_than_a_grid(tmp_path):
+    data = FILES["obj_info"].replace(
+        b"end_header\n", b"element face 1\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    (tmp_path / "a.ply").write_bytes(data + b"\3" + np.array([0, 1, 2], "<i4").tobytes())
+    assert open_document(str(tmp_path / "a.ply")).grid() is None
+
+
+@pytest.mark.parametrize(
+    ("data", "said"),
+    [
+        (
+            stanford(rows=ROWS + 1),
+            "range_grid has 520 places, but obj_info num_cols and num_rows say 26 and 21",
+        ),
+        (stanford(listed=np.full(ROWS * COLUMNS, 3)), "a vertex at several places"),
+        (stanford(listed=np.full(ROWS * COLUMNS, 9999)), "vertices that are not there"),
+    ],
+)
+def test_damaged_grids_are_refused(data, said, tmp_path):
+    (tmp_path / "a.ply").write_bytes(data)
+    with pytest.raises(InputError, match=said):
+        smooth_file(tmp_path / "a.ply", tmp_path / "b.ply")
+
+
+def test_what_is_not_done_on_grids_is_refused_and_info_describes_them(tmp_path):
+    (tmp_path / "a.ply").write_bytes(FILES["camera"])
+    with pytest.raises(UsageError, match="--weights: not on range images"):
+        smooth_file(tmp_path / "a.ply", tmp_path / "b.ply", SmoothSettings(KernelParameters(weights="area")))
+    facts = inspect_file(tmp_path / "a.ply")
+    assert facts["surface"]["range_image"] == [COLUMNS, ROWS]
+    assert facts["surface"]["holes"] == np.count_nonzero(~scene()[2])
+    assert facts["noise"]["red"] == pytest.approx(12 / 255, rel=0.2)
