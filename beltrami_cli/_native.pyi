@@ -64,6 +64,18 @@ class TriangulatedManifold:
     @property
     def split_corners(self) -> int: ...
 
+class LocalTriangulation:
+    def __init__(self, positions: NDArray[np.float64]) -> None: ...
+    def add_stars(
+        self,
+        rows: NDArray[np.int32],
+        neighbours: NDArray[np.int32],
+        complete: bool,
+        last: bool,
+        threads: int,
+    ) -> NDArray[np.int32]: ...
+    def faces(self) -> NDArray[np.int32]: ...
+
 def local_scale(squared_lengths: NDArray[np.float32], window_radius: int) -> NDArray[np.float32]: ...
 def smooth_grid(
     kind: NDArray[np.uint8],

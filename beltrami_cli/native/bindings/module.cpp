@@ -3,10 +3,12 @@
 
 #include "bindings/atlas.hpp"
 #include "bindings/parametric.hpp"
+#include "bindings/points.hpp"
 #include "bindings/triangulated.hpp"
 
 NB_MODULE(_native, module) {
   beltrami::bindings::bind_triangulated(module);
   beltrami::bindings::bind_parametric(module);
   beltrami::bindings::bind_atlas(module);
+  beltrami::bindings::bind_points(module);
 }

@@ -1,0 +1,208 @@
+#include "points/local_stars.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <mutex>
+
+#include "parallel.hpp"
+#include "points/tangent_plane.hpp"
+
+namespace beltrami::points {
+namespace {
+
+constexpr std::size_t chunk = 1024;
+constexpr double infinity = std::numeric_limits<double>::infinity();
+
+// Neighbours that the tangent plane is fitted to: few, so that a second sheet nearby is not among them, or many, so
+// that noise is averaged. Whichever are the flatter are taken.
+constexpr std::size_t few = 8, many = 22;
+
+// What the flatness of so few points is worth: it is multiplied by 1 + this / their number.
+constexpr double doubt = 8;
+
+// Points whose second spread is a smaller part of the first lie in a line, and do not tell where the surface is.
+constexpr double in_line = 0.02;
+
+// Neighbours count if the way to them makes at most this sine with the tangent plane (53 degrees: on the edge of a box
+// the plane is tilted by 45), and if they are at most so many spacings above or below it.
+constexpr double steepest = 0.8;
+constexpr double highest = 1;
+
+// The spacing is at least this part of the distance of the `many`-th neighbour, or else a few points that nearly
+// coincide would have so small a spacing that they lose the others. Of points spread evenly it is 0.38 of that.
+constexpr double least_spacing = 0.25;
+
+struct Neighbour {
+  Vector offset;
+  double squared;
+  Index point;
+  // Not by the point's number, so that the order of the points makes no difference.
+  bool operator<(const Neighbour& other) const {
+    return squared != other.squared ? squared < other.squared : offset < other.offset;
+  }
+};
+
+// The star of one point at a time; keeps its memory from one to the next.
+class Finder {
+ public:
+  explicit Finder(const double* positions) : positions_(positions) {}
+
+  void find(Index point, std::span<const Index> others, bool complete) {
+    triangles_.clear();
+    spacing_ = flatness_ = 0;
+    settled_ = complete;
+    gather(point, others, complete);
+    if (around_.size() < 2 || !find_plane()) return;
+    // How high a neighbour may be depends on the spacing, and the spacing on who is a neighbour.
+    lay_out(infinity);
+    spacing_ = measure_spacing();
+    lay_out(highest * spacing_);
+    spacing_ = measure_spacing();
+    collect(point);
+  }
+
+  const std::vector<Triangle>& triangles() const { return triangles_; }
+  double spacing() const { return spacing_; }
+  double flatness() const { return flatness_; }
+  double distance() const { return around_.empty() ? 0 : std::sqrt(around_[std::min(few, around_.size()) - 1].squared); }
+  bool settled() const { return settled_; }
+
+ private:
+  // Leaves out the farthest neighbours: others at the same distance may be missing.
+  void gather(Index point, std::span<const Index> others, bool complete) {
+    around_.clear();
+    const double* here = positions_ + 3 * static_cast<std::size_t>(point);
+    for (const Index other : others) {
+      if (other == point) continue;
+      const double* there = positions_ + 3 * static_cast<std::size_t>(other);
+      const Vector offset{there[0] - here[0], there[1] - here[1], there[2] - here[2]};
+      const double squared = dot(offset, offset);
+      if (squared > 0) around_.push_back({offset, squared, other});
+    }
+    std::sort(around_.begin(), around_.end());
+    squared_reach_ = infinity;
+    if (complete || around_.empty()) return;
+    squared_reach_ = around_.back().squared;
+    while (!around_.empty() && around_.back().squared == squared_reach_) around_.pop_back();
+  }
+
+  // Square of the distance at which there are `wanted` neighbours nearer, or of the farthest distance known.
+  double squared_distance_beyond(std::size_t wanted) const {
+    if (wanted < around_.size()) return around_[wanted].squared;
+    return squared_reach_ < infinity ? squared_reach_ : 2 * around_.back().squared;
+  }
+
+  bool find_plane() {
+    double flattest = infinity;
+    for (const std::size_t most : {few, many, around_.size()}) {
+      if (most > many && flattest < infinity) break;  // all there are, for points that scanners lay in dense lines
+      const std::size_t wanted = std::min(most, around_.size());
+      const double reach = squared_distance_beyond(wanted);
+      offsets_.clear();
+      for (const Neighbour& neighbour : around_) {
+        if (neighbour.squared >= reach) break;
+        offsets_.push_back(neighbour.offset);
+      }
+      const TangentPlane plane = fit_tangent_plane(offsets_, reach);
+      if (plane.second_spread <= in_line * plane.first_spread) continue;
+      const double flatness = plane.normal_spread / plane.second_spread * (1 + doubt / static_cast<double>(wanted));
+      if (flatness >= flattest) continue;
+      flattest = flatness;
+      plane_ = plane;
+    }
+    flatness_ = flattest;
+    return flattest < infinity;
+  }
+
+  // Finds the star of the neighbours in the tangent plane, each at its distance in space, as if the surface were
+  // unrolled.
+  void lay_out(double height_limit) {
+    star_.clear();
+    for (const Neighbour& neighbour : around_) {
+      const double height = std::abs(dot(neighbour.offset, plane_.normal));
+      if (height > height_limit || height * height > steepest * steepest * neighbour.squared) continue;
+      const double x = dot(neighbour.offset, plane_.first), y = dot(neighbour.offset, plane_.second);
+      const double stretch = std::sqrt(neighbour.squared / (x * x + y * y));
+      star_.push_back({stretch * x, stretch * y, neighbour.point});
+    }
+    keep_delaunay_star(star_);
+  }
+
+  // The side of a square in the circle around a triangle of the star, which for points on a square grid is their
+  // spacing. Not the length of spokes, many of which are short if points are in dense lines; and of the triangles the
+  // one at the lower third, since at the rim of a hole half of them may be across.
+  double measure_spacing() {
+    squared_radii_.clear();
+    for (std::size_t i = 0; i < star_.size(); ++i) squared_radii_.push_back(squared_radius_beside(i));
+    if (squared_radii_.empty()) return 0;
+    const auto third = squared_radii_.begin() + static_cast<std::ptrdiff_t>(squared_radii_.size() / 3);
+    std::nth_element(squared_radii_.begin(), third, squared_radii_.end());
+    const double least = around_.size() < many ? 0 : least_spacing * std::sqrt(around_[many - 1].squared);
+    return std::isfinite(*third) ? std::max(std::sqrt(2 * *third), least) : least;
+  }
+
+  // Of the triangle between a spoke and the next; infinite if they are half a turn apart or more.
+  double squared_radius_beside(std::size_t spoke) const {
+    const Spoke &a = star_[spoke], &b = star_[(spoke + 1) % star_.size()];
+    return cross(a, b) > 0 ? squared_circumradius(a, b) : infinity;
+  }
+
+  void collect(Index point) {
+    const double limit = largest_radius * largest_radius * spacing_ * spacing_;
+    double largest = 0;
+    for (std::size_t i = 0; i < star_.size(); ++i) {
+      const double squared_radius = squared_radius_beside(i);
+      largest = std::max(largest, squared_radius);
+      if (squared_radius <= limit)
+        triangles_.push_back({point, star_[i].point, star_[(i + 1) % star_.size()].point});
+    }
+    // A circle through the point reaches twice its radius: farther neighbours cannot be inside. A star that is open has
+    // room for more, on the rim of the cloud as well as between the dense lines of a scanner.
+    if (largest < infinity && 4 * std::min(largest, limit) <= squared_reach_ && !star_.empty()) settled_ = true;
+  }
+
+  const double* positions_;
+  std::vector<Neighbour> around_;
+  double squared_reach_ = infinity;
+  std::vector<Vector> offsets_;
+  TangentPlane plane_;
+  std::vector<Spoke> star_;
+  std::vector<double> squared_radii_;
+  std::vector<Triangle> triangles_;
+  double spacing_ = 0, flatness_ = 0;
+  bool settled_ = false;
+};
+
+}  // namespace
+
+Stars find_stars(const double* positions, const Neighbours& neighbours, bool keep_unsettled, unsigned threads) {
+  Stars stars;
+  stars.spacing.resize(neighbours.rows.size());
+  stars.flatness.resize(neighbours.rows.size());
+  stars.distance.resize(neighbours.rows.size());
+  std::mutex mutex;
+  parallel_chunks(neighbours.rows.size(), chunk, threads, [&](std::size_t begin, std::size_t end, unsigned) {
+    Finder finder(positions);
+    std::vector<Triangle> triangles;
+    std::vector<Index> unsettled;
+    for (std::size_t row = begin; row < end; ++row) {
+      const Index point = neighbours.rows[row];
+      finder.find(point, {neighbours.table + row * neighbours.count, neighbours.count}, neighbours.complete);
+      if (!finder.settled() && !keep_unsettled) {
+        unsettled.push_back(point);
+        continue;
+      }
+      triangles.insert(triangles.end(), finder.triangles().begin(), finder.triangles().end());
+      stars.spacing[row] = finder.spacing();
+      stars.flatness[row] = finder.flatness();
+      stars.distance[row] = finder.distance();
+    }
+    const std::lock_guard lock(mutex);
+    stars.triangles.insert(stars.triangles.end(), triangles.begin(), triangles.end());
+    stars.unsettled.insert(stars.unsettled.end(), unsettled.begin(), unsettled.end());
+  });
+  return stars;
+}
+
+}  // namespace beltrami::points
