@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import struct
+from pathlib import Path
 
 import numpy as np
 
@@ -13,7 +14,7 @@ TYPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
 
 
 class Model:
-    """A glTF model under construction: its JSON, and the bytes of its one buffer."""
+    """A glTF model under construction: its JSON, the bytes of its one buffer, and `files` beside it."""
 
     def __init__(self):
         self.tree = {
@@ -28,6 +29,7 @@ class Model:
             "extras": {"kept": [1.50, 2e-3, "a\u2028b"]},
         }
         self.binary = bytearray()
+        self.files = {}
 
     def view(self, data, **more):
         self.binary += bytes(-len(self.binary) % 4)
@@ -118,6 +120,18 @@ class Model:
             "data:application/gltf-buffer;base64," + base64.b64encode(self.binary).decode(), **style
         )
 
+    def written_to(self, folder, form="glb"):
+        """Write the model and its files; return the path of the main file."""
+        for name, data in self.files.items():
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            (folder / name).write_bytes(data)
+        path = folder / ("model.glb" if form == "glb" else "model.gltf")
+        if form == "gltf":
+            (folder / "model.bin").write_bytes(bytes(self.binary))
+        forms = {"glb": self.glb, "data": self.data_text, "gltf": lambda: self.text("model.bin", indent=1)}
+        path.write_bytes(forms[form]())
+        return path
+
     def _padded(self):
         return bytes(self.binary) + bytes(-len(self.binary) % 4)
 
@@ -172,6 +186,11 @@ def numbers(tree, buffers, index):
     return found
 
 
+def gltf_files(folder):
+    """Return the glTF files in a folder and all below it."""
+    return sorted(file for file in Path(folder).rglob("*") if file.suffix in (".glb", ".gltf"))
+
+
 def joined(written):
     """Return the main file of a `Written`."""
     return b"".join(bytes(piece) for piece in written.main)
@@ -190,11 +209,11 @@ def data_uri(data, media="image/png"):
 
 
 class Textured(Model):
-    """A model with materials under construction; `place` says how images are stored, `files` are beside it."""
+    """A model with materials under construction; `place` says how images are stored."""
 
     def __init__(self, place="view"):
         super().__init__()
-        self.place, self.files = place, {}
+        self.place = place
         self.tree |= {"images": [], "textures": [], "materials": [], "samplers": []}
 
     def image(self, data, name="a b.png", media="image/png"):
@@ -239,18 +258,6 @@ class Textured(Model):
     def _add(self, key, value):
         self.tree[key].append(value)
         return len(self.tree[key]) - 1
-
-    def written_to(self, folder, form="glb"):
-        """Write the model and its files; return the path of the main file."""
-        for name, data in self.files.items():
-            (folder / name).parent.mkdir(parents=True, exist_ok=True)
-            (folder / name).write_bytes(data)
-        path = folder / ("model.glb" if form == "glb" else "model.gltf")
-        if form == "gltf":
-            (folder / "model.bin").write_bytes(bytes(self.binary))
-        forms = {"glb": self.glb, "data": self.data_text, "gltf": lambda: self.text("model.bin", indent=1)}
-        path.write_bytes(forms[form]())
-        return path
 
 
 SLOT_PATHS = {

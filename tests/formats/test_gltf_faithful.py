@@ -1,0 +1,145 @@
+"""A whole glTF file through smoothing: what is not colour comes out as it went in, to the last byte."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import re
+
+import numpy as np
+import pytest
+
+from beltrami_cli.errors import InputError
+from beltrami_cli.flow.parameters import KernelParameters
+from beltrami_cli.formats.gltf import GltfDocument
+from beltrami_cli.pipeline.settings import SmoothSettings
+from beltrami_cli.pipeline.smooth_file import smooth_file
+from formats.gltf_comparison import byte_differences, json_differences, opened
+from formats.gltf_files import gltf_files
+from formats.gltf_showcase import photo, showcase
+
+EXTRA = os.environ.get("BELTRAMI_EXTRA_MESHES")
+SETTINGS = SmoothSettings(kernel=KernelParameters(iterations=1, beta=1), on="both")
+GLOSS = r"extensions\.KHR_materials_pbrSpecularGlossiness\.diffuseTexture"
+INFOS = rf"(pbrMetallicRoughness\.baseColorTexture|{GLOSS})\.index"
+
+
+def smoothed(model, form, folder, *, moved):
+    """Return the paths of a model before and after."""
+    source = model.written_to(folder, form)
+    target = folder / "other" / source.name if moved else folder / f"smooth{source.suffix}"
+    target.parent.mkdir(exist_ok=True)
+    smooth_file(source, target, SETTINGS)
+    return source, target
+
+
+def allowed(tree, *, moved):
+    """Return what may differ in the JSON: where colours, images and their buffers are."""
+    colours = {part["attributes"].get("COLOR_0") for mesh in tree["meshes"] for part in mesh["primitives"]}
+    tree = {"images": [], "textures": [], "buffers": [], "bufferViews": []} | tree
+    views = {image["bufferView"] for image in tree["images"] if "bufferView" in image}
+    new = {
+        key: f"({'|'.join(str(len(tree[key]) + more) for more in range(6))})"
+        for key in ("images", "textures")
+    }
+    patterns = [
+        r"buffers\[0\]\.byteLength",
+        *(rf"bufferViews\[{view}\]\.(byteOffset|byteLength)" for view in views),
+        *(rf"accessors\[{colour}\]\.(min|max)\[[0-3]\]" for colour in colours),
+        rf"bufferViews\[({'|'.join(str(len(tree['bufferViews']) + more) for more in range(6))})\]",
+        rf"images\[{new['images']}\]",
+        rf"textures\[{new['textures']}\]",
+        r"textures\[\d+\]\.source",
+        rf"materials\[\d+\]\.{INFOS}",
+    ]
+    uris = [entry for key in ("buffers", "images") for entry in tree[key] if "uri" in entry]
+    if not moved or any(entry["uri"].startswith("data:") for entry in uris):
+        patterns.append(r"(buffers|images)\[\d+\]\.uri")
+    return re.compile("|".join(patterns))
+
+
+@pytest.mark.parametrize("moved", [False, True])
+@pytest.mark.parametrize("form", ["glb", "gltf", "data"])
+@pytest.mark.parametrize("place", ["view", "data", "file"])
+def test_only_colours_change_in_a_file_with_everything(tmp_path, place, form, moved):
+    source, target = smoothed(showcase(place), form, tmp_path, moved=moved)
+    check_only_colours_changed(source, target, moved=moved)
+
+
+def check_only_colours_changed(source, target, *, moved):
+    before, after = opened(source), opened(target)
+    free = allowed(before[0], moved=moved)
+    changed = json_differences(before[0], after[0])
+    assert [place for place in changed if not free.fullmatch(place)] == []
+    assert byte_differences(before, after) <= {"COLOR_0", "image"}
+
+
+@pytest.mark.skipif(not EXTRA, reason="BELTRAMI_EXTRA_MESHES names no folder")
+@pytest.mark.parametrize("file", gltf_files(EXTRA) if EXTRA else [], ids=lambda file: file.name)
+def test_only_colours_change_in_other_files(tmp_path, file):
+    try:
+        smooth_file(file, tmp_path / file.name, dataclasses.replace(SETTINGS, on="auto"))
+    except InputError as error:
+        pytest.skip(str(error))
+    check_only_colours_changed(file, tmp_path / file.name, moved=True)
+
+
+def slot_images(path):
+    """Return the image files that the materials show: {(material, slot): bytes}."""
+    document = GltfDocument(path.read_bytes(), path.name, path.parent)
+    found = {}
+    for slot in document.slots():
+        for texture in document.textured(slot).textures:
+            found |= {(material, slot): texture.data for material in texture.materials}
+    return found
+
+
+@pytest.mark.parametrize("place", ["view", "data", "file"])
+def test_only_the_smoothed_slot_of_a_shared_image_changes(tmp_path, place):
+    source, target = smoothed(showcase(place), "gltf", tmp_path, moved=False)
+    before, after = slot_images(source), slot_images(target)
+    assert before["skin", "baseColor"] == before["second set", "emissive"] == photo(0)
+    assert {key for key in before if before[key] != after[key]} == {
+        key for key in before if key[1] == "baseColor"
+    }
+    shared = [after[material, "baseColor"] for material in ("skin", "second set", "unlit")]
+    assert shared[0] == shared[1] == shared[2]
+
+
+def test_every_kind_of_colours_is_smoothed(tmp_path):
+    source, target = smoothed(showcase(), "glb", tmp_path, moved=False)
+    before, after = (GltfDocument(path.read_bytes(), path.name, None) for path in (source, target))
+    for block, old, new in zip(
+        before.surface.blocks, before.stored_colours, after.stored_colours, strict=True
+    ):
+        assert old.dtype == new.dtype
+        np.testing.assert_array_equal(old[:, 3:], new[:, 3:])
+        points = not any(
+            np.any(before.surface.faces == row) for row in range(block.first_row, block.first_row + 1)
+        )
+        assert points or np.std(new[:, :3] / 1.0) < np.std(old[:, :3] / 1.0)
+
+
+def test_nothing_changes_without_iterations(tmp_path):
+    for form in ("glb", "gltf", "data"):
+        source = showcase().written_to(tmp_path, form)
+        target = tmp_path / f"same{source.suffix}"
+        smooth_file(
+            source, target, SmoothSettings(kernel=KernelParameters(iterations=0), on="both"), overwrite=True
+        )
+        assert target.read_bytes() == source.read_bytes()
+
+
+def test_the_comparison_sees_every_kind_of_change(tmp_path):
+    model = showcase()
+    source = model.written_to(tmp_path, "glb")
+    before = opened(source)
+    attributes = before[0]["meshes"][0]["primitives"][0]["attributes"]
+    for name in ("POSITION", "WEIGHTS_0", "COLOR_0"):
+        tree, (octets, *_) = opened(source)
+        view = tree["bufferViews"][tree["accessors"][attributes[name]]["bufferView"]]
+        changed = bytearray(octets)
+        changed[view["byteOffset"]] ^= 1
+        assert byte_differences(before, (tree, [bytes(changed)])) == {name}
+        tree["nodes"][0]["extras"]["number"] = 99
+        assert list(json_differences(before[0], tree)) == ["nodes[0].extras.number"]
