@@ -51,17 +51,26 @@ def grid_flow(
     """
     if heights is not None:
         valid = valid & np.isfinite(heights)
-        rows, columns = np.indices(heights.shape)
-        positions = np.dstack([columns, rows, heights])
+        positions = _over_the_plane(heights)
         kernel = dataclasses.replace(kernel, units="world")
     margin = kernel.window // 2 + (guide_radius(kernel.metric_scale) if kernel.metric_steps else 0)
     atlas = grid_atlas(valid.shape, margin, positions, valid)
+    del positions  # as large as all that follows
     colours = colours_of(atlas.owned_texels)
     if heights is not None and kernel.beta is None:
         kernel = dataclasses.replace(
             kernel, beta=choose_beta(_noise(colours, atlas.owned_texels, valid.shape))
         )
     return TexelFlow(atlas, colours, kernel, walls=atlas.covered < valid.size)
+
+
+def _over_the_plane(heights: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the places (x, y, height) of pixels, shape (H, W, 3)."""
+    rows, columns = heights.shape
+    positions = np.empty((rows, columns, 3))
+    positions[..., 0], positions[..., 1] = np.arange(columns), np.arange(rows)[:, None]
+    positions[..., 2] = heights
+    return positions
 
 
 def _noise(
