@@ -1,0 +1,116 @@
+"""What the figures share: pictures in a grid with titles, enlarged without interpolation, and views of surfaces."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+Array = NDArray[np.float64]
+
+SAMPLE_DATA = Path(__file__).resolve().parents[2] / "sample_data"
+DOTS_PER_INCH = 100
+
+
+def figure(
+    rows: int, columns: int, size: tuple[float, float], heights: Sequence[float] | None = None
+) -> tuple[Any, Any]:
+    """Return a figure of a size in inches, and the grid that its pictures are put in."""
+    from matplotlib.figure import Figure
+
+    made = Figure(figsize=size, dpi=DOTS_PER_INCH, layout="constrained")
+    made.get_layout_engine().set(hspace=0.06, wspace=0.04)
+    return made, made.add_gridspec(rows, columns, height_ratios=heights)
+
+
+def show(
+    axes: Any,
+    image: Array,
+    title: str = "",
+    *,
+    limits: tuple[float, float] | None = None,
+    marked: tuple[int, int] | None = None,
+    edge: float | None = None,
+    cmap: str = "viridis",
+) -> Any:
+    """Show colours of shape (H, W, 3), grey of shape (H, W, 1), or values of shape (H, W) by a colour map."""
+    from matplotlib.patches import Rectangle
+
+    low, high = limits or (None, None)
+    if image.ndim == 3 and image.shape[2] == 1:
+        image, cmap, low, high = image[..., 0], "gray", 0.0, 1.0
+    drawn = axes.imshow(np.clip(image, 0, 1) if image.ndim == 3 else image, cmap=cmap, vmin=low, vmax=high)
+    drawn.set_interpolation("nearest")
+    axes.set(xticks=(), yticks=())
+    axes.set_title(title, fontsize=10)
+    if marked is not None:
+        axes.add_patch(Rectangle((marked[1] - 0.5, marked[0] - 0.5), 1, 1, fill=False, ec="red", lw=1.5))
+    if edge is not None:
+        axes.axvline(edge, color="white", lw=1, ls="--")
+    return drawn
+
+
+def view(
+    heights: Array,
+    colours: Array,
+    size: int,
+    angles: tuple[float, float],
+    *,
+    lying: bool = False,
+    shade: bool = False,
+) -> NDArray[np.float32]:
+    """Return a view of a surface over the image plane, painted with the image, cropped to what is seen of it.
+
+    Parameters
+    ----------
+    heights : ndarray of float64, shape (H, W)
+        In pixels.
+    colours : ndarray of float64, shape (H, W, 3)
+        Display values.
+    size : int
+        Pixels a side, before cropping.
+    angles : (float, float)
+        Degrees to the right about the vertical, and towards a view from above.
+    lying : bool
+        Whether heights go up, as of a landscape, and not towards the eye, as of a face.
+    shade : bool
+        Whether to add light.
+    """
+    sys.path.append(str(SAMPLE_DATA))
+    from picture import BACKGROUND, at_vertices
+    from picture import draw as draw_mesh
+
+    rows, columns = heights.shape
+    y, x = np.mgrid[:rows, :columns]
+    places = [x, heights, y] if lying else [x, -y, heights]
+    positions = np.stack(places, axis=2).reshape(-1, 3).astype(float)
+    corner = (y * columns + x)[:-1, :-1].ravel()
+    upper = np.column_stack([corner, corner + columns, corner + 1])
+    lower = np.column_stack([corner + 1, corner + columns, corner + columns + 1])
+    faces = np.concatenate([upper, lower]).astype(np.int32)
+    paint = at_vertices(faces, np.clip(colours, 0, 1).reshape(-1, 3))
+    image = draw_mesh(positions, faces, paint, size, angles, shade=shade)
+    seen = np.abs(image - BACKGROUND).max(axis=2) > 0.02
+    inside = np.ix_(np.flatnonzero(seen.any(axis=1)), np.flatnonzero(seen.any(axis=0)))
+    cropped = image[inside]
+    cropped[~seen[inside]] = 1
+    return cropped
+
+
+def save(made: Any, path: Path) -> None:
+    """Write a figure as a PNG file."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from PIL import Image
+
+    canvas = FigureCanvasAgg(made)
+    canvas.draw()
+    pixels = np.asarray(canvas.buffer_rgba())[..., :3]
+    # Steps of 4 in 255 are not seen, and make the file a third smaller.
+    coarse = (pixels & 0xFC) | (pixels >> 6)
+    Image.fromarray(coarse).save(path, optimize=True)
