@@ -92,8 +92,8 @@ def _listed(table: Table, rows: int, columns: int, vertices: int, name: str) -> 
 
 def _viewport(camera: Table) -> tuple[int, int]:
     """Return width and height of the cloud, or zeros."""
-    known = {p.name for p in camera.element.properties if not p.count}
-    if not known.issuperset(_CAMERA):
+    whole = {p.name for p in camera.element.properties if not p.count and p.type[0] != "f"}
+    if not whole.issuperset(_CAMERA):
         return 0, 0
     width, height = (int(camera.scalars(name)[0]) for name in _CAMERA)
     return width, height
