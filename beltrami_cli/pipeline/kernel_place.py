@@ -48,7 +48,7 @@ class Place:
         """
         if len(self.numbers) == 3:
             squared = np.square(positions - np.array(self.numbers)).sum(axis=1)
-            return int(squared.argmin())
+            return int(np.where(np.isfinite(squared), squared, np.inf).argmin())
         if len(self.numbers) != 1 or self.in_pixels or self.texture:
             raise UsageError(
                 f"--at {self.text} is in an image, but vertex colours of {name} are smoothed; give the index of a "

@@ -33,6 +33,9 @@ KERNELS = {
 OF_VERTICES = {**KERNELS, "area": SmoothSettings(KernelParameters(iterations=1, weights="area"))}
 
 
+RANGE = ("obj_info num_cols 14", "obj_info num_rows 11")
+
+
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     """Inputs with float colours, which smoothing does not round: a mesh, an image, and heights for it."""
@@ -41,6 +44,7 @@ def folder(tmp_path_factory):
     flat, faces = surfaces.plane(14, 11, 0.2)
     colours = step(flat[:, 0]) + random.normal(0, 0.06, (len(flat), 3))
     write_ply(path / "mesh.ply", np.column_stack([flat, colours]).astype("<f4"), faces)
+    write_ply(path / "range.ply", np.column_stack([flat, colours]).astype("<f4"), faces[:0], RANGE)
     write_exr(path / "image.exr", step(np.arange(40) / 14)[None] + random.normal(0, 0.06, (30, 40, 3)))
     y, x = np.mgrid[:30, :40]
     write_exr(path / "heights.exr", 6 * np.sin(x / 4)[..., None] * np.cos(y / 5)[..., None])
@@ -51,8 +55,8 @@ def step(x):
     return np.where(x[..., None] > 1.4, [0.7, 0.6, 0.4], [0.3, 0.4, 0.5])
 
 
-def write_ply(path, rows, faces):
-    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(rows)}"]
+def write_ply(path, rows, faces, remarks=()):
+    header = ["ply", "format binary_little_endian 1.0", *remarks, f"element vertex {len(rows)}"]
     header += [f"property float {name}" for name in ("x", "y", "z", "red", "green", "blue")]
     header += [f"element face {len(faces)}", "property list uchar int vertex_indices", "end_header", ""]
     polygons = np.empty(len(faces), [("count", "u1"), ("corners", "<i4", 3)])
@@ -107,6 +111,17 @@ def test_the_samples_of_a_vertex_give_what_smoothing_makes_of_it(kernel, folder,
     # float32 twice: what is stored, and the sums in the kernel.
     np.testing.assert_allclose(mean_of(facts), truth, atol=1e-6)
     np.testing.assert_allclose(list(facts["after"].values()), truth, atol=1e-6)
+
+
+@pytest.mark.parametrize("kernel", KERNELS)
+def test_the_samples_of_a_range_image_give_what_smoothing_makes_of_it(kernel, folder, tmp_path):
+    settings = as_data(KERNELS[kernel])
+    vertex = vertices_of(smoothed(folder / "range.ply", tmp_path / "out.ply", settings))[64]
+    for at in ("64", f"{64 % 14},{64 // 14}"):
+        facts = study(folder / "range.ply", at, tmp_path, settings)
+        assert facts["columns"]["vertex"][0] == 64
+        truth = [float(vertex[channel]) for channel in ("red", "green", "blue")]
+        np.testing.assert_allclose(mean_of(facts), truth, atol=1e-6)
 
 
 @pytest.mark.parametrize("surface", ["plane", "heights"])
