@@ -76,9 +76,12 @@ def uses(tree):
 
 
 def byte_differences(before, after):
-    """Return the uses of the bytes of the first file's buffers that the second has others for, where they were."""
+    """Return the uses of the bytes of the first file's buffers that the second has others for, where they were.
+
+    Bytes that nothing uses may be cut off at the end.
+    """
     (old, old_buffers), (_, new_buffers) = before, after
-    found, unused = set(), set()
+    found = set()
     where = uses(old)
     for index, octets in enumerate(old_buffers):
         if octets is None:
@@ -92,6 +95,6 @@ def byte_differences(before, after):
                 found.add(use)
         for _, indices in where[index]:
             differs[indices] = False
-        if differs.any():
-            unused.add("unused")
-    return found | unused
+        if differs[: len(right)].any():
+            found.add("unused")
+    return found

@@ -272,6 +272,24 @@ def test_an_image_that_lights_the_scene_is_kept_for_it(tmp_path):
     assert shown(patched) == {(0, "baseColor"): new_image(2).data}
 
 
+def test_images_that_share_bytes_all_stay_in_use(tmp_path):
+    """Some exporters describe the same image once for every texture."""
+    model = Textured()
+    view = model.view(picture(1))
+    model.tree["images"] += [{"bufferView": view, "mimeType": "image/png"} for _ in range(3)]
+    for number in range(3):
+        model.triangles(SQUARE + number, SQUARE[:, :2], model.material(baseColor=model.texture(number)))
+    source = model.written_to(tmp_path)
+    document = open_document(str(source))
+    (texture,) = document.textured("baseColor").textures
+    written = document.patch(None, "out", moved=False, images={("baseColor", texture.key): new_image(1)})
+    (old, _), (new, _) = unpacked(source.read_bytes()), unpacked(joined(written))
+    assert [old[key] for key in ("images", "textures", "materials")] == [
+        new[key] for key in ("images", "textures", "materials")
+    ]
+    assert set(shown(save(written, "out.glb", tmp_path)).values()) == {new_image(1).data}
+
+
 def test_a_slot_apart_gets_a_texture_and_an_image_of_its_own(tmp_path):
     model = Textured()
     texture = model.texture(model.image(picture(1)), wrap=(33071, 33071), name="shared")

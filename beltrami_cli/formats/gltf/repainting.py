@@ -187,6 +187,9 @@ def _point(edit: Edit, pictures: Pictures, showing: _Showing, image: int) -> Non
             "old colours."
         )
     webp = MEDIA[showing.file.suffix.lower()] == "image/webp"
+    old = extensions.get(WEBP, {}).get("source", texture.get("source"))
+    if old is not None and old < len(pictures.images) and pictures.canonical(old) == image:
+        image = old  # another description of the same image
     if webp and WEBP in extensions:
         extensions[WEBP] = extensions[WEBP] | {"source": image}
         if "source" in texture:
