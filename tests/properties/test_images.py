@@ -248,3 +248,12 @@ def test_slopes_are_smoothed_less_than_level_parts_which_are_smoothed_like_the_p
     slope = np.s_[4:-4, 44:76]
     assert np.std(steep[slope]) == pytest.approx(0.05 * np.sqrt(np.sum(line**2)), rel=0.1)
     assert np.std(flat[slope]) < 0.7 * np.std(steep[slope])
+
+
+def test_a_hole_changes_nothing_further_away_than_kernels_reach():
+    image, valid = noisy(40, 60), np.ones((40, 60), bool)
+    valid[0, 0] = False  # makes the metric's own smoothing look for walls
+    whole, holed = (smooth_image(image, valid=v, beta=8).colours for v in (None, valid))
+    # Five kernels of 3 pixels, and two metrics of 2, further on.
+    assert np.abs(holed - whole)[20:, 20:].max() < 1e-6
+    assert np.abs(holed - whole)[1:5, 1:5].max() > 1e-4
