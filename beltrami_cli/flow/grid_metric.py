@@ -72,7 +72,7 @@ class GridMetric:
             self.beta = 0.0
         self._guide: GridGuide | None = None
         if parameters.is_regularised(0):
-            self._guide = GridGuide(atlas.kind != EMPTY, parameters.metric_scale, walls=walls)
+            self._guide = GridGuide(atlas.kind != EMPTY, parameters.metric_scale, walls=walls, atlas=atlas)
         self.guide_betas: dict[str, float] = {}
         self._guide_planes = [self._take(guide) for guide in guides]
 

@@ -10,8 +10,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from beltrami_cli.flow.cut_means import CutMeans
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+
+    from beltrami_cli.mesh.atlas import Atlas
 
 
 class MeshGuide:
@@ -73,6 +77,8 @@ class GridGuide:
     walls : bool
         Whether cells that are not filled stop the Gaussian, and not only lend no colour: it goes along the row and then
         along the column as far as cells are filled. Textures, whose charts keep their distance, do without.
+    atlas : Atlas, optional
+        The canvas, across whose cuts no colour is lent.
 
     Attributes
     ----------
@@ -80,12 +86,15 @@ class GridGuide:
         What is left of the standard deviation of white noise, away from borders.
     """
 
-    def __init__(self, filled: NDArray[np.bool_], scale: float, *, walls: bool = False) -> None:
+    def __init__(
+        self, filled: NDArray[np.bool_], scale: float, *, walls: bool = False, atlas: Atlas | None = None
+    ) -> None:
         self._taps = _gaussian_taps(scale)
         self._open = filled if walls else None
         self.gain = float(np.sum(self._taps**2))
         self._total = self._convolve(filled.astype(np.float32), np.empty(filled.shape, np.float32))
         np.maximum(self._total, np.float32(1e-6), out=self._total)
+        self._cut_means = None if atlas is None or not len(atlas.cut_cells) else CutMeans(atlas, self._taps)
 
     def smooth(self, planes: NDArray[np.float32]) -> NDArray[np.float32]:
         """Smooth planes of shape (N, R, C), which must be 0 where cells are not filled."""
@@ -93,6 +102,8 @@ class GridGuide:
         for plane, result in zip(planes, smoothed, strict=True):
             self._convolve(plane, result)
             result /= self._total
+            if self._cut_means is not None:
+                self._cut_means.apply(plane, result)
         return smoothed
 
     def _convolve(self, plane: NDArray[np.float32], result: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -28,7 +28,11 @@ class Atlas:
         EMPTY, OWNED or HALO. A margin as wide as the halo is EMPTY or HALO on all sides.
     squared_lengths : ndarray of float32, shape (4, R, C)
         Squared distance in space, in the surface's own unit, from the cell to its neighbour on the right, below, below
-        right, and below left. Infinite where the neighbour lies outside; without meaning where either is EMPTY.
+        right, and below left. Infinite where the neighbour lies outside, and where the surface ends between the two
+        (at an open edge, or between two parts of a chart that only touch in the image); without meaning where either
+        is EMPTY.
+    cut_cells : ndarray of int64, shape (K,)
+        Flat indices, ascending, of the cells between which and a neighbour, not EMPTY, the surface ends at an edge.
     owned_cells : ndarray of int64, shape (T,)
         Flat indices of the owned cells, ascending.
     owned_texels : ndarray of int64, shape (T,)
@@ -57,6 +61,7 @@ class Atlas:
 
     kind: NDArray[np.uint8]
     squared_lengths: NDArray[np.float32]
+    cut_cells: NDArray[np.int64]
     owned_cells: NDArray[np.int64]
     owned_texels: NDArray[np.int64]
     texture_offsets: NDArray[np.int64]

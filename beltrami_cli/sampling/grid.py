@@ -60,6 +60,7 @@ def grid_atlas(
         owned_cells=owned,
         owned_texels=np.flatnonzero(filled).astype(np.int64, copy=False),
         texture_offsets=np.array([0, shape[0] * shape[1]], np.int64),
+        cut_cells=nothing,
         halo_cells=nothing,
         halo_taps=np.zeros(no_taps, np.int64),
         halo_weights=np.zeros(no_taps, np.float32),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 
 from beltrami_cli.mesh.textured import Texture, TexturedSurface
@@ -90,3 +92,27 @@ def cube(texels=16, gap=4):
         corners += [image[[0, 1, 2]], image[[0, 2, 3]]]
         positions.append(square * texels / 2)
     return textured(np.concatenate(positions), faces, corners, [(6 * (texels + gap) + gap, texels + 2 * gap)])
+
+
+def slit(surface, start, end, through=(False, False), gap=1e-9):
+    """Cut a flat surface open along a straight line of edges, and lift one of its sides by a little.
+
+    Parameters
+    ----------
+    start, end : (float, float)
+        Vertices, by x and y. They stay joined, but for those that the cut goes through, because the surface ends there.
+    """
+    start, end = np.asarray(start, float), np.asarray(end, float)
+    along = end - start
+    offset = surface.positions[:, :2] - start
+    beside = offset @ [-along[1], along[0]]
+    share = offset @ along / (along @ along)
+    inner = (share > 0 if not through[0] else share >= 0) & (share < 1 if not through[1] else share <= 1)
+    doubled = np.flatnonzero(inner & (beside == 0))
+    middles = offset[surface.faces].mean(axis=1) @ [-along[1], along[0]]
+    new = np.arange(len(surface.positions))
+    new[doubled] = len(surface.positions) + np.arange(len(doubled))
+    faces = np.where((middles > 0)[:, None], new[surface.faces], surface.faces)
+    copies = surface.positions[doubled] + [0, 0, gap]
+    positions = np.concatenate([surface.positions, copies])
+    return dataclasses.replace(surface, positions=positions, faces=faces.astype(np.int32))

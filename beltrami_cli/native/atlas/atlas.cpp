@@ -9,6 +9,7 @@
 #include "atlas/cells.hpp"
 #include "atlas/charts.hpp"
 #include "atlas/layout.hpp"
+#include "atlas/near_borders.hpp"
 #include "atlas/ownership.hpp"
 #include "atlas/windows.hpp"
 #include "parallel.hpp"
@@ -31,6 +32,7 @@ class Builder {
     prepare_canvas();
     halo_.resize(bands_.bands.size());
     gutter_.resize(bands_.bands.size());
+    cuts_.resize(bands_.bands.size());
     parallel_chunks(bands_.bands.size(), bands_per_chunk, threads_, [&](std::size_t begin, std::size_t end, unsigned) {
       Cells cells(plan_);
       for (std::size_t band = begin; band < end; ++band) build_band(cells, band);
@@ -40,6 +42,7 @@ class Builder {
       for (std::size_t band = begin; band < end; ++band) fill_lists(band);
     });
     list_gutter();
+    list_cuts();
     count();
     return std::move(atlas_);
   }
@@ -76,26 +79,32 @@ class Builder {
       const auto width = static_cast<std::size_t>(cells.width());
       const std::size_t start = row_start(band, row);
       for (std::size_t x = 0; x < width; ++x) atlas_.kind[start + x] = static_cast<std::uint8_t>(cells.kind(local + x));
-      measure_row(cells, local, width, row - band.top + 1 < cells.height(), start);
+      measure_row(cells, local, row - band.top + 1 < cells.height(), start, cuts_[index]);
     }
     halo_[index].assign(cells.halo.begin(), cells.halo.end());
     gutter_[index].assign(cells.gutter.begin(), cells.gutter.end());
   }
 
-  void measure_row(const Cells& cells, std::size_t local, std::size_t width, bool has_below, std::size_t start) {
+  void measure_row(const Cells& cells, std::size_t local, bool has_below, std::size_t start,
+                   std::vector<std::int64_t>& cuts) {
+    const auto width = static_cast<std::size_t>(cells.width()), columns = static_cast<std::size_t>(atlas_.columns);
     const std::size_t plane = atlas_.kind.size, below = local + width;
     for (std::size_t x = 0; x < width; ++x) {
       if (cells.kind(local + x) == Kind::empty) continue;
-      const auto measure = [&](std::size_t which, std::size_t neighbour) {
+      const auto measure = [&](std::size_t which, std::size_t neighbour, std::size_t step) {
         if (cells.kind(neighbour) == Kind::empty) return;
+        if (!cells.are_joined(local + x, neighbour)) {
+          for (const std::size_t cell : {start + x, start + x + step}) cuts.push_back(static_cast<std::int64_t>(cell));
+          return;
+        }
         atlas_.squared_lengths[which * plane + start + x] =
             squared_length(cells.position(local + x), cells.position(neighbour));
       };
-      if (x + 1 < width) measure(0, local + x + 1);
+      if (x + 1 < width) measure(0, local + x + 1, 1);
       if (!has_below) continue;
-      measure(1, below + x);
-      if (x + 1 < width) measure(2, below + x + 1);
-      if (x > 0) measure(3, below + x - 1);
+      measure(1, below + x, columns);
+      if (x + 1 < width) measure(2, below + x + 1, columns + 1);
+      if (x > 0) measure(3, below + x - 1, columns - 1);
     }
   }
 
@@ -168,6 +177,15 @@ class Builder {
     }
   }
 
+  void list_cuts() {
+    std::vector<std::int64_t> all;
+    for (const auto& part : cuts_) all.insert(all.end(), part.begin(), part.end());
+    std::sort(all.begin(), all.end());
+    all.erase(std::unique(all.begin(), all.end()), all.end());
+    atlas_.cut_cells = Array<std::int64_t>(all.size());
+    std::copy(all.begin(), all.end(), atlas_.cut_cells.data.get());
+  }
+
   void count() {
     atlas_.charts = static_cast<std::int64_t>(plan_.charts.size());
     atlas_.seams = plan_.charts.seams;
@@ -181,6 +199,7 @@ class Builder {
   Bands bands_;
   std::vector<std::vector<HaloCell>> halo_;      // [band]
   std::vector<std::vector<GutterCell>> gutter_;  // [band]
+  std::vector<std::vector<std::int64_t>> cuts_;  // [band]
   Atlas atlas_;
 };
 
@@ -193,7 +212,8 @@ Atlas make_atlas(const Surface& surface, std::int64_t margin, unsigned threads) 
   const Windows windows = make_windows(mesh, charts);
   const Ownership ownership = make_ownership(mesh, charts, windows);
   const Layout layout = make_layout(ownership, margin);
-  return Builder({mesh, charts, windows, ownership, layout, margin}, threads).build();
+  const NearBorders near_borders(mesh, charts);
+  return Builder({mesh, charts, windows, ownership, layout, near_borders, margin}, threads).build();
 }
 
 }  // namespace beltrami::atlas

@@ -26,6 +26,7 @@ struct Atlas {
   std::int64_t rows = 0, columns = 0;
   Array<std::uint8_t> kind;                   // 0 empty, 1 owned, 2 halo
   Array<float> squared_lengths;               // four planes: to the right, below, below right, below left
+  Array<std::int64_t> cut_cells;              // those between which and a neighbour the surface ends
   Array<std::int64_t> owned_cells, owned_texels;
   Array<Index> chart_of;                      // of each owned cell
   Array<std::int64_t> halo_cells, halo_taps;  // four taps a cell

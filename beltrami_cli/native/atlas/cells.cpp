@@ -8,6 +8,9 @@
 namespace beltrami::atlas {
 namespace {
 
+// Bits of a cell: whether its texel is near an open edge, and near any border.
+constexpr std::uint8_t near_open = 1, near_any = 2;
+
 // Marks what is within `margin` columns of a mark.
 void widen(const std::uint8_t* marks, std::int64_t width, std::int64_t margin, std::uint8_t* widened) {
   std::int64_t marked = 0;
@@ -26,7 +29,8 @@ double halo_reach(std::int64_t margin) {
   return std::sqrt(2.0) * static_cast<double>(margin) + 0.01;
 }
 
-Cells::Cells(const Plan& plan) : plan_(plan), reach_(halo_reach(plan.margin)) {}
+Cells::Cells(const Plan& plan)
+    : plan_(plan), reach_(halo_reach(plan.margin)), connections_(plan.mesh, plan.charts) {}
 
 void Cells::make(const Band& band, std::span<const Index> borders, std::span<const Index> faces) {
   enter(band);
@@ -57,6 +61,9 @@ void Cells::enter(const Band& band) {
   const auto cells = static_cast<std::size_t>(block_.width * block_.height);
   kinds_.assign(cells, Kind::empty);
   positions_.resize(cells);
+  faces_.resize(cells);
+  nearness_.resize(cells);
+  ways_.clear();
   halo.clear();
   gutter.clear();
 }
@@ -116,7 +123,10 @@ void Cells::find_covered(std::span<const Index> faces) {
 void Cells::make_owned(std::size_t cell, Point2 place) {
   const auto row = static_cast<std::int64_t>(place.y), column = static_cast<std::int64_t>(place.x) - block_.x;
   const auto texel = grid_->texel(columns_[static_cast<std::size_t>(column)], wrapped(row, grid_->height, grid_->wrap_y));
-  map_.use(plan_.mesh, plan_.ownership.face[static_cast<std::size_t>(texel)]);
+  faces_[cell] = plan_.ownership.face[static_cast<std::size_t>(texel)];
+  nearness_[cell] = plan_.near_borders.is_near_any(texel) ? near_any : 0;
+  if (plan_.near_borders.is_near_open(texel)) nearness_[cell] |= near_open;
+  map_.use(plan_.mesh, faces_[cell]);
   positions_[cell] = map_.inside(place);
   kinds_[cell] = Kind::owned;
 }
@@ -127,19 +137,44 @@ void Cells::make_halo(std::size_t cell, Point2 place, bool record) {
   if (const Index face = covering_[cell]; face != none) {
     FaceMap map;
     map.use(plan_.mesh, face);
+    faces_[cell] = face;
     sample = stand_in(plan_, face, static_cast<std::int64_t>(place.x), static_cast<std::int64_t>(place.y),
                       map.inside(place));
   } else {
     const Border& border = plan_.charts.borders[static_cast<std::size_t>(nearest_[cell].border)];
     seam = border.seam;
-    if (const auto landing = unfold(plan_.mesh, border.edge, place)) sample = look_up(plan_, *landing);
+    const Way way(plan_.mesh, border.edge, place);
+    if (way.end() == End::landed) sample = look_up(plan_, way.landing());
+    faces_[cell] = none;
+    if (sample && sample->near_open) {
+      faces_[cell] = -1 - static_cast<Index>(ways_.size());
+      ways_.push_back(way);
+    }
   }
   if (!sample) return;
   kinds_[cell] = Kind::halo;
   positions_[cell] = sample->position;
+  nearness_[cell] = sample->near_open ? near_open | near_any : near_any;
   if (!record) return;
   halo.push_back({sample->cells, sample->weights, seam});
   if (seam != none) record_gutter(cell, place);
+}
+
+bool Cells::is_on(std::size_t cell, std::size_t other) const {
+  const Index face = faces_[cell], other_face = faces_[other];
+  if (face >= 0 && other_face >= 0)
+    return face == other_face || connections_.inside(face, place_of(cell), other_face, place_of(other));
+  if (((nearness_[cell] | nearness_[other]) & near_open) == 0) return true;
+  if (face >= 0) return connections_.outwards(face, place_of(cell), place_of(other));
+  if (other_face >= 0) return connections_.outwards(other_face, place_of(other), place_of(cell));
+  const bool has_way = (nearness_[cell] & near_open) != 0;
+  const Way& way = ways_[static_cast<std::size_t>(-1 - (has_way ? face : other_face))];
+  return way.on_to(plan_.mesh, place_of(has_way ? other : cell)) != End::open;
+}
+
+Point2 Cells::place_of(std::size_t cell) const {
+  const auto index = static_cast<std::int64_t>(cell);
+  return {static_cast<double>(block_.x + index % block_.width), static_cast<double>(block_.y + index / block_.width)};
 }
 
 void Cells::record_gutter(std::size_t cell, Point2 place) {

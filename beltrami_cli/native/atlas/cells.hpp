@@ -6,10 +6,12 @@
 #include <vector>
 
 #include "atlas/bands.hpp"
+#include "atlas/connections.hpp"
 #include "atlas/face_map.hpp"
 #include "atlas/layout.hpp"
 #include "atlas/lookup.hpp"
 #include "atlas/nearest_border.hpp"
+#include "atlas/unfolding.hpp"
 
 namespace beltrami::atlas {
 
@@ -39,6 +41,10 @@ class Cells {
   std::int64_t height() const { return block_.height; }
   Kind kind(std::size_t cell) const { return kinds_[cell]; }
   Point3 position(std::size_t cell) const { return positions_[cell]; }
+  // Whether the surface goes on between two neighbouring cells, neither empty.
+  bool are_joined(std::size_t cell, std::size_t other) const {
+    return nearness_[cell] == 0 || nearness_[other] == 0 || is_on(cell, other);
+  }
 
   // Of the band's own rows, in the order of cells. May be moved from.
   std::vector<HaloCell> halo;
@@ -52,6 +58,8 @@ class Cells {
   void make_owned(std::size_t cell, Point2 place);
   void make_halo(std::size_t cell, Point2 place, bool record);
   void record_gutter(std::size_t cell, Point2 place);
+  bool is_on(std::size_t cell, std::size_t other) const;
+  Point2 place_of(std::size_t cell) const;
 
   const Plan& plan_;
   const double reach_;
@@ -65,6 +73,11 @@ class Cells {
   std::vector<Index> covering_;         // the face of the chart that covers a wanted cell
   std::vector<Kind> kinds_;
   std::vector<Point3> positions_;
+  std::vector<Index> faces_;            // the chart's face at a cell; outside the chart -1 - number of its way,
+                                        // if an open edge may be near
+  std::vector<Way> ways_;
+  std::vector<std::uint8_t> nearness_;  // to where charts end, see cells.cpp; 0: far
+  Connections connections_;
   NearestBorders nearest_;
   FaceMap map_;
 };

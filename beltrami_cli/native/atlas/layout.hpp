@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "atlas/mesh.hpp"
+#include "atlas/near_borders.hpp"
 #include "atlas/ownership.hpp"
 #include "atlas/windows.hpp"
 
@@ -33,6 +34,7 @@ struct Plan {
   const Windows& windows;
   const Ownership& ownership;
   const Layout& layout;
+  const NearBorders& near_borders;
   std::int64_t margin;
 
   // The canvas cell of a texel that somebody owns.

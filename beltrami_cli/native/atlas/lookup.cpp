@@ -2,6 +2,7 @@
 
 #include <cmath>
 
+#include "atlas/connections.hpp"
 #include "atlas/face_map.hpp"
 
 namespace beltrami::atlas {
@@ -48,8 +49,8 @@ bool is_covered(const Mesh& mesh, Index start, Point2 place) {
 
 class Lookup {
  public:
-  Lookup(const Plan& plan, Index face)
-      : plan_(plan), face_(face), grid_(plan.mesh.grid(static_cast<std::size_t>(face))) {}
+  Lookup(const Plan& plan, Index face, Point2 place)
+      : plan_(plan), face_(face), place_(place), grid_(plan.mesh.grid(static_cast<std::size_t>(face))) {}
 
   std::int64_t texel(double x, double y) const {
     return grid_.texel(wrapped(static_cast<std::int64_t>(x), grid_.width, grid_.wrap_x),
@@ -62,30 +63,39 @@ class Lookup {
                                  plan_.charts.chart_of[static_cast<std::size_t>(face_)];
   }
 
-  // Whether the texel shows this part of the surface: it belongs to the chart, or to one that overlaps the chart.
+  // Whether the texel shows this part of the surface: it belongs to the chart, or to one that overlaps the chart, and
+  // the chart does not end before it.
   bool is_ours(std::int64_t texel, double x, double y) const {
     if (plan_.ownership.window[static_cast<std::size_t>(texel)] == none) return false;
-    return is_of_owners_chart(texel) ||
-           (plan_.ownership.loser[static_cast<std::size_t>(plan_.charts.chart_of[static_cast<std::size_t>(face_)])] != 0 &&
-            is_covered(plan_.mesh, face_, {x, y}));
+    if (is_of_owners_chart(texel)) return is_joined(texel, x, y);
+    return plan_.ownership.loser[static_cast<std::size_t>(plan_.charts.chart_of[static_cast<std::size_t>(face_)])] != 0 &&
+           is_covered(plan_.mesh, face_, {x, y});
+  }
+
+  bool is_joined(std::int64_t texel, double x, double y) const {
+    const Index owner = plan_.ownership.face[static_cast<std::size_t>(texel)];
+    if (owner == face_ || !plan_.near_borders.is_near_any(texel)) return true;
+    const Index there = is_owned_here(texel, x, y) ? owner : none;
+    return Connections(plan_.mesh, plan_.charts).inside(face_, place_, there, {x, y});
   }
 
   void add(double x, double y, double weight) {
     if (!(weight > 0)) return;
     const auto number = texel(x, y);
+    near_open_ = near_open_ || plan_.near_borders.is_near_open(number);
     if (!is_ours(number, x, y)) return;
     cells_[count_] = cell(number);
     weights_[count_++] = weight;
     sum_ += weight;
   }
 
-  void add_nearest(Point2 place) {
+  void add_nearest() {
     double least = farthest_substitute * farthest_substitute;
     std::int64_t found = -1;
-    const double left = std::floor(place.x), top = std::floor(place.y);
+    const double left = std::floor(place_.x), top = std::floor(place_.y);
     for (double y = top - 1; y <= top + 2; ++y)
       for (double x = left - 1; x <= left + 2; ++x) {
-        const Point2 offset = Point2{x, y} - place;
+        const Point2 offset = Point2{x, y} - place_;
         if (!(dot(offset, offset) < least) || !is_ours(texel(x, y), x, y)) continue;
         least = dot(offset, offset);
         found = texel(x, y);
@@ -97,7 +107,7 @@ class Lookup {
 
   std::optional<Sample> sample(Point3 position) const {
     if (count_ == 0) return std::nullopt;
-    Sample result{{}, {}, position};
+    Sample result{{}, {}, position, near_open_};
     for (std::size_t i = 0; i < 4; ++i) {
       result.cells[i] = cells_[i < count_ ? i : 0];
       result.weights[i] = i < count_ ? static_cast<float>(weights_[i] / sum_) : 0;
@@ -124,11 +134,13 @@ class Lookup {
 
   const Plan& plan_;
   Index face_;
+  Point2 place_;
   const Texture& grid_;
   std::array<std::uint32_t, 4> cells_{};
   std::array<double, 4> weights_{};
   std::size_t count_ = 0;
   double sum_ = 0;
+  bool near_open_ = false;
 };
 
 }  // namespace
@@ -142,7 +154,7 @@ std::optional<Sample> look_up(const Plan& plan, const Landing& landing) {
     position = position + landing.weights[k] * plan.mesh.corner(face, k);
   }
   place = {snapped(place.x), snapped(place.y)};
-  Lookup lookup(plan, landing.face);
+  Lookup lookup(plan, landing.face, place);
   const double x = std::floor(place.x), y = std::floor(place.y), u = place.x - x, v = place.y - y;
   if (u == 0 && v == 0 && lookup.is_owned_here(lookup.texel(x, y), x, y))
     position = lookup.owners_position(lookup.texel(x, y));  // one sample, one position
@@ -152,7 +164,7 @@ std::optional<Sample> look_up(const Plan& plan, const Landing& landing) {
   lookup.add(x + 1, y + 1, u * v);
   auto sample = lookup.sample(position);
   if (sample) return sample;
-  lookup.add_nearest(place);
+  lookup.add_nearest();
   return lookup.sample(position);
 }
 
@@ -161,7 +173,7 @@ std::optional<Sample> stand_in(const Plan& plan, Index face, std::int64_t x, std
   const auto texel = grid.texel(wrapped(x, grid.width, grid.wrap_x), wrapped(y, grid.height, grid.wrap_y));
   if (plan.ownership.window[static_cast<std::size_t>(texel)] == none) return std::nullopt;
   const auto cell = static_cast<std::uint32_t>(plan.cell_of(texel, grid));
-  return Sample{{cell, cell, cell, cell}, {1, 0, 0, 0}, position};
+  return Sample{{cell, cell, cell, cell}, {1, 0, 0, 0}, position, plan.near_borders.is_near_open(texel)};
 }
 
 }  // namespace beltrami::atlas

@@ -14,6 +14,7 @@ struct Sample {
   std::array<std::uint32_t, 4> cells;  // owned
   std::array<float, 4> weights;        // with the sum 1
   Point3 position;
+  bool near_open;  // whether an open edge may be near
 };
 
 // The texels around the landing in the texture of its face, if they belong to its chart. A point on a texel's centre

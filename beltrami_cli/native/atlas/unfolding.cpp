@@ -10,6 +10,8 @@ namespace {
 constexpr int longest_walk = 64;
 // What lies on an edge but for rounding belongs to the face before it: it must not fall off an open edge.
 constexpr double rounding = 1e-9;
+// Edge k of a laid face leads from its corner k to the next; by the last one a way enters.
+constexpr std::size_t entry = 2, no_edge = 3;
 
 struct Base {
   Point2 a, b;  // an edge in the plane; what comes next lies on its left
@@ -39,79 +41,108 @@ bool is_beyond(Base edge, Point2 point, double reach) {
   return left_of(edge.a, edge.b, point) > rounding * length * (length + reach);
 }
 
-// Weights of a, b and the apex.
-std::array<double, 3> weights_in(Base base, Point2 apex, Point2 point) {
-  std::array<double, 3> weights{left_of(base.b, apex, point), left_of(apex, base.a, point),
-                                left_of(base.a, base.b, point)};
-  for (double& weight : weights) weight = std::max(weight, 0.0);
-  const double sum = weights[0] + weights[1] + weights[2];
-  if (sum > 0) return {weights[0] / sum, weights[1] / sum, weights[2] / sum};
-  const Point2 along = base.b - base.a;
-  const double t = std::clamp(dot(point - base.a, along) / dot(along, along), 0.0, 1.0);
-  return {1 - t, t, 0};
+// The mesh's name of edge k of a laid face; in the mesh it may lead the other way.
+Edge edge_of(const Laid& laid, std::size_t k) {
+  const std::size_t from = laid.corner[k], to = laid.corner[next(k)];
+  return static_cast<Edge>(3 * static_cast<std::size_t>(laid.face) + (next(from) == to ? from : to));
 }
 
-struct Start {
-  Base base;
-  Point2 from, to;
-};
+// Lays out the face on the other side of an edge, which leads from `place` at base.a to base.b.
+End enter(const Mesh& mesh, Edge edge, Base base, Index place, Laid& laid) {
+  const Edge twin = mesh.twins[static_cast<std::size_t>(edge)];
+  if (twin == none) return End::open;
+  const auto face = static_cast<std::size_t>(twin / 3), j = static_cast<std::size_t>(twin % 3);
+  const bool along = mesh.places[face][j] == place;
+  const std::size_t ka = along ? j : next(j), kb = along ? next(j) : j, kd = next(next(j));
+  const Point2 apex = raise(base, apex_of(mesh.corner(face, ka), mesh.corner(face, kb), mesh.corner(face, kd)));
+  laid = {static_cast<Index>(face),
+          {static_cast<std::uint8_t>(ka), static_cast<std::uint8_t>(kd), static_cast<std::uint8_t>(kb)},
+          {base.a, apex, base.b}};
+  return End::landed;
+}
 
-// The face's own plane: the edge along the x axis, the face below it, the place above.
-std::optional<Start> start_at(const Mesh& mesh, std::size_t face, std::size_t k, Point2 place) {
-  const auto& texels = mesh.texels[face];
-  const Point2 along = texels[next(k)] - texels[k], side = texels[next(next(k))] - texels[k], offset = place - texels[k];
-  const double area = cross(along, side);
-  if (area == 0) return std::nullopt;
-  const Point3 a = mesh.corner(face, k), b = mesh.corner(face, next(k));
-  const double length = std::sqrt(dot(b - a, b - a));
-  if (!(length > 0)) return std::nullopt;
-  const Apex apex = apex_of(a, b, mesh.corner(face, next(next(k))));
-  const double t = std::clamp(dot(offset, along) / dot(along, along), 0.0, 1.0);
-  const double beta = cross(offset, side) / area, gamma = cross(along, offset) / area;
-  return Start{{{0, 0}, {length, 0}},
-               {t * length, 0},
-               {(beta + gamma * apex.foot) * length, -gamma * apex.height * length}};
+// The edge, but for one, by which a line leaves a face for a point outside; no_edge for a point inside.
+std::size_t exit_of(const Laid& laid, std::size_t entered, Point2 from, Point2 to, double reach) {
+  std::size_t found = no_edge;
+  for (std::size_t k = 0; k < 3; ++k) {
+    if (k == entered || !is_beyond({laid.at[k], laid.at[next(k)]}, to, reach)) continue;
+    // If the point lies beyond two edges, the line passes their common corner, on one side or the other.
+    const bool corner_is_between = found + 1 == k;
+    if (found == no_edge || (left_of(from, to, laid.at[corner_is_between ? k : 0]) > 0) == corner_is_between) found = k;
+  }
+  return found;
+}
+
+End follow(const Mesh& mesh, Point2 from, Point2 to, std::size_t entered, Laid& laid) {
+  const double reach = std::sqrt(dot(to - from, to - from));
+  for (int step = 0; step < longest_walk; ++step) {
+    const std::size_t k = exit_of(laid, entered, from, to, reach);
+    if (k == no_edge) return End::landed;
+    const Index place = mesh.places[static_cast<std::size_t>(laid.face)][laid.corner[k]];
+    const Base base{laid.at[k], laid.at[next(k)]};
+    if (const End end = enter(mesh, edge_of(laid, k), base, place, laid); end != End::landed) return end;
+    entered = entry;
+  }
+  return End::lost;
 }
 
 }  // namespace
 
-std::optional<Landing> unfold(const Mesh& mesh, Edge edge, Point2 place) {
-  const auto first = static_cast<std::size_t>(edge / 3);
-  const auto start = start_at(mesh, first, static_cast<std::size_t>(edge % 3), place);
-  if (!start) return std::nullopt;
-  Base base = start->base;
-  Index place_a = mesh.places[first][static_cast<std::size_t>(edge % 3)];
-  const Point2 ray = start->to - start->from;
-  const double reach = std::sqrt(dot(ray, ray));
-  Edge crossed = edge;
-  for (int step = 0; step < longest_walk; ++step) {
-    const Edge twin = mesh.twins[static_cast<std::size_t>(crossed)];
-    if (twin == none) return std::nullopt;
-    const auto face = static_cast<std::size_t>(twin / 3), j = static_cast<std::size_t>(twin % 3);
-    const bool along = mesh.places[face][j] == place_a;
-    const std::size_t ka = along ? j : next(j), kb = along ? next(j) : j, kd = next(next(j));
-    const Point2 apex = raise(base, apex_of(mesh.corner(face, ka), mesh.corner(face, kb), mesh.corner(face, kd)));
-    // The straight line leaves on the side of b if the apex is on its left. If it leads along the edge through the apex,
-    // it may leave by the other one.
-    const Base to_a{base.a, apex}, to_b{apex, base.b};
-    bool by_b = left_of(start->from, start->to, apex) > 0;
-    if (!is_beyond(by_b ? to_b : to_a, start->to, reach) && is_beyond(by_b ? to_a : to_b, start->to, reach)) by_b = !by_b;
-    const Base exit = by_b ? to_b : to_a;
-    if (!is_beyond(exit, start->to, reach)) {
-      const auto weights = weights_in(base, apex, start->to);
-      Landing landing{static_cast<Index>(face), {}};
-      landing.weights[ka] = weights[0];
-      landing.weights[kb] = weights[1];
-      landing.weights[kd] = weights[2];
-      return landing;
-    }
-    // Edge k leads from corner k to the next: of the two corners it joins, the one whose next is the other.
-    const std::size_t from = by_b ? kd : ka, to = by_b ? kb : kd;
-    crossed = static_cast<Edge>(3 * face + (next(from) == to ? from : to));
-    place_a = mesh.places[face][from];
-    base = exit;
+Plane::Plane(const Mesh& mesh, Edge edge) {
+  const auto face = static_cast<std::size_t>(edge / 3), k = static_cast<std::size_t>(edge % 3);
+  const auto& texels = mesh.texels[face];
+  origin_ = texels[k];
+  along_ = texels[next(k)] - origin_;
+  side_ = texels[next(next(k))] - origin_;
+  area_ = cross(along_, side_);
+  const Point3 a = mesh.corner(face, k), b = mesh.corner(face, next(k));
+  length_ = std::sqrt(dot(b - a, b - a));
+  if (!is_flat()) return;
+  const Apex apex = apex_of(a, b, mesh.corner(face, next(next(k))));
+  foot_ = apex.foot;
+  height_ = apex.height;
+}
+
+Point2 Plane::at(Point2 place) const {
+  const Point2 offset = place - origin_;
+  const double beta = cross(offset, side_) / area_, gamma = cross(along_, offset) / area_;
+  return {(beta + gamma * foot_) * length_, -gamma * height_ * length_};
+}
+
+Point2 Plane::nearest(Point2 place) const {
+  return {std::clamp(dot(place - origin_, along_) / dot(along_, along_), 0.0, 1.0) * length_, 0};
+}
+
+Way::Way(const Mesh& mesh, Edge edge, Point2 place) : plane_(mesh, edge), end_(End::lost) {
+  if (!plane_.is_flat()) return;
+  from_ = plane_.nearest(place);
+  to_ = plane_.at(place);
+  const Index first = mesh.places[static_cast<std::size_t>(edge / 3)][static_cast<std::size_t>(edge % 3)];
+  end_ = enter(mesh, edge, {{0, 0}, {plane_.length(), 0}}, first, laid_);
+  if (end_ == End::landed) end_ = follow(mesh, from_, to_, entry, laid_);
+}
+
+Landing Way::landing() const {
+  std::array<double, 3> weights;
+  double sum = 0;
+  for (std::size_t k = 0; k < 3; ++k)
+    sum += weights[k] = std::max(-left_of(laid_.at[next(k)], laid_.at[next(next(k))], to_), 0.0);
+  Landing landing{laid_.face, {}};
+  if (sum > 0) {
+    for (std::size_t k = 0; k < 3; ++k) landing.weights[laid_.corner[k]] = weights[k] / sum;
+    return landing;
   }
-  return std::nullopt;
+  // A face without extent: a point of the edge by which the way entered.
+  const Point2 a = laid_.at[next(entry)], along = laid_.at[entry] - a;
+  const double t = std::clamp(dot(to_ - a, along) / dot(along, along), 0.0, 1.0);
+  landing.weights[laid_.corner[next(entry)]] = 1 - t;
+  landing.weights[laid_.corner[entry]] = t;
+  return landing;
+}
+
+End Way::on_to(const Mesh& mesh, Point2 place) const {
+  Laid laid = laid_;
+  return follow(mesh, to_, plane_.at(place), no_edge, laid);
 }
 
 }  // namespace beltrami::atlas

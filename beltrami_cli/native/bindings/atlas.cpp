@@ -47,6 +47,7 @@ nb::dict to_dict(atlas::Atlas& made) {
   result["halo_weights"] = rows_of_four(made.halo_weights);
   result["halo_seams"] = vector_of(made.halo_seams);
   result["chart_of"] = vector_of(made.chart_of);
+  result["cut_cells"] = vector_of(made.cut_cells);
   result["gutter_cells"] = vector_of(made.gutter_cells);
   result["gutter_texels"] = vector_of(made.gutter_texels);
   result["charts"] = made.charts;
