@@ -8,6 +8,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from beltrami_cli.errors import ProcessingError
+
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
@@ -29,17 +31,31 @@ def scratch_file(data: bytes = b"", suffix: str = "") -> Iterator[Path]:
     ------
     pathlib.Path
         Its name.
+
+    Raises
+    ------
+    ProcessingError
+        If there is no room for it.
     """
     if not suffix and hasattr(os, "memfd_create") and _OPEN_FILES.is_dir():
         descriptor = os.memfd_create("image")
         try:
             path = _OPEN_FILES / str(descriptor)
-            path.write_bytes(data)
+            _fill(path, data)
             yield path
         finally:
             os.close(descriptor)
     else:
         with tempfile.TemporaryDirectory(prefix="beltrami-") as folder:
             path = Path(folder) / f"image{suffix}"
-            path.write_bytes(data)
+            _fill(path, data)
             yield path
+
+
+def _fill(path: Path, data: bytes) -> None:
+    try:
+        path.write_bytes(data)
+    except OSError as error:
+        raise ProcessingError(
+            f"there is no room for a copy of an image of {len(data)} bytes ({error.strerror})"
+        ) from error
