@@ -156,7 +156,8 @@ class NpzArchive:
         header = self.header(key)
         count = math.prod(header.shape)
         if count > most:
-            raise self._error(key, f"of shape {header.shape} has {count} numbers, and {most} are allowed")
+            cause = f"the array {key} of shape {header.shape} has {count} numbers, and {most} are allowed"
+            raise InputError(self._name, cause, "raise --max-voxels or --max-memory")
         try:
             with self._archive.open(f"{key}.npy") as file:
                 file.read(header.offset)

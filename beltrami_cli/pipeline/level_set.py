@@ -149,7 +149,7 @@ def _triangulated(
         raise InputError(name, cause, "choose another --level, or smooth the values first")
     vertices, faces = np.empty((0, 3)), np.empty((0, 3), np.int32)
     if crossings.count:
-        vertices, faces = triangulate_level_set(values, level, crossings.scale, known)
+        vertices, faces = triangulate_level_set(values, level, crossings, known)
     if not len(faces):
         low, high = _range(values, known)
         cause = f"there is no surface at level {level:g}; the values go from {low:g} to {high:g}"

@@ -84,7 +84,7 @@ def find_crossings(values: NDArray[Any], level: float, known: NDArray[np.bool_] 
 
 
 def triangulate_level_set(
-    values: NDArray[Any], level: float, scale: float, known: NDArray[np.bool_] | None = None
+    values: NDArray[Any], level: float, crossings: Crossings, known: NDArray[np.bool_] | None = None
 ) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
     """Triangulate a level set.
 
@@ -92,8 +92,8 @@ def triangulate_level_set(
     ----------
     values, level, known
         As for `find_crossings`.
-    scale : float
-        Of its result, which must have counted something.
+    crossings : Crossings
+        Its result, which must have counted something.
 
     Returns
     -------
@@ -102,16 +102,32 @@ def triangulate_level_set(
     faces : ndarray of int32, shape (F, 3)
         Counter-clockwise where values grow towards the viewer. Cells with a corner that is unknown have none, so that
         the surface has holes there. Both may be empty.
+
+    Raises
+    ------
+    MemoryError
+        If there is not enough for the largest surface with so many crossings.
     """
     from skimage.measure import marching_cubes
 
-    offsets, cells = _prepared(values, level, scale, known)
+    offsets, cells = _prepared(values, level, crossings.scale, known)
+    _require_memory(crossings.count, values.shape)
     try:
         # "descent" counts by the left hand: by the right hand, triangles face larger values.
         vertices, faces, _, _ = marching_cubes(offsets, 0.0, gradient_direction="descent", mask=cells)
     except RuntimeError:  # nothing is cut in any known cell
         return np.empty((0, 3)), np.empty((0, 3), np.int32)
     return _compacted(vertices.astype(np.float64), faces)
+
+
+def _require_memory(crossings: int, shape: tuple[int, ...]) -> None:
+    """Raise MemoryError if marching cubes could run out of it: it writes on past an array that it could not enlarge."""
+    # It has arrays of powers of two for vertices (28 bytes) and corners (4 bytes), and copies them. A cell with k cut
+    # edges, each shared by four cells, makes up to 9 k / 7 triangles, and a vertex inside if k is 7 or more.
+    vertices = 1 << (11 * crossings // 7).bit_length()
+    corners = 1 << (16 * crossings).bit_length()
+    layers = 2 * 4 * 4 * shape[1] * shape[2]
+    np.empty(2 * (28 * vertices + 4 * corners) + layers, np.uint8)
 
 
 def _slabs(shape: tuple[int, ...], overlap: int) -> Iterator[tuple[int, int]]:

@@ -34,12 +34,15 @@ def painting(directions):
 
 def meshes(values):
     """Return the vertices and triangles of both meshes by their names."""
-    scale = level_set.find_crossings(values, 0).scale
+    crossings = level_set.find_crossings(values, 0)
     whole = level_set._compacted
     level_set._compacted = lambda vertices, faces: (vertices, faces)
-    plain = level_set.triangulate_level_set(values, 0, scale)
+    plain = level_set.triangulate_level_set(values, 0, crossings)
     level_set._compacted = whole
-    return {"marching cubes": plain, "a vertex a voxel": level_set.triangulate_level_set(values, 0, scale)}
+    return {
+        "marching cubes": plain,
+        "a vertex a voxel": level_set.triangulate_level_set(values, 0, crossings),
+    }
 
 
 def psnr(colours, truth):

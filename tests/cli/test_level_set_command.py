@@ -70,6 +70,16 @@ def test_failures_are_one_line_and_leave_nothing(arguments, code, line, volume, 
     assert not list(tmp_path.iterdir())
 
 
+def test_a_surface_too_large_for_the_memory_is_refused_and_does_not_end_the_process(tmp_path):
+    # scikit-image writes past arrays that it cannot enlarge, so it must not come to that.
+    values = np.random.default_rng(2).standard_normal((100, 100, 100)).astype(np.float16)
+    path = tmp_path / "noise.npz"
+    path.write_bytes(npz(values=values, colours=np.zeros((100, 100, 100, 1), np.uint8)))
+    run = beltrami("smooth", path, tmp_path / "out.ply", "--max-memory", "80M")
+    assert run.returncode == 3, run.stderr
+    assert b"needs more than 80M" in run.stderr
+
+
 def test_meshes_take_no_options_of_level_sets(tmp_path):
     run = beltrami("smooth", SAMPLES / "knot-noisy.ply", tmp_path / "out.ply", *OPTIONS)
     assert run.returncode == 2

@@ -15,7 +15,7 @@ RANDOM = np.random.default_rng(5)
 
 
 def triangulated(values, level=0.0, known=None):
-    return triangulate_level_set(values, level, find_crossings(values, level, known).scale, known)
+    return triangulate_level_set(values, level, find_crossings(values, level, known), known)
 
 
 @pytest.mark.parametrize("spacing", [0.3, 0.1, 0.05])

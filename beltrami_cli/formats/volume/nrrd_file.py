@@ -82,7 +82,11 @@ def _read(data: bytes, name: str, folder: Path | None, most: int) -> tuple[NDArr
     if len(spatial) != 3 or min(sizes[axis] for axis in spatial) < 2:
         raise InputError(name, f"its sizes are {sizes}", "give 2 or more samples along x, y and z")
     if voxels > most:
-        raise InputError(name, f"its sizes are {sizes}, and {most} voxels are allowed", "raise --max-voxels")
+        raise InputError(
+            name,
+            f"its sizes are {sizes}, and {most} voxels are allowed",
+            "raise --max-voxels or --max-memory",
+        )
     if listed is not None and not 1 <= sizes[listed] <= _LONGEST_LIST:
         raise InputError(
             name, f"each sample is a list of {sizes[listed]} numbers", f"give up to {_LONGEST_LIST}"
