@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 COMMANDS = {"bake": "bake", "info": "info", "kernel": "kernel", "smooth": "smooth"}
 
 INTERRUPTED = 130
-_INTERRUPTION = "interrupted; files are as they were, or complete"
 _ENDINGS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 
 
@@ -77,31 +76,44 @@ def main() -> NoReturn:
     """Run the command line and exit with the documented code."""
     # OpenBLAS takes some 30 MB a processor for products of large matrices, of which there are none here.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    for ending in _ENDINGS:
-        if signal.getsignal(ending) is not signal.SIG_IGN:  # as nohup wants it
-            signal.signal(ending, _interrupt)
-    if not any(map(_verbosity, sys.argv[1:])):
-        _part_from_libraries()
+    heard = [
+        ending for ending in _ENDINGS if signal.getsignal(ending) is not signal.SIG_IGN
+    ]  # as nohup wants it
+    code = INTERRUPTED
     try:
-        sys.exit(group.main(prog_name="beltrami", standalone_mode=False) or 0)
-    except click.Abort:
-        _end(INTERRUPTED, _INTERRUPTION)
-    except KeyboardInterrupt:
-        _end(INTERRUPTED, _INTERRUPTION)
+        for ending in heard:
+            signal.signal(ending, _interrupt)
+        code = _run()
+    except KeyboardInterrupt:  # while the last words were said
+        pass
+    finally:  # What comes from now on ends the process without more ado.
+        for ending in heard:
+            signal.signal(ending, signal.SIG_DFL)
+    sys.exit(code)
+
+
+def _run() -> int:
+    """Run the command line, tell how it failed if it did, and return the exit code."""
+    try:
+        if not any(map(_verbosity, sys.argv[1:])):
+            _part_from_libraries()
+        return group.main(prog_name="beltrami", standalone_mode=False) or 0
+    except (click.Abort, KeyboardInterrupt):
+        return _failure(INTERRUPTED, "interrupted; files are as they were, or complete")
     except click.ClickException as error:
         error.show()
-        sys.exit(error.exit_code)
+        return error.exit_code
     except BeltramiError as error:
         if _wants_traceback():
             traceback.print_exc()
-        _end(error.exit_code, str(error))
+        return _failure(error.exit_code, str(error))
     except MemoryError:
-        _end(1, "there is not enough memory; use a smaller mesh or a machine with more")
+        return _failure(1, "there is not enough memory; use a smaller mesh or a machine with more")
     except Exception as error:  # the last resort: even a mistake of ours ends in one line
         if _wants_traceback():
             traceback.print_exc()
         cause = " ".join(f"{type(error).__name__}: {error}".split())
-        _end(1, f"unexpected error: {cause}; run again with -vv and report it")
+        return _failure(1, f"unexpected error: {cause}; run again with -vv and report it")
 
 
 def _interrupt(number: int, frame: FrameType | None) -> NoReturn:
@@ -131,6 +143,6 @@ def _verbosity(argument: str) -> int:
     return argument.count("v") if argument.startswith("-") and set(argument) <= set("-qv") else 0
 
 
-def _end(code: int, message: str) -> NoReturn:
+def _failure(code: int, message: str) -> int:
     click.echo(f"beltrami: {printable(message)}", err=True)
-    sys.exit(code)
+    return code

@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
-import secrets
-import signal
 import stat
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from beltrami_cli.errors import OutputError
+from beltrami_cli.pipeline.replacing import check_writable, replace_together
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
+    from collections.abc import Iterable
 
-    from beltrami_cli.formats.document import Bytes, Written
+    from beltrami_cli.formats.document import Written
 
 
 class Output:
@@ -99,7 +97,7 @@ class Output:
                     file.writelines(written.main)
             else:
                 files = {self.path.parent / name: [data] for name, data in written.sidecars.items()}
-                _replace_together({**files, self.path: written.main})
+                replace_together({**files, self.path: written.main})
         except OSError as error:
             if isinstance(error, BrokenPipeError):
                 # What is still in the buffer must not be tried again when the interpreter ends.
@@ -127,60 +125,8 @@ def _check_folder(folder: Path, target: str) -> None:
     try:
         if not folder.is_dir():
             raise OutputError(target, f"the folder {folder} does not exist", "make it first")
-        probe = _temporary_beside(folder / "probe")
-        os.close(os.open(probe, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600))
-        probe.unlink()
+        check_writable(folder)
     except OSError as error:
         raise OutputError(
             target, f"the folder {folder} cannot be written to ({error.strerror})", "choose another folder"
         ) from error
-
-
-def _temporary_beside(path: Path) -> Path:
-    return path.with_name(f".{path.name[:200]}.{secrets.token_hex(6)}.tmp")
-
-
-def _replace_together(files: Mapping[Path, Iterable[Bytes]]) -> None:
-    """Write every file under a temporary name, then rename all, the last one last."""
-    temporaries: dict[Path, Path] = {}
-    try:
-        for path, pieces in files.items():
-            path.parent.mkdir(parents=True, exist_ok=True)
-            temporaries[path] = _temporary_beside(path)
-            _write_file(temporaries[path], pieces, path)
-        with _signals_held():
-            for path in list(temporaries):
-                temporaries[path].replace(path)
-                del temporaries[path]
-    finally:
-        for temporary in temporaries.values():
-            temporary.unlink(missing_ok=True)
-
-
-def _write_file(temporary: Path, pieces: Iterable[Bytes], final: Path) -> None:
-    # The mode that a new file gets, or that of the file to be replaced.
-    mode = stat.S_IMODE(final.stat().st_mode) if final.exists() else None
-    descriptor = os.open(
-        temporary,
-        os.O_CREAT | os.O_EXCL | os.O_WRONLY | getattr(os, "O_BINARY", 0),
-        0o666 if mode is None else mode,
-    )
-    with os.fdopen(descriptor, "wb") as file:
-        file.writelines(pieces)
-        file.flush()
-        os.fsync(descriptor)
-    if mode is not None:
-        temporary.chmod(mode)
-
-
-@contextlib.contextmanager
-def _signals_held() -> Iterator[None]:
-    """Let no signal fall between the renames of files that belong together."""
-    if not hasattr(signal, "pthread_sigmask"):  # Windows
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)

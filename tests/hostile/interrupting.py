@@ -1,0 +1,110 @@
+"""Runs the command again and again, ended by a signal at every one of its steps that touch files.
+
+Run as a script with the folder of a model, a signal, and the arguments of the command. For every step a child is
+forked, so that libraries are loaded once. Prints what was wrong, one line each, and the number of steps last.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import shutil
+import signal
+import sys
+from pathlib import Path
+
+from hostile.folders import snapshot
+
+# What a process does to files, as it tells its audit hooks.
+STEPS = ("os.rename", "os.remove", "os.mkdir", "os.rmdir", "os.chmod", "os.link", "os.truncate")
+MOST_STEPS = 200
+PIPELINE = [f"beltrami_cli.pipeline.{name}" for name in ("smooth_file", "smooth_textures", "smooth_vertices")]
+
+
+class Ending:
+    """Sends a signal to this process at its n-th step that touches files."""
+
+    def __init__(self, at: int, number: int) -> None:
+        self.at, self.number, self.steps = at, number, 0
+
+    def __call__(self, event: str, arguments: tuple[object, ...]) -> None:
+        writes = (
+            event == "open" and isinstance(arguments[2], int) and arguments[2] & (os.O_WRONLY | os.O_RDWR)
+        )
+        if event in STEPS or (writes and str(arguments[0]) != os.devnull):
+            self.steps += 1
+            if self.steps == self.at:
+                os.kill(os.getpid(), self.number)
+
+
+def child(arguments: list[str], at: int, number: int) -> None:
+    """Be the command; exit with 77 if it ended before the step was reached."""
+    ending = Ending(at, number)
+    sys.addaudithook(ending)
+    sys.argv = ["beltrami", *arguments]
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
+    from beltrami_cli.cli.main import main
+
+    code = 1
+    try:
+        main()
+    except SystemExit as stop:
+        code = int(stop.code or 0)
+    finally:
+        os._exit(77 if ending.steps < at else code)
+
+
+def faults(before: dict, after: dict, finished: dict, number: int) -> list[str]:
+    """Return what a signal must not leave: files that are neither old nor new, some of each, or anything else."""
+    found = []
+    for path, content in before.items():
+        if after.get(path) not in (content, finished[path]):
+            found.append(f"{path} is neither old nor new")
+    if number == signal.SIGKILL:  # which leaves no time to clean up, but still must not harm
+        new = set(after) - set(finished) - set(before)
+        found += [f"{path} is left over" for path in sorted(new) if not path.endswith(".tmp")]
+    elif after not in (before, finished):
+        changes = [path for path in after if after[path] != before.get(path)]
+        found.append(f"not all is old, nor all new: changed are {', '.join(changes)}")
+    return found
+
+
+def run(folder: Path, arguments: list[str], at: int, number: int) -> int:
+    """Fork, and return how the child ended."""
+    pid = os.fork()
+    if pid == 0:
+        os.chdir(folder)
+        child(arguments, at, number)
+    return os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+
+
+def main(source: Path, arguments: list[str], number: int) -> None:
+    """Try every step."""
+    for name in ("OpenImageIO", "beltrami_cli.cli.smooth", "beltrami_cli.formats.obj", *PIPELINE):
+        importlib.import_module(name)
+
+    work = source.parent / "work"
+
+    def fresh() -> None:
+        shutil.rmtree(work, ignore_errors=True)
+        shutil.copytree(source, work)
+
+    fresh()
+    before = snapshot(work)
+    if run(work, arguments, MOST_STEPS, number) != 77:
+        print("without a signal it fails")
+    finished = snapshot(work)
+    for at in range(1, MOST_STEPS):
+        fresh()
+        code = run(work, arguments, at, number)
+        for fault in faults(before, snapshot(work), finished, number):
+            print(f"step {at}: {fault}")
+        if code == 77:
+            print(at - 1)
+            return
+        if code not in (130, -signal.SIGKILL):
+            print(f"step {at}: exit code {code}")
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), sys.argv[3:], int(sys.argv[2]))

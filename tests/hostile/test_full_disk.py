@@ -1,0 +1,116 @@
+"""A disk that fills up, a limit on files, a rename that fails: one line, exit code 4, and everything is as it was."""
+
+from __future__ import annotations
+
+import os
+import resource
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from beltrami_cli.errors import OutputError
+from beltrami_cli.formats.document import Written
+from beltrami_cli.pipeline.output import Output
+from cli.commands import COMMAND, SAMPLES
+from hostile.folders import snapshot
+from hostile.test_interruptions import folder_with_model
+
+# In a name space of one's own anybody may mount, where the system lets them have one.
+OWN_SPACE = ["unshare", "--user", "--map-root-user", "--mount"]
+CAN_MOUNT = (
+    shutil.which("unshare") is not None
+    and subprocess.run(
+        [*OWN_SPACE, "mount", "-t", "tmpfs", "none", "/mnt"], check=False, capture_output=True
+    ).returncode
+    == 0
+)
+TARGETS = ("out/result.obj", "new/result.obj", "model.obj")
+
+
+@pytest.mark.parametrize("most", [0, 1000, 50_000])
+def test_a_limit_on_the_size_of_files(most: int, tmp_path: Path) -> None:
+    (tmp_path / "out.ply").write_text("precious")
+    before = snapshot(tmp_path)
+
+    def limit() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (most, most))
+
+    arguments = [*COMMAND, "smooth", str(SAMPLES / "terrain-noisy.ply"), "out.ply", "--overwrite"]
+    run = subprocess.run(
+        arguments, cwd=tmp_path, capture_output=True, text=True, check=False, preexec_fn=limit
+    )
+    assert (run.returncode, run.stderr.count("\n")) == (4, 1), run.stderr
+    assert "cannot be written" in run.stderr
+    assert snapshot(tmp_path) == before
+
+
+# Mounts a small disk, copies a folder there, fills what is left but a few pages, and runs the command.
+ON_SMALL_DISK = """
+import os, pathlib, shutil, subprocess, sys
+sys.path.insert(0, sys.argv[1])
+from hostile.folders import snapshot
+source, disk, free, arguments = sys.argv[2], pathlib.Path(sys.argv[3]), int(sys.argv[4]), sys.argv[5:]
+subprocess.run(["mount", "-t", "tmpfs", "-o", "size=64k", "none", disk], check=True)
+shutil.copytree(source, disk / "work")
+room = os.statvfs(disk).f_bavail * os.statvfs(disk).f_bsize
+(disk / "filler").write_bytes(bytes(room - 4096 * free))
+before = snapshot(disk)
+code = subprocess.run(arguments, cwd=disk / "work", check=False).returncode
+print(code, snapshot(disk) == before)
+"""
+
+
+@pytest.mark.skipif(not CAN_MOUNT, reason="no file system can be mounted here")
+@pytest.mark.parametrize("target", TARGETS)
+@pytest.mark.parametrize("free", [0, 1, 2])  # pages; a probe takes none, OBJ, MTL and PNG take one each
+def test_a_disk_that_fills_up(free: int, target: str, tmp_path: Path) -> None:
+    folder, disk = folder_with_model(tmp_path), tmp_path / "disk"
+    (folder / "new").mkdir()
+    disk.mkdir()
+    tests = str(Path(__file__).parents[1])
+    script = [sys.executable, "-c", ON_SMALL_DISK, tests, str(folder), str(disk), str(free)]
+    run = subprocess.run(
+        [*OWN_SPACE, *script, *COMMAND, "smooth", "model.obj", target, "--overwrite"],
+        capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    assert run.stdout == "4 True\n", run.stderr
+    assert run.stderr.count("\n") == 1
+    assert "No space left" in run.stderr
+
+
+@pytest.mark.parametrize("failing", range(4))
+def test_a_rename_that_fails_undoes_those_before_it(
+    failing: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "a.png").write_bytes(b"old a")
+    (tmp_path / "out.obj").write_bytes(b"old")
+    before, renames, rename = snapshot(tmp_path), [], Path.replace
+
+    def replace(self: Path, target: Path) -> Path:
+        renames.append(target)
+        if len(renames) == failing + 1:
+            raise PermissionError(1, "Operation not permitted")
+        return rename(self, target)
+
+    monkeypatch.setattr(Path, "replace", replace)
+    output = Output(str(tmp_path / "out.obj"), overwrite=True)
+    sidecars = {"a.png": b"new a", "sub/b.png": b"new b", "out.mtl": b"new"}
+    with pytest.raises(OutputError, match="Operation not permitted"):
+        output.write(Written([b"new"], sidecars))
+    assert snapshot(tmp_path) == before
+    renames.clear()
+    monkeypatch.setattr(Path, "replace", rename)
+    output.write(Written([b"new"], sidecars))
+    assert {path: content for path, (_, content) in snapshot(tmp_path).items()} == {
+        "a.png": b"new a", "out.mtl": b"new", "out.obj": b"new", "sub": b"", "sub/b.png": b"new b",
+    }  # fmt: skip
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
+def test_a_folder_that_must_not_be_written_to(tmp_path: Path) -> None:
+    tmp_path.chmod(0o500)
+    with pytest.raises(OutputError, match="cannot be written to"):
+        Output(str(tmp_path / "out.obj"), overwrite=False)

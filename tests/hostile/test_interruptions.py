@@ -1,0 +1,78 @@
+"""Whenever the command is ended, by Ctrl-C, by a signal or without warning, files are old or new, and whole."""
+
+from __future__ import annotations
+
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from cli.commands import COMMAND
+from hostile.folders import snapshot
+from hostile.interrupting import faults
+from hostile.textured_models import OTHER, PICTURE, write_model
+
+
+def folder_with_model(tmp_path: Path) -> Path:
+    """An OBJ file with its texture in a folder, and what an earlier run may have left in another."""
+    folder = tmp_path / "source"
+    (folder / "out" / "maps").mkdir(parents=True)
+    write_model(folder, "obj", "maps/skin.png", "maps.mtl")
+    (folder / "maps").mkdir()
+    (folder / "maps" / "skin.png").write_bytes(PICTURE)
+    for name, content in {"result.obj": b"old", "maps.mtl": b"old", "maps/skin.png": OTHER}.items():
+        (folder / "out" / name).write_bytes(content)
+    (folder / "precious.txt").write_text("precious")
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("target", "number"),
+    [
+        ("out/result.obj", signal.SIGINT),
+        ("out/result.obj", signal.SIGKILL),
+        ("new/result.obj", signal.SIGTERM),
+        ("model.obj", signal.SIGHUP),
+    ],
+)
+def test_a_signal_at_any_step_that_touches_files(target: str, number: signal.Signals, tmp_path: Path) -> None:
+    folder = folder_with_model(tmp_path)
+    (folder / "new").mkdir()
+    arguments = ["smooth", "model.obj", target, "--overwrite", "--threads", "1", "-n", "1"]
+    script = Path(__file__).with_name("interrupting.py")
+    run = subprocess.run(
+        [sys.executable, script, folder, str(int(number)), *arguments],
+        capture_output=True, text=True, check=True, timeout=300,
+        env={"PYTHONPATH": str(script.parents[1]), "OPENBLAS_NUM_THREADS": "1"},
+    )  # fmt: skip
+    *wrong, steps = run.stdout.splitlines()
+    assert wrong == []
+    assert int(steps) >= 7  # a probe that comes and goes, and three or more files written and renamed
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_a_signal_at_a_random_moment(number: signal.Signals, tmp_path: Path) -> None:
+    folder = folder_with_model(tmp_path)
+    work = tmp_path / "work"
+    arguments = [*COMMAND, "smooth", "model.obj", "out/result.obj", "--overwrite", "-n", "20"]
+    shutil.copytree(folder, work)
+    start = time.monotonic()
+    subprocess.run(arguments, cwd=work, check=True, capture_output=True)
+    duration = time.monotonic() - start
+    before, finished = snapshot(folder), snapshot(work)
+    moments = random.Random(int(number))
+    for _ in range(4):
+        shutil.rmtree(work)
+        shutil.copytree(folder, work)
+        process = subprocess.Popen(arguments, cwd=work, stderr=subprocess.PIPE)
+        time.sleep(moments.uniform(0.05, 1.1) * duration)
+        process.send_signal(number)
+        said = process.communicate(timeout=60)[1]
+        assert process.returncode in (0, 130, -number)
+        assert b"Traceback" not in said
+        assert faults(before, snapshot(work), finished, number) == []
