@@ -8,11 +8,6 @@
 namespace beltrami::points {
 namespace {
 
-// Points at random in space have a flatness around 0.7, points on a surface with noise of half a spacing one of 0.3. Outliers
-// are those that stand, besides, this many times as far apart as most of the cloud.
-constexpr double not_flat = 0.25;
-constexpr double far_apart = 4;
-
 Vector between(const double* positions, Index from, Index to) {
   const double* a = positions + 3 * static_cast<std::size_t>(from);
   const double* b = positions + 3 * static_cast<std::size_t>(to);
@@ -42,15 +37,6 @@ bool is_too_large(const double* positions, std::span<const double> spacing, cons
 }
 
 }  // namespace
-
-void discard_outliers(std::span<double> spacing, std::span<const double> flatness, std::span<const double> distance) {
-  std::vector<double> sorted(distance.begin(), distance.end());
-  if (sorted.empty()) return;
-  const auto middle = sorted.begin() + static_cast<std::ptrdiff_t>(sorted.size() / 2);
-  std::nth_element(sorted.begin(), middle, sorted.end());
-  for (std::size_t point = 0; point < spacing.size(); ++point)
-    if (flatness[point] > not_flat && distance[point] > far_apart * *middle) spacing[point] = 0;
-}
 
 std::vector<Triangle> agreed_triangles(const double* positions, std::span<const double> spacing,
                                        std::span<const Triangle> in_stars) {

@@ -8,10 +8,6 @@
 
 namespace beltrami::points {
 
-// Sets the spacing of outliers to 0: points strewn in space, which do not lie on anything flat, and farther from each
-// other than the points of the cloud are. All three are as in `Stars`, for all points.
-void discard_outliers(std::span<double> spacing, std::span<const double> flatness, std::span<const double> distance);
-
 // Returns each triangle once, its corners ascending, in lexicographic order. Kept are those that are in the stars of at
 // least two of their corners, and for points that this leaves with nothing all of their own star. Left out are triangles
 // larger than `largest_radius` times the spacing of the densest of their corners, and those without area.

@@ -18,7 +18,7 @@ constexpr double infinity = std::numeric_limits<double>::infinity();
 // that noise is averaged. Whichever are the flatter are taken.
 constexpr std::size_t few = 8, many = 22;
 
-// What the flatness of so few points is worth: it is multiplied by 1 + this / their number.
+// Few points look flatter than they are: their flatness is multiplied by 1 + this / their number.
 constexpr double doubt = 8;
 
 // Points whose second spread is a smaller part of the first lie in a line, and do not tell where the surface is.
@@ -106,12 +106,12 @@ class Finder {
       }
       const TangentPlane plane = fit_tangent_plane(offsets_, reach);
       if (plane.second_spread <= in_line * plane.first_spread) continue;
-      const double flatness = plane.normal_spread / plane.second_spread * (1 + doubt / static_cast<double>(wanted));
-      if (flatness >= flattest) continue;
-      flattest = flatness;
+      const double across = plane.normal_spread + plane.height * plane.height;
+      flatness_ = across / plane.second_spread * (1 + doubt / static_cast<double>(wanted));
+      if (flatness_ >= flattest) continue;
+      flattest = flatness_;
       plane_ = plane;
     }
-    flatness_ = flattest;
     return flattest < infinity;
   }
 
@@ -131,15 +131,15 @@ class Finder {
 
   // The side of a square in the circle around a triangle of the star, which for points on a square grid is their
   // spacing. Not the length of spokes, many of which are short if points are in dense lines; and of the triangles the
-  // one at the lower third, since at the rim of a hole half of them may be across.
+  // one at the lower fourth, since at the rim of a hole half of them may be across.
   double measure_spacing() {
     squared_radii_.clear();
     for (std::size_t i = 0; i < star_.size(); ++i) squared_radii_.push_back(squared_radius_beside(i));
     if (squared_radii_.empty()) return 0;
-    const auto third = squared_radii_.begin() + static_cast<std::ptrdiff_t>(squared_radii_.size() / 3);
-    std::nth_element(squared_radii_.begin(), third, squared_radii_.end());
+    const auto fourth = squared_radii_.begin() + static_cast<std::ptrdiff_t>(squared_radii_.size() / 4);
+    std::nth_element(squared_radii_.begin(), fourth, squared_radii_.end());
     const double least = around_.size() < many ? 0 : least_spacing * std::sqrt(around_[many - 1].squared);
-    return std::isfinite(*third) ? std::max(std::sqrt(2 * *third), least) : least;
+    return std::isfinite(*fourth) ? std::max(std::sqrt(2 * *fourth), least) : least;
   }
 
   // Of the triangle between a spoke and the next; infinite if they are half a turn apart or more.

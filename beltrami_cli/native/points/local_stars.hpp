@@ -28,7 +28,7 @@ struct Stars {
   std::vector<Index> unsettled;     // points that need more neighbours; their triangles are not there
   // For each row, 0 where unsettled:
   std::vector<double> spacing;   // local spacing in the unit of the positions; 0 if no plane was found
-  std::vector<double> flatness;  // variance across the tangent plane by that along it, more the fewer points tell it
+  std::vector<double> flatness;  // squared distances from the tangent plane by those within it: of a flat surface 0
   std::vector<double> distance;  // of the eighth neighbour, or the last
 };
 
@@ -37,6 +37,6 @@ Stars find_stars(const double* positions, const Neighbours& neighbours, bool kee
 
 // Largest radius of the circle around a triangle, in spacings at its corners: the triangulation of points at random has
 // hardly any larger ones (one of a thousand), and gaps of more than five spacings stay open.
-inline constexpr double largest_radius = 2.25;
+inline constexpr double largest_radius = 2.5;
 
 }  // namespace beltrami::points

@@ -33,9 +33,14 @@ void rotate(Matrix& matrix, Matrix& axes, std::size_t i, std::size_t j) {
   }
 }
 
-Matrix covariance(std::span<const Vector> offsets, double squared_reach) {
+struct Moments {
   Vector mean{};
-  Matrix second{};
+  Matrix covariance{};
+};
+
+Moments moments_of(std::span<const Vector> offsets, double squared_reach) {
+  Moments moments;
+  auto& [mean, second] = moments;
   double total = 1;  // the point itself, with offset zero
   for (const Vector& offset : offsets) {
     const double rest = std::max(0.0, 1 - dot(offset, offset) / squared_reach);
@@ -46,16 +51,16 @@ Matrix covariance(std::span<const Vector> offsets, double squared_reach) {
       for (std::size_t j = i; j < 3; ++j) second[i][j] += weight * offset[i] * offset[j];
     }
   }
+  for (double& component : mean) component /= total;
   for (std::size_t i = 0; i < 3; ++i)
-    for (std::size_t j = i; j < 3; ++j)
-      second[i][j] = second[j][i] = second[i][j] / total - mean[i] * mean[j] / (total * total);
-  return second;
+    for (std::size_t j = i; j < 3; ++j) second[i][j] = second[j][i] = second[i][j] / total - mean[i] * mean[j];
+  return moments;
 }
 
 }  // namespace
 
 TangentPlane fit_tangent_plane(std::span<const Vector> offsets, double squared_reach) {
-  Matrix matrix = covariance(offsets, squared_reach);
+  auto [mean, matrix] = moments_of(offsets, squared_reach);
   Matrix axes{{{1, 0, 0}, {0, 1, 0}, {0, 0, 1}}};
   for (int sweep = 0; sweep < sweeps; ++sweep) {
     if (matrix[0][1] == 0 && matrix[0][2] == 0 && matrix[1][2] == 0) break;
@@ -64,9 +69,9 @@ TangentPlane fit_tangent_plane(std::span<const Vector> offsets, double squared_r
     rotate(matrix, axes, 1, 2);
   }
   std::array<std::size_t, 3> order{0, 1, 2};
-  std::sort(order.begin(), order.end(), [&](std::size_t a, std::size_t b) { return matrix[a][a] > matrix[b][b]; });
+  std::sort(order.begin(), order.end(), [&m = matrix](std::size_t a, std::size_t b) { return m[a][a] > m[b][b]; });
   const auto [a, b, c] = order;
-  return {axes[a], axes[b], axes[c], matrix[a][a], matrix[b][b], matrix[c][c]};
+  return {axes[a], axes[b], axes[c], matrix[a][a], matrix[b][b], matrix[c][c], dot(mean, axes[c])};
 }
 
 }  // namespace beltrami::points

@@ -14,6 +14,7 @@ inline double dot(const Vector& a, const Vector& b) { return a[0] * b[0] + a[1] 
 struct TangentPlane {
   Vector first{}, second{}, normal{};
   double first_spread = 0, second_spread = 0, normal_spread = 0;
+  double height = 0;  // of the mean of the points above the point itself, along the normal
 };
 
 // The principal axes of the point itself and those at `offsets` from it: H. Hoppe, T. DeRose, T. Duchamp, J. McDonald,

@@ -8,9 +8,9 @@
 #include <set>
 #include <vector>
 
-#include "points/agreement.hpp"
 #include "points/delaunay_star.hpp"
 #include "points/local_stars.hpp"
+#include "points/local_triangulation.hpp"
 #include "points/tangent_plane.hpp"
 
 using namespace beltrami::points;
@@ -68,6 +68,40 @@ void stars_are_those_of_empty_circles() {
   CHECK(compared > 2500);
 }
 
+// On a grid many points are on one circle and in one direction, so that there is no single right answer: any fan of empty
+// circles is one that leaves out no direction.
+void stars_on_grids_are_fans_of_empty_circles() {
+  std::mt19937 random(4);
+  const double turn = 2 * std::acos(-1.0);
+  for (int trial = 0; trial < 3000; ++trial) {
+    const int low = trial % 2 ? 0 : -5;  // in a corner, or around
+    const double tilt = trial % 3 ? 0.1 * trial : 0;
+    std::vector<Spoke> spokes;
+    for (Index i = 0; i < 40; ++i) {
+      const double x = low + static_cast<int>(random() % 10), y = low + static_cast<int>(random() % 10);
+      if (x == 0 && y == 0) continue;
+      spokes.push_back({std::cos(tilt) * x - std::sin(tilt) * y, std::sin(tilt) * x + std::cos(tilt) * y, i});
+    }
+    std::sort(spokes.begin(), spokes.end(),
+              [](const Spoke& a, const Spoke& b) { return a.squared_length() < b.squared_length(); });
+    std::vector<double> angles;
+    for (const Spoke& spoke : spokes) angles.push_back(std::atan2(spoke.y, spoke.x));
+    std::sort(angles.begin(), angles.end());
+    double widest = angles.front() + turn - angles.back();
+    for (std::size_t i = 1; i < angles.size(); ++i) widest = std::max(widest, angles[i] - angles[i - 1]);
+    std::vector<Spoke> star = spokes;
+    keep_delaunay_star(star);
+    double covered = 0;
+    for (std::size_t i = 0; i < star.size(); ++i) {
+      const Spoke &a = star[i], &b = star[(i + 1) % star.size()];
+      if (cross(a, b) <= 1e-9) continue;
+      covered += std::atan2(cross(a, b), a.x * b.x + a.y * b.y);
+      for (const Spoke& d : spokes) CHECK(outside(a, b, d) > -1e-9);
+    }
+    CHECK(std::abs(covered - (widest > turn / 2 - 1e-9 ? turn - widest : turn)) < 1e-6);
+  }
+}
+
 void points_on_one_circle_are_all_kept() {
   std::vector<Spoke> star;
   for (int i = 1; i < 8; ++i) {  // seven corners of an octagon, the origin is the eighth
@@ -100,7 +134,6 @@ void planes_are_found_in_any_direction() {
   }
 }
 
-// All other points of a cloud for each of its points.
 std::vector<Triangle> triangulated(const std::vector<double>& positions, std::size_t neighbours, unsigned threads) {
   const std::size_t count = positions.size() / 3;
   std::vector<Index> rows(count), table;
@@ -116,10 +149,9 @@ std::vector<Triangle> triangulated(const std::vector<double>& positions, std::si
     std::sort(others.begin(), others.end(), [&](Index a, Index b) { return squared(a) < squared(b); });
     table.insert(table.end(), others.begin(), others.begin() + static_cast<std::ptrdiff_t>(neighbours));
   }
-  Stars stars = find_stars(positions.data(), {rows, table.data(), neighbours, neighbours == count}, true, threads);
-  CHECK(stars.unsettled.empty());
-  discard_outliers(stars.spacing, stars.flatness, stars.distance);
-  return agreed_triangles(positions.data(), stars.spacing, stars.triangles);
+  LocalTriangulation triangulation(positions);
+  CHECK(triangulation.add_stars({rows, table.data(), neighbours, neighbours == count}, true, threads).empty());
+  return triangulation.faces();
 }
 
 void clouds_of_every_kind_give_proper_triangles_for_any_number_of_threads() {
@@ -162,6 +194,7 @@ void more_neighbours_are_asked_for_until_the_star_is_closed() {
 
 int main() {
   stars_are_those_of_empty_circles();
+  stars_on_grids_are_fans_of_empty_circles();
   points_on_one_circle_are_all_kept();
   planes_are_found_in_any_direction();
   clouds_of_every_kind_give_proper_triangles_for_any_number_of_threads();
