@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 
 EXTENSION = "KHR_draco_mesh_compression"
 
+_MAGIC = b"DRACO"
+_MESH = b"\1"  # the kind of geometry, after the magic and the version
+
 
 def packed_in(primitive: Entry) -> Entry | None:
     """Return the extension of a primitive; None if it is not compressed."""
@@ -80,10 +83,9 @@ class DracoMeshes:
         view = self._view(packed)
         key = view, "faces"
         if key not in self._added:
-            faces = getattr(self._mesh(packed, view), "faces", None)
-            if faces is None or not len(faces):
-                raise packed.fault("bufferView", "holds points, not triangles")
-            numbers = np.asarray(faces).astype("<u4").reshape(-1, 1)
+            numbers = np.asarray(self._mesh(packed, view).faces).astype("<u4").reshape(-1, 1)
+            if not len(numbers):
+                raise packed.fault("bufferView", "holds no triangles")
             accessor = replace(self._accessors[index], shape="SCALAR", width=1, normalised=False)
             self._added[key] = self._accessors.add(accessor, numbers)
         return self._added[key]
@@ -109,8 +111,12 @@ class DracoMeshes:
                 raise packed.fault("", cause, remedy) from None
             place = self._accessors.views[view]
             octets = self._accessors.buffers.stored(place.buffer)
+            data = bytes(octets[place.offset : place.offset + place.length])
+            # Points could claim to be any number, and would be given the memory for it.
+            if data[:5] == _MAGIC and data[7:8] != _MESH:
+                raise packed.fault("bufferView", "holds points, not triangles")
             try:
-                self._meshes[view] = DracoPy.decode(bytes(octets[place.offset : place.offset + place.length]))
+                self._meshes[view] = DracoPy.decode(data)
             except (DracoPy.FileTypeException, TypeError, ValueError) as error:
                 raise packed.fault("bufferView", f"holds damaged data ({error})") from None
         return self._meshes[view]
