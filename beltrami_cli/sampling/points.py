@@ -1,4 +1,4 @@
-"""Points without faces as samples: triangles of the surface around each, in its tangent plane."""
+"""Points without faces: triangles of the surface around each, in its tangent plane."""
 
 from __future__ import annotations
 
@@ -6,10 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli.mesh.surface import SampledSurface
 from beltrami_cli.sampling.grouping import group_equal_rows
-from beltrami_cli.sampling.vertices import VertexSampling
-from beltrami_cli.sampling.walls import build_walls
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -22,43 +19,28 @@ _NEIGHBOURS = (24, 64, 192)
 _BLOCK = 1 << 17  # points asked for at a time, which bounds the memory that their neighbours take
 
 
-def sample_points(
-    painted: PaintedVertices, colours: NDArray[np.float32], threads: int
-) -> tuple[SampledSurface, VertexSampling]:
-    """Make samples of painted points, whose faces do not count.
-
-    Points at exactly one place with one colour become one sample. Where coincident points differ in colour, each colour
-    is a sample of its own with the triangles of that place, and walls join them, see `build_walls`.
+def faces_of_points(painted: PaintedVertices, threads: int) -> NDArray[np.int32]:
+    """Find triangles between painted points, whose own faces do not count.
 
     Parameters
     ----------
     painted : PaintedVertices
-        As a document gives it.
-    colours : ndarray of float32, shape (V, N)
-        The points' colours in the working space, which the samples take.
+        As a document gives it, with positions in at most three dimensions.
     threads : int
         How many may be used; the result does not depend on it.
 
     Returns
     -------
-    surface : SampledSurface
-        S samples with their triangles and walls.
-    sampling : VertexSampling
-        The way back: ``smoothed[sampling.sample_of]`` are the points' colours.
+    ndarray of int32, shape (F, 3)
+        Points as corners. Coincident points are each a corner of the triangles that their place has.
     """
     columns = list(painted.positions.T)
     if painted.space_of is not None:
         columns.append(painted.space_of)
-    place_of, first_of_place = group_equal_rows(*columns)
-    places = painted.positions[first_of_place]
-    spaces = None if painted.space_of is None else painted.space_of[first_of_place]
-    faces = _triangulate_spaces(places, spaces, threads)
-    sample_of, first = group_equal_rows(place_of, *painted.colours.T)
-    place_of_sample, sample_colours = place_of[first], np.ascontiguousarray(colours[first])
-    faces = _faces_of_samples(faces, place_of_sample, sample_colours, len(places))
-    walls = build_walls(faces, place_of_sample, sample_colours)
-    surface = SampledSurface(np.ascontiguousarray(painted.positions[first]), faces, walls, sample_colours)
-    return surface, VertexSampling(sample_of, first, place_of_sample, len(places))
+    place_of, first = group_equal_rows(*columns)
+    spaces = None if painted.space_of is None else painted.space_of[first]
+    faces = _triangulate_spaces(painted.positions[first], spaces, threads)
+    return first[faces] if len(first) == len(place_of) else _with_copies(faces, place_of, painted.colours)
 
 
 def triangulate_points(positions: NDArray[np.float64], threads: int = 1) -> NDArray[np.int32]:
@@ -134,36 +116,32 @@ def _triangulate_spaces(
     return np.concatenate(parts)
 
 
-def _faces_of_samples(
-    faces: NDArray[np.int32],
-    place_of: NDArray[np.int32],
-    colours: NDArray[np.float32],
-    places: int,
+def _with_copies(
+    faces: NDArray[np.int32], place_of: NDArray[np.int32], colours: NDArray[np.float32]
 ) -> NDArray[np.int32]:
-    """Give the triangles of places to their samples: to the first of each, and to others each with the first elsewhere.
+    """Give the triangles of places to the points there: to the first of each, and to each other with those elsewhere.
 
     Parameters
     ----------
     faces : ndarray of int32, shape (F, 3)
         Triangles of places.
-    place_of : ndarray of int32, shape (S,)
-        Place of each sample.
-    colours : ndarray of float32, shape (S, N)
-        Colours of the samples, which tell who is first; so the order of samples makes no difference.
-    places : int
-        How many there are.
+    place_of : ndarray of int32, shape (V,)
+        Place of each point.
+    colours : ndarray of float32, shape (V, N)
+        Colours of the points, which tell who is first, so that their order makes no difference.
+
+    Returns
+    -------
+    ndarray of int32, shape (F', 3)
+        Triangles of points.
     """
-    if places == len(place_of):
-        first = np.empty(places, np.int32)
-        first[place_of] = np.arange(places, dtype=np.int32)
-        return np.ascontiguousarray(first[faces])
     order = np.lexsort([*colours.T[::-1], place_of])
     leads = np.ones(len(order), bool)
     leads[1:] = place_of[order][1:] != place_of[order][:-1]
     first, others = order[leads].astype(np.int32), order[~leads].astype(np.int32)
+    copies = np.bincount(place_of[others], minlength=len(first))
+    starts = np.cumsum(copies) - copies
     parts = [first[faces]]
-    copies = np.bincount(place_of[others], minlength=places)
-    starts = np.concatenate([[0], np.cumsum(copies)])
     for corner in range(3):
         counts = copies[faces[:, corner]]
         rows = np.repeat(np.arange(len(faces)), counts)

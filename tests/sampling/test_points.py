@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from scipy.sparse import coo_array
@@ -10,7 +12,8 @@ from scipy.spatial import Delaunay
 from scipy.spatial.transform import Rotation
 
 from beltrami_cli.mesh.painted import PaintedVertices
-from beltrami_cli.sampling.points import sample_points, triangulate_points
+from beltrami_cli.sampling.points import faces_of_points, triangulate_points
+from beltrami_cli.sampling.vertices import sample_vertices
 from oracles import surfaces
 
 
@@ -193,14 +196,9 @@ def test_large_clouds_are_handled_in_blocks(monkeypatch):
 
 
 def painted(positions, colours, space_of=None):
+    none = np.empty((0, 3), np.int32)
     return PaintedVertices(
-        positions,
-        np.empty((0, 3), np.int32),
-        np.asarray(colours, np.float32),
-        ("grey",),
-        "srgb",
-        "float32",
-        space_of,
+        positions, none, np.asarray(colours, np.float32), ("grey",), "srgb", "float32", space_of
     )
 
 
@@ -210,22 +208,18 @@ def test_coincident_points_take_part_each_with_its_colour():
     positions = np.concatenate([places, places[:70], places[:70], places[30:40]])
     colours = np.concatenate([np.zeros(144), np.zeros(70), rng.random(80)])[:, None]
     record = painted(positions, colours)
-    surface, sampling = sample_points(record, record.colours, 1)
-    assert sampling.places == 144
+    faces = faces_of_points(record, 1)
+    assert not len(outliers(len(positions), faces))
+    surface, sampling = sample_vertices(dataclasses.replace(record, faces=faces), record.colours)
     assert len(surface.colours) == 144 + 80  # copies of the same colour are one sample
-    assert np.array_equal(surface.colours[sampling.sample_of], record.colours)
-    assert np.array_equal(surface.positions[sampling.sample_of], positions)
-    assert not len(outliers(len(surface.colours), surface.faces))
     assert components(len(surface.colours), surface.all_faces)[0] == 1
-    lone = sample_points(painted(places, np.zeros((144, 1))), np.zeros((144, 1), np.float32), 1)[0]
-    assert as_set(sampling.place_of[surface.faces]) == as_set(lone.faces)
+    assert as_set(sampling.place_of[surface.faces]) == as_set(triangulate_points(places))
 
 
 def test_points_of_different_spaces_are_not_joined():
     places = lifted(grid(8, 8, 0.3))
     spaces = np.repeat(np.array([4, 2], np.int32), 64)
     record = painted(np.concatenate([places, places + 0.01]), np.zeros((128, 1)), spaces)
-    surface, sampling = sample_points(record, record.colours, 1)
-    count, label = components(128, surface.faces)
+    count, label = components(128, faces_of_points(record, 1))
     assert count == 2
-    assert len(np.unique(label[sampling.sample_of][:64])) == 1
+    assert len(np.unique(label[:64])) == 1
