@@ -118,6 +118,11 @@ def _study(
 ) -> KernelStudy:
     work = choose_work(document, settings)
     if work.vertices and not work.slots:
+        grid = document.grid()
+        if grid is not None:
+            from beltrami_cli.pipeline.kernel_range import study_range
+
+            return study_range(document.painted(), grid, document.name, place, settings, progress)
         from beltrami_cli.pipeline.kernel_vertices import study_vertex
 
         return study_vertex(document, place, settings, whole=whole, progress=progress)
