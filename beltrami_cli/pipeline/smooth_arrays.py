@@ -19,6 +19,7 @@ from beltrami_cli.mesh.validation import (
     position_table,
 )
 from beltrami_cli.pipeline.embedding_settings import EmbeddingSettings
+from beltrami_cli.pipeline.point_cloud import smooth_cloud
 from beltrami_cli.pipeline.settings import DEFAULTS, SmoothSettings
 from beltrami_cli.pipeline.smooth_vertices import SmoothResult, smooth_painted
 
@@ -27,17 +28,18 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike
 
-    from beltrami_cli.flow.parameters import Space, Units, Weights
+    from beltrami_cli.flow.parameters import Clipping, Space, Units, Weights
 
 
 def smooth(
     positions: ArrayLike,
-    faces: ArrayLike,
+    faces: ArrayLike | None,
     colours: ArrayLike,
     *,
     iterations: int = DEFAULTS.kernel.iterations,
     t: float = DEFAULTS.kernel.t,
     beta: float | None = DEFAULTS.kernel.beta,
+    beta_growth: float = DEFAULTS.kernel.beta_growth,
     threshold: float = DEFAULTS.kernel.threshold,
     weights: Weights = DEFAULTS.kernel.weights,
     units: Units = DEFAULTS.kernel.units,
@@ -45,6 +47,7 @@ def smooth(
     threads: int | None = DEFAULTS.kernel.threads,
     metric_scale: float = DEFAULTS.kernel.metric_scale,
     metric_steps: int = DEFAULTS.kernel.metric_steps,
+    clipping: Clipping = DEFAULTS.kernel.clipping,
     space: Space = DEFAULTS.space,
     encoding: Encoding = "srgb",
     guide: ArrayLike | None = None,
@@ -54,14 +57,15 @@ def smooth(
     normal_beta: float | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> SmoothResult:
-    """Smooth the colours of a triangle mesh with the short-time Beltrami kernel.
+    """Smooth the colours of a triangle mesh, or of a cloud of points, with the short-time Beltrami kernel.
 
     Parameters
     ----------
     positions : array_like, shape (V, M)
         Vertex positions in any dimension M, finite.
-    faces : array_like of int, shape (F, 3)
-        Triangles as vertex indices; any set of triangles, non-manifold ones included.
+    faces : array_like of int, shape (F, 3), or None
+        Triangles as vertex indices; any set of triangles, non-manifold ones included. None: a cloud of points, M at
+        most 3, whose triangles are found around each point, see `triangulate_points`.
     colours : array_like, shape (V, C) or (V,)
         Any number of channels, finite. uint8, uint16 and uint32 are taken by their full scale, floats as they are
         (full scale 1); other integers are refused, for their full scale is not known.
@@ -71,6 +75,8 @@ def smooth(
         Time step, in squared units of length.
     beta : float or None
         Units of length per unit of colour; None: from the estimated noise. 0: a geodesic Gaussian.
+    beta_growth : float
+        Factor, 1 or more, by which beta grows from one iteration to the next.
     threshold : float
         Samples with a kernel value below it are left out.
     weights : {"uniform", "area"}
@@ -85,6 +91,8 @@ def smooth(
         Take distances from colours smoothed by a Gaussian of this standard deviation, in sample spacings ...
     metric_steps : int
         ... in so many of the first iterations; the colours themselves are averaged.
+    clipping : {"restore", "keep"}
+        Whether averages are corrected where noise was cut off at 0 or full scale.
     space : {"srgb", "linear", "oklab", "data"}
         What distances and averages of colours are taken in; "data": the numbers as they are.
     encoding : {"srgb", "linear"}
@@ -106,7 +114,7 @@ def smooth(
     Returns
     -------
     SmoothResult
-        With ``colours`` of shape (V, C), float32, and ``positions`` if these were smoothed.
+        With ``colours`` of shape (V, C), float32; ``positions`` if these were smoothed; ``cloud`` without faces.
 
     Raises
     ------
@@ -140,6 +148,7 @@ def smooth(
             "t": t,
             "threshold": threshold,
             "metric_scale": metric_scale,
+            "beta_growth": beta_growth,
             **{name: 0 if value is None else value for name, value in betas.items()},
         },
     )
@@ -147,6 +156,7 @@ def smooth(
         iterations=iterations,
         t=t,
         beta=beta,
+        beta_growth=beta_growth,
         threshold=threshold,
         weights=weights,
         units=units,
@@ -154,12 +164,16 @@ def smooth(
         threads=threads,
         metric_scale=metric_scale,
         metric_steps=metric_steps,
+        clipping=clipping,
     )
     painted = _painted(positions, faces, colours, encoding)
     if len(painted.channels) != 3 and space == "oklab":
         raise UsageError("the space oklab needs three channels")
     if smooth_geometry and painted.positions.shape[1] != 3:
         raise UsageError(f"smooth_geometry needs positions in 3 dimensions, not {painted.positions.shape[1]}")
+    if faces is None and (smooth_geometry or painted.positions.shape[1] > 3):
+        need = "smooth_geometry needs" if smooth_geometry else "positions in more than 3 dimensions need"
+        raise UsageError(f"{need} faces")
     embedding = EmbeddingSettings(
         guides=() if guide is None else ("guide",),
         guide_betas=() if guide_beta is None else (guide_beta,),
@@ -168,18 +182,20 @@ def smooth(
         normal_beta=normal_beta,
     )
     guides = [] if guide is None else [_guide(guide, guide_beta, len(painted.positions))]
-    return smooth_painted(painted, SmoothSettings(kernel, space, embedding=embedding), progress, guides)
+    job = smooth_cloud if faces is None else smooth_painted
+    return job(painted, SmoothSettings(kernel, space, embedding=embedding), progress, guides)
 
 
 def _painted(
-    positions: ArrayLike, faces: ArrayLike, colours: ArrayLike, encoding: Encoding
+    positions: ArrayLike, faces: ArrayLike | None, colours: ArrayLike, encoding: Encoding
 ) -> PaintedVertices:
     if encoding not in get_args(Encoding):
         raise UsageError(f"encoding is {encoding}, but must be {' or '.join(get_args(Encoding))}")
     places, shades = position_table(positions), colour_table(colours)
     names = ("red", "green", "blue") if shades.shape[1] == 3 else tuple(map(str, range(shades.shape[1])))
     stored = str(np.asarray(colours).dtype)
-    painted = PaintedVertices(places, face_table(faces, len(places)), shades, names, encoding, stored)
+    triangles = face_table([] if faces is None else faces, len(places))
+    painted = PaintedVertices(places, triangles, shades, names, encoding, stored)
     check_mesh(painted, "the arrays")
     return painted
 

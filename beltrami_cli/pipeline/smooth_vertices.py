@@ -25,6 +25,22 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
+class CloudCounts:
+    """What was found between points without faces.
+
+    Attributes
+    ----------
+    triangles : int
+        Triangles around the points, each in the tangent plane.
+    outliers : int
+        Points in none of them, which keep their colours.
+    """
+
+    triangles: int
+    outliers: int
+
+
+@dataclass(frozen=True)
 class SmoothResult:
     """Smoothed vertex colours, and how they came about.
 
@@ -53,6 +69,8 @@ class SmoothResult:
     normal_noise, normal_beta : float or None
         If positions were smoothed: the estimated noise of the normals in radians, and the beta used for them, in units
         of length per radian.
+    cloud : CloudCounts or None
+        For points without faces.
     """
 
     colours: NDArray[np.float32]
@@ -67,6 +85,7 @@ class SmoothResult:
     positions: NDArray[np.float64] | None = None
     normal_noise: float | None = None
     normal_beta: float | None = None
+    cloud: CloudCounts | None = None
 
 
 @dataclass(frozen=True)

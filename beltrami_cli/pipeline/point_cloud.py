@@ -1,0 +1,63 @@
+"""Clouds of points: colours without faces, smoothed on the surface that the points lie on."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from beltrami_cli.pipeline.smooth_vertices import CloudCounts, SmoothResult, smooth_painted
+from beltrami_cli.sampling.points import faces_of_points
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from beltrami_cli.flow.guidance import Guide
+    from beltrami_cli.mesh.painted import PaintedVertices
+    from beltrami_cli.pipeline.settings import SmoothSettings
+
+
+def with_surface(painted: PaintedVertices, settings: SmoothSettings) -> PaintedVertices:
+    """Return painted vertices with triangles: their own, or if they have none those of the surface that they lie on.
+
+    Parameters
+    ----------
+    painted : PaintedVertices
+        As a document gives it.
+    settings : SmoothSettings
+        How many threads there are.
+
+    Returns
+    -------
+    PaintedVertices
+        Points that are too far from all others, or in one line with them, are in no triangle.
+    """
+    if len(painted.faces):
+        return painted
+    return dataclasses.replace(painted, faces=faces_of_points(painted, settings.kernel.thread_count))
+
+
+def count_cloud(surface: PaintedVertices) -> CloudCounts:
+    """Count what `with_surface` found between points."""
+    joined = np.zeros(len(surface.positions), bool)
+    joined[surface.faces] = True
+    return CloudCounts(len(surface.faces), int(np.count_nonzero(~joined)))
+
+
+def smooth_cloud(
+    painted: PaintedVertices,
+    settings: SmoothSettings,
+    progress: Callable[[int, int], None] | None = None,
+    guides: Sequence[Guide] = (),
+) -> SmoothResult:
+    """Smooth the colours of points without faces; otherwise as `smooth_painted`.
+
+    Returns
+    -------
+    SmoothResult
+        With `cloud`. Outliers keep their colours.
+    """
+    surface = with_surface(painted, settings)
+    result = smooth_painted(surface, settings, progress, guides)
+    return dataclasses.replace(result, cloud=count_cloud(surface))
