@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, get_args
 
 import click
 
+from beltrami_cli.cli.embedding import GUIDING, MOVING, embedding_from
 from beltrami_cli.cli.memory import limited_memory, memory_of_machine, parse_size
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.parameters import PRESETS, KernelParameters, Space, Units, Weights
@@ -234,14 +235,14 @@ verbose = click.option(
 _SMOOTHING = (
     iterations, time_step, beta, threshold, metric_scale, metric_steps, preset, on, space, channels, units, weights,
     max_samples, window, height, height_scale, positions, mask, level, inside, colours, max_voxels, slots, materials,
-    texture_names, alpha, gutter, texture_format, jpeg_quality, small_png, threads,
+    texture_names, alpha, gutter, texture_format, jpeg_quality, small_png, *GUIDING, *MOVING, threads,
 )  # fmt: skip
 
 # Those of one kernel, which is not written back, and what the others are without being asked for.
 _STUDYING = (
     time_step, beta, threshold, metric_scale, metric_steps, preset, on, space, channels, units, weights, max_samples,
     window, height, height_scale, positions, mask, level, inside, colours, max_voxels, slots, materials, texture_names,
-    alpha, threads,
+    alpha, *GUIDING, threads,
 )  # fmt: skip
 _UNASKED = {
     "iterations": _KERNEL.iterations,
@@ -344,6 +345,7 @@ def settings_from(options: dict[str, Any]) -> SmoothSettings:
             positions=options["positions"],
             mask=options["mask"],
         ),
+        embedding=embedding_from(options),
         level_set=LevelSetSettings(**{name: options[name] for name in _LEVEL_SET_OPTIONS}),
     )
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -31,6 +32,10 @@ Examples:
   beltrami smooth density.nrrd clean.glb --level 0.5 --inside above --colours points.ply
   beltrami smooth scan.ply blur.ply --beta 0            a Gaussian on the surface, for comparison
   beltrami smooth temperature.ply out.ply --space data  scalars painted as colours
+  beltrami smooth model.glb clean.glb --guide normal    the clean normal map guides the base colour
+  beltrami smooth render.png clean.png --guide albedo.png --metric-channels none   joint filtering
+  beltrami smooth scan.ply clean.ply --guide quality.npy --guide-beta 5
+  beltrami smooth scan.ply clean.ply --smooth-geometry  positions too; creases stay
   zcat scan.ply.gz | beltrami smooth - - | gzip > clean.ply.gz
 
 \b
@@ -156,6 +161,9 @@ def _tell(messages: Messages, report: SmoothReport, *, dry_run: bool) -> None:
         done, counts = report.vertices, report.vertices.counts
         what = f"{counts['vertices']} vertices"
         messages.say(name + _summary(what, done.noise, done.beta, counts["samples_per_kernel"], done.change))
+        _tell_guides(messages, done.guides)
+        if done.geometry is not None:
+            messages.say(name + _geometry(done.geometry, done.spacing))
     if report.image is not None:
         done_image, facts = report.image, report.image.image
         size = f"{facts['width']} x {facts['height']} pixels"
@@ -166,9 +174,23 @@ def _tell(messages: Messages, report: SmoothReport, *, dry_run: bool) -> None:
         textures = f"{len(slot.textures)} {slot.slot} texture{'s' if len(slot.textures) > 1 else ''}"
         what = f"{textures}, {slot.counts['covered']} texels in {slot.counts['charts']} charts"
         messages.say(name + _summary(what, slot.noise, slot.beta, slot.samples_per_kernel, slot.change))
+        _tell_guides(messages, slot.guides)
         if slot.counts["jumps"]:
             jumps = f"{slot.counts['jumps']} of {slot.counts['seams']} seams"
             messages.detail(f"{jumps} are real colour edges and were not smoothed over")
+
+
+def _tell_guides(messages: Messages, guides: dict[str, float]) -> None:
+    for guide, beta in guides.items():
+        messages.detail(f"guide {guide}: beta {beta:.3g}")
+
+
+def _geometry(geometry: dict[str, float], spacing: float) -> str:
+    share = geometry["mean_move"] / spacing if spacing else 0.0
+    return (
+        f"positions too, noise of the normals {math.degrees(geometry['normal_noise']):.1f} degrees, normal beta "
+        f"{geometry['normal_beta']:.3g}, mean move {geometry['mean_move']:.3g} ({share:.2f} sample spacings)"
+    )
 
 
 def _summary(

@@ -165,12 +165,21 @@ class BeltramiFlow:
         self, colours: NDArray[np.float32], progress: Callable[[int], None] | None
     ) -> tuple[NDArray[np.float32], int, int]:
         """Average the colours, and the positions if they move, by eq. (9)."""
-        parameters, before = self.parameters, None
-        if self.moving is not None:
-            before = self.moving.channels()
-            colours = np.concatenate([colours, before], axis=1)
-        smoothed, held, cut = self._manifold.smooth(
-            colours,
+        if self.moving is None:
+            return self._apply_kernel(colours, progress)
+        before, width = self.moving.channels(), colours.shape[1]
+        smoothed, held, cut = self._apply_kernel(np.concatenate([colours, before], axis=1), progress)
+        self.moving.move(before, smoothed[:, width:], lambda channels: self._apply_kernel(channels, None)[0])
+        self._positions = self.moving.positions
+        return np.ascontiguousarray(smoothed[:, :width]), held, cut
+
+    def _apply_kernel(
+        self, channels: NDArray[np.float32], progress: Callable[[int], None] | None
+    ) -> tuple[NDArray[np.float32], int, int]:
+        """Average channels in the present metric; return them, the samples held, and the kernels cut short."""
+        parameters = self.parameters
+        return self._manifold.smooth(
+            channels,
             self._weights,
             parameters.t,
             parameters.radius,
@@ -178,12 +187,6 @@ class BeltramiFlow:
             parameters.thread_count,
             progress,
         )
-        if self.moving is None or before is None:
-            return smoothed, held, cut
-        width = colours.shape[1] - before.shape[1]
-        self.moving.move(before, smoothed[:, width:])
-        self._positions = self.moving.positions
-        return np.ascontiguousarray(smoothed[:, :width]), held, cut
 
     def kernel_at(self, sample: int) -> SampledKernel:
         """Return the kernel that one more iteration, after those that were run, would have at a sample."""

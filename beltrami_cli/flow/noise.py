@@ -29,6 +29,11 @@ _ENOUGH_SQUARES = 200_000
 _BETA_SIGMA = 2.0
 
 
+# The turn of the normal from a vertex to the next, as it is usual on the surface, counts so many sample spacings at
+# most: on a capped cylinder and on a head, the value at which curved parts are still smoothed and creases still stay.
+_TURN_COUNTS = 0.8
+
+
 def estimate_sigma(colours: NDArray[np.float32], edges: NDArray[np.int32]) -> NDArray[np.float64]:
     """Estimate the standard deviation of independent noise, per channel.
 
@@ -76,6 +81,32 @@ def estimate_normal_sigma(normals: NDArray[np.float32], edges: NDArray[np.int32]
     if not np.size(squares):
         return 0.0
     return float(_SIGMA_PER_MEDIAN_LENGTH * np.sqrt(np.median(squares)))
+
+
+def choose_normal_beta(normals: NDArray[np.float32], edges: NDArray[np.int32], sigma: float) -> float:
+    """Choose the beta of normals so that neither their noise nor the usual curvature stops the kernel, but creases do.
+
+    Parameters
+    ----------
+    normals : ndarray of float32, shape (S, 3)
+        Unit vectors.
+    edges : ndarray of int32, shape (E, 2)
+        Distinct edges, without the walls of hard colour edges.
+    sigma : float
+        Their noise, as `estimate_normal_sigma` tells.
+
+    Returns
+    -------
+    float
+        Sample spacings per radian.
+    """
+    by_noise = choose_beta(np.array([sigma]))
+    if not len(edges):
+        return by_noise
+    median = float(np.median(np.linalg.norm(normals[edges[:, 0]] - normals[edges[:, 1]], axis=1)))
+    # Of two noisy normals, the difference has twice the variance of one about each axis.
+    turn = np.sqrt(max(0.0, median**2 - 2 * (sigma / _SIGMA_PER_MEDIAN_LENGTH) ** 2))
+    return min(by_noise, _TURN_COUNTS / turn) if turn > 0 else by_noise
 
 
 def _residuals(values: NDArray[np.float32], edges: NDArray[np.int32]) -> Iterator[NDArray[np.float64]]:

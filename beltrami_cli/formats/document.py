@@ -119,6 +119,10 @@ class Document(ABC):
         known = ", ".join(self.attributes()) or "nothing"
         raise InputError(self.name, f"its vertices have no {name}, but {known} beside their colours")
 
+    def has_normals_by_vertex(self) -> bool:
+        """Tell whether `patch` puts normals into the document when vertices move."""
+        return "normal" in self.attributes()
+
     def require_movable(self) -> None:
         """Check that `patch` can take new places of vertices.
 

@@ -5,16 +5,17 @@ from __future__ import annotations
 import dataclasses
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from beltrami_cli.errors import UsageError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    import numpy as np
     from numpy.typing import NDArray
 
     from beltrami_cli.formats.document import Document, Written
-    from beltrami_cli.mesh.painted import MeshContents
+    from beltrami_cli.mesh.painted import MeshContents, MovedVertices
     from beltrami_cli.mesh.textured import ImageFile, Slot
     from beltrami_cli.mesh.textured_mesh import TexturedMesh
     from beltrami_cli.pipeline.settings import Format
@@ -28,6 +29,7 @@ def make_files(
     stem: str,
     *,
     moved: bool,
+    places: MovedVertices | None = None,
 ) -> Written:
     """Write a document with other colours.
 
@@ -45,6 +47,8 @@ def make_files(
         Name of the output without extension, for files beside it.
     moved : bool
         Whether the output lies in another folder than the source.
+    places : MovedVertices or None
+        New places of the vertices; None: as they are.
 
     Returns
     -------
@@ -57,11 +61,11 @@ def make_files(
         If the other format cannot take over textures.
     """
     if target_format == document.format:
-        return document.patch(colours, stem, moved=moved, images=images)
+        return document.patch(colours, stem, moved=moved, images=images, places=places)
     from beltrami_cli.formats.gltf import GltfDocument
 
     if isinstance(document, GltfDocument) and (target_format == "glb" or target_format == "gltf"):
-        return document.repackaged(colours, stem, target_format, moved=moved, images=images)
+        return document.repackaged(colours, stem, target_format, moved=moved, images=images, places=places)
     if images:
         raise UsageError(
             f"textures cannot be converted from {document.format} to {target_format}; "
@@ -70,7 +74,16 @@ def make_files(
     contents = document.contents()
     if colours is not None:
         contents = dataclasses.replace(contents, colours=colours)
+    if places is not None:
+        contents = _moved(contents, places)
     return write_contents(contents, target_format, stem)
+
+
+def _moved(contents: MeshContents, places: MovedVertices) -> MeshContents:
+    normals = contents.normals
+    if normals is not None and places.normals is not None:
+        normals = np.where(np.isnan(places.normals), normals, places.normals)
+    return dataclasses.replace(contents, positions=places.positions, normals=normals)
 
 
 def write_contents(contents: MeshContents, target_format: Format, stem: str) -> Written:

@@ -73,9 +73,9 @@ def inspect_file(
     if grid is not None:
         facts.update(_describe_range(document, grid, settings))
     elif work.vertices:
-        facts.update(_describe_vertices(document, settings))
+        facts.update(_describe_vertices(document, settings, access))
     require_room_for_textures(document, work.slots, settings.textures, access)
-    slots = [_describe_slot(document, slot, settings) for slot in work.slots]
+    slots = [_describe_slot(document, slot, settings, access) for slot in work.slots]
     if slots:
         facts["textures"] = slots
     facts["notices"] = [*document.notices, *work.notices]
@@ -97,13 +97,14 @@ def _describe_image(data: bytes, name: str, settings: SmoothSettings, access: Ac
     }
 
 
-def _describe_vertices(document: Document, settings: SmoothSettings) -> dict[str, object]:
+def _describe_vertices(document: Document, settings: SmoothSettings, access: Access) -> dict[str, object]:
     from beltrami_cli.mesh.topology import count_topology
     from beltrami_cli.pipeline.smooth_vertices import prepare, require_surface
+    from beltrami_cli.pipeline.vertex_guides import vertex_guides
 
     painted = document.painted()
     require_surface(painted, document.name)
-    prepared = prepare(painted, settings)
+    prepared = prepare(painted, settings, vertex_guides(document, settings, access))
     surface, sampling, flow = prepared.surface, prepared.sampling, prepared.flow(settings)
     return {
         "colours": _describe_colours(painted),
@@ -120,7 +121,12 @@ def _describe_vertices(document: Document, settings: SmoothSettings) -> dict[str
             "bounds": _bounds(painted),
         },
         "noise": {painted.channels[i]: float(s) for i, s in zip(prepared.channels, flow.sigma, strict=True)},
-        "smooth": _describe_kernel(settings, flow.beta)
+        "smooth": _describe_kernel(settings, flow.beta, flow.guide_betas)
+        | (
+            {}
+            if flow.moving is None
+            else {"normal_noise": flow.moving.sigma, "normal_beta": flow.moving.beta}
+        )
         | {"samples_per_kernel": round(flow.probe_samples(_PROBED_KERNELS), 1)},
     }
 
@@ -154,10 +160,13 @@ def _place_positions(surface: SampledSurface, sampling: VertexSampling) -> NDArr
     return positions
 
 
-def _describe_slot(document: Document, slot: Slot, settings: SmoothSettings) -> dict[str, object]:
-    from beltrami_cli.pipeline.smooth_textures import atlas_counts, describe_textures, prepare_slot
+def _describe_slot(
+    document: Document, slot: Slot, settings: SmoothSettings, access: Access
+) -> dict[str, object]:
+    from beltrami_cli.pipeline.prepare_textures import prepare_slot
+    from beltrami_cli.pipeline.smooth_textures import atlas_counts, describe_textures
 
-    prepared = prepare_slot(document.textured(slot), slot, settings)
+    prepared = prepare_slot(document.textured(slot), slot, settings, document, access)
     flow = prepared.flow(settings)
     return {
         "slot": slot,
@@ -166,15 +175,18 @@ def _describe_slot(document: Document, slot: Slot, settings: SmoothSettings) -> 
         "colour_jumps": flow.jumps,
         "pitch": flow.spacing,
         "noise": prepared.colours.named(flow.sigma),
-        "smooth": _describe_kernel(settings, flow.beta),
+        "smooth": _describe_kernel(settings, flow.beta, flow.guide_betas),
     }
 
 
-def _describe_kernel(settings: SmoothSettings, beta: float) -> dict[str, object]:
+def _describe_kernel(
+    settings: SmoothSettings, beta: float, guide_betas: dict[str, float] | None = None
+) -> dict[str, object]:
     return {
         **dataclasses.asdict(dataclasses.replace(settings.kernel, beta=beta)),
         "threads": settings.kernel.thread_count,
         "space": settings.space,
+        **({"guide_betas": guide_betas} if guide_betas else {}),
     }
 
 

@@ -125,7 +125,7 @@ def _study(
             return study_range(document.painted(), grid, document.name, place, settings, progress)
         from beltrami_cli.pipeline.kernel_vertices import study_vertex
 
-        return study_vertex(document, place, settings, whole=whole, progress=progress)
+        return study_vertex(document, place, settings, whole=whole, progress=progress, access=access)
     if work.vertices or len(work.slots) > 1:
         raise UsageError(
             f"{document.name}: a kernel is of one image; choose --on vertices, or --on texture and one of --slots"
@@ -133,4 +133,4 @@ def _study(
     require_room_for_textures(document, work.slots, settings.textures, access)
     from beltrami_cli.pipeline.kernel_texels import study_texel
 
-    return study_texel(document, work.slots[0], place, settings, progress)
+    return study_texel(document, work.slots[0], place, settings, progress, access)

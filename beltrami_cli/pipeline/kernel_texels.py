@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.errors import UsageError
+from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.pipeline.kernel_cells import find_cell, study_cell
 from beltrami_cli.pipeline.kernel_study import KernelStudy, Shown
-from beltrami_cli.pipeline.smooth_textures import prepare_slot
+from beltrami_cli.pipeline.prepare_textures import prepare_slot
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -21,8 +22,8 @@ if TYPE_CHECKING:
     from beltrami_cli.mesh.atlas import Atlas
     from beltrami_cli.mesh.textured import Slot
     from beltrami_cli.pipeline.kernel_place import Place
+    from beltrami_cli.pipeline.prepare_textures import PreparedSlot
     from beltrami_cli.pipeline.settings import SmoothSettings
-    from beltrami_cli.pipeline.smooth_textures import PreparedSlot
 
 
 def study_texel(
@@ -31,6 +32,7 @@ def study_texel(
     place: Place,
     settings: SmoothSettings,
     progress: Callable[[int, int], None] | None = None,
+    access: Access = EVERYTHING_INSIDE,
 ) -> KernelStudy:
     """Study the kernel of a texel after the iterations that the settings ask for.
 
@@ -46,6 +48,8 @@ def study_texel(
         As for smoothing.
     progress : callable, optional
         Of the iterations before.
+    access : Access
+        What may be read, for guides.
 
     Returns
     -------
@@ -56,7 +60,7 @@ def study_texel(
     UsageError
         If the place names no texel that takes part.
     """
-    prepared = prepare_slot(document.textured(slot), slot, settings)
+    prepared = prepare_slot(document.textured(slot), slot, settings, document, access)
     index = _texture_at(prepared, place, document.name)
     picture, name = prepared.pictures[index], prepared.surface.textures[index].name
     height, width = picture.pixels.shape[:2]

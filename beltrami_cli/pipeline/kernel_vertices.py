@@ -7,8 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.pipeline.kernel_study import KernelStudy, MeshView, Shown, describe, table
 from beltrami_cli.pipeline.smooth_vertices import prepare, require_surface
+from beltrami_cli.pipeline.vertex_guides import vertex_guides
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -30,6 +32,7 @@ def study_vertex(
     *,
     whole: bool,
     progress: Callable[[int, int], None] | None = None,
+    access: Access = EVERYTHING_INSIDE,
 ) -> KernelStudy:
     """Study the kernel of a vertex after the iterations that the settings ask for.
 
@@ -45,6 +48,8 @@ def study_vertex(
         Whether the whole mesh is shown, or only twice as far around as the kernel reaches.
     progress : callable, optional
         Of the iterations before.
+    access : Access
+        What may be read, for guides.
 
     Returns
     -------
@@ -58,7 +63,7 @@ def study_vertex(
     painted = document.painted()
     require_surface(painted, document.name)
     vertex = place.vertex_among(painted.positions, document.name)
-    prepared = prepare(painted, settings)
+    prepared = prepare(painted, settings, vertex_guides(document, settings, access))
     flow, sampling = prepared.flow(settings), prepared.sampling
     shown = Shown(tuple(painted.channels[i] for i in prepared.channels), settings.space)
     shades = shown.shades(flow.run(progress).colours)

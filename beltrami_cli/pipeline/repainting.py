@@ -81,7 +81,7 @@ def repaint(
     new = old.copy()
     inside, texels = smoothed.of_texture(smoothed.texels, index)
     after = smoothed.colours[inside]
-    moved = np.any(colours.working(picture, texels) != after, axis=1)
+    moved = colours.changed(picture, texels, after)
     colours.write(new, index, texels[moved], after[moved])
     del after
     # Texels that are not covered have not changed yet, and do not count.

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from beltrami_cli.formats.document import Document
+    from beltrami_cli.mesh.painted import PaintedVertices
     from beltrami_cli.pipeline.settings import SmoothSettings
     from beltrami_cli.pipeline.smooth_textures import SlotReport
     from beltrami_cli.pipeline.smooth_vertices import SmoothResult
@@ -69,6 +70,11 @@ class VertexReport:
         Estimated standard deviation per channel, full scale 1, in the working space.
     change : dict of str to float
         Mean, root mean square and largest change of a colour value, full scale 1, as stored.
+    guides : dict of str to float
+        The beta used for each guide, by its name.
+    geometry : dict of str to float, or None
+        If positions were smoothed: the estimated noise of the normals in radians, the beta used for them, and the mean,
+        root mean square and largest distance that a vertex moved, in the file's own unit of length.
     """
 
     counts: dict[str, float]
@@ -76,6 +82,8 @@ class VertexReport:
     beta: float
     noise: dict[str, float]
     change: dict[str, float]
+    guides: dict[str, float]
+    geometry: dict[str, float] | None
 
 
 @dataclass(frozen=True)
@@ -215,6 +223,7 @@ def _parameters(settings: SmoothSettings) -> dict[str, object]:
         "textures": dataclasses.asdict(settings.textures),
         "image": dataclasses.asdict(settings.image),
         "level_set": dataclasses.asdict(settings.level_set),
+        "embedding": dataclasses.asdict(settings.embedding),
     }
 
 
@@ -233,4 +242,19 @@ def _vertex_report(document: Document, result: SmoothResult) -> VertexReport:
         beta=result.beta,
         noise=result.noise,
         change=Change.between(painted.colours, result.colours).summary(),
+        guides=result.guide_betas,
+        geometry=_geometry_report(painted, result),
     )
+
+
+def _geometry_report(painted: PaintedVertices, result: SmoothResult) -> dict[str, float] | None:
+    if result.positions is None or result.normal_noise is None or result.normal_beta is None:
+        return None
+    moves = np.linalg.norm(result.positions - painted.positions, axis=1)
+    return {
+        "normal_noise": result.normal_noise,
+        "normal_beta": result.normal_beta,
+        "mean_move": float(moves.mean()),
+        "rms_move": float(np.sqrt(np.mean(np.square(moves)))),
+        "largest_move": float(moves.max()),
+    }

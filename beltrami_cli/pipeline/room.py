@@ -60,7 +60,7 @@ def require_room_for_textures(
         As `require_room` and `Document.textured`.
     """
     for slot in slots:
-        from beltrami_cli.pipeline.smooth_textures import choose_textures
+        from beltrami_cli.pipeline.prepare_textures import choose_textures
 
         chosen = choose_textures(document.textured(slot), wanted)
         require_room(((texture.name, texture.data) for texture in chosen.textures), access)

@@ -12,6 +12,7 @@ from beltrami_cli.formats.image.recognition import is_image
 from beltrami_cli.formats.source import read_source
 from beltrami_cli.mesh.textured import ImageFile
 from beltrami_cli.pipeline.conversion import make_files
+from beltrami_cli.pipeline.moved_vertices import moved_vertices, require_geometry
 from beltrami_cli.pipeline.opening import document_from, refuse_options_of_level_sets
 from beltrami_cli.pipeline.output import Output
 from beltrami_cli.pipeline.report import SmoothReport, make_report
@@ -19,6 +20,7 @@ from beltrami_cli.pipeline.room import require_room_for_textures
 from beltrami_cli.pipeline.settings import DEFAULTS, SmoothSettings
 from beltrami_cli.pipeline.smooth_vertices import SmoothResult, require_surface, smooth_painted
 from beltrami_cli.pipeline.stopwatch import Stopwatch
+from beltrami_cli.pipeline.vertex_guides import vertex_guides
 from beltrami_cli.pipeline.work import Work, choose_format, choose_work
 
 if TYPE_CHECKING:
@@ -103,6 +105,8 @@ def smooth_file(
         work = choose_work(document, settings)
         if settings.kernel.iterations == 0:
             work = Work(vertices=False, slots=())  # the output is the input
+        else:
+            require_geometry(document, work, settings, written_back=target_format == document.format)
         require_room_for_textures(document, work.slots, settings.textures, access)
         moved = _is_moved(source, target)
         references = list(document.references()) if moved and target_format == document.format else []
@@ -111,11 +115,15 @@ def smooth_file(
                 _names_beside(document, work, settings, target_format, target, references, moved=moved)
             )
     with watch.stage("smooth"):
-        vertices = _smooth_vertices(document, work, settings, progress)
-        images, slots, notices = _smooth_slots(document, work, settings, progress)
+        vertices = _smooth_vertices(document, work, settings, progress, access)
+        images, slots, notices = _smooth_slots(document, work, settings, progress, access)
     with watch.stage("write"):
         colours = None if vertices is None else vertices.colours
-        written = make_files(document, colours, images, target_format, Path(target).stem, moved=moved)
+        positions = None if vertices is None else vertices.positions
+        places = None if positions is None else moved_vertices(document, positions)
+        written = make_files(
+            document, colours, images, target_format, Path(target).stem, moved=moved, places=places
+        )
         written = _with_references(written, Path(source).parent, references)
         if output is not None:
             output.write(written)
@@ -137,7 +145,7 @@ def _names_beside(
     moved: bool,
 ) -> set[str]:
     """Find the files that would be written beside the output, by writing the old images anew."""
-    from beltrami_cli.pipeline.smooth_textures import choose_textures
+    from beltrami_cli.pipeline.prepare_textures import choose_textures
 
     suffix = settings.textures.image_suffix
     images = {
@@ -160,6 +168,7 @@ def _smooth_vertices(
     work: Work,
     settings: SmoothSettings,
     progress: Callable[[str, int, int], None] | None,
+    access: Access,
 ) -> SmoothResult | None:
     if not work.vertices:
         return None
@@ -169,7 +178,8 @@ def _smooth_vertices(
 
         return smooth_range(painted, grid, settings, _labelled(progress, "range image"))
     require_surface(painted, document.name)
-    return smooth_painted(painted, settings, _labelled(progress, "vertex colours"))
+    guides = vertex_guides(document, settings, access)
+    return smooth_painted(painted, settings, _labelled(progress, "vertex colours"), guides)
 
 
 def _smooth_slots(
@@ -177,6 +187,7 @@ def _smooth_slots(
     work: Work,
     settings: SmoothSettings,
     progress: Callable[[str, int, int], None] | None,
+    access: Access,
 ) -> tuple[dict[tuple[Slot, str], ImageFile], list[SlotReport], list[str]]:
     images: dict[tuple[Slot, str], ImageFile] = {}
     reports: list[SlotReport] = []
@@ -184,7 +195,8 @@ def _smooth_slots(
     for slot in work.slots:
         from beltrami_cli.pipeline.smooth_textures import smooth_slot
 
-        result = smooth_slot(document.textured(slot), slot, settings, _labelled(progress, f"{slot} textures"))
+        textured, label = document.textured(slot), f"{slot} textures"
+        result = smooth_slot(textured, slot, settings, _labelled(progress, label), document, access)
         images.update(result.images)
         reports.append(result.report)
         notices.extend(result.notices)

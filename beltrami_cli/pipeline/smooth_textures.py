@@ -4,28 +4,26 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass, field
-from fnmatch import fnmatch
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from beltrami_cli.flow.guide import guide_radius
-from beltrami_cli.flow.texels import TexelFlow
-from beltrami_cli.formats.image import check_writable, losses, read_image, write_image
-from beltrami_cli.mesh.atlas import without_owned
+from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
+from beltrami_cli.formats.image import check_writable, losses, write_image
+from beltrami_cli.pipeline.prepare_textures import PreparedSlot, prepare_slot
 from beltrami_cli.pipeline.repainting import SmoothedTexels, repaint
 from beltrami_cli.pipeline.report import Change
-from beltrami_cli.pipeline.texel_colours import COLOUR_SLOTS, TexelColours
-from beltrami_cli.sampling.atlas import build_atlas
+from beltrami_cli.pipeline.texel_colours import COLOUR_SLOTS
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from numpy.typing import NDArray
 
+    from beltrami_cli.formats.document import Document
     from beltrami_cli.formats.image import Picture
     from beltrami_cli.mesh.atlas import Atlas
-    from beltrami_cli.mesh.textured import ImageFile, Slot, Texture, TexturedSurface
+    from beltrami_cli.mesh.textured import ImageFile, Slot, TexturedSurface
     from beltrami_cli.pipeline.settings import SmoothSettings, TextureSettings
 
 
@@ -54,6 +52,8 @@ class SlotReport:
         Estimated standard deviation per channel, full scale 1, in the working space.
     samples_per_kernel : float
         Mean number of samples that a kernel held.
+    guides : dict of str to float
+        The beta used for each guide, by its name.
     change : dict of str to float
         Mean, root mean square and largest change of a covered texel's value, full scale 1, as stored.
     """
@@ -65,6 +65,7 @@ class SlotReport:
     beta: float
     noise: dict[str, float]
     samples_per_kernel: float
+    guides: dict[str, float] = field(default_factory=dict)
     change: dict[str, float] = field(default_factory=dict)
 
 
@@ -77,60 +78,13 @@ class SlotResult:
     notices: tuple[str, ...]
 
 
-@dataclass(frozen=True)
-class PreparedSlot:
-    """The textures of a slot as samples of a manifold.
-
-    Attributes
-    ----------
-    surface : TexturedSurface
-        With the chosen textures only.
-    pictures : list of Picture
-        Decoded, one for each texture.
-    atlas : Atlas
-        The manifold of their texels, without those that lend no colour.
-    colours : TexelColours
-        The way from pictures to samples and back.
-    """
-
-    surface: TexturedSurface
-    pictures: list[Picture]
-    atlas: Atlas
-    colours: TexelColours
-
-    def flow(self, settings: SmoothSettings) -> TexelFlow:
-        """Make the flow on these samples."""
-        return TexelFlow(self.atlas, self.colours.samples(self.atlas), settings.kernel)
-
-
-def prepare_slot(surface: TexturedSurface, slot: Slot, settings: SmoothSettings) -> PreparedSlot:
-    """Decode the textures of a slot and make the manifold of their texels.
-
-    Raises
-    ------
-    UsageError
-        If the settings contradict the textures.
-    InputError
-        If an image cannot be decoded.
-    """
-    surface = choose_textures(surface, settings.textures)
-    pictures = [read_image(texture.data, texture.name) for texture in surface.textures]
-    kernel = settings.kernel
-    margin = kernel.window // 2 + (guide_radius(kernel.metric_scale) if kernel.metric_steps else 0)
-    sizes = [(picture.pixels.shape[1], picture.pixels.shape[0]) for picture in pictures]
-    atlas = build_atlas(surface, sizes, margin, kernel.thread_count)
-    colours = TexelColours(pictures, slot, settings)
-    transparent = colours.transparent(atlas, surface.textures)
-    if transparent.any():
-        atlas = without_owned(atlas, transparent)
-    return PreparedSlot(surface, pictures, atlas, colours)
-
-
 def smooth_slot(
     surface: TexturedSurface,
     slot: Slot,
     settings: SmoothSettings,
     progress: Callable[[int, int], None] | None = None,
+    document: Document | None = None,
+    access: Access = EVERYTHING_INSIDE,
 ) -> SlotResult:
     """Smooth all chosen textures of a slot together, over the surface and across their seams.
 
@@ -144,6 +98,8 @@ def smooth_slot(
         The kernel's parameters, the working space, and what concerns textures.
     progress : callable, optional
         Called with the work done so far and the work to do; may raise to stop.
+    document, access
+        As for `prepare_slot`.
 
     Returns
     -------
@@ -154,7 +110,7 @@ def smooth_slot(
     UsageError, InputError
         As `prepare_slot`.
     """
-    prepared = prepare_slot(surface, slot, settings)
+    prepared = prepare_slot(surface, slot, settings, document, access)
     for picture in prepared.pictures:
         check_writable(picture, settings.textures.image_suffix)
     flow = prepared.flow(settings)
@@ -167,6 +123,7 @@ def smooth_slot(
         beta=result.beta,
         noise=prepared.colours.named(result.sigma),
         samples_per_kernel=round(result.samples_per_kernel, 2),
+        guides=flow.guide_betas,
     )
     notices = list(atlas_notices(prepared.atlas))
     smoothed = SmoothedTexels(
@@ -242,23 +199,3 @@ def describe_textures(prepared: PreparedSlot) -> list[dict[str, object]]:
         }
         for texture, picture, count in zip(prepared.surface.textures, prepared.pictures, covered, strict=True)
     ]
-
-
-def choose_textures(surface: TexturedSurface, wanted: TextureSettings) -> TexturedSurface:
-    """Keep the textures that the globs choose, which may be none."""
-
-    def fits(texture: Texture) -> bool:
-        by_name = not wanted.names or any(fnmatch(texture.name, glob) for glob in wanted.names)
-        by_material = not wanted.materials or any(
-            fnmatch(material, glob) for material in texture.materials for glob in wanted.materials
-        )
-        return by_name and by_material
-
-    kept = [index for index, texture in enumerate(surface.textures) if fits(texture)]
-    new_index = np.full(len(surface.textures) + 1, -1, np.int32)
-    new_index[kept] = np.arange(len(kept), dtype=np.int32)
-    return dataclasses.replace(
-        surface,
-        textures=tuple(surface.textures[index] for index in kept),
-        texture_of=new_index[surface.texture_of],
-    )

@@ -45,7 +45,9 @@ class TexelColours:
     Attributes
     ----------
     names : tuple of str
-        The channels of the samples.
+        The channels of the samples: those that change, and those that enter the metric.
+    metric_channels : list of int or None
+        Which of them enter the metric; None: all.
     space : {"srgb", "linear", "oklab", "data"}
         What they are in.
 
@@ -64,14 +66,21 @@ class TexelColours:
         if self.space == "oklab" and self._width != 3:
             raise UsageError("the space oklab needs red, green and blue, but all textures are grey")
         meant = _SLOT_CHANNELS.get(slot, set(names))
-        self._kept = [i for i in _choose(names, settings) if names[i] in meant]
-        if not self._kept:
+        self._changing = [i for i in _choose(names, settings.channels) if names[i] in meant]
+        if not self._changing:
             raise UsageError(
                 f"no chosen channel belongs to the slot {slot}, which uses {' and '.join(sorted(meant))}"
             )
         self._hides = slot in COLOUR_SLOTS and settings.textures.alpha != "smooth"
         self._alpha = settings.textures.alpha == "smooth" and any(p.alpha is not None for p in pictures)
-        self.names = tuple(names[i] for i in self._kept) + (("alpha",) if self._alpha else ())
+        wanted, opacity = settings.embedding.metric_channels, ("alpha",) if self._alpha else ()
+        counting = None if wanted is None else _choose((*names, *opacity), wanted)
+        # What only enters the metric is smoothed along, but not written.
+        self._kept = sorted({*self._changing, *(i for i in counting or () if i < len(names))})
+        self.names = tuple(names[i] for i in self._kept) + opacity
+        self.metric_channels: list[int] | None = None
+        if counting is not None:
+            self.metric_channels = [self.names.index((*names, *opacity)[i]) for i in counting]
 
     def named(self, values: NDArray[np.float64]) -> dict[str, float]:
         """Pair a value per channel with the channels' names."""
@@ -110,10 +119,24 @@ class TexelColours:
         return hidden
 
     def columns(self, index: int) -> list[int]:
-        """Return which channels of a picture are smoothed."""
+        """Return which channels of a picture change."""
         picture = self._pictures[index]
-        colour = list(picture.colour) if len(picture.colour) == 1 else [picture.colour[i] for i in self._kept]
+        colour = (
+            list(picture.colour) if len(picture.colour) == 1 else [picture.colour[i] for i in self._changing]
+        )
         return colour + ([picture.alpha] if self._alpha and picture.alpha is not None else [])
+
+    def changed(
+        self, picture: Picture, texels: NDArray[np.int64], samples: NDArray[np.float32]
+    ) -> NDArray[np.bool_]:
+        """Tell for which texels of a picture some samples differ in a channel that is written."""
+        written = self._written()
+        return np.asarray(np.any(self.working(picture, texels)[:, written] != samples[:, written], axis=1))
+
+    def _written(self) -> list[int]:
+        """Return which channels of the samples are written."""
+        colours = [self._kept.index(i) for i in self._changing]
+        return [*colours, *([len(self._kept)] if self._alpha else [])]
 
     def write(
         self,
@@ -140,7 +163,7 @@ class TexelColours:
         whole = self._widened(picture, table[texels])
         working = to_space(whole, picture.encoding, self.space)
         working = working.copy()
-        working[:, self._kept] = samples[:, : len(self._kept)]
+        working[:, self._changing] = samples[:, [self._kept.index(i) for i in self._changing]]
         stored = from_space(working, picture.encoding, self.space)
         if self._is_normal:
             stored = _renormalised(stored)
@@ -149,7 +172,7 @@ class TexelColours:
         if len(picture.colour) == 1:
             table[texels, picture.colour[0]] = stored.mean(axis=1)
         else:
-            for i in self._kept:
+            for i in self._changing:
                 table[texels, picture.colour[i]] = stored[:, i]
         if self._alpha and picture.alpha is not None:
             table[texels, picture.alpha] = samples[:, -1]
@@ -165,14 +188,14 @@ class TexelColours:
         return np.repeat(colours, self._width, axis=1) if colours.shape[1] < self._width else colours
 
 
-def _choose(names: tuple[str, ...], settings: SmoothSettings) -> list[int]:
-    if settings.channels is None:
+def _choose(names: tuple[str, ...], wanted: tuple[str, ...] | None) -> list[int]:
+    if wanted is None:
         return list(range(len(names)))
     chosen = set()
-    for wanted in settings.channels:
-        fits = [i for i, name in enumerate(names) if wanted.lower() in (name, name[0])]
+    for word in wanted:
+        fits = [i for i, name in enumerate(names) if word.lower() in (name, name[0])]
         if not fits:
-            raise UsageError(f"there is no channel {wanted}; the textures have {', '.join(names)}")
+            raise UsageError(f"there is no channel {word}; the textures have {', '.join(names)}")
         chosen.add(fits[0])
     return sorted(chosen)
 

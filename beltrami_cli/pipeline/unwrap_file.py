@@ -17,11 +17,13 @@ from beltrami_cli.pipeline.room import require_room_for_textures
 from beltrami_cli.pipeline.smooth_textures import smooth_slot
 from beltrami_cli.pipeline.smooth_vertices import require_surface, smooth_painted
 from beltrami_cli.pipeline.stopwatch import Stopwatch
+from beltrami_cli.pipeline.vertex_guides import vertex_guides
 from beltrami_cli.pipeline.work import choose_format
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from beltrami_cli.flow.guidance import Guide
     from beltrami_cli.formats.document import Document
     from beltrami_cli.mesh.textured import ImageFile
     from beltrami_cli.pipeline.bake_settings import BakeSettings
@@ -85,10 +87,13 @@ def smooth_unwrapped(
             suffix = settings.textures.image_suffix or ".png"
             output.check_sidecars(names_beside(target_format, stem, suffix))
     if _is_textured(document, settings):
+        if settings.embedding.guides:
+            raise UsageError("--guide cannot guide the new texture that --unwrap makes; use both in turn")
         require_room_for_textures(document, ("baseColor",), settings.textures, access)
         done = _smooth_in_texture(document, settings, wanted, watch, progress)
     else:
-        done = _smooth_on_vertices(document, settings, wanted, watch, progress)
+        guides = vertex_guides(document, settings, access)
+        done = _smooth_on_vertices(document, settings, wanted, watch, progress, guides)
     with watch.stage("write"):
         written = write_textured(done.made.mesh(done.image), target_format, stem)
         if output is not None:
@@ -108,6 +113,10 @@ def _check(settings: SmoothSettings) -> None:
     if textures.materials or textures.names or textures.slots != ("baseColor",):
         raise UsageError(
             "--unwrap makes one new base colour texture, so --material, --texture and --slots cannot choose"
+        )
+    if settings.embedding.smooth_geometry:
+        raise UsageError(
+            "--unwrap writes a new file, in which --smooth-geometry cannot move vertices; use both in turn"
         )
 
 
@@ -132,7 +141,12 @@ def _smooth_in_texture(
 
 
 def _smooth_on_vertices(
-    document: Document, settings: SmoothSettings, wanted: BakeSettings, watch: Stopwatch, progress: Progress
+    document: Document,
+    settings: SmoothSettings,
+    wanted: BakeSettings,
+    watch: Stopwatch,
+    progress: Progress,
+    guides: list[Guide],
 ) -> _Done:
     """Smooth the vertex colours, then make the texture.
 
@@ -142,7 +156,7 @@ def _smooth_on_vertices(
     require_surface(painted, document.name)
     if settings.kernel.iterations > 0:
         with watch.stage("smooth"):
-            smoothed = smooth_painted(painted, settings, _labelled(progress, "vertex colours"))
+            smoothed = smooth_painted(painted, settings, _labelled(progress, "vertex colours"), guides)
     with watch.stage("unwrap"):
         colours = None if smoothed is None else smoothed.colours
         made = texture_from_vertices(document, wanted, progress, colours)

@@ -37,7 +37,7 @@ def contents_of(document: GltfDocument) -> MeshContents:
         encoding="linear",
         stored=painted.stored,
         alpha=_alpha(document),
-        normals=_normals(document),
+        normals=normals_of(document),
         left_out=tuple(_left_out(document.container.tree)),
     )
 
@@ -56,7 +56,7 @@ def _alpha(document: GltfDocument) -> NDArray[np.float32] | None:
     )
 
 
-def _normals(document: GltfDocument) -> NDArray[np.float32] | None:
+def normals_of(document: GltfDocument) -> NDArray[np.float32] | None:
     """Return unit normals in world space if every block has them; those of length zero stay zero."""
     parts = []
     for block in document.surface.blocks:

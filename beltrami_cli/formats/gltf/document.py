@@ -1,4 +1,4 @@
-"""A glTF 2.0 file, text or binary, of which only vertex colours and images are replaced."""
+"""A glTF 2.0 file, text or binary, of which only vertex colours, their places and images are replaced."""
 
 from __future__ import annotations
 
@@ -11,14 +11,17 @@ from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.beside import Beside
 from beltrami_cli.formats.document import NO_IMAGES, Document
 from beltrami_cli.formats.gltf.accessors import Accessors, Stored, fractions
+from beltrami_cli.formats.gltf.attributes import attribute_names, read_attribute
 from beltrami_cli.formats.gltf.buffers import Buffers
 from beltrami_cli.formats.gltf.container import read_container
-from beltrami_cli.formats.gltf.contents import contents_of, has_colours, summary
+from beltrami_cli.formats.gltf.contents import contents_of, has_colours, normals_of, summary
 from beltrami_cli.formats.gltf.editing import Edit
 from beltrami_cli.formats.gltf.materials import present_slots
+from beltrami_cli.formats.gltf.moving import move, require_movable
 from beltrami_cli.formats.gltf.patching import recolour
 from beltrami_cli.formats.gltf.pictures import Pictures
 from beltrami_cli.formats.gltf.primitives import in_world
+from beltrami_cli.formats.gltf.recompressing import compress_again
 from beltrami_cli.formats.gltf.references import present
 from beltrami_cli.formats.gltf.repackaging import as_glb, as_gltf
 from beltrami_cli.formats.gltf.repainting import repaint
@@ -26,7 +29,7 @@ from beltrami_cli.formats.gltf.saving import written
 from beltrami_cli.formats.gltf.scene import placements
 from beltrami_cli.formats.gltf.surfaces import COLOUR_TYPES, Surface, gather
 from beltrami_cli.formats.gltf.texturing import gather_textured
-from beltrami_cli.mesh.painted import MeshContents, PaintedVertices
+from beltrami_cli.mesh.painted import MeshContents, MovedVertices, PaintedVertices
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -145,11 +148,33 @@ class GltfDocument(Document):
             self.notices += [notice for notice in notices if notice not in self.notices]
         return self._textured[slot]
 
-    def edit(self, colours: NDArray[np.float32] | None, images: Mapping[tuple[Slot, str], ImageFile]) -> Edit:
-        """Return the JSON and the buffers with other colours and images; both as for `patch`."""
+    def attributes(self) -> tuple[str, ...]:  # noqa: D102
+        return attribute_names(self.root, self.surface.blocks)
+
+    def attribute(self, name: str) -> NDArray[np.float64]:  # noqa: D102
+        fits = [known for known in self.attributes() if known.lower() == name.lower()]
+        if not fits:
+            return super().attribute(name)
+        if fits[0] == "normal" and (normals := normals_of(self)) is not None:
+            return normals.astype(np.float64)
+        return read_attribute(self.root, self.surface.blocks, self.accessors, fits[0])
+
+    def require_movable(self) -> None:  # noqa: D102
+        require_movable(self.accessors, self.surface.blocks)
+
+    def edit(
+        self,
+        colours: NDArray[np.float32] | None,
+        images: Mapping[tuple[Slot, str], ImageFile],
+        places: MovedVertices | None = None,
+    ) -> Edit:
+        """Return the JSON and the buffers with other colours, images and places; all as for `patch`."""
         edit = Edit(self.container, self.accessors, self.container.copy_of_tree())
         if colours is not None:
             recolour(edit, self.surface.blocks, self.stored_colours, self.painted().colours, colours)
+        if places is not None:
+            move(edit, self.surface.blocks, self.painted().positions, places)
+        compress_again(edit)
         repaint(edit, self.pictures, images)
         return edit
 
@@ -160,8 +185,9 @@ class GltfDocument(Document):
         *,
         moved: bool,
         images: Mapping[tuple[Slot, str], ImageFile] = NO_IMAGES,
+        places: MovedVertices | None = None,
     ) -> Written:
-        return written(self.edit(colours, images), stem, moved=moved)
+        return written(self.edit(colours, images, places), stem, moved=moved)
 
     def repackaged(
         self,
@@ -171,12 +197,13 @@ class GltfDocument(Document):
         *,
         moved: bool,
         images: Mapping[tuple[Slot, str], ImageFile] = NO_IMAGES,
+        places: MovedVertices | None = None,
     ) -> Written:
         """Return the document as `patch` does, in the other form of glTF if that is asked for.
 
         Parameters
         ----------
-        colours, stem, moved, images
+        colours, stem, moved, images, places
             As for `patch`.
         form : {"glb", "gltf"}
             Binary or text. Going to "glb", buffers are merged into the BIN chunk and images inside the
@@ -187,7 +214,7 @@ class GltfDocument(Document):
         InputError
             If a buffer that has to be moved cannot be read.
         """
-        edit = self.edit(colours, images)
+        edit = self.edit(colours, images, places)
         if form == self.format:
             return written(edit, stem, moved=moved)
         return as_glb(edit, self._beside) if form == "glb" else as_gltf(edit, stem, moved=moved)

@@ -1,6 +1,6 @@
-"""New colours put into the bytes and the JSON of a glTF file: in place where possible, else appended.
+"""New numbers put into the bytes and the JSON of a glTF file: in place where possible, else appended.
 
-Colours are overwritten where they are if nothing else uses their bytes. Otherwise a new bufferView at the end of
+Numbers are overwritten where they are if nothing else uses their bytes. Otherwise a new bufferView at the end of
 the buffer takes them, and only their accessor is pointed at it; no other view ever moves. Those that Draco has
 compressed always get a view of their own, since the geometry would not survive another compression; views that
 meshoptimizer has compressed are compressed again, which loses nothing.
@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.formats.gltf.accessors import Stored, element_bytes, quantised
+from beltrami_cli.formats.gltf.columns import Column, colour_column
 from beltrami_cli.formats.gltf.detaching import detach
 from beltrami_cli.formats.gltf.editing import copied, point_at, update_bounds
-from beltrami_cli.formats.gltf.recompressing import compress_again
 from beltrami_cli.formats.gltf.sharing import alone, used_otherwise
 
 if TYPE_CHECKING:
@@ -58,34 +58,57 @@ def recolour(
     """
     if new.shape != old.shape or not np.isfinite(new).all():
         raise ValueError(f"colours must be finite and of shape {old.shape}, not {new.shape}")
-    changes = []
-    for number, (block, before) in enumerate(zip(blocks, stored, strict=True)):
+    numbers = []
+    for block, before in zip(blocks, stored, strict=True):
         rows = slice(block.first_row, block.first_row + block.count)
         after = before.copy()
         differs = new[rows] != old[rows]
         after[:, :3][differs] = quantised(new[rows][differs], before.dtype)
-        if not np.array_equal(after, before):
-            changes.append((number, before, after))
-    in_place = alone(edit.container.tree, edit.accessors, blocks) if changes else []
-    shared = used_otherwise(edit.container.tree)
-    for number, before, after in changes:
-        block = blocks[number]
-        if edit.accessors.is_added(block.colour):
-            detach(edit, block, before, after)
+        numbers.append((before, after))
+    exchange(edit, [colour_column(block) for block in blocks], numbers)
+
+
+def exchange(edit: Edit, columns: Sequence[Column], numbers: Sequence[tuple[Stored, Stored]]) -> None:
+    """Put new numbers into a file. Views that are compressed are still to be compressed again.
+
+    Parameters
+    ----------
+    edit : Edit
+        The changes so far, to which these are added.
+    columns : sequence of Column
+        All columns of one attribute of the painted primitives.
+    numbers : sequence of (ndarray, ndarray), each of shape (rows, width)
+        Their numbers as stored, before and after.
+
+    Raises
+    ------
+    InputError
+        If compressed numbers cannot be replaced.
+    """
+    changes = [i for i, (before, after) in enumerate(numbers) if not np.array_equal(before, after)]
+    if not changes:
+        return
+    in_place = alone(edit.container.tree, edit.accessors, columns)
+    shared = used_otherwise(edit.container.tree, columns[0].attribute)
+    for number in changes:
+        column, (before, after) = columns[number], numbers[number]
+        if edit.accessors.is_added(column.accessor):
+            detach(edit, column, before, after)
             continue
-        members = block.members if in_place[number] else _own_accessors(edit.tree, block.members, shared)
+        members = set(column.members) if in_place[number] else _own_accessors(edit.tree, column, shared)
         if in_place[number]:
-            _overwrite(edit, block, after)
+            _overwrite(edit, column, after)
         else:
-            _append(edit, block, members, after)
+            view = edit.append_attribute(_home(edit, column), after)
+            for index in members:
+                point_at(edit.tree["accessors"][index], view)
         for index in members:
             update_bounds(edit.tree["accessors"][index], before, after)
-    compress_again(edit)
 
 
-def _overwrite(edit: Edit, block: Block, after: Stored) -> None:
-    """Put the colours where they are; of a sparse accessor each where it is read, the elements that it replaces too."""
-    accessor, rows = edit.accessors[block.colour], edit.accessors.replaced(block.colour)
+def _overwrite(edit: Edit, column: Column, after: Stored) -> None:
+    """Put numbers where they are; of a sparse accessor each where it is read, the elements that it replaces too."""
+    accessor, rows = edit.accessors[column.accessor], edit.accessors.replaced(column.accessor)
     own, octets = np.ones(len(after), bool), after.view(np.uint8)
     own[rows] = False
     if accessor.sparse is not None:
@@ -93,37 +116,30 @@ def _overwrite(edit: Edit, block: Block, after: Stored) -> None:
     if accessor.layout is not None:
         _elements(edit, accessor.layout)[own] = octets[own]
     elif octets[own].any():  # no more zeros
-        view = edit.append_attribute(_home(edit, block), after)
-        point_at(edit.tree["accessors"][block.colour], view, keep_sparse=True)
+        view = edit.append_attribute(_home(edit, column), after)
+        point_at(edit.tree["accessors"][column.accessor], view, keep_sparse=True)
 
 
 def _elements(edit: Edit, layout: Layout) -> NDArray[np.uint8]:
     return element_bytes(edit.open(edit.accessors.buffers.canonical(layout.buffer)), layout)
 
 
-def _own_accessors(tree: Tree, members: set[int], shared: set[int]) -> set[int]:
-    """Return accessors that only COLOR_0 uses: those that have other uses too are copied, the copies used."""
+def _own_accessors(tree: Tree, column: Column, shared: set[int]) -> set[int]:
+    """Return accessors that only this attribute uses: those with other uses too are copied, the copies used."""
     copies: dict[int, int] = {}
-    for index in sorted(members & shared):
+    for index in sorted(column.members & shared):
         copies[index] = len(tree["accessors"])
         tree["accessors"].append(copied(tree["accessors"][index]))
     for mesh in tree["meshes"]:
         for primitive in mesh.get("primitives", []):
             attributes = primitive.get("attributes", {})
-            if attributes.get("COLOR_0") in copies:
-                attributes["COLOR_0"] = copies[attributes["COLOR_0"]]
-    return (members - shared) | set(copies.values())
+            if attributes.get(column.attribute) in copies:
+                attributes[column.attribute] = copies[attributes[column.attribute]]
+    return set(column.members - shared) | set(copies.values())
 
 
-def _append(edit: Edit, block: Block, members: set[int], after: Stored) -> None:
-    """Put the colours into a new view at the end of their buffer and point their accessors at it."""
-    view = edit.append_attribute(_home(edit, block), after)
-    for index in members:
-        point_at(edit.tree["accessors"][index], view)
-
-
-def _home(edit: Edit, block: Block) -> int:
-    """Return the buffer that takes new colours: that of the old ones, of the positions, or any with bytes."""
-    accessor, position = edit.accessors[block.colour], edit.accessors[block.position]
+def _home(edit: Edit, column: Column) -> int:
+    """Return the buffer that takes new numbers: that of the old ones, of the positions, or any with bytes."""
+    accessor, position = edit.accessors[column.accessor], edit.accessors[column.position]
     layouts = [accessor.layout, accessor.sparse.values if accessor.sparse else None, position.layout]
     return edit.home(layout.buffer for layout in layouts if layout)

@@ -1,4 +1,4 @@
-"""Whether stored colours may be overwritten where they are: what else uses their bytes, or their accessors."""
+"""Whether stored numbers may be overwritten where they are: what else uses their bytes, or their accessors."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from beltrami_cli.formats.gltf.accessors import Accessors
+    from beltrami_cli.formats.gltf.columns import Column
     from beltrami_cli.formats.gltf.json_text import Tree
-    from beltrami_cli.formats.gltf.surfaces import Block
 
 
-def used_otherwise(tree: Tree) -> set[int]:
-    """Return the accessors that are named as anything but COLOR_0 of a primitive."""
+def used_otherwise(tree: Tree, attribute: str) -> set[int]:
+    """Return the accessors that are named as anything but a certain attribute of a primitive."""
     found: list[object] = []
     for mesh in objects(tree.get("meshes")):
         for primitive in objects(mesh.get("primitives")):
-            found += [index for key, index in primitive.get("attributes", {}).items() if key != "COLOR_0"]
+            found += [index for key, index in primitive.get("attributes", {}).items() if key != attribute]
             found += [index for target in objects(primitive.get("targets")) for index in target.values()]
             found.append(primitive.get("indices"))
     for animation in objects(tree.get("animations")):
@@ -39,18 +39,18 @@ def used_otherwise(tree: Tree) -> set[int]:
     return {index for index in found if isinstance(index, int)}
 
 
-def alone(tree: Tree, accessors: Accessors, blocks: Sequence[Block]) -> list[bool]:
-    """Return for every block whether nothing else uses the bytes and the accessors of its colours.
+def alone(tree: Tree, accessors: Accessors, columns: Sequence[Column]) -> list[bool]:
+    """Return for every column of one attribute whether nothing else uses its bytes and its accessors.
 
     Notes
     -----
-    The uses of every byte are counted, once for each block and for everything else that lies there: other
+    The uses of every byte are counted, once for each column and for everything else that lies there: other
     accessors element by element (so that interleaving is no conflict), sparse parts, and whole views that
     serve images, extensions, or nothing that we know.
     """
-    otherwise = used_otherwise(tree)
-    own = [_colours(accessors, block) for block in blocks]
-    members = set().union(*(block.members for block in blocks))
+    otherwise = used_otherwise(tree, columns[0].attribute)
+    own = [_elements(accessors, column) for column in columns]
+    members = set().union(*(column.members for column in columns))
     others = [_canonical(accessors, layout) for layout in _others(tree, accessors, members)]
     ranges = [(layout.buffer, layout.start, layout.end) for layouts in own for layout in layouts]
     places = np.array(ranges, np.int64).reshape(-1, 3)
@@ -61,21 +61,21 @@ def alone(tree: Tree, accessors: Accessors, blocks: Sequence[Block]) -> list[boo
             uses[...] = np.minimum(uses + 1, 2)
     return [
         bool(layouts)
-        and not block.members & otherwise
+        and not column.members & otherwise
         and all((element_bytes(counts[layout.buffer], layout) == 1).all() for layout in layouts)
-        for block, layouts in zip(blocks, own, strict=True)
+        for column, layouts in zip(columns, own, strict=True)
     ]
 
 
-def _colours(accessors: Accessors, block: Block) -> list[Layout]:
-    """Return where the colours of a block are: plain elements, and those that replace some of them."""
-    accessor = accessors[block.colour]
+def _elements(accessors: Accessors, column: Column) -> list[Layout]:
+    """Return where the numbers of a column are: plain elements, and those that replace some of them."""
+    accessor = accessors[column.accessor]
     layouts = [accessor.layout, accessor.sparse.values if accessor.sparse else None]
     return [_canonical(accessors, layout) for layout in layouts if layout is not None]
 
 
 def _others(tree: Tree, accessors: Accessors, members: set[int]) -> Iterator[Layout]:
-    """Find the bytes of everything that is not the elements of painted colours."""
+    """Find the bytes of everything that is not the elements of the columns."""
     viewed = set()
     for index, accessor in enumerate(accessors.all):
         viewed.add(accessor.view)

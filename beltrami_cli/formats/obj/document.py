@@ -45,6 +45,7 @@ _DROPPED = {
     "lines and points": (b"l", b"p"),
     "curves and surfaces": (b"curv", b"curv2", b"surf"),
 }
+_STALE = "The vertices moved, but the normals ('vn') are as they were; make them anew, or leave them out."
 _SLOTS: tuple[Slot, ...] = ("baseColor", "emissive", "normal")
 
 
@@ -147,10 +148,15 @@ class ObjDocument(Document):
         if places is not None:
             changed = places.positions != known.positions[known.coloured]
             parts.append(new_positions(data, starts[:, :3], ends[:, :3], places.positions, changed))
-        return Written(renumbered(data, parts) if parts else [data], sidecars)
+        notices = (_STALE,) if places is not None and "normal" in self.attributes() else ()
+        return Written(renumbered(data, parts) if parts else [data], sidecars, notices)
 
     def require_movable(self) -> None:
         """Check nothing: any number can be exchanged in a text."""
+
+    def has_normals_by_vertex(self) -> bool:
+        """Tell that normals are not of vertices, but of the corners of polygons."""
+        return False
 
     def attributes(self) -> tuple[str, ...]:
         """Return whether there are normals; see `Document.attributes`."""
