@@ -24,6 +24,14 @@ INTERRUPTED = 130
 _ENDINGS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 
 
+class Interruption(BaseException):
+    """Ctrl-C, or a request to end.
+
+    A KeyboardInterrupt that passes through exec, which libraries call while they are imported, makes Python kill itself
+    at its end, whatever exit code was asked for.
+    """
+
+
 class LazyGroup(click.Group):
     """A group whose commands live in modules of their own, so that `--help` starts fast."""
 
@@ -84,7 +92,7 @@ def main() -> NoReturn:
         for ending in heard:
             signal.signal(ending, _interrupt)
         code = _run()
-    except KeyboardInterrupt:  # while the last words were said
+    except Interruption:  # while the last words were said
         pass
     finally:  # What comes from now on ends the process without more ado.
         for ending in heard:
@@ -98,7 +106,7 @@ def _run() -> int:
         if not any(map(_verbosity, sys.argv[1:])):
             _part_from_libraries()
         return group.main(prog_name="beltrami", standalone_mode=False) or 0
-    except (click.Abort, KeyboardInterrupt):
+    except (click.Abort, Interruption):
         return _failure(INTERRUPTED, "interrupted; files are as they were, or complete")
     except click.ClickException as error:
         error.show()
@@ -117,7 +125,7 @@ def _run() -> int:
 
 
 def _interrupt(number: int, frame: FrameType | None) -> NoReturn:
-    raise KeyboardInterrupt
+    raise Interruption
 
 
 def _part_from_libraries() -> None:

@@ -1,12 +1,11 @@
-"""Runs the command again and again, ended by a signal at every one of its steps that touch files.
+"""Writes files that belong together again and again, ended by a signal at every one of its steps that touch files.
 
-Run as a script with the folder of a model, a signal, and the arguments of the command. For every step a child is
-forked, so that libraries are loaded once. Prints what was wrong, one line each, and the number of steps last.
+Run as a script with a folder, a signal, and the name of the output in the folder. For every step a child is forked, so
+that libraries are loaded once. Prints what was wrong, one line each, and the number of steps last.
 """
 
 from __future__ import annotations
 
-import importlib
 import os
 import shutil
 import signal
@@ -18,7 +17,6 @@ from hostile.folders import snapshot
 # What a process does to files, as it tells its audit hooks.
 STEPS = ("os.rename", "os.remove", "os.mkdir", "os.rmdir", "os.chmod", "os.link", "os.truncate")
 MOST_STEPS = 200
-PIPELINE = [f"beltrami_cli.pipeline.{name}" for name in ("smooth_file", "smooth_textures", "smooth_vertices")]
 
 
 class Ending:
@@ -37,17 +35,23 @@ class Ending:
                 os.kill(os.getpid(), self.number)
 
 
-def child(arguments: list[str], at: int, number: int) -> None:
-    """Be the command; exit with 77 if it ended before the step was reached."""
+def child(target: str, at: int, number: int) -> None:
+    """Be a command that writes an OBJ file with its library and texture; exit with 77 if the step was not reached."""
+    from beltrami_cli.cli import main as command
+    from beltrami_cli.formats.document import Written
+    from beltrami_cli.pipeline.output import Output
+
+    def job() -> int:
+        output = Output(target, overwrite=True)
+        output.write(Written([b"new ", b"model"], {"maps.mtl": b"new", "maps/skin.png": b"new"}))
+        return 0
+
+    command._run = job
     ending = Ending(at, number)
     sys.addaudithook(ending)
-    sys.argv = ["beltrami", *arguments]
-    os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
-    from beltrami_cli.cli.main import main
-
     code = 1
     try:
-        main()
+        command.main()
     except SystemExit as stop:
         code = int(stop.code or 0)
     finally:
@@ -69,19 +73,18 @@ def faults(before: dict, after: dict, finished: dict, number: int) -> list[str]:
     return found
 
 
-def run(folder: Path, arguments: list[str], at: int, number: int) -> int:
+def run(folder: Path, target: str, at: int, number: int) -> int:
     """Fork, and return how the child ended."""
     pid = os.fork()
     if pid == 0:
         os.chdir(folder)
-        child(arguments, at, number)
+        child(target, at, number)
     return os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
 
 
-def main(source: Path, arguments: list[str], number: int) -> None:
+def main(source: Path, target: str, number: int) -> None:
     """Try every step."""
-    for name in ("OpenImageIO", "beltrami_cli.cli.smooth", "beltrami_cli.formats.obj", *PIPELINE):
-        importlib.import_module(name)
+    import beltrami_cli.cli.main  # noqa: F401  -- loaded once for all children
 
     work = source.parent / "work"
 
@@ -91,12 +94,12 @@ def main(source: Path, arguments: list[str], number: int) -> None:
 
     fresh()
     before = snapshot(work)
-    if run(work, arguments, MOST_STEPS, number) != 77:
+    if run(work, target, MOST_STEPS, number) != 77:
         print("without a signal it fails")
     finished = snapshot(work)
     for at in range(1, MOST_STEPS):
         fresh()
-        code = run(work, arguments, at, number)
+        code = run(work, target, at, number)
         for fault in faults(before, snapshot(work), finished, number):
             print(f"step {at}: {fault}")
         if code == 77:
@@ -107,4 +110,4 @@ def main(source: Path, arguments: list[str], number: int) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), sys.argv[3:], int(sys.argv[2]))
+    main(Path(sys.argv[1]), sys.argv[3], int(sys.argv[2]))

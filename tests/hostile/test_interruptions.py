@@ -32,21 +32,15 @@ def folder_with_model(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize(
-    ("target", "number"),
-    [
-        ("out/result.obj", signal.SIGINT),
-        ("out/result.obj", signal.SIGKILL),
-        ("new/result.obj", signal.SIGTERM),
-        ("model.obj", signal.SIGHUP),
-    ],
+    "number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGKILL], ids=lambda number: number.name
 )
+@pytest.mark.parametrize("target", ["out/result.obj", "new/result.obj", "model.obj"])
 def test_a_signal_at_any_step_that_touches_files(target: str, number: signal.Signals, tmp_path: Path) -> None:
     folder = folder_with_model(tmp_path)
     (folder / "new").mkdir()
-    arguments = ["smooth", "model.obj", target, "--overwrite", "--threads", "1", "-n", "1"]
     script = Path(__file__).with_name("interrupting.py")
     run = subprocess.run(
-        [sys.executable, script, folder, str(int(number)), *arguments],
+        [sys.executable, script, folder, str(int(number)), target],
         capture_output=True, text=True, check=True, timeout=300,
         env={"PYTHONPATH": str(script.parents[1]), "OPENBLAS_NUM_THREADS": "1"},
     )  # fmt: skip
@@ -55,7 +49,9 @@ def test_a_signal_at_any_step_that_touches_files(target: str, number: signal.Sig
     assert int(steps) >= 7  # a probe that comes and goes, and three or more files written and renamed
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+@pytest.mark.parametrize(
+    "number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL], ids=lambda number: number.name
+)
 def test_a_signal_at_a_random_moment(number: signal.Signals, tmp_path: Path) -> None:
     folder = folder_with_model(tmp_path)
     work = tmp_path / "work"
