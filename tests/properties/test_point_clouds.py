@@ -1,0 +1,183 @@
+"""Colours of a cloud are smoothed as on the mesh that it was taken from."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial import Delaunay
+from scipy.spatial.transform import Rotation
+
+import beltrami_cli
+from beltrami_cli.errors import UsageError
+from oracles import surfaces
+
+
+def noisy(count, seed=0, channels=3):
+    return 0.5 + 0.1 * np.random.default_rng(seed).standard_normal((count, channels))
+
+
+def strips(positions, width, seed=1):
+    """Stripes of two colours across x, with noise."""
+    return np.where(np.floor(positions[:, :1] / width) % 2 > 0, [0.8, 0.4, 0.3], [0.2, 0.5, 0.6]) + 0.05 * (
+        np.random.default_rng(seed).standard_normal((len(positions), 3))
+    )
+
+
+def scattered(count, side, seed=2):
+    """Points at random in a square."""
+    flat = np.random.default_rng(seed).uniform(0, side, (count, 2))
+    return np.column_stack([flat, np.zeros(count)])
+
+
+def test_the_vertices_of_a_sphere_are_smoothed_as_with_its_faces():
+    """Its triangles are found again, so only the order of sums may differ."""
+    positions, faces = surfaces.icosphere(4)
+    colours = strips(positions, 0.3)
+    cloud = beltrami_cli.smooth(positions, None, colours)
+    mesh = beltrami_cli.smooth(positions, faces, colours)
+    assert cloud.cloud.triangles == len(faces)
+    assert cloud.cloud.outliers == 0
+    assert mesh.cloud is None
+    assert cloud.beta == pytest.approx(mesh.beta, rel=1e-6)
+    assert np.abs(cloud.colours - mesh.colours).max() < 1e-5
+
+
+def test_on_a_plane_the_kernel_agrees_with_that_on_the_delaunay_triangulation():
+    """Only at the rim, where slender triangles are left out, may anything differ."""
+    positions = scattered(3000, 50)
+    faces = Delaunay(positions[:, :2]).simplices
+    colours = noisy(3000)
+    settings = {"beta": 5, "t": 1.0, "iterations": 1, "metric_scale": 0}
+    cloud = beltrami_cli.smooth(positions, None, colours, units="world", **settings).colours
+    mesh = beltrami_cli.smooth(positions, faces, colours, units="world", **settings).colours
+    difference = np.abs(cloud - mesh).max(axis=1)
+    middle = ((positions[:, :2] > 6) & (positions[:, :2] < 44)).all(axis=1)
+    change = np.abs(mesh - colours)[middle].mean()
+    assert np.quantile(difference[middle], 0.95) < 1e-5
+    assert difference[middle].mean() < 0.01 * change
+
+
+def test_a_plain_kernel_on_points_at_random_tends_to_the_gaussian_of_the_plane():
+    """First order in the spacing: with four times as many points the error at least halves but for its noise.
+
+    A linear image is kept by a Gaussian as it is wherever the points around lie evenly; at random they do not, so the
+    mean is weighted by area.
+    """
+    errors = []
+    for count, seed in ((1000, 3), (4000, 4), (16000, 5)):
+        positions = scattered(count, 1, seed)
+        wave = np.cos(2 * np.pi * positions[:, :1])
+        t = 0.0005
+        smoothed = beltrami_cli.smooth(
+            positions, None, wave, beta=0, t=t, units="world", weights="area", iterations=1, threshold=1e-6
+        ).colours
+        truth = np.exp(-t * (2 * np.pi) ** 2) * wave
+        middle = ((positions[:, :2] > 0.2) & (positions[:, :2] < 0.8)).all(axis=1)
+        errors.append(np.sqrt(np.mean((smoothed - truth)[middle] ** 2)))
+    assert errors[1] < 0.6 * errors[0]
+    assert errors[2] < 0.6 * errors[1]
+
+
+def test_constants_are_fixed_points_and_the_range_is_kept():
+    positions = np.random.default_rng(6).normal(size=(1500, 3))
+    positions /= np.linalg.norm(positions, axis=1, keepdims=True)
+    flat = np.full((1500, 3), [0.2, 0.4, 0.9])
+    assert np.array_equal(beltrami_cli.smooth(positions, None, flat).colours, flat.astype(np.float32))
+    colours = np.random.default_rng(7).random((1500, 3)).astype(np.float32)
+    result = beltrami_cli.smooth(positions, None, colours, beta=1).colours
+    assert (result >= colours.min(axis=0)).all()
+    assert (result <= colours.max(axis=0)).all()
+    assert result.std() < 0.5 * colours.std()
+
+
+@pytest.mark.parametrize(("scale", "shift"), [(1, 0), (1000, 0), (1e-3, 4.2e6)])
+def test_rotation_shift_and_scale_make_no_difference(scale, shift):
+    """What remains is the rounding of positions: of doubles at 4e6, some 1e-9, of a spacing of 1e-3 some 1e-6."""
+    positions, _ = surfaces.terrain(30, 30, 0.15, 8)
+    positions[:, :2] += np.random.default_rng(9).uniform(-0.3, 0.3, (900, 2))
+    colours = strips(positions, 6)
+    turned = Rotation.random(rng=np.random.default_rng(10)).apply(positions) * scale + shift
+    expected = beltrami_cli.smooth(positions, None, colours, beta=10).colours
+    assert np.abs(beltrami_cli.smooth(turned, None, colours, beta=10).colours - expected).max() < 2e-4
+
+
+def test_a_permutation_of_the_points_permutes_the_result():
+    positions = np.concatenate([scattered(1500, 30), np.repeat(scattered(50, 30, 11), 3, axis=0)])
+    colours = noisy(len(positions))
+    order = np.random.default_rng(12).permutation(len(positions))
+    result = beltrami_cli.smooth(positions, None, colours, beta=10).colours
+    permuted = beltrami_cli.smooth(positions[order], None, colours[order], beta=10).colours
+    # Walls of hard edges are joined, and distances added up, in another order.
+    assert np.abs(permuted - result[order]).max() < 1e-4
+
+
+def test_threads_make_no_difference():
+    positions = scattered(3000, 50)
+    one = beltrami_cli.smooth(positions, None, noisy(3000), threads=1)
+    assert np.array_equal(beltrami_cli.smooth(positions, None, noisy(3000), threads=3).colours, one.colours)
+
+
+def test_sheets_close_to_each_other_keep_their_colours_apart():
+    flat = np.stack(np.meshgrid(np.arange(30.0), np.arange(30.0)), axis=-1).reshape(-1, 2)
+    flat = flat + np.random.default_rng(13).uniform(-0.3, 0.3, flat.shape)
+    sheets = np.concatenate([np.insert(flat, 2, 0, axis=1), np.insert(flat + 0.5, 2, 3, axis=1)])
+    colours = np.repeat([[0.5], [0.52]], 900, axis=0)
+    result = beltrami_cli.smooth(sheets, None, colours, beta=1, iterations=10).colours
+    assert np.array_equal(result, colours.astype(np.float32))
+
+
+def test_outliers_are_counted_and_keep_their_colours():
+    surface = scattered(2000, 40)
+    strewn = np.random.default_rng(14).uniform(-300, 300, (60, 3))
+    strewn[:, 2] += np.sign(strewn[:, 2]) * 20
+    colours = noisy(2060)
+    result = beltrami_cli.smooth(np.concatenate([surface, strewn]), None, colours)
+    alone = beltrami_cli.smooth(surface, None, colours[:2000])
+    assert result.cloud.outliers == 60
+    assert np.array_equal(result.colours[2000:], colours[2000:].astype(np.float32))
+    assert np.abs(result.colours[:2000] - alone.colours).max() < 1e-4
+    assert result.noise == pytest.approx(alone.noise)
+
+
+def test_coincident_points_of_different_colours_are_averaged():
+    """As two scans that overlap, whose coordinates are rounded to the same numbers."""
+    places = np.stack(np.meshgrid(np.arange(30.0), np.arange(30.0), [0.0]), axis=-1).reshape(-1, 3)
+    twice = np.concatenate([places, places])
+    clean = 0.5 + 0.3 * np.sin(twice[:, :1] / 8)
+    colours = clean + 0.08 * np.random.default_rng(15).standard_normal((1800, 1))
+    result = beltrami_cli.smooth(twice, None, colours, beta=10)
+    assert result.samples == 1800
+    assert result.hard_edge_samples == 900
+    error = np.sqrt(np.mean((result.colours - clean) ** 2))
+    single = beltrami_cli.smooth(places, None, colours[:900], beta=10)
+    assert error < np.sqrt(np.mean((single.colours - clean[:900]) ** 2))
+    assert np.abs(result.colours[:900] - result.colours[900:]).mean() < 0.02
+
+
+@pytest.mark.parametrize("count", range(6))
+def test_tiny_clouds_are_smoothed_as_far_as_they_can(count):
+    positions = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0], [0.5, 0.5, 0]])[:count]
+    colours = noisy(count)
+    result = beltrami_cli.smooth(positions, None, colours, beta=1)
+    assert result.cloud.outliers == (count if count < 3 else 0)
+    assert np.array_equal(result.colours, colours.astype(np.float32)) == (count < 3)
+
+
+def test_points_in_one_line_stay_as_they_are():
+    line = np.column_stack([np.linspace(0, 1, 50), np.zeros((50, 2))])
+    result = beltrami_cli.smooth(line, None, noisy(50), beta=1)
+    assert result.cloud.outliers == 50
+    assert np.array_equal(result.colours, noisy(50).astype(np.float32))
+
+
+def test_points_in_a_plane_may_have_two_coordinates():
+    positions = scattered(500, 20)
+    two = beltrami_cli.smooth(positions[:, :2], None, noisy(500)).colours
+    assert np.array_equal(two, beltrami_cli.smooth(positions, None, noisy(500)).colours)
+
+
+@pytest.mark.parametrize("change", [{"positions": np.eye(4)}, {"smooth_geometry": True}])
+def test_what_needs_faces_is_refused_without(change):
+    arguments = {"positions": np.eye(4)[:, :3], "faces": None, "colours": noisy(4), **change}
+    with pytest.raises(UsageError, match="faces"):
+        beltrami_cli.smooth(**arguments)
