@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 _LEAST = 1e-6
 # Beyond that, the exact value moves no vertex; float32 must hold its products.
 _MOST = 1e9
+_LARGEST_EXPONENT = 1000  # of a scale whose inverse is a number too
 _SLAB = 1 << 22  # voxels looked at together, which bounds the memory for their double precision
 
 
@@ -69,7 +70,8 @@ def find_crossings(values: NDArray[Any], level: float, known: NDArray[np.bool_] 
     """
     count, total = 0, 0.0
     for first, stop in _slabs(values.shape, overlap=1):
-        offsets = values[first:stop].astype(np.float64) - level
+        with np.errstate(over="ignore"):
+            offsets = values[first:stop].astype(np.float64) - level
         if known is not None:
             offsets[~known[first:stop]] = np.nan
         for axis in range(3):
@@ -79,8 +81,11 @@ def find_crossings(values: NDArray[Any], level: float, known: NDArray[np.bool_] 
             upper = np.take(layers, range(1, layers.shape[axis]), axis)
             cut = np.isfinite(lower) & np.isfinite(upper) & ((lower < 0) != (upper < 0))
             count += int(np.count_nonzero(cut))
-            total += float(np.log2(np.abs(upper[cut] - lower[cut])).sum())
-    return Crossings(count, float(2.0 ** -round(total / count)) if count else 1.0)
+            # Halves, since the difference of two doubles may be none; and not nothing, since there is a change.
+            change = np.maximum(np.abs(upper[cut] / 2 - lower[cut] / 2), np.finfo(float).smallest_subnormal)
+            total += float((1 + np.log2(change)).sum())
+    exponent = -round(total / count) if count else 0
+    return Crossings(count, float(np.ldexp(1.0, max(-_LARGEST_EXPONENT, min(exponent, _LARGEST_EXPONENT)))))
 
 
 def triangulate_level_set(
@@ -147,9 +152,10 @@ def _prepared(
     offsets = np.empty(values.shape, np.float32)
     finite = np.empty(values.shape, bool)
     for first, stop in _slabs(values.shape, overlap=0):
-        exact = (values[first:stop].astype(np.float64) - level) * scale
-        finite[first:stop] = np.isfinite(exact)
-        exact = np.clip(np.nan_to_num(exact, nan=_MOST), -_MOST, _MOST)
+        with np.errstate(over="ignore", invalid="ignore"):
+            exact = values[first:stop].astype(np.float64) - level
+            finite[first:stop] = np.isfinite(exact)
+            exact = np.clip(np.nan_to_num(exact * scale, nan=_MOST), -_MOST, _MOST)
         offsets[first:stop] = np.where(np.abs(exact) < _LEAST, np.where(exact < 0, -_LEAST, _LEAST), exact)
     if known is not None:
         finite &= known

@@ -104,9 +104,11 @@ def nearest_colours(
     between = tree.query(probes, [min(count + 1, len(points))], workers=threads)[0]
     reach = _REACH * max(voxel, float(np.median(between)))
     distances, nearest = tree.query(positions, list(range(1, count + 1)), workers=threads)
-    # The least distance keeps the weight of a point at the very place finite, and far above that of all others.
-    weights = np.where(distances <= reach, 1 / (distances**2 + (1e-6 * voxel) ** 2), 0.0)
-    total = (weights[..., None] * samples[nearest]).sum(axis=1)
+    nearest = np.minimum(nearest, len(points) - 1)  # beyond all numbers there is none, and its weight is 0
+    with np.errstate(over="ignore"):
+        # The least distance keeps the weight of a point at the very place finite, and far above that of all others.
+        weights = np.where(distances <= reach, 1 / (distances**2 + (1e-6 * voxel) ** 2), 0.0)
+        total = (weights[..., None] * samples[nearest]).sum(axis=1)
     return _mean(total, weights.sum(axis=1))
 
 

@@ -164,3 +164,44 @@ def test_options_of_level_sets_are_refused_for_meshes_and_out_of_range(tmp_path)
     for wrong in ({"level": float("nan")}, {"inside": "left"}, {"max_voxels": 7}):
         with pytest.raises(UsageError):
             LevelSetSettings(**wrong)
+
+
+def any_numbers(shape):
+    """Return an array of one of the kinds of numbers that a file may hold."""
+    numbers = RANDOM.standard_normal(shape)
+    odd = RANDOM.choice([np.nan, np.inf, -np.inf, 1e308, -1e308, 5e-324, 0.0], shape)
+    return [
+        lambda: numbers.astype(RANDOM.choice(["f2", "f4", "f8"])),
+        lambda: RANDOM.integers(-3, 3, shape).astype(RANDOM.choice(["i1", "i4", "i8"])),
+        lambda: RANDOM.integers(0, 256, shape).astype("u1"),
+        lambda: numbers > 0,
+        lambda: np.where(RANDOM.random(shape) < 0.3, odd, numbers),
+        lambda: np.sign(numbers) * 10.0 ** RANDOM.uniform(-300, 300, shape),
+    ][RANDOM.integers(6)]()
+
+
+def test_whatever_the_numbers_are_there_is_a_finite_coloured_surface_or_a_refusal(tmp_path):
+    surfaces = 0
+    for _ in range(200):  # with warnings as errors
+        shape = tuple(RANDOM.integers(2, 8, 3))
+        arrays = {
+            "values": any_numbers(shape),
+            "spacing": 10.0 ** RANDOM.integers(-20, 20, RANDOM.choice([1, 3])),
+        }
+        if RANDOM.random() < 0.5:
+            count, scale = RANDOM.integers(0, 20), 10.0 ** RANDOM.integers(-200, 200)
+            arrays["points"] = scale * RANDOM.standard_normal((count, 3))
+            arrays["point_colours"] = any_numbers((count, RANDOM.integers(1, 5)))
+        else:
+            arrays["colours"] = any_numbers((*shape, RANDOM.integers(1, 5)))
+        if RANDOM.random() < 0.7:
+            del arrays["spacing"]
+        try:
+            contents = opened(write(tmp_path / "v.npz", npz(**arrays))).contents()
+        except InputError:
+            continue
+        surfaces += 1
+        assert np.isfinite(contents.positions).all()
+        assert np.isfinite(contents.colours).all()
+        assert contents.corners.max() < len(contents.positions)
+    assert surfaces > 20

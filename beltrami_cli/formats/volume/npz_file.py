@@ -25,10 +25,13 @@ import numpy as np
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.npz import LEVEL_SET_KEYS, NpzArchive
-from beltrami_cli.mesh.volume import GridColours, Lattice, NearColours, Volume
+from beltrami_cli.formats.volume.checking import checked_lattice
+from beltrami_cli.mesh.volume import GridColours, NearColours, Volume
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+
+    from beltrami_cli.mesh.volume import Lattice
 
 _COLOURS = ("colours", "colors")
 _POINT_COLOURS = ("point_colours", "point_colors")
@@ -115,7 +118,7 @@ def _lattice(archive: NpzArchive, name: str) -> Lattice:
     origin = _numbers(archive, "origin", (3,), name)
     steps = np.ones(3) if spacing is None else np.broadcast_to(spacing, 3)
     _require(bool((steps > 0).all()), name, f"the spacing is {steps.tolist()}, but must be positive")
-    return Lattice(np.diag(steps), np.zeros(3) if origin is None else origin)
+    return checked_lattice(np.diag(steps), np.zeros(3) if origin is None else origin, name)
 
 
 def _numbers(archive: NpzArchive, key: str, counts: tuple[int, ...], name: str) -> NDArray[np.float64] | None:

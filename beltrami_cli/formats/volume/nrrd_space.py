@@ -13,12 +13,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.mesh.volume import Lattice
+from beltrami_cli.formats.volume.checking import checked_lattice
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
+
+    from beltrami_cli.mesh.volume import Lattice
 
 _SPATIAL_KINDS = ("domain", "space")
 _UNKNOWN_KINDS = ("???", "none")
@@ -86,7 +88,7 @@ def spatial_lattice(header: Mapping[str, Any], axes: Sequence[int], name: str) -
     Raises
     ------
     InputError
-        If directions are missing for an axis, not finite, or not independent.
+        If directions are missing for an axis, or cannot be computed with.
     """
     directions = header.get("space directions")
     if directions is not None:
@@ -95,19 +97,9 @@ def spatial_lattice(header: Mapping[str, Any], axes: Sequence[int], name: str) -
     else:
         spacing, first = _along_axes(header, axes)
         rows, origin = np.diag(spacing), first
-    if (
-        rows.shape != (3, 3)
-        or origin.shape != (3,)
-        or not (np.isfinite(rows).all() and np.isfinite(origin).all())
-    ):
-        raise InputError(
-            name, "its space directions or origin are not those of three dimensions", "repair them"
-        )
-    lengths = np.linalg.norm(rows, axis=1)
-    # Directions within a millionth of one plane are taken for a mistake.
-    if not lengths.all() or abs(np.linalg.det(rows / lengths[:, None])) < 1e-6:
-        raise InputError(name, "its space directions lie in one plane", "repair them")
-    return Lattice(rows, origin)
+    if rows.shape != (3, 3) or origin.shape != (3,):
+        raise InputError(name, "its space directions or origin are not of three dimensions", "repair them")
+    return checked_lattice(rows, origin, name)
 
 
 def _along_axes(
