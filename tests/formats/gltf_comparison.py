@@ -78,7 +78,7 @@ def uses(tree):
 def byte_differences(before, after):
     """Return the uses of the bytes of the first file's buffers that the second has others for, where they were.
 
-    Bytes that nothing uses may be cut off at the end.
+    What nothing uses at the end of a buffer is padding, which may differ.
     """
     (old, old_buffers), (_, new_buffers) = before, after
     found = set()
@@ -95,6 +95,6 @@ def byte_differences(before, after):
                 found.add(use)
         for _, indices in where[index]:
             differs[indices] = False
-        if differs[: len(right)].any():
+        if differs[:-8].any():
             found.add("unused")
     return found
