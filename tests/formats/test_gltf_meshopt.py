@@ -279,6 +279,17 @@ def test_contradictions_are_named_with_their_place(key, value, cause):
     assert cause in str(caught.value)
 
 
+@pytest.mark.parametrize("mode", ["TRIANGLES", "INDICES"])
+def test_colours_compressed_as_indices_are_refused_rather_than_damaged(mode):
+    model = meshopt_model(COLOURS)
+    view = packed_view(model, np.arange(len(GRID), dtype="<u4").tobytes(), 4, mode)
+    model.tree["accessors"][1]["bufferView"] = view
+    opened = document(model)
+    colours = opened.painted().colours
+    with pytest.raises(InputError, match=f"mode: is {mode}, which is not for vertex data"):
+        opened.patch(1 - colours, "out", moved=False)
+
+
 @settings(max_examples=150, deadline=None)
 @given(where=st.integers(0, 2000), what=st.binary(min_size=1, max_size=5))
 def test_damaged_data_raises_only_input_errors(where, what):

@@ -152,7 +152,14 @@ def repacked(packed: Packed, data: Bytes, old: Bytes) -> bytes:
         ``count * stride`` bytes.
     old : bytes-like
         The buffer that `packed` names, for the version of the encoding.
+
+    Raises
+    ------
+    InputError
+        If it is a view of indices, which cannot hold everything.
     """
+    if packed.mode != "ATTRIBUTES":
+        raise packed.entry.fault("mode", f"is {packed.mode}, which is not for vertex data")
     library = _library(packed)
     library.encode_vertex_version(old[packed.offset] & 0x0F)
     elements = np.frombuffer(data, np.uint8).reshape(packed.count, packed.stride)
