@@ -98,7 +98,6 @@ def test_uncoloured_vertices_and_their_faces_take_no_part() -> None:
         (b"", "there are no vertices"),
         (b"\x00\xff junk", "there are no vertices"),
         (b"v 0 0 0\nv 1 1 1\n", "no vertex colours on its 'v' lines; export"),
-        (b"v 0 0 0\n#MRGB ffffffff\n", "only ZBrush's #MRGB blocks"),
         (b"mtllib a.mtl\nv 0 0 0\n", "only materials"),
         (b"\nv 1 2\n", "line 2: a vertex has 3 to 8 numbers, not 2"),
         (b"#\r\n#\r\nv 1 2 3 4 5 6 7 8 9\r\n", "line 3: a vertex has 3 to 8 numbers, not 9"),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
@@ -15,12 +14,13 @@ from beltrami_cli.formats.beside import Beside
 from beltrami_cli.formats.document import NO_IMAGES, Document, Written
 from beltrami_cli.formats.obj.materials import Materials
 from beltrami_cli.formats.obj.normals import read_normals
-from beltrami_cli.formats.obj.polygons import among, read_polygons
+from beltrami_cli.formats.obj.polygons import among
+from beltrami_cli.formats.obj.polypaint import repainted_entries
 from beltrami_cli.formats.obj.renumbering import new_colours, new_positions, renumbered
 from beltrami_cli.formats.obj.repainting import repainted, shifted
+from beltrami_cli.formats.obj.scanning import Scan, scan_file
 from beltrami_cli.formats.obj.statements import Statements
 from beltrami_cli.formats.obj.texturing import gather_textured, read_coordinates
-from beltrami_cli.formats.obj.vertices import read_vertices
 from beltrami_cli.formats.scale import full_scale
 from beltrami_cli.formats.tokens import Spans, exchange_spans
 from beltrami_cli.mesh.painted import MeshContents, MovedVertices, PaintedVertices
@@ -33,31 +33,11 @@ if TYPE_CHECKING:
 
     from beltrami_cli.formats.document import Bytes
     from beltrami_cli.formats.obj.texturing import Coordinates
-    from beltrami_cli.formats.obj.vertices import Vertices
     from beltrami_cli.mesh.textured import ImageFile, Slot, TexturedSurface
 
 _CHANNELS = ("red", "green", "blue")
-_DROPPED = {
-    "materials": (b"usemtl",),
-    "texture coordinates": (b"vt",),
-    "normals": (b"vn",),
-    "groups and objects": (b"g", b"o"),
-    "lines and points": (b"l", b"p"),
-    "curves and surfaces": (b"curv", b"curv2", b"surf"),
-}
 _STALE = "The vertices moved, but the normals ('vn') are as they were; make them anew, or leave them out."
 _SLOTS: tuple[Slot, ...] = ("baseColor", "emissive", "normal")
-
-
-@dataclass(frozen=True)
-class _Scan:
-    """What one pass over the statements leaves."""
-
-    vertices: Vertices
-    corners: NDArray[np.int32]
-    offsets: NDArray[np.int64]
-    libraries: list[tuple[bytes, int]]
-    dropped: tuple[str, ...]
 
 
 class ObjDocument(Document):
@@ -100,8 +80,12 @@ class ObjDocument(Document):
             colours=colours,
             channels=_CHANNELS,
             encoding="srgb",
-            stored="text",
+            stored=self._stored,
         )
+
+    @property
+    def _stored(self) -> str:
+        return "text" if self._scan.polypaint is None else "uint8"
 
     def has_vertex_colours(self) -> bool:
         """Tell whether any vertex has a colour."""
@@ -139,10 +123,13 @@ class ObjDocument(Document):
             source = Path(self.name).stem
             sidecars, spans = repainted(self._materials, images, source, stem, moved=moved)
         data = exchange_spans(self._data, spans)
-        known = self._scan.vertices
+        known, paint = self._scan.vertices, self._scan.polypaint
         starts, ends = (shifted(tokens, spans) for tokens in (known.token_starts, known.token_ends))
         parts = []
-        if colours is not None:
+        if colours is not None and paint is not None:
+            changed = colours != self._colours
+            data = repainted_entries(data, shifted(paint.starts, spans), colours, changed)
+        elif colours is not None:
             changed = colours != self._colours
             parts.append(new_colours(data, starts[:, 3:], ends[:, 3:], colours, changed, self._scale))
         if places is not None:
@@ -192,7 +179,7 @@ class ObjDocument(Document):
             offsets=offsets,
             colours=colours,
             encoding="srgb",
-            stored="text",
+            stored=self._stored,
             alpha=None if alpha is None else np.clip(alpha, 0, 1).astype(np.float32),
             left_out=self._scan.dropped,
         )
@@ -209,21 +196,10 @@ class ObjDocument(Document):
         }
 
     @cached_property
-    def _scan(self) -> _Scan:
-        statements = Statements(self._data, self.name)
-        vertices = read_vertices(statements, self.name)
-        corners, offsets = read_polygons(statements)
-        libraries = [statements.rest(chosen) for chosen in statements.select(b"mtllib").tolist()]
-        dropped = [
-            what for what, words in _DROPPED.items() if any(statements.select(word).size for word in words)
-        ]
-        missing = len(vertices.positions) - len(vertices.coloured)
-        if 0 < missing < len(vertices.positions):
-            self.notices.append(
-                f"{missing} of {len(vertices.positions)} vertices have no colour; they and their faces take no part."
-            )
-            dropped.append("vertices without colour and their faces")
-        return _Scan(vertices, corners, offsets, libraries, tuple(dropped))
+    def _scan(self) -> Scan:
+        scan = scan_file(self._data, self.name)
+        self.notices += scan.notices
+        return scan
 
     @cached_property
     def _polygons(self) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
@@ -241,6 +217,8 @@ class ObjDocument(Document):
         vertices = self._scan.vertices
         if not vertices.coloured.size:
             raise self._unpainted()
+        if self._scan.polypaint is not None:
+            return 255.0
         scale, notice = full_scale(vertices.colours, self.name)
         self.notices += [sentence for sentence in (vertices.notice, notice) if sentence]
         return scale
@@ -257,8 +235,6 @@ class ObjDocument(Document):
 
     def _unpainted(self) -> InputError:
         cause = "there are no vertex colours on its 'v' lines"
-        if b"#MRGB" in self._data:
-            cause += ", only ZBrush's #MRGB blocks, which are not read"
-        elif self._scan.libraries:
+        if self._scan.libraries:
             cause += ", only materials"
         return InputError(self.name, cause, "export the mesh with vertex colours (v x y z r g b)")

@@ -1,0 +1,217 @@
+"""Customs of OBJ and MTL files as programs write them: each is read, and nothing but colours comes out changed."""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from beltrami_cli.errors import InputError
+from beltrami_cli.formats.obj import ObjDocument
+from beltrami_cli.formats.source import open_document
+from beltrami_cli.pipeline.smooth_file import smooth_file
+from hostile.folders import snapshot
+from hostile.textured_models import OTHER, PICTURE
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+SQUARE = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"
+CORNERS = "vt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\n"
+EVERYTHING = (
+    "# a comment with v 1 2 3\n"
+    "mtllib first one.mtl second.mtl\n"
+    "mtllib gone.mtl\n"
+    "o the object\n" + SQUARE + CORNERS + "vn 0 0 1\n"
+    "s 1\n"
+    "g left side\n"
+    "usemtl red brick\n"
+    "f 1/1/1 \\\n  2/2/1 3/3/1\n"
+    "usemtl slate\n"
+    "f -4/-4 -2/-2 \\\n-1/-1\n"
+    "l 1 2 3\n"
+    "p 1 4\n"
+    "g right f 1 2 3\n"
+    "usemtl red brick\n"  # again
+    "f 1//1 3//1 4//1\n"
+    "usemtl unknown\n"
+    "f 1/1 2/2 4/4\n"
+    "cstype bezier\ncurv 0 1 1 2\n"
+)
+FIRST = (
+    "# made by a program\n"
+    "newmtl red brick\n"
+    "Ka 1 1 1\n"
+    "map_Kd -s 1 1 1 -o 0 0 0 -mm 0 1 -bm 0.5 -texres 512 -imfchan m -clamp on maps\\red brick.png\n"
+    "map_Ka -blendu off -blendv off maps\\red brick.png\n"
+    "bump -bm 0.2 maps/normal.png\n"
+)
+SECOND = "newmtl slate\r\nmap_Kd\tmaps/slate.png  \r\nillum 2"
+
+
+def write_everything(folder: Path, newline: str = "\n") -> Path:
+    (folder / "maps").mkdir(parents=True)
+    (folder / "model.obj").write_bytes(EVERYTHING.replace("\n", newline).encode())
+    (folder / "first one.mtl").write_bytes(FIRST.replace("\n", newline).encode())
+    (folder / "second.mtl").write_bytes(SECOND.encode())
+    for name, image in {"red brick": PICTURE, "slate": OTHER, "normal": OTHER}.items():
+        (folder / "maps" / f"{name}.png").write_bytes(image)
+    return folder / "model.obj"
+
+
+@pytest.mark.parametrize("newline", ["\n", "\r\n"])
+def test_all_customs_together_in_another_folder(newline: str, tmp_path: Path) -> None:
+    model = write_everything(tmp_path / "in", newline)
+    (tmp_path / "out").mkdir()
+    report = smooth_file(model, tmp_path / "out" / "model.obj")
+    before, after = snapshot(tmp_path / "in"), snapshot(tmp_path / "out")
+    assert sorted(after) == sorted(before)
+    changed = [path for path in after if after[path] != before[path]]
+    assert changed == ["maps/red brick.png", "maps/slate.png"]
+    assert [t["name"] for slot in report.textures for t in slot.textures] == ["red brick.png", "slate.png"]
+    assert any("'gone.mtl' is missing" in warning for warning in report.warnings)
+    assert any("1 triangles of textured materials have no texture coordinates" in w for w in report.warnings)
+
+
+@pytest.mark.parametrize("newline", ["\n", "\r\n"])
+def test_all_customs_together_beside_the_source(newline: str, tmp_path: Path) -> None:
+    model = write_everything(tmp_path, newline)
+    before = snapshot(tmp_path)
+    smooth_file(model, tmp_path / "clean.obj")
+    after = snapshot(tmp_path)
+    assert {path: after[path] for path in before} == before
+    new = sorted(set(after) - set(before))
+    assert new == [
+        "clean-2.mtl",
+        "clean.mtl",
+        "clean.obj",
+        "maps/clean_red brick.png",
+        "maps/clean_slate.png",
+    ]
+
+    def text(name: str) -> bytes:
+        return after[name][1]
+
+    assert text("clean.obj") == before["model.obj"][1].replace(
+        b"first one.mtl second.mtl", b"clean.mtl clean-2.mtl"
+    )
+    assert text("clean.mtl") == before["first one.mtl"][1].replace(
+        b"maps\\red brick", b"maps\\clean_red brick"
+    )
+    assert text("clean-2.mtl") == before["second.mtl"][1].replace(b"slate.png", b"clean_slate.png")
+    assert open_document(str(tmp_path / "clean.obj")).textured("baseColor").textures[0].data == text(
+        "maps/clean_red brick.png"
+    )
+
+
+@pytest.mark.parametrize(
+    ("options", "name"),
+    [
+        ("", "a.png"),
+        ("-s 2 3 1 -o 0.5 -.25 0", "a.png"),
+        ("-s 2", "a.png"),
+        ("-o .5 1e-3", "7.png"),
+        ("-t 1 1 1", "a b.png"),
+        ("-clamp off -blendu on -cc off -boost 1.5 -texres 64 -imfchan l -mm 0 1 -bm -2", "a -s b.png"),
+        ("-type sphere", "a.png"),
+    ],
+)
+def test_options_before_the_name_of_a_map(options: str, name: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_bytes(PICTURE)
+    (tmp_path / "m.mtl").write_text(f"newmtl m\nmap_Kd {options} {name}\n")
+    (tmp_path / "x.obj").write_text(f"mtllib m.mtl\n{SQUARE}{CORNERS}usemtl m\nf 1/1 2/2 3/3 4/4\n")
+    (texture,) = open_document(str(tmp_path / "x.obj")).textured("baseColor").textures
+    assert texture.name == name
+
+
+def test_the_first_library_that_has_a_material_counts(tmp_path: Path) -> None:
+    for name, image in {"a": PICTURE, "b": OTHER}.items():
+        (tmp_path / f"{name}.png").write_bytes(image)
+        (tmp_path / f"{name}.mtl").write_text(f"newmtl m\nmap_Kd {name}.png\n")
+    (tmp_path / "x.obj").write_text(f"mtllib a.mtl\nmtllib b.mtl\n{SQUARE}{CORNERS}usemtl m\nf 1/1 2/2 3/3\n")
+    (texture,) = open_document(str(tmp_path / "x.obj")).textured("baseColor").textures
+    assert texture.data == PICTURE
+
+
+def test_without_its_library_a_file_with_colours_is_smoothed_all_the_same(tmp_path: Path) -> None:
+    lines = [f"{line} {i / 4} 0 1" for i, line in enumerate(SQUARE.splitlines())]
+    model = tmp_path / "x.obj"
+    model.write_text("\n".join(["mtllib gone.mtl", *lines, "usemtl m", "f 1 2 3 4"]))
+    report = smooth_file(model, tmp_path / "y.obj")
+    assert any("'gone.mtl' is missing" in warning for warning in report.warnings)
+    colours = re.compile(rb"^(v \S+ \S+ \S+).*$", re.MULTILINE)
+    after = (tmp_path / "y.obj").read_bytes()
+    assert colours.sub(rb"\1", after) == colours.sub(rb"\1", model.read_bytes())
+    assert after != model.read_bytes()
+
+
+PAINTED = (
+    SQUARE
+    + "# The following block is polypaint\n#MRGB ff102030FFaAbBcC\n#MRGB 00000000ff7f80ff\n# End\nf 1 2 3 4\n"
+)
+
+
+def test_polypaint_is_read_entry_by_entry() -> None:
+    document = ObjDocument(PAINTED.encode(), "x.obj", None)
+    levels = [[0x10, 0x20, 0x30], [0xAA, 0xBB, 0xCC], [0, 0, 0], [0x7F, 0x80, 0xFF]]
+    painted = document.painted()
+    np.testing.assert_array_equal(np.rint(painted.colours * 255), levels)
+    assert (painted.stored, len(painted.faces)) == ("uint8", 2)
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.data())
+def test_polypaint_keeps_masks_and_every_byte_that_is_no_changed_colour(data: st.DataObject) -> None:
+    count = data.draw(st.integers(3, 140))
+    levels = np.random.default_rng(count).integers(0, 256, (count, 4), np.uint8)
+    style = data.draw(st.sampled_from(["{:02x}", "{:02X}"]))
+    newline = data.draw(st.sampled_from(["\n", "\r\n"]))
+    entries = ["".join(style.format(value) for value in row) for row in levels.tolist()]
+    blocks = [f"#MRGB {''.join(entries[first : first + 64])}" for first in range(0, count, 64)]
+    lines = [*(f"v 0 0 {i}" for i in range(count)), *blocks, "f 1 2 3", ""]
+    source = newline.join(lines).encode()
+    document = ObjDocument(source, "x.obj", None)
+    new = levels[:, 1:] / np.float32(255)
+    rows = data.draw(st.lists(st.integers(0, count - 1), max_size=5))
+    new[rows] = np.random.default_rng(1).random((len(rows), 3), np.float32)
+    written = b"".join(document.patch(new.astype(np.float32), "out", moved=False).main)
+    kept = {(i, c) for i in range(count) for c in range(4) if c == 0 or i not in rows}
+    again = np.array(
+        [
+            list(bytes.fromhex(entry))
+            for block in re.findall(rb"#MRGB (\w+)", written)
+            for entry in re.findall("........", block.decode())
+        ],
+        np.uint8,
+    )
+    np.testing.assert_array_equal(again[:, 1:], np.rint(new * 255))
+    assert all(again[i, c] == levels[i, c] for i, c in kept)
+    assert re.sub(rb"#MRGB \w+", b"", written) == re.sub(rb"#MRGB \w+", b"", source)
+    if not rows:
+        assert written == source
+
+
+@pytest.mark.parametrize(
+    ("lines", "message"),
+    [
+        ("#MRGB ffffffff\n", "there are 1 colours in its #MRGB lines, but 4 vertices"),
+        ("#MRGB " + "ffffffff" * 3 + "fffffff\n", "line 5: its #MRGB colours"),
+        ("#MRGB " + "ffffffff" * 3 + "fffffffg\n", "line 5: its #MRGB colours"),
+        ("#MRGB \n", "0 colours"),
+    ],
+)
+def test_damaged_polypaint_is_refused(lines: str, message: str) -> None:
+    with pytest.raises(InputError, match=re.escape(message)):
+        ObjDocument((SQUARE + lines).encode(), "x.obj", None).painted()
+
+
+def test_colours_of_vertices_go_before_polypaint_which_stays_and_is_told_of() -> None:
+    source = "v 0 0 0 1 0 0\nv 1 0 0 0 1 0\nv 0 1 0 0 0 1\n#MRGB ff000000ff000000ff000000\nf 1 2 3\n"
+    document = ObjDocument(source.encode(), "x.obj", None)
+    written = b"".join(document.patch(document.painted().colours * np.float32(0.5), "out", moved=False).main)
+    assert b"#MRGB ff000000ff000000ff000000\n" in written
+    assert any("#MRGB" in notice for notice in document.notices)
