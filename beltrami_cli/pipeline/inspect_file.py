@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from beltrami_cli.mesh.painted import PaintedVertices
     from beltrami_cli.mesh.surface import SampledSurface
     from beltrami_cli.mesh.textured import Slot
+    from beltrami_cli.pipeline.smooth_vertices import PreparedVertices
     from beltrami_cli.sampling.vertices import VertexSampling
 
 # Enough for a mean within a few per cent, and a matter of milliseconds.
@@ -46,10 +47,10 @@ def inspect_file(
     Returns
     -------
     dict
-        JSON types only: "file" (facts of the format); for vertex colours "colours", "surface" (counts, spacing,
-        bounds), "noise" (standard deviation per channel, full scale 1) and "smooth" (parameters as they would be
-        used, and the mean number of samples that a kernel of the first iteration would hold); "textures", a list
-        with an entry for each slot that would be smoothed; "notices". For an image "file", "image", "noise",
+        JSON types only: "file" (facts of the format); for vertex colours "colours", "surface" or for points without
+        faces "cloud" (counts, spacing, bounds), "noise" (standard deviation per channel, full scale 1) and "smooth"
+        (parameters as they would be used, and the mean number of samples that a kernel of the first iteration would
+        hold); "textures", a list with an entry for each slot that would be smoothed; "notices". For an image "file", "image", "noise",
         "smooth" and "notices".
 
     Raises
@@ -98,25 +99,18 @@ def _describe_image(data: bytes, name: str, settings: SmoothSettings, access: Ac
 
 
 def _describe_vertices(document: Document, settings: SmoothSettings, access: Access) -> dict[str, object]:
-    from beltrami_cli.mesh.topology import count_topology
-    from beltrami_cli.pipeline.smooth_vertices import prepare, require_surface
+    from beltrami_cli.pipeline.point_cloud import with_surface
+    from beltrami_cli.pipeline.smooth_vertices import prepare
     from beltrami_cli.pipeline.vertex_guides import vertex_guides
 
-    painted = document.painted()
-    require_surface(painted, document.name)
+    painted = with_surface(document.painted(), settings)
     prepared = prepare(painted, settings, vertex_guides(document, settings, access))
-    surface, sampling, flow = prepared.surface, prepared.sampling, prepared.flow(settings)
+    flow = prepared.flow(settings)
+    is_mesh = len(document.painted().faces) > 0
     return {
         "colours": _describe_colours(painted),
-        "surface": {
-            "vertices": len(painted.positions),
-            "triangles": len(painted.faces),
-            "samples": len(surface.colours),
-            "coincident_vertices": len(painted.positions) - sampling.places,
-            "hard_edge_samples": len(surface.colours) - sampling.places,
-            **dataclasses.asdict(
-                count_topology(_place_positions(surface, sampling), sampling.place_of[surface.faces])
-            ),
+        "surface" if is_mesh else "cloud": {
+            **(_describe_mesh(painted, prepared) if is_mesh else _describe_cloud(painted, prepared)),
             "mean_edge_length": flow.mean_edge_length,
             "bounds": _bounds(painted),
         },
@@ -128,6 +122,32 @@ def _describe_vertices(document: Document, settings: SmoothSettings, access: Acc
             else {"normal_noise": flow.moving.sigma, "normal_beta": flow.moving.beta}
         )
         | {"samples_per_kernel": round(flow.probe_samples(_PROBED_KERNELS), 1)},
+    }
+
+
+def _describe_mesh(painted: PaintedVertices, prepared: PreparedVertices) -> dict[str, object]:
+    from beltrami_cli.mesh.topology import count_topology
+
+    surface, sampling = prepared.surface, prepared.sampling
+    topology = count_topology(_place_positions(surface, sampling), sampling.place_of[surface.faces])
+    return {
+        "vertices": len(painted.positions),
+        "triangles": len(painted.faces),
+        "samples": len(surface.colours),
+        "coincident_vertices": len(painted.positions) - sampling.places,
+        "hard_edge_samples": len(surface.colours) - sampling.places,
+        **dataclasses.asdict(topology),
+    }
+
+
+def _describe_cloud(painted: PaintedVertices, prepared: PreparedVertices) -> dict[str, object]:
+    from beltrami_cli.pipeline.point_cloud import count_cloud
+
+    return {
+        "points": len(painted.positions),
+        "samples": len(prepared.surface.colours),
+        "coincident_points": len(painted.positions) - prepared.sampling.places,
+        **dataclasses.asdict(count_cloud(painted)),
     }
 
 

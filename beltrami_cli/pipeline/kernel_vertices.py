@@ -9,7 +9,8 @@ import numpy as np
 
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.pipeline.kernel_study import KernelStudy, MeshView, Shown, describe, table
-from beltrami_cli.pipeline.smooth_vertices import prepare, require_surface
+from beltrami_cli.pipeline.point_cloud import with_surface
+from beltrami_cli.pipeline.smooth_vertices import prepare
 from beltrami_cli.pipeline.vertex_guides import vertex_guides
 
 if TYPE_CHECKING:
@@ -58,10 +59,9 @@ def study_vertex(
     Raises
     ------
     UsageError, InputError
-        If the place names no vertex, or there is no surface.
+        If the place names no vertex.
     """
-    painted = document.painted()
-    require_surface(painted, document.name)
+    painted = with_surface(document.painted(), settings)
     vertex = place.vertex_among(painted.positions, document.name)
     prepared = prepare(painted, settings, vertex_guides(document, settings, access))
     flow, sampling = prepared.flow(settings), prepared.sampling

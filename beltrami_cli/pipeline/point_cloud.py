@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from beltrami_cli.errors import UsageError
 from beltrami_cli.pipeline.smooth_vertices import CloudCounts, SmoothResult, smooth_painted
 from beltrami_cli.sampling.points import faces_of_points
 
@@ -32,9 +33,16 @@ def with_surface(painted: PaintedVertices, settings: SmoothSettings) -> PaintedV
     -------
     PaintedVertices
         Points that are too far from all others, or in one line with them, are in no triangle.
+
+    Raises
+    ------
+    UsageError
+        If positions are to be smoothed, which takes triangles with an inside and an outside.
     """
     if len(painted.faces):
         return painted
+    if settings.embedding.smooth_geometry:
+        raise UsageError("smooth_geometry needs faces, but there are only points")
     return dataclasses.replace(painted, faces=faces_of_points(painted, settings.kernel.thread_count))
 
 
@@ -57,6 +65,11 @@ def smooth_cloud(
     -------
     SmoothResult
         With `cloud`. Outliers keep their colours.
+
+    Raises
+    ------
+    UsageError
+        As `with_surface` and `smooth_painted`.
     """
     surface = with_surface(painted, settings)
     result = smooth_painted(surface, settings, progress, guides)

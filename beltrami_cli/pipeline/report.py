@@ -61,7 +61,8 @@ class VertexReport:
     Attributes
     ----------
     counts : dict
-        Vertices, triangles, samples, samples of hard edges, samples per kernel, truncated kernels.
+        Vertices, triangles, samples, samples of hard edges, samples per kernel, truncated kernels. For points without
+        faces the triangles are those around each, and there are "outliers": points in none of them, left as they are.
     spacing : float
         Mean sample spacing, in the file's own unit of length.
     beta : float
@@ -193,6 +194,9 @@ def make_report(
     warnings: list[str],
 ) -> SmoothReport:
     """Put together what a job did."""
+    if vertices is not None and vertices.cloud is not None and vertices.cloud.outliers:
+        alone = f"{vertices.cloud.outliers} of {len(vertices.colours)} points"
+        warnings = [*warnings, f"{alone} are too far from others, or in one line with them, and stay as they are"]
     if vertices is not None and vertices.truncated:
         cut = (
             f"{vertices.truncated} kernels were cut short at {settings.kernel.max_samples} samples; "
@@ -232,7 +236,8 @@ def _vertex_report(document: Document, result: SmoothResult) -> VertexReport:
     return VertexReport(
         counts={
             "vertices": len(painted.positions),
-            "triangles": len(painted.faces),
+            "triangles": len(painted.faces) if result.cloud is None else result.cloud.triangles,
+            **({} if result.cloud is None else {"outliers": result.cloud.outliers}),
             "samples": result.samples,
             "hard_edge_samples": result.hard_edge_samples,
             "samples_per_kernel": round(result.samples_per_kernel, 2),

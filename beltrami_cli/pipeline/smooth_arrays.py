@@ -171,9 +171,8 @@ def smooth(
         raise UsageError("the space oklab needs three channels")
     if smooth_geometry and painted.positions.shape[1] != 3:
         raise UsageError(f"smooth_geometry needs positions in 3 dimensions, not {painted.positions.shape[1]}")
-    if faces is None and (smooth_geometry or painted.positions.shape[1] > 3):
-        need = "smooth_geometry needs" if smooth_geometry else "positions in more than 3 dimensions need"
-        raise UsageError(f"{need} faces")
+    if faces is None and painted.positions.shape[1] > 3:
+        raise UsageError(f"positions in {painted.positions.shape[1]} dimensions need faces")
     embedding = EmbeddingSettings(
         guides=() if guide is None else ("guide",),
         guide_betas=() if guide_beta is None else (guide_beta,),

@@ -15,10 +15,11 @@ from beltrami_cli.pipeline.conversion import make_files
 from beltrami_cli.pipeline.moved_vertices import moved_vertices, require_geometry
 from beltrami_cli.pipeline.opening import document_from, refuse_options_of_level_sets
 from beltrami_cli.pipeline.output import Output
+from beltrami_cli.pipeline.point_cloud import smooth_cloud
 from beltrami_cli.pipeline.report import SmoothReport, make_report
 from beltrami_cli.pipeline.room import require_room_for_textures
 from beltrami_cli.pipeline.settings import DEFAULTS, SmoothSettings
-from beltrami_cli.pipeline.smooth_vertices import SmoothResult, require_surface, smooth_painted
+from beltrami_cli.pipeline.smooth_vertices import SmoothResult, smooth_painted
 from beltrami_cli.pipeline.stopwatch import Stopwatch
 from beltrami_cli.pipeline.vertex_guides import vertex_guides
 from beltrami_cli.pipeline.work import Work, choose_format, choose_work
@@ -177,9 +178,9 @@ def _smooth_vertices(
         from beltrami_cli.pipeline.smooth_range import smooth_range
 
         return smooth_range(painted, grid, settings, _labelled(progress, "range image"))
-    require_surface(painted, document.name)
     guides = vertex_guides(document, settings, access)
-    return smooth_painted(painted, settings, _labelled(progress, "vertex colours"), guides)
+    job = smooth_painted if len(painted.faces) else smooth_cloud
+    return job(painted, settings, _labelled(progress, "vertex colours"), guides)
 
 
 def _smooth_slots(
