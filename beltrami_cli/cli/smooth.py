@@ -170,6 +170,7 @@ def _tell(messages: Messages, report: SmoothReport, *, dry_run: bool) -> None:
         what = size + (f" with {facts['holes']} holes" if facts["holes"] else "")
         samples = done_image.samples_per_kernel
         messages.say(name + _summary(what, done_image.noise, done_image.beta, samples, done_image.change))
+        _tell_guides(messages, done_image.guides)
     for slot in report.textures:
         textures = f"{len(slot.textures)} {slot.slot} texture{'s' if len(slot.textures) > 1 else ''}"
         what = f"{textures}, {slot.counts['covered']} texels in {slot.counts['charts']} charts"

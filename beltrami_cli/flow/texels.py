@@ -43,6 +43,9 @@ class TexelFlow:
         Channels that enter the metric and stay as they are; T rows each.
     metric_channels : sequence of int, optional
         Which of the N colour channels enter the metric; without it all.
+    unit : float, optional
+        The spacing of samples in units of length, by which betas are chosen; without it 1, or the mean pitch if the
+        unit of length is that of the surface.
 
     Attributes
     ----------
@@ -69,6 +72,7 @@ class TexelFlow:
         walls: bool = False,
         guides: Sequence[Guide] = (),
         metric_channels: Sequence[int] | None = None,
+        unit: float | None = None,
     ) -> None:
         from beltrami_cli._native import local_scale
 
@@ -91,7 +95,8 @@ class TexelFlow:
         owned_scale = scale.reshape(-1)[atlas.owned_cells]
         self.spacing = float(np.mean(1 / np.sqrt(owned_scale))) if len(owned_scale) else 0.0
         self._scale = scale if parameters.units == "spacing" else None
-        unit = self.spacing if parameters.units == "world" else 1.0
+        if unit is None:
+            unit = self.spacing if parameters.units == "world" else 1.0
         self._metric = GridMetric(atlas, self.sigma, unit, parameters, guides, metric_channels, walls=walls)
         self.beta, self.guide_betas = self._metric.beta, self._metric.guide_betas
 

@@ -3,21 +3,28 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from beltrami_cli.flow.guide import guide_radius
-from beltrami_cli.flow.noise import choose_beta, estimate_sigma_on_grid
 from beltrami_cli.flow.texels import TexelFlow
 from beltrami_cli.sampling.grid import grid_atlas
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
+    from beltrami_cli.flow.guidance import Guide
     from beltrami_cli.flow.parameters import KernelParameters
+
+
+class GuidePixels(Protocol):
+    """A guide that is known at every pixel."""
+
+    def at(self, pixels: NDArray[np.int64]) -> Guide:
+        """Return the guide at some pixels (row * width + column)."""
 
 
 def grid_flow(
@@ -27,6 +34,8 @@ def grid_flow(
     *,
     positions: NDArray[np.float64] | None = None,
     heights: NDArray[np.float64] | None = None,
+    guides: Sequence[GuidePixels] = (),
+    metric_channels: Sequence[int] | None = None,
 ) -> TexelFlow:
     """Make the flow on an image.
 
@@ -43,6 +52,10 @@ def grid_flow(
     heights : ndarray of float64, shape (H, W), optional
         The surface (x, y, height) over the plane of the image. Here, as on the plane, the unit of length is the pixel,
         and not the spacing along the surface: on slopes samples lie further apart, so they are smoothed less.
+    guides : sequence of GuidePixels
+        What enters the metric besides the colours.
+    metric_channels : sequence of int, optional
+        Which of the N colour channels enter the metric; without it all.
 
     Returns
     -------
@@ -56,12 +69,15 @@ def grid_flow(
     margin = kernel.window // 2 + (guide_radius(kernel.metric_scale) if kernel.metric_steps else 0)
     atlas = grid_atlas(valid.shape, margin, positions, valid)
     del positions  # as large as all that follows
-    colours = colours_of(atlas.owned_texels)
-    if heights is not None and kernel.beta is None:
-        kernel = dataclasses.replace(
-            kernel, beta=choose_beta(_noise(colours, atlas.owned_texels, valid.shape))
-        )
-    return TexelFlow(atlas, colours, kernel, walls=atlas.covered < valid.size)
+    return TexelFlow(
+        atlas,
+        colours_of(atlas.owned_texels),
+        kernel,
+        walls=atlas.covered < valid.size,
+        guides=[guide.at(atlas.owned_texels) for guide in guides],
+        metric_channels=metric_channels,
+        unit=None if heights is None else 1.0,
+    )
 
 
 def _over_the_plane(heights: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -71,14 +87,3 @@ def _over_the_plane(heights: NDArray[np.float64]) -> NDArray[np.float64]:
     positions[..., 0], positions[..., 1] = np.arange(columns), np.arange(rows)[:, None]
     positions[..., 2] = heights
     return positions
-
-
-def _noise(
-    colours: NDArray[np.float32], pixels: NDArray[np.int64], shape: tuple[int, int]
-) -> NDArray[np.float64]:
-    """Estimate the noise of colours of some pixels of an image."""
-    planes = np.zeros((colours.shape[1], *shape), np.float32)
-    planes.reshape(len(planes), -1)[:, pixels] = colours.T
-    filled = np.zeros(shape, bool)
-    filled.reshape(-1)[pixels] = True
-    return estimate_sigma_on_grid(planes, filled)

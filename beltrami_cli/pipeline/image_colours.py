@@ -23,7 +23,7 @@ _BLOCK = 1 << 20  # pixels rounded at a time, which bounds the memory for them
 
 
 class ImageColours:
-    """The channels of a picture that are smoothed.
+    """The channels of a picture that are smoothed: those that change, and those that enter the metric.
 
     These are red, green and blue, or grey, in the working space; then every further channel of the file as the numbers
     that it holds (full scale 1); and opacity at the end, if it is smoothed.
@@ -41,6 +41,10 @@ class ImageColours:
         The N channels, in the order of the samples.
     channels : list of int
         Which of the picture's channels they are.
+    changing : tuple of str
+        The names of those that change; the others only enter the metric.
+    metric_channels : list of int or None
+        Which of the N channels enter the metric; None: all.
     others : tuple of str
         Names of those that are neither colours nor alpha.
 
@@ -61,10 +65,17 @@ class ImageColours:
             if channel not in (*picture.colour, picture.alpha):
                 # EXR tells R from r.
                 named[name.lower() if name.lower() not in named else f"{name}:{channel}"] = channel
-        chosen = _choose(named, settings.channels, picture.name)
+        opacity = {}
         if settings.textures.alpha == "smooth" and picture.alpha is not None:
-            chosen["alpha"] = picture.alpha
-        self.names, self.channels = tuple(chosen), list(chosen.values())
+            opacity = {"alpha": picture.alpha}
+        wanted, named_all = settings.embedding.metric_channels, named | opacity
+        changing = _choose(named, settings.channels, picture.name) | opacity
+        counting = changing if wanted is None else _choose(named_all, wanted, picture.name)
+        chosen = {name: i for name, i in named_all.items() if name in changing or name in counting}
+        self.names, self.channels, self.changing = tuple(chosen), list(chosen.values()), tuple(changing)
+        self.metric_channels: list[int] | None = None
+        if counting.keys() != chosen.keys():
+            self.metric_channels = [self.names.index(name) for name in counting]
         self._coloured = [channel in picture.colour for channel in self.channels]
         self.others = tuple(
             name for name, channel in chosen.items() if channel not in (*picture.colour, picture.alpha)
@@ -111,20 +122,22 @@ class ImageColours:
         pixels : ndarray, shape (H, W, C)
             In the picture's type. Numbers that did not change, and those of all other pixels, keep their bits.
         change : Change
-            Of the numbers of the T pixels in the N channels, full scale 1.
+            Of the numbers of the T pixels in the channels that change, full scale 1.
         """
         result = self._picture.pixels.copy()
         table, changes = self._table(result), []
+        written = [(column, self.channels[column]) for column in map(self.names.index, self.changing)]
+        columns = [channel for _, channel in written]
         for first in range(0, len(pixels), _BLOCK):
             block = pixels[first : first + _BLOCK]
             before = full_scale_one(table[block[:, None], self.channels])
             after = self._stored(before, samples[first : first + _BLOCK])
-            for column, channel in enumerate(self.channels):
+            for column, channel in written:
                 moved = after[:, column] != before[:, column]
                 kind = self._picture.kinds[channel]
                 table[block[moved], channel] = as_stored(after[moved, column], kind)
-            rounded = full_scale_one(table[block[:, None], self.channels])
-            changes.append(Change.between(before, rounded))
+            rounded = full_scale_one(table[block[:, None], columns])
+            changes.append(Change.between(before[:, [column for column, _ in written]], rounded))
         return result, Change.joined(changes)
 
     def _table(self, pixels: NDArray[Any]) -> NDArray[Any]:

@@ -72,7 +72,7 @@ def inspect_file(
     }
     grid = document.grid() if work.vertices else None
     if grid is not None:
-        facts.update(_describe_range(document, grid, settings))
+        facts.update(_describe_range(document, grid, settings, access))
     elif work.vertices:
         facts.update(_describe_vertices(document, settings, access))
     require_room_for_textures(document, work.slots, settings.textures, access)
@@ -93,7 +93,7 @@ def _describe_image(data: bytes, name: str, settings: SmoothSettings, access: Ac
         "file": {"name": name, "format": facts.pop("format"), "bytes": len(data)},
         "image": {**facts, "pitch": flow.spacing},
         "noise": prepared.colours.named(flow.sigma),
-        "smooth": _describe_kernel(settings, flow.beta),
+        "smooth": _describe_kernel(settings, flow.beta, flow.guide_betas),
         "notices": list(prepared.notices),
     }
 
@@ -114,7 +114,10 @@ def _describe_vertices(document: Document, settings: SmoothSettings, access: Acc
             "mean_edge_length": flow.mean_edge_length,
             "bounds": _bounds(painted),
         },
-        "noise": {painted.channels[i]: float(s) for i, s in zip(prepared.channels, flow.sigma, strict=True)},
+        "noise": {
+            painted.channels[i]: float(s)
+            for i, s in zip(prepared.channels.taking_part, flow.sigma, strict=True)
+        },
         "smooth": _describe_kernel(settings, flow.beta, flow.guide_betas)
         | (
             {}
@@ -152,11 +155,12 @@ def _describe_cloud(painted: PaintedVertices, prepared: PreparedVertices) -> dic
 
 
 def _describe_range(
-    document: Document, grid: NDArray[np.int64], settings: SmoothSettings
+    document: Document, grid: NDArray[np.int64], settings: SmoothSettings, access: Access
 ) -> dict[str, object]:
     from beltrami_cli.pipeline.smooth_range import prepare_range
+    from beltrami_cli.pipeline.vertex_guides import vertex_guides
 
-    prepared = prepare_range(document.painted(), grid, settings)
+    prepared = prepare_range(document.painted(), grid, settings, vertex_guides(document, settings, access))
     flow = prepared.flow(settings)
     samples = len(flow.atlas.owned_texels)
     return {
@@ -169,7 +173,7 @@ def _describe_range(
             "mean_edge_length": flow.spacing,
         },
         "noise": prepared.named(flow.sigma),
-        "smooth": _describe_kernel(settings, flow.beta),
+        "smooth": _describe_kernel(settings, flow.beta, flow.guide_betas),
     }
 
 

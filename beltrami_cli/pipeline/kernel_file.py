@@ -17,6 +17,7 @@ from beltrami_cli.pipeline.opening import document_from, refuse_options_of_level
 from beltrami_cli.pipeline.output import Output
 from beltrami_cli.pipeline.room import require_room_for_textures
 from beltrami_cli.pipeline.settings import DEFAULTS
+from beltrami_cli.pipeline.vertex_guides import vertex_guides
 from beltrami_cli.pipeline.work import choose_work
 
 if TYPE_CHECKING:
@@ -122,7 +123,8 @@ def _study(
         if grid is not None:
             from beltrami_cli.pipeline.kernel_range import study_range
 
-            return study_range(document.painted(), grid, document.name, place, settings, progress)
+            guides = vertex_guides(document, settings, access)
+            return study_range(document.painted(), grid, document.name, place, settings, progress, guides)
         from beltrami_cli.pipeline.kernel_vertices import study_vertex
 
         return study_vertex(document, place, settings, whole=whole, progress=progress, access=access)

@@ -12,10 +12,11 @@ from beltrami_cli.pipeline.kernel_study import KernelStudy, Shown
 from beltrami_cli.pipeline.smooth_range import prepare_range
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
+    from beltrami_cli.flow.guidance import Guide
     from beltrami_cli.mesh.painted import PaintedVertices
     from beltrami_cli.pipeline.kernel_place import Place
     from beltrami_cli.pipeline.settings import SmoothSettings
@@ -28,6 +29,7 @@ def study_range(
     place: Place,
     settings: SmoothSettings,
     progress: Callable[[int, int], None] | None = None,
+    guides: Sequence[Guide] = (),
 ) -> KernelStudy:
     """Study the kernel of a vertex after the iterations that the settings ask for.
 
@@ -45,6 +47,8 @@ def study_range(
         As for smoothing.
     progress : callable, optional
         Of the iterations before.
+    guides : sequence of Guide
+        With a row for each vertex.
 
     Returns
     -------
@@ -55,7 +59,7 @@ def study_range(
     UsageError
         If the place names no vertex on the grid, or as `prepare_range`.
     """
-    prepared = prepare_range(painted, grid, settings)
+    prepared = prepare_range(painted, grid, settings, guides)
     flow = prepared.flow(settings)
     vertex = _vertex_at(painted, grid, name, place)
     vertices = grid.reshape(-1)[flow.atlas.owned_texels]
@@ -65,7 +69,9 @@ def study_range(
     flow.run(progress)
     kernel = flow.kernel_at(int(flow.atlas.owned_cells[found[0]]))
     held = vertices[np.searchsorted(flow.atlas.owned_cells, kernel.samples)]
-    shown = Shown(tuple(painted.channels[channel] for channel in prepared.channels), settings.space)
+    shown = Shown(
+        tuple(painted.channels[channel] for channel in prepared.channels.taking_part), settings.space
+    )
     facts: dict[str, object] = {"at": f"vertex {vertex}", "position": painted.positions[vertex].tolist()}
     columns = {"vertex": held, **dict(zip("xyz", painted.positions[held].T, strict=True))}
     return study_cell(flow, kernel, shown, settings.kernel, facts, columns)

@@ -65,7 +65,7 @@ def study_vertex(
     vertex = place.vertex_among(painted.positions, document.name)
     prepared = prepare(painted, settings, vertex_guides(document, settings, access))
     flow, sampling = prepared.flow(settings), prepared.sampling
-    shown = Shown(tuple(painted.channels[i] for i in prepared.channels), settings.space)
+    shown = Shown(tuple(painted.channels[i] for i in prepared.channels.taking_part), settings.space)
     shades = shown.shades(flow.run(progress).colours)
     kernel = flow.kernel_at(int(sampling.sample_of[vertex]))
     vertices = sampling.first_vertex[kernel.samples]

@@ -11,6 +11,7 @@ from beltrami_cli.errors import UsageError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.image import read_image
 from beltrami_cli.pipeline.grid_flow import grid_flow
+from beltrami_cli.pipeline.guide_images import GuideImage, read_guide_images
 from beltrami_cli.pipeline.image_colours import ImageColours
 from beltrami_cli.pipeline.image_surface import read_surface
 from beltrami_cli.pipeline.room import require_room
@@ -41,6 +42,8 @@ class PreparedImage:
         False at holes: where the mask or the surface says so, values are not finite, or nothing is seen.
     notices : tuple of str
         What the user should know, one sentence each.
+    guides : tuple of GuideImage
+        What enters the metric besides.
     """
 
     picture: Picture
@@ -48,6 +51,7 @@ class PreparedImage:
     colours: ImageColours
     valid: NDArray[np.bool_]
     notices: tuple[str, ...]
+    guides: tuple[GuideImage, ...]
 
     def flow(self, settings: SmoothSettings) -> TexelFlow:
         """Make the flow on these samples."""
@@ -57,6 +61,8 @@ class PreparedImage:
             settings.kernel,
             positions=self.surface.positions,
             heights=self.surface.heights,
+            guides=self.guides,
+            metric_channels=self.colours.metric_channels,
         )
 
     def facts(self) -> dict[str, object]:
@@ -69,7 +75,7 @@ class PreparedImage:
             "stored": self.picture.stored,
             "channels": list(self.picture.channels),
             "encoding": self.picture.encoding,
-            "smoothed": list(self.colours.names),
+            "smoothed": list(self.colours.changing),
             "surface": self.surface.kind,
             "holes": self.valid.size - int(np.count_nonzero(self.valid)),
         }
@@ -87,7 +93,7 @@ def prepare_image(
     name : str
         Its name for messages.
     settings : SmoothSettings
-        The working space, the channels, alpha, and the images of the surface.
+        The working space, the channels, alpha, and the images of the surface and of the guides.
     access : Access
         What may be read.
 
@@ -96,7 +102,7 @@ def prepare_image(
     UsageError
         If the settings contradict the image, or are of meshes.
     InputError
-        If it, or an image of the surface, cannot be decoded, does not fit, or needs more memory than there is.
+        If it, or another image that is named, cannot be decoded, does not fit, or needs more memory than there is.
     """
     refuse_options_of_meshes(settings, name)
     require_room([(name, data)], access)
@@ -116,7 +122,8 @@ def prepare_image(
         )
     if not valid.any():
         notices.append(f"{name} has no pixel but holes, so nothing was smoothed.")
-    return PreparedImage(picture, surface, colours, valid, tuple(notices))
+    guides = read_guide_images(picture, valid, settings, access)
+    return PreparedImage(picture, surface, colours, valid, tuple(notices), guides)
 
 
 def refuse_options_of_meshes(settings: SmoothSettings, name: str) -> None:
@@ -138,8 +145,6 @@ def refuse_options_of_meshes(settings: SmoothSettings, name: str) -> None:
         "--texture-format": textures.image_suffix != usual.image_suffix,
         "--weights": kernel.weights != usual_kernel.weights,
         "--max-samples": kernel.max_samples != usual_kernel.max_samples,
-        "--guide": bool(settings.embedding.guides),
-        "--metric-channels": settings.embedding.metric_channels is not None,
         "--smooth-geometry": settings.embedding.smooth_geometry,
     }
     wrong = [option for option, is_given in given.items() if is_given]

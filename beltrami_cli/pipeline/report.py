@@ -104,6 +104,8 @@ class ImageReport:
         Estimated standard deviation per channel, full scale 1, in the working space.
     samples_per_kernel : float
         Mean number of pixels that a kernel held.
+    guides : dict of str to float
+        The beta used for each guide, by its name.
     change : dict of str to float
         Mean, root mean square and largest change of a smoothed value, full scale 1, as stored.
     """
@@ -113,6 +115,7 @@ class ImageReport:
     beta: float
     noise: dict[str, float]
     samples_per_kernel: float
+    guides: dict[str, float]
     change: dict[str, float]
 
 
@@ -196,7 +199,10 @@ def make_report(
     """Put together what a job did."""
     if vertices is not None and vertices.cloud is not None and vertices.cloud.outliers:
         alone = f"{vertices.cloud.outliers} of {len(vertices.colours)} points"
-        warnings = [*warnings, f"{alone} are too far from others, or in one line with them, and stay as they are"]
+        warnings = [
+            *warnings,
+            f"{alone} are too far from others, or in one line with them, and stay as they are",
+        ]
     if vertices is not None and vertices.truncated:
         cut = (
             f"{vertices.truncated} kernels were cut short at {settings.kernel.max_samples} samples; "

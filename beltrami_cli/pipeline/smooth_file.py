@@ -174,11 +174,11 @@ def _smooth_vertices(
     if not work.vertices:
         return None
     painted, grid = document.painted(), document.grid()
+    guides = vertex_guides(document, settings, access)
     if grid is not None:
         from beltrami_cli.pipeline.smooth_range import smooth_range
 
-        return smooth_range(painted, grid, settings, _labelled(progress, "range image"))
-    guides = vertex_guides(document, settings, access)
+        return smooth_range(painted, grid, settings, _labelled(progress, "range image"), guides)
     job = smooth_painted if len(painted.faces) else smooth_cloud
     return job(painted, settings, _labelled(progress, "vertex colours"), guides)
 

@@ -114,7 +114,7 @@ def _smoothed(
     with watch.stage("smooth"):
         flow = prepared.flow(settings)
         result = flow.run(None if progress is None else lambda done, total: progress("image", done, total))
-        owned = flow.atlas.owned_texels
+        owned, guides = flow.atlas.owned_texels, flow.guide_betas
         del flow  # canvases as large as the pixels that are made now
     with watch.stage("write"):
         pixels, change = prepared.colours.repainted(owned, result.colours)
@@ -132,6 +132,7 @@ def _smoothed(
         beta=result.beta,
         noise=prepared.colours.named(result.sigma),
         samples_per_kernel=round(result.samples_per_kernel, 2),
+        guides=guides,
         change=change.summary(),
     )
     return Written([image.data], notices=_notices(prepared, suffix)), report

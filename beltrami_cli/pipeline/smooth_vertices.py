@@ -89,28 +89,49 @@ class SmoothResult:
 
 
 @dataclass(frozen=True)
+class ChosenChannels:
+    """Which columns of vertices' colours do what.
+
+    Attributes
+    ----------
+    taking_part : list of int
+        Those that the samples have: those that change, and those that enter the metric.
+    changing : list of int
+        Those that change.
+    metric : list of int or None
+        Which of those that take part enter the metric, counted among these; None: all.
+    """
+
+    taking_part: list[int]
+    changing: list[int]
+    metric: list[int] | None
+
+    @property
+    def written(self) -> list[int]:
+        """Those that change, counted among those that take part."""
+        return [self.taking_part.index(channel) for channel in self.changing]
+
+
+@dataclass(frozen=True)
 class PreparedVertices:
     """Painted vertices as samples of a manifold.
 
     Attributes
     ----------
-    channels : list of int
-        Columns of the vertices' colours that the samples have: those that change, and those that enter the metric.
+    channels : ChosenChannels
+        What the samples have of the vertices' colours.
     surface : SampledSurface
         With these channels in the working space.
     sampling : VertexSampling
         The way back to vertices.
     guides : tuple of Guide
         With one row a sample.
-    metric_channels : list of int or None
-        Which columns of the samples enter the metric; None: all.
     """
 
-    channels: list[int]
+    channels: ChosenChannels
     surface: SampledSurface
     sampling: VertexSampling
     guides: tuple[Guide, ...]
-    metric_channels: list[int] | None
 
     def flow(self, settings: SmoothSettings) -> BeltramiFlow:
         """Make the flow on these samples."""
@@ -121,7 +142,7 @@ class PreparedVertices:
             self.surface,
             settings.kernel,
             guides=self.guides,
-            metric_channels=self.metric_channels,
+            metric_channels=self.channels.metric,
             geometry=geometry,
         )
 
@@ -145,15 +166,11 @@ def prepare(
     UsageError
         If the settings name channels that are not there.
     """
-    changing = chosen_columns(painted, settings.channels)
-    wanted = settings.embedding.metric_channels
-    counting = changing if wanted is None else chosen_columns(painted, wanted)
-    channels = sorted({*changing, *counting})
-    working = to_space(painted.colours[:, channels], painted.encoding, settings.space)
+    channels = choose_channels(painted, settings)
+    working = to_space(painted.colours[:, channels.taking_part], painted.encoding, settings.space)
     surface, sampling = sample_vertices(painted, working)
     sampled = tuple(Guide(guide.name, sampling.means(guide.values), guide.beta) for guide in guides)
-    metric = None if counting == channels else [channels.index(channel) for channel in counting]
-    return PreparedVertices(channels, surface, sampling, sampled, metric)
+    return PreparedVertices(channels, surface, sampling, sampled)
 
 
 def smooth_painted(
@@ -189,16 +206,14 @@ def smooth_painted(
     channels, before = prepared.channels, prepared.surface.colours
     del prepared  # the flow has its own order of everything, and a large mesh is not held twice
     result = flow.run(progress)
-    changing = chosen_columns(painted, settings.channels)
-    written = [channels.index(channel) for channel in changing]
     colours = painted.colours.copy()
-    colours[:, changing] = _to_vertices(painted, settings, changing, before, sampling, result, written)
+    colours[:, channels.changing] = _to_vertices(painted, settings, channels, before, sampling, result)
     moving = flow.moving
     return SmoothResult(
         colours,
         result.beta,
         result.spacing,
-        {painted.channels[i]: float(sigma) for i, sigma in zip(channels, result.sigma, strict=True)},
+        {painted.channels[i]: float(s) for i, s in zip(channels.taking_part, result.sigma, strict=True)},
         len(before),
         len(before) - sampling.places,
         result.samples_per_kernel,
@@ -229,13 +244,12 @@ def require_surface(painted: PaintedVertices, name: str) -> None:
 def _to_vertices(
     painted: PaintedVertices,
     settings: SmoothSettings,
-    changing: list[int],
+    channels: ChosenChannels,
     samples: NDArray[np.float32],
     sampling: VertexSampling,
     flow: FlowResult,
-    written: list[int],
 ) -> NDArray[np.float32]:
-    before = painted.colours[:, changing]
+    before, written = painted.colours[:, channels.changing], channels.written
     back = from_space(flow.colours[:, written], painted.encoding, settings.space)
     # The way there and back is not exact: what did not change keeps its bits, and what did stays in range.
     if len(before):
@@ -244,8 +258,24 @@ def _to_vertices(
     return np.where(changed[:, None], back[sampling.sample_of], before)
 
 
-def chosen_columns(painted: PaintedVertices, names: tuple[str, ...] | None) -> list[int]:
-    """Find the columns of channels by their names or first letters; None: all. UsageError if one is not there."""
+def choose_channels(painted: PaintedVertices, settings: SmoothSettings) -> ChosenChannels:
+    """Choose the columns of vertices' colours by the settings.
+
+    Raises
+    ------
+    UsageError
+        If the settings name channels that are not there.
+    """
+    changing = _columns(painted, settings.channels)
+    wanted = settings.embedding.metric_channels
+    counting = changing if wanted is None else _columns(painted, wanted)
+    channels = sorted({*changing, *counting})
+    metric = None if counting == channels else [channels.index(channel) for channel in counting]
+    return ChosenChannels(channels, changing, metric)
+
+
+def _columns(painted: PaintedVertices, names: tuple[str, ...] | None) -> list[int]:
+    """Find the columns of channels by their names or first letters; None: all."""
     if names is None:
         return list(range(len(painted.channels)))
     columns = []
