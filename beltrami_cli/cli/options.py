@@ -10,7 +10,7 @@ import click
 from beltrami_cli.cli.embedding import GUIDING, MOVING, embedding_from
 from beltrami_cli.cli.memory import limited_memory, memory_of_machine, parse_size
 from beltrami_cli.errors import UsageError
-from beltrami_cli.flow.parameters import PRESETS, KernelParameters, Space, Units, Weights
+from beltrami_cli.flow.parameters import PRESETS, Clipping, KernelParameters, Space, Units, Weights
 from beltrami_cli.formats.access import Access
 from beltrami_cli.pipeline.bake_settings import DEFAULT_BAKE, BakeSettings
 from beltrami_cli.pipeline.image_settings import ImageSettings
@@ -66,6 +66,15 @@ beta = click.option(
     "--beta", type=float, default=_KERNEL.beta, metavar="B",
     help="How strongly edges are kept: sample spacings per unit of colour (full scale 1). 0 is a plain Gaussian "
     "on the surface; 5 to 40 suits strong to slight noise.  [default: from the estimated noise]",
+)  # fmt: skip
+beta_growth = click.option(
+    "--beta-growth", type=float, default=_KERNEL.beta_growth, show_default=True, metavar="G",
+    help="Multiply beta by G from one iteration to the next: as less noise is left, finer edges count.",
+)  # fmt: skip
+clipping = click.option(
+    "--clipping", type=click.Choice(get_args(Clipping)), default=_KERNEL.clipping, show_default=True,
+    help="Where noise was cut off at 0 or full scale, averages are too bright or too dark: restore what they would be "
+    "without, or keep them.",
 )  # fmt: skip
 threshold = click.option(
     "--threshold", type=float, default=_KERNEL.threshold, show_default=True, metavar="K",
@@ -233,9 +242,10 @@ verbose = click.option(
 )
 
 _SMOOTHING = (
-    iterations, time_step, beta, threshold, metric_scale, metric_steps, preset, on, space, channels, units, weights,
-    max_samples, window, height, height_scale, positions, mask, level, inside, colours, max_voxels, slots, materials,
-    texture_names, alpha, gutter, texture_format, jpeg_quality, small_png, *GUIDING, *MOVING, threads,
+    iterations, time_step, beta, beta_growth, threshold, metric_scale, metric_steps, clipping, preset, on, space,
+    channels, units, weights, max_samples, window, height, height_scale, positions, mask, level, inside, colours,
+    max_voxels, slots, materials, texture_names, alpha, gutter, texture_format, jpeg_quality, small_png, *GUIDING,
+    *MOVING, threads,
 )  # fmt: skip
 
 # Those of one kernel, which is not written back, and what the others are without being asked for.
@@ -246,6 +256,8 @@ _STUDYING = (
 )  # fmt: skip
 _UNASKED = {
     "iterations": _KERNEL.iterations,
+    "beta_growth": _KERNEL.beta_growth,
+    "clipping": _KERNEL.clipping,
     "gutter": str(_TEXTURES.gutter),
     "texture_format": _TEXTURES.image_suffix,
     "jpeg_quality": _TEXTURES.jpeg_quality,
@@ -254,8 +266,8 @@ _UNASKED = {
 
 # Options that are parameters of the kernel, under the names that they have there.
 _KERNEL_OPTIONS = (
-    "iterations", "t", "beta", "threshold", "weights", "units", "max_samples", "threads", "window", "metric_scale",
-    "metric_steps",
+    "iterations", "t", "beta", "beta_growth", "threshold", "weights", "units", "max_samples", "threads", "window",
+    "metric_scale", "metric_steps", "clipping",
 )  # fmt: skip
 _LEVEL_SET_OPTIONS = ("level", "inside", "colours", "max_voxels")
 

@@ -90,7 +90,8 @@ class GridMetric:
             self._guide = None  # its planes are not needed any more
         if self._chosen is not None:
             colours = colours[self._chosen]
-        return join_channels([self._regularised(colours, self.beta), *self._guide_planes], axis=0)
+        beta = self.beta * self._parameters.growth(iteration)
+        return join_channels([self._regularised(colours, beta), *self._guide_planes], axis=0)
 
     def _regularised(self, planes: NDArray[np.float32], beta: float) -> tuple[NDArray[np.float32], float]:
         """Return what distances are taken from in place of noisy planes, and its beta."""

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from beltrami_cli.flow.clipping import find_clipped
 from beltrami_cli.flow.geometry import GeometryParameters, MovingPositions
 from beltrami_cli.flow.mesh_metric import MeshMetric
 from beltrami_cli.flow.one_kernel import SampledKernel, kernel_values
@@ -119,6 +120,9 @@ class BeltramiFlow:
         metric = MeshMetric(edges, in_spacings, self._colours, unit, parameters, guides, metric_channels)
         self._metric, self.sigma, self.beta = metric, metric.sigma, metric.beta
         self.guide_betas = metric.guide_betas
+        self._clipped = None
+        if parameters.clipping == "restore" and self.beta > 0 and parameters.iterations:
+            self._clipped = find_clipped(self._colours, self.sigma)
         self.moving: MovingPositions | None = None
         if geometry is not None:
             places = GeometryParameters(geometry.places[self._order], geometry.normal_beta)
@@ -142,15 +146,18 @@ class BeltramiFlow:
         FlowResult
         """
         parameters, count = self.parameters, len(self._order)
-        colours, samples, truncated = self._colours, 0, 0
+        colours, samples, truncated = self._with_marks(), 0, 0
+        channels = self._colours.shape[1]
         for iteration in range(parameters.iterations):
-            self._set_metric(colours, iteration)
+            self._set_metric(np.ascontiguousarray(colours[:, :channels]), iteration)
             colours, held, cut = self._average(
                 colours, shifted(progress, iteration * count, parameters.iterations * count)
             )
             samples += held
             truncated += cut
-        self._colours = colours
+        if self._clipped is not None:
+            self._clipped.restore(colours.T[:channels], colours.T[channels:])
+        self._colours = colours = np.ascontiguousarray(colours[:, :channels])
         return FlowResult(
             self._in_order(colours),
             self.mean_edge_length,
@@ -160,6 +167,12 @@ class BeltramiFlow:
             truncated,
             None if self.moving is None else self._in_order(self.moving.positions),
         )
+
+    def _with_marks(self) -> NDArray[np.float32]:
+        """Return the channels to average: the colours, and the marks of samples that were cut off."""
+        if self._clipped is None:
+            return self._colours
+        return np.concatenate([self._colours, self._clipped.marks(self._colours.T).T], axis=1)
 
     def _average(
         self, colours: NDArray[np.float32], progress: Callable[[int], None] | None

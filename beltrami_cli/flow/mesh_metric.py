@@ -90,7 +90,8 @@ class MeshMetric:
             self._guide = None  # its arrays are not needed any more
         if self._chosen is not None:
             colours = np.ascontiguousarray(colours[:, self._chosen])
-        parts = [self._regularised(colours, self.beta), *self._guide_channels]
+        beta = self.beta * self._parameters.growth(iteration)
+        parts = [self._regularised(colours, beta), *self._guide_channels]
         if normals is not None:
             parts.append(self._regularised(*normals))
         return join_channels(parts, axis=1)

@@ -13,6 +13,7 @@ Weights = Literal["uniform", "area"]
 Units = Literal["spacing", "world"]
 Scheme = Literal["triangles", "metric"]
 Space = Literal["srgb", "linear", "oklab", "data"]
+Clipping = Literal["restore", "keep"]
 
 
 @dataclass(frozen=True)
@@ -29,6 +30,8 @@ class KernelParameters:
     beta : float or None
         Units of length per unit of colour, >= 0: how much a colour difference counts as distance. 0 is the
         linear kernel. None: from the estimated noise, `choose_beta`.
+    beta_growth : float
+        Factor, >= 1, by which beta grows from one iteration to the next, as the noise that is left shrinks.
     threshold : float
         Samples with a kernel value below it are left out, in (0, 1).
     weights : {"uniform", "area"}
@@ -50,6 +53,9 @@ class KernelParameters:
     scheme : {"triangles", "metric"}
         On textures and images: distances through the triangles of neighbouring samples; or the paper's, by a heap
         march over the quadrants of the grid with the metric from central differences, obtuse ones split by it.
+    clipping : {"restore", "keep"}
+        Whether averages are corrected where noise was cut off at 0 or full scale; never with a `beta` of 0, which
+        is a linear kernel.
 
     Raises
     ------
@@ -60,6 +66,7 @@ class KernelParameters:
     iterations: int = 5
     t: float = 2.4
     beta: float | None = None
+    beta_growth: float = 1.0
     threshold: float = 0.01
     weights: Weights = "uniform"
     units: Units = "spacing"
@@ -69,6 +76,7 @@ class KernelParameters:
     metric_scale: float = 0.7
     metric_steps: int = 2
     scheme: Scheme = "triangles"
+    clipping: Clipping = "restore"
 
     def __post_init__(self) -> None:
         _require(self.iterations >= 0, "iterations", self.iterations, "0 or more")
@@ -76,6 +84,7 @@ class KernelParameters:
         _require(
             self.beta is None or (self.beta >= 0 and math.isfinite(self.beta)), "beta", self.beta, "0 or more"
         )
+        _require(1 <= self.beta_growth <= 100, "beta_growth", self.beta_growth, "between 1 and 100")
         _require(0 < self.threshold < 1, "threshold", self.threshold, "between 0 and 1")
         _require(self.weights in get_args(Weights), "weights", self.weights, "uniform or area")
         _require(self.units in get_args(Units), "units", self.units, "spacing or world")
@@ -84,11 +93,16 @@ class KernelParameters:
         _require(0 <= self.metric_scale <= 3, "metric_scale", self.metric_scale, "between 0 and 3")
         _require(self.metric_steps >= 0, "metric_steps", self.metric_steps, "0 or more")
         _require(self.scheme in get_args(Scheme), "scheme", self.scheme, "triangles or metric")
+        _require(self.clipping in get_args(Clipping), "clipping", self.clipping, "restore or keep")
         _require(self.threads is None or self.threads >= 1, "threads", self.threads, "1 or more")
 
     def is_regularised(self, iteration: int) -> bool:
         """Tell whether an iteration, counted from 0, takes distances from smoothed colours."""
         return self.metric_scale > 0 and iteration < self.metric_steps
+
+    def growth(self, iteration: int) -> float:
+        """Return by what factor beta is larger in an iteration, counted from 0, than in the first."""
+        return self.beta_growth**iteration
 
     @property
     def radius(self) -> float:
@@ -118,5 +132,6 @@ PRESETS: dict[str, dict[str, object]] = {
         "metric_scale": 0.0,
         "metric_steps": 0,
         "scheme": "metric",
+        "clipping": "keep",
     }
 }

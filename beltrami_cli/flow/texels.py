@@ -6,12 +6,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from beltrami_cli.flow.clipping import find_clipped
 from beltrami_cli.flow.grid_metric import GridMetric
 from beltrami_cli.flow.iteration import FlowResult, shifted
 from beltrami_cli.flow.noise import estimate_sigma_on_grid
 from beltrami_cli.flow.one_kernel import SampledKernel, kernel_on_grid
 from beltrami_cli.flow.seams import find_colour_jumps, halo_beyond
-from beltrami_cli.mesh.atlas import OWNED, refresh_halo, without_halo
+from beltrami_cli.mesh.atlas import EMPTY, OWNED, refresh_halo, without_halo
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -99,6 +100,9 @@ class TexelFlow:
             unit = self.spacing if parameters.units == "world" else 1.0
         self._metric = GridMetric(atlas, self.sigma, unit, parameters, guides, metric_channels, walls=walls)
         self.beta, self.guide_betas = self._metric.beta, self._metric.guide_betas
+        self._clipped = None
+        if parameters.clipping == "restore" and self.beta > 0 and parameters.iterations:
+            self._clipped = find_clipped(colours, self.sigma)
 
     def run(self, progress: Callable[[int, int], None] | None = None) -> FlowResult:
         """Run all iterations.
@@ -115,13 +119,11 @@ class TexelFlow:
         """
         from beltrami_cli._native import smooth_grid
 
-        parameters, samples = self.parameters, 0
-        planes, self._planes = (
-            self._planes,
-            np.empty((0, 0, 0), np.float32),
-        )  # freed once the first step is done
+        parameters, samples, channels = self.parameters, 0, len(self._planes)
+        planes = self._with_marks()
+        self._planes = np.empty((0, 0, 0), np.float32)  # freed once the first step is done
         for iteration in range(parameters.iterations):
-            metric, beta = self._metric.planes(planes, iteration)
+            metric, beta = self._metric.planes(planes[:channels], iteration)
             planes, held = smooth_grid(
                 self.atlas.kind,
                 self.atlas.squared_lengths,
@@ -142,12 +144,23 @@ class TexelFlow:
             del metric
             refresh_halo(planes, self.atlas)
             samples += held
-        self._planes = planes
+        if self._clipped is not None:
+            self._clipped.restore(planes[:channels], planes[channels:])
+        self._planes = planes = planes[:channels]
         owned = planes.reshape(len(planes), -1)[:, self.atlas.owned_cells]
         kernels = max(1, parameters.iterations * len(self.atlas.owned_cells))
         return FlowResult(
             np.ascontiguousarray(owned.T), self.spacing, self.beta, self.sigma, samples / kernels, 0
         )
+
+    def _with_marks(self) -> NDArray[np.float32]:
+        """Return the planes to average: the colours, and the marks of samples that were cut off."""
+        if self._clipped is None:
+            return self._planes
+        marks = self._clipped.marks(self._planes)
+        marks[:, self.atlas.kind == EMPTY] = 0
+        refresh_halo(marks, self.atlas)
+        return np.concatenate([self._planes, marks])
 
     @property
     def planes(self) -> NDArray[np.float32]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.colour_space import from_space, to_space
-from beltrami_cli.flow.parameters import KernelParameters, Space
+from beltrami_cli.flow.parameters import Clipping, KernelParameters, Space
 from beltrami_cli.mesh.painted import Encoding
 from beltrami_cli.mesh.validation import array_of, check_numbers, colour_table
 from beltrami_cli.pipeline.grid_flow import grid_flow
@@ -61,6 +61,7 @@ def smooth_image(
     iterations: int = DEFAULTS.kernel.iterations,
     t: float = DEFAULTS.kernel.t,
     beta: float | None = DEFAULTS.kernel.beta,
+    beta_growth: float = DEFAULTS.kernel.beta_growth,
     threshold: float = DEFAULTS.kernel.threshold,
     units: Units = DEFAULTS.kernel.units,
     threads: int | None = DEFAULTS.kernel.threads,
@@ -68,6 +69,7 @@ def smooth_image(
     metric_scale: float = DEFAULTS.kernel.metric_scale,
     metric_steps: int = DEFAULTS.kernel.metric_steps,
     scheme: Scheme = DEFAULTS.kernel.scheme,
+    clipping: Clipping = DEFAULTS.kernel.clipping,
     space: Space = DEFAULTS.space,
     encoding: Encoding = "srgb",
     progress: Callable[[int, int], None] | None = None,
@@ -94,6 +96,8 @@ def smooth_image(
         Time step, in squared units of length.
     beta : float or None
         Units of length per unit of colour; None: from the estimated noise. 0: a Gaussian.
+    beta_growth : float
+        Factor, 1 or more, by which beta grows from one iteration to the next.
     threshold : float
         Pixels with a kernel value below it are left out.
     units : {"spacing", "world"}
@@ -109,6 +113,8 @@ def smooth_image(
         ... in so many of the first iterations; the colours themselves are averaged.
     scheme : {"triangles", "metric"}
         Distances through the triangles of neighbouring pixels, or the paper's parametric fast marching.
+    clipping : {"restore", "keep"}
+        Whether averages are corrected where noise was cut off at 0 or full scale.
     space : {"srgb", "linear", "oklab", "data"}
         What distances and averages of colours are taken in; "data": the numbers as they are.
     encoding : {"srgb", "linear"}
@@ -150,6 +156,7 @@ def smooth_image(
             "beta": 0 if beta is None else beta,
             "threshold": threshold,
             "metric_scale": metric_scale,
+            "beta_growth": beta_growth,
             "height_scale": height_scale,
         },
     )
@@ -157,6 +164,7 @@ def smooth_image(
         iterations=iterations,
         t=t,
         beta=beta,
+        beta_growth=beta_growth,
         threshold=threshold,
         units=units,
         threads=threads,
@@ -164,6 +172,7 @@ def smooth_image(
         metric_scale=metric_scale,
         metric_steps=metric_steps,
         scheme=scheme,
+        clipping=clipping,
     )
     if space not in get_args(Space):
         raise UsageError(f"space is {space}, but must be {', '.join(get_args(Space))}")

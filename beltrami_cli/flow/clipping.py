@@ -1,0 +1,150 @@
+"""Averages of colours whose noise was cut off at 0 and at full scale.
+
+Where a surface is white, noise can only darken it: what would be brighter than full scale is stored as full scale. An
+average over such samples is too dark, by up to 0.4 standard deviations of the noise, however many samples it has. But
+the share of the samples that stand at the limit tells how close the true colour is to it: samples are a normal
+variable censored at the limit, of which mean and share are known.
+
+References
+----------
+.. [1] J. Tobin, "Estimation of relationships for limited dependent variables", Econometrica 26 (1958): the mean of a
+   censored normal variable. https://doi.org/10.2307/1907382
+.. [2] A. Foi, "Clipped noisy images: heteroskedastic modeling and practical denoising", Signal Processing 89 (2009):
+   denoised images need this correction. https://doi.org/10.1016/j.sigpro.2009.04.035
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from statistics import NormalDist
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+# Fewer samples at a limit, as a share of all, change no mean that is worth a plane of memory.
+_WORTH_RESTORING = 1e-3
+
+# Local noise is believed up to so many times the estimated one, which is too low where many samples are cut off.
+_TRUSTED = 1.2
+
+# Entries of the tables over the share of samples at a limit, from 0 to one half.
+_TABLE = 1024
+
+
+@dataclass(frozen=True)
+class ClippedChannels:
+    """Which channels of noisy colours were cut off at a limit, and what turns their averages back.
+
+    Attributes
+    ----------
+    low, high : tuple of bool
+        For each of N channels, whether samples were cut off at 0, and at 1.
+    sigma : ndarray of float64, shape (N,)
+        Standard deviation of the noise, which bounds the correction.
+    """
+
+    low: tuple[bool, ...]
+    high: tuple[bool, ...]
+    sigma: NDArray[np.float64]
+
+    @property
+    def clipped(self) -> list[int]:
+        """The channels that were cut off at either limit."""
+        return [k for k, (low, high) in enumerate(zip(self.low, self.high, strict=True)) if low or high]
+
+    def marks(self, channels: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Mark the samples at the limits, to be averaged by the same kernels as the colours.
+
+        Parameters
+        ----------
+        channels : ndarray of float32, shape (N, ...)
+            Noisy colours, channel by channel.
+
+        Returns
+        -------
+        ndarray of float32, shape (number of clipped channels, ...)
+            1 at full scale, -1 at 0, and 0 between. Both in one, because no average holds many of either at once.
+        """
+        found = np.zeros((len(self.clipped), *channels.shape[1:]), np.float32)
+        for mark, k in zip(found, self.clipped, strict=True):
+            if self.high[k]:
+                mark[channels[k] >= 1] = 1
+            if self.low[k]:
+                mark[channels[k] <= 0] = -1
+        return found
+
+    def restore(self, channels: NDArray[np.float32], marks: NDArray[np.float32]) -> None:
+        """Turn averages of clipped colours, in place, into estimates of the colours without noise.
+
+        Parameters
+        ----------
+        channels : ndarray of float32, shape (N, ...)
+            Averages of colours; those of the clipped channels change.
+        marks : ndarray of float32, shape (number of clipped channels, ...)
+            Averages, with the same weights, of what `marks` gave.
+        """
+        for share, k in zip(marks, self.clipped, strict=True):
+            mean = channels[k]
+            sigma = np.float32(_TRUSTED * self.sigma[k])
+            raised = _towards_limit(1 - mean, share, sigma)
+            lowered = _towards_limit(mean, -share, sigma)
+            channels[k] = np.clip(mean + raised - lowered, np.minimum(mean, 0), np.maximum(mean, 1))
+
+
+def find_clipped(colours: NDArray[np.float32], sigma: NDArray[np.float64]) -> ClippedChannels | None:
+    """Find which channels were cut off at 0 or at full scale.
+
+    Parameters
+    ----------
+    colours : ndarray of float32, shape (S, N)
+        Noisy colours.
+    sigma : ndarray of float64, shape (N,)
+        Estimated standard deviation of their noise.
+
+    Returns
+    -------
+    ClippedChannels or None
+        None if no channel was: a channel with values beyond a limit is not cut off there, nor is one without noise.
+    """
+    low, high = [], []
+    for values, noise in zip(colours.T, sigma, strict=True):
+        noisy = len(values) > 0 and noise > 0
+        low.append(bool(noisy and values.min() == 0 and np.mean(values == 0) >= _WORTH_RESTORING))
+        high.append(bool(noisy and values.max() == 1 and np.mean(values == 1) >= _WORTH_RESTORING))
+    if not (any(low) or any(high)):
+        return None
+    return ClippedChannels(tuple(low), tuple(high), np.asarray(sigma, np.float64))
+
+
+def _towards_limit(
+    gap: NDArray[np.float32], share: NDArray[np.float32], sigma: np.float32
+) -> NDArray[np.float32]:
+    """Return how much closer to a limit the true value is than the average.
+
+    With alpha = (limit - true) / sigma, the share at the limit is 1 - Phi(alpha), and the mean lies below the limit
+    by sigma (alpha Phi(alpha) + phi(alpha)) [1]_. The share gives alpha, and the gap the local sigma; that is not
+    believed beyond `sigma`, for then colours differ and not only noise.
+    """
+    table_alpha, table_gap = _censored_normal()
+    place = np.clip(share, 0, 0.5) * np.float32(2 * (_TABLE - 1))
+    alpha = np.interp(place, np.arange(_TABLE), table_alpha).astype(np.float32)
+    gap_of_one = np.interp(place, np.arange(_TABLE), table_gap).astype(np.float32)
+    local = np.minimum(gap / gap_of_one, sigma)
+    closer: NDArray[np.float32] = local * (gap_of_one - alpha)
+    return np.where(share > 0, np.maximum(closer, 0), np.float32(0))
+
+
+@cache
+def _censored_normal() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Tabulate alpha, and the gap to the limit for sigma = 1, over the share of samples at the limit."""
+    normal = NormalDist()
+    # A share of 0 is an alpha without bound; what the table has there makes no difference to the mean.
+    shares = np.linspace(0, 0.5, _TABLE)
+    shares[0] = shares[1] / 100
+    alpha = np.array([normal.inv_cdf(1 - share) for share in shares])
+    gap = np.array([a * normal.cdf(a) + normal.pdf(a) for a in alpha])
+    return alpha, gap
