@@ -27,7 +27,8 @@ OUTPUT by its extension:
                       have the properties distance (NaN beyond) and weight
   .png and the like   three squares: the painting, the distances, the weights
   .csv .json .npz     the samples of the kernel: which, distance, weight, colour. The sum of weight times
-                      colour over the sum of the weights is what the iteration makes of the sample.
+                      colour over the sum of the weights is what the iteration makes of the sample
+                      (before `smooth` restores what was clipped).
 """
 
 
@@ -86,6 +87,10 @@ def command(
         f"{target}: kernel of the {facts['at']}, {facts['samples']} samples up to {facts['furthest']:.3g} of "
         f"{facts['radius']:.3g} away ({facts['unit_of_length']}), beta {facts['beta']:.3g}"
     )
+    if facts.get("cut_short"):
+        messages.warn(
+            f"{source}: the kernel was cut short at {facts['samples']} samples; lower -t, or raise --max-samples"
+        )
     for when in ("before", "after"):
         colours: Any = facts[when]
         messages.detail(f"{when:>8}: " + ", ".join(f"{name} {value:.4f}" for name, value in colours.items()))

@@ -250,13 +250,12 @@ _SMOOTHING = (
 
 # Those of one kernel, which is not written back, and what the others are without being asked for.
 _STUDYING = (
-    time_step, beta, threshold, metric_scale, metric_steps, preset, on, space, channels, units, weights, max_samples,
-    window, height, height_scale, positions, mask, level, inside, colours, max_voxels, slots, materials, texture_names,
-    alpha, *GUIDING, threads,
+    time_step, beta, beta_growth, threshold, metric_scale, metric_steps, preset, on, space, channels, units, weights,
+    max_samples, window, height, height_scale, positions, mask, level, inside, colours, max_voxels, slots, materials,
+    texture_names, alpha, *GUIDING, threads,
 )  # fmt: skip
 _UNASKED = {
     "iterations": _KERNEL.iterations,
-    "beta_growth": _KERNEL.beta_growth,
     "clipping": _KERNEL.clipping,
     "gutter": str(_TEXTURES.gutter),
     "texture_format": _TEXTURES.image_suffix,

@@ -128,7 +128,7 @@ def describe(
         "iteration": parameters.iterations + 1,
         "regularised_metric": parameters.is_regularised(parameters.iterations),
         "t": parameters.t,
-        "beta": beta,
+        "beta": beta * parameters.growth(parameters.iterations),
         "threshold": parameters.threshold,
         "unit_of_length": unit,
         "radius": parameters.radius,

@@ -69,7 +69,11 @@ def study_vertex(
     shades = shown.shades(flow.run(progress).colours)
     kernel = flow.kernel_at(int(sampling.sample_of[vertex]))
     vertices = sampling.first_vertex[kernel.samples]
-    facts = {"at": f"vertex {vertex}", "position": painted.positions[vertex].tolist()}
+    facts = {
+        "at": f"vertex {vertex}",
+        "position": painted.positions[vertex].tolist(),
+        "cut_short": len(kernel.samples) == settings.kernel.max_samples,
+    }
     columns = {"vertex": vertices, **dict(zip("xyz", painted.positions[vertices].T, strict=True))}
     return KernelStudy(
         {**facts, **describe(kernel, shown, settings.kernel, flow.beta)},

@@ -15,7 +15,15 @@ Array = NDArray[np.float64]
 
 # Section 5 of the paper: one iteration, t 0.5, a threshold of 0.01, 7 x 7, fast marching by the metric at each pixel,
 # with distances from the colours as they are.
-PAPER = {"iterations": 1, "t": 0.5, "threshold": 0.01, "window": 7, "scheme": "metric", "metric_steps": 0}
+PAPER = {
+    "iterations": 1,
+    "t": 0.5,
+    "threshold": 0.01,
+    "window": 7,
+    "scheme": "metric",
+    "metric_steps": 0,
+    "clipping": "keep",
+}
 
 
 @dataclass(frozen=True)

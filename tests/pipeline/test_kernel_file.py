@@ -26,11 +26,14 @@ SEVERAL = SAMPLES / "torus-two-noisy.gltf"
 PICTURE = SAMPLES / "head-tex-noisy.png"
 # Parameters that make different kernels: the default (a regularised metric), the paper's, a Gaussian.
 KERNELS = {
-    "default": SmoothSettings(KernelParameters(iterations=1)),
+    "default": SmoothSettings(KernelParameters(iterations=1, clipping="keep")),
     "paper": SmoothSettings(KernelParameters(**PRESETS["paper"])),
     "gauss": SmoothSettings(KernelParameters(iterations=1, beta=0.0)),
 }
-OF_VERTICES = {**KERNELS, "area": SmoothSettings(KernelParameters(iterations=1, weights="area"))}
+OF_VERTICES = {
+    **KERNELS,
+    "area": SmoothSettings(KernelParameters(iterations=1, weights="area", clipping="keep")),
+}
 
 
 RANGE = ("obj_info num_cols 14", "obj_info num_rows 11")
@@ -148,11 +151,19 @@ def test_the_samples_of_a_texel_give_what_smoothing_makes_of_it(kernel, tmp_path
 
 
 def test_a_kernel_of_a_later_iteration_continues_those_before_it(folder, tmp_path):
-    settings = as_data(SmoothSettings(KernelParameters(iterations=3)))
+    kernel = KernelParameters(iterations=3, beta=8.0, beta_growth=1.5, clipping="keep")
+    settings = as_data(SmoothSettings(kernel))
     facts = study(folder / "image.exr", "18,11", tmp_path, settings, iteration=3)
     image = read_pixels(smoothed(folder / "image.exr", tmp_path / "out.exr", settings))
     np.testing.assert_allclose(mean_of(facts), image[11, 18], atol=1e-6)
     assert not facts["regularised_metric"]
+    assert facts["beta"] == pytest.approx(8 * 1.5**2)
+
+
+def test_a_kernel_that_is_cut_short_says_so(tmp_path):
+    few = SmoothSettings(KernelParameters(beta=0.0, max_samples=20))
+    assert study(HEAD, "1234", tmp_path, few)["cut_short"]
+    assert not study(HEAD, "1234", tmp_path)["cut_short"]
 
 
 @pytest.mark.parametrize(
