@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from types import FrameType
 
 # Command -> module; a module is imported only when its command, or the list of all commands, is asked for.
-COMMANDS = {"bake": "bake", "info": "info", "kernel": "kernel", "smooth": "smooth"}
+COMMANDS = {"bake": "bake", "check": "check", "info": "info", "kernel": "kernel", "smooth": "smooth"}
 
 INTERRUPTED = 130
 _ENDINGS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
@@ -53,6 +53,7 @@ Examples:
   beltrami smooth scan.ply clean.ply          denoise the vertex colours of a scan
   beltrami info scan.ply                      what is coloured, how noisy it is
   beltrami smooth scan.obj clean.glb          smooth and convert
+  beltrami check scan.ply clean.ply           prove that nothing but colours differs
   cat scan.ply | beltrami smooth - - > c.ply  through a pipe
 
 \b

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from beltrami_cli.formats.anatomy import Anatomy
     from beltrami_cli.mesh.painted import MeshContents, MovedVertices, PaintedVertices
     from beltrami_cli.mesh.textured import ImageFile, Slot, TexturedSurface
 
@@ -196,6 +197,16 @@ class Document(ABC):
         InputError
             As `painted`.
         """
+
+    def anatomy(self) -> Anatomy:
+        """Take the file apart, for comparison with another.
+
+        Raises
+        ------
+        InputError
+            If it cannot be taken apart, or what it is made of is damaged.
+        """
+        raise InputError(self.name, f"a {self.format} file cannot be compared with another")
 
     @abstractmethod
     def facts(self) -> dict[str, object]:

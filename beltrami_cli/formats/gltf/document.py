@@ -11,6 +11,7 @@ from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.beside import Beside
 from beltrami_cli.formats.document import NO_IMAGES, Document
 from beltrami_cli.formats.gltf.accessors import Accessors, Stored, fractions
+from beltrami_cli.formats.gltf.anatomy import take_apart
 from beltrami_cli.formats.gltf.attributes import attribute_names, read_attribute
 from beltrami_cli.formats.gltf.buffers import Buffers
 from beltrami_cli.formats.gltf.container import read_container
@@ -37,6 +38,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from beltrami_cli.formats.anatomy import Anatomy
     from beltrami_cli.formats.document import Written
     from beltrami_cli.mesh.textured import ImageFile, Slot, TexturedSurface
 
@@ -228,6 +230,9 @@ class GltfDocument(Document):
 
     def contents(self) -> MeshContents:  # noqa: D102
         return contents_of(self)
+
+    def anatomy(self) -> Anatomy:  # noqa: D102
+        return take_apart(self)
 
     def facts(self) -> dict[str, object]:  # noqa: D102
         return summary(self)

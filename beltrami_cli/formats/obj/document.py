@@ -12,6 +12,7 @@ from beltrami_cli.errors import InputError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.beside import Beside
 from beltrami_cli.formats.document import NO_IMAGES, Document, Written
+from beltrami_cli.formats.obj.anatomy import take_apart
 from beltrami_cli.formats.obj.materials import Materials
 from beltrami_cli.formats.obj.normals import read_normals
 from beltrami_cli.formats.obj.polygons import among
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from beltrami_cli.formats.anatomy import Anatomy
     from beltrami_cli.formats.document import Bytes
     from beltrami_cli.formats.obj.texturing import Coordinates
     from beltrami_cli.mesh.textured import ImageFile, Slot, TexturedSurface
@@ -182,6 +184,12 @@ class ObjDocument(Document):
             stored=self._stored,
             alpha=None if alpha is None else np.clip(alpha, 0, 1).astype(np.float32),
             left_out=self._scan.dropped,
+        )
+
+    def anatomy(self) -> Anatomy:
+        """Take the file and its libraries apart; see `Document.anatomy`."""
+        return take_apart(
+            self._data, self._scan, self._colours if self.has_vertex_colours() else None, self._materials
         )
 
     def facts(self) -> dict[str, object]:

@@ -12,14 +12,16 @@ from beltrami_cli.errors import InputError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.beside import Beside, is_outside
 from beltrami_cli.formats.document import NO_IMAGES, Document, Written
+from beltrami_cli.formats.ply.anatomy import take_apart
 from beltrami_cli.formats.ply.attributes import NORMAL, POSITION, attribute_names, read_attribute
 from beltrami_cli.formats.ply.header import read_header
 from beltrami_cli.formats.ply.moving import moved_changes, require_real
 from beltrami_cli.formats.ply.paint import find_paint, finite_columns, read_colours, store_colours
 from beltrami_cli.formats.ply.patching import Change, patch_body
-from beltrami_cli.formats.ply.polygons import VERTEX_LISTS, read_polygons
+from beltrami_cli.formats.ply.polygons import read_polygons
 from beltrami_cli.formats.ply.range_grid import read_grid
 from beltrami_cli.formats.ply.repainting import renamed_images
+from beltrami_cli.formats.ply.summary import facts_of, left_out
 from beltrami_cli.formats.ply.tables import read_tables
 from beltrami_cli.formats.ply.texturing import find_coordinates, gather_textured, read_comments
 from beltrami_cli.formats.tokens import exchange_spans
@@ -31,6 +33,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from beltrami_cli.formats.anatomy import Anatomy
     from beltrami_cli.formats.ply.paint import Colours, Paint
     from beltrami_cli.formats.ply.tables import Table
     from beltrami_cli.formats.ply.texturing import TextureComment
@@ -182,21 +185,28 @@ class PlyDocument(Document):
             stored=str(np.dtype(self._paint.type)),
             alpha=self._alpha(),
             normals=self._normals() if has_normals else None,
-            left_out=self._left_out(has_normals),
+            left_out=left_out(
+                self._header,
+                {*POSITION, *self._paint.names, self._paint.alpha, *(NORMAL if has_normals else ())},
+            ),
         )
 
     def facts(self) -> dict[str, object]:
         """Return what the header says."""
-        return {
-            "format": self.format,
-            "encoding": self._header.encoding,
-            "elements": {element.name: element.count for element in self._header.elements},
-            "properties": {
-                element.name: [known.name for known in element.properties]
-                for element in self._header.elements
-            },
-            "comments": self._header.comments,
-        }
+        return facts_of(self._header)
+
+    def anatomy(self) -> Anatomy:
+        """Take the file apart; see `Document.anatomy`."""
+        painted = self.has_vertex_colours()
+        return take_apart(
+            self._data,
+            self._header,
+            self._tables,
+            self._paint if painted else None,
+            self._colours.values if painted else None,
+            self._images,
+            self._beside,
+        )
 
     @cached_property
     def _tables(self) -> dict[str, Table]:
@@ -263,15 +273,3 @@ class PlyDocument(Document):
     def _normals(self) -> NDArray[np.float32]:
         largest = np.finfo(np.float32).max
         return np.clip(self._columns(NORMAL, "normal"), -largest, largest).astype(np.float32)
-
-    def _left_out(self, has_normals: bool) -> tuple[str, ...]:
-        used = {*POSITION, *self._paint.names, self._paint.alpha, *(NORMAL if has_normals else ())}
-        dropped = []
-        for element in self._header.elements:
-            known = used if element.name == "vertex" else VERTEX_LISTS.get(element.name, ())
-            others = [other.name for other in element.properties if other.name not in known]
-            if element.name != "vertex" and element.name not in VERTEX_LISTS:
-                dropped.append(f"element {element.name}")
-            elif others:
-                dropped.append(f"{element.name} properties {', '.join(others)}")
-        return (*dropped, *(["comments"] if self._header.comments else []))

@@ -1,0 +1,51 @@
+"""The command `beltrami check`."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import click
+
+from beltrami_cli.cli import options
+from beltrami_cli.cli.console import printable
+
+EPILOG = """\b
+Examples:
+  beltrami check scan.ply clean.ply
+  beltrami check scan.glb clean.glb --json | jq .differences
+  beltrami check scan.obj clean.obj -q && echo nothing but colours differs
+
+\b
+Exit codes: 0 nothing but colours and images differs; 1 something else does; otherwise as `beltrami`.
+"""
+
+
+@click.command("check", epilog=EPILOG)
+@click.argument("before", metavar="BEFORE")
+@click.argument("after", metavar="AFTER")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@options.reading
+@options.quiet
+@options.verbose
+def command(before: str, after: str, as_json: bool, quiet: bool, verbose: int, **reading: Any) -> int:
+    """List what differs between two files of a format, to prove that AFTER is BEFORE with other colours.
+
+    Colours and the pixels of images may differ. Anything else is an error: positions, faces, materials, names,
+    comments, whatever the format holds.
+    """
+    from beltrami_cli.pipeline.check_file import check_files
+
+    with options.reading_from(reading, before) as access:
+        report = check_files(before, after, access)
+    if as_json:
+        from dataclasses import asdict
+
+        click.echo(json.dumps({**asdict(report), "faithful": report.faithful}, indent=2))
+    elif not quiet:
+        for difference in report.differences:
+            mark = "colour" if difference.of_colour else "OTHER"
+            click.echo(printable(f"{mark:>6}  {difference.what}: {difference.detail}"))
+        others = sum(not difference.of_colour for difference in report.differences)
+        click.echo(f"{others} things besides colours differ" if others else "nothing else differs")
+    return 0 if report.faithful else 1

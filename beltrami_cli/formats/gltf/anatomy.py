@@ -1,0 +1,184 @@
+"""A glTF file taken apart, for comparison with another.
+
+Indices of the JSON are compared as they are, for a patch never moves what is there; what it appends is seen from what
+refers to it. Numbers are compared as accessors give them, so that it counts as no difference where colours are stored.
+"""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING, Any
+
+from beltrami_cli.errors import InputError
+from beltrami_cli.formats.anatomy import Anatomy, Painting
+from beltrami_cli.formats.beside import UnfitReferenceError
+from beltrami_cli.formats.gltf.draco import EXTENSION as DRACO
+from beltrami_cli.formats.gltf.pictures import FOREIGN, WEBP
+from beltrami_cli.formats.gltf.sharing import named_views, objects, used_otherwise
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from beltrami_cli.formats.gltf.document import GltfDocument
+    from beltrami_cli.formats.gltf.json_text import Tree
+
+_SHARED = ("accessors", "bufferViews", "buffers", "images", "textures", "materials", "meshes")
+_IMAGE_EXTENSIONS = {WEBP, *FOREIGN}
+_PLACE = ("uri", "bufferView", "mimeType")  # of an image
+_PACKED_PLACE = ("buffer", "byteOffset", "byteLength")  # of compressed bytes, in the extension of a view
+
+
+def take_apart(document: GltfDocument) -> Anatomy:
+    """Take a glTF file apart.
+
+    Raises
+    ------
+    InputError
+        If its colours or images cannot be read.
+    """
+    tree = document.container.copy_of_tree()
+    paintings: dict[str, Painting] = {}
+    parts = dict(_plain_parts(document, tree))
+    parts |= _materials(document, tree, paintings)
+    parts |= _meshes(tree)
+    parts |= _numbers(document, tree)
+    colours: dict[str, NDArray[np.float32]] = {}
+    if document.has_vertex_colours():
+        colours["vertex colours"] = document.painted().colours
+        alphas = [stored[:, 3].tobytes() for stored in document.stored_colours if stored.shape[1] == 4]
+        parts["opacity of vertex colours"] = b"".join(alphas)
+    return Anatomy(parts, colours, paintings)
+
+
+def _plain_parts(document: GltfDocument, tree: Tree) -> Iterator[tuple[str, bytes]]:
+    """Give what no patch changes."""
+    for key, value in tree.items():
+        if key in ("extensionsUsed", "extensionsRequired"):
+            kept = [name for name in value if name not in _IMAGE_EXTENSIONS]
+            if kept:
+                yield key, _spelled(kept)
+        elif key not in _SHARED:
+            yield from _entries(key, value)
+    for index, buffer in enumerate(objects(tree.get("buffers"))):
+        others = {key: value for key, value in buffer.items() if key not in ("uri", "byteLength")}
+        if others:
+            yield f"buffers[{index}]", _spelled(others)
+    container = document.container
+    chunks = container.chunks[1:] if container.binary is not None else container.chunks
+    for index, chunk in enumerate(chunks):
+        yield f"chunk {index} of type {chunk.kind:#x}", bytes(chunk.data)
+    yield "what follows the last chunk", bytes(container.tail)
+    yield "byte order mark", bytes([container.has_bom])
+
+
+def _entries(key: str, value: Any) -> Iterator[tuple[str, bytes]]:
+    if not isinstance(value, list):
+        yield key, _spelled(value)
+        return
+    for index, entry in enumerate(value):
+        yield f"{key}[{index}]", _spelled(entry)
+
+
+def _materials(document: GltfDocument, tree: Tree, paintings: dict[str, Painting]) -> dict[str, bytes]:
+    """Return the materials with what their textures say of images and samplers, and note the images."""
+    parts, shown = {}, set()
+    for index, material in enumerate(objects(tree.get("materials"))):
+        for place, info in _infos(material, f"materials[{index}]"):
+            number = info.pop("index")
+            if 0 <= number < len(document.pictures.textures):
+                shown.add(number)
+                info["texture"] = _texture(document, tree, number, place, paintings)
+        parts[f"materials[{index}]"] = _spelled(material)
+    for number in range(len(document.pictures.textures)):
+        if number not in shown:
+            place = f"textures[{number}]"
+            parts[place] = _spelled(_texture(document, tree, number, place, paintings))
+    return parts
+
+
+def _infos(value: Any, place: str) -> Iterator[tuple[str, Tree]]:
+    """Find all textureInfos in a material, with their places."""
+    if isinstance(value, list):
+        for index, child in enumerate(value):
+            yield from _infos(child, f"{place}[{index}]")
+    elif isinstance(value, dict):
+        for key, child in list(value.items()):
+            yield from _infos(child, f"{place}.{key}")
+        if isinstance(value.get("index"), int):
+            yield place, value
+
+
+def _texture(
+    document: GltfDocument, tree: Tree, number: int, place: str, paintings: dict[str, Painting]
+) -> Tree:
+    """Return a texture without where its image is, and note the image."""
+    texture = dict(tree["textures"][number])
+    texture.pop("source", None)
+    kept = {k: v for k, v in texture.pop("extensions", {}).items() if k not in _IMAGE_EXTENSIONS}
+    try:
+        image = document.pictures.shown(number)
+        paintings[place] = Painting(document.pictures.name(image), document.pictures.data(image))
+    except UnfitReferenceError as error:
+        return texture | {"extensions": kept, "image": str(error)}
+    others = {key: value for key, value in tree["images"][image].items() if key not in _PLACE}
+    return texture | {"extensions": kept, "image": others}
+
+
+def _meshes(tree: Tree) -> dict[str, bytes]:
+    """Return the meshes without which accessors their colours have."""
+    parts = {}
+    for index, mesh in enumerate(objects(tree.get("meshes"))):
+        for primitive in objects(mesh.get("primitives")):
+            packed = primitive.get("extensions", {}).get(DRACO, {})
+            for attributes in (primitive.get("attributes", {}), packed.get("attributes", {})):
+                attributes.pop("COLOR_0", None)
+        parts[f"meshes[{index}]"] = _spelled(mesh)
+    return parts
+
+
+def _numbers(document: GltfDocument, tree: Tree) -> dict[str, bytes]:
+    """Return the accessors that are not only colours, with their numbers, and the views that they look through."""
+    accessors, parts = document.accessors, {}
+    others = used_otherwise(tree, "COLOR_0")
+    colours = {
+        primitive.get("attributes", {}).get("COLOR_0")
+        for mesh in objects(document.container.tree.get("meshes"))
+        for primitive in objects(mesh.get("primitives"))
+    }
+    opaque = set(named_views({k: v for k, v in tree.items() if k not in ("images", "accessors")}))
+    views = set(opaque)
+    for index, accessor in enumerate(objects(tree.get("accessors"))):
+        if index in colours and index not in others:
+            continue
+        views |= set(named_views(accessor))
+        try:
+            numbers = accessors.stored(index).tobytes()
+        except InputError as error:
+            numbers = str(error.cause).encode()
+        parts[f"accessors[{index}]"] = _spelled(accessor) + numbers
+    for index in sorted(views):
+        parts[f"bufferViews[{index}]"] = _spelled(_view(tree["bufferViews"][index]))
+        if index in opaque:  # such as geometry compressed with Draco
+            view = accessors.views[index]
+            octets = accessors.buffers.stored(view.buffer)
+            parts[f"bytes of bufferViews[{index}]"] = bytes(octets[view.offset : view.offset + view.length])
+    return parts
+
+
+def _view(view: Tree) -> Tree:
+    """Return a view, without where its bytes are compressed, for they are compressed anew with their colours."""
+    extensions = {}
+    for name, holder in view.get("extensions", {}).items():
+        extensions[name] = (
+            {k: v for k, v in holder.items() if k not in _PACKED_PLACE}
+            if isinstance(holder, dict)
+            else holder
+        )
+    return view | ({"extensions": extensions} if extensions else {})
+
+
+def _spelled(value: Any) -> bytes:
+    return json.dumps(value, sort_keys=True, ensure_ascii=False).encode("utf-8", "surrogatepass")
