@@ -46,6 +46,10 @@ class InputError(BeltramiError):
         super().__init__(f"{name}: {cause}" + (f"; {remedy}" if remedy else ""))
 
 
+class UnpaintedError(InputError):
+    """The input is sound, but has no colours of the kind that was asked for."""
+
+
 class OutputError(BeltramiError):
     """The output cannot be written, or must not be.
 

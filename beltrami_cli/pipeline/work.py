@@ -6,10 +6,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from beltrami_cli.errors import InputError, UsageError
+from beltrami_cli.errors import InputError, UnpaintedError, UsageError
 from beltrami_cli.pipeline.settings import OUTPUT_FORMATS
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from beltrami_cli.formats.document import Document
     from beltrami_cli.mesh.textured import Slot
     from beltrami_cli.pipeline.settings import Format, SmoothSettings
@@ -58,18 +60,31 @@ def choose_work(document: Document, settings: SmoothSettings) -> Work:
         missing = "vertex colours" if slots else "textures in the chosen slots"
         raise InputError(document.name, f"it has no {missing}", "use --on auto")
     if not slots:
-        raise InputError(
-            document.name,
-            "it has neither vertex colours nor textures to smooth"
-            + (f", but textures in the slots {', '.join(present)}" if present else ""),
-            f"add --slots {present[0]}" if present else "",
-        )
+        raise _nothing_to_smooth(document, present)
     slots = _with_chosen_textures(document, slots, settings)
     both = settings.on == "both"
     notices = (
         ("its vertex colours stay as they are; --on both smooths them too",) if coloured and not both else ()
     )
     return Work(vertices=both, slots=slots, notices=notices)
+
+
+def _nothing_to_smooth(document: Document, present: Sequence[Slot]) -> InputError:
+    """Return the error that there are no colours, or that they are damaged."""
+    try:
+        document.painted()
+    except UnpaintedError:
+        pass
+    except InputError as error:
+        return error
+    cause = "it has neither vertex colours nor textures to smooth"
+    if present:
+        remedy = f"add --slots {present[0]}"
+        return UnpaintedError(
+            document.name, f"{cause}, but textures in the slots {', '.join(present)}", remedy
+        )
+    reason = document.notices[0].rstrip(".") if document.notices else ""
+    return UnpaintedError(document.name, cause + (f" ({reason})" if reason else ""))
 
 
 def _with_chosen_textures(

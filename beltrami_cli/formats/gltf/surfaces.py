@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli.errors import InputError
+from beltrami_cli.errors import UnpaintedError
 from beltrami_cli.formats.gltf.primitives import (
     attribute_accessor,
     drawing_mode,
@@ -89,7 +89,7 @@ def gather(root: Entry, accessors: Accessors, places: Sequence[Placement]) -> Su
             gathering.take(primitive, placement, (number, part))
     if not gathering.blocks:
         remedy = "paint the vertices first, or bake the texture into them"
-        raise InputError(root.name, "the model has no vertex colours (COLOR_0)", remedy)
+        raise UnpaintedError(root.name, "the model has no vertex colours (COLOR_0)", remedy)
     return gathering.surface()
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from beltrami_cli.errors import InputError
+from beltrami_cli.errors import InputError, UnpaintedError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.beside import Beside
 from beltrami_cli.formats.document import NO_IMAGES, Document, Written
@@ -241,8 +241,8 @@ class ObjDocument(Document):
     def _coordinates(self) -> Coordinates:
         return read_coordinates(Statements(self._data, self.name), self._materials)
 
-    def _unpainted(self) -> InputError:
+    def _unpainted(self) -> UnpaintedError:
         cause = "there are no vertex colours on its 'v' lines"
         if self._scan.libraries:
             cause += ", only materials"
-        return InputError(self.name, cause, "export the mesh with vertex colours (v x y z r g b)")
+        return UnpaintedError(self.name, cause, "export the mesh with vertex colours (v x y z r g b)")

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from beltrami_cli.errors import InputError
+from beltrami_cli.errors import InputError, UnpaintedError
 from beltrami_cli.formats.scale import full_scale
 
 if TYPE_CHECKING:
@@ -93,11 +93,11 @@ def _is_grey(vertices: Table, kind: str) -> bool:
     return bool(((values >= 0) & (values <= 1)).all())
 
 
-def _unpainted(header: Header, vertices: Element, name: str) -> InputError:
+def _unpainted(header: Header, vertices: Element, name: str) -> UnpaintedError:
     known = ", ".join(known.name for known in vertices.properties)
     faces = header.element("face")
     on_faces = faces is not None and any(known.name == "red" for known in faces.properties)
-    return InputError(
+    return UnpaintedError(
         name,
         f"no vertex colours among the vertex properties {known[:300]}"
         + (", only face colours" if on_faces else ""),
