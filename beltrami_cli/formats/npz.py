@@ -31,6 +31,7 @@ _DEFLATE_RATIO = 1032  # a byte cannot stand for more: zlib's technical notes
 
 # The first name that is there is taken. A level set has one of these, and a cloud of points has not.
 LEVEL_SET_KEYS = ("values", "sdf", "tsdf", "level_set")
+POSITION_KEYS = ("positions", "points", "xyz")
 
 
 @dataclass(frozen=True)
@@ -102,7 +103,7 @@ class NpzArchive:
         """Tell what the archive holds, by the names of its arrays."""
         if self.first(LEVEL_SET_KEYS):
             return "level set"
-        return "points" if self.first(("points", "positions")) else None
+        return "points" if self.first(POSITION_KEYS) else None
 
     def first(self, names: Iterable[str]) -> str | None:
         """Return the first of some names that is there."""

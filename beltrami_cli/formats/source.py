@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access, NotRegularError, read_regular
 from beltrami_cli.formats.image.recognition import is_image
+from beltrami_cli.formats.npz import NpzArchive
 
 if TYPE_CHECKING:
     from beltrami_cli.formats.document import Document
@@ -30,7 +31,8 @@ _ARCHIVES = {
 
 _JSON = re.compile(rb"(?:\xef\xbb\xbf)?[ \t\r\n]*\{")
 _PIECE = 1 << 24
-_READABLE = "beltrami reads PLY, OBJ, glTF (.gltf) and GLB files"
+_READABLE = "beltrami reads PLY, OBJ, glTF (.gltf) and GLB files, and points in .xyz, .pts and .npz"
+_LINES_OF_POINTS = {".xyz": "xyz", ".xyzrgb": "xyz", ".pts": "pts"}
 
 
 def open_document(source: str, access: Access = EVERYTHING_INSIDE) -> Document:
@@ -39,14 +41,15 @@ def open_document(source: str, access: Access = EVERYTHING_INSIDE) -> Document:
     Parameters
     ----------
     source : str
-        Path, or "-" for standard input (PLY or GLB).
+        Path, or "-" for standard input (what its content shows).
     access : Access
         What may be read.
 
     Returns
     -------
     Document
-        Of the format that the content shows; only OBJ, which has no mark of its own, is told by its name.
+        Of the format that the content shows; only OBJ and lines of points, which have no mark of their own, are told by
+        the name.
 
     Raises
     ------
@@ -113,6 +116,10 @@ def recognise(data: bytes, name: str, folder: Path | None, access: Access = EVER
         from beltrami_cli.formats.gltf import GltfDocument
 
         return GltfDocument(data, name, folder, access)
+    if NpzArchive.recognises(data):
+        from beltrami_cli.formats.points import NpzPointsDocument
+
+        return NpzPointsDocument(data, name, access)
     archive = _archive(data)
     if archive is not None:
         raise InputError(
@@ -122,6 +129,11 @@ def recognise(data: bytes, name: str, folder: Path | None, access: Access = EVER
         from beltrami_cli.formats.obj import ObjDocument
 
         return ObjDocument(data, name, folder, access)
+    lines = _LINES_OF_POINTS.get(Path(name).suffix.lower())
+    if lines and data:
+        from beltrami_cli.formats.points import TextPointsDocument
+
+        return TextPointsDocument(data, name, lines)
     if not data:
         raise InputError(name, "the file is empty", _READABLE)
     if is_image(data, name):

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.errors import UsageError
+from beltrami_cli.pipeline.settings import POINT_FORMATS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -41,7 +42,7 @@ def make_files(
         Rows as in ``document.painted().colours``; None: as they are.
     images : mapping of (Slot, str) to ImageFile
         New images, as `Document.patch` takes them.
-    target_format : {"ply", "obj", "glb", "gltf"}
+    target_format : {"ply", "obj", "glb", "gltf", "xyz", "pts", "npz"}
         The document's own, which changes nothing but colours, or another.
     stem : str
         Name of the output without extension, for files beside it.
@@ -96,13 +97,18 @@ def write_contents(contents: MeshContents, target_format: Format, stem: str) -> 
         from beltrami_cli.formats.obj import write_obj
 
         return write_obj(contents, stem)
+    if target_format in POINT_FORMATS:
+        from beltrami_cli.formats.points import write_npz, write_pts, write_xyz
+
+        return {"xyz": write_xyz, "pts": write_pts, "npz": write_npz}[target_format](contents, stem)
     from beltrami_cli.formats.gltf import write_glb, write_gltf
 
     return write_glb(contents, stem) if target_format == "glb" else write_gltf(contents, stem)
 
 
 def write_textured(mesh: TexturedMesh, target_format: Format, stem: str) -> Written:
-    """Write a mesh with one texture as a new file."""
+    """Write a mesh with one texture as a new file; UsageError if the format has no textures."""
+    _require_textures(target_format)
     if target_format == "ply":
         from beltrami_cli.formats.ply import write_textured_ply
 
@@ -117,8 +123,23 @@ def write_textured(mesh: TexturedMesh, target_format: Format, stem: str) -> Writ
 
 
 def names_beside(target_format: Format, stem: str, image_suffix: str | None) -> list[str]:
-    """Return the files that `write_textured`, or without an image `write_contents`, puts beside the main one."""
+    """Return the files that `write_textured`, or without an image `write_contents`, puts beside the main one.
+
+    Raises
+    ------
+    UsageError
+        If there is an image, and the format has no textures.
+    """
+    if image_suffix is not None:
+        _require_textures(target_format)
     names = [f"{stem}.bin"] if target_format == "gltf" else []
     if image_suffix is None or target_format == "glb":
         return names
     return [*names, *([f"{stem}.mtl"] if target_format == "obj" else []), stem + image_suffix]
+
+
+def _require_textures(target_format: Format) -> None:
+    if target_format in POINT_FORMATS:
+        raise UsageError(
+            f"a .{target_format} file has no textures; end the name of the output in .glb, .obj or .ply"
+        )

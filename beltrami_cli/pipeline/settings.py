@@ -11,8 +11,9 @@ from beltrami_cli.pipeline.embedding_settings import EmbeddingSettings
 from beltrami_cli.pipeline.image_settings import ImageSettings
 from beltrami_cli.pipeline.level_set_settings import LevelSetSettings
 
-Format = Literal["ply", "obj", "glb", "gltf"]
-OUTPUT_FORMATS: dict[str, Format] = {"ply": "ply", "obj": "obj", "glb": "glb", "gltf": "gltf"}
+Format = Literal["ply", "obj", "glb", "gltf", "xyz", "pts", "npz"]
+OUTPUT_FORMATS: dict[str, Format] = {**{name: name for name in get_args(Format)}, "xyzrgb": "xyz"}
+POINT_FORMATS = ("xyz", "pts", "npz")
 
 # What --format can name besides; output names may end in every extension of a format that can be written.
 IMAGE_FORMATS = ("png", "jpg", "webp", "tif", "exr", "tga", "bmp", "hdr", "jxl", "jp2", "ppm")

@@ -1,0 +1,152 @@
+"""What the columns of a cloud are: by their names, or by how many there are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from beltrami_cli.errors import InputError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from beltrami_cli.formats.points.lines import PointTable
+
+_POSITION = (("x", "y", "z"),)
+_COLOURS = (
+    ("r", "g", "b"),
+    ("red", "green", "blue"),
+    ("rf", "gf", "bf"),
+    ("diffuse_red", "diffuse_green", "diffuse_blue"),
+)
+_NORMALS = (("nx", "ny", "nz"), ("normal_x", "normal_y", "normal_z"))
+_INTENSITIES = ("intensity", "i", "scalar_intensity", "reflectance", "grey", "gray")
+
+_RGB, _NORMAL = ("red", "green", "blue"), ("nx", "ny", "nz")
+_KNOWN = {
+    4: (("intensity",),),
+    6: (_RGB,),
+    7: (("intensity", *_RGB),),
+    9: ((*_RGB, *_NORMAL), (*_NORMAL, *_RGB)),
+    10: (("intensity", *_RGB, *_NORMAL),),
+}
+"""What follows x, y and z, by the number of all columns; of two the first has no normals where there are none."""
+
+_UNIT = 0.02  # how far the length of a normal may be from 1, for as few decimals as two
+_REMEDY = "name them in a first line, such as: # x y z r g b"
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Which columns are what.
+
+    Attributes
+    ----------
+    position : tuple of int
+        Three columns.
+    colours : tuple of int
+        Three columns, or that of the intensity.
+    normal : tuple of int
+        Three columns, or none.
+    others : dict of str to int
+        The rest that has a name.
+    notice : str
+        What is to be told of it, or empty.
+    """
+
+    position: tuple[int, ...]
+    colours: tuple[int, ...]
+    normal: tuple[int, ...]
+    others: dict[str, int]
+    notice: str
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """The names of the colours."""
+        return _RGB if len(self.colours) == 3 else ("intensity",)
+
+
+def find_columns(table: PointTable, name: str) -> Columns:
+    """Tell what the columns of a table are.
+
+    Parameters
+    ----------
+    table : PointTable
+        The points.
+    name : str
+        The file's name for messages.
+
+    Returns
+    -------
+    Columns
+
+    Raises
+    ------
+    InputError
+        If there are no positions, or neither colours nor intensities, or it cannot be told where.
+
+    Notes
+    -----
+    Without names 6 columns are x y z r g b, 4 are x y z intensity and 7 are x y z intensity r g b. 9 and 10 have
+    normals besides, before or behind the colours, which are told by their length.
+    """
+    if table.names:
+        return _by_name(table.names, name, "")
+    width = table.values.shape[1]
+    if width == 3:
+        raise InputError(
+            name, "its points have 3 numbers each, so there are no colours", "add r g b to each line"
+        )
+    if width not in _KNOWN:
+        raise InputError(
+            name, f"its points have {width} numbers each, and it cannot be told which are colours", _REMEDY
+        )
+    layouts = [layout for layout in _KNOWN[width] if _fits(layout, table.values)]
+    if not layouts:
+        cause = (
+            "columns 4 to 6 are normals, and no colours"
+            if width == 6
+            else "the normals cannot be told from colours"
+        )
+        raise InputError(name, cause, _REMEDY)
+    names = ("x", "y", "z", *layouts[0])
+    notice = "" if width == 6 else f"Its {width} columns are taken for {' '.join(names)}."
+    return _by_name(names, name, notice)
+
+
+def _by_name(names: tuple[str, ...], name: str, notice: str) -> Columns:
+    position = _together(names, _POSITION)
+    if not position:
+        raise InputError(name, f"the columns {' '.join(names)[:200]} have no x, y and z", _REMEDY)
+    intensity = next(((names.index(known),) for known in _INTENSITIES if known in names), ())
+    colours = _together(names, _COLOURS) or intensity
+    if not colours:
+        raise InputError(name, f"the columns {' '.join(names)[:200]} have no colours", _REMEDY)
+    normal = _together(names, _NORMALS)
+    used = {*position, *colours, *normal}
+    others = {known: column for column, known in enumerate(names) if column not in used}
+    return Columns(position, colours, normal, others, notice)
+
+
+def _together(names: tuple[str, ...], triples: tuple[tuple[str, ...], ...]) -> tuple[int, ...]:
+    """Return the columns of the first triple of names that is there."""
+    for triple in triples:
+        if all(known in names for known in triple):
+            return tuple(names.index(known) for known in triple)
+    return ()
+
+
+def _fits(layout: tuple[str, ...], values: NDArray[np.float64]) -> bool:
+    """Tell whether three columns are normals exactly where a layout has them."""
+    groups = [first for first, known in enumerate(layout) if known in ("red", "nx")]
+    return all(_are_normals(values[:, 3 + first : 6 + first]) == (layout[first] == "nx") for first in groups)
+
+
+def _are_normals(values: NDArray[np.float64]) -> bool:
+    finite = values[np.isfinite(values).all(axis=1)]
+    lengths = np.linalg.norm(finite, axis=1)
+    told = lengths > 0  # where none is known it is 0
+    pure = (finite >= 0).all() and (finite % 1 == 0).all()  # red, green and blue have length 1 as well
+    return bool(told.any() and (np.abs(lengths[told] - 1) < _UNIT).all() and not pure)

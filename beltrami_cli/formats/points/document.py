@@ -1,0 +1,194 @@
+"""Text files of points whose colours can be replaced, every other byte staying as it is."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from beltrami_cli.errors import InputError
+from beltrami_cli.formats.anatomy import HIDDEN, Anatomy
+from beltrami_cli.formats.document import NO_IMAGES, Document, Written
+from beltrami_cli.formats.points.columns import find_columns
+from beltrami_cli.formats.points.lines import read_table
+from beltrami_cli.formats.points.scaling import colour_scale, intensity_scale
+from beltrami_cli.formats.points.spelling import respelled
+from beltrami_cli.formats.tokens import exchange_tokens
+from beltrami_cli.mesh.painted import MeshContents, MovedVertices, PaintedVertices
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from beltrami_cli.formats.points.columns import Columns
+    from beltrami_cli.formats.points.lines import PointTable
+    from beltrami_cli.mesh.textured import ImageFile, Slot
+
+
+class TextPointsDocument(Document):
+    """Lines of coordinates and colours, or intensities.
+
+    Parameters
+    ----------
+    data : bytes
+        The file.
+    name : str
+        Its name for messages.
+    kind : str
+        "xyz" or "pts", which differ in what is usual only.
+    """
+
+    format: str  # type: ignore[misc]  # told by the file's extension
+
+    def __init__(self, data: bytes, name: str, kind: str) -> None:
+        super().__init__(name)
+        self._data, self.format = data, kind
+
+    def painted(self) -> PaintedVertices:
+        """Return the points that have a place, with their colours; see `Document.painted`."""
+        return self._painted
+
+    @cached_property
+    def _painted(self) -> PaintedVertices:
+        return PaintedVertices(
+            positions=self._picked(self._columns.position),
+            faces=np.empty((0, 3), np.int32),
+            colours=self._colours,
+            channels=self._columns.channels,
+            encoding="srgb",
+            stored="text",
+        )
+
+    def attributes(self) -> tuple[str, ...]:
+        """Return the names of the other columns; see `Document.attributes`."""
+        return (*(("normal",) if self._columns.normal else ()), *self._columns.others)
+
+    def attribute(self, name: str) -> NDArray[np.float64]:
+        """Return a column, or the three of a normal; see `Document.attribute`."""
+        if name.lower() == "normal" and self._columns.normal:
+            return self._picked(self._columns.normal)
+        if name.lower() not in self._columns.others:
+            return super().attribute(name)
+        return self._picked((self._columns.others[name.lower()],))
+
+    def patch(
+        self,
+        colours: NDArray[np.float32] | None,
+        stem: str,
+        *,
+        moved: bool,
+        images: Mapping[tuple[Slot, str], ImageFile] = NO_IMAGES,
+        places: MovedVertices | None = None,
+    ) -> Written:
+        """Return the file with other colours; see `Document.patch`."""
+        if colours is None:
+            return Written([self._data])
+        tokens = np.ix_(self._measured, np.array(self._columns.colours))
+        starts, ends = self._table.starts[tokens], self._table.ends[tokens]
+        return Written(respelled(self._data, starts, ends, self._colours, colours, self._scale))
+
+    def references(self) -> Sequence[str]:
+        """Return nothing: there are no files beside."""
+        return ()
+
+    def contents(self) -> MeshContents:
+        """Return the points, and no polygons; see `Document.contents`."""
+        painted, columns = self.painted(), self._columns
+        dropped = [f"columns {', '.join(columns.others)}"] if columns.others else []
+        if len(self._measured) < len(self._table.values):
+            dropped.append("points without a place")
+        return MeshContents(
+            positions=painted.positions,
+            corners=np.empty(0, np.int32),
+            offsets=np.zeros(1, np.int64),
+            colours=painted.colours,
+            encoding="srgb",
+            stored="text",
+            normals=self._picked(columns.normal).astype(np.float32) if columns.normal else None,
+            left_out=tuple(dropped),
+        )
+
+    def anatomy(self) -> Anatomy:
+        """Take the lines apart; see `Document.anatomy`."""
+        if not self.has_vertex_colours():
+            return Anatomy({"lines": self._data})
+        tokens = np.ix_(self._measured, np.array(self._columns.colours))
+        starts, ends = np.sort(self._table.starts[tokens].ravel()), np.sort(self._table.ends[tokens].ravel())
+        pieces = exchange_tokens(
+            self._data, starts, ends, lambda block: [HIDDEN] * (block.stop - block.start)
+        )
+        return Anatomy({"lines": b"".join(pieces)}, {"point colours": self._colours})
+
+    def facts(self) -> dict[str, object]:
+        """Return counts of what the file has."""
+        names = self._table.names or find_names(self._columns, self._table.values.shape[1])
+        return {
+            "format": self.format,
+            "points": len(self._table.values),
+            "columns": list(names),
+            "announced": list(self._table.counts),
+        }
+
+    @cached_property
+    def _table(self) -> PointTable:
+        table = read_table(self._data, self.name)
+        if not len(table.values):
+            raise InputError(self.name, "there are no points", "nothing in it can be smoothed")
+        return table
+
+    @cached_property
+    def _columns(self) -> Columns:
+        columns = find_columns(self._table, self.name)
+        self.notices += [columns.notice] if columns.notice else []
+        return columns
+
+    @cached_property
+    def _measured(self) -> NDArray[np.intp]:
+        """Rows of the points that have a place; scanners write NaN where nothing was measured."""
+        finite = np.asarray(np.isfinite(self._table.values[:, self._columns.position]).all(axis=1))
+        if not finite.all():
+            count = int(np.count_nonzero(~finite))
+            self.notices.append(f"{count} of {len(finite)} points have no place, and take no part.")
+        return np.flatnonzero(finite)
+
+    @cached_property
+    def _stored(self) -> NDArray[np.float64]:
+        colours = self._picked(self._columns.colours)
+        if not len(colours):
+            raise InputError(self.name, "none of its points has a place", "nothing in it can be smoothed")
+        finite = np.isfinite(colours).all(axis=1)
+        if not finite.all():
+            row = int(self._measured[int(np.argmin(finite))])
+            raise InputError(self.name, f"the colour of point {row} is not finite", "repair the file")
+        return colours
+
+    @cached_property
+    def _scale(self) -> float:
+        grey = len(self._columns.colours) == 1
+        scale, notice = intensity_scale(self._stored) if grey else colour_scale(self._stored, self.name)
+        self.notices += [notice] if notice else []
+        return scale
+
+    @cached_property
+    def _colours(self) -> NDArray[np.float32]:
+        return (self._stored / self._scale).astype(np.float32)
+
+    def _picked(self, columns: tuple[int, ...]) -> NDArray[np.float64]:
+        return np.ascontiguousarray(self._table.values[np.ix_(self._measured, np.array(columns))])
+
+
+def find_names(columns: Columns, count: int) -> list[str]:
+    """Return what each column was taken for."""
+    names = ["?"] * count
+    for group, known in (
+        (columns.position, ("x", "y", "z")),
+        (columns.colours, columns.channels),
+        (columns.normal, ("nx", "ny", "nz")),
+    ):
+        for column, name in zip(group, known, strict=False):
+            names[column] = name
+    for name, column in columns.others.items():
+        names[column] = name
+    return names

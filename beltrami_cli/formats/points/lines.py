@@ -1,0 +1,176 @@
+"""Points as lines of numbers: where the numbers stand, and what they are."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from beltrami_cli.errors import InputError
+from beltrami_cli.formats.tokens import find_tokens, read_numbers
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+_BYTE_ORDER_MARK = b"\xef\xbb\xbf"
+_SEPARATORS = bytes.maketrans(b",;", b"  ")
+_COMMENT = re.compile(rb"(?:#|//)([^\r\n]*)")
+_HEAD = 4096  # bytes in which a comment may name the columns
+_MOST_SHOWN = 40  # characters of a token in a message
+
+
+@dataclass(frozen=True)
+class PointTable:
+    """The points of a text.
+
+    Attributes
+    ----------
+    names : tuple of str
+        What a line above the points calls their columns, in small letters; empty if there is none.
+    counts : tuple of int
+        What lines of a single number announce: the points that follow up to the next.
+    values : ndarray of float64, shape (P, K)
+        The numbers, which may be infinite or NaN.
+    starts, ends : ndarray of int64, shape (P, K)
+        Where they stand in the file.
+    """
+
+    names: tuple[str, ...]
+    counts: tuple[int, ...]
+    values: NDArray[np.float64]
+    starts: NDArray[np.int64]
+    ends: NDArray[np.int64]
+
+
+def read_table(data: bytes, name: str) -> PointTable:
+    """Read lines of numbers between blanks, tabs, commas or semicolons.
+
+    Parameters
+    ----------
+    data : bytes
+        The file.
+    name : str
+        Its name for messages.
+
+    Returns
+    -------
+    PointTable
+
+    Raises
+    ------
+    InputError
+        If a token is no number, points have unequally many, or there are not as many as announced; with the line.
+    """
+    return _Reader(data, name).read()
+
+
+class _Reader:
+    """The tokens of a text by lines; `rows` are lines that have any."""
+
+    def __init__(self, data: bytes, name: str) -> None:
+        self._name = name
+        head = data[:_HEAD].translate(_SEPARATORS)
+        self._comments = [found.split() for found in _COMMENT.findall(head)]
+        text = _plain(data)
+        self._text = text
+        self._starts, self._ends = find_tokens(text)
+        characters = np.frombuffer(text, np.uint8)
+        breaks = np.flatnonzero(characters == ord("\n"))
+        if b"\r" in text:
+            breaks = np.union1d(breaks, np.flatnonzero(characters == ord("\r")))
+        stops = np.append(np.searchsorted(self._starts, breaks), len(self._starts))
+        heads = np.append(0, stops[:-1])
+        self._heads, self._stops = heads[heads < stops], stops[heads < stops]
+
+    def read(self) -> PointTable:
+        names = self._take_names()
+        sizes = self._stops - self._heads
+        # Where every line has one number, that is what the points have.
+        announcing = (sizes == 1) & bool((sizes > 1).any() or len(sizes) == 1)
+        points = np.flatnonzero(~announcing)
+        width = int(sizes[points[0]]) if len(points) else 0
+        if (uneven := sizes[points] != width).any():
+            row = points[int(np.argmax(uneven))]
+            raise self._error(row, f"{sizes[row]} numbers, but the first point has {width}")
+        tokens = self._heads[points][:, None] + np.arange(width)
+        counts = self._counts(np.flatnonzero(announcing), len(points))
+        values = self._numbers(tokens.ravel()).reshape(tokens.shape)
+        if not names:
+            fits = [words for words in self._comments if len(words) == width and width > 0]
+            names = _small(fits[0]) if fits else ()
+        elif len(names) != width:
+            raise InputError(self._name, f"the first line names {len(names)} columns, but there are {width}")
+        return PointTable(names, counts, values, self._starts[tokens], self._ends[tokens])
+
+    def _take_names(self) -> tuple[str, ...]:
+        """Take off the first line with more than a count, if it has words in place of numbers."""
+        for row in range(min(2, len(self._heads))):
+            first, stop = self._heads[row], self._stops[row]
+            words = [self._text[self._starts[t] : self._ends[t]] for t in range(first, stop)]
+            if all(not _is_number(word) for word in words):
+                self._heads, self._stops = np.delete(self._heads, row), np.delete(self._stops, row)
+                return _small(words)
+        return ()
+
+    def _counts(self, rows: NDArray[np.intp], points: int) -> tuple[int, ...]:
+        if not len(rows):
+            return ()
+        if rows[0] != 0:
+            raise self._error(rows[0], "one number only, and it is not at the head of the points")
+        values = self._numbers(self._heads[rows])
+        # Between two announcements there are as many points as rows, less one.
+        there = np.diff(np.append(rows, points + len(rows))) - 1
+        if (wrong := values != there).any():
+            row = int(np.argmax(wrong))
+            cause = f"{values[row]:g} points are announced, but {there[row]} follow; the file is cut off or damaged"
+            raise self._error(rows[row], cause)
+        return tuple(there.tolist())
+
+    def _numbers(self, tokens: NDArray[np.intp]) -> NDArray[np.float64]:
+        if not len(tokens):
+            return np.empty(0)
+        begin, end = int(self._starts[tokens[0]]), int(self._ends[tokens[-1]])
+        if len(tokens) == tokens[-1] - tokens[0] + 1:
+            text = self._text[begin:end]
+        else:
+            text = b" ".join([self._text[self._starts[t] : self._ends[t]] for t in tokens.tolist()])
+        values = read_numbers(text)
+        if len(values) < len(tokens):
+            token = tokens[len(values)]
+            word = self._text[self._starts[token] : self._ends[token]][:_MOST_SHOWN].decode(
+                "ascii", "replace"
+            )
+            shown = "".join(c if c.isprintable() else "?" for c in word)
+            raise InputError(self._name, f"line {self._line(token)}: '{shown}' is no number")
+        return values
+
+    def _error(self, row: int | np.intp, cause: str) -> InputError:
+        return InputError(self._name, f"line {self._line(self._heads[row])}: {cause}")
+
+    def _line(self, token: int | np.intp) -> int:
+        before = self._text[: int(self._starts[token])]
+        return max(before.count(b"\n"), before.count(b"\r")) + 1
+
+
+def _plain(data: bytes) -> bytes:
+    """Blank separators, comments and a byte order mark; every other byte stays at its place."""
+    text = data.translate(_SEPARATORS)
+    if text.startswith(_BYTE_ORDER_MARK):
+        text = b"   " + text[3:]
+    if b"#" in text or b"//" in text:
+        text = _COMMENT.sub(lambda found: b" " * len(found[0]), text)
+    return text
+
+
+def _is_number(word: bytes) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
+
+
+def _small(words: list[bytes]) -> tuple[str, ...]:
+    return tuple(word.decode("latin-1").lower() for word in words)
