@@ -28,6 +28,7 @@ Examples:
   beltrami smooth scan.glb clean.ply                    smooth vertex colours and convert
   beltrami smooth photo.jpg clean.png                   an image, on its plane
   beltrami smooth photo.png clean.png --height depth.exr --height-scale 200  an image on a height map
+  beltrami smooth cloud.ply clean.ply                   points without faces; .xyz, .pts and .npz too
   beltrami smooth fusion.npz clean.ply                  a level set with colours, as a mesh
   beltrami smooth density.nrrd clean.glb --level 0.5 --inside above --colours points.ply
   beltrami smooth scan.ply blur.ply --beta 0            a Gaussian on the surface, for comparison
@@ -71,10 +72,14 @@ def command(
 ) -> None:
     """Smooth the colours of INPUT, in its vertices or textures or pixels, and write OUTPUT with nothing else changed.
 
-    INPUT and OUTPUT are PLY, OBJ, glTF or GLB files, or images (PNG, JPEG, TIFF, EXR and what else OpenImageIO
-    reads), or - for a pipe. OUTPUT keeps the bytes of INPUT apart from the colours. With another extension it is
+    INPUT and OUTPUT are PLY, OBJ, glTF or GLB files, points (.xyz, .pts, .npz), images (PNG, JPEG, TIFF, EXR and what
+    else OpenImageIO reads), or - for a pipe. OUTPUT keeps the bytes of INPUT apart from the colours. With another extension it is
     converted, and what the other format cannot hold is said: vertex colours go to any format, textures between glTF and
     GLB, images to any image format; other textured files keep their format.
+
+    Points without faces are smoothed on the surface that they lie on; those far from all others stay as they are. In
+    .xyz and .pts the columns are x y z r g b, x y z intensity, or x y z intensity r g b, or what a first line calls
+    them; in .npz the arrays are positions (P, 3), or (H, W, 3) for a range image, and colours (P, C) or intensity (P).
 
     INPUT may also be a level set on a grid, which becomes a mesh with a vertex for each voxel on the surface: NRRD, or
     .npz with the arrays values (X, Y, Z) and colours (X, Y, Z, C), or points (P, 3) and point_colours (P, C) near the
@@ -159,7 +164,7 @@ def _tell(messages: Messages, report: SmoothReport, *, dry_run: bool) -> None:
     name = f"{report.output}: {'not written (dry run), ' if dry_run else ''}"
     if report.vertices is not None:
         done, counts = report.vertices, report.vertices.counts
-        what = f"{counts['vertices']} vertices"
+        what = f"{counts['vertices']} {'points' if 'outliers' in counts else 'vertices'}"
         messages.say(name + _summary(what, done.noise, done.beta, counts["samples_per_kernel"], done.change))
         _tell_guides(messages, done.guides)
         if done.geometry is not None:
