@@ -73,9 +73,9 @@ def command(
     """Smooth the colours of INPUT, in its vertices or textures or pixels, and write OUTPUT with nothing else changed.
 
     INPUT and OUTPUT are PLY, OBJ, glTF or GLB files, points (.xyz, .pts, .npz), images (PNG, JPEG, TIFF, EXR and what
-    else OpenImageIO reads), or - for a pipe. OUTPUT keeps the bytes of INPUT apart from the colours. With another extension it is
-    converted, and what the other format cannot hold is said: vertex colours go to any format, textures between glTF and
-    GLB, images to any image format; other textured files keep their format.
+    else OpenImageIO reads), or - for a pipe. OUTPUT keeps the bytes of INPUT apart from the colours. With another
+    extension it is converted, and what the other format cannot hold is said: vertex colours go to any format, textures
+    between glTF and GLB, images to any image format; other textured files keep their format.
 
     Points without faces are smoothed on the surface that they lie on; those far from all others stay as they are. In
     .xyz and .pts the columns are x y z r g b, x y z intensity, or x y z intensity r g b, or what a first line calls
