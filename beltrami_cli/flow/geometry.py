@@ -4,7 +4,8 @@ The positions are channels of the embedding like the colours, and are averaged b
 surface alone that is motion by mean curvature, to which a crease is as good as noise. So the normals enter the metric
 too, as features of the surface that tell creases from noise, as in the bilateral filters for meshes [1]_ [2]_. What the
 average takes off is averaged once more and given back (Tukey's twicing [3]_): K X becomes (2 K - K^2) X, in which noise
-falls nearly as far, and curved parts do not shrink to first order.
+falls nearly as far, and curved parts do not shrink to first order. And vertices move only in the directions that change
+the shape: sliding along the surface would squeeze triangles together beside creases, where kernels reach to one side.
 
 References
 ----------
@@ -23,7 +24,7 @@ import numpy as np
 
 from beltrami_cli.flow.noise import choose_normal_beta, estimate_normal_sigma
 from beltrami_cli.mesh.boundary import on_boundary
-from beltrami_cli.mesh.normals import vertex_normals
+from beltrami_cli.mesh.normals import normal_tensors, vertex_normals
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -119,6 +120,9 @@ class MovingPositions:
         """
         taken = before - after
         moves = (average(taken).astype(np.float64) - taken) * self._spacing
+        # The shape that is being aimed at tells the directions: a spike that sticks out has its walls for normals.
+        tensors = normal_tensors(self.positions + moves, self._faces, self._places)
+        moves = np.einsum("sij,sj->si", tensors[self._places], moves)
         moves[self._stays | ~self._leads] = 0
         for axis in range(moves.shape[1]):
             total = np.bincount(self._places, moves[:, axis], len(self._leads_at))

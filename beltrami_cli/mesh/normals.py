@@ -29,11 +29,54 @@ def vertex_normals(
     ndarray of float32, shape (V, 3)
         Unit vectors; 0 where the triangles have no area, or cancel out.
     """
-    corners = positions[faces]
-    crosses = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    groups = group_of[faces].T.ravel()
-    count = int(group_of.max(initial=-1)) + 1
-    sums = np.stack([np.bincount(groups, np.tile(column, 3), count) for column in crosses.T], axis=1)
+    sums = _gathered(_double_areas(positions, faces), faces, group_of)
     length = np.linalg.norm(sums, axis=1, keepdims=True)
     normals: NDArray[np.float64] = np.divide(sums, length, out=np.zeros_like(sums), where=length > 0)
     return np.asarray(normals[group_of], np.float32)
+
+
+def normal_tensors(
+    positions: NDArray[np.float64], faces: NDArray[np.int32], group_of: NDArray[np.int32]
+) -> NDArray[np.float64]:
+    """Compute in which directions the shape around each vertex would change if the vertex moved.
+
+    Parameters
+    ----------
+    positions, faces, group_of
+        As for `vertex_normals`; G groups.
+
+    Returns
+    -------
+    ndarray of float64, shape (G, 3, 3)
+        The sum of n n^T over the triangles around, weighted by their areas, with the largest eigenvalue 1: in a plane
+        the projector on its normal, on a crease that on the plane of both normals, at a corner of a cube all of space.
+        0 where there is no area. It is the quadric of [1]_.
+
+    References
+    ----------
+    .. [1] M. Garland, P. Heckbert, "Surface simplification using quadric error metrics", SIGGRAPH 1997,
+       doi:10.1145/258734.258849
+    """
+    crosses = _double_areas(positions, faces)
+    area = np.linalg.norm(crosses, axis=1, keepdims=True)
+    normals = np.divide(crosses, area, out=np.zeros_like(crosses), where=area > 0)
+    products = (crosses[:, :, None] * normals[:, None, :]).reshape(-1, 9)
+    tensors = _gathered(products, faces, group_of).reshape(-1, 3, 3)
+    largest = np.linalg.eigvalsh(tensors)[:, -1:, None]
+    return np.asarray(np.divide(tensors, largest, out=np.zeros_like(tensors), where=largest > 0), np.float64)
+
+
+def _double_areas(positions: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:
+    """Return the normal of each triangle, as long as twice its area, shape (F, 3)."""
+    corners = positions[faces]
+    crosses: NDArray[np.float64] = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return crosses
+
+
+def _gathered(
+    values: NDArray[np.float64], faces: NDArray[np.int32], group_of: NDArray[np.int32]
+) -> NDArray[np.float64]:
+    """Sum what triangles have, shape (F, N), over those around each group of vertices, shape (G, N)."""
+    groups = group_of[faces].T.ravel()
+    count = int(group_of.max(initial=-1)) + 1
+    return np.stack([np.bincount(groups, np.tile(column, 3), count) for column in values.T], axis=1)

@@ -43,13 +43,12 @@ class EmbeddingSettings:
     def __post_init__(self) -> None:
         for beta in self.guide_betas:
             _require_weight("guide_beta", beta)
-        if self.guide_betas and len(self.guide_betas) not in (1, len(self.guides)):
-            raise UsageError(
-                f"there are {len(self.guide_betas)} guide_betas for {len(self.guides)} guides; give one for each, "
-                "or one for all"
-            )
         if self.guide_betas and not self.guides:
             raise UsageError("guide_beta is of a guide; add --guide")
+        if self.guide_betas and len(self.guide_betas) not in (1, len(self.guides)):
+            raise UsageError(
+                f"guide_beta has {len(self.guide_betas)} values, but must have one for each guide, or one for all"
+            )
         if self.normal_beta is not None:
             _require_weight("normal_beta", self.normal_beta)
             if not self.smooth_geometry:
