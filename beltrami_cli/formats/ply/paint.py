@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from beltrami_cli.errors import InputError, UnpaintedError
-from beltrami_cli.formats.scale import full_scale
+from beltrami_cli.formats.scale import full_scale, intensity_scale
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -24,6 +24,7 @@ _COLOURS = (
     (("grey",), "alpha"),
 )
 _INTENSITY = "intensity"  # a colour in scans, any scalar elsewhere
+_INTENSITIES_OF_POINTS = (_INTENSITY, "Intensity", "scalar_intensity", "scalar_Intensity", "reflectance")
 
 
 @dataclass(frozen=True)
@@ -38,16 +39,21 @@ class Paint:
         The property of the opacity, or empty.
     type : str
         NumPy code of the type that all colours have.
+    any_range : bool
+        Whether they are intensities, of which any number may be full scale.
     """
 
     names: tuple[str, ...]
     alpha: str
     type: str
+    any_range: bool = False
 
     @property
     def channels(self) -> tuple[str, ...]:
         """The names of the channels."""
-        return ("red", "green", "blue") if len(self.names) == 3 else ("grey",)
+        if len(self.names) == 3:
+            return ("red", "green", "blue")
+        return ("intensity",) if self.any_range else ("grey",)
 
 
 def find_paint(header: Header, vertices: Table, name: str) -> Paint:
@@ -76,6 +82,10 @@ def find_paint(header: Header, vertices: Table, name: str) -> Paint:
             return Paint(names, alpha if alpha in types else "", _unsigned(kinds.pop(), names, name))
     if _INTENSITY in types and _is_grey(vertices, types[_INTENSITY]):
         return Paint((_INTENSITY,), "alpha" if "alpha" in types else "", types[_INTENSITY])
+    if not any(element.count for element in header.elements if element.name in ("face", "tristrips")):
+        for known in _INTENSITIES_OF_POINTS:
+            if known in types:
+                return Paint((known,), "alpha" if "alpha" in types else "", types[known], any_range=True)
     raise _unpainted(header, vertices.element, name)
 
 
@@ -147,7 +157,7 @@ def read_colours(vertices: Table, paint: Paint, name: str) -> Colours:
         scale, notice = _integer_scale(columns, paint.type)
     else:
         stored = finite_columns(vertices, paint.names, "colour", name)
-        scale, notice = full_scale(stored, name)
+        scale, notice = intensity_scale(stored) if paint.any_range else full_scale(stored, name)
         columns = list(stored.T)
     for channel, column in enumerate(columns):
         values[:, channel] = column / scale
@@ -167,7 +177,7 @@ def store_colours(values: NDArray[np.float32], scale: float, kind: str) -> NDArr
     Parameters
     ----------
     values : ndarray of float32, any shape
-        Full scale 1; clipped to [0, 1] if the type is an integer.
+        Full scale 1; clipped to what the type holds if it is an integer.
     scale : float
         The stored number that is full scale.
     kind : str
@@ -176,7 +186,8 @@ def store_colours(values: NDArray[np.float32], scale: float, kind: str) -> NDArr
     wide = values.astype(np.float64)
     if kind[0] == "f":
         return (wide * scale).astype(kind)
-    return np.rint(np.clip(wide, 0, 1) * scale).astype(kind)
+    limits = np.iinfo(kind)
+    return np.rint(np.clip(wide * scale, limits.min, min(limits.max, scale))).astype(kind)
 
 
 def finite_columns(vertices: Table, names: tuple[str, ...], what: str, name: str) -> NDArray[np.float64]:

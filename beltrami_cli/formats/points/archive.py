@@ -14,7 +14,8 @@ from beltrami_cli.formats.document import NO_IMAGES, Document, Written
 from beltrami_cli.formats.npz import NpzArchive
 from beltrami_cli.formats.points.arrays import find_arrays, read_all, read_faces, require_room
 from beltrami_cli.formats.points.repacking import exchanged, members, repacked
-from beltrami_cli.formats.points.scaling import colour_scale, intensity_scale
+from beltrami_cli.formats.points.scaling import colour_scale
+from beltrami_cli.formats.scale import intensity_scale
 from beltrami_cli.mesh.painted import MeshContents, MovedVertices, PaintedVertices
 
 if TYPE_CHECKING:

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from beltrami_cli.errors import InputError
+from beltrami_cli.errors import InputError, UnpaintedError
 from beltrami_cli.formats.npz import POSITION_KEYS
 
 if TYPE_CHECKING:
@@ -164,7 +164,7 @@ def _required(archive: NpzArchive, keys: tuple[str, ...], what: str, name: str) 
     key = archive.first(keys)
     if key is None:
         there = ", ".join(archive.names)[:200] or "no arrays"
-        raise InputError(name, f"it has no array of {what} ({', '.join(keys)}), but {there}", _NAMES)
+        raise UnpaintedError(name, f"it has no array of {what} ({', '.join(keys)}), but {there}", _NAMES)
     return key
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli.errors import InputError
+from beltrami_cli.errors import InputError, UnpaintedError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -96,7 +96,7 @@ def find_columns(table: PointTable, name: str) -> Columns:
         return _by_name(table.names, name, "")
     width = table.values.shape[1]
     if width == 3:
-        raise InputError(
+        raise UnpaintedError(
             name, "its points have 3 numbers each, so there are no colours", "add r g b to each line"
         )
     if width not in _KNOWN:
@@ -123,7 +123,7 @@ def _by_name(names: tuple[str, ...], name: str, notice: str) -> Columns:
     intensity = next(((names.index(known),) for known in _INTENSITIES if known in names), ())
     colours = _together(names, _COLOURS) or intensity
     if not colours:
-        raise InputError(name, f"the columns {' '.join(names)[:200]} have no colours", _REMEDY)
+        raise UnpaintedError(name, f"the columns {' '.join(names)[:200]} have no colours", _REMEDY)
     normal = _together(names, _NORMALS)
     used = {*position, *colours, *normal}
     others = {known: column for column, known in enumerate(names) if column not in used}

@@ -12,8 +12,9 @@ from beltrami_cli.formats.anatomy import HIDDEN, Anatomy
 from beltrami_cli.formats.document import NO_IMAGES, Document, Written
 from beltrami_cli.formats.points.columns import find_columns
 from beltrami_cli.formats.points.lines import read_table
-from beltrami_cli.formats.points.scaling import colour_scale, intensity_scale
+from beltrami_cli.formats.points.scaling import colour_scale
 from beltrami_cli.formats.points.spelling import respelled
+from beltrami_cli.formats.scale import intensity_scale
 from beltrami_cli.formats.tokens import exchange_tokens
 from beltrami_cli.mesh.painted import MeshContents, MovedVertices, PaintedVertices
 
