@@ -13,18 +13,19 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from beltrami_cli.errors import BeltramiError, InputError, OutputError, ProcessingError, UsageError
     from beltrami_cli.flow.parameters import KernelParameters
+    from beltrami_cli.pipeline.image_arrays import ImageResult
     from beltrami_cli.pipeline.image_settings import ImageSettings
     from beltrami_cli.pipeline.inspect_file import inspect_file
     from beltrami_cli.pipeline.report import SmoothReport
     from beltrami_cli.pipeline.settings import SmoothSettings, TextureSettings
     from beltrami_cli.pipeline.smooth_arrays import smooth
     from beltrami_cli.pipeline.smooth_file import smooth_file
-    from beltrami_cli.pipeline.smooth_image import ImageResult, smooth_image
+    from beltrami_cli.pipeline.smooth_image import smooth_image
     from beltrami_cli.pipeline.smooth_vertices import SmoothResult
 
 _HOME_OF = {
     "BeltramiError": "errors",
-    "ImageResult": "pipeline.smooth_image",
+    "ImageResult": "pipeline.image_arrays",
     "ImageSettings": "pipeline.image_settings",
     "InputError": "errors",
     "KernelParameters": "flow.parameters",

@@ -43,6 +43,11 @@ class Guide:
     in_chart_frame: bool = False
 
 
+def centred(values: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Round the values of a guide, shape (S, G), near 0: only differences count, and large numbers lose theirs."""
+    return np.ascontiguousarray(values - values.mean(axis=0) if len(values) else values, np.float32)
+
+
 def choose_guide_beta(values: NDArray[np.float32], steps: NDArray[np.float32]) -> float:
     """Choose how much a guide counts so that usual steps hardly hinder the kernel and unusual ones stop it.
 

@@ -132,6 +132,35 @@ def colour_table(colours: ArrayLike) -> NDArray[np.float32]:
     return np.ascontiguousarray(table / np.iinfo(table.dtype).max, np.float32)
 
 
+def guide_table(values: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """Take a guide: any numbers, as they are.
+
+    Parameters
+    ----------
+    values : array_like, shape (*shape) or (*shape, G)
+        A row for each vertex, or for each pixel.
+    shape : tuple of int
+        (V,) or (H, W).
+
+    Returns
+    -------
+    ndarray of float64, shape (V or H * W, G)
+
+    Raises
+    ------
+    UsageError
+        If the shape or the type does not fit, or a number is not finite.
+    """
+    table = array_of(values, "guide")
+    if table.shape[: len(shape)] != shape or table.ndim > len(shape) + 1 or table.dtype.kind not in "buif":
+        wanted = ", ".join(map(str, shape))
+        raise UsageError(f"the guide must be numbers of shape ({wanted}, G), not {_described(table)}")
+    rows = table.reshape(int(np.prod(shape)), -1).astype(np.float64)
+    if not np.isfinite(rows).all():
+        raise UsageError(f"row {int(np.argmin(np.isfinite(rows).all(axis=1)))} of the guide is not finite")
+    return rows
+
+
 def check_numbers(whole: dict[str, object], real: dict[str, object]) -> None:
     """Refuse parameters that are no numbers, before anything is compared with them.
 

@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING, get_args
 import numpy as np
 
 from beltrami_cli.errors import UsageError
-from beltrami_cli.flow.guidance import Guide
+from beltrami_cli.flow.guidance import Guide, centred
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.mesh.painted import Encoding, PaintedVertices
 from beltrami_cli.mesh.validation import (
-    array_of,
     check_mesh,
     check_numbers,
     colour_table,
     face_table,
+    guide_table,
     position_table,
 )
 from beltrami_cli.pipeline.embedding_settings import EmbeddingSettings
@@ -180,7 +180,9 @@ def smooth(
         smooth_geometry=smooth_geometry,
         normal_beta=normal_beta,
     )
-    guides = [] if guide is None else [_guide(guide, guide_beta, len(painted.positions))]
+    guides = []
+    if guide is not None:
+        guides = [Guide("guide", centred(guide_table(guide, (len(painted.positions),))), guide_beta)]
     job = smooth_cloud if faces is None else smooth_painted
     return job(painted, SmoothSettings(kernel, space, embedding=embedding), progress, guides)
 
@@ -206,18 +208,3 @@ def _names(metric_channels: Sequence[int], painted: PaintedVertices) -> tuple[st
                 f"metric_channels names {channel!r}, but the {len(painted.channels)} channels count from 0"
             )
     return tuple(painted.channels[channel] for channel in metric_channels)
-
-
-def _guide(values: ArrayLike, beta: float | None, count: int) -> Guide:
-    table = array_of(values, "guide")
-    if table.ndim == 1:
-        table = table[:, None]
-    if table.ndim != 2 or len(table) != count or table.dtype.kind not in "uif":
-        given = f"{table.dtype} of shape {table.shape}"
-        raise UsageError(f"the guide must be numbers of shape ({count}, G), one row a vertex, not {given}")
-    with np.errstate(over="ignore"):
-        numbers = np.ascontiguousarray(table, np.float32)
-    if not np.isfinite(numbers).all():
-        row = int(np.argmin(np.isfinite(numbers).all(axis=1)))
-        raise UsageError(f"row {row} of the guide is not finite")
-    return Guide("guide", numbers, beta)

@@ -2,53 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, get_args
-
-import numpy as np
+from typing import TYPE_CHECKING, get_args
 
 from beltrami_cli.errors import UsageError
-from beltrami_cli.flow.colour_space import from_space, to_space
+from beltrami_cli.flow.guidance import centred
 from beltrami_cli.flow.parameters import Clipping, KernelParameters, Space
 from beltrami_cli.mesh.painted import Encoding
-from beltrami_cli.mesh.validation import array_of, check_numbers, colour_table
-from beltrami_cli.pipeline.grid_flow import grid_flow
+from beltrami_cli.mesh.validation import check_numbers, guide_table
+from beltrami_cli.pipeline.embedding_settings import EmbeddingSettings
+from beltrami_cli.pipeline.guide_images import GuideImage
+from beltrami_cli.pipeline.image_arrays import ArrayImage, ImageResult, pixel_array, pixel_colours
 from beltrami_cli.pipeline.settings import DEFAULTS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
 
     from beltrami_cli.flow.parameters import Scheme, Units
-
-
-@dataclass(frozen=True)
-class ImageResult:
-    """A smoothed image, and how it came about.
-
-    Attributes
-    ----------
-    colours : ndarray of float32, shape (H, W, C)
-        In the same encoding as the input's. Pixels that did not change, and holes, have the input's bits.
-    beta : float
-        As used, in units of length per unit of colour.
-    spacing : float
-        Mean distance of neighbouring pixels, in the unit of the positions; 0 if there are no pixels.
-    noise : ndarray of float64, shape (C,)
-        Estimated standard deviation of the noise of each channel, in the working space.
-    samples : int
-        Pixels that are no holes.
-    samples_per_kernel : float
-        Mean number of pixels that a kernel held.
-    """
-
-    colours: NDArray[np.float32]
-    beta: float
-    spacing: float
-    noise: NDArray[np.float64]
-    samples: int
-    samples_per_kernel: float
 
 
 def smooth_image(
@@ -72,6 +43,9 @@ def smooth_image(
     clipping: Clipping = DEFAULTS.kernel.clipping,
     space: Space = DEFAULTS.space,
     encoding: Encoding = "srgb",
+    guide: ArrayLike | None = None,
+    guide_beta: float | None = None,
+    metric_channels: Sequence[int] | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> ImageResult:
     """Smooth an image on its plane, or on a surface, with the short-time Beltrami kernel.
@@ -119,6 +93,12 @@ def smooth_image(
         What distances and averages of colours are taken in; "data": the numbers as they are.
     encoding : {"srgb", "linear"}
         What the numbers in `colours` mean.
+    guide : array_like, shape (H, W) or (H, W, G), optional
+        Channels that enter the metric and stay as they are, finite.
+    guide_beta : float or None
+        Pixels (or units of length) per unit of the guide; None: from the guide, see `choose_guide_beta`.
+    metric_channels : sequence of int, optional
+        Which colour channels enter the metric; without it all. Empty: only the surface and the guide do.
     progress : callable, optional
         Called with the work done so far and the work to do; may raise to stop.
 
@@ -157,6 +137,7 @@ def smooth_image(
             "threshold": threshold,
             "metric_scale": metric_scale,
             "beta_growth": beta_growth,
+            "guide_beta": 0 if guide_beta is None else guide_beta,
             "height_scale": height_scale,
         },
     )
@@ -180,91 +161,21 @@ def smooth_image(
         raise UsageError(f"encoding is {encoding}, but must be {' or '.join(get_args(Encoding))}")
     if positions is not None and height is not None:
         raise UsageError("positions and height are two surfaces for one image; give one of them")
-    image = _Image(*_colours(colours), encoding, space)
+    image = ArrayImage(*pixel_colours(colours), encoding, space)
+    EmbeddingSettings(  # which checks the weight
+        guides=() if guide is None else ("guide",), guide_betas=() if guide_beta is None else (guide_beta,)
+    )
+    guides = []
+    if guide is not None:
+        values = centred(guide_table(guide, image.shape)).reshape(*image.shape, -1)
+        guides = [GuideImage("guide", values, guide_beta)]
+    image.require_channels(metric_channels)
     return image.smooth(
-        None if valid is None else _array(valid, "valid", image.shape, "bui").astype(bool),
-        None if positions is None else _array(positions, "positions", (*image.shape, None), "uif"),
-        None if height is None else height_scale * _array(height, "height", image.shape, "uif"),
+        None if valid is None else pixel_array(valid, "valid", image.shape, "bui").astype(bool),
+        None if positions is None else pixel_array(positions, "positions", (*image.shape, None), "uif"),
+        None if height is None else height_scale * pixel_array(height, "height", image.shape, "uif"),
         kernel,
         progress,
+        guides,
+        metric_channels,
     )
-
-
-@dataclass(frozen=True)
-class _Image:
-    """Colours of all pixels, shape (H * W, C), the shape (H, W), and what the numbers mean."""
-
-    table: NDArray[np.float32]
-    shape: tuple[int, int]
-    encoding: Encoding
-    space: Space
-
-    def __post_init__(self) -> None:
-        if self.space == "oklab" and self.table.shape[1] != 3:
-            raise UsageError("the space oklab needs three channels")
-
-    def smooth(
-        self,
-        valid: NDArray[np.bool_] | None,
-        positions: NDArray[Any] | None,
-        heights: NDArray[Any] | None,
-        kernel: KernelParameters,
-        progress: Callable[[int, int], None] | None,
-    ) -> ImageResult:
-        whole = np.asarray(np.isfinite(self.table.reshape(*self.shape, -1)).all(axis=2))
-        if valid is not None:
-            whole = whole & valid
-        flow = grid_flow(
-            whole,
-            self._working,
-            kernel,
-            positions=None if positions is None else positions.astype(np.float64),
-            heights=None if heights is None else heights.astype(np.float64),
-        )
-        result = flow.run(progress)
-        pixels = flow.atlas.owned_texels
-        return ImageResult(
-            self._with(pixels, result.colours).reshape(*self.shape, -1),
-            result.beta,
-            result.spacing,
-            result.sigma,
-            len(pixels),
-            result.samples_per_kernel,
-        )
-
-    def _working(self, pixels: NDArray[np.int64]) -> NDArray[np.float32]:
-        return to_space(self.table[pixels], self.encoding, self.space)
-
-    def _with(self, pixels: NDArray[np.int64], after: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the colours of all pixels with the new ones of some."""
-        smoothed = self.table.copy()
-        moved = np.any(self._working(pixels) != after, axis=1)
-        if moved.any():
-            back = from_space(after[moved], self.encoding, self.space)
-            # The way there and back is not exact; what comes of it stays in the range of the colours.
-            old = self.table[pixels]
-            smoothed[pixels[moved]] = np.clip(back, old.min(axis=0), old.max(axis=0))
-        return smoothed
-
-
-def _colours(colours: ArrayLike) -> tuple[NDArray[np.float32], tuple[int, int]]:
-    """Return the colours of all pixels, shape (H * W, C), and the shape (H, W)."""
-    image = array_of(colours, "colours")
-    if image.ndim not in (2, 3) or image.size == 0:
-        raise UsageError(f"colours must be of shape (H, W) or (H, W, C), not {image.shape}")
-    rows, columns = image.shape[:2]
-    return colour_table(image.reshape(rows * columns, -1)), (rows, columns)
-
-
-def _array(values: ArrayLike, name: str, shape: tuple[int | None, ...], kinds: str) -> NDArray[Any]:
-    """Take an array with a number for each pixel, or M numbers where the last of the shape is None."""
-    array = array_of(values, name)
-    fits = array.ndim == len(shape) and all(
-        b is None or a == b for a, b in zip(array.shape, shape, strict=True)
-    )
-    if not fits or array.dtype.kind not in kinds or 0 in array.shape:
-        wanted = ", ".join("M" if size is None else str(size) for size in shape)
-        raise UsageError(
-            f"{name} must be numbers of shape ({wanted}), not {array.dtype} of shape {array.shape}"
-        )
-    return array

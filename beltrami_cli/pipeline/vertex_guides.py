@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from beltrami_cli.errors import InputError
-from beltrami_cli.flow.guidance import Guide
+from beltrami_cli.flow.guidance import Guide, centred
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.pipeline.guide_files import exists, read_table, require_finite
 
 if TYPE_CHECKING:
+    import numpy as np
     from numpy.typing import NDArray
 
     from beltrami_cli.formats.document import Document
@@ -43,7 +42,7 @@ def vertex_guides(
         If there is neither an attribute nor a file of the name, or it is damaged or does not fit.
     """
     return [
-        Guide(name, _centred(_values(document, name, access)), beta)
+        Guide(name, centred(_values(document, name, access)), beta)
         for name, beta in settings.embedding.weighted_guides
     ]
 
@@ -60,8 +59,3 @@ def _values(document: Document, name: str, access: Access) -> NDArray[np.float64
             name, f"no such file, and no attribute of the vertices of {document.name}, which has {attributes}"
         )
     return read_table(name, len(document.painted().positions), document.name, access)
-
-
-def _centred(values: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Round to float32 near 0: only differences count, and large numbers would lose theirs."""
-    return np.ascontiguousarray(values - values.mean(axis=0) if len(values) else values, np.float32)
