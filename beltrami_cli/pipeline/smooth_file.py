@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,7 +9,7 @@ from typing import TYPE_CHECKING
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.image.recognition import is_image
 from beltrami_cli.formats.source import read_source
-from beltrami_cli.mesh.textured import ImageFile
+from beltrami_cli.pipeline.companions import is_moved, names_beside, with_references
 from beltrami_cli.pipeline.conversion import make_files
 from beltrami_cli.pipeline.moved_vertices import moved_vertices, require_geometry
 from beltrami_cli.pipeline.opening import document_from, refuse_options_of_level_sets
@@ -27,10 +26,9 @@ from beltrami_cli.pipeline.work import Work, choose_format, choose_work
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from beltrami_cli.formats.document import Document, Written
-    from beltrami_cli.mesh.textured import Slot
+    from beltrami_cli.formats.document import Document
+    from beltrami_cli.mesh.textured import ImageFile, Slot
     from beltrami_cli.pipeline.bake_settings import BakeSettings
-    from beltrami_cli.pipeline.settings import Format
     from beltrami_cli.pipeline.smooth_textures import SlotReport
 
 
@@ -109,11 +107,11 @@ def smooth_file(
         else:
             require_geometry(document, work, settings, written_back=target_format == document.format)
         require_room_for_textures(document, work.slots, settings.textures, access)
-        moved = _is_moved(source, target)
+        moved = is_moved(source, target)
         references = list(document.references()) if moved and target_format == document.format else []
         if output is not None:
             output.check_sidecars(
-                _names_beside(document, work, settings, target_format, target, references, moved=moved)
+                names_beside(document, work, settings, target_format, target, references, moved=moved)
             )
     with watch.stage("smooth"):
         vertices = _smooth_vertices(document, work, settings, progress, access)
@@ -125,7 +123,7 @@ def smooth_file(
         written = make_files(
             document, colours, images, target_format, Path(target).stem, moved=moved, places=places
         )
-        written = _with_references(written, Path(source).parent, references)
+        written = with_references(written, Path(source).parent, references)
         if output is not None:
             output.write(written)
     files = [] if output is None else [target, *written.sidecars]
@@ -133,35 +131,6 @@ def smooth_file(
     return make_report(
         source, target, target_format, document, settings, vertices, slots, watch, files, warnings
     )
-
-
-def _names_beside(
-    document: Document,
-    work: Work,
-    settings: SmoothSettings,
-    target_format: Format,
-    target: str,
-    references: list[str],
-    *,
-    moved: bool,
-) -> set[str]:
-    """Find the files that would be written beside the output, by writing the old images anew."""
-    from beltrami_cli.pipeline.prepare_textures import choose_textures
-
-    suffix = settings.textures.image_suffix
-    images = {
-        (slot, texture.key): ImageFile(texture.data, suffix or Path(texture.name).suffix.lower() or ".png")
-        for slot in work.slots
-        for texture in choose_textures(document.textured(slot), settings.textures).textures
-    }
-    written = make_files(document, None, images, target_format, Path(target).stem, moved=moved)
-    return {*references, *written.sidecars}
-
-
-def _is_moved(source: str, target: str) -> bool:
-    if "-" in (source, target):
-        return source != "-"
-    return Path(source).resolve().parent != Path(os.path.realpath(target)).parent
 
 
 def _smooth_vertices(
@@ -208,9 +177,3 @@ def _labelled(
     progress: Callable[[str, int, int], None] | None, label: str
 ) -> Callable[[int, int], None] | None:
     return None if progress is None else lambda done, total: progress(label, done, total)
-
-
-def _with_references(written: Written, folder: Path, references: list[str]) -> Written:
-    """Add the unchanged files that the model needs beside it in its new folder."""
-    copied = {name: (folder / name).read_bytes() for name in references if name not in written.sidecars}
-    return dataclasses.replace(written, sidecars={**written.sidecars, **copied})

@@ -78,7 +78,7 @@ def smooth_image_file(
     """
     name = "<stdin>" if source == "-" else source
     refuse_options_of_meshes(settings, name)
-    suffix = _other_format(data, name, target, format)
+    suffix = other_format(data, name, target, format)
     report: ImageReport | None = None
     if settings.kernel.iterations == 0 and suffix is None:
         written = Written([data])
@@ -148,7 +148,7 @@ def _notices(prepared: PreparedImage, suffix: str | None) -> tuple[str, ...]:
     return (*prepared.notices, *lost)
 
 
-def _other_format(data: bytes, name: str, target: str, chosen: str | None) -> str | None:
+def other_format(data: bytes, name: str, target: str, chosen: str | None) -> str | None:
     """Return the extension of the format to write, with its dot; None if it is the source's own.
 
     Raises
