@@ -120,6 +120,28 @@ def find_clipped(colours: NDArray[np.float32], sigma: NDArray[np.float64]) -> Cl
     return ClippedChannels(tuple(low), tuple(high), np.asarray(sigma, np.float64))
 
 
+def sigma_of_clipped(gap: NDArray[np.float64], share: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Tell the standard deviation of noise from samples of one colour, some of which were cut off at a limit.
+
+    Parameters
+    ----------
+    gap : ndarray of float64
+        From the mean of the samples to the limit.
+    share : ndarray of float64
+        Share of the samples that stand at the limit, above 0 and below 1.
+
+    Returns
+    -------
+    ndarray of float64
+        Of the noise before it was cut off [1]_.
+    """
+    from scipy.special import ndtr, ndtri
+
+    alpha = ndtri(1 - share)
+    told: NDArray[np.float64] = gap / (alpha * ndtr(alpha) + np.exp(-(alpha**2) / 2) / np.sqrt(2 * np.pi))
+    return told
+
+
 def _towards_limit(
     gap: NDArray[np.float32], share: NDArray[np.float32], sigma: np.float32
 ) -> NDArray[np.float32]:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+
+from beltrami_cli.flow.weakest import weakest_level
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -20,13 +22,26 @@ _SIGMA_PER_MEDIAN_LENGTH = 1 / np.sqrt(2 * np.log(2))
 # One level of an 8-bit file, spread evenly, has the deviation 1 / (255 sqrt(12)). Below that no noise can be told.
 _QUANTISATION = 1 / (255 * np.sqrt(12))
 
-# The median of so many squares is within 0.3 % of that of all.
+# So many squares make three thousand tiles, the tenth least of which is steady.
 _ENOUGH_SQUARES = 200_000
 
-# Colour distance at which the kernel should fall off, in units of the noise: beta sigma. A search over vertex
-# colours and textures at sigma 10 to 40 of 255, with t = 2.4, two regularised and three plain iterations, has its flat
-# optimum here.
-_BETA_SIGMA = 2.0
+# Squares a side of a tile, and the least that it must hold: half of them, or as many as the fullest tile.
+_TILE = 8
+_FULL_TILE = _TILE**2 / 2
+
+# Coefficients of overlapping squares are correlated, by -1/2 beside and 1/4 across: the sum of the squared correlations
+# is how many of them count as one degree of freedom.
+_HAAR_OVERLAP = 2.25
+
+# Degrees of freedom of the mean square over a sample, its neighbours and theirs: those of white noise on a triangle
+# mesh of degree six, where residuals of neighbours are correlated.
+_FREEDOM_AROUND = 11.8
+_NEIGHBOURS = 3  # fewer: a border or a stray edge, whose mean leans to one side
+
+# Colour distance at which the first kernel should fall off, in units of the noise: beta sigma. A search over vertex
+# colours and textures at sigma 20 of 255, with t = 2.4, a growth of 2, two regularised and three plain iterations,
+# has its flat optimum here.
+_BETA_SIGMA = 0.8
 
 
 # The same for normals: beta sigma. On noisy cubes, cylinders, spheres and a head, the flat optimum of what is left of
@@ -41,8 +56,8 @@ _TURN_COUNTS = 0.8
 def estimate_sigma(colours: NDArray[np.float32], edges: NDArray[np.int32]) -> NDArray[np.float64]:
     """Estimate the standard deviation of independent noise, per channel.
 
-    A sample with k neighbours differs from their mean by noise of variance sigma^2 (1 + 1/k), plus the
-    curvature of the image, which is small almost everywhere; the median is not moved by the edges.
+    A sample with k neighbours differs from their mean by noise of variance sigma^2 (1 + 1/k), and by what the image
+    does there, which is least in the neighbourhoods that `weakest_level` looks at.
 
     Parameters
     ----------
@@ -56,12 +71,33 @@ def estimate_sigma(colours: NDArray[np.float32], edges: NDArray[np.int32]) -> ND
     ndarray of float64, shape (N,)
         In units of `colours`; 0 where no sample has neighbours.
     """
-    return np.array(
-        [
-            _SIGMA_PER_MEDIAN * np.median(np.abs(residual)) if residual.size else 0.0
-            for residual in _residuals(colours, edges)
-        ]
-    )
+    degree = np.bincount(edges.ravel(), minlength=len(colours))
+    inside = degree >= _NEIGHBOURS
+    sigma = []
+    for values, residual in zip(colours.T, _residuals(colours, edges), strict=True):
+        if not residual.size:
+            sigma.append(0.0)
+            continue
+        squares = np.zeros(len(values))
+        squares[inside] = residual**2
+        total, held, low, high, mean = (
+            _around(column.astype(np.float64), edges)
+            for column in (squares, inside, values <= 0, values >= 1, values)
+        )
+        size = _around(np.ones(len(values)), edges)
+        near = (total[inside] / held[inside], _FREEDOM_AROUND)
+        sigma.append(weakest_level(*near, *(part[inside] / size[inside] for part in (low, high, mean))))
+    return np.array(sigma)
+
+
+def _around(values: NDArray[np.float64], edges: NDArray[np.int32]) -> NDArray[np.float64]:
+    """Sum over each sample and its neighbours, and over these and their neighbours again."""
+    for _ in range(2):
+        one, other = edges[:, 0], edges[:, 1]
+        count = len(values)
+        beside = np.bincount(one, values[other], count) + np.bincount(other, values[one], count)
+        values = values + beside
+    return values
 
 
 def estimate_normal_sigma(normals: NDArray[np.float32], edges: NDArray[np.int32]) -> float:
@@ -117,7 +153,7 @@ def _residuals(values: NDArray[np.float32], edges: NDArray[np.int32]) -> Iterato
     """Go through the channels; find how samples differ from the mean of their neighbours, in units of their noise."""
     count = len(values)
     degree = np.bincount(edges.ravel(), minlength=count)
-    inside = degree >= 3  # fewer neighbours: a border or a stray edge, whose mean leans to one side
+    inside = degree >= _NEIGHBOURS
     scale = np.sqrt(degree[inside] / (degree[inside] + 1.0))
     for column in values.T:
         channel = column.astype(np.float64)
@@ -130,8 +166,7 @@ def estimate_sigma_on_grid(planes: NDArray[np.float32], filled: NDArray[np.bool_
     """Estimate the standard deviation of independent noise on a grid, per channel.
 
     The diagonal Haar coefficients (a - b - c + d) / 2 of all 2 x 2 squares keep the noise and lose constants and
-    slopes; their median absolute deviation is not moved by edges. D. Donoho, I. Johnstone, "Ideal spatial adaptation
-    by wavelet shrinkage", Biometrika 81 (1994), doi:10.1093/biomet/81.3.425.
+    slopes [1]_; `weakest_level` takes them from the tiles of 8 x 8 squares where the image does least.
 
     Parameters
     ----------
@@ -144,24 +179,49 @@ def estimate_sigma_on_grid(planes: NDArray[np.float32], filled: NDArray[np.bool_
     -------
     ndarray of float64, shape (N,)
         In units of `planes`; 0 where no square is filled.
+
+    References
+    ----------
+    .. [1] D. Donoho, I. Johnstone, "Ideal spatial adaptation by wavelet shrinkage", Biometrika 81 (1994),
+       doi:10.1093/biomet/81.3.425
     """
-    upper, lower = _spread_rows(filled)
-    squares = filled[upper, :-1] & filled[lower, :-1] & filled[upper, 1:] & filled[lower, 1:]
-    if not squares.any():
+    rows = _bands(filled)
+    near, far = slice(None, -1), slice(1, None)
+    whole = filled[rows]
+    squares = whole[:, near, near] & whole[:, near, far] & whole[:, far, near] & whole[:, far, far]
+    count = _tiles(squares)
+    enough = count >= min(_FULL_TILE, float(count.max(initial=1)))
+    if not enough.any():
         return np.zeros(len(planes))
     sigma = []
     for plane in planes:
-        above, below = plane[upper], plane[lower]
-        detail = (above[:, :-1] - below[:, :-1] - above[:, 1:] + below[:, 1:])[squares]
-        sigma.append(_SIGMA_PER_MEDIAN * float(np.median(np.abs(detail))) / 2)
+        band = plane[rows]
+        detail = (band[:, near, near] - band[:, near, far] - band[:, far, near] + band[:, far, far]) / 2
+        own = band[:, near, near]
+        energy, low, high, mean = (
+            _tiles(np.where(squares, of, 0))[enough] / count[enough]
+            for of in (detail.astype(np.float64) ** 2, own <= 0, own >= 1, own)
+        )
+        sigma.append(weakest_level(energy, float(count[enough].mean()) / _HAAR_OVERLAP, low, high, mean))
     return np.array(sigma)
 
 
-def _spread_rows(filled: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Choose pairs of rows, evenly spread, that hold enough filled cells for a steady median."""
+def _bands(filled: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """Choose bands of rows, evenly spread, that hold enough filled cells; shape (bands, rows of a tile + 1)."""
     step = max(1, int(np.count_nonzero(filled)) // _ENOUGH_SQUARES)
-    upper = np.arange(0, len(filled) - 1, step)
-    return upper, upper + 1
+    first = np.arange(0, max(1, len(filled) - 1), _TILE * step)
+    rows: NDArray[np.intp] = np.minimum(first[:, None] + np.arange(_TILE + 1), len(filled) - 1)
+    return rows
+
+
+def _tiles(values: NDArray[Any]) -> NDArray[np.float64]:
+    """Sum over the tiles of bands of squares, shape (bands, _TILE, columns)."""
+    starts = np.arange(0, max(1, values.shape[2]), _TILE)
+    if not values.size:
+        return np.zeros((len(values), 0))
+    along = values.sum(axis=1, dtype=np.float64)
+    total: NDArray[np.float64] = np.add.reduceat(along, starts, axis=1)
+    return total
 
 
 def choose_beta(sigma: NDArray[np.float64]) -> float:
