@@ -32,9 +32,9 @@ _KNOWN = {
     9: ((*_RGB, *_NORMAL), (*_NORMAL, *_RGB)),
     10: (("intensity", *_RGB, *_NORMAL),),
 }
-"""What follows x, y and z, by the number of all columns; of two the first has no normals where there are none."""
+"""What follows x, y and z, by the number of all columns; the first that can be is taken."""
 
-_UNIT = 0.02  # how far the length of a normal may be from 1, for as few decimals as two
+_UNIT = 0.01  # how far the length of a normal may be from 1, for as few decimals as two
 _REMEDY = "name them in a first line, such as: # x y z r g b"
 
 
@@ -139,14 +139,19 @@ def _together(names: tuple[str, ...], triples: tuple[tuple[str, ...], ...]) -> t
 
 
 def _fits(layout: tuple[str, ...], values: NDArray[np.float64]) -> bool:
-    """Tell whether three columns are normals exactly where a layout has them."""
-    groups = [first for first, known in enumerate(layout) if known in ("red", "nx")]
-    return all(_are_normals(values[:, 3 + first : 6 + first]) == (layout[first] == "nx") for first in groups)
+    """Tell whether the numbers of a layout can be normals where it has these, and colours where it has them."""
+    for first, known in enumerate(layout):
+        triple = values[:, 3 + first : 6 + first]
+        triple = triple[np.isfinite(triple).all(axis=1)]
+        if known == "nx" and not _are_unit(triple):
+            return False
+        # Pure red, green and blue have length 1 as well.
+        if known == "red" and _are_unit(triple) and ((triple < 0) | (triple % 1 != 0)).any():
+            return False
+    return True
 
 
-def _are_normals(values: NDArray[np.float64]) -> bool:
-    finite = values[np.isfinite(values).all(axis=1)]
-    lengths = np.linalg.norm(finite, axis=1)
-    told = lengths > 0  # where none is known it is 0
-    pure = (finite >= 0).all() and (finite % 1 == 0).all()  # red, green and blue have length 1 as well
-    return bool(told.any() and (np.abs(lengths[told] - 1) < _UNIT).all() and not pure)
+def _are_unit(values: NDArray[np.float64]) -> bool:
+    """Tell whether all vectors have length 1, or 0 where none is known."""
+    lengths = np.linalg.norm(values, axis=1)
+    return bool(((np.abs(lengths - 1) < _UNIT) | (lengths == 0)).all())

@@ -100,7 +100,7 @@ class _Reader:
         if not names:
             fits = [words for words in self._comments if len(words) == width and width > 0]
             names = _small(fits[0]) if fits else ()
-        elif len(names) != width:
+        elif width not in (0, len(names)):
             raise InputError(self._name, f"the first line names {len(names)} columns, but there are {width}")
         return PointTable(names, counts, values, self._starts[tokens], self._ends[tokens])
 
@@ -173,4 +173,8 @@ def _is_number(word: bytes) -> bool:
 
 
 def _small(words: list[bytes]) -> tuple[str, ...]:
-    return tuple(word.decode("latin-1").lower() for word in words)
+    return tuple(_printable(word).lower() for word in words)
+
+
+def _printable(word: bytes) -> str:
+    return "".join(c if c.isprintable() else "?" for c in word[:_MOST_SHOWN].decode("ascii", "replace"))
