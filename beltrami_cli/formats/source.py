@@ -31,7 +31,10 @@ _ARCHIVES = {
 
 _JSON = re.compile(rb"(?:\xef\xbb\xbf)?[ \t\r\n]*\{")
 _PIECE = 1 << 24
-_READABLE = "beltrami reads PLY, OBJ, glTF (.gltf) and GLB files, and points in .xyz, .pts and .npz"
+_READABLE = (
+    "beltrami reads PLY, OBJ, glTF (.gltf) and GLB files, points in .xyz, .pts and .npz, and the colours of OFF, STL, "
+    "3MF, DAE, 3DXML and XAML files"
+)
 _LINES_OF_POINTS = {".xyz": "xyz", ".xyzrgb": "xyz", ".pts": "pts"}
 
 
@@ -120,6 +123,12 @@ def recognise(data: bytes, name: str, folder: Path | None, access: Access = EVER
         from beltrami_cli.formats.points import NpzPointsDocument
 
         return NpzPointsDocument(data, name, access)
+    if not name.lower().endswith(".obj"):
+        from beltrami_cli.formats.foreign import ForeignDocument, kind_of
+
+        kind = kind_of(data, name)
+        if kind is not None:
+            return ForeignDocument(data, name, kind, access)
     archive = _archive(data)
     if archive is not None:
         raise InputError(

@@ -1,0 +1,147 @@
+"""Files of formats that are read only, as documents: their coloured polygons, to be written in another format."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from beltrami_cli.errors import InputError
+from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
+from beltrami_cli.formats.document import NO_IMAGES, Document
+from beltrami_cli.formats.foreign.asking import ask_worker
+from beltrami_cli.formats.foreign.collada import read_dae
+from beltrami_cli.formats.foreign.off import read_off
+from beltrami_cli.formats.foreign.painting import (
+    PaintedPolygons,
+    check_polygons,
+    colours_of_vertices,
+    joined,
+)
+from beltrami_cli.formats.foreign.stl import read_stl
+from beltrami_cli.formats.foreign.threemf import read_3mf
+from beltrami_cli.mesh.painted import MeshContents, PaintedVertices
+from beltrami_cli.mesh.polygons import triangulate
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from beltrami_cli.formats.document import Written
+    from beltrami_cli.formats.foreign.recognition import Kind
+    from beltrami_cli.mesh.painted import MovedVertices
+    from beltrami_cli.mesh.textured import ImageFile, Slot
+
+_READ_ONLY = (
+    "A {} file is read, but not written: OUTPUT holds its polygons and their colours, and nothing else."
+)
+
+
+class ForeignDocument(Document):
+    """A file of a format that is not written.
+
+    Parameters
+    ----------
+    data : bytes
+        The file.
+    name : str
+        Its name for messages.
+    kind : str
+        Its format, as `kind_of` tells it.
+    access : Access
+        How much memory there is.
+    """
+
+    format: ClassVar[str] = "foreign"
+
+    def __init__(self, data: bytes, name: str, kind: Kind, access: Access = EVERYTHING_INSIDE) -> None:
+        super().__init__(name)
+        self._data, self._kind, self._access = data, kind, access
+        self.notices.append(_READ_ONLY.format(kind.upper()))
+
+    def painted(self) -> PaintedVertices:
+        """Return the coloured vertices and their triangles; see `Document.painted`."""
+        return self._painted
+
+    @cached_property
+    def _painted(self) -> PaintedVertices:
+        contents = self._contents
+        return PaintedVertices(
+            positions=contents.positions,
+            faces=triangulate(contents.positions, contents.corners, contents.offsets),
+            colours=contents.colours,
+            channels=("red", "green", "blue"),
+            encoding=contents.encoding,
+            stored=contents.stored,
+        )
+
+    def contents(self) -> MeshContents:
+        """Return the polygons with colours of vertices; see `Document.contents`."""
+        return self._contents
+
+    @cached_property
+    def _contents(self) -> MeshContents:
+        found = self._read()
+        check_polygons(found, self.name)
+        if len(found.positions) == len(found.corners):  # every polygon has vertices of its own
+            found = joined(found)
+        colours, notices = colours_of_vertices(found)
+        self.notices += notices
+        opacity = colours[:, 3] if colours.shape[1] == 4 else None
+        if opacity is not None and (np.isnan(opacity).any() or (opacity == 1).all()):
+            opacity = None
+        return MeshContents(
+            positions=found.positions,
+            corners=found.corners.astype(np.int32),
+            offsets=np.concatenate([[0], np.cumsum(found.sizes)]),
+            colours=np.ascontiguousarray(colours[:, :3]),
+            encoding=found.encoding,
+            stored=found.stored,
+            alpha=None if opacity is None else np.clip(opacity, 0, 1),
+            left_out=found.left_out,
+        )
+
+    def _read(self) -> PaintedPolygons:
+        match self._kind:
+            case "off":
+                return read_off(self._data, self.name)
+            case "stl":
+                return read_stl(self._data, self.name)
+            case "3mf":
+                return read_3mf(self._data, self.name, self._access)
+            case "dae" | "zae":
+                return read_dae(self._data, self.name, self._access)
+        return ask_worker(self._kind, self._data, self.name, self._access)
+
+    def patch(
+        self,
+        colours: NDArray[np.float32] | None,
+        stem: str,
+        *,
+        moved: bool,
+        images: Mapping[tuple[Slot, str], ImageFile] = NO_IMAGES,
+        places: MovedVertices | None = None,
+    ) -> Written:
+        """Raise: the format is not written."""
+        cause = f"a {self._kind.upper()} file is not written"
+        raise InputError(self.name, cause, "name an output in .ply, .obj, .glb or .gltf")
+
+    def references(self) -> Sequence[str]:
+        """Return nothing: the output is a mesh that stands alone."""
+        return []
+
+    def require_movable(self) -> None:
+        """Check nothing: the output is written anew."""
+
+    def facts(self) -> dict[str, object]:
+        """Return counts of what the file has."""
+        contents = self._contents
+        return {
+            "format": self._kind,
+            "vertices": len(contents.positions),
+            "polygons": len(contents.offsets) - 1,
+            "opacity": contents.alpha is not None,
+            "other": list(contents.left_out),
+        }

@@ -1,0 +1,139 @@
+"""Coloured polygons of any format, and the way from colours of corners to colours of vertices."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from beltrami_cli.errors import InputError, UnpaintedError
+from beltrami_cli.mesh.textured_mesh import distinct_corners
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from beltrami_cli.mesh.painted import Encoding
+
+_LEAST_WEIGHT = 1e-6  # of a polygon without area, against the mean one
+_MEANS = (
+    "Where polygons of different colours meet, vertices have the mean of their colours; {} of {} are such."
+)
+_BARE = "{} of {} vertices have no colour, and are white."
+
+
+@dataclass(frozen=True)
+class PaintedPolygons:
+    """What a reader finds.
+
+    Attributes
+    ----------
+    positions : ndarray of float64, shape (V, 3)
+        Of the vertices.
+    corners : ndarray of int64, shape (K,)
+        Vertices of all polygons, one polygon after the other.
+    sizes : ndarray of int64, shape (P,)
+        Corners of every polygon.
+    colours : ndarray of float32, shape (K, C)
+        Of every corner, C is 3 or 4 with opacity, full scale 1; NaN where there is none.
+    stored : str
+        Their type in the file, as in `PaintedVertices`.
+    left_out : tuple of str
+        What else the file holds.
+    encoding : {"srgb", "linear"}
+        What colours mean.
+    """
+
+    positions: NDArray[np.float64]
+    corners: NDArray[np.int64]
+    sizes: NDArray[np.int64]
+    colours: NDArray[np.float32]
+    stored: str
+    left_out: tuple[str, ...] = ()
+    encoding: Encoding = "srgb"
+
+
+def check_polygons(found: PaintedPolygons, name: str) -> None:
+    """Check what any format may get wrong.
+
+    Raises
+    ------
+    UnpaintedError
+        If no corner has a colour.
+    InputError
+        If there is nothing, an index is out of range, or a number is not finite.
+    """
+    vertices = len(found.positions)
+    if not vertices or not len(found.corners):
+        raise InputError(name, "there are no polygons", "nothing in it can be smoothed")
+    if found.corners.min() < 0 or found.corners.max() >= vertices:
+        raise InputError(name, f"a polygon names a vertex that is none of the {vertices}", "export it again")
+    finite = np.isfinite(found.positions).all(axis=1)
+    if not finite.all():
+        raise InputError(name, f"the position of vertex {int(np.argmin(finite))} is not finite")
+    if not np.isfinite(found.colours).all(axis=1).any():
+        raise UnpaintedError(
+            name, "none of its polygons or vertices has a colour", "give a file with vertex colours"
+        )
+
+
+def joined(found: PaintedPolygons) -> PaintedPolygons:
+    """Make one vertex of those that stand at the same place, for formats that give every triangle its own."""
+    first, number_of = distinct_corners(*(found.positions + 0.0).T)  # a negative zero is a zero
+    corners = number_of[found.corners]
+    return PaintedPolygons(
+        found.positions[first],
+        corners,
+        found.sizes,
+        found.colours,
+        found.stored,
+        found.left_out,
+        found.encoding,
+    )
+
+
+def colours_of_vertices(found: PaintedPolygons) -> tuple[NDArray[np.float32], list[str]]:
+    """Give every vertex the mean of its corners' colours, each counting by the area of its polygon.
+
+    Returns
+    -------
+    colours : ndarray of float32, shape (V, C)
+        A vertex whose corners agree has exactly their colour; one without any is white.
+    notices : list of str
+        What the user should be told.
+    """
+    count, notices = len(found.positions), []
+    known = np.isfinite(found.colours).all(axis=1)
+    corners, colours = found.corners[known], found.colours[known]
+    weights = np.repeat(_areas(found), found.sizes)[known]
+    total = np.bincount(corners, weights, count)
+    first = np.zeros(count, np.int64)
+    first[corners[::-1]] = np.arange(len(corners))[::-1]
+    result = np.ones((count, colours.shape[1]), np.float32)
+    result[total > 0] = colours[first[total > 0]]
+    mixed = np.bincount(corners, (colours != colours[first[corners]]).any(axis=1), count) > 0
+    for channel in range(colours.shape[1]):
+        sums = np.bincount(corners, weights * colours[:, channel], count)
+        result[mixed, channel] = (sums[mixed] / total[mixed]).astype(np.float32)
+    if mixed.any():
+        notices.append(_MEANS.format(int(mixed.sum()), count))
+    used = np.bincount(found.corners, minlength=count) > 0
+    bare = int(np.count_nonzero(used & (total == 0)))
+    if bare:
+        notices.append(_BARE.format(bare, count))
+    return result, notices
+
+
+def _areas(found: PaintedPolygons) -> NDArray[np.float64]:
+    """Return the areas of polygons in units of their mean, none of them zero."""
+    starts = np.cumsum(found.sizes) - found.sizes
+    polygon = np.repeat(np.arange(len(found.sizes)), found.sizes)
+    extent = float(np.abs(found.positions).max()) or 1.0
+    points = found.positions[found.corners] / extent
+    points = points - points[starts[polygon]]
+    after = np.arange(len(found.corners)) + 1
+    after[starts + found.sizes - 1] = starts
+    across = np.cross(points, points[after])
+    sums = np.stack([np.bincount(polygon, column, len(starts)) for column in across.T], axis=1)
+    areas: NDArray[np.float64] = np.linalg.norm(sums, axis=1)
+    return areas / (areas.mean() or 1.0) + _LEAST_WEIGHT

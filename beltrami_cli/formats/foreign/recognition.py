@@ -1,0 +1,34 @@
+"""Which formats are read only, and how they are told apart."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from beltrami_cli.formats.foreign.off import HEADER
+from beltrami_cli.formats.foreign.stl import is_binary_stl
+
+Kind = Literal["off", "stl", "3mf", "dae", "zae", "3dxml", "xaml"]
+
+_ARCHIVES: dict[str, Kind] = {".3mf": "3mf", ".zae": "zae", ".3dxml": "3dxml"}
+
+
+def kind_of(data: bytes, name: str) -> Kind | None:
+    """Tell the format of a file by its content, and by its name where many formats have such content; None: another.
+
+    Parameters
+    ----------
+    data : bytes
+        The file.
+    name : str
+        Its name.
+    """
+    suffix = "." + name.lower().rpartition(".")[2]
+    if data[:2] == b"PK":
+        return _ARCHIVES.get(suffix)
+    if HEADER.match(data):
+        return "off"
+    if suffix == ".stl" and (data[:5].lower() == b"solid" or is_binary_stl(data)):
+        return "stl"
+    if suffix == ".dae" and b"<COLLADA" in data[:4096]:
+        return "dae"
+    return "xaml" if suffix == ".xaml" and data.lstrip(b"\xef\xbb\xbf \t\r\n")[:1] == b"<" else None

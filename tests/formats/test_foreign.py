@@ -1,0 +1,369 @@
+"""Formats that are read only: their colours come out as PLY or glTF, whatever they are like nothing worse happens."""
+
+from __future__ import annotations
+
+import io
+import re
+import struct
+import zipfile
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+import trimesh
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from beltrami_cli.errors import InputError, UnpaintedError
+from beltrami_cli.formats.access import Access
+from beltrami_cli.formats.foreign import ForeignDocument
+from beltrami_cli.formats.foreign.painting import PaintedPolygons, colours_of_vertices
+from beltrami_cli.formats.source import recognise
+from beltrami_cli.mesh.transfer import linear_to_srgb
+from beltrami_cli.pipeline.smooth_file import smooth_file
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+SQUARE = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], float)
+LEVELS = np.array([[255, 0, 0], [0, 128, 0], [0, 0, 64], [10, 20, 30]], np.uint8)
+FACES = [[0, 1, 2], [0, 2, 3]]
+
+
+def opened(data: bytes, name: str, memory: int | None = None) -> ForeignDocument:
+    document = recognise(data, name, None, Access(memory=memory))
+    assert isinstance(document, ForeignDocument)
+    return document
+
+
+def coff(style: str, prefix: str = "C", extra: str = "") -> bytes:
+    rows = []
+    for place, level in zip(SQUARE.tolist(), LEVELS.tolist(), strict=True):
+        numbers = (
+            [repr(value / 255) for value in level] if style == "float" else [str(value) for value in level]
+        )
+        rows.append(
+            " ".join([*map(str, place), *extra.split(), *numbers, *(["1"] if style == "float" else ["255"])])
+        )
+    return f"{prefix}OFF\n# a comment\n4 2 0\n{chr(10).join(rows)}\n3 0 1 2\n3 0 2 3\n".encode()
+
+
+@pytest.mark.parametrize("style", ["float", "integer"])
+@pytest.mark.parametrize(("prefix", "extra"), [("C", ""), ("", ""), ("CN", "0 0 1"), ("c", "")])
+def test_off_with_colours_of_vertices(style: str, prefix: str, extra: str) -> None:
+    painted = opened(coff(style, prefix, extra), "x.off").painted()
+    np.testing.assert_array_equal(painted.positions, SQUARE)
+    np.testing.assert_allclose(painted.colours, LEVELS / 255, atol=1e-7)
+    assert painted.faces.tolist() == FACES
+
+
+@pytest.mark.parametrize("alpha", ["", " 255"])
+def test_off_with_colours_of_faces_gives_vertices_their_mean(alpha: str) -> None:
+    places = "\n".join(" ".join(map(str, place)) for place in [*SQUARE.tolist(), [0.0, 3.0, 0.0]])
+    lines = f"3 0 1 2 255 0 0{alpha}\n3 0 2 3 0 255 0{alpha}\n3 3 2 4 0 0 255{alpha}"
+    document = opened(f"OFF 5 3 0\n{places}\n{lines}\n".encode(), "x.off")
+    colours = document.painted().colours
+    # The areas are 1/2, 1/2 and 1.
+    expected = [[0.5, 0.5, 0], [1, 0, 0], [0.25, 0.25, 0.5], [0, 1 / 3, 2 / 3], [0, 0, 1]]
+    np.testing.assert_allclose(colours, expected, atol=1e-5)
+    np.testing.assert_array_equal(colours[[1, 4]], [[1, 0, 0], [0, 0, 1]])
+    assert any("3 of 5" in notice for notice in document.notices)
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (b"OFF BINARY\n", "only text of three dimensions"),
+        (b"4OFF\n1 0 0\n1 2 3 4\n", "only text of three dimensions"),
+        (b"OFF\n", "does not count"),
+        (b"OFF\nx y z\n", "does not count"),
+        (b"OFF\n3 1 0\n0 0 0\n", "it announces 3 vertices and 1 faces, but has 1 lines"),
+        (b"OFF\n99999999999999999999 1 0\n0 0 0\n", "it announces"),
+        (b"COFF\n2 0 0\n0 0 0 1 0 0 1\n0 0 0\n", "vertex 1 has 3 numbers, not 7"),
+        (b"COFF\n1 1 0\n0 0 x 1 0 0 1\n3 0 0 0\n", "not made of numbers"),
+        (b"COFF\n1 1 0\n0 0 nan 1 0 0 1\n3 0 0 0\n", "position of vertex 0 is not finite"),
+        (b"COFF\n1 1 0\n0 0 0 nan 0 0 1\n3 0 0 0\n", "a colour is not finite"),
+        (b"COFF\n1 1 0\n0 0 0 1 0 0 1\n3 0 0\n", "face 0 does not name the vertices"),
+        (b"COFF\n1 1 0\n0 0 0 1 0 0 1\n3 0 0 1\n", "names a vertex that is none of the 1"),
+        (b"COFF\n1 1 0\n0 0 0 1 0 0 1\n3 0 0 -1\n", "names a vertex that is none of the 1"),
+        (b"COFF\n1 1 0\n0 0 0 1 0 0 1\n3 0 0 99999999999999999999\n", "a vertex that cannot be"),
+        (b"OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n", "none of its polygons or vertices has a colour"),
+        (b"OFF\n0 0 0\n", "there are no polygons"),
+    ],
+)
+def test_damaged_off_files_are_refused(data: bytes, message: str) -> None:
+    with pytest.raises(InputError, match=re.escape(message)):
+        opened(data, "x.off").painted()
+
+
+def stl(colours: list[int], header: bytes = b"") -> bytes:
+    body = b""
+    for face, colour in zip(FACES, colours, strict=True):
+        body += struct.pack("<12fH", 0, 0, 1, *SQUARE[face].ravel(), colour)
+    return header.ljust(80, b"\0") + struct.pack("<I", len(FACES)) + body
+
+
+def test_stl_colours_of_both_customs() -> None:
+    red, green = (
+        31 << 10 | 1 << 15,
+        31 << 5 | 1 << 15,
+    )  # VisCAM: blue is lowest, the highest bit marks a colour
+    document = opened(stl([red, green]), "x.stl")
+    painted = document.painted()
+    assert len(painted.positions) == 4  # of six, those at one place being one
+    for place, colour in zip(painted.positions.tolist(), painted.colours.tolist(), strict=True):
+        expected = {1.0: [0.5, 0.5, 0], 0.5: None}.get(place[0] == place[1]) or (
+            [1, 0, 0] if place[0] else [0, 1, 0]
+        )
+        np.testing.assert_allclose(colour, expected, atol=1e-6)
+    magics = opened(stl([31, 1 << 15], b"a COLOR=\x00\xff\x00\xff"), "x.stl").painted()  # red is lowest
+    alone = {tuple(p): c for p, c in zip(magics.positions.tolist(), magics.colours.tolist(), strict=True)}
+    assert alone[1, 0, 0] == [1, 0, 0]
+    assert alone[0, 1, 0] == [0, 1, 0]  # the colour of the whole
+
+
+def test_stl_without_colours_or_damaged_is_refused() -> None:
+    with pytest.raises(UnpaintedError, match="none of its polygons"):
+        opened(stl([0, 0]), "x.stl").painted()
+    with pytest.raises(UnpaintedError, match="in text has no colours"):
+        opened(b"solid x\nendsolid\n", "x.stl").painted()
+    with pytest.raises(InputError, match="no known format"):
+        recognise(stl([0, 0])[:-1], "x.stl", None)
+    bad = bytearray(stl([1 << 15, 1 << 15]))
+    bad[84 + 12 : 84 + 16] = struct.pack("<f", np.nan)
+    with pytest.raises(InputError, match="is not finite"):
+        opened(bytes(bad), "x.stl").painted()
+
+
+CORE = "http://schemas.microsoft.com/3dmanufacturing/core/2015/02"
+MATERIAL = "http://schemas.microsoft.com/3dmanufacturing/material/2015/02"
+PRODUCTION = "http://schemas.microsoft.com/3dmanufacturing/production/2015/06"
+VERTICES = "".join(f'<vertex x="{x}" y="{y}" z="{z}"/>' for x, y, z in SQUARE.tolist())
+PALETTE = "".join(f'<m:color color="#{bytes(level).hex().upper()}"/>' for level in LEVELS)
+OBJECT = (
+    f'<m:colorgroup id="9">{PALETTE}</m:colorgroup><object id="1" pid="9" pindex="3"><mesh>'
+    f"<vertices>{VERTICES}</vertices>"
+    '<triangles><triangle v1="0" v2="1" v3="2" p1="0" p2="1" p3="2"/>'
+    '<triangle v1="0" v2="2" v3="3" pid="9" p1="0" p2="2" p3="3"/></triangles></mesh></object>'
+)
+
+
+def model(resources: str, build: str = '<item objectid="1"/>') -> str:
+    return (
+        f'<?xml version="1.0"?><model xmlns="{CORE}" xmlns:m="{MATERIAL}" xmlns:p="{PRODUCTION}">'
+        f"<resources>{resources}</resources><build>{build}</build></model>"
+    )
+
+
+def threemf(text: str, **others: str) -> bytes:
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
+        kind = "http://schemas.microsoft.com/3dmanufacturing/2013/01/3dmodel"
+        relation = f'<Relationship Type="{kind}" Target="/3D/3dmodel.model"/>'
+        archive.writestr("_rels/.rels", f"<Relationships>{relation}</Relationships>")
+        archive.writestr("3D/3dmodel.model", text)
+        for name, content in others.items():
+            archive.writestr(f"3D/{name}.model", content)
+    return packed.getvalue()
+
+
+def test_3mf_colours_of_corners() -> None:
+    document = opened(threemf(model(OBJECT)), "x.3mf")
+    painted = document.painted()
+    np.testing.assert_array_equal(painted.positions, SQUARE)
+    np.testing.assert_array_equal(painted.faces, FACES)
+    np.testing.assert_allclose(painted.colours, LEVELS / 255, atol=1e-7)
+    assert painted.stored == "uint8"
+
+
+def test_3mf_materials_parts_transforms_and_other_files() -> None:
+    flat = (
+        '<basematerials id="5"><base name="a" displaycolor="#FF0000"/><base name="b" displaycolor="#00FF0080"/>'
+        "</basematerials>"
+        f'<object id="2" pid="5" pindex="1"><mesh><vertices>{VERTICES}</vertices><triangles>'
+        '<triangle v1="0" v2="1" v3="2"/></triangles></mesh></object>'
+    )
+    parts = (
+        f'{OBJECT}<object id="3"><components><component objectid="1" transform="1 0 0 0 1 0 0 0 1 0 0 5"/>'
+        '<component objectid="2" p:path="/3D/b.model"/></components></object>'
+    )
+    build = '<item objectid="3" transform="2 0 0 0 2 0 0 0 2 0 0 1"/>'
+    document = opened(threemf(model(parts, build), b=model(flat)), "x.3mf")
+    contents = document.contents()
+    np.testing.assert_array_equal(contents.positions[:4], SQUARE * 2 + [0, 0, 11])
+    np.testing.assert_array_equal(contents.positions[4:], SQUARE * 2 + [0, 0, 1])
+    np.testing.assert_array_equal(contents.colours[4:7], [[0, 1, 0]] * 3)
+    assert contents.alpha is not None
+    np.testing.assert_allclose(contents.alpha, [1, 1, 1, 1, 128 / 255, 128 / 255, 128 / 255, 1], atol=1e-6)
+    mesh = trimesh.load_scene(
+        io.BytesIO(threemf(model(OBJECT, '<item objectid="1" transform="2 0 0 0 2 0 0 0 2 0 3 1"/>'))),
+        file_type="3mf",
+    )
+    ours = opened(
+        threemf(model(OBJECT, '<item objectid="1" transform="2 0 0 0 2 0 0 0 2 0 3 1"/>')), "x.3mf"
+    ).painted()
+    np.testing.assert_allclose(mesh.to_mesh().vertices[mesh.to_mesh().faces], ours.positions[ours.faces])
+
+
+def doubling(depth: int) -> str:
+    parts = ""
+    for number in range(2, depth):
+        part = f'<component objectid="{number - 1}"/>'
+        parts += f'<object id="{number}"><components>{part}{part}</components></object>'
+    return model(OBJECT + parts, f'<item objectid="{depth - 1}"/>')
+
+
+def bomb() -> bytes:
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("3D/3dmodel.model", bytes(1 << 28))
+    return packed.getvalue()
+
+
+LAUGHS = '<!DOCTYPE model [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;&a;">]>' + model(OBJECT)
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (b"PK\x03\x04 junk", "the archive is damaged"),
+        (threemf("no xml"), "is no XML"),
+        (threemf(LAUGHS), "a document type is not allowed"),
+        (threemf(model(OBJECT.replace('v1="0"', 'v1="zero"'))), "is damaged (invalid literal"),
+        (threemf(model(OBJECT.replace('v1="0"', ""))), "is damaged ('v1')"),
+        (threemf(model(OBJECT.replace('v3="2"', 'v3="4"'))), "none of the 4"),
+        (threemf(model(OBJECT.replace('x="1.0"', 'x="inf"'))), "is not finite"),
+        (threemf(model(OBJECT.replace("#FF0000", "#F00"))), "is no colour"),
+        (threemf(model(OBJECT, '<item objectid="7"/>')), "there is no object '7'"),
+        (threemf(model(OBJECT, '<item objectid="1" transform="1 2"/>')), "a transform has 2 numbers"),
+        (
+            threemf(model('<object id="1"><components><component objectid="1"/></components></object>')),
+            "too many parts",
+        ),
+        (threemf(doubling(31)), "too many parts within parts"),
+        (threemf(model(OBJECT, "")), "there are no polygons"),
+        (threemf(model(OBJECT.replace("p1", "q1").replace("pindex", "q"), "")), "there are no polygons"),
+        (bomb(), "bytes, more than the"),
+    ],
+)
+def test_damaged_3mf_files_are_refused(data: bytes, message: str) -> None:
+    with pytest.raises(InputError) as caught:
+        opened(data, "x.3mf", 1 << 30).painted()
+    assert message in str(caught.value)
+
+
+def source(key: str, values: str, axes: str) -> str:
+    params = "".join(f'<param name="{axis}" type="float"/>' for axis in axes)
+    accessor = f'<accessor source="#{key}a" count="4" stride="3">{params}</accessor>'
+    array = f'<float_array id="{key}a" count="12">{values}</float_array>'
+    return f'<source id="{key}">{array}<technique_common>{accessor}</technique_common></source>'
+
+
+DAE = "\n".join(
+    [
+        '<?xml version="1.0"?><COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">',
+        '<asset><unit meter="1"/><up_axis>Y_UP</up_axis></asset><library_geometries><geometry id="g"><mesh>',
+        source("p", "0 0 0 1 0 0 1 1 0 0 1 0", "XYZ"),
+        source("c", "1 0 0 0 0.5 0 0 0 0.25 0.1 0.2 0.3", "RGB"),
+        '<vertices id="v"><input semantic="POSITION" source="#p"/></vertices><triangles count="2">',
+        '<input semantic="VERTEX" source="#v" offset="0"/><input semantic="COLOR" source="#c" offset="1"/>',
+        "<p>0 0 1 1 2 2 0 0 2 2 3 3</p></triangles></mesh></geometry></library_geometries>",
+        '<library_visual_scenes><visual_scene id="s"><node><translate>0 0 7</translate>',
+        '<instance_geometry url="#g"/></node></visual_scene></library_visual_scenes>',
+        '<scene><instance_visual_scene url="#s"/></scene></COLLADA>',
+    ]
+)
+
+
+def test_dae_colours_in_their_place(tmp_path: Path) -> None:
+    pytest.importorskip("collada", reason="pycollada is not installed: run the tests by `make test`")
+    painted = opened(DAE.encode(), "x.dae").painted()
+    np.testing.assert_array_equal(painted.positions[painted.faces], SQUARE[FACES] + [0, 0, 7])
+    seen = {
+        tuple(p[:2]): c for p, c in zip(painted.positions.tolist(), painted.colours.tolist(), strict=True)
+    }
+    np.testing.assert_allclose(seen[1, 0], [0, 0.5, 0])
+    np.testing.assert_allclose(seen[0, 1], [0.1, 0.2, 0.3])
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w") as archive:
+        archive.writestr("model.dae", DAE)
+    again = opened(packed.getvalue(), "x.zae").painted()
+    np.testing.assert_array_equal(again.colours, painted.colours)
+    with pytest.raises(InputError, match="document type"):
+        opened(b"<!DOCTYPE COLLADA []>" + DAE.encode(), "x.dae").painted()
+    with pytest.raises(InputError, match="it is damaged"):
+        opened(DAE[:-1].encode(), "x.dae").painted()
+
+
+XAML = '<GeometryModel3D xmlns="http://schemas.microsoft.com/winfx/2006/xaml/presentation">junk'
+
+
+def test_what_trimesh_does_not_understand_is_one_line() -> None:
+    pytest.importorskip("lxml", reason="lxml is not installed: run the tests by `make test`")
+    with pytest.raises(InputError, match="damaged, or not understood") as caught:
+        opened(XAML.encode(), "x.xaml").painted()
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("suffix", ["ply", "glb", "obj"])
+def test_they_are_smoothed_and_written_as_another_format_with_a_line_that_says_so(
+    suffix: str, tmp_path: Path
+) -> None:
+    grid = np.stack(np.meshgrid(range(8), range(8), indexing="ij"), axis=2).reshape(-1, 2)
+    levels = np.random.default_rng(0).integers(0, 256, (64, 3))
+    lines = [
+        f"{x} {y} 0 {r} {g} {b} 255" for (x, y), (r, g, b) in zip(grid.tolist(), levels.tolist(), strict=True)
+    ]
+    lines += [f"4 {i} {i + 1} {i + 9} {i + 8}" for i in range(55) if i % 8 != 7]
+    (tmp_path / "in.off").write_text(f"COFF\n64 49 0\n{chr(10).join(lines)}\n")
+    report = smooth_file(tmp_path / "in.off", tmp_path / f"out.{suffix}")
+    assert any("OFF file is read, but not written" in warning for warning in report.warnings)
+    mesh = trimesh.load_mesh(tmp_path / f"out.{suffix}", process=False)
+    assert len(mesh.vertices) == 64
+    assert len(mesh.faces) == 98
+    again = recognise((tmp_path / f"out.{suffix}").read_bytes(), f"x.{suffix}", None).painted()
+    smoothed = linear_to_srgb(again.colours) if again.encoding == "linear" else again.colours
+    assert smoothed.std() < (levels / 255).std()
+    with pytest.raises(InputError, match="name an output in"):
+        opened((tmp_path / "in.off").read_bytes(), "x.off").patch(None, "out", moved=True)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.data())
+def test_vertices_have_the_mean_of_their_corners_and_nothing_beyond(data: st.DataObject) -> None:
+    random = np.random.default_rng(data.draw(st.integers(0, 2**32 - 1)))
+    sizes = random.integers(3, 6, 10)
+    corners = random.integers(0, 12, sizes.sum())
+    colours = random.random((len(corners), 3), np.float32)
+    colours[random.random(len(corners)) < 0.2] = np.nan
+    found = PaintedPolygons(random.random((12, 3)), corners, sizes, colours, "float32")
+    result, _ = colours_of_vertices(found)
+    for vertex in range(12):
+        own = colours[(corners == vertex) & np.isfinite(colours[:, 0])]
+        if not len(own):
+            assert (result[vertex] == 1).all()
+        else:
+            assert (result[vertex] >= own.min(axis=0) - 1e-6).all()
+            assert (result[vertex] <= own.max(axis=0) + 1e-6).all()
+
+
+GOOD = {"x.off": coff("float"), "x.stl": stl([1 << 15, 1 << 15]), "x.3mf": threemf(model(OBJECT))}
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.data())
+def test_damage_is_read_or_refused(data: st.DataObject) -> None:
+    name = data.draw(st.sampled_from(sorted(GOOD)))
+    bad = bytearray(GOOD[name])
+    for _ in range(data.draw(st.integers(1, 4))):
+        at = data.draw(st.integers(0, len(bad) - 1))
+        bad[at : at + data.draw(st.integers(0, 2))] = data.draw(st.binary(max_size=3))
+    try:
+        painted = recognise(
+            bytes(bad[: data.draw(st.integers(1, len(bad)))]), name, None, Access(memory=1 << 28)
+        ).painted()
+    except InputError:
+        return
+    assert np.isfinite(painted.positions).all()
+    assert np.isfinite(painted.colours).all()
+    assert painted.faces.size == 0 or 0 <= painted.faces.min() <= painted.faces.max() < len(painted.positions)
