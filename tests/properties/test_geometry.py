@@ -113,12 +113,12 @@ def test_the_border_of_an_open_surface_stays_to_the_bit():
 
 
 def test_copies_of_a_vertex_move_together_whatever_their_colours():
-    """A sphere of two halves that do not share vertices, one black and one white: a hard colour edge runs around."""
+    """A sphere of two halves that do not share vertices, one dark and one light: a hard colour edge runs around."""
     noisy = shaken(SPHERE)
     upper = noisy[SPHERE_FACES].mean(axis=1)[:, 2] > 0
     positions = np.concatenate([noisy, noisy])
     faces = np.where(upper[:, None], SPHERE_FACES, SPHERE_FACES + len(noisy))
-    colours = np.repeat([[1.0], [0.0]], len(noisy), axis=0)
+    colours = np.repeat([[0.8], [0.2]], len(noisy), axis=0)
     result = moved(positions, faces, colours)
     first, second = result.positions[: len(noisy)], result.positions[len(noisy) :]
     assert np.array_equal(first, second)
