@@ -129,17 +129,6 @@ def test_a_fifo_is_refused_at_once(tmp_path):
     assert b"pipe" in run.stderr
 
 
-def test_points_without_faces_are_refused_and_the_way_out_is_named(tmp_path):
-    points = tmp_path / "points.ply"
-    points.write_text(
-        "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\n"
-        "property uchar red\nproperty uchar green\nproperty uchar blue\nend_header\n0 0 0 1 2 3\n"
-    )
-    run = beltrami("smooth", points, tmp_path / "out.ply")
-    assert run.returncode == 3
-    assert b"triangulate" in run.stderr
-
-
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
 def test_a_full_device_is_an_output_error():
     with Path("/dev/full").open("wb") as full:

@@ -1,0 +1,192 @@
+"""`beltrami smooth`, `info`, `kernel` and `check` on points without faces, in every format that has them."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from beltrami_cli.formats.ply import PlyDocument
+from beltrami_cli.formats.points import TextPointsDocument
+from cli.commands import beltrami
+
+SIDE = 30
+STRAY = 3
+
+
+def scan():
+    """A wavy sheet with noise in its colours, and a few points far from it."""
+    rng = np.random.default_rng(0)
+    flat = np.stack(np.meshgrid(np.arange(SIDE), np.arange(SIDE)), axis=-1).reshape(-1, 2).astype(float)
+    flat += rng.uniform(-0.3, 0.3, flat.shape)
+    sheet = np.column_stack([flat, np.sin(flat[:, 0] / 6)])
+    clean = np.where(flat[:, :1] < SIDE / 2, [200, 80, 60], [70, 120, 180])
+    colours = np.clip(np.rint(clean + 12 * rng.standard_normal(clean.shape)), 0, 255).astype(np.uint8)
+    stray = np.array([[0, 0, 300], [400, 0, 0], [0, -500, 20]], float)
+    return np.concatenate([sheet, stray]), np.concatenate([colours, colours[:STRAY]]), clean
+
+
+def as_text(path, positions, colours, style="{0} {1}"):
+    lines = [
+        style.format(" ".join(map(repr, place)), " ".join(map(str, shade)))
+        for place, shade in zip(positions.tolist(), colours.tolist(), strict=True)
+    ]
+    path.write_text("".join(f"{line}\n" for line in lines))
+    return path
+
+
+@pytest.fixture(scope="module")
+def clouds(tmp_path_factory):
+    """The same points in files of every format."""
+    folder = tmp_path_factory.mktemp("clouds")
+    positions, colours, _ = scan()
+    as_text(folder / "scan.xyz", positions, colours)
+    np.savez(folder / "scan.npz", positions=positions, colours=colours, label=np.arange(len(colours)))
+    for extension in ("ply", "pts", "obj", "glb"):
+        made = beltrami("smooth", folder / "scan.xyz", folder / f"scan.{extension}", "-n", "0")
+        assert made.returncode == 0, made.stderr
+    return folder
+
+
+@pytest.mark.parametrize("extension", ["ply", "xyz", "pts", "npz", "obj", "glb"])
+def test_points_of_every_format_are_smoothed_and_outliers_are_counted(clouds, tmp_path, extension):
+    source, target, report = (
+        clouds / f"scan.{extension}",
+        tmp_path / f"clean.{extension}",
+        tmp_path / "r.json",
+    )
+    run = beltrami("smooth", source, target, "--report", report)
+    assert run.returncode == 0, run.stderr
+    assert f"{STRAY} of {SIDE * SIDE + STRAY} points are too far from others" in run.stderr.decode()
+    counts = json.loads(report.read_text())["vertices"]["counts"]
+    assert counts["outliers"] == STRAY
+    squares = (SIDE - 1) ** 2  # of two triangles; the rim of points that were moved has a few more or less
+    assert 1.95 * squares < counts["triangles"] < 2.1 * squares
+    check = beltrami("check", source, target)
+    assert check.returncode == 0, check.stdout + check.stderr
+    same = tmp_path / f"same.{extension}"
+    assert beltrami("smooth", source, same, "-n", "0").returncode == 0
+    assert same.read_bytes() == source.read_bytes()
+
+
+def test_noise_goes_and_the_edge_and_the_outliers_stay(clouds, tmp_path):
+    _, colours, clean = scan()
+    target = tmp_path / "clean.xyz"
+    assert beltrami("smooth", clouds / "scan.xyz", target).returncode == 0
+    done = TextPointsDocument(target.read_bytes(), "clean.xyz", "xyz").painted().colours * 255
+    before = np.sqrt(np.mean((colours[: len(clean)].astype(float) - clean) ** 2))
+    after = np.sqrt(np.mean((done[: len(clean)] - clean) ** 2))
+    assert after < before / 3
+    assert np.array_equal(np.rint(done[len(clean) :]), colours[len(clean) :])
+
+
+def test_all_formats_give_the_same_colours(clouds, tmp_path):
+    results = []
+    for extension in ("ply", "xyz", "pts", "npz"):
+        target = tmp_path / f"{extension}.ply"
+        assert beltrami("smooth", clouds / f"scan.{extension}", target).returncode == 0
+        painted = PlyDocument(target.read_bytes(), "x.ply").painted()
+        assert not len(painted.faces)
+        results.append(np.rint(255 * painted.colours))
+    assert all(np.array_equal(result, results[0]) for result in results[1:])
+
+
+def test_info_describes_a_cloud(clouds):
+    run = beltrami("info", clouds / "scan.ply", "--json")
+    facts = json.loads(run.stdout)
+    assert "surface" not in facts
+    assert facts["cloud"]["points"] == SIDE * SIDE + STRAY
+    assert facts["cloud"]["outliers"] == STRAY
+    assert 0.8 < facts["cloud"]["mean_edge_length"] < 1.4
+    assert 9 < 255 * facts["noise"]["red"] < 15
+    assert b"outliers" in beltrami("info", clouds / "scan.pts").stdout
+
+
+def test_one_kernel_of_a_cloud_can_be_looked_at(clouds, tmp_path):
+    target = tmp_path / "kernel.ply"
+    run = beltrami("kernel", clouds / "scan.ply", target, "--at", str(SIDE * SIDE // 2 + SIDE // 4))
+    assert run.returncode == 0, run.stderr
+    assert target.stat().st_size > 1000
+
+
+def test_intensities_alone_are_smoothed(tmp_path):
+    positions, colours, _ = scan()
+    reflectance = (colours[:, :1].astype(float) - 100) * 16.5
+    source = as_text(tmp_path / "scan.pts", positions, reflectance)
+    run = beltrami("smooth", source, tmp_path / "clean.pts", "-v")
+    assert run.returncode == 0, run.stderr
+    assert b"x y z intensity" in run.stderr
+    before, after = (np.loadtxt(tmp_path / name) for name in ("scan.pts", "clean.pts"))
+    assert np.array_equal(before[:, :3], after[:, :3])
+    left = slice(SIDE * SIDE // 4)
+    assert after[left, 3].std() < before[left, 3].std()
+
+
+def test_another_column_can_guide(clouds, tmp_path):
+    positions, colours, clean = scan()
+    side = (clean[:, :1] > 100) * 1000
+    source = as_text(
+        tmp_path / "scan.pts", positions[: len(clean)], np.column_stack([side, colours[: len(clean)]])
+    )
+    run = beltrami(
+        "smooth", source, tmp_path / "clean.pts", "--guide", "intensity", "--metric-channels", "none"
+    )
+    assert run.returncode == 0, run.stderr
+    after = np.loadtxt(tmp_path / "clean.pts")
+    assert np.array_equal(after[:, 3], side[:, 0])
+    assert np.abs(after[:, 4:] - clean).mean() < 4
+
+
+def test_a_mesh_with_some_faces_stays_a_mesh(tmp_path):
+    """Its points without faces are as isolated as before."""
+    lines = ["ply", "format ascii 1.0", "element vertex 30"]
+    lines += [f"property float {axis}" for axis in "xyz"] + [
+        f"property uchar {c}" for c in ("red", "green", "blue")
+    ]
+    lines += ["element face 1", "property list uchar int vertex_indices", "end_header"]
+    rows = [f"{i % 6} {i // 6} 0 {20 * (i % 2)} 100 {5 * i}" for i in range(30)]
+    source = tmp_path / "mesh.ply"
+    source.write_text("\n".join([*lines, *rows, "3 0 1 6", ""]))
+    run = beltrami("smooth", source, tmp_path / "out.ply", "--beta", "1")
+    assert run.returncode == 0, run.stderr
+    before, after = (file.read_text().split("\n") for file in (source, tmp_path / "out.ply"))
+    changed = [row - 12 for row, line in enumerate(before) if after[row] != line]
+    assert changed == [0, 1, 6]
+
+
+@pytest.mark.parametrize("points", [1, 2])
+def test_hardly_any_points_stay_as_they_are(tmp_path, points):
+    source = tmp_path / "few.xyz"
+    source.write_bytes(b"0 0 0 10 20 30\n1 2 3 40 50 60\n"[: 15 * points])
+    run = beltrami("smooth", source, tmp_path / "out.xyz")
+    assert run.returncode == 0, run.stderr
+    assert (tmp_path / "out.xyz").read_bytes() == source.read_bytes()
+    assert f"{points} of {points} points".encode() in run.stderr
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "code", "said"),
+    [
+        ("scan.xyz", ("--smooth-geometry",), 3, b"no triangles"),
+        ("scan.xyz", ("--unwrap",), 2, b".xyz file has no textures"),
+        ("scan.ply", ("--unwrap",), 3, b"triangulate the points first"),
+    ],
+)
+def test_what_needs_faces_is_refused(clouds, tmp_path, name, options, code, said):
+    target = tmp_path / f"out{clouds.joinpath(name).suffix}"
+    run = beltrami("smooth", clouds / name, target, *options)
+    assert run.returncode == code, run.stderr
+    assert said in run.stderr
+    assert run.stderr.count(b"\n") == 1
+    assert not target.exists()
+
+
+def test_faces_are_dropped_with_a_word_when_a_mesh_becomes_points(tmp_path):
+    positions, colours, _ = scan()
+    faces = np.array([[0, 1, SIDE], [1, SIDE + 1, SIDE]])
+    np.savez(tmp_path / "mesh.npz", xyz=positions, rgb=colours, faces=faces)
+    run = beltrami("smooth", tmp_path / "mesh.npz", tmp_path / "points.pts", "-n", "0")
+    assert run.returncode == 0, run.stderr
+    assert b"Faces are dropped" in run.stderr
+    assert (tmp_path / "points.pts").read_bytes().startswith(b"%d\n" % len(positions))
