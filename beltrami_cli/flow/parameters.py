@@ -66,14 +66,14 @@ class KernelParameters:
     iterations: int = 5
     t: float = 2.4
     beta: float | None = None
-    beta_growth: float = 1.0
+    beta_growth: float = 2.0
     threshold: float = 0.01
     weights: Weights = "uniform"
     units: Units = "spacing"
     max_samples: int = 2000
     threads: int | None = None
     window: int = 7
-    metric_scale: float = 0.7
+    metric_scale: float = 0.5
     metric_steps: int = 2
     scheme: Scheme = "triangles"
     clipping: Clipping = "restore"
@@ -133,5 +133,6 @@ PRESETS: dict[str, dict[str, object]] = {
         "metric_steps": 0,
         "scheme": "metric",
         "clipping": "keep",
+        "beta_growth": 1.0,
     }
 }

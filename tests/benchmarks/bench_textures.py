@@ -35,11 +35,12 @@ FILTERS = {
     "non-local means (scikit-image)": texture_peers.nonlocal_means,
     "total variation (scikit-image)": texture_peers.total_variation,
 }
-CONTRASTS = (1.05, 1.4, 2.1, 2.8)  # beta times the noise
-GUIDED = (0, 1, 2, 3, 4)  # iterations with the regularised metric
-PLAIN = (0, 1, 2, 3, 4, 6)  # and without, after them
-STEPS = (1.2, 2.4, 4.0)  # time step: what the bilateral filter's spatial sigma is to it
-START = (2.1, 2, 2, 2.4)
+CONTRASTS = (1.0, 1.4, 2.0, 2.8)  # beta times the noise
+GUIDED = (0, 1, 2, 3)  # iterations with the regularised metric
+PLAIN = (0, 1, 2, 4, 6)  # and without, after them
+STEPS = (2.4, 4.0, 8.0)  # time step: what the bilateral filter's spatial sigma is to it
+GROWTHS = (1.0, 1.5, 2.5)  # of beta from one iteration to the next
+START = (1.4, 2, 2, 4.0, 1.5)
 
 
 def main():
@@ -58,9 +59,12 @@ def main():
         options.json.write_text(json.dumps([asdict(row) for row in rows], indent=1) + "\n")
 
 
-def smooth(source, target, iterations, contrast, guided, step):
-    """Smooth a model in this process with one thread."""
-    beltrami_cli.smooth_file(source, target, smoothing(iterations, contrast, guided, step), overwrite=True)
+def smooth(source, target, settings, clipping="restore"):
+    """Smooth a model in this process."""
+    contrast, guided, plain, step, growth = settings
+    others = {"beta_growth": growth, "clipping": clipping, "threads": None}
+    chosen = smoothing(guided + plain, contrast, guided, step, **others)
+    beltrami_cli.smooth_file(source, target, chosen, overwrite=True)
 
 
 def quality_rows(quick):
@@ -83,7 +87,7 @@ def quality_rows(quick):
     return rows + mean_rows(gains)
 
 
-def image_rows(scene, number, best, settings, torn):
+def image_rows(scene, number, best, settings, torn, unrestored):
     """Return the rows of an image, and by how much ours is better than each filter."""
     where = f"{scene.name}, image {number + 1}: PSNR, near seams"
     score, noisy, beside = scorer(scene, number), scene.noisy[number], {}
@@ -96,8 +100,9 @@ def image_rows(scene, number, best, settings, torn):
             continue
         rows.append(Row(f"{where}: {name}", decibels(reached)))
         beside[name] = np.subtract(best, reached)
-    told = "c {}, {} regularised and {} plain iterations, t {}".format(*settings)
+    told = "c {}, {} regularised and {} plain iterations, t {}, growth {}".format(*settings)
     rows.append(Row(f"{where}: beltrami, {told}", decibels(best)))
+    rows.append(Row(f"{where}: beltrami, the same with --clipping keep", decibels(unrestored)))
     if np.isfinite(torn[1]):
         halo = best[1] - torn[1]
         what = f"{where}: across seams against torn at seams"
@@ -138,7 +143,8 @@ def scenes(quick):
 
 
 def tuned(scene):
-    """Yield per image the best scores of ours, the settings, and the scores of the same settings on the torn model.
+    """Yield per image the best scores of ours, the settings, and the scores of the same settings on the torn model and
+    with averages of clipped noise kept.
 
     One setting after the other is varied, from a start, until none gets better.
     """
@@ -148,23 +154,22 @@ def tuned(scene):
         texture_files.write_glb(torn, scene, scene.noisy, torn=True)
         known = {}
 
-        def scores(settings, source=whole):
-            if (settings, source) not in known:
-                contrast, guided, plain, step = settings
-                if guided + plain:
-                    smooth(source, target, guided + plain, contrast, guided, step)
-                found = texture_files.read_images(target if guided + plain else source)
-                known[settings, source] = [scorer(scene, k)(image) for k, image in enumerate(found)]
-            return known[settings, source]
+        def scores(settings, source=whole, *more):
+            if (settings, source, more) not in known:
+                smooth(source, target, settings, *more)
+                found = texture_files.read_images(target)
+                known[settings, source, more] = [scorer(scene, k)(image) for k, image in enumerate(found)]
+            return known[settings, source, more]
 
         for number in range(len(scene.clean)):
             best, before = START, None
             while best != before:
                 before = best
-                for axis, choices in ((3, STEPS), (1, GUIDED), (2, PLAIN), (0, CONTRASTS)):
+                for axis, choices in ((2, PLAIN), (0, CONTRASTS), (4, GROWTHS), (1, GUIDED), (3, STEPS)):
                     tried = [(*best[:axis], choice, *best[axis + 1 :]) for choice in choices]
                     best = max(tried, key=lambda settings: scores(settings)[number][0])
-            yield scores(best)[number], best, scores(best, torn)[number]
+            others = scores(best, torn)[number], scores(best, whole, "keep")[number]
+            yield scores(best)[number], best, *others
 
 
 def scorer(scene, number):

@@ -24,14 +24,20 @@ from beltrami_cli.pipeline.prepare_textures import prepare_slot
 
 TEXELS = 1024
 STEP = 2.4
-SCALE = 0.5**0.5  # of the binomial filter 1 2 1
+SCALE = beltrami_cli.KernelParameters().metric_scale
 
 
-def smoothing(iterations, contrast, guided, step=STEP):
+def smoothing(iterations, contrast, guided, step=STEP, *, threads=1, **others):
     """Return the settings of so many iterations, the first `guided` of them with the regularised metric."""
-    settings = {"iterations": iterations, "t": step, "beta": contrast / SIGMA, "window": 7, "threads": 1}
+    settings = {
+        "iterations": iterations,
+        "t": step,
+        "beta": contrast / SIGMA,
+        "window": 7,
+        "threads": threads,
+    }
     scale = SCALE if guided else 0.0
-    kernel = beltrami_cli.KernelParameters(metric_scale=scale, metric_steps=guided, **settings)
+    kernel = beltrami_cli.KernelParameters(metric_scale=scale, metric_steps=guided, **settings, **others)
     return beltrami_cli.SmoothSettings(kernel=kernel)
 
 
