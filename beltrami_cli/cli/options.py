@@ -338,15 +338,15 @@ def settings_from(options: dict[str, Any]) -> SmoothSettings:
     return SmoothSettings(
         kernel=_kernel_from(options),
         space=options["space"],
-        channels=None if options["channels"] is None else _names(options["channels"], "--channels"),
+        channels=None if options["channels"] is None else names_in(options["channels"], "--channels"),
         on=options["on"],
         textures=TextureSettings(
-            slots=_names(options["slots"], "--slots"),
+            slots=names_in(options["slots"], "--slots"),
             materials=options["materials"],
             names=options["texture_names"],
             alpha=options["alpha"],
-            gutter=_gutter(options["gutter"]),
-            image_suffix=_suffix(options["texture_format"]),
+            gutter=gutter_width(options["gutter"]),
+            image_suffix=suffix_of(options["texture_format"]),
             jpeg_quality=options["jpeg_quality"],
             small=options["small"],
         ),
@@ -379,18 +379,21 @@ def _is_given(name: str) -> bool:
     return source is not click.core.ParameterSource.DEFAULT
 
 
-def _names(text: str, option: str) -> tuple[str, ...]:
+def names_in(text: str, option: str) -> tuple[str, ...]:
+    """Return the names of a list with commas; UsageError if there are none."""
     names = tuple(name.strip() for name in text.split(",") if name.strip())
     if not names:
         raise UsageError(f"{option} names nothing; give names, with commas between them, or leave it out")
     return names
 
 
-def _suffix(text: str | None) -> str | None:
+def suffix_of(text: str | None) -> str | None:
+    """Return an extension in lower case and with its dot."""
     return None if text is None else "." + text.lower().lstrip(".")
 
 
-def _gutter(text: str) -> int | None:
+def gutter_width(text: str) -> int | None:
+    """Return a number of texels, None for "keep"; UsageError if it is neither."""
     if text == "keep":
         return None
     # Alone, isdigit would let other scripts and ² pass, which int does not take.

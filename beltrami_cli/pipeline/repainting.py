@@ -90,7 +90,7 @@ def repaint(
     covered.reshape(-1)[texels] = True
     if gutter is not None:
         beside, gutter_texels = smoothed.of_texture(smoothed.gutter_texels, index)
-        near = _within(covered, gutter).reshape(-1)[gutter_texels]
+        near = within(covered, gutter).reshape(-1)[gutter_texels]
         beside[beside], gutter_texels = near, gutter_texels[near]
         colours.write(new, index, gutter_texels, smoothed.gutter_colours[beside])
         known.reshape(-1)[gutter_texels] = True
@@ -102,7 +102,7 @@ def repaint(
     return pixels, change
 
 
-def _within(covered: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
+def within(covered: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
     """Tell which texels lie at most `reach` rows and columns from a covered one."""
     from scipy.ndimage import maximum_filter
 

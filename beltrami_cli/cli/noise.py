@@ -1,0 +1,93 @@
+"""The command `beltrami noise`."""
+
+from __future__ import annotations
+
+from typing import Any, get_args
+
+import click
+
+from beltrami_cli.cli import options
+from beltrami_cli.cli.amounts import sure_amount
+from beltrami_cli.cli.console import Messages
+from beltrami_cli.cli.painting import choosing, painting_from, writing
+from beltrami_cli.pipeline.noise_kinds import Kind, NoiseSettings
+
+EPILOG = """\b
+Examples:
+  beltrami noise clean.ply noisy.ply --sigma 20                     a standard deviation of 20/255
+  beltrami noise clean.glb noisy.glb --sigma 8% --seed 7            textures, across their seams; other noise
+  beltrami noise photo.png noisy.png --sigma 40 --kind poisson      the dark has less of it
+  beltrami noise cloud.xyz noisy.xyz --sigma 5% --kind salt-pepper  one point in twenty black or white
+  beltrami noise scan.ply noisy.ply --sigma 20 && beltrami smooth noisy.ply clean.ply && \\
+    beltrami compare scan.ply clean.ply                             how much does smoothing restore?
+
+\b
+What --sigma S means:
+  gaussian     the standard deviation of every channel, whatever the colour
+  poisson      the same at full scale; it falls with the square root of the colour, as when photons are counted
+  speckle      the same at full scale; it falls with the colour
+  salt-pepper  the share of samples, half of which turn black and half white
+"""
+
+
+@click.command("noise", epilog=EPILOG)
+@click.argument("source", metavar="INPUT")
+@click.argument("target", metavar="OUTPUT")
+@click.option(
+    "--sigma", callback=sure_amount, required=True, metavar="S",
+    help="How much: 20 is 20/255 of full scale, as `beltrami info` tells it; or as 20/255, 1310/65535 or 8%.",
+)  # fmt: skip
+@click.option(
+    "--kind",
+    type=click.Choice(get_args(Kind)),
+    default=NoiseSettings.kind,
+    show_default=True,
+    help="See below.",
+)
+@click.option(
+    "--seed", type=click.IntRange(0), default=NoiseSettings.seed, show_default=True, metavar="K",
+    help="The same seed gives the same noise, for any number of threads.",
+)  # fmt: skip
+@choosing
+@writing
+@options.output_format
+@options.reading
+@options.overwrite
+@options.quiet
+@options.verbose
+def command(
+    source: str,
+    target: str,
+    sigma: float,
+    kind: Kind,
+    seed: int,
+    output_format: str | None,
+    overwrite: bool,
+    quiet: bool,
+    verbose: int,
+    **painting: Any,
+) -> None:
+    """Add noise to the colours of INPUT, and write OUTPUT with nothing else changed: for tests and demonstrations.
+
+    INPUT and OUTPUT are what `beltrami smooth` takes and writes. The noise is on the surface: vertices at one place get
+    the same, and so do the texels around a chart and those that lie there beyond the seam. Format, type, alpha and
+    metadata stay. Colours are cut off at 0 and at full scale, as those of a camera are, unless INPUT has some beyond.
+    """
+    settings = painting_from(painting)
+    noise = NoiseSettings(sigma, kind, seed)
+    messages = Messages(quiet=quiet, verbose=verbose)
+    from beltrami_cli.pipeline.noise_file import noise_file
+
+    with options.reading_from(painting, source) as access:
+        report = noise_file(
+            source, target, noise, settings, format=output_format, overwrite=overwrite, access=access
+        )
+    for warning in report.warnings:
+        messages.warn(warning)
+    for added in report.added:
+        messages.say(
+            f"{target}: {added.what}, {added.samples} samples, {kind} noise of {255 * sigma:.4g}/255, root mean "
+            f"square change {255 * added.rms:.1f}/255, seed {seed}"
+        )
+    if not report.added:
+        messages.say(f"{target}: no noise, so the colours are unchanged")
