@@ -122,7 +122,9 @@ class BeltramiFlow:
         self.guide_betas = metric.guide_betas
         self._clipped = None
         if parameters.clipping == "restore" and self.beta > 0 and parameters.iterations:
-            self._clipped = find_clipped(self._colours, self.sigma)
+            joined = np.zeros(len(rank), bool)
+            joined[edges] = True  # isolated samples keep their colours, and say nothing of the others'
+            self._clipped = find_clipped(self._colours[joined], self.sigma)
         self.moving: MovingPositions | None = None
         if geometry is not None:
             places = GeometryParameters(geometry.places[self._order], geometry.normal_beta)
