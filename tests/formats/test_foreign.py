@@ -317,7 +317,7 @@ def test_they_are_smoothed_and_written_as_another_format_with_a_line_that_says_s
     lines += [f"4 {i} {i + 1} {i + 9} {i + 8}" for i in range(55) if i % 8 != 7]
     (tmp_path / "in.off").write_text(f"COFF\n64 49 0\n{chr(10).join(lines)}\n")
     report = smooth_file(tmp_path / "in.off", tmp_path / f"out.{suffix}")
-    assert any("OFF file is read, but not written" in warning for warning in report.warnings)
+    assert any("OFF files are read, but not written" in warning for warning in report.warnings)
     mesh = trimesh.load_mesh(tmp_path / f"out.{suffix}", process=False)
     assert len(mesh.vertices) == 64
     assert len(mesh.faces) == 98

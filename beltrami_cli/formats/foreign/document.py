@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from beltrami_cli.mesh.textured import ImageFile, Slot
 
 _READ_ONLY = (
-    "A {} file is read, but not written: OUTPUT holds its polygons and their colours, and nothing else."
+    "{} files are read, but not written: OUTPUT holds the polygons and their colours, and nothing else."
 )
 
 
@@ -59,7 +59,6 @@ class ForeignDocument(Document):
     def __init__(self, data: bytes, name: str, kind: Kind, access: Access = EVERYTHING_INSIDE) -> None:
         super().__init__(name)
         self._data, self._kind, self._access = data, kind, access
-        self.notices.append(_READ_ONLY.format(kind.upper()))
 
     def painted(self) -> PaintedVertices:
         """Return the coloured vertices and their triangles; see `Document.painted`."""
@@ -85,6 +84,7 @@ class ForeignDocument(Document):
     def _contents(self) -> MeshContents:
         found = self._read()
         check_polygons(found, self.name)
+        self.notices.append(_READ_ONLY.format(self._kind.upper()))
         if len(found.positions) == len(found.corners):  # every polygon has vertices of its own
             found = joined(found)
         colours, notices = colours_of_vertices(found)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Literal
 
 from beltrami_cli.formats.foreign.off import HEADER
@@ -9,6 +10,8 @@ from beltrami_cli.formats.foreign.stl import is_binary_stl
 
 Kind = Literal["off", "stl", "3mf", "dae", "zae", "3dxml", "xaml"]
 
+_XML: dict[str, Kind] = {".dae": "dae", ".xaml": "xaml"}
+_STARTS_XML = re.compile(rb"(?:\xef\xbb\xbf)?\s*<|\xff\xfe<|\xfe\xff\0<")  # UTF-8 or UTF-16
 _ARCHIVES: dict[str, Kind] = {".3mf": "3mf", ".zae": "zae", ".3dxml": "3dxml"}
 
 
@@ -29,6 +32,4 @@ def kind_of(data: bytes, name: str) -> Kind | None:
         return "off"
     if suffix == ".stl" and (data[:5].lower() == b"solid" or is_binary_stl(data)):
         return "stl"
-    if suffix == ".dae" and b"<COLLADA" in data[:4096]:
-        return "dae"
-    return "xaml" if suffix == ".xaml" and data.lstrip(b"\xef\xbb\xbf \t\r\n")[:1] == b"<" else None
+    return _XML.get(suffix) if _STARTS_XML.match(data) else None
