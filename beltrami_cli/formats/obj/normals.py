@@ -45,8 +45,9 @@ def read_normals(statements: Statements, corners: NDArray[np.int32], count: int)
         raise statements.error(tokens[int(np.argmax(outside))], cause)
     given = index != 0
     normals = np.full((count, 3), np.nan)
-    normals[corners[given]] = values[rows[given]]
-    differs = (normals[corners[given]] != values[rows[given]]).any(axis=1)
+    vertices, found = corners[given], values[rows[given]]
+    normals[vertices[::-1]] = found[::-1]  # so that the first one of a vertex stays
+    differs = (normals[vertices] != found).any(axis=1)
     if differs.any():
         token = tokens[given][int(np.argmax(differs))]
         raise statements.error(token, "has another normal than an earlier corner of the same vertex")

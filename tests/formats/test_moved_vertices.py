@@ -1,0 +1,254 @@
+"""New places of vertices: positions and normals change in the file, and nothing else does."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from beltrami_cli.errors import InputError
+from beltrami_cli.formats.gltf import GltfDocument
+from beltrami_cli.formats.obj import ObjDocument
+from beltrami_cli.formats.ply import PlyDocument
+from beltrami_cli.mesh.painted import MovedVertices
+from formats.gltf_files import Model, joined, numbers, unpacked
+from formats.gltf_validator import issues, needs_validator
+from formats.ply_files import ENCODINGS, Table, build
+
+RANDOM = np.random.default_rng(7)
+CORNERS = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], float)
+MOVES = np.array([[0, 0, 0], [0.25, 0, 0], [0, 0, -0.5], [0, 0.125, 0.0625]])
+
+
+def ply(kind="float", normal="float", encoding="ascii", extra=()):
+    properties = [("quality", "double"), *((name, kind) for name in "xyz")]
+    properties += [("red", "uchar"), ("green", "uchar"), ("blue", "uchar")]
+    properties += [(name, normal) for name in ("nx", "ny", "nz")] if normal else []
+    rows = [
+        [0.1 + i, *(corner.tolist() if "f" in kind or "d" in kind else map(int, corner)), 10, 20, 30]
+        + ([0, 0, 1] if normal else [])
+        for i, corner in enumerate(CORNERS)
+    ]
+    faces = Table("face", [("vertex_indices", "uchar int")], [[[0, 1, 2]], [[0, 2, 3]]])
+    return build([Table("vertex", properties, rows), faces], encoding)
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+@pytest.mark.parametrize("kind", ["float", "double"])
+def test_only_coordinates_that_differ_change_in_a_ply_file(encoding, kind):
+    built = ply(kind, encoding=encoding)
+    document = PlyDocument(built.data, "model.ply", None)
+    assert document.attributes() == ("normal", "quality", "nx", "ny", "nz")
+    assert np.array_equal(document.attribute("Quality")[:, 0], 0.1 + np.arange(4))
+    normals = np.full((4, 3), np.nan, np.float32)
+    normals[2] = [0.6, 0, 0.8]
+    places = MovedVertices(CORNERS + MOVES, normals)
+    patched = joined(document.patch(None, "out", moved=False, places=places))
+    again = PlyDocument(patched, "model.ply", None)
+    assert np.array_equal(again.painted().positions, CORNERS + MOVES)
+    assert np.allclose(again.attribute("normal"), [[0, 0, 1], [0, 0, 1], [0.6, 0, 0.8], [0, 0, 1]])
+    # Between the numbers that change every byte is as it was, in the same order.
+    changed = [("vertex", r, "xyz"[a]) for r, a in zip(*np.nonzero(MOVES), strict=True)]
+    changed += [("vertex", 2, "nx"), ("vertex", 2, "nz")]
+    at = 0
+    for start, end in sorted(built.spans[span] for span in changed):
+        piece = built.data[at:start]
+        found = patched.find(piece)
+        assert found >= 0
+        patched, at = patched[found + len(piece) :], end
+    assert patched.endswith(built.data[at:])
+
+
+def test_places_and_colours_change_together():
+    document = PlyDocument(ply(encoding="binary_big_endian").data, "model.ply", None)
+    colours = document.painted().colours.copy()
+    colours[1] = [0.2, 0.4, 0.6]
+    written = document.patch(colours, "out", moved=False, places=MovedVertices(CORNERS + MOVES))
+    again = PlyDocument(joined(written), "model.ply", None)
+    assert np.array_equal(again.painted().positions, CORNERS + MOVES)
+    assert np.allclose(again.painted().colours, colours, atol=1 / 510)
+    same = document.patch(None, "out", moved=False, places=MovedVertices(CORNERS))
+    assert joined(same) == ply(encoding="binary_big_endian").data
+
+
+def test_whole_numbers_cannot_hold_smoothed_positions():
+    document = PlyDocument(ply("int", None).data, "model.ply", None)
+    with pytest.raises(InputError, match=r"x, y, z are whole numbers.*float"):
+        document.require_movable()
+    PlyDocument(ply().data, "model.ply", None).require_movable()
+
+
+OBJ = """# a square
+v 0 0 0 1 0 0
+v 1.5 0 0 0 1 0   # stays in place
+v 1 1 0 1.0 0 0 1
+vn 0 0 2
+v 0 1e0 0 1 1 1
+f 1//1 2//1 3//1 4//1
+"""
+
+
+def test_only_coordinates_that_differ_change_in_an_obj_file():
+    document = ObjDocument(OBJ.encode(), "model.obj", None)
+    places = document.painted().positions.copy()
+    places[0, 2], places[2, 1], places[3, 1] = 0.1234567891, -1000.5, 1.25
+    written = document.patch(None, "out", moved=False, places=MovedVertices(places))
+    expected = OBJ.replace("v 0 0 0 1", "v 0 0 0.1235 1", 1).replace("v 1 1 0", "v 1 -1000.5000 0")
+    expected = expected.replace("1e0", "1.2500")
+    assert joined(written).decode() == expected
+    assert any("vn" in notice for notice in written.notices)
+
+
+def test_decimals_of_an_obj_file_follow_the_size_of_the_model():
+    for scale, token in ((1e-6, b"0.0000001250000"), (1.0, b"0.1250000"), (1e6, b"125000.0")):
+        text = "".join(f"v {x * scale:g} {y * scale:g} 0 1 1 1\n" for x, y in ((0, 0), (1, 0), (0, 1)))
+        document = ObjDocument((text + "f 1 2 3\n").encode(), "model.obj", None)
+        places = document.painted().positions.copy()
+        places[0, 0] = 0.125 * scale
+        assert token in joined(document.patch(None, "out", moved=False, places=MovedVertices(places)))
+
+
+def test_normals_of_an_obj_file_are_an_attribute_if_each_vertex_has_one():
+    document = ObjDocument(OBJ.encode(), "model.obj", None)
+    assert document.attributes() == ("normal",)
+    assert not document.has_normals_by_vertex()
+    assert np.array_equal(document.attribute("normal"), np.tile([0.0, 0, 1], (4, 1)))
+    for text, said in (
+        (OBJ + "vn 1 0 0\nf 1//2 2//1 3//1\n", r"line 9.*another normal"),
+        (OBJ + "vn 1 0 0\nf 1//3 2//1 3//1\n", "refers to no normal"),
+        (OBJ.replace("//1", ""), "vertex 1 has no normal"),
+        (OBJ.replace("vn 0 0 2", "vn 0 0"), "three numbers"),
+    ):
+        with pytest.raises(InputError, match=said):
+            ObjDocument(text.encode(), "model.obj", None).attribute("normal")
+
+
+def square(model, *, positions=None, colours=None, **more):
+    """A painted square with normals; `more` is for its positions."""
+    positions = CORNERS.astype("<f4") if positions is None else positions
+    colours = np.tile(np.array([10, 20, 30], "u1"), (4, 1)) if colours is None else colours
+    attributes = {
+        "POSITION": model.packed(positions, bounds=True, **more),
+        "NORMAL": model.packed(np.tile(np.array([0, 0, 1], "<f4"), (4, 1))),
+        "COLOR_0": model.packed(colours, normalized=True),
+        "_QUALITY": model.packed(np.arange(4, dtype="<f4")[:, None]),
+    }
+    return {"attributes": attributes, "indices": model.indices(np.array([0, 1, 2, 0, 2, 3], "<u2"))}
+
+
+TURNED = {"rotation": [0, 0, 0.5**0.5, 0.5**0.5], "scale": [2, 3, 4], "translation": [5, 6, 7]}
+
+
+def to_world(points):
+    """What a node that is `TURNED` makes of points: (x, y, z) to (-3 y, 2 x, 4 z), and then moved."""
+    x, y, z = np.asarray(points).T
+    return np.column_stack([5 - 3 * y, 6 + 2 * x, 7 + 4 * z])
+
+
+@pytest.mark.parametrize("form", ["glb", "data"])
+def test_places_in_a_gltf_file_go_back_through_its_nodes(form):
+    model = Model()
+    model.mesh(square(model), **TURNED)
+    source = model.glb() if form == "glb" else model.data_text()
+    document = GltfDocument(source, f"model.{form}", None)
+    document.require_movable()
+    assert np.allclose(document.painted().positions, to_world(CORNERS))
+    assert document.attributes() == ("normal", "_QUALITY")
+    assert np.array_equal(document.attribute("_quality")[:, 0], np.arange(4))
+    # The normal of a plane that is tilted in its own space, and in the world by the inverse transpose.
+    own = np.array([0.6, 0, 0.8])
+    world = np.array([0, own[0] / 2, own[2] / 4])
+    normals = np.full((4, 3), np.nan, np.float32)
+    normals[1] = world / np.linalg.norm(world)
+    places = MovedVertices(to_world(CORNERS + MOVES), normals)
+    tree, buffers = unpacked(joined(document.patch(None, "out", moved=False, places=places)))
+    before, old_buffers = unpacked(source)
+    assert np.allclose(numbers(tree, buffers, 0), CORNERS + MOVES, atol=1e-6)
+    assert np.array_equal(numbers(tree, buffers, 0)[0], CORNERS[0])
+    assert np.allclose(numbers(tree, buffers, 1), [[0, 0, 1], own, [0, 0, 1], [0, 0, 1]], atol=1e-6)
+    for kept in (2, 3, 4):
+        assert np.array_equal(numbers(tree, buffers, kept), numbers(before, old_buffers, kept))
+    # In place: as many bytes, and no new accessor or view; the bounds are those of the new positions.
+    assert [len(data) for data in buffers] == [len(data) for data in old_buffers]
+    new = numbers(tree, buffers, 0)
+    assert tree["accessors"][0]["min"] == new.min(axis=0).tolist()
+    assert tree["accessors"][0]["max"] == new.max(axis=0).tolist()
+    del tree["accessors"][0], before["accessors"][0]
+    tree["buffers"], before["buffers"] = [], []
+    assert tree == before
+
+
+def test_an_accessor_that_something_else_uses_is_spared():
+    model = Model()
+    primitive = square(model)
+    primitive["targets"] = [{"POSITION": primitive["attributes"]["POSITION"]}]
+    model.mesh(primitive)
+    document = GltfDocument(model.glb(), "model.glb", None)
+    places = MovedVertices(CORNERS + MOVES)
+    tree, buffers = unpacked(joined(document.patch(None, "out", moved=False, places=places)))
+    (primitive,) = tree["meshes"][0]["primitives"]
+    assert np.array_equal(numbers(tree, buffers, primitive["targets"][0]["POSITION"]), CORNERS)
+    assert np.allclose(numbers(tree, buffers, primitive["attributes"]["POSITION"]), CORNERS + MOVES)
+
+
+def test_what_is_drawn_with_the_same_positions_moves_along():
+    model = Model()
+    painted = square(model)
+    outline = {"attributes": {"POSITION": painted["attributes"]["POSITION"]}, "mode": 2}
+    model.mesh(painted, outline)
+    document = GltfDocument(model.glb(), "model.glb", None)
+    written = document.patch(None, "out", moved=False, places=MovedVertices(CORNERS + MOVES))
+    tree, buffers = unpacked(joined(written))
+    assert tree["meshes"] == model.tree["meshes"]
+    assert np.allclose(numbers(tree, buffers, 0), CORNERS + MOVES)
+    assert any("normals" in notice for notice in written.notices)
+
+
+@pytest.mark.parametrize("apart", [False, True])
+def test_parts_that_share_positions_move_together_or_not_at_all(apart):
+    model = Model()
+    first = square(model)
+    second = square(model, colours=np.tile(np.array([90, 80, 70], "u1"), (4, 1)))
+    second["attributes"]["POSITION"] = first["attributes"]["POSITION"]
+    model.mesh(first, second)
+    document = GltfDocument(model.glb(), "model.glb", None)
+    moves = np.concatenate([MOVES, np.zeros((4, 3)) if apart else MOVES])
+    places = MovedVertices(document.painted().positions + moves)
+    if apart:
+        with pytest.raises(InputError, match=r"accessors\[0\].*move apart"):
+            document.patch(None, "out", moved=False, places=places)
+        return
+    tree, buffers = unpacked(joined(document.patch(None, "out", moved=False, places=places)))
+    assert np.allclose(numbers(tree, buffers, 0), CORNERS + MOVES)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ({"positions": CORNERS.astype("<u2")}, r"accessors\[0\].*uint16 \(KHR_mesh_quantization\).*floats"),
+        ({"node": {"scale": [1, 0, 1]}}, "scales the positions to nothing"),
+    ],
+)
+def test_positions_that_cannot_be_replaced_are_told_before_anything_is_computed(arguments, said):
+    model = Model()
+    model.mesh(square(model, positions=arguments.get("positions")), **arguments.get("node", {}))
+    with pytest.raises(InputError, match=said):
+        GltfDocument(model.glb(), "model.glb", None).require_movable()
+
+
+@needs_validator
+@pytest.mark.parametrize("placed", [{}, TURNED], ids=["plain", "turned"])
+def test_the_validator_finds_nothing_new_in_moved_files(placed, tmp_path):
+    model = Model()
+    model.mesh(square(model), **placed)
+    source, target = tmp_path / "source.glb", tmp_path / "target.glb"
+    source.write_bytes(model.glb())
+    document = GltfDocument(model.glb(), "model.glb", None)
+    moves = RANDOM.normal(size=(4, 3))
+    normals = RANDOM.normal(size=(4, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    places = MovedVertices(document.painted().positions + moves, normals.astype(np.float32))
+    target.write_bytes(joined(document.patch(None, "out", moved=False, places=places)))
+    before, after = issues(source, target)
+    assert json.dumps(before) == json.dumps(after)
