@@ -56,8 +56,8 @@ def triangulate_points(positions: NDArray[np.float64], threads: int = 1) -> NDAr
     Returns
     -------
     ndarray of int32, shape (F, 3)
-        Each triangle once, its corners ascending. A point in none of them is an outlier: it lies too far from others,
-        in spacings of these, or they lie in one line.
+        Each triangle once, its corners ascending, in any order. A point in none of them is an outlier: it lies too far
+        from others, in spacings of these, or they lie in one line.
 
     Notes
     -----
@@ -75,11 +75,13 @@ def triangulate_points(positions: NDArray[np.float64], threads: int = 1) -> NDAr
     """
     from scipy.spatial import cKDTree
 
-    from beltrami_cli._native import LocalTriangulation
+    from beltrami_cli._native import LocalTriangulation, morton_order
 
     if len(positions) < 3:
         return np.empty((0, 3), np.int32)
     points = _centred(positions)
+    order = morton_order(points)  # neighbours lie close in memory, which halves the time
+    points = points[order]
     tree, stars = cKDTree(points), LocalTriangulation(points)
     for first in range(0, len(points), _BLOCK):
         rows = np.arange(first, min(first + _BLOCK, len(points)), dtype=np.int32)
@@ -90,7 +92,7 @@ def triangulate_points(positions: NDArray[np.float64], threads: int = 1) -> NDAr
             rows = stars.add_stars(rows, nearest.astype(np.int32), complete, last, threads)
             if not len(rows):
                 break
-    return stars.faces()
+    return np.sort(order[stars.faces()], axis=1)
 
 
 def _centred(positions: NDArray[np.float64]) -> NDArray[np.float64]:
