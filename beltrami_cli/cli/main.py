@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from types import FrameType
 
 # Command -> module; a module is imported only when its command, or the list of all commands, is asked for.
-COMMANDS = {name: name for name in ("bake", "check", "info", "kernel", "noise", "smooth")}
+COMMANDS = {name: name for name in ("bake", "check", "info", "kernel", "noise", "render", "smooth")}
 
 INTERRUPTED = 130
 _ENDINGS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]

@@ -1,0 +1,79 @@
+"""The command `beltrami render`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+
+from beltrami_cli.cli import options
+from beltrami_cli.cli.console import Messages
+from beltrami_cli.cli.rendering import looking, render_settings_from
+from beltrami_cli.errors import UsageError
+
+EPILOG = """\b
+Examples:
+  beltrami render scan.ply scan.png                                   from the front
+  beltrami render scan.ply scan.png --view three-quarter --lit        from above and the right, with light
+  beltrami render noisy.glb clean.glb both.png --crop auto            side by side, with a detail
+  beltrami render a.ply b.ply ab.png --label before --label after --crop 0.4,0.3,0.1 --crop 0.6,0.7
+  beltrami render model.obj around.png --turntable 8 --size 300       eight views all around
+  beltrami render room.ply room.png --up z --azimuth 120 --elevation 45
+  beltrami render photo.png clean.png photos.png --crop auto,0.1      images, unchanged, with a detail
+  beltrami render model.glb icon.png --size 128 --background transparent
+
+\b
+Needs no screen and no graphics card. For surfaces it needs a package: pip install 'beltrami-cli[render]'.
+Models that lie in one place are seen by one camera. Colours are linear while they are lit and averaged, and
+sRGB in OUT; factors of materials and reflections are not shown.
+"""
+
+
+@click.command("render", epilog=EPILOG)
+@click.argument("sources", nargs=-1, required=True, metavar="FILE...")
+@click.argument("target", metavar="OUT.png")
+@looking
+@click.option(
+    "--side-by-side/--stacked", default=True, show_default=True,
+    help="Of several files: next to each other with one camera, or below each other.",
+)  # fmt: skip
+@click.option(
+    "--turntable", type=int, default=0, metavar="N", help="N views all around, in a row for each file."
+)
+@click.option("--label", "labels", multiple=True, metavar="TEXT",
+    help="Above each view, once for each file.  [default: the names of the files, if there are several]",
+)  # fmt: skip
+@click.option("--no-labels", is_flag=True, help="No words in the picture.")
+@options.reading
+@options.overwrite
+@options.quiet
+@options.verbose
+def command(
+    sources: tuple[str, ...],
+    target: str,
+    side_by_side: bool,
+    labels: tuple[str, ...],
+    no_labels: bool,
+    overwrite: bool,
+    quiet: bool,
+    verbose: int,
+    **looks: Any,
+) -> None:
+    """Draw each FILE, a model, points or an image, and write all as one picture.
+
+    Textures and vertex colours are shown as a viewer shows them, unlit unless --lit is given: it is the colours
+    that are to be judged.
+    """
+    if labels and no_labels:
+        raise UsageError("--label and --no-labels contradict each other")
+    messages = Messages(quiet=quiet, verbose=verbose)
+    reading = {name: looks.pop(name) for name in ("max_memory", "allow_outside")}
+    looks["labels"] = () if no_labels else (labels or None)
+    settings = render_settings_from({**looks, "stacked": not side_by_side})
+    from beltrami_cli.pipeline.render_file import render_file
+
+    with options.reading_from(reading, sources[0]) as access, messages.progress() as progress:
+        width, height = render_file(
+            sources, target, settings, overwrite=overwrite, progress=progress, access=access
+        )
+    messages.say(f"{target}: {width} x {height} pixels")

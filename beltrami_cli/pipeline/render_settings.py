@@ -1,0 +1,149 @@
+"""What a rendering job is told, with the defaults; light enough for the command line to import."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+from beltrami_cli.errors import UsageError
+
+Axis = Literal["x", "y", "z"]
+
+# Degrees to the right of the front, and upwards.
+VIEWS = {
+    "front": (0.0, 0.0),
+    "back": (180.0, 0.0),
+    "right": (90.0, 0.0),
+    "left": (-90.0, 0.0),
+    "top": (0.0, 90.0),
+    "bottom": (0.0, -90.0),
+    "three-quarter": (35.0, 20.0),
+}
+BACKGROUNDS = {"white": "#ffffff", "grey": "#808080", "black": "#000000"}
+MOST_PIXELS = 1 << 26
+LONGEST_SIDE = 16384
+
+
+@dataclass(frozen=True)
+class Crop:
+    """An enlarged detail.
+
+    Attributes
+    ----------
+    side : float
+        Of the square, in shares of the shorter side of the view.
+    centre : (float, float) or None
+        Its middle in shares of the view's width and height, from the upper left; None: where there is most to see.
+    """
+
+    side: float = 0.2
+    centre: tuple[float, float] | None = None
+
+    @classmethod
+    def parse(cls, text: str) -> Crop:
+        """Read ``auto``, ``auto,SIDE``, ``X,Y`` or ``X,Y,SIDE``.
+
+        Raises
+        ------
+        UsageError
+            If it is none of these, or out of range.
+        """
+        words = [word.strip() for word in text.split(",")]
+        automatic = words[0] == "auto"
+        try:
+            numbers = [float(word) for word in words[automatic:]]
+        except ValueError:
+            numbers = [-1.0]
+        fixed = 0 if automatic else 2
+        in_range = all(0 <= number <= 1 for number in numbers)
+        if len(numbers) not in (fixed, fixed + 1) or not in_range or numbers[fixed:] == [0.0]:
+            raise UsageError(f"crop is {text}, but must be X,Y or X,Y,SIDE or auto, with numbers from 0 to 1")
+        side = numbers[fixed] if len(numbers) > fixed else cls.side
+        return cls(side, None if automatic else (numbers[0], numbers[1]))
+
+
+@dataclass(frozen=True)
+class RenderSettings:
+    """What `render_file` is told.
+
+    Attributes
+    ----------
+    size : (int, int)
+        Width and height of each view in pixels.
+    azimuth, elevation : float
+        Where the eye is, in degrees: to the right around the model from its front, and upwards.
+    up : {"x", "y", "z"}
+        Which axis of the model points up.
+    fov : float
+        Field of view in degrees along the shorter side; 0: parallel rays.
+    zoom : float
+        How much larger than what fits the view.
+    lit : bool
+        Whether a lamp shows the shape; otherwise colours are as they are.
+    background : str
+        ``white``, ``grey``, ``black``, ``#rrggbb`` or ``transparent``.
+    slot : str or None
+        Which textures are shown; None: base colour, or vertex colours where there is none.
+    on : {"auto", "vertices", "texture"}
+        What is shown of models that have both.
+    turntable : int
+        Views all around in equal steps; 0: one view.
+    crops : tuple of Crop
+        Details, drawn enlarged below each view.
+    labels : tuple of str or None
+        One for each file; None: the names of the files, if there are several. Empty: none.
+    stacked : bool
+        Whether files are shown below each other, and not side by side.
+
+    Raises
+    ------
+    UsageError
+        If a value is out of its range.
+    """
+
+    size: tuple[int, int] = (640, 640)
+    azimuth: float = 0.0
+    elevation: float = 0.0
+    up: Axis = "y"
+    fov: float = 30.0
+    zoom: float = 1.0
+    lit: bool = False
+    background: str = "white"
+    slot: str = "baseColor"
+    on: Literal["auto", "vertices", "texture"] = "auto"
+    turntable: int = 0
+    crops: tuple[Crop, ...] = ()
+    labels: tuple[str, ...] | None = None
+    stacked: bool = False
+
+    def __post_init__(self) -> None:
+        if min(self.size) < 16 or max(self.size) > LONGEST_SIDE:
+            raise UsageError(f"size is {self.size[0]}x{self.size[1]}, but sides must be 16 to {LONGEST_SIDE}")
+        if self.up not in get_args(Axis):
+            raise UsageError(f"up is {self.up}, but must be x, y or z")
+        if not 0 <= self.fov <= 120:
+            raise UsageError(f"field of view is {self.fov:g}, but must be between 0 and 120 degrees")
+        if not 0.01 <= self.zoom <= 1000:
+            raise UsageError(f"zoom is {self.zoom:g}, but must be between 0.01 and 1000")
+        if not all(abs(angle) <= 36000 for angle in (self.azimuth, self.elevation)):
+            raise UsageError("azimuth and elevation must be finite numbers of degrees")
+        if not 0 <= self.turntable <= 360:
+            raise UsageError(f"turntable is {self.turntable}, but must be between 0 and 360 views")
+        if len(self.crops) > 5:
+            raise UsageError(f"there are {len(self.crops)} crops, but at most 5 can be shown")
+        self.background_colour()
+
+    def background_colour(self) -> tuple[float, float, float] | None:
+        """Return the background as display values, 0 to 1; None: transparent."""
+        if self.background == "transparent":
+            return None
+        digits = re.fullmatch(r"#([0-9a-fA-F]{6})", BACKGROUNDS.get(self.background, self.background))
+        if digits is None:
+            names = ", ".join((*BACKGROUNDS, "transparent"))
+            raise UsageError(f"background is {self.background}, but must be {names} or #rrggbb")
+        red, green, blue = bytes.fromhex(digits[1])
+        return red / 255, green / 255, blue / 255
+
+
+DEFAULT_RENDER = RenderSettings()

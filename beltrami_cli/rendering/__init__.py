@@ -1,0 +1,1 @@
+"""Pictures of painted surfaces, points and images, drawn by the processor alone."""
