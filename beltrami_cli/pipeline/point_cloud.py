@@ -32,7 +32,8 @@ def with_surface(painted: PaintedVertices, settings: SmoothSettings) -> PaintedV
     Returns
     -------
     PaintedVertices
-        Points that are too far from all others, or in one line with them, are in no triangle.
+        Points that are too far from all others, or in one line with them, are in no triangle; nor are those whose
+        position is not finite, which then is the middle of the others.
 
     Raises
     ------
@@ -43,7 +44,23 @@ def with_surface(painted: PaintedVertices, settings: SmoothSettings) -> PaintedV
         return painted
     if settings.embedding.smooth_geometry:
         raise UsageError("smooth_geometry needs faces, but there are only points")
-    return dataclasses.replace(painted, faces=faces_of_points(painted, settings.kernel.thread_count))
+    measured = np.asarray(np.isfinite(painted.positions).all(axis=1))
+    if measured.all():
+        return dataclasses.replace(painted, faces=faces_of_points(painted, settings.kernel.thread_count))
+    spaces = painted.space_of
+    there = dataclasses.replace(
+        painted,
+        positions=painted.positions[measured],
+        colours=painted.colours[measured],
+        space_of=None if spaces is None else spaces[measured],
+    )
+    rows = np.flatnonzero(measured).astype(np.int32)
+    middle = there.positions.mean(axis=0) if len(rows) else np.zeros(painted.positions.shape[1])
+    return dataclasses.replace(
+        painted,
+        positions=np.where(measured[:, None], painted.positions, middle),
+        faces=rows[faces_of_points(there, settings.kernel.thread_count)],
+    )
 
 
 def count_cloud(surface: PaintedVertices) -> CloudCounts:

@@ -201,7 +201,7 @@ def make_report(
         alone = f"{vertices.cloud.outliers} of {len(vertices.colours)} points"
         warnings = [
             *warnings,
-            f"{alone} are too far from others, or in one line with them, and stay as they are",
+            f"{alone} are too far from others, in one line with them, or nowhere, and stay as they are",
         ]
     if vertices is not None and vertices.truncated:
         cut = (

@@ -155,6 +155,41 @@ def test_a_mesh_with_some_faces_stays_a_mesh(tmp_path):
     assert changed == [0, 1, 6]
 
 
+@pytest.mark.parametrize("extension", ["ply", "xyz", "npz"])
+def test_points_that_were_not_measured_stay_and_do_not_count(tmp_path, extension):
+    positions, colours, _ = scan()
+    gone = np.random.default_rng(1).random(len(positions)) < 0.1
+    holed = np.where(gone[:, None], np.nan, positions)
+    np.savez(tmp_path / "scan.npz", positions=holed, colours=colours)
+    as_text(tmp_path / "scan.xyz", holed, colours)
+    types = [("position", "<f8", 3), ("colour", "u1", 3)]
+    rows = np.array(list(zip(holed, colours, strict=True)), types)
+    names = [f"property double {axis}" for axis in "xyz"] + [
+        f"property uchar {c}" for c in ("red", "green", "blue")
+    ]
+    header = [
+        "ply",
+        "format binary_little_endian 1.0",
+        f"element vertex {len(rows)}",
+        *names,
+        "end_header",
+        "",
+    ]
+    (tmp_path / "scan.ply").write_bytes("\n".join(header).encode() + rows.tobytes())
+    target = tmp_path / f"clean.{extension}"
+    run = beltrami("smooth", tmp_path / f"scan.{extension}", target, "--beta", "8")
+    assert run.returncode == 0, run.stderr
+    as_text(tmp_path / "rest.xyz", positions[~gone], colours[~gone])
+    assert beltrami("smooth", tmp_path / "rest.xyz", tmp_path / "done.xyz", "--beta", "8").returncode == 0
+    expected = colours.copy()
+    expected[~gone] = np.loadtxt(tmp_path / "done.xyz")[:, 3:]
+    if extension == "ply":
+        found = np.frombuffer(target.read_bytes()[-rows.nbytes :], types)["colour"]
+    else:
+        found = np.load(target)["colours"] if extension == "npz" else np.loadtxt(target)[:, 3:]
+    assert np.abs(found.astype(int) - expected).max() <= 1
+
+
 @pytest.mark.parametrize("points", [1, 2])
 def test_hardly_any_points_stay_as_they_are(tmp_path, points):
     source = tmp_path / "few.xyz"

@@ -81,7 +81,7 @@ class PlyDocument(Document):
     @cached_property
     def _painted(self) -> PaintedVertices:
         corners, offsets = self._polygons
-        positions = self._positions if self.grid() is None else self._measured
+        positions = self._positions if len(corners) else self._measured
         return PaintedVertices(
             positions=positions,
             faces=triangulate(positions, corners, offsets),
@@ -249,7 +249,7 @@ class PlyDocument(Document):
 
     @cached_property
     def _measured(self) -> NDArray[np.float64]:
-        """Positions of a range image, in which what was not measured is not finite."""
+        """Positions of a range image or of points, in which what was not measured is not finite."""
         with np.errstate(invalid="ignore"):
             return np.column_stack([self._vertices.scalars(name) for name in POSITION]).astype(np.float64)
 
