@@ -47,7 +47,7 @@ class Document(ABC):
     Attributes
     ----------
     format : str
-        "ply", "obj", "gltf" or "glb".
+        "ply", "obj", "gltf", "glb", "xyz", "pts" or "npz".
     name : str
         The file as the user named it, for messages.
     notices : list of str
