@@ -91,7 +91,7 @@ def halo_beyond(atlas: Atlas, different: NDArray[np.bool_]) -> NDArray[np.bool_]
         return beyond
     chart_at = np.full(atlas.kind.size, -1, np.int32)
     chart_at[atlas.owned_cells] = atlas.chart_of
-    reached = chart_at[atlas.halo_taps[np.arange(len(seams)), atlas.halo_weights.argmax(axis=1)]]
+    reached = chart_at[atlas.halo_nearest]
     sides = _sides_of_seams(atlas, chart_at, reached)
     jumps = {tuple(pair) for seam, pair in enumerate(np.sort(sides, axis=1).tolist()) if different[seam]}
     # Cells of a third chart, by the chart and the seam that they were reached over.

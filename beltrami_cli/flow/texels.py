@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from beltrami_cli.flow.choice import ON_GRIDS, Choice, choose, is_noisy
 from beltrami_cli.flow.clipping import find_clipped
 from beltrami_cli.flow.grid_metric import GridMetric
+from beltrami_cli.flow.guide import guide_radius
 from beltrami_cli.flow.iteration import FlowResult, shifted
 from beltrami_cli.flow.noise import estimate_sigma_on_grid
 from beltrami_cli.flow.one_kernel import SampledKernel, kernel_on_grid
 from beltrami_cli.flow.seams import find_colour_jumps, halo_beyond
+from beltrami_cli.flow.trial_grid import GridTrial
 from beltrami_cli.mesh.atlas import EMPTY, OWNED, refresh_halo, without_halo
 
 if TYPE_CHECKING:
@@ -25,6 +29,11 @@ if TYPE_CHECKING:
 
 # The widest window that the sweeps are made for; a wider one is looked through by a heap march.
 _WIDEST_SWEEP = 15
+
+# Cells on which parameters are tried, as a share of all, so that trying takes no longer than smoothing: some sixty
+# iterations are tried, each twice. Fewer than so many cells tell too little, and take about a second.
+_SHARE_TRIED = 1 / 25
+_LEAST_TRIED = 40_000
 
 
 class TexelFlow:
@@ -58,6 +67,10 @@ class TexelFlow:
         Estimated noise per channel.
     beta : float
         As used, in units of length per unit of colour; 0 if no colour enters the metric.
+    parameters : KernelParameters
+        As used, with nothing free.
+    choice : Choice or None
+        What of them was chosen from the data; None: nothing was.
     guide_betas : dict of str to float
         Units of length per unit of each guide, by its name.
     jumps : int
@@ -99,10 +112,51 @@ class TexelFlow:
         if unit is None:
             unit = self.spacing if parameters.units == "world" else 1.0
         self._metric = GridMetric(atlas, self.sigma, unit, parameters, guides, metric_channels, walls=walls)
+        self.choice: Choice | None = None
+        if parameters.is_open:
+            self.parameters = parameters = self._choose(unit)
         self.beta, self.guide_betas = self._metric.beta, self._metric.guide_betas
         self._clipped = None
         if parameters.clipping == "restore" and self.beta > 0 and parameters.iterations:
             self._clipped = find_clipped(colours, self.sigma)
+
+    def _choose(self, unit: float) -> KernelParameters:
+        """Choose the free parameters, and tell the metric of them; without noise they stay as they are."""
+        parameters = dataclasses.replace(self.parameters, free=())
+        if is_noisy(self.sigma) and len(self.atlas.owned_cells):
+            budget = max(_LEAST_TRIED, int(len(self.atlas.owned_cells) * _SHARE_TRIED))
+            reach = parameters.window // 2 + guide_radius(parameters.metric_scale)
+            trial = GridTrial(
+                self.atlas, self._planes, self._scale, self._metric, self._iterate, budget, reach
+            )
+            parameters, self.choice = choose(
+                trial, trial.samples, self.sigma, self._metric.counting, unit, self._metric.beta,
+                self.parameters, ON_GRIDS,
+            )  # fmt: skip
+        elif "iterations" in self.parameters.free:
+            parameters = dataclasses.replace(parameters, iterations=0)
+        self._metric.use(parameters)
+        return parameters
+
+    def _iterate(
+        self,
+        atlas: Atlas,
+        scale: NDArray[np.float32] | None,
+        metric: NDArray[np.float32],
+        planes: NDArray[np.float32],
+        beta: float,
+        t: float,
+    ) -> NDArray[np.float32]:
+        """Return the planes after one iteration on some canvas."""
+        from beltrami_cli._native import smooth_grid
+
+        own = dataclasses.replace(self.parameters, t=t)
+        smoothed, _ = smooth_grid(
+            atlas.kind, atlas.squared_lengths, scale, metric, planes, beta, t, own.radius, own.window // 2,
+            self._scheme(), 0, own.thread_count, None,
+        )  # fmt: skip
+        refresh_halo(smoothed, atlas)
+        return smoothed
 
     def run(self, progress: Callable[[int, int], None] | None = None) -> FlowResult:
         """Run all iterations.
@@ -186,6 +240,7 @@ class TexelFlow:
 
     def gutter_colours(self) -> NDArray[np.float32]:
         """Return the colours that the atlas's gutter cells have now, shape (G, N)."""
+        refresh_halo(self._planes, self.atlas, interpolated=True)
         return np.ascontiguousarray(self._planes.reshape(len(self._planes), -1)[:, self.atlas.gutter_cells].T)
 
     def _scheme(self) -> str:

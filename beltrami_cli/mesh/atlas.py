@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -78,19 +79,32 @@ class Atlas:
     covered: int
     overlapped: int
 
+    @cached_property
+    def halo_nearest(self) -> NDArray[np.int64]:
+        """The owned cell nearest to the place of each halo cell, shape (H,)."""
+        nearest = self.halo_weights.argmax(axis=1)
+        return np.take_along_axis(self.halo_taps, nearest[:, None], axis=1)[:, 0]
 
-def refresh_halo(planes: NDArray[np.float32], atlas: Atlas) -> None:
-    """Give the halo cells of all planes, in place, the colours of the owned cells that they stand for.
+
+def refresh_halo(planes: NDArray[np.float32], atlas: Atlas, *, interpolated: bool = False) -> None:
+    """Give the halo cells of all planes, in place, the values of the owned cells that they stand for.
 
     Parameters
     ----------
     planes : ndarray of float32, shape (N, R, C)
-        Colours on the canvas.
+        Values on the canvas.
     atlas : Atlas
-        Which cells are halo, and where their colours come from.
+        Which cells are halo, and where their values come from.
+    interpolated : bool
+        Whether a halo cell gets the mean of the cells around its place, for values that are smooth and to be seen; or
+        that of the nearest. For colours to be averaged the nearest is better: a mean has less noise than other samples,
+        and beside an edge it is a colour that neither side has, over which kernels find their way across.
     """
     for plane in planes.reshape(len(planes), -1):
-        plane[atlas.halo_cells] = np.einsum("ht,ht->h", plane[atlas.halo_taps], atlas.halo_weights)
+        if interpolated:
+            plane[atlas.halo_cells] = np.einsum("ht,ht->h", plane[atlas.halo_taps], atlas.halo_weights)
+        else:
+            plane[atlas.halo_cells] = plane[atlas.halo_nearest]
 
 
 def without_halo(atlas: Atlas, dropped: NDArray[np.bool_]) -> Atlas:

@@ -99,8 +99,7 @@ def _texels_of(
     place = np.searchsorted(atlas.halo_cells, cells)
     halo = place < len(atlas.halo_cells)
     halo[halo] = atlas.halo_cells[place[halo]] == cells[halo]
-    taps = atlas.halo_weights[place[halo]].argmax(axis=1)
-    own[halo] = atlas.halo_taps[place[halo], taps]
+    own[halo] = atlas.halo_nearest[place[halo]]
     texels = atlas.owned_texels[np.searchsorted(atlas.owned_cells, own)]
     textures = np.searchsorted(atlas.texture_offsets, texels, side="right") - 1
     y, x = np.divmod(texels - atlas.texture_offsets[textures], np.array(widths)[textures])
