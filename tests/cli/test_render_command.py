@@ -1,0 +1,145 @@
+"""`beltrami render`: a picture of every kind of file, the same at every run, or nothing happens at all."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from beltrami_cli.formats.gltf.writer import write_glb
+from beltrami_cli.formats.image import read_image
+from beltrami_cli.formats.ply import write_ply
+from beltrami_cli.mesh.painted import MeshContents
+from cli.commands import SAMPLES, beltrami
+from formats.image_files import encode
+
+pytest.importorskip("embreex")
+
+
+def pixels(path):
+    return read_image(path.read_bytes(), path.name).pixels
+
+
+def quad(colours, encoding="srgb"):
+    """A square with a colour at each corner."""
+    positions = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
+    corners, offsets = np.array([0, 1, 2, 0, 2, 3], np.int32), np.array([0, 3, 6])
+    return MeshContents(positions, corners, offsets, np.float32(colours), encoding, "float32")
+
+
+def saved(path, written):
+    path.write_bytes(b"".join(bytes(piece) for piece in written.main))
+    return path
+
+
+def test_colours_come_out_as_they_are_shown_whatever_the_file_stores(tmp_path):
+    srgb = np.array([200, 100, 30]) / 255
+    light = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
+    ply = saved(tmp_path / "a.ply", write_ply(quad(np.tile(srgb, (4, 1))), "a"))
+    glb = saved(tmp_path / "a.glb", write_glb(quad(np.tile(light, (4, 1)), "linear"), "a"))
+    png = tmp_path / "a.png"
+    png.write_bytes(encode(np.tile(np.uint8([200, 100, 30]), (8, 8, 1)), "png"))
+    out = tmp_path / "out.png"
+    run = beltrami("render", ply, glb, png, out, "--size", 50, "--no-labels")
+    assert run.returncode == 0, run.stderr
+    image = pixels(out)
+    assert image.shape == (50, 154, 3)
+    for left in (0, 52, 104):
+        assert (image[10:40, left + 10 : left + 40] == [200, 100, 30]).all()
+
+
+def test_views_stand_side_by_side_with_labels_details_and_one_camera(tmp_path):
+    files = [SAMPLES / f"nonmanifold-{kind}.ply" for kind in ("noisy", "clean")]
+    both, one = tmp_path / "both.png", tmp_path / "one.png"
+    looks = ("--size", "160x120", "--view", "three-quarter", "--lit")
+    assert beltrami("render", *files, both, *looks, "--crop", "auto", "--crop", "0.5,0.5,0.3").returncode == 0
+    assert beltrami("render", files[1], one, *looks).returncode == 0
+    image, alone = pixels(both), pixels(one)
+    assert alone.shape == (120, 160, 3)
+    strip, detail, gap = round(1.8 * 11), 79, 2
+    assert image.shape == (strip + 120 + gap + detail, 160 + gap + 160, 3)
+    assert (image[:strip, :160] < 128).any()  # the letters
+    assert (image[:strip, 162:] < 128).any()
+    framed = (image[strip : strip + 120, 162:] != alone).any(axis=2)
+    assert 0 < framed.mean() < 0.1  # nothing but the frames of the details
+    stacked = tmp_path / "stacked.png"
+    assert beltrami("render", *files, stacked, *looks, "--stacked", "--no-labels").returncode == 0
+    assert (pixels(stacked)[122:] == alone).all()
+
+
+def test_a_turntable_goes_all_around(tmp_path):
+    around, back = tmp_path / "around.png", tmp_path / "back.png"
+    sample = SAMPLES / "head-clean.ply"
+    assert beltrami("render", sample, around, "--turntable", 4, "--size", 64).returncode == 0
+    assert beltrami("render", sample, back, "--view", "back", "--size", 64).returncode == 0
+    assert (pixels(around)[:, 2 * 66 : 2 * 66 + 64] == pixels(back)).all()
+    assert (pixels(around)[:, :64] != pixels(back)).any()
+
+
+def test_two_runs_give_the_same_bytes_also_through_a_pipe(tmp_path):
+    sample, out = SAMPLES / "torus-two-noisy.gltf", tmp_path / "a.png"
+    looks = ("--size", 90, "--lit", "--background", "transparent")
+    assert beltrami("render", sample, out, *looks).returncode == 0
+    assert out.read_bytes() == beltrami("render", sample, "-", *looks).stdout
+    assert pixels(out).shape == (90, 90, 4)
+    assert pixels(out)[0, 0, 3] == 0
+    kept = out.read_bytes()
+    refused = beltrami("render", sample, out, "--size", 20)
+    assert refused.returncode == 4
+    assert b"--overwrite" in refused.stderr
+    assert out.read_bytes() == kept
+
+
+def test_without_the_extra_one_line_names_it_and_points_and_images_need_none(tmp_path):
+    def run(*arguments):
+        code = "import sys; sys.modules['embreex'] = None; from beltrami_cli.__main__ import main; main()"
+        command = [sys.executable, "-P", "-c", code, "render", *map(str, arguments)]
+        return subprocess.run(command, capture_output=True, timeout=60, check=False)
+
+    missing = run(SAMPLES / "head-clean.ply", tmp_path / "a.png")
+    assert missing.returncode == 1
+    assert missing.stderr.count(b"\n") == 1
+    assert b"pip install 'beltrami-cli[render]'" in missing.stderr
+    assert not (tmp_path / "a.png").exists()
+    points = tmp_path / "p.xyz"
+    points.write_text("0 0 0 255 0 0\n1 0 0 255 0 0\n1 1 0 255 0 0\n0 1 0 255 0 0\n")
+    assert run(points, tmp_path / "p.png", "--size", "30").returncode == 0
+    assert (pixels(tmp_path / "p.png")[10:20, 10:20] == [255, 0, 0]).all()
+    assert run(tmp_path / "p.png", tmp_path / "q.png", "--size", "30").returncode == 0
+    assert (pixels(tmp_path / "p.png") == pixels(tmp_path / "q.png")).all()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "said"),
+    [
+        (["--size", "9"], 2, b"16 to"),
+        (["--size", "big"], 2, b"1280x720"),
+        (["--crop", "2,3"], 2, b"X,Y,SIDE"),
+        (["--background", "blue"], 2, b"#rrggbb"),
+        (["--label", "a", "--label", "b"], 2, b"2 labels for 1 files"),
+        (["--show", "texture"], 3, b"has no baseColor texture"),
+        (["--zoom", "nan"], 2, b"zoom"),
+        (["--fov", "nan"], 2, b"field of view"),
+        (["--azimuth", "inf"], 2, b"azimuth"),
+        (["--turntable", "360", "--size", "2000"], 2, b"lower --size"),
+    ],
+)
+def test_wrong_values_end_in_one_line(arguments, code, said, tmp_path):
+    run = beltrami("render", SAMPLES / "head-clean.ply", tmp_path / "a.png", *arguments)
+    assert run.returncode == code
+    assert said in run.stderr
+    assert not (tmp_path / "a.png").exists()
+
+
+def test_an_input_is_never_replaced(tmp_path):
+    source = tmp_path / "a.png"
+    source.write_bytes(encode(np.zeros((20, 20, 3), np.uint8), "png"))
+    kept = source.read_bytes()
+    run = beltrami("render", source, source, "--overwrite")
+    assert run.returncode == 4
+    assert source.read_bytes() == kept
+    run = beltrami("render", source, tmp_path / "out.ply")
+    assert run.returncode == 2
+    assert b"call it .png" in run.stderr
