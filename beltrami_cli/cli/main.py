@@ -18,7 +18,9 @@ if TYPE_CHECKING:
     from types import FrameType
 
 # Command -> module; a module is imported only when its command, or the list of all commands, is asked for.
-COMMANDS = {name: name for name in ("bake", "check", "info", "kernel", "noise", "render", "smooth")}
+COMMANDS = {
+    name: name for name in ("bake", "check", "compare", "info", "kernel", "noise", "render", "smooth")
+}
 
 INTERRUPTED = 130
 _ENDINGS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
@@ -54,6 +56,7 @@ Examples:
   beltrami info scan.ply                      what is coloured, how noisy it is
   beltrami smooth scan.obj clean.glb          smooth and convert
   beltrami check scan.ply clean.ply           prove that nothing but colours differs
+  beltrami compare truth.ply clean.ply        how far colours differ, for tests in CI
   cat scan.ply | beltrami smooth - - > c.ply  through a pipe
 
 \b

@@ -1,0 +1,107 @@
+"""What is near the seams of an atlas, what its texels stand for, and how colours go on over its seams."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from beltrami_cli.mesh.atlas import EMPTY, OWNED, refresh_halo
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from beltrami_cli.mesh.atlas import Atlas
+
+# What "near a seam" means, in texels.
+_NEAR = 4
+# A line through the values 1/2, 3/2 and 5/2 texels from a seam, by least squares, has this value at the seam.
+_EXTRAPOLATION = np.array([13, 4, -5]) / 12
+
+
+def near_seams(atlas: Atlas) -> NDArray[np.bool_]:
+    """Tell which owned cells are within 4 texels of a seam, shape (T,)."""
+    from scipy.ndimage import maximum_filter
+
+    beside = np.zeros(atlas.kind.shape, bool)
+    for inner, *_ in _lines(atlas, 1):
+        beside.reshape(-1)[inner] = True
+    # Charts are further apart on the canvas than this reaches.
+    near = maximum_filter(beside, 2 * _NEAR - 1, mode="constant")
+    return np.asarray(near.reshape(-1)[atlas.owned_cells], bool)
+
+
+def seam_steps(atlas: Atlas, colours: NDArray[np.float32]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Measure how far colours jump over seams.
+
+    The colours of three texels on a line across the seam are extrapolated to it, on the one side and on the other.
+
+    Parameters
+    ----------
+    atlas : Atlas
+        With T owned cells.
+    colours : ndarray of float32, shape (T, N)
+        Their colours.
+
+    Returns
+    -------
+    cells : ndarray of int64, shape (K,)
+        The owned cell at the seam, as the row of `colours`.
+    steps : ndarray of float64, shape (K,)
+        The difference of both sides there, mean over the channels.
+    """
+    planes = np.zeros((colours.shape[1], *atlas.kind.shape), np.float32)
+    planes.reshape(len(planes), -1)[:, atlas.owned_cells] = colours.T
+    refresh_halo(planes, atlas, interpolated=True)
+    flat = planes.reshape(len(planes), -1)
+    cells, steps = [np.zeros(0, np.int64)], [np.zeros(0)]
+    for line in _lines(atlas, len(_EXTRAPOLATION)):
+        reach = len(_EXTRAPOLATION)
+        jump = np.zeros((len(flat), len(line[0])))
+        for weight, inner, outer in zip(_EXTRAPOLATION, line[:reach], line[reach:], strict=True):
+            jump += weight * (flat[:, outer] - flat[:, inner])
+        cells.append(line[0])
+        steps.append(np.abs(jump).mean(axis=0))
+    return np.searchsorted(atlas.owned_cells, np.concatenate(cells)), np.concatenate(steps)
+
+
+def _lines(atlas: Atlas, reach: int) -> list[list[NDArray[np.int64]]]:
+    """Find lines of cells across seams in all four directions: `reach` owned ones from the seam, then halo ones."""
+    columns, size = atlas.kind.shape[1], atlas.kind.size
+    owned = atlas.kind.reshape(-1) == OWNED
+    beyond = np.zeros(size, bool)
+    beyond[atlas.halo_cells[atlas.halo_seams >= 0]] = True
+    first = np.flatnonzero(beyond)
+    found = []
+    for step in (1, -1, columns, -columns):
+        line = [first - step * (k + 1) for k in range(reach)] + [first + step * k for k in range(reach)]
+        fits = np.ones(len(first), bool)
+        for number, cells in enumerate(line):
+            inside = (cells >= 0) & (cells < size)
+            fits &= inside & (owned if number < reach else beyond)[np.where(inside, cells, 0)]
+        found.append([cells[fits] for cells in line])
+    return found
+
+
+def texel_areas(atlas: Atlas) -> NDArray[np.float64]:
+    """Compute the area on the surface that each owned cell stands for, shape (T,), in the surface's own unit squared.
+
+    Each square of four cells is the parallelogram of its sides; a cell has the mean of the squares around it.
+    """
+    across, down, diagonal = (plane.astype(np.float64) for plane in atlas.squared_lengths[:3])
+    known = (atlas.kind != EMPTY)[:-1, :-1] & (atlas.kind != EMPTY)[1:, 1:]
+    known &= (atlas.kind != EMPTY)[:-1, 1:] & (atlas.kind != EMPTY)[1:, :-1]
+    sides = across[:-1, :-1], down[:-1, :-1], diagonal[:-1, :-1]
+    known &= np.isfinite(sides[0]) & np.isfinite(sides[1]) & np.isfinite(sides[2])
+    a, b, c = (np.where(known, side, 0) for side in sides)
+    # |a x b|^2 = |a|^2 |b|^2 - (a . b)^2, and |a + b|^2 tells a . b
+    area = np.sqrt(np.maximum(a * b - ((c - a - b) / 2) ** 2, 0))
+    total, count = np.zeros(atlas.kind.shape), np.zeros(atlas.kind.shape)
+    for rows in (slice(None, -1), slice(1, None)):
+        for columns in (slice(None, -1), slice(1, None)):
+            total[rows, columns] += area
+            count[rows, columns] += known
+    owned_total, owned_count = (plane.reshape(-1)[atlas.owned_cells] for plane in (total, count))
+    measured = owned_count > 0
+    usual = float(np.mean(owned_total[measured] / owned_count[measured])) if measured.any() else 1.0
+    return np.where(measured, owned_total / np.maximum(owned_count, 1), usual)
