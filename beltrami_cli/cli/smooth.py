@@ -11,11 +11,14 @@ import click
 
 from beltrami_cli.cli import options
 from beltrami_cli.cli.console import Messages
-from beltrami_cli.errors import OutputError
+from beltrami_cli.errors import OutputError, UsageError
 
 if TYPE_CHECKING:
+    from beltrami_cli.formats.access import Access
     from beltrami_cli.pipeline.output import Output
+    from beltrami_cli.pipeline.preview import Preview
     from beltrami_cli.pipeline.report import SmoothReport
+    from beltrami_cli.pipeline.settings import SmoothSettings
 
 EPILOG = """\b
 Examples:
@@ -37,6 +40,7 @@ Examples:
   beltrami smooth render.png clean.png --guide albedo.png --metric-channels none   joint filtering
   beltrami smooth scan.ply clean.ply --guide quality.npy --guide-beta 5
   beltrami smooth scan.ply clean.ply --smooth-geometry  positions too; creases stay
+  beltrami smooth scan.ply clean.ply --preview look.png before and after in a picture
   zcat scan.ply.gz | beltrami smooth - - | gzip > clean.ply.gz
 
 \b
@@ -57,6 +61,10 @@ raise -n, or lower --beta. See what a file is like with `beltrami info FILE`.
 @click.option(
     "--report", "report_path", metavar="FILE.json", help="Write parameters, counts, timings and changes."
 )
+@click.option(
+    "--preview", "preview_path", metavar="FILE.png",
+    help="Draw INPUT and OUTPUT side by side, with a detail; `beltrami render` draws others.",
+)  # fmt: skip
 @options.quiet
 @options.verbose
 def command(
@@ -66,6 +74,7 @@ def command(
     overwrite: bool,
     dry_run: bool,
     report_path: str | None,
+    preview_path: str | None,
     quiet: bool,
     verbose: int,
     **smoothing: Any,
@@ -92,6 +101,11 @@ def command(
     from beltrami_cli.pipeline.smooth_file import smooth_file
 
     with options.reading_from(smoothing, source) as access, messages.progress() as progress:
+        preview = None
+        if preview_path is not None:
+            preview = _open_preview(
+                preview_path, source, target, settings, access, overwrite, dry_run=dry_run
+            )
         report = smooth_file(
             source,
             target,
@@ -103,6 +117,8 @@ def command(
             progress=progress,
             access=access,
         )
+        if preview is not None:
+            preview.draw()
     if report_file is not None:
         _write_report(report_file, report)
     if not settings.kernel.iterations:
@@ -120,6 +136,24 @@ def _open_report(path: str, source: str, target: str, overwrite: bool) -> Output
     if Path(path).resolve() in (Path(source).resolve(), Path(target).resolve()):
         raise OutputError(path, "the report would replace INPUT or OUTPUT", "choose another name")
     return Output(path, overwrite=overwrite)
+
+
+def _open_preview(
+    path: str,
+    source: str,
+    target: str,
+    settings: SmoothSettings,
+    access: Access,
+    overwrite: bool,
+    *,
+    dry_run: bool,
+) -> Preview:
+    """Check that a preview can be drawn before anything is computed."""
+    if dry_run:
+        raise UsageError("--preview draws OUTPUT, which --dry-run does not write")
+    from beltrami_cli.pipeline.preview import Preview
+
+    return Preview(path, source, target, settings, access, overwrite=overwrite)
 
 
 def _write_report(output: Output, report: SmoothReport) -> None:

@@ -143,3 +143,26 @@ def test_an_input_is_never_replaced(tmp_path):
     run = beltrami("render", source, tmp_path / "out.ply")
     assert run.returncode == 2
     assert b"call it .png" in run.stderr
+
+
+def test_a_preview_shows_both_also_when_the_input_is_replaced(tmp_path):
+    source, preview, expected = (tmp_path / name for name in ("a.ply", "p.png", "e.png"))
+    source.write_bytes((SAMPLES / "nonmanifold-noisy.ply").read_bytes())
+    run = beltrami("smooth", source, source, "--overwrite", "--preview", preview, "-n", 1)
+    assert run.returncode == 0, run.stderr
+    files = (SAMPLES / "nonmanifold-noisy.ply", source, expected)
+    labels = ("--label", "before", "--label", "after")
+    assert beltrami("render", *files, "--crop", "auto", *labels).returncode == 0
+    assert preview.read_bytes() == expected.read_bytes()
+
+
+def test_a_preview_is_refused_before_anything_is_written(tmp_path):
+    source, target = SAMPLES / "nonmanifold-noisy.ply", tmp_path / "a.ply"
+    for arguments, code in (
+        ((source, target, "--preview", target), 4),
+        ((source, target, "--preview", tmp_path / "a.txt"), 2),
+        ((source, target, "--preview", tmp_path / "a.png", "--dry-run"), 2),
+        (("-", target, "--preview", tmp_path / "a.png"), 2),
+    ):
+        assert beltrami("smooth", *arguments).returncode == code
+        assert not list(tmp_path.iterdir())
