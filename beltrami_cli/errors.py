@@ -3,6 +3,11 @@
 from __future__ import annotations
 
 
+def _line(text: str) -> str:
+    """Return text as one line; files may hold names with control characters."""
+    return "".join(character if character.isprintable() else "?" for character in text)
+
+
 class BeltramiError(Exception):
     """Base of all errors that are meant for people: one line that names the cause and the way out.
 
@@ -43,7 +48,7 @@ class InputError(BeltramiError):
 
     def __init__(self, name: str, cause: str, remedy: str = "") -> None:
         self.name, self.cause, self.remedy = name, cause, remedy
-        super().__init__(f"{name}: {cause}" + (f"; {remedy}" if remedy else ""))
+        super().__init__(_line(f"{name}: {cause}" + (f"; {remedy}" if remedy else "")))
 
 
 class UnpaintedError(InputError):
@@ -67,4 +72,4 @@ class OutputError(BeltramiError):
 
     def __init__(self, name: str, cause: str, remedy: str = "") -> None:
         self.name, self.cause, self.remedy = name, cause, remedy
-        super().__init__(f"{name}: {cause}" + (f"; {remedy}" if remedy else ""))
+        super().__init__(_line(f"{name}: {cause}" + (f"; {remedy}" if remedy else "")))

@@ -118,6 +118,7 @@ def test_all_customs_together_beside_the_source(newline: str, tmp_path: Path) ->
         ("-t 1 1 1", "a b.png"),
         ("-clamp off -blendu on -cc off -boost 1.5 -texres 64 -imfchan l -mm 0 1 -bm -2", "a -s b.png"),
         ("-type sphere", "a.png"),
+        ("-s none -o -1e", "a.png"),
     ],
 )
 def test_options_before_the_name_of_a_map(options: str, name: str, tmp_path: Path) -> None:

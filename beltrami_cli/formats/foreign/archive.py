@@ -49,7 +49,7 @@ class Archive:
     @property
     def members(self) -> list[str]:
         """The names of all files in the archive."""
-        return [member.filename for member in self._file.infolist() if not member.is_dir()]
+        return [name for name in self._file.namelist() if not name.endswith("/")]
 
     def read(self, member: str) -> bytes:
         """Return the content of a member.

@@ -83,12 +83,12 @@ def _read_map(material: str, keyword: str, rest: bytes, start: int) -> Map:
     at = 0
     while option := _OPTION.match(rest, at):
         at = option.end()
-        word = (option[1] or option[3] or b"").lower()
-        if word == b"s":
+        numbers = option[1].lower() if option[1] else b""  # none, if what follows is no number
+        if numbers == b"s":
             scale = _pair(option[2], 1.0)
-        elif word == b"o":
+        elif numbers == b"o":
             offset = _pair(option[2], 0.0)
-        elif word == b"clamp":
+        elif option[3] and option[3].lower() == b"clamp":
             clamped = option[4].lower() == b"on"
     name = rest[at:]
     if len(name) > 2 and name[:1] == name[-1:] == b'"':

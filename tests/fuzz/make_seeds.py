@@ -1,0 +1,163 @@
+"""Makes the seeds of the fuzzers, a small file for each custom: `python tests/fuzz/make_seeds.py`."""
+
+from __future__ import annotations
+
+import io
+import shutil
+import sys
+import zipfile
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from formats.gltf_files import Model, Textured
+from formats.image_files import encode
+from formats.ply_files import ENCODINGS, Table, build, coloured
+from formats.test_foreign import OBJECT, coff, model, stl, threemf
+from fuzz.targets import SEPARATOR
+
+CORPUS = Path(__file__).with_name("corpus")
+PICTURE = encode(np.random.default_rng(1).integers(0, 256, (4, 4, 3), np.uint8), "png")
+SQUARE = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\n"
+PLACES = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], "<f4")
+LEVELS = np.array([[255, 0, 0, 255], [0, 128, 0, 255], [0, 0, 64, 0], [9, 8, 7, 6]], "<u1")
+
+
+def files(main: bytes | str, **others: bytes | str) -> bytes:
+    """Join a model and the files beside it; names have a dot for every underscore."""
+    parts = [main if isinstance(main, bytes) else main.encode()]
+    for name, content in others.items():
+        data = content if isinstance(content, bytes) else content.encode()
+        parts.append(name.replace("_", ".").encode() + b"\n" + data)
+    return SEPARATOR.join(parts)
+
+
+def ply_seeds() -> dict[str, bytes]:
+    seeds = {}
+    for encoding in ENCODINGS:
+        short = encoding.rpartition("_")[0].rpartition("_")[2] or encoding
+        seeds[f"mixed-{short}"] = build(
+            coloured(5, [[0, 1, 2], [0, 1, 2, 3], [4, 3, 2, 1, 0]], "uchar", 1), encoding
+        ).data
+        rows = [[*place, place[0] / 2, place[1] / 2] for place in PLACES.tolist()]
+        names = [(name, "float") for name in ("x", "y", "z", "s", "t")]
+        face = Table("face", [("vertex_indices", "uchar int"), ("texnumber", "int")], [[[0, 1, 2, 3], 0]])
+        text = build([Table("vertex", names, rows), face], encoding, comments=["TextureFile a.png"]).data
+        seeds[f"textured-{short}"] = files(text, a_png=PICTURE)
+    wedge = Table(
+        "face",
+        [("vertex_indices", "uchar int"), ("texcoord", "uchar float")],
+        [[[0, 1, 2], [0, 0, 1, 0, 1, 1.0]]],
+    )
+    vertices = Table("vertex", [(axis, "double") for axis in "xyz"], PLACES.tolist())
+    seeds["wedges"] = files(
+        build([vertices, wedge], ENCODINGS[1], comments=["TextureFile a.png"]).data, a_png=PICTURE
+    )
+    strip = Table("tristrips", [("vertex_indices", "int int")], [[[0, 1, 2, -1, 1, 2, 3]]])
+    painted = [(axis, "float") for axis in "xyz"] + [
+        (f"diffuse_{name}", "ushort") for name in ("red", "green", "blue")
+    ]
+    rows = [[*place, 1, 2, 65535] for place in PLACES.tolist()]
+    seeds["strips"] = build([strip, Table("vertex", painted, rows)], ENCODINGS[2], "\r\n").data
+    return seeds
+
+
+def obj_seeds() -> dict[str, bytes]:
+    textured = "mtllib m.mtl\n" + SQUARE + "usemtl a b\nf 1/1 2/2 3/3 \\\n4/4\nf -4/-4 -3/-3 -2/-2\nl 1 2\n"
+    library = "newmtl a b\nmap_Kd -s 2 2 1 -o .5 0 -clamp on a.png\nbump -bm 1 a.png\n"
+    return {
+        "coloured": b"v 0 0 0 1 0 0\nv 1 0 0 0 .5 0\r\nv 0 1 0 0 0 1 # c\nf 1 2 3\n",
+        "scale": b"v 0 0 0 255 0 0 1\nv 1 0 0 0 128 0 1\nv 0 1 0 7 8 9 0\nf 1//1 2//1 3//1\nvn 0 0 1\n",
+        "polypaint": (SQUARE + "#MRGB ff102030FFaAbBcC00000000ff7f80ff\nf 1 2 3 4\n").encode(),
+        "textured": files(textured, m_mtl=library, a_png=PICTURE),
+    }
+
+
+def gltf_seeds() -> dict[str, bytes]:
+    plain = Model()
+    attributes = {
+        "POSITION": plain.packed(PLACES, bounds=True),
+        "COLOR_0": plain.packed(LEVELS, normalized=True),
+    }
+    plain.mesh(
+        {"attributes": attributes, "indices": plain.indices(np.array([0, 1, 2, 0, 2, 3], "<u2"))},
+        translation=[1, 2, 3],
+    )
+    mixed = Model()
+    positions, colours = mixed.interleaved(PLACES, LEVELS[:, :3].astype("<f4") / 255)
+    mixed.mesh({"attributes": {"POSITION": positions, "COLOR_0": colours}, "mode": 5})
+    sparse = Model()
+    colour = sparse.sparse(LEVELS.astype("<u2") * 257, [1, 3], None, normalized=True)
+    sparse.mesh({"attributes": {"POSITION": sparse.packed(PLACES), "COLOR_0": colour}, "mode": 6})
+    seeds = {
+        "plain": plain.glb(),
+        "text": plain.data_text(indent=1),
+        "interleaved": mixed.glb(),
+        "sparse": sparse.data_text(),
+    }
+    seeds["buffer"] = files(plain.text("b.bin"), b_bin=bytes(plain.binary))
+    for place in ("view", "data"):
+        textured = Textured(place)
+        info = {
+            "index": textured.texture(textured.image(PICTURE)),
+            "extensions": {"KHR_texture_transform": {"scale": [2, 2]}},
+        }
+        material = textured.material("skin", baseColor=info, emissive=0)
+        textured.triangles(PLACES, PLACES[:, :2], material, corners=[0, 1, 2, 0, 2, 3])
+        seeds[f"textured-{place}"] = textured.glb() if place == "view" else textured.data_text()
+    return seeds
+
+
+def other_seeds() -> dict[str, dict[str, bytes]]:
+    packed = io.BytesIO()
+    np.savez(packed, positions=PLACES, colours=LEVELS[:, :3])
+    volume = io.BytesIO()
+    np.savez(volume, values=np.arange(27, dtype="f4").reshape(3, 3, 3) - 13, spacing=[1, 1, 1.0])
+    # Compressed members leave nothing for a fuzzer to see.
+    stored = io.BytesIO()
+    with zipfile.ZipFile(io.BytesIO(threemf(model(OBJECT)))) as old, zipfile.ZipFile(stored, "w") as new:
+        for member in old.namelist():
+            new.writestr(zipfile.ZipInfo(member), old.read(member))
+    nrrd = "NRRD0004\ntype: float\ndimension: 3\nsizes: 2 2 2\nencoding: raw\nendian: little\nspacings: 1 1 1\n\n"
+    random = np.random.default_rng(5)
+    images = {
+        f"{kind}": encode(random.integers(0, 256, (3, 5, 3), np.uint8), kind)
+        for kind in ("png", "jpeg", "tiff", "bmp", "targa", "webp")
+    }
+    return {
+        "off": {
+            "float": coff("float"),
+            "integer": coff("integer", "CN", "0 0 1"),
+            "faces": b"OFF 3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2 9 8 7\n",
+        },
+        "stl": {"viscam": stl([1 << 15, 0]), "magics": stl([31, 1 << 15], b"COLOR=\x00\xff\x00\xff")},
+        "3mf": {"stored": stored.getvalue()},
+        "xyz": {
+            "levels": b"0 0 0 255 0 0\n1 0 0 0 255 0\n0 1 0 0 0 255\n",
+            "shares": b"0 0 0 1 0 0\n1 0 0 0 .5 0\n",
+        },
+        "npz": {"cloud": packed.getvalue()},
+        "volume": {"npz": volume.getvalue(), "nrrd": nrrd.encode() + np.arange(8, dtype="<f4").tobytes()},
+        "image": {kind: bytes([kind == "targa"]) + data for kind, data in images.items()},
+        "arrays": {
+            "plain": bytes([1, 16, 0, 0, 0, 0, 6, 0]) + random.random(120).tobytes(),
+            "guided": bytes([2, 64, 200, 1, 1, 1, 7, 1]) + random.random(300).tobytes(),
+            "cloud": bytes([1, 16, 0, 0, 0, 0, 14, 0]) + random.random(240).tobytes(),
+        },
+    }
+
+
+def main() -> None:
+    """Write all seeds anew."""
+    shutil.rmtree(CORPUS, ignore_errors=True)
+    seeds = {"ply": ply_seeds(), "obj": obj_seeds(), "gltf": gltf_seeds(), **other_seeds()}
+    for target, made in seeds.items():
+        (CORPUS / target).mkdir(parents=True)
+        for name, data in made.items():
+            (CORPUS / target / name).write_bytes(data)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,165 @@
+"""What is fuzzed: for every reader a function of bytes that must do nothing worse than refuse them in one line.
+
+What is read is also written with other colours and read again: then colours must be all that differs.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from beltrami_cli import smooth
+from beltrami_cli.errors import BeltramiError, InputError, UsageError
+from beltrami_cli.formats.access import Access
+from beltrami_cli.formats.image import read_image, write_image
+from beltrami_cli.formats.source import recognise
+from beltrami_cli.formats.volume import is_volume
+from beltrami_cli.formats.volume.reading import read_volume
+from beltrami_cli.mesh.textured import ImageFile
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from beltrami_cli.formats.document import Document, Written
+
+SEPARATOR = b"\n=== "
+"""Between the files of a model: behind it stands the name of the next one, up to the end of the line."""
+
+ACCESS = Access(memory=1 << 28)
+MOST_SAMPLES = 1 << 20
+_MOST_KERNEL = 300  # vertices, so that a run takes milliseconds
+_SHARED_MEMORY = "/dev/shm"  # where there is one, files in it never reach a disk
+
+
+def read_model(data: bytes, name: str) -> None:
+    """Read a model with the files beside it, use every road through it, write it and compare."""
+    main, *others = data.split(SEPARATOR)
+    with tempfile.TemporaryDirectory(dir=_SHARED_MEMORY if Path(_SHARED_MEMORY).is_dir() else None) as folder:
+        for other in others[:4]:
+            path, _, content = other.partition(b"\n")
+            _write(Path(folder), os.fsdecode(path), content)
+        document = recognise(main, name, Path(folder), ACCESS)
+        document.facts()
+        document.references()
+        _use_vertices(document, Path(folder))
+        for slot in document.slots()[:2]:
+            with contextlib.suppress(InputError):
+                surface = document.textured(slot)
+                assert np.isfinite(surface.uv[surface.texture_of >= 0]).all()
+                images = {(slot, texture.key): ImageFile(b"new", ".png") for texture in surface.textures}
+                _compare(document, document.patch(None, "out", moved=True, images=images), Path(folder))
+
+
+def _use_vertices(document: Document, folder: Path) -> None:
+    painted = document.painted()
+    assert np.isfinite(painted.colours).all()
+    assert painted.faces.size == 0 or 0 <= painted.faces.min() <= painted.faces.max() < len(painted.colours)
+    if document.grid() is None:
+        assert np.isfinite(painted.positions).all()
+    document.contents()
+    for name in document.attributes()[:3]:
+        with contextlib.suppress(InputError):
+            document.attribute(name)
+    if document.format in ("ply", "obj", "gltf", "glb"):
+        colours = np.clip(painted.colours * np.float32(0.5), 0, 1)
+        _compare(document, document.patch(colours, "out", moved=True), folder)
+
+
+def _compare(before: Document, written: Written, folder: Path) -> None:
+    """Check that files as written are what was read, but for colours and images."""
+    with tempfile.TemporaryDirectory(dir=folder) as other:
+        for path in before.references():
+            _write(Path(other), path, (folder / path).read_bytes())
+        for path, data in written.sidecars.items():
+            _write(Path(other), path, bytes(data))
+        after = recognise(b"".join(written.main), before.name, Path(other), ACCESS)
+        old, new = before.anatomy().parts, after.anatomy().parts
+        changed = [part for part in {**old, **new} if old.get(part) != new.get(part)]
+        assert not changed, f"written anew, {changed} differ"
+
+
+def _write(folder: Path, name: str, content: bytes) -> None:
+    path = folder / name
+    with contextlib.suppress(OSError, ValueError):
+        if path.resolve().is_relative_to(folder.resolve()):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(content)
+
+
+def read_picture(data: bytes) -> None:
+    """Read an image, and write it as it was."""
+    picture = read_image(data[1:], "x" + (".png", ".tga", ".exr", ".hdr")[data[0] % 4] if data else "x")
+    if picture.pixels.size < MOST_SAMPLES:
+        write_image(picture, picture.pixels)
+
+
+def read_grid(data: bytes) -> None:
+    """Read a volume."""
+    if is_volume(data, "x.nrrd"):
+        read_volume(data, "x.nrrd", None, MOST_SAMPLES)
+
+
+def smooth_arrays(data: bytes) -> None:
+    """Make a mesh and colours of any kind from bytes, and smooth it: colours stay finite and within their range."""
+    head, rest = np.frombuffer(data[:8].ljust(8, b"\0"), np.uint8), data[8:]
+    numbers = np.frombuffer(rest[: len(rest) // 8 * 8], np.float64)[: 6 * _MOST_KERNEL]
+    vertices = len(numbers) // 6
+    positions, colours = (
+        numbers[: 3 * vertices].reshape(-1, 3),
+        numbers[3 * vertices : 6 * vertices].reshape(-1, 3),
+    )
+    corners = np.frombuffer(rest[::-1][: 3 * _MOST_KERNEL], np.uint8).astype(np.int64)
+    faces = corners[: len(corners) // 3 * 3].reshape(-1, 3) % max(1, vertices)
+    options = {
+        "iterations": int(head[0] % 3), "t": float(head[1]) / 32, "beta": None if head[2] < 64 else float(head[2]),
+        "metric_scale": float(head[3] % 4), "metric_steps": int(head[4] % 3), "threads": 1 + int(head[5] % 2),
+        "weights": ("uniform", "area")[head[6] % 2], "clipping": ("restore", "keep")[head[7] % 2],
+    }  # fmt: skip
+    with np.errstate(invalid="ignore"):
+        colours = np.abs(colours) % 1 if head[6] & 2 else colours
+        positions = positions % 8 if head[6] & 4 else positions
+    result = smooth(positions, None if head[6] & 8 else faces, colours, **options).colours
+    assert np.isfinite(result).all()
+    if options["clipping"] == "keep" and vertices:
+        low, high = colours.astype(np.float32).min(axis=0), colours.astype(np.float32).max(axis=0)
+        slack = 1e-5 * np.maximum(1, np.maximum(np.abs(low), np.abs(high)))
+        assert (result >= low - slack).all()
+        assert (result <= high + slack).all()
+
+
+def named(name: str) -> Callable[[bytes], None]:
+    """Return a reader of models of some name."""
+    return lambda data: read_model(data, name)
+
+
+TARGETS: dict[str, Callable[[bytes], None]] = {
+    "ply": named("x.ply"),
+    "obj": named("x.obj"),
+    "gltf": named("x.gltf"),
+    "off": named("x.off"),
+    "stl": named("x.stl"),
+    "3mf": named("x.3mf"),
+    "xyz": named("x.xyz"),
+    "npz": named("x.npz"),
+    "image": read_picture,
+    "volume": read_grid,
+    "arrays": smooth_arrays,
+}
+"""All targets by name; the seeds of each are in the folder `corpus` under its name."""
+
+
+def attempt(target: str, data: bytes) -> None:
+    """Give bytes to a target; whatever is raised is a finding, but for our own errors in one line."""
+    try:
+        TARGETS[target](data)
+    except BeltramiError as error:
+        refusal = error
+    else:
+        return
+    assert isinstance(refusal, (InputError, UsageError)) or target in ("image", "arrays"), repr(refusal)
+    assert "\n" not in str(refusal)
