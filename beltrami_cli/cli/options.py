@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any, get_args
 import click
 
 from beltrami_cli.cli.embedding import GUIDING, MOVING, embedding_from
-from beltrami_cli.cli.memory import limited_memory, memory_of_machine, parse_size
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.parameters import PRESETS, Clipping, KernelParameters, Space, Units, Weights
 from beltrami_cli.formats.access import Access
 from beltrami_cli.pipeline.bake_settings import DEFAULT_BAKE, BakeSettings
 from beltrami_cli.pipeline.image_settings import ImageSettings
 from beltrami_cli.pipeline.level_set_settings import MOST_VOXELS, Inside, LevelSetSettings
+from beltrami_cli.pipeline.memory import limited_memory, memory_of_machine, parse_size
 from beltrami_cli.pipeline.settings import (
     DEFAULTS,
     IMAGE_FORMATS,

@@ -5,10 +5,11 @@ from __future__ import annotations
 import errno
 import os
 import stat
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
 _OPENING = (
@@ -27,10 +28,13 @@ class Access:
     memory : int or None
         Bytes that the job may take; None: as many as there are. Files and images that are larger are refused
         before they are read.
+    note : callable or None
+        Told of every file that was read as a whole, with what it held; so a job can say what its result depends on.
     """
 
     outside: bool = False
     memory: int | None = None
+    note: Callable[[Path, bytes], None] | None = field(default=None, compare=False)
 
 
 EVERYTHING_INSIDE = Access()
@@ -68,4 +72,7 @@ def read_regular(path: Path, access: Access, most: int = -1) -> bytes:
             raise NotRegularError(errno.EINVAL, "it is not a regular file")
         if most < 0 and access.memory is not None and status.st_size > access.memory:
             raise OSError(errno.EFBIG, f"its {status.st_size} bytes are more than the memory it may take")
-        return file.read(most)
+        data = file.read(most)
+    if most < 0 and access.note is not None:
+        access.note(path, data)
+    return data

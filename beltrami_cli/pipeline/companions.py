@@ -7,6 +7,7 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access, read_regular
 from beltrami_cli.mesh.textured import ImageFile
 from beltrami_cli.pipeline.conversion import make_files
 
@@ -46,7 +47,11 @@ def is_moved(source: str, target: str) -> bool:
     return Path(source).resolve().parent != Path(os.path.realpath(target)).parent
 
 
-def with_references(written: Written, folder: Path, references: list[str]) -> Written:
+def with_references(
+    written: Written, folder: Path, references: list[str], access: Access = EVERYTHING_INSIDE
+) -> Written:
     """Add the unchanged files that the model needs beside it in its new folder."""
-    copied = {name: (folder / name).read_bytes() for name in references if name not in written.sidecars}
+    copied = {
+        name: read_regular(folder / name, access) for name in references if name not in written.sidecars
+    }
     return dataclasses.replace(written, sidecars={**written.sidecars, **copied})

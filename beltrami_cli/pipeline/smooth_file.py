@@ -123,7 +123,7 @@ def smooth_file(
         written = make_files(
             document, colours, images, target_format, Path(target).stem, moved=moved, places=places
         )
-        written = with_references(written, Path(source).parent, references)
+        written = with_references(written, Path(source).parent, references, access)
         if output is not None:
             output.write(written)
     files = [] if output is None else [target, *written.sidecars]
