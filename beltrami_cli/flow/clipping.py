@@ -142,6 +142,29 @@ def sigma_of_clipped(gap: NDArray[np.float64], share: NDArray[np.float64]) -> ND
     return told
 
 
+def variance_of_clipped(share: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Tell how much of the variance of noise is left after it was cut off at a limit.
+
+    Parameters
+    ----------
+    share : ndarray of float64
+        Share of the samples of one colour that stand at the limit, in [0, 1].
+
+    Returns
+    -------
+    ndarray of float64
+        Variance of a normal variable censored at the limit [1]_, as a share of the variance without.
+    """
+    from scipy.special import ndtri
+
+    beyond = np.clip(share, 1e-6, 1 - 1e-6)
+    alpha = ndtri(1 - beyond)
+    density = np.exp(-(alpha**2) / 2) / np.sqrt(2 * np.pi)
+    mean = alpha * beyond - density
+    left: NDArray[np.float64] = 1 - beyond - alpha * density + alpha**2 * beyond - mean**2
+    return left
+
+
 def _towards_limit(
     gap: NDArray[np.float32], share: NDArray[np.float32], sigma: np.float32
 ) -> NDArray[np.float32]:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from copy import copy
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from beltrami_cli.flow.guidance import choose_guide_beta, join_channels
 from beltrami_cli.flow.guide import GridGuide
-from beltrami_cli.flow.noise import choose_beta, estimate_sigma_on_grid
+from beltrami_cli.flow.noise import beta_of, estimate_sigma_on_grid
 from beltrami_cli.flow.seams import find_colour_jumps, halo_beyond
 from beltrami_cli.mesh.atlas import EMPTY, OWNED, refresh_halo
 
@@ -47,6 +48,8 @@ class GridMetric:
 
     Attributes
     ----------
+    counting : ndarray of float64
+        Estimated noise of the colour channels that count.
     beta : float
         Of the colours, in units of length per unit of colour; 0 if none counts.
     guide_betas : dict of str to float
@@ -66,13 +69,14 @@ class GridMetric:
     ) -> None:
         self._atlas, self._parameters, self._unit = atlas, parameters, unit
         self._chosen = None if metric_channels is None else list(metric_channels)
-        counting = sigma if self._chosen is None else sigma[self._chosen]
-        self.beta = choose_beta(counting) * unit if parameters.beta is None else parameters.beta
+        self.counting = counting = sigma if self._chosen is None else sigma[self._chosen]
+        self.beta = beta_of(parameters, counting, unit)
         if not len(counting):
             self.beta = 0.0
+        self._walls = walls
         self._guide: GridGuide | None = None
         if parameters.is_regularised(0):
-            self._guide = GridGuide(atlas.kind != EMPTY, parameters.metric_scale, walls=walls, atlas=atlas)
+            self._guide = self._smoothing(atlas)
         self.guide_betas: dict[str, float] = {}
         self._guide_planes = [self._take(guide) for guide in guides]
 
@@ -88,10 +92,39 @@ class GridMetric:
         """
         if not self._parameters.is_regularised(iteration):
             self._guide = None  # its planes are not needed any more
+        beta = self.beta * self._parameters.growth(iteration)
+        return self.join(colours, beta, regularised=self._guide is not None)
+
+    def join(
+        self, colours: NDArray[np.float32], beta: float, *, regularised: bool
+    ) -> tuple[NDArray[np.float32], float]:
+        """Return the planes to take distances from, and their beta, for colours and a beta of these."""
         if self._chosen is not None:
             colours = colours[self._chosen]
-        beta = self.beta * self._parameters.growth(iteration)
-        return join_channels([self._regularised(colours, beta), *self._guide_planes], axis=0)
+        own = self._regularised(colours, beta) if regularised else (colours, beta)
+        return join_channels([own, *self._guide_planes], axis=0)
+
+    def use(self, parameters: KernelParameters) -> None:
+        """Take other parameters, which were chosen after the metric was made: iterations, beta and the like."""
+        self._parameters = parameters
+        if parameters.beta is not None and self.beta > 0:
+            self.beta = parameters.beta
+        if self._guide is None and parameters.is_regularised(0):
+            self._guide = self._smoothing(self._atlas)
+
+    def cut_out(self, atlas: Atlas, cells: NDArray[np.int64]) -> GridMetric:
+        """Return the metric of some cells, flat indices of shape (R', C'), on a canvas of their own."""
+        part = copy(self)
+        part._atlas = atlas
+        part._guide = None if self._guide is None else part._smoothing(atlas)
+        part._guide_planes = [
+            (np.ascontiguousarray(planes.reshape(len(planes), -1)[:, cells]), beta)
+            for planes, beta in self._guide_planes
+        ]
+        return part
+
+    def _smoothing(self, atlas: Atlas) -> GridGuide:
+        return GridGuide(atlas.kind != EMPTY, self._parameters.metric_scale, walls=self._walls, atlas=atlas)
 
     def _regularised(self, planes: NDArray[np.float32], beta: float) -> tuple[NDArray[np.float32], float]:
         """Return what distances are taken from in place of noisy planes, and its beta."""

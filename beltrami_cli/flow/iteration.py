@@ -8,11 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from beltrami_cli.flow.choice import ON_MESHES, Choice, choose, is_noisy
 from beltrami_cli.flow.clipping import find_clipped
 from beltrami_cli.flow.geometry import GeometryParameters, MovingPositions
 from beltrami_cli.flow.mesh_metric import MeshMetric
 from beltrami_cli.flow.one_kernel import SampledKernel, kernel_values
 from beltrami_cli.flow.spacing import local_spacing
+from beltrami_cli.flow.trial_mesh import MeshTrial, choose_patches, random_signs
 from beltrami_cli.mesh.areas import vertex_areas
 
 if TYPE_CHECKING:
@@ -24,6 +26,11 @@ if TYPE_CHECKING:
     from beltrami_cli.flow.guidance import Guide
     from beltrami_cli.flow.parameters import KernelParameters
     from beltrami_cli.mesh.surface import SampledSurface
+
+# Samples on which parameters are tried, as a share of all, so that trying takes no longer than smoothing: some forty
+# iterations are tried, each twice. Fewer than so many samples tell too little, and take about a second.
+_SHARE_TRIED = 1 / 20
+_LEAST_TRIED = 5_500
 
 
 @dataclass(frozen=True)
@@ -85,6 +92,10 @@ class BeltramiFlow:
         As used, in units of length per unit of colour; 0 if no colour enters the metric.
     guide_betas : dict of str to float
         Units of length per unit of each guide, by its name.
+    parameters : KernelParameters
+        As used, with nothing free.
+    choice : Choice or None
+        What of them was chosen from the data; None: nothing was.
     moving : MovingPositions or None
         The positions, if they are smoothed.
     """
@@ -118,8 +129,20 @@ class BeltramiFlow:
         in_spacings = lengths / np.sqrt(spacing[edges[:, 0]] * spacing[edges[:, 1]])
         guides = [dataclasses.replace(guide, values=guide.values[self._order]) for guide in guides]
         metric = MeshMetric(edges, in_spacings, self._colours, unit, parameters, guides, metric_channels)
-        self._metric, self.sigma, self.beta = metric, metric.sigma, metric.beta
+        self._metric, self.sigma = metric, metric.sigma
         self.guide_betas = metric.guide_betas
+        self._weights: NDArray[np.float32] | None = None
+        if parameters.weights == "area":
+            self._weights = vertex_areas(self._positions, rank[surface.faces])
+        self.choice: Choice | None = None
+        if (
+            geometry is not None
+        ):  # positions move by as many iterations, and what is best for colours is not for them
+            self.parameters = parameters = dataclasses.replace(parameters, free=())
+        if parameters.is_open:
+            self._choose(rank[surface.all_faces], edges, unit)
+            parameters = self.parameters
+        self.beta = metric.beta
         self._clipped = None
         if parameters.clipping == "restore" and self.beta > 0 and parameters.iterations:
             joined = np.zeros(len(rank), bool)
@@ -131,9 +154,50 @@ class BeltramiFlow:
             self.moving = MovingPositions(
                 self._positions, rank[surface.faces], edges, self.mean_edge_length or 1.0, unit, places
             )
-        self._weights: NDArray[np.float32] | None = None
-        if parameters.weights == "area":
-            self._weights = vertex_areas(self._positions, rank[surface.faces])
+
+    def _choose(self, faces: NDArray[np.int32], edges: NDArray[np.int32], unit: float) -> None:
+        """Choose the free parameters, and tell the metric of them."""
+        parameters = dataclasses.replace(self.parameters, free=())
+        if is_noisy(self.sigma) and len(edges):
+            trial = self._trial(faces, edges)
+            parameters, self.choice = choose(
+                trial, trial.samples, self.sigma, self._metric.counting, unit, self._metric.beta,
+                self.parameters, ON_MESHES,
+            )  # fmt: skip
+        elif "iterations" in self.parameters.free:
+            parameters = dataclasses.replace(parameters, iterations=0)
+        self.parameters = parameters
+        self._metric.use(parameters)
+
+    def _trial(self, faces: NDArray[np.int32], edges: NDArray[np.int32]) -> MeshTrial:
+        """Make the sample of the surface on which parameters are tried."""
+        from beltrami_cli._native import TriangulatedManifold
+
+        parameters, count = self.parameters, len(self._colours)
+        patches = choose_patches(self._colours, edges, max(_LEAST_TRIED, int(count * _SHARE_TRIED)))
+        samples, manifold, metric = patches.samples, self._manifold, self._metric
+        if len(samples) < count:
+            rank = np.full(count, -1, np.int32)
+            rank[samples] = np.arange(len(samples), dtype=np.int32)
+            corners = rank[faces]
+            manifold = TriangulatedManifold(corners[(corners >= 0).all(axis=1)], len(samples))
+            metric = metric.cut_out(samples)
+        positions = self._positions[samples]
+        scales = None if self._scales is None else self._scales[samples]
+        weights = None if self._weights is None else self._weights[samples]
+
+        def iterate(
+            channels: NDArray[np.float32], colours: NDArray[np.float32], beta: float, t: float
+        ) -> NDArray[np.float32]:
+            own = dataclasses.replace(parameters, t=t)
+            manifold.update_metric(positions, channels, beta, scales, True, own.thread_count)
+            smoothed, _, _ = manifold.smooth(
+                colours, weights, t, own.radius, own.max_samples, own.thread_count, None
+            )
+            return smoothed
+
+        signs = random_signs(self._colours, edges)[samples]
+        return MeshTrial(self._colours[samples], signs, patches.counting, metric, iterate)
 
     def run(self, progress: Callable[[int, int], None] | None = None) -> FlowResult:
         """Run all iterations.

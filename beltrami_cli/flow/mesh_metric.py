@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from copy import copy
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from beltrami_cli.flow.guidance import choose_guide_beta, join_channels
 from beltrami_cli.flow.guide import MeshGuide
-from beltrami_cli.flow.noise import choose_beta, estimate_sigma
+from beltrami_cli.flow.noise import beta_of, estimate_sigma
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -43,6 +44,8 @@ class MeshMetric:
     ----------
     sigma : ndarray of float64, shape (N,)
         Estimated noise per colour channel.
+    counting : ndarray of float64
+        Estimated noise of the colour channels that count.
     beta : float
         Of the colours, in units of length per unit of colour; 0 if none counts.
     guide_betas : dict of str to float
@@ -62,13 +65,14 @@ class MeshMetric:
         self._parameters, self._unit = parameters, unit
         self._chosen = None if metric_channels is None else list(metric_channels)
         self.sigma = estimate_sigma(colours, edges)
-        counting = self.sigma if self._chosen is None else self.sigma[self._chosen]
-        self.beta = choose_beta(counting) * unit if parameters.beta is None else parameters.beta
+        self.counting = counting = self.sigma if self._chosen is None else self.sigma[self._chosen]
+        self.beta = beta_of(parameters, counting, unit)
         if not len(counting):
             self.beta = 0.0
+        self._count, self._edges, self._lengths = len(colours), edges, lengths
         self._guide: MeshGuide | None = None
         if parameters.is_regularised(0):
-            self._guide = MeshGuide(len(colours), edges, lengths, parameters.metric_scale)
+            self._guide = self._smoothing()
         self.guide_betas: dict[str, float] = {}
         self._guide_channels = [self._take(guide, edges) for guide in guides]
 
@@ -88,13 +92,49 @@ class MeshMetric:
         """
         if not self._parameters.is_regularised(iteration):
             self._guide = None  # its arrays are not needed any more
+        beta = self.beta * self._parameters.growth(iteration)
+        moving = [] if normals is None else [self._regularised(*normals)]
+        return self.join(colours, beta, moving, regularised=self._guide is not None)
+
+    def join(
+        self,
+        colours: NDArray[np.float32],
+        beta: float,
+        more: Sequence[tuple[NDArray[np.float32], float]] = (),
+        *,
+        regularised: bool,
+    ) -> tuple[NDArray[np.float32], float]:
+        """Return the channels to take distances from, and their beta, for colours and a beta of these."""
         if self._chosen is not None:
             colours = np.ascontiguousarray(colours[:, self._chosen])
-        beta = self.beta * self._parameters.growth(iteration)
-        parts = [self._regularised(colours, beta), *self._guide_channels]
-        if normals is not None:
-            parts.append(self._regularised(*normals))
-        return join_channels(parts, axis=1)
+        own = self._regularised(colours, beta) if regularised else (colours, beta)
+        return join_channels([own, *self._guide_channels, *more], axis=1)
+
+    def use(self, parameters: KernelParameters) -> None:
+        """Take other parameters, which were chosen after the metric was made: iterations, beta and the like."""
+        self._parameters = parameters
+        if parameters.beta is not None and self.beta > 0:
+            self.beta = parameters.beta
+        if self._guide is None and parameters.is_regularised(0):
+            self._guide = self._smoothing()
+
+    def cut_out(self, samples: NDArray[np.int64]) -> MeshMetric:
+        """Return the metric of some samples, ascending, that are a surface of their own."""
+        part = copy(self)
+        rank = np.full(self._count, -1, np.int32)
+        rank[samples] = np.arange(len(samples), dtype=np.int32)
+        inside = np.all(rank[self._edges] >= 0, axis=1)
+        part._count, part._edges, part._lengths = (
+            len(samples),
+            rank[self._edges[inside]],
+            self._lengths[inside],
+        )
+        part._guide = None if self._guide is None else part._smoothing()
+        part._guide_channels = [(values[samples], beta) for values, beta in self._guide_channels]
+        return part
+
+    def _smoothing(self) -> MeshGuide:
+        return MeshGuide(self._count, self._edges, self._lengths, self._parameters.metric_scale)
 
     def _regularised(self, channels: NDArray[np.float32], beta: float) -> tuple[NDArray[np.float32], float]:
         """Return what distances are taken from in place of noisy channels, and its beta."""

@@ -6,12 +6,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from beltrami_cli.flow.parameters import SMOOTHNESS
 from beltrami_cli.flow.weakest import weakest_level
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from numpy.typing import NDArray
+
+    from beltrami_cli.flow.parameters import KernelParameters
 
 # For a normal distribution the standard deviation is 1 / Phi^-1(3/4) times the median absolute deviation.
 _SIGMA_PER_MEDIAN = 1.4826022
@@ -224,13 +227,15 @@ def _tiles(values: NDArray[Any]) -> NDArray[np.float64]:
     return total
 
 
-def choose_beta(sigma: NDArray[np.float64]) -> float:
+def choose_beta(sigma: NDArray[np.float64], contrast: float = _BETA_SIGMA) -> float:
     """Choose beta so that noise alone keeps neighbours within reach, and edges do not.
 
     Parameters
     ----------
     sigma : ndarray of float64, shape (N,)
         Noise per channel, colours in [0, 1].
+    contrast : float
+        Sample spacings that noise counts.
 
     Returns
     -------
@@ -240,4 +245,26 @@ def choose_beta(sigma: NDArray[np.float64]) -> float:
     # A channel without noise, such as constant alpha, says nothing of how far noise carries in the others.
     noisy = sigma[sigma > 0.1 * sigma.max()] if len(sigma) else sigma
     overall = float(np.sqrt(np.mean(np.square(noisy)))) if len(noisy) else 0.0
-    return _BETA_SIGMA / max(overall, float(_QUANTISATION))
+    return contrast / max(overall, float(_QUANTISATION))
+
+
+def beta_of(parameters: KernelParameters, sigma: NDArray[np.float64], unit: float) -> float:
+    """Return the beta of the parameters, or the one that `choose_beta` gives where they have none.
+
+    Parameters
+    ----------
+    parameters : KernelParameters
+        With a beta or None, and the strength that moves the latter.
+    sigma : ndarray of float64, shape (N,)
+        Noise of the channels that count.
+    unit : float
+        The sample spacing in units of length.
+
+    Returns
+    -------
+    float
+        Units of length per unit of colour.
+    """
+    if parameters.beta is not None:
+        return parameters.beta
+    return choose_beta(sigma) * unit / float(np.sqrt(SMOOTHNESS[parameters.strength]))

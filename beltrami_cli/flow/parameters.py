@@ -14,6 +14,14 @@ Units = Literal["spacing", "world"]
 Scheme = Literal["triangles", "metric"]
 Space = Literal["srgb", "linear", "oklab", "data"]
 Clipping = Literal["restore", "keep"]
+Strength = Literal["gentle", "normal", "strong"]
+Tunable = Literal["iterations", "t", "beta", "beta_growth", "metric_steps"]
+
+# The parameters that can be chosen from the data.
+TUNABLE: tuple[Tunable, ...] = get_args(Tunable)
+
+# How much the smoothness of the result counts beside its closeness to the input.
+SMOOTHNESS: dict[Strength, float] = {"gentle": 0.4, "normal": 1.0, "strong": 2.5}
 
 
 @dataclass(frozen=True)
@@ -56,6 +64,12 @@ class KernelParameters:
     clipping : {"restore", "keep"}
         Whether averages are corrected where noise was cut off at 0 or full scale; never with a `beta` of 0, which
         is a linear kernel.
+    free : tuple of str
+        Those of iterations, t, beta, beta_growth and metric_steps that are chosen from the data, by their estimated
+        error, see `choose`; the others are kept. The values given here are used where there is no noise to tell
+        by. A `beta` of 0 leaves nothing to choose, nor do 0 iterations.
+    strength : {"gentle", "normal", "strong"}
+        Whether what is chosen smooths less or more than what is estimated to be best. It moves a `beta` of None, too.
 
     Raises
     ------
@@ -77,6 +91,8 @@ class KernelParameters:
     metric_steps: int = 2
     scheme: Scheme = "triangles"
     clipping: Clipping = "restore"
+    free: tuple[Tunable, ...] = ()
+    strength: Strength = "normal"
 
     def __post_init__(self) -> None:
         _require(self.iterations >= 0, "iterations", self.iterations, "0 or more")
@@ -94,6 +110,8 @@ class KernelParameters:
         _require(self.metric_steps >= 0, "metric_steps", self.metric_steps, "0 or more")
         _require(self.scheme in get_args(Scheme), "scheme", self.scheme, "triangles or metric")
         _require(self.clipping in get_args(Clipping), "clipping", self.clipping, "restore or keep")
+        _require(self.strength in get_args(Strength), "strength", self.strength, "gentle, normal or strong")
+        _require(set(self.free) <= set(TUNABLE), "free", self.free, f"some of {', '.join(TUNABLE)}")
         _require(self.threads is None or self.threads >= 1, "threads", self.threads, "1 or more")
 
     def is_regularised(self, iteration: int) -> bool:
@@ -103,6 +121,11 @@ class KernelParameters:
     def growth(self, iteration: int) -> float:
         """Return by what factor beta is larger in an iteration, counted from 0, than in the first."""
         return self.beta_growth**iteration
+
+    @property
+    def is_open(self) -> bool:
+        """Whether there is anything to choose from the data."""
+        return bool(self.free) and self.beta != 0 and (self.iterations > 0 or "iterations" in self.free)
 
     @property
     def radius(self) -> float:

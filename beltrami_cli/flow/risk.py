@@ -1,0 +1,155 @@
+"""How far smoothed colours are from the colours without noise, told without knowing these.
+
+Stein's unbiased risk estimate: for y = x + noise of variance sigma^2, and any smooth map f,
+
+    E |f(y) - x|^2 = E |f(y) - y|^2 - sigma^2 + 2 sigma^2 div f(y)        (mean over samples)
+
+and the divergence is the answer to a small random perturbation, div f(y) = E b . (f(y + eps b) - f(y)) / eps with
+independent signs b [1]_.
+
+References
+----------
+.. [1] S. Ramani, T. Blu, M. Unser, "Monte-Carlo SURE: a black-box optimization of regularization parameters for general
+   denoising algorithms", IEEE Trans. Image Processing 17(9), 2008, eqs. (4) and (13).
+   https://doi.org/10.1109/TIP.2008.2001404
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+from beltrami_cli.flow.clipping import variance_of_clipped
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+# The perturbation, in units of the noise: far above the rounding of float32, far below what changes the kernels.
+_EPSILON = 0.1
+
+# The share of samples at a limit is averaged by a Gaussian on the surface: so many iterations of such a time step.
+_MARK_STEPS, _MARK_TIME = 2, 2.4
+
+# Parts of the sample whose estimates are compared, to tell how sure their mean is.
+_PARTS = 16
+
+
+@dataclass(frozen=True)
+class Step:
+    """One iteration: beta in units of length per unit of colour, the time step, whether the metric is regularised."""
+
+    beta: float
+    t: float
+    regularised: bool
+
+
+class Trial(Protocol):
+    """A sample of a surface on which iterations can be tried.
+
+    States are arrays of any layout, which only the trial knows.
+    """
+
+    @property
+    def start(self) -> NDArray[np.float32]:
+        """The noisy colours."""
+
+    @property
+    def signs(self) -> NDArray[np.float32]:
+        """A state of independent signs, 1 or -1; equal where two entries are one sample."""
+
+    def step(self, state: NDArray[np.float32], step: Step) -> NDArray[np.float32]:
+        """Return the state after an iteration."""
+
+    def scored(self, state: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the colours, shape (S, N), of those samples that are as they would be on the whole surface."""
+
+
+@dataclass(frozen=True)
+class Risk:
+    """An estimate of a mean square error.
+
+    Attributes
+    ----------
+    value : float
+        Mean over samples and channels, in squared units of colour. Estimates of small errors may be below 0.
+    error : float
+        Standard error of `value`, from how parts of the sample differ.
+    cost : float
+        As `value`, but with the divergence counting more or less; what is minimised.
+    """
+
+    value: float
+    error: float
+    cost: float
+
+
+@dataclass(frozen=True)
+class State:
+    """Colours after some iterations, and what the perturbed ones became."""
+
+    plain: NDArray[np.float32]
+    perturbed: NDArray[np.float32]
+
+
+class RiskEstimate:
+    """Monte Carlo SURE on a trial.
+
+    Parameters
+    ----------
+    trial : Trial
+        Where to estimate it.
+    sigma : ndarray of float64, shape (N,)
+        Standard deviation of the noise of each channel.
+    weight : float
+        By what factor the divergence counts in `Risk.cost`: more asks for smoother results, less for gentler ones.
+    """
+
+    def __init__(self, trial: Trial, sigma: NDArray[np.float64], weight: float = 1.0) -> None:
+        self._trial, self._weight = trial, weight
+        self._epsilon = _EPSILON * float(np.sqrt(np.square(sigma).mean()))
+        self._noisy = trial.scored(trial.start)
+        self._variance = np.square(sigma) * self._left_by_clipping()
+        self._signs = trial.scored(trial.signs)
+
+    @property
+    def start(self) -> State:
+        """The state before any iteration."""
+        start = self._trial.start
+        return State(start, start + np.float32(self._epsilon) * self._trial.signs)
+
+    def _left_by_clipping(self) -> NDArray[np.float64] | float:
+        """Tell which part of the noise's variance was not cut off at 0 and at full scale, sample by sample.
+
+        There y is what the estimate takes for y: not x plus noise, but what the mean of clipped noise adds to x. That
+        is what averages tend to, until they are restored.
+        """
+        start = self._trial.start
+        left: NDArray[np.float64] | float = 1.0
+        limits = (
+            (start <= 0, self._noisy.min(initial=1) == 0),
+            (start >= 1, self._noisy.max(initial=0) == 1),
+        )
+        for beyond, is_limit in limits:
+            if is_limit:
+                marks = beyond.astype(np.float32)
+                for _ in range(_MARK_STEPS):
+                    marks = self._trial.step(marks, Step(0.0, _MARK_TIME, regularised=False))
+                left = left * variance_of_clipped(self._trial.scored(marks).astype(np.float64))
+        return left
+
+    def step(self, state: State, step: Step) -> State:
+        """Return the state after an iteration."""
+        return State(self._trial.step(state.plain, step), self._trial.step(state.perturbed, step))
+
+    def of(self, state: State) -> Risk:
+        """Estimate the error of a state."""
+        smoothed = self._trial.scored(state.plain).astype(np.float64)
+        answer = self._signs * (self._trial.scored(state.perturbed) - smoothed) / self._epsilon
+        misfit = np.square(smoothed - self._noisy) - self._variance
+        divergence = 2 * self._variance * answer
+        each = (misfit + divergence).mean(axis=1)
+        parts = np.array([part.mean() for part in np.array_split(each, _PARTS) if len(part)])
+        error = float(parts.std(ddof=1) / np.sqrt(len(parts))) if len(parts) > 1 else float("inf")
+        return Risk(float(each.mean()), error, float((misfit + self._weight * divergence).mean()))

@@ -1,0 +1,178 @@
+"""Schedules of iterations, and the search for the one of least estimated error."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from beltrami_cli.flow.risk import Risk, RiskEstimate, State, Step
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+# Iterations in one schedule; what needs more has a larger time step beside it that does the same in fewer.
+_MOST_STEPS = 8
+
+# So many iterations in a row that make the estimate worse end a path.
+_PATIENCE = 1
+
+# Improvements by less than this share of the noise's variance are chance.
+_WORTH_MOVING = 1e-4
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """What is chosen: iterations, some of them regularised, and their parameters.
+
+    Attributes
+    ----------
+    beta : float
+        Of the first iteration, in units of length per unit of colour.
+    growth : float
+        Of beta, from one iteration to the next.
+    t : float
+        Time step.
+    guided, plain : int
+        Iterations with the regularised metric, and after them without.
+    """
+
+    beta: float
+    growth: float
+    t: float
+    guided: int
+    plain: int
+
+    def step(self, iteration: int) -> Step:
+        """Return an iteration, counted from 0."""
+        return Step(self.beta * self.growth**iteration, self.t, iteration < self.guided)
+
+
+@dataclass(frozen=True)
+class Grid:
+    """The values that each parameter may take, ascending, and where the search starts.
+
+    Attributes
+    ----------
+    betas, growths, steps : tuple of float
+        Values of beta, its growth and t.
+    guided : tuple of int
+        Numbers of regularised iterations.
+    iterations : int or None
+        How many iterations there must be; None: as many as pay.
+    start : tuple of int
+        Where in `betas`, `growths`, `steps` and `guided` to start.
+    """
+
+    betas: tuple[float, ...]
+    growths: tuple[float, ...]
+    steps: tuple[float, ...]
+    guided: tuple[int, ...]
+    iterations: int | None
+    start: tuple[int, int, int, int]
+
+    def at(self, place: tuple[int, int, int, int], plain: int = 0) -> Schedule:
+        """Return the schedule at some place in the grid."""
+        beta, growth, step, guided = place
+        return Schedule(self.betas[beta], self.growths[growth], self.steps[step], self.guided[guided], plain)
+
+    def beside(
+        self, place: tuple[int, int, int, int], axis: int, way: int
+    ) -> tuple[int, int, int, int] | None:
+        """Return the next place along an axis; None at its end."""
+        size = len((self.betas, self.growths, self.steps, self.guided)[axis])
+        moved = place[axis] + way
+        if not 0 <= moved < size:
+            return None
+        beta, growth, step, guided = (moved if k == axis else old for k, old in enumerate(place))
+        return beta, growth, step, guided
+
+
+class Search:
+    """A descent over a grid of schedules, by an estimate of their error.
+
+    The results on the way to a schedule are results of shorter ones, so these cost nothing more.
+
+    Parameters
+    ----------
+    estimate : RiskEstimate
+        Of the error.
+    grid : Grid
+        What may be chosen.
+    noise : float
+        Mean variance of the noise.
+    pause : callable
+        Called before every iteration that is tried; may raise to stop.
+
+    Attributes
+    ----------
+    tried : dict of Schedule to Risk
+        All that was estimated.
+    """
+
+    def __init__(
+        self, estimate: RiskEstimate, grid: Grid, noise: float, pause: Callable[[], None] | None = None
+    ) -> None:
+        self.tried: dict[Schedule, Risk] = {}
+        self._estimate, self._grid, self._noise, self._pause = estimate, grid, noise, pause
+        self._costs: dict[tuple[int, int, int, int], float] = {}
+        self._guided_states: dict[Schedule, State] = {}
+
+    def run(self) -> Schedule:
+        """Return the best schedule found: along one axis after another, until none gets better."""
+        if self._grid.iterations is None:
+            self._try(replace(self._grid.at(self._grid.start), guided=0), self._estimate.start)
+        place, best = self._grid.start, self._path(self._grid.start)
+        moved = True
+        while moved:
+            moved = False
+            for axis in (0, 1, 3, 2):
+                for way in (1, -1):
+                    ahead = self._grid.beside(place, axis, way)
+                    while (
+                        ahead is not None and (cost := self._path(ahead)) < best - _WORTH_MOVING * self._noise
+                    ):
+                        place, best, moved = ahead, cost, True
+                        ahead = self._grid.beside(place, axis, way)
+        return min(self.tried, key=lambda schedule: self.tried[schedule].cost)
+
+    def _path(self, place: tuple[int, int, int, int]) -> float:
+        """Try the schedules at a place, with more and more plain iterations; return the least cost."""
+        if place not in self._costs:
+            self._costs[place] = self._walk(self._grid.at(place))
+        return self._costs[place]
+
+    def _walk(self, schedule: Schedule) -> float:
+        wanted = self._grid.iterations
+        if wanted is not None and schedule.guided > wanted:
+            return float("inf")
+        state = self._after_guided(schedule)
+        costs: list[float] = []
+        while True:
+            done = schedule.guided + schedule.plain
+            if wanted is None or done == wanted:
+                costs.append(self._try(schedule, state))
+            best = costs.index(min(costs)) if costs else 0
+            if done >= (_MOST_STEPS if wanted is None else wanted) or len(costs) > best + _PATIENCE:
+                return costs[best]
+            state = self._step(state, schedule.step(done))
+            schedule = replace(schedule, plain=schedule.plain + 1)
+
+    def _try(self, schedule: Schedule, state: State) -> float:
+        self.tried[schedule] = self._estimate.of(state)
+        return self.tried[schedule].cost
+
+    def _after_guided(self, schedule: Schedule) -> State:
+        """Return the state after the regularised iterations, which longer schedules share."""
+        if schedule.guided == 0:
+            return self._estimate.start
+        # The first iteration is the same whatever comes after it.
+        key = replace(schedule, growth=1.0) if schedule.guided == 1 else schedule
+        if key not in self._guided_states:
+            before = self._after_guided(replace(schedule, guided=schedule.guided - 1))
+            self._guided_states[key] = self._step(before, schedule.step(schedule.guided - 1))
+        return self._guided_states[key]
+
+    def _step(self, state: State, step: Step) -> State:
+        if self._pause is not None:
+            self._pause()
+        return self._estimate.step(state, step)

@@ -1,0 +1,160 @@
+"""A sample of a canvas on which iterations can be tried: some blocks of it, with a rim around each."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from beltrami_cli.mesh.atlas import EMPTY, HALO, OWNED, refresh_halo
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from beltrami_cli.flow.grid_metric import GridMetric
+    from beltrami_cli.flow.risk import Step
+    from beltrami_cli.mesh.atlas import Atlas
+
+# Cells a side of the core of a block, whose result counts.
+_CORE = 64
+
+# Iterations carry what is wrong at a block's border inwards; most of a kernel's weight lies within so many cells.
+_RIM = 8
+
+# With any seed the choice is as good; with this one it is the same every time.
+_SEED = 20
+
+
+class GridTrial:
+    """Blocks of a canvas, side by side on one of their own.
+
+    Parameters
+    ----------
+    atlas : Atlas
+        The canvas, R x C cells.
+    planes : ndarray of float32, shape (N, R, C)
+        Noisy colours, halo included.
+    scale : ndarray of float32, shape (R, C), or None
+        As `smooth_grid` takes it.
+    metric : GridMetric
+        Of the whole canvas.
+    iterate : callable
+        Makes an iteration from the atlas, the scale, metric planes, colours, beta and t.
+    budget : int
+        About how many cells to look at; a canvas with no more owned cells is taken whole.
+    reach : int
+        How far a cell's result in one iteration depends on others, in cells along rows and columns.
+
+    Attributes
+    ----------
+    samples : int
+        Cells whose result counts.
+    """
+
+    def __init__(
+        self,
+        atlas: Atlas,
+        planes: NDArray[np.float32],
+        scale: NDArray[np.float32] | None,
+        metric: GridMetric,
+        iterate: Callable[..., NDArray[np.float32]],
+        budget: int,
+        reach: int,
+    ) -> None:
+        self._iterate = iterate
+        if len(atlas.owned_cells) <= budget:
+            self._atlas, self._scale, self._metric, self.start = atlas, scale, metric, planes
+            self._scored = atlas.owned_cells
+        else:
+            cells, core = _blocks(atlas, budget, reach)
+            self._atlas = _cut_out(atlas, cells, core, reach)
+            self._scale = None if scale is None else np.ascontiguousarray(scale.reshape(-1)[cells])
+            self.start = np.ascontiguousarray(planes.reshape(len(planes), -1)[:, cells])
+            self.start[:, self._atlas.kind == EMPTY] = 0
+            self._metric = metric.cut_out(self._atlas, cells)
+            self._scored = np.flatnonzero(core & (self._atlas.kind == OWNED))
+        self.samples = len(self._scored)
+        signs = np.random.default_rng(_SEED).integers(0, 2, self.start.shape, np.int8) * 2 - 1
+        self.signs = signs.astype(np.float32)
+        self.signs[:, self._atlas.kind == EMPTY] = 0
+        refresh_halo(self.signs, self._atlas)
+
+    def step(self, state: NDArray[np.float32], step: Step) -> NDArray[np.float32]:
+        """Return the planes after an iteration."""
+        metric, beta = self._metric.join(state, step.beta, regularised=step.regularised)
+        return self._iterate(self._atlas, self._scale, metric, state, beta, step.t)
+
+    def scored(self, state: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the colours of the cells that count, shape (samples, N)."""
+        return state.reshape(len(state), -1)[:, self._scored].T
+
+
+def _blocks(atlas: Atlas, budget: int, reach: int) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """Choose blocks spread evenly over the owned cells.
+
+    Returns
+    -------
+    cells : ndarray of int64, shape (blocks * side, side)
+        The flat index of each cell on the canvas; for what lies beyond it that of its last cell, in the margin.
+    core : ndarray of bool, shape (blocks * side, side)
+        The cells whose results count.
+    """
+    rows, columns = atlas.kind.shape
+    owned = atlas.owned_cells
+    tile = owned // columns // _CORE * -(-columns // _CORE) + owned % columns // _CORE
+    tiles, counts = np.unique(tile, return_counts=True)
+    held = np.cumsum(counts)
+    wanted = max(1, budget // _CORE**2)
+    chosen = tiles[np.unique(np.searchsorted(held, (np.arange(wanted) + 0.5) * held[-1] / wanted))]
+    top, left = np.divmod(chosen, -(-columns // _CORE))
+    margin = _RIM + reach
+    side = np.arange(-margin, _CORE + margin)
+    row = (top[:, None] * _CORE + side)[:, :, None]
+    column = (left[:, None] * _CORE + side)[:, None, :]
+    on = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
+    cells = np.where(on, row * columns + column, atlas.kind.size - 1).reshape(-1, len(side))
+    inside = (side >= 0) & (side < _CORE)
+    core = np.tile(inside[:, None] & inside, (len(chosen), 1))
+    return cells.astype(np.int64), core
+
+
+def _cut_out(atlas: Atlas, cells: NDArray[np.int64], core: NDArray[np.bool_], reach: int) -> Atlas:
+    """Return the atlas of blocks; what a block's border cuts off keeps its colours, as halo that is not refreshed."""
+    kind = atlas.kind.reshape(-1)[cells]
+    kind[cells == atlas.kind.size - 1] = EMPTY
+    side = cells.shape[1]
+    at = np.arange(side)
+    inner = (at >= reach) & (at < side - reach)
+    kind[(kind == OWNED) & ~np.tile(inner[:, None] & inner, (len(cells) // side, 1))] = HALO
+    place = np.full(atlas.kind.size, -1, np.int32)
+    for chosen in (
+        kind == OWNED,
+        core & (kind == OWNED),
+    ):  # a core's own cell rather than another block's rim
+        place[cells[chosen]] = np.flatnonzero(chosen)
+    halo = np.full(atlas.kind.size, -1, np.int32)
+    halo[atlas.halo_cells] = np.arange(len(atlas.halo_cells))
+    rank = np.where(kind == EMPTY, -1, halo[cells]).reshape(-1)
+    mirrored = np.flatnonzero(rank >= 0)
+    rank = rank[mirrored]
+    taps = place[atlas.halo_taps[rank]]
+    whole = np.all((taps >= 0) | (atlas.halo_weights[rank] == 0), axis=1)
+    cut = np.zeros(atlas.kind.size, bool)
+    cut[atlas.cut_cells] = True
+    nothing = np.zeros(0, np.int64)
+    return dataclasses.replace(
+        atlas,
+        kind=kind,
+        squared_lengths=np.ascontiguousarray(atlas.squared_lengths.reshape(4, -1)[:, cells]),
+        cut_cells=np.flatnonzero(cut[cells.reshape(-1)]),
+        owned_cells=np.flatnonzero(kind == OWNED),
+        halo_cells=mirrored[whole],
+        halo_taps=np.maximum(taps[whole], 0).astype(np.int64),
+        halo_weights=atlas.halo_weights[rank[whole]],
+        halo_seams=atlas.halo_seams[rank[whole]],
+        gutter_cells=nothing,
+        gutter_texels=nothing,
+    )
