@@ -1,0 +1,253 @@
+"""`beltrami compare` as a user and a Makefile run it: its verdicts, its exit codes, what it prints and draws."""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import OpenImageIO
+import pytest
+
+from beltrami_cli.errors import InputError, UsageError
+from beltrami_cli.formats.source import open_document
+from beltrami_cli.pipeline.compare_files import compare_files
+from beltrami_cli.pipeline.compare_limits import Limits
+from beltrami_cli.pipeline.noise_file import noise_file
+from beltrami_cli.pipeline.noise_kinds import NoiseSettings
+from cli.commands import COMMAND, SAMPLES, beltrami
+from formats.image_files import encode
+from formats.volume_files import sphere_file
+from pipeline.cut_boards import CHART, SIDE, painted, write_board
+
+DOCS = Path(__file__).parents[2] / "docs"
+CLEAN, NOISY = SAMPLES / "head-tex-clean.glb", SAMPLES / "head-tex-noisy.glb"
+
+
+def picture(path, pixels):
+    path.write_bytes(encode(pixels, "png"))
+    return path
+
+
+def board(path, change=0):
+    """Write a board with a slope from texel to texel, and a change of it."""
+    y, x = np.mgrid[:SIDE, :SIDE]
+    painting = 20000 + 300 * np.stack([x, y, x + y], axis=2) + change
+    return write_board(path, painted(painting.astype(np.uint16)))
+
+
+def psnr_of(offset):
+    return 20 * np.log10(1 / offset)
+
+
+@pytest.mark.parametrize(
+    "name", ["head-clean.ply", "torus-two-clean.gltf", "sphere-exr-clean.obj", "head-tex-clean.png"]
+)
+def test_a_file_is_equal_to_itself(name):
+    limits = Limits(min_psnr=200, min_ssim=1, max_delta_e=0, max_seam_jump=0)
+    comparison = compare_files(SAMPLES / name, SAMPLES / name, limits)
+    assert comparison.passed
+    for told in (*comparison.parts, comparison.overall):
+        assert told["samples"] > 0
+        assert told["psnr"] is None
+        assert told["delta_e"] == {"mean": 0, "p95": 0, "worst": 0}
+        assert told["worst"]["error"] == 0
+
+
+def test_an_offset_has_the_psnr_that_it_has(tmp_path):
+    pixels = np.full((20, 30, 3), 100, np.uint8)
+    one, other = picture(tmp_path / "a.png", pixels), picture(tmp_path / "b.png", pixels + 5)
+    assert compare_files(one, other).overall["psnr"] == pytest.approx(psnr_of(5 / 255), abs=1e-4)
+    one, other = board(tmp_path / "a.obj"), board(tmp_path / "b.obj", 655)
+    told = compare_files(one, other)
+    assert told.overall["psnr"] == pytest.approx(psnr_of(655 / 65535), abs=1e-4)
+    assert told.overall["near_seams"]["psnr"] == pytest.approx(told.overall["psnr"], abs=1e-4)
+    assert told.overall["seam_jump"]["change"] == pytest.approx(0, abs=1e-6)
+
+
+def test_one_wrong_vertex_is_found_and_counts_by_its_area(tmp_path):
+    document = open_document(str(SAMPLES / "terrain-clean.ply"))
+    colours = document.painted().colours.copy()
+    colours[77, 1] = 1 - colours[77, 1]
+    (tmp_path / "t.ply").write_bytes(b"".join(document.patch(colours, "t", moved=True).main))
+    told = compare_files(SAMPLES / "terrain-clean.ply", tmp_path / "t.ply")
+    error = told.overall["worst"]["error"]
+    assert told.overall["worst"]["vertex"] == 77
+    assert told.overall["psnr"] == pytest.approx(psnr_of(error / (3 * len(colours)) ** 0.5), abs=1e-3)
+    positions, faces = document.painted().positions, document.painted().faces
+    sides = positions[faces[:, 1:]] - positions[faces[:, :1]]
+    areas = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
+    share = areas[(faces == 77).any(axis=1)].sum() / 3 / areas.sum()
+    by_area = compare_files(SAMPLES / "terrain-clean.ply", tmp_path / "t.ply", weights="area")
+    assert by_area.overall["psnr"] == pytest.approx(psnr_of(error * (share / 3) ** 0.5), abs=1e-3)
+
+
+def test_background_and_gutter_do_not_count(tmp_path):
+    one, other = board(tmp_path / "a.obj"), board(tmp_path / "b.obj")
+    file = OpenImageIO.ImageInput.open(str(other.with_suffix(".png")))
+    pixels = file.read_image("uint16")
+    pixels[painted(np.ones((SIDE, SIDE, 3), np.uint16)) == 0] = 65535
+    picture(other.with_suffix(".png"), pixels)
+    told = compare_files(one, other)
+    assert told.overall["psnr"] is None
+    assert told.overall["samples"] == SIDE**2
+
+
+def test_a_step_at_seams_is_found_where_the_psnr_is_high(tmp_path):
+    """Charts 2/255 too bright and too dark by turns are 42 dB, more than mild noise has; but every seam is seen."""
+    parity = np.add.outer(np.arange(SIDE) // CHART, np.arange(SIDE) // CHART) % 2
+    step = 514 * (2 * parity - 1)[..., None]
+    one, other = board(tmp_path / "a.obj"), board(tmp_path / "b.obj", step)
+    limits = Limits(min_psnr=40, max_delta_e=2, max_seam_jump=2 / 255)
+    told = compare_files(one, other, limits)
+    assert told.overall["psnr"] == pytest.approx(psnr_of(2 / 255), abs=1e-3)
+    assert told.overall["seam_jump"]["change"] == pytest.approx(4 / 255, rel=1e-3)
+    assert [verdict.limit for verdict in told.limits if not verdict.kept] == ["max_seam_jump"]
+    assert not told.passed
+
+
+def test_a_limit_holds_for_each_texture_alone(tmp_path):
+    shutil.copytree(
+        SAMPLES, tmp_path / "m", ignore=lambda _, names: [n for n in names if "torus-two-clean" not in n]
+    )
+    path = tmp_path / "m" / "torus-two-clean-dough.png"
+    pixels = OpenImageIO.ImageInput.open(str(path)).read_image("uint8")
+    picture(path, pixels ^ 8)
+    told = compare_files(
+        SAMPLES / "torus-two-clean.gltf", tmp_path / "m" / "torus-two-clean.gltf", Limits(min_psnr=31)
+    )
+    assert [verdict.kept for verdict in told.limits] == [True, False]
+    assert told.parts[1]["psnr"] == pytest.approx(psnr_of(8 / 255), abs=1e-3)
+    assert told.overall["psnr"] > 31
+
+
+def test_formats_and_encodings_may_differ(tmp_path):
+    converted = tmp_path / "c.glb"
+    noise_file(SAMPLES / "knot-clean.ply", converted, NoiseSettings(0.0))
+    # 8-bit display values became linear light of 16 bits and come back.
+    assert compare_files(SAMPLES / "knot-clean.ply", converted, Limits(min_psnr=60)).passed
+
+
+def test_a_level_set_is_compared_with_its_mesh(tmp_path):
+    pytest.importorskip("skimage")
+    source = sphere_file(tmp_path, 0.25)
+    noise_file(source, tmp_path / "m.ply", NoiseSettings(0.1))
+    told = compare_files(source, tmp_path / "m.ply")
+    assert told.overall["psnr"] == pytest.approx(20, abs=1)
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "words"),
+    [
+        ("head-clean.ply", "knot-clean.ply", "coloured vertices"),
+        ("head-tex-clean.obj", "mirrored-clean.obj", "triangles"),
+        ("head-tex-clean.png", "mirrored-clean.png", "pixels"),
+        ("head-clean.ply", "head-tex-clean.png", "an image"),
+    ],
+)
+def test_what_is_not_alike_is_refused(one, other, words):
+    with pytest.raises(InputError, match=words) as caught:
+        compare_files(SAMPLES / one, SAMPLES / other)
+    assert one in str(caught.value)
+    assert other in str(caught.value)
+
+
+def test_points_elsewhere_and_other_texture_coordinates_are_refused(tmp_path):
+    rng = np.random.default_rng(1)
+    places, colours = rng.random((30, 3)), rng.random((30, 3)).astype(np.float32)
+    np.savez(tmp_path / "a.npz", positions=places, colours=colours)
+    np.savez(tmp_path / "b.npz", positions=places[::-1], colours=colours)
+    with pytest.raises(InputError, match="points are not where"):
+        compare_files(tmp_path / "a.npz", tmp_path / "b.npz")
+    one, other = board(tmp_path / "a.obj"), board(tmp_path / "b.obj")
+    other.write_text(other.read_text().replace("vt 0.25 ", "vt 0.26 "))
+    with pytest.raises(InputError, match="texture coordinates"):
+        compare_files(one, other)
+
+
+def test_the_exit_code_and_each_broken_limit_are_told():
+    kept = beltrami("compare", CLEAN, NOISY, "--min-psnr", 20, "--max-seam-jump", 40)
+    assert kept.returncode == 0, kept.stderr
+    assert kept.stdout.startswith(b"part ")
+    assert b"worst sample" in kept.stdout
+    broken = beltrami(
+        "compare", CLEAN, NOISY, "--min-psnr", 25, "--max-delta-e", 50, "--max-seam-jump", 2, "-q"
+    )
+    assert broken.returncode == 1
+    assert broken.stdout == b""
+    assert [line.split()[3] for line in broken.stderr.splitlines()[:1]] == [b"skin:"]
+    assert len(broken.stderr.splitlines()) == 2
+
+
+def test_json_and_map(tmp_path):
+    drawn = tmp_path / "map.png"
+    run = beltrami("compare", CLEAN, NOISY, "--json", "--map", drawn, "--max-delta-e", 1, "--min-ssim", 0.1)
+    assert run.returncode == 1
+    told = json.loads(run.stdout)
+    assert set(told) == {
+        *("reference", "test", "weights", "space", "parts", "overall"),
+        *("limits", "passed", "map_scale", "notices"),
+    }
+    figures = {"samples", "psnr", "ssim", "delta_e", "worst", "near_seams", "seam_jump"}
+    assert set(told["overall"]) == figures
+    assert set(told["parts"][0]) == {"name", "kind", *figures}
+    assert [(limit["limit"], limit["kept"]) for limit in told["limits"]] == [
+        ("min_ssim", True),
+        ("max_delta_e", False),
+    ]
+    file = OpenImageIO.ImageInput.open(str(drawn))
+    pixels = file.read_image("uint8").astype(int)
+    assert pixels.shape == (416, 416, 3)
+    coloured = np.ptp(pixels, axis=2) > 0
+    assert np.count_nonzero(coloured) == pytest.approx(told["overall"]["samples"], rel=0.01)
+    worst = told["overall"]["delta_e"]["worst"]
+    assert told["map_scale"] == pytest.approx(worst)
+
+
+def test_vertices_are_drawn_as_a_mesh_with_their_differences(tmp_path):
+    noise_file(SAMPLES / "knot-clean.ply", tmp_path / "n.ply", NoiseSettings(0.1))
+    drawn = tmp_path / "map.ply"
+    told = compare_files(SAMPLES / "knot-clean.ply", tmp_path / "n.ply", map_to=drawn)
+    document = open_document(str(drawn))
+    found = document.attribute("delta_e")[:, 0]
+    assert found.mean() == pytest.approx(told.overall["delta_e"]["mean"], rel=1e-5)
+    lightness = document.painted().colours.sum(axis=1)
+    assert lightness[found.argmax()] > lightness[found.argmin()] + 0.5
+    with pytest.raises(UsageError, match=r"\.ply"):
+        compare_files(SAMPLES / "knot-clean.ply", tmp_path / "n.ply", map_to=tmp_path / "map.png")
+    assert not (tmp_path / "map.png").exists()
+
+
+def test_a_limit_that_cannot_be_told_is_said(tmp_path):
+    one = picture(tmp_path / "a.png", np.full((20, 20, 3), 9, np.uint8))
+    told = compare_files(one, one, Limits(max_seam_jump=0.0))
+    assert told.passed
+    assert "--max-seam-jump is not tested" in told.notices[0]
+
+
+def test_the_makefile_of_the_page_passes_good_results_and_fails_on_bad_ones(tmp_path):
+    (block,) = re.findall(r"```make\n(.*?)```", (DOCS / "ci.md").read_text(), re.DOTALL)
+    (tmp_path / "Makefile").write_text(block)
+    for folder in ("incoming", "reference"):
+        (tmp_path / folder).mkdir()
+    shutil.copy(SAMPLES / "knot-clean.ply", tmp_path / "reference" / "knot.ply")
+    shutil.copy(SAMPLES / "knot-noisy.ply", tmp_path / "incoming" / "knot.ply")
+
+    def make(limits):
+        variables = [f"BELTRAMI={shlex.join(COMMAND)}", f"LIMITS={limits}"]
+        return subprocess.run(
+            ["make", *variables, "check"], cwd=tmp_path, capture_output=True, timeout=120, check=False
+        )
+
+    run = make("--min-psnr 60")
+    assert run.returncode == 2, run.stderr
+    assert b"PSNR" in run.stderr
+    assert not (tmp_path / "build" / "knot.ply.json").exists()
+    run = make("--min-psnr 25 --max-delta-e 8")
+    assert run.returncode == 0, run.stderr
+    assert json.loads((tmp_path / "build" / "knot.ply.json").read_text())["passed"]
+    assert b"smooth" not in run.stdout  # what was made by the first run is kept
