@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 # Command -> module; a module is imported only when its command, or the list of all commands, is asked for.
 COMMANDS = {
-    name: name for name in ("bake", "check", "compare", "info", "kernel", "noise", "render", "smooth")
+    name: name for name in ("bake", "check", "compare", "info", "kernel", "noise", "render", "smooth", "sweep")
 }
 
 INTERRUPTED = 130

@@ -8,7 +8,7 @@ import click
 
 from beltrami_cli.cli import options
 from beltrami_cli.cli.console import Messages
-from beltrami_cli.cli.rendering import looking, render_settings_from
+from beltrami_cli.cli.rendering import looking, render_settings_from, shown, slot
 from beltrami_cli.errors import UsageError
 
 EPILOG = """\b
@@ -33,6 +33,8 @@ sRGB in OUT; factors of materials and reflections are not shown.
 @click.argument("sources", nargs=-1, required=True, metavar="FILE...")
 @click.argument("target", metavar="OUT.png")
 @looking
+@shown
+@slot
 @click.option(
     "--side-by-side/--stacked", default=True, show_default=True,
     help="Of several files: next to each other with one camera, or below each other.",

@@ -77,11 +77,12 @@ slot = click.option(
     help="Textures of which material slot. All but baseColor and emissive are shown as their plain numbers.",
 )  # fmt: skip
 
-_LOOKING = (view, azimuth, elevation, up, fov, zoom, size, lit, background, crops, shown, slot)
+_LOOKING = (view, azimuth, elevation, up, fov, zoom, size, lit, background, crops)
+LOOKS = ("view", "azimuth", "elevation", "up", "fov", "zoom", "size", "lit", "background", "crops")
 
 
 def looking(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add the options of the camera, the light and the details, which `render_settings_from` takes."""
+    """Add the options of the camera, the light and the details, whose values have the names in `LOOKS`."""
     for option in reversed(_LOOKING):
         command = option(command)
     return command

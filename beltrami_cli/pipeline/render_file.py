@@ -176,6 +176,20 @@ def draw_panels(
     return panels
 
 
+def with_fixed_crops(view: Drawable, settings: RenderSettings) -> RenderSettings:
+    """Return settings in which details that choose themselves are where there is most to see in one view."""
+    if all(crop.centre is not None for crop in settings.crops):
+        return settings
+    plain = dataclasses.replace(settings, crops=())
+    drawn = draw_panels([view], [""], plain)[0].view
+    windows = _detail_windows(drawn, settings)
+    crops = [
+        dataclasses.replace(crop, centre=((window[0] + window[2]) / 2, (window[1] + window[3]) / 2))
+        for crop, window in zip(settings.crops, windows, strict=True)
+    ]
+    return dataclasses.replace(settings, crops=tuple(crops))
+
+
 def background_of(settings: RenderSettings) -> Background:
     """Return what is behind models."""
     colour = settings.background_colour()

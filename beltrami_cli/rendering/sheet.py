@@ -66,13 +66,13 @@ class Panel:
     windows: Sequence[Window] = ()
 
 
-def arranged(panels: Sequence[Panel], columns: int, background: Background) -> NDArray[np.uint8]:
+def arranged(panels: Sequence[Panel | None], columns: int, background: Background) -> NDArray[np.uint8]:
     """Put panels of one size into rows and columns.
 
     Parameters
     ----------
-    panels : sequence of Panel
-        Row by row.
+    panels : sequence of Panel or None
+        Row by row; the first is one, None: an empty place.
     columns : int
         How many stand side by side.
     background : Background
@@ -83,11 +83,14 @@ def arranged(panels: Sequence[Panel], columns: int, background: Background) -> N
     ndarray of uint8, shape (H, W, 3), or (H, W, 4) on no background
         sRGB, and opacity.
     """
-    width = panels[0].view.shape[1]
+    present = [panel for panel in panels if panel is not None]
+    width = present[0].view.shape[1]
     gap = max(2, width // 80)
-    labelled = any(panel.label for panel in panels)
-    drawn = [_panel(panel, gap, background, labelled=labelled) for panel in panels]
-    blank = _blank(drawn[0].shape[0], width, background)
+    labelled = any(panel.label for panel in present)
+    pictures = [_panel(panel, gap, background, labelled=labelled) for panel in present]
+    blank = _blank(pictures[0].shape[0], width, background)
+    remaining = iter(pictures)
+    drawn = [blank if panel is None else next(remaining) for panel in panels]
     rows = []
     for first in range(0, len(drawn), columns):
         row = drawn[first : first + columns]

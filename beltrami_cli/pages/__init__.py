@@ -1,0 +1,1 @@
+"""Pages for browsers: templates, and the libraries that they bring with them."""

@@ -1,0 +1,64 @@
+"""`beltrami sweep`: every combination, smoothed and measured as the other commands do it."""
+
+from __future__ import annotations
+
+import json
+import re
+
+import pytest
+
+from beltrami_cli.formats.image import read_image
+from cli.commands import SAMPLES, beltrami
+
+pytest.importorskip("embreex")
+NOISY, CLEAN = (SAMPLES / f"nonmanifold-{kind}.ply" for kind in ("noisy", "clean"))
+
+
+def test_a_page_has_all_combinations_with_the_figures_of_smooth_and_compare(tmp_path):
+    page = tmp_path / "sheet.html"
+    lists = ("--beta", "4,12", "-n", "1,3", "--metric-steps", "1")
+    run = beltrami("sweep", NOISY, page, *lists, "--reference", CLEAN, "--size", 60)
+    assert run.returncode == 0, run.stderr
+    text = page.read_text()
+    trials = json.loads(re.search(r'id="trials">(.*?)</script>', text, re.DOTALL)[1])
+    swept = [tuple(trial["parameters"][name] for name in ("beta", "n", "metric steps")) for trial in trials]
+    assert sorted(swept) == [(4, 1, 1), (4, 3, 1), (12, 1, 1), (12, 3, 1)]
+    assert text.count("data:image/png;base64,") == 6  # with the reference and the input
+    assert not re.search(r'(src|href)="(?!data:)', text)  # nothing is fetched
+    by_hand = tmp_path / "by-hand.ply"
+    assert beltrami("smooth", NOISY, by_hand, "--beta", 12, "-n", 3, "--metric-steps", 1).returncode == 0
+    told = json.loads(beltrami("compare", CLEAN, by_hand, "--json").stdout)
+    assert trials[swept.index((12, 3, 1))]["figures"]["psnr"] == pytest.approx(told["overall"]["psnr"])
+    best = max(trials, key=lambda trial: trial["figures"]["psnr"])
+    assert f"best beta {best['parameters']['beta']:g}, n {best['parameters']['n']:g}".encode() in run.stderr
+
+
+def test_a_picture_begins_the_trials_in_a_row_of_their_own(tmp_path):
+    sheet, one = tmp_path / "sheet.png", tmp_path / "one.png"
+    smooth = tmp_path / "smooth.ply"
+    assert beltrami("sweep", NOISY, sheet, "-t", "1,2,4", "--size", 64).returncode == 0
+    assert beltrami("smooth", NOISY, smooth, "-t", 1).returncode == 0
+    assert beltrami("render", smooth, one, "--size", 64).returncode == 0
+    image = read_image(sheet.read_bytes(), "").pixels
+    strip, gap = 20, 2
+    assert image.shape == (2 * (strip + 64) + gap, 3 * 64 + 2 * gap, 3)
+    assert (image[: strip + 64, 66:] == 255).all()
+    assert (image[-64:, :64] == read_image(one.read_bytes(), "").pixels).all()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "said"),
+    [
+        (("-", "a.png", "--beta", "1"), 2, b"not a pipe"),
+        ((NOISY, "a.png", "--beta", "1,x"), 2, b"list of numbers"),
+        ((NOISY, "a.png", "--beta", "-3"), 2, b"beta is -3"),
+        ((NOISY, "a.txt"), 2, b"no image format"),
+        ((NOISY, "a.png", "-n", ",".join(map(str, range(300)))), 2, b"too many"),
+        ((NOISY, "a.png", "-n", "1", "--reference", SAMPLES / "knot-clean.ply", "--size", "32"), 3, b"vert"),
+    ],
+)
+def test_what_cannot_be_swept_is_said_and_nothing_written(arguments, code, said, tmp_path):
+    run = beltrami("sweep", *arguments, cwd=tmp_path)
+    assert run.returncode == code, run.stderr
+    assert said in run.stderr
+    assert not list(tmp_path.iterdir())
