@@ -6,6 +6,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, get_args
 
 import click
+from click.core import ParameterSource
 
 from beltrami_cli.cli.embedding import GUIDING, MOVING, embedding_from
 from beltrami_cli.errors import UsageError
@@ -263,6 +264,9 @@ _UNASKED = {
     "small": _TEXTURES.small,
 }
 
+# Where the value of an option can come from that is not its default.
+_BY_DIRECTNESS = (ParameterSource.COMMANDLINE, ParameterSource.ENVIRONMENT, ParameterSource.DEFAULT_MAP)
+
 # Options that are parameters of the kernel, under the names that they have there.
 _KERNEL_OPTIONS = (
     "iterations", "t", "beta", "beta_growth", "threshold", "weights", "units", "max_samples", "threads", "window",
@@ -364,9 +368,9 @@ def settings_from(options: dict[str, Any]) -> SmoothSettings:
 def _kernel_from(options: dict[str, Any]) -> KernelParameters:
     values: dict[str, Any] = dict(PRESETS[options["preset"]]) if options["preset"] else {}
     for name in _KERNEL_OPTIONS:
-        if _is_given(name) or name not in values:
+        if is_given(name) or name not in values:
             values[name] = options[name]
-    if values["units"] == "world" and not _is_given("t"):
+    if values["units"] == "world" and not is_given("t"):
         raise UsageError("--units world needs -t, in squared units of the file")
     if 0 < values["metric_scale"] < SMALLEST_SCALE:
         scale = values["metric_scale"]
@@ -374,9 +378,18 @@ def _kernel_from(options: dict[str, Any]) -> KernelParameters:
     return KernelParameters(**values)
 
 
-def _is_given(name: str) -> bool:
-    source = click.get_current_context().get_parameter_source(name)
-    return source is not click.core.ParameterSource.DEFAULT
+def is_given(name: str) -> bool:
+    """Tell whether an option was given: on the command line, by a variable of the environment, or in a file.
+
+    What a preset says counts for more than what was given less directly than the preset.
+    """
+    context = click.get_current_context()
+    source, preset = context.get_parameter_source(name), context.get_parameter_source("preset")
+    if source not in _BY_DIRECTNESS:
+        return False
+    if name not in PRESETS.get(context.params.get("preset") or "", {}) or preset not in _BY_DIRECTNESS:
+        return True
+    return _BY_DIRECTNESS.index(source) <= _BY_DIRECTNESS.index(preset)
 
 
 def names_in(text: str, option: str) -> tuple[str, ...]:
