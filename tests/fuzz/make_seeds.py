@@ -12,6 +12,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
+from formats.gltf_compressed import GRID, draco_model, meshopt_model
 from formats.gltf_files import Model, Textured
 from formats.image_files import encode
 from formats.ply_files import ENCODINGS, Table, build, coloured
@@ -98,6 +99,8 @@ def gltf_seeds() -> dict[str, bytes]:
         "sparse": sparse.data_text(),
     }
     seeds["buffer"] = files(plain.text("b.bin"), b_bin=bytes(plain.binary))
+    levels = np.random.default_rng(7).integers(0, 256, (len(GRID), 4)).astype("u1")
+    seeds |= {"draco": draco_model(levels).glb(), "meshopt": meshopt_model(levels).glb()}
     for place in ("view", "data"):
         textured = Textured(place)
         info = {
