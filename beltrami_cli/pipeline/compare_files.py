@@ -137,6 +137,12 @@ def compare_files(
         require_map(target)
         output = Output(target, overwrite=overwrite)
     paired = _pair(names, settings, weights, access)
+    if not sum(len(pair.reference) for pair in paired.parts):
+        raise InputError(
+            _shown(names[0]),
+            "nothing of it can be compared: no texel that the surface covers, or no pixel, can be seen",
+            "choose something else with --on, --slots or --mask",
+        )
     parts = [{"name": pair.name, "kind": pair.kind, **figures([pair])} for pair in paired.parts]
     verdicts, untold = judge(parts, limits)
     scale = None

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from beltrami_cli.formats.document import Document
     from beltrami_cli.mesh.textured import ImageFile, Slot
-    from beltrami_cli.pipeline.noise_kinds import NoiseSettings
+    from beltrami_cli.pipeline.noise_settings import NoiseSettings
     from beltrami_cli.pipeline.settings import SmoothSettings
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.formats.document import Written
-from beltrami_cli.formats.image import check_writable, losses, read_image, write_image
+from beltrami_cli.formats.image import check_writable, is_exact, label_of, losses, read_image, write_image
 from beltrami_cli.pipeline.image_colours import ImageColours
 from beltrami_cli.pipeline.image_surface import read_surface
 from beltrami_cli.pipeline.noise_kinds import add_noise
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from beltrami_cli.formats.access import Access
     from beltrami_cli.formats.image import Picture
-    from beltrami_cli.pipeline.noise_kinds import NoiseSettings
+    from beltrami_cli.pipeline.noise_settings import NoiseSettings
     from beltrami_cli.pipeline.settings import SmoothSettings
 
 
@@ -76,7 +76,18 @@ def noisy_image(
         as_data=settings.space == "data",
     )
     lost = () if suffix is None else losses(picture, suffix)
-    return Written([image.data], notices=(*picture.notices, *lost)), after - before
+    lossy = lossy_notice(picture, suffix, "an OUTPUT in .png keeps all")
+    return Written([image.data], notices=(*picture.notices, *lost, *lossy)), after - before
+
+
+def lossy_notice(picture: Picture, suffix: str | None, remedy: str) -> tuple[str, ...]:
+    """Return what to tell if an image is written in its own format, and that is not exact."""
+    if suffix is not None or is_exact(picture):
+        return ()
+    kind = label_of(picture.format)
+    return (
+        f"{picture.name}: {kind} is not exact and takes some of the noise away, most of all in hues; {remedy}",
+    )
 
 
 def open_pixels(

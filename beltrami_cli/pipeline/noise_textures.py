@@ -9,6 +9,7 @@ import numpy as np
 
 from beltrami_cli.formats.image import check_writable, from_float, losses, to_float, write_image
 from beltrami_cli.mesh.atlas import refresh_halo
+from beltrami_cli.pipeline.noise_image import lossy_notice
 from beltrami_cli.pipeline.noise_kinds import add_noise, bounds
 from beltrami_cli.pipeline.prepare_textures import prepare_slot
 from beltrami_cli.pipeline.repainting import SmoothedTexels, within
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 
     from beltrami_cli.mesh.atlas import Atlas
     from beltrami_cli.mesh.textured import ImageFile, Slot, TexturedSurface
-    from beltrami_cli.pipeline.noise_kinds import NoiseSettings
+    from beltrami_cli.pipeline.noise_settings import NoiseSettings
     from beltrami_cli.pipeline.prepare_textures import PreparedSlot
     from beltrami_cli.pipeline.settings import SmoothSettings
 
@@ -82,6 +83,7 @@ def noisy_slot(
         )
         notices += picture.notices
         notices += losses(picture, suffix) if suffix is not None else ()
+        notices += lossy_notice(picture, suffix, "--texture-format png keeps all")
     if not len(added.texels):
         notices.append("no visible texel is covered by the surface, so its textures stay as they are")
     return NoisyTextures(images, added.colours, tuple(notices))

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from beltrami_cli.formats.document import Document
     from beltrami_cli.mesh.painted import PaintedVertices
-    from beltrami_cli.pipeline.noise_kinds import NoiseSettings
+    from beltrami_cli.pipeline.noise_settings import NoiseSettings
     from beltrami_cli.pipeline.settings import SmoothSettings
 
 

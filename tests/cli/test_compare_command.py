@@ -18,7 +18,7 @@ from beltrami_cli.formats.source import open_document
 from beltrami_cli.pipeline.compare_files import compare_files
 from beltrami_cli.pipeline.compare_limits import Limits
 from beltrami_cli.pipeline.noise_file import noise_file
-from beltrami_cli.pipeline.noise_kinds import NoiseSettings
+from beltrami_cli.pipeline.noise_settings import NoiseSettings
 from cli.commands import COMMAND, SAMPLES, beltrami
 from formats.image_files import encode
 from formats.volume_files import sphere_file
@@ -220,6 +220,14 @@ def test_vertices_are_drawn_as_a_mesh_with_their_differences(tmp_path):
     with pytest.raises(UsageError, match=r"\.ply"):
         compare_files(SAMPLES / "knot-clean.ply", tmp_path / "n.ply", map_to=tmp_path / "map.png")
     assert not (tmp_path / "map.png").exists()
+
+
+def test_nothing_compared_is_no_success(tmp_path):
+    pixels = np.full((20, 20, 4), 9, np.uint8)
+    pixels[..., 3] = 0
+    unseen = picture(tmp_path / "a.png", pixels)
+    with pytest.raises(InputError, match="nothing of it can be compared"):
+        compare_files(unseen, unseen, Limits(min_psnr=30))
 
 
 def test_a_limit_that_cannot_be_told_is_said(tmp_path):

@@ -14,7 +14,8 @@ from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.source import open_document
 from beltrami_cli.pipeline.check_file import check_files
 from beltrami_cli.pipeline.noise_file import noise_file
-from beltrami_cli.pipeline.noise_kinds import NoiseSettings, add_noise
+from beltrami_cli.pipeline.noise_kinds import add_noise
+from beltrami_cli.pipeline.noise_settings import NoiseSettings
 from beltrami_cli.pipeline.settings import SmoothSettings, TextureSettings
 from cli.commands import SAMPLES, beltrami
 from formats.image_files import encode
@@ -212,6 +213,17 @@ def test_the_command_adds_what_it_is_asked_for(tmp_path):
     assert b"poisson noise of 20/255" in run.stderr
     assert (tmp_path / "a.ply").read_bytes() == (tmp_path / "b.ply").read_bytes()
     assert beltrami(*arguments).returncode == 4  # it exists
+
+
+def test_that_jpeg_takes_noise_away_is_said(tmp_path):
+    jpeg = SAMPLES / "scan-clean.jpg"
+    for target, told in (("a.jpg", 1), ("a.png", 0)):
+        warnings = noise_file(jpeg, tmp_path / target, NoiseSettings(SIGMA)).warnings
+        assert sum("takes some of the noise away" in warning for warning in warnings) == told
+    assert any(
+        "--texture-format" in w
+        for w in noise_file(SAMPLES / "scan-clean.glb", tmp_path / "a.glb", NoiseSettings(SIGMA)).warnings
+    )
 
 
 def test_settings_out_of_range_are_refused():
