@@ -4,7 +4,7 @@ PYTHON ?= python3
 VENV   ?= .venv
 BIN     = $(VENV)/bin
 
-.PHONY: demo figures test lint bench run-bench sanitize samples clean help
+.PHONY: demo figures viewer test lint bench run-bench sanitize samples clean help
 .DELETE_ON_ERROR:
 
 help:
@@ -15,6 +15,7 @@ help:
 	@echo "make bench     time and judge the kernels against their peers"
 	@echo "make sanitize  test the core under the address and undefined-behaviour sanitizers"
 	@echo "make samples   make sample_data/ anew, bit for bit"
+	@echo "make viewer    bundle the three.js of beltrami report anew"
 	@echo "make clean     remove what was built"
 	@echo "make x.clean.ply   smooth x.ply (likewise .obj, .glb); make -j smooths many at once"
 
@@ -76,6 +77,15 @@ sanitize: $(VENV)/.installed-test
 	build/sanitize/atlas_tests
 	build/sanitize/parametric_tests
 	build/sanitize/points_tests
+
+# The viewer of `beltrami report` is three.js, bundled once and kept in the package.
+THREE := three@0.187.0 esbuild@0.28
+viewer:
+	npm install --prefix build/viewer --silent --no-save --no-package-lock --no-audit --no-fund $(THREE)
+	cp beltrami_cli/pages/three.entry.js build/viewer/entry.js
+	cd build/viewer && node_modules/.bin/esbuild entry.js --bundle --minify --format=iife --global-name=THREE \
+	  --charset=ascii --legal-comments=inline --log-level=warning --outfile=$(abspath beltrami_cli/pages/three.js)
+	cp build/viewer/node_modules/three/LICENSE beltrami_cli/pages/three.LICENSE
 
 samples: $(VENV)/.installed-samples
 	$(BIN)/python sample_data/make.py

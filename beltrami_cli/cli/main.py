@@ -19,7 +19,20 @@ if TYPE_CHECKING:
 
 # Command -> module; a module is imported only when its command, or the list of all commands, is asked for.
 COMMANDS = {
-    name: name for name in ("bake", "check", "compare", "info", "kernel", "noise", "render", "smooth", "sweep")
+    name: name
+    for name in (
+        "bake",
+        "batch",
+        "check",
+        "compare",
+        "info",
+        "kernel",
+        "noise",
+        "render",
+        "report",
+        "smooth",
+        "sweep",
+    )
 }
 
 INTERRUPTED = 130

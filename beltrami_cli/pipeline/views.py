@@ -100,14 +100,14 @@ def _textured(document: Document, slot: Slot) -> SurfaceView:
 
 
 def _painted(painted: PaintedVertices) -> SurfaceView | CloudView:
-    light = _light(painted)
+    light = light_of(painted)
     finite = np.isfinite(painted.positions).all(axis=1)
     if len(painted.faces):
         return SurfaceView(painted.positions, painted.faces, VertexPaint(painted.faces, light))
     return CloudView(painted.positions[finite], light[finite])
 
 
-def _light(painted: PaintedVertices) -> NDArray[np.float64]:
+def light_of(painted: PaintedVertices) -> NDArray[np.float64]:
     """Return vertex colours in linear light, shape (V, 3); what is no red, green and blue is grey."""
     is_rgb = set(_RGB) <= set(painted.channels)
     chosen = [painted.channels.index(name) for name in _RGB] if is_rgb else [0, 0, 0]

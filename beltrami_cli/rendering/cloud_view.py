@@ -33,7 +33,7 @@ class CloudView:
     def __init__(self, positions: NDArray[np.float64], colours: NDArray[np.float64]) -> None:
         self.positions = positions
         self._colours = colours.astype(np.float32)
-        self._radii = _radii(positions)
+        self._radii = disc_radii(positions)
 
     def draw(
         self, camera: Camera, size: tuple[int, int], window: Window, *, lit: bool
@@ -93,7 +93,7 @@ def _painted(
     return image.reshape(height, width, 4)
 
 
-def _radii(positions: NDArray[np.float64]) -> NDArray[np.float64]:
+def disc_radii(positions: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the radius of each disc: as far as some of the nearest other places, so that a surface has no holes."""
     places, which = np.unique(positions, axis=0, return_inverse=True)
     if len(places) < 2:

@@ -1,0 +1,77 @@
+"""The command `beltrami report`."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from beltrami_cli.cli import options
+from beltrami_cli.cli.console import Messages
+
+if TYPE_CHECKING:
+    from beltrami_cli.flow.parameters import Space
+    from beltrami_cli.pipeline.settings import Target
+
+EPILOG = """\b
+Examples:
+  beltrami report scan.ply clean.ply what-changed.html
+  beltrami smooth model.glb clean.glb --report run.json && \\
+    beltrami report model.glb clean.glb page.html --parameters run.json
+  beltrami report photo.png clean.png photo.html               an image, with a swipe
+  beltrami report model.glb clean.glb page.html --slots emissive
+
+\b
+The page holds everything that it needs, so it can be mailed or kept as an artefact of CI, and opens without a
+network. The models are drawn with WebGL by three.js (MIT licence, in the package).
+"""
+
+
+@click.command("report", epilog=EPILOG)
+@click.argument("before", metavar="BEFORE")
+@click.argument("after", metavar="AFTER")
+@click.argument("target", metavar="OUT.html")
+@click.option(
+    "--parameters",
+    metavar="FILE.json",
+    help="Also show the parameters, from what `beltrami smooth --report` wrote.",
+)
+@options.on
+@options.slots
+@options.space
+@options.reading
+@options.overwrite
+@options.quiet
+@options.verbose
+def command(
+    before: str,
+    after: str,
+    target: str,
+    parameters: str | None,
+    on: Target,
+    slots: str,
+    space: Space,
+    overwrite: bool,
+    quiet: bool,
+    verbose: int,
+    **reading: Any,
+) -> None:
+    """Write a page that shows what changed from BEFORE to AFTER, two models or two images alike in all but colours.
+
+    It has both models under one camera with a swipe between them, textures at full size with a swipe, figures, a
+    histogram of the change, and a map of the seams.
+    """
+    messages = Messages(quiet=quiet, verbose=verbose)
+    from dataclasses import replace
+
+    from beltrami_cli.pipeline.report_file import report_file
+    from beltrami_cli.pipeline.settings import DEFAULTS
+
+    chosen = tuple(name.strip() for name in slots.split(","))
+    settings = replace(DEFAULTS, on=on, space=space, textures=replace(DEFAULTS.textures, slots=chosen))
+    with options.reading_from(reading, before) as access:
+        told = report_file(
+            before, after, target, settings, parameters=parameters, overwrite=overwrite, access=access
+        )
+    psnr = "nothing differs" if told["psnr"] is None else f"{told['psnr']:.2f} dB from one to the other"
+    messages.say(f"{target}: {told['samples']} samples, {psnr}")

@@ -1,0 +1,174 @@
+"""`beltrami report`: the page shows both models as they are, in a browser, without a network."""
+
+from __future__ import annotations
+
+import shutil
+
+import numpy as np
+import pytest
+
+from beltrami_cli.formats.image import read_image
+from beltrami_cli.formats.ply import write_ply
+from beltrami_cli.mesh.painted import MeshContents
+from cli.commands import SAMPLES, beltrami
+from formats.image_files import encode
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+RED, BLUE = (255, 0, 0), (0, 0, 255)
+
+
+def square(path, colour):
+    positions = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
+    corners, offsets = np.array([0, 1, 2, 0, 2, 3], np.int32), np.array([0, 3, 6])
+    colours = np.tile(np.float32(colour) / 255, (4, 1))
+    written = write_ply(MeshContents(positions, corners, offsets, colours, "srgb", "uint8"), path.stem)
+    path.write_bytes(b"".join(bytes(piece) for piece in written.main))
+    return path
+
+
+def textured_square(path, texture):
+    path.with_suffix(".png").write_bytes(encode(np.uint8(texture).repeat(16, 0).repeat(16, 1), "png"))
+    path.with_suffix(".mtl").write_text(f"newmtl m\nmap_Kd {path.stem}.png\n")
+    lines = [f"mtllib {path.stem}.mtl", "usemtl m"]
+    lines += [f"v {x} {y} 0\nvt {x} {y}" for x, y in ((0, 0), (1, 0), (1, 1), (0, 1))]
+    path.write_text("\n".join([*lines, "f 1/1 2/2 3/3 4/4"]) + "\n")
+    return path
+
+
+@pytest.fixture(scope="module")
+def browser():
+    if CHROMIUM is None:
+        pytest.skip("there is no Chromium")
+    playwright = pytest.importorskip("playwright.sync_api")
+    flags = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+    with playwright.sync_playwright() as running:
+        started = running.chromium.launch(executable_path=CHROMIUM, args=flags)
+        yield started
+        started.close()
+
+
+class Viewer:
+    """A page with its models drawn."""
+
+    def __init__(self, browser, path):
+        context = browser.new_context(viewport={"width": 900, "height": 700}, offline=True)
+        self.page, self.errors, self.requests = context.new_page(), [], []
+        self.page.on("pageerror", lambda error: self.errors.append(str(error)))
+        self.page.on("request", lambda request: self.requests.append(request.url))
+        self.page.goto(path.as_uri())
+        self.page.wait_for_selector("#viewer[data-ready=yes]", timeout=60_000)
+        self.box = self.page.locator("#viewer").bounding_box()
+
+    def pixel(self, right, up):
+        """The colour at a place from the middle, in heights of the view."""
+        shot = read_image(self.page.locator("#viewer").screenshot(), "").pixels
+        height, width = shot.shape[:2]
+        at = shot[round(height * (0.5 - up)), round(width / 2 + right * height)]
+        return tuple(int(value) for value in at[:3])
+
+    def swipe_to(self, value):
+        self.page.locator("#swipe").fill(str(value))
+
+    def turn(self, degrees):
+        """Drag: a whole turn is as long as the view is high."""
+        x, y = self.box["x"] + self.box["width"] / 2, self.box["y"] + self.box["height"] / 2
+        self.page.mouse.move(x, y)
+        self.page.mouse.down()
+        self.page.mouse.move(x + self.box["height"] * degrees / 360, y, steps=8)
+        self.page.mouse.up()
+
+
+def test_the_swipe_parts_both_models_and_one_camera_turns_them(browser, tmp_path):
+    files = square(tmp_path / "a.ply", RED), square(tmp_path / "b.ply", BLUE)
+    page = tmp_path / "page.html"
+    run = beltrami("report", *files, page)
+    assert run.returncode == 0, run.stderr
+    viewer = Viewer(browser, page)
+    assert (viewer.pixel(-0.2, 0.1), viewer.pixel(0.2, 0.1)) == (RED, BLUE)
+    viewer.swipe_to(100)
+    assert (viewer.pixel(-0.2, 0.1), viewer.pixel(0.2, 0.1)) == (RED, RED)
+    viewer.swipe_to(0)
+    assert (viewer.pixel(-0.2, 0.1), viewer.pixel(0.2, 0.1)) == (BLUE, BLUE)
+    viewer.swipe_to(50)
+    viewer.turn(90)  # seen from its edge, the square is gone
+    assert (viewer.pixel(-0.2, 0.1), viewer.pixel(0.2, 0.1)) == ((255, 255, 255), (255, 255, 255))
+    viewer.turn(90)  # from behind
+    assert (viewer.pixel(-0.2, 0.1), viewer.pixel(0.2, 0.1)) == (RED, BLUE)
+    assert viewer.errors == []
+    assert [url for url in viewer.requests if not url.startswith(("data:", "blob:"))] == [page.as_uri()]
+
+
+def test_textures_lie_the_right_way_up_in_their_own_colours(browser, tmp_path):
+    colours = np.array([[[200, 100, 30], [20, 90, 160]], [[10, 20, 30], [250, 240, 60]]])
+    before = textured_square(tmp_path / "a.obj", colours)
+    after = textured_square(tmp_path / "b.obj", 255 - colours)
+    page = tmp_path / "page.html"
+    run = beltrami("report", before, after, page)
+    assert run.returncode == 0, run.stderr
+    viewer = Viewer(browser, page)
+    for end, shown in ((100, colours), (0, 255 - colours)):
+        viewer.swipe_to(end)
+        for row, up in ((0, 0.2), (1, -0.2)):
+            for column, right in ((0, -0.2), (1, 0.2)):
+                # The browser computes with 8 bits, and decodes and encodes sRGB once.
+                assert viewer.pixel(right, up) == pytest.approx(tuple(shown[row, column]), abs=1)
+    crop = viewer.page.locator(".swipe")
+    slider = viewer.page.locator("figure input[type=range]")
+    for at, expected in ((0, 255 - colours[0, 0]), (100, colours[0, 0])):
+        slider.fill(str(at))
+        shot = read_image(crop.screenshot(), "").pixels
+        assert tuple(shot[20, 20, :3].astype(int)) == pytest.approx(tuple(expected), abs=1)
+    assert viewer.errors == []
+
+
+def test_points_are_drawn_and_images_have_a_swipe_without_models(browser, tmp_path):
+    grid = np.stack(np.meshgrid(np.arange(20), np.arange(20)), axis=2).reshape(-1, 2)
+    clouds = []
+    for name, colour in (("a", "255 0 0"), ("b", "0 0 255")):
+        clouds.append(tmp_path / f"{name}.xyz")
+        clouds[-1].write_text("".join(f"{x} {y} {(x + y) % 2 / 50} {colour}\n" for x, y in grid))
+    page = tmp_path / "page.html"
+    assert beltrami("report", *clouds, page).returncode == 0
+    viewer = Viewer(browser, page)
+    assert (viewer.pixel(-0.2, 0.1), viewer.pixel(0.2, 0.1)) == (RED, BLUE)
+    images = [tmp_path / "a.png", tmp_path / "b.png"]
+    for path, colour in zip(images, (RED, BLUE), strict=True):
+        path.write_bytes(encode(np.tile(np.uint8(colour), (40, 40, 1)), "png"))
+    assert beltrami("report", *images, page, "--overwrite").returncode == 0
+    text = page.read_text()
+    assert 'id="viewer"' not in text
+    assert text.count('class="swipe"') == 1
+
+
+def test_figures_and_parameters_are_those_of_the_other_commands(tmp_path):
+    source, target, told = SAMPLES / "head-tex-noisy.glb", tmp_path / "a.glb", tmp_path / "run.json"
+    assert beltrami("smooth", source, target, "-n", 1, "--beta", 7.25, "--report", told).returncode == 0
+    page = tmp_path / "page.html"
+    run = beltrami("report", source, target, page, "--parameters", told)
+    assert run.returncode == 0, run.stderr
+    text = page.read_text()
+    assert "<td>beta</td><td>7.25</td>" in text
+    psnr = next(
+        line for line in beltrami("compare", source, target, "--json").stdout.split(b"\n") if b"psnr" in line
+    )
+    assert f"{float(psnr.split(b':')[1].strip(b' ,')):.2f} dB".encode() in run.stderr
+    assert "<h2>Seams" in text
+    assert "<svg" in text
+
+
+def test_what_cannot_be_shown_is_said_and_nothing_written(tmp_path):
+    plain = tmp_path / "run.json"
+    plain.write_text("[]")
+    page = tmp_path / "page.html"
+    pair = SAMPLES / "knot-noisy.ply", SAMPLES / "knot-clean.ply"
+    for arguments, code in (
+        ((*pair, page, "--parameters", plain), 3),
+        ((pair[0], SAMPLES / "head-clean.ply", page), 3),
+        ((pair[0], SAMPLES / "scan-clean.jpg", page), 3),
+        (("-", pair[1], page), 2),
+        ((pair[0], pair[1], pair[1], "--overwrite"), 4),
+    ):
+        run = beltrami("report", *arguments)
+        assert run.returncode == code, run.stderr
+        assert run.stderr.count(b"\n") == 1
+        assert not page.exists()
