@@ -1,0 +1,148 @@
+"""The command `beltrami batch`."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from beltrami_cli.cli import options
+from beltrami_cli.cli.console import Messages
+from beltrami_cli.errors import OutputError, ProcessingError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from beltrami_cli.pipeline.batch_job import Outcome
+
+EPILOG = """\b
+Examples:
+  beltrami batch scans/*.ply --out-dir clean            each as beltrami smooth would
+  beltrami batch scans --out-dir clean -j 4             a folder: all models in it and below
+  beltrami batch 'photos/**/*.png' --out-dir clean      a glob, here of images
+  beltrami batch scans --out-dir clean --format glb     convert all
+  beltrami batch scans --out-dir clean --suffix -clean  a.ply becomes clean/a-clean.ply
+  beltrami batch jobs.toml --out-dir clean              a manifest with parameters for each file
+  beltrami batch scans --out-dir clean --resume         go on after a failure, or with new files
+
+\b
+A manifest has the names of options without dashes. In TOML, with options for all first:
+  iterations = 3
+  [[files]]
+  input = "scans/face.ply"
+  output = "face/clean.ply"
+  beta = 8
+As CSV:            input,output,beta,iterations
+                   scans/face.ply,,8,3
+As JSON lines:     {"input": "scans/face.ply", "beta": 8}
+Inputs are relative to the manifest, outputs to --out-dir. What it says counts for more than
+options given here, which are for all files.
+"""
+
+
+@click.command("batch", epilog=EPILOG)
+@click.argument("inputs", metavar="INPUTS...", nargs=-1, required=True)
+@click.option("--out-dir", metavar="DIR", required=True, help="Folder of the outputs; it is made.")
+@click.option(
+    "--suffix", default="", metavar="TEXT",
+    help="Put TEXT between the name and the extension of outputs; with an extension in it, such as .clean.glb, that is "
+    "theirs.",
+)  # fmt: skip
+@click.option(
+    "-j", "--jobs", "at_once", type=click.IntRange(1, 1024), metavar="COUNT",
+    help="Files in work at the same time.  [default: as many as there are processors]",
+)  # fmt: skip
+@click.option(
+    "--resume", is_flag=True,
+    help="Go on from the report of an earlier run: skip what it has done, if neither the files nor the parameters have "
+    "changed since.",
+)  # fmt: skip
+@click.option("--fail-fast", is_flag=True, help="Stop at the first failure.")
+@click.option(
+    "--report", "report_path", metavar="FILE.jsonl",
+    help="Where a line of JSON for each file is written.  [default: batch.jsonl in DIR]",
+)  # fmt: skip
+@options.smoothing
+@options.unwrapping
+@options.output_format
+@options.reading
+@options.overwrite
+@options.quiet
+@options.verbose
+def command(
+    inputs: tuple[str, ...],
+    out_dir: str,
+    suffix: str,
+    at_once: int | None,
+    resume: bool,
+    fail_fast: bool,
+    report_path: str | None,
+    output_format: str | None,
+    allow_outside: bool,
+    max_memory: int | None,
+    overwrite: bool,
+    quiet: bool,
+    verbose: int,
+    **smoothing: Any,
+) -> None:
+    """Smooth many files at the same time; each comes out as `beltrami smooth` makes it, to the last byte.
+
+    INPUTS are files, globs, folders for all models and points in them and below, or manifests (.toml, .csv, .jsonl)
+    with parameters for each file. What fails is told, and the others go on. The end is a table, and a report with a
+    line of JSON for each file: what was read and written, with hashes, and what was done.
+
+    A run that was killed leaves no file half written. Given the same again with --resume, it goes on.
+
+    --max-memory is for all files together, in equal shares; a file for which its share is too little is done alone at
+    the end, with all of it. The program itself takes some 0.2G more for each job.
+    """
+    from beltrami_cli.cli.batch_display import Display, show_table
+    from beltrami_cli.cli.batch_jobs import jobs_for
+    from beltrami_cli.flow.parameters import KernelParameters
+    from beltrami_cli.pipeline.batch import run_batch
+    from beltrami_cli.pipeline.batch_plan import plan
+    from beltrami_cli.pipeline.batch_record import Record
+    from beltrami_cli.pipeline.memory import memory_of_machine
+
+    start = time.monotonic()
+    messages = Messages(quiet=quiet, verbose=verbose)
+    requests = plan(inputs, out_dir, suffix, output_format)
+    jobs = jobs_for(requests, smoothing, outside=allow_outside, overwrite=overwrite)
+    path = report_path or str(_made(out_dir) / "batch.jsonl")
+    record = Record(path, resume=resume, overwrite=overwrite)
+    with Display(jobs, messages) as display:
+        outcomes = run_batch(
+            jobs,
+            record,
+            display,
+            at_once=at_once or KernelParameters().thread_count,
+            memory=max_memory or memory_of_machine(),
+            fail_fast=fail_fast,
+        )
+    if not quiet:
+        show_table(outcomes)
+    messages.say(f"{_counts(outcomes)} in {time.monotonic() - start:.1f} s; report: {path}")
+    lost = sum(outcome.status == "failed" for outcome in outcomes)
+    if lost:
+        raise ProcessingError(
+            f"{lost} of {len(outcomes)} files failed; mend them, and run the same again with --resume"
+        )
+
+
+def _made(out_dir: str) -> Path:
+    folder = Path(out_dir)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(
+            out_dir, f"the folder cannot be made ({error.strerror})", "choose another"
+        ) from error
+    return folder
+
+
+def _counts(outcomes: Sequence[Outcome]) -> str:
+    states = [outcome.status for outcome in outcomes]
+    kinds = ("done", "skipped", "failed", "not started")
+    return ", ".join(f"{states.count(kind)} {kind}" for kind in kinds if kind in states)

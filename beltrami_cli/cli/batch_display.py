@@ -1,0 +1,140 @@
+"""What is shown of a batch: lines that move while it runs, and a table in the end."""
+
+from __future__ import annotations
+
+import sys
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from beltrami_cli.cli.console import Messages, printable
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from types import TracebackType
+
+    from rich.progress import Progress, TaskID
+
+    from beltrami_cli.pipeline.batch_job import Attempt, Job, Outcome
+
+_WIDTH = 140  # of the table, where it goes to a file
+_COLOURS = {"done": "green", "skipped": "dim", "failed": "bold red", "not started": "yellow"}
+
+
+class Display:
+    """Shows a line for each file in work and one for all, on a terminal only; tells failures at once.
+
+    Parameters
+    ----------
+    jobs : sequence of Job
+        All files.
+    messages : Messages
+        How much the user wants to hear.
+    """
+
+    def __init__(self, jobs: Sequence[Job], messages: Messages) -> None:
+        self._jobs, self._messages = jobs, messages
+        self._bar: Progress | None = None
+        self._lines: dict[int, TaskID] = {}
+
+    def __enter__(self) -> Display:
+        if not self._messages.quiet and sys.stderr.isatty():
+            self._bar = _bar()
+            self._bar.start()
+            self._all = self._bar.add_task("all files", total=len(self._jobs))
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+
+    def started(self, key: int) -> None:
+        """Show a line for a file."""
+        if self._bar is not None:
+            self._lines[key] = self._bar.add_task(self._name(key), total=None)
+
+    def advanced(self, key: int, label: str, done: int, total: int) -> None:
+        """Move it."""
+        if self._bar is not None:
+            description = f"{self._name(key)}: {printable(label)}"
+            self._bar.update(self._lines[key], description=description, completed=done, total=total)
+
+    def postponed(self, key: int) -> None:
+        """Take it away for now."""
+        self._messages.detail(f"{self._jobs[key].source}: wants more than its share of memory, so it waits")
+        self._end(key)
+
+    def finished(self, key: int, attempt: Attempt) -> None:
+        """Take it away, and tell what went wrong."""
+        self._end(key)
+        if self._bar is not None:
+            self._bar.advance(self._all)
+        outcome = attempt.outcome
+        if attempt.traceback and self._messages.verbose >= 2:
+            click.echo(attempt.traceback, err=True)
+        if outcome.status == "failed":  # also with --quiet, as every error
+            click.echo(f"failed: {printable(outcome.error)}", err=True)
+        else:
+            self._messages.detail(f"{outcome.status}: {outcome.output}, {outcome.seconds:.1f} s")
+
+    def _end(self, key: int) -> None:
+        if self._bar is not None and key in self._lines:
+            self._bar.remove_task(self._lines.pop(key))
+
+    def _name(self, key: int) -> str:
+        return printable(self._jobs[key].source)
+
+
+def show_table(outcomes: Sequence[Outcome]) -> None:
+    """Print what came of every file to the standard error."""
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(box=None, header_style="bold", pad_edge=False)
+    table.add_column("output", overflow="fold")
+    table.add_column("result", no_wrap=True)
+    for name in ("time", "noise", "change"):
+        table.add_column(name, justify="right", no_wrap=True)
+    table.add_column("remark", overflow="fold")
+    for outcome in outcomes:
+        cells = [outcome.output, outcome.status, *_figures(outcome), _remark(outcome)]
+        texts = [Text(printable(cell)) for cell in cells]
+        texts[1].stylize(_COLOURS.get(outcome.status, ""))
+        table.add_row(*texts)
+    Console(stderr=True, width=None if sys.stderr.isatty() else _WIDTH).print(table)
+
+
+def _figures(outcome: Outcome) -> tuple[str, str, str]:
+    seconds = f"{outcome.seconds:.1f} s" if outcome.seconds else ""
+    report: dict[str, Any] = outcome.report or {}
+    parts = [part for part in (report.get("vertices"), report.get("image")) if part]
+    parts += report.get("textures", [])
+    if outcome.status == "failed" or not parts:
+        return seconds, "", ""
+    noise = max((max(part["noise"].values(), default=0.0) for part in parts), default=0.0)
+    change = max(part["change"]["mean"] for part in parts)
+    return seconds, f"{255 * noise:.1f}/255", f"{255 * change:.1f}/255"
+
+
+def _remark(outcome: Outcome) -> str:
+    if outcome.error:
+        return outcome.error
+    warnings = (outcome.report or {}).get("warnings")
+    return "; ".join(warnings) if isinstance(warnings, list) else ""
+
+
+def _bar() -> Progress:
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    class Name(TextColumn):
+        def render(self, task: Any) -> Any:
+            task.fields["shown"] = escape(task.description)
+            return super().render(task)
+
+    columns = (Name("{task.fields[shown]}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    return Progress(*columns, console=Console(stderr=True), transient=True)

@@ -1,0 +1,281 @@
+"""`beltrami batch`: every file as `smooth` makes it, whatever happens to the others, and nothing done twice."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import time
+
+import pytest
+
+from beltrami_cli.formats.source import open_document
+from cli.commands import COMMAND, SAMPLES, beltrami
+from hostile.textured_models import write_model
+
+# Small, and with parameters that leave little to compute.
+QUICK = ("-n", "1", "-t", "0.5", "--beta", "10", "--beta-growth", "1", "--metric-steps", "0")
+KINDS = ("terrain-noisy.ply", "nonmanifold-noisy.obj", "terrain-noisy.glb")
+
+
+@pytest.fixture
+def scans(tmp_path):
+    folder = tmp_path / "scans"
+    (folder / "deep").mkdir(parents=True)
+    for name, place in zip(KINDS, ("a.ply", "b.obj", "deep/c.glb"), strict=True):
+        shutil.copy(SAMPLES / name, folder / place)
+    return folder
+
+
+def report_of(out):
+    lines = [json.loads(line) for line in (out / "batch.jsonl").read_text().splitlines()]
+    return {line["output"].removeprefix(f"{out}/"): line for line in lines}
+
+
+def statuses(out):
+    return {name: line["status"] for name, line in report_of(out).items()}
+
+
+def batch(*arguments, code=0, cwd=None):
+    run = beltrami("batch", *arguments, cwd=cwd)
+    assert run.returncode == code, run.stderr.decode()
+    assert run.stdout == b""
+    assert b"Traceback" not in run.stderr
+    return run.stderr.decode()
+
+
+def smoothed(source, target, *options):
+    run = beltrami("smooth", source, target, *options)
+    assert run.returncode == 0, run.stderr
+    return target.read_bytes()
+
+
+def test_each_file_is_as_smooth_makes_it_to_the_last_byte(scans, tmp_path):
+    textured = tmp_path / "scans" / "skin"
+    textured.mkdir()
+    write_model(textured, "obj", "skin.png", "skin.mtl")
+    shutil.copy(SAMPLES / "mirrored-noisy.png", textured / "skin.png")
+    out, single = tmp_path / "out", tmp_path / "single"
+    batch(scans, "--out-dir", out, "-j", 3, *QUICK)
+    for name, line in report_of(out).items():
+        assert line["status"] == "done"
+        (single / name).parent.mkdir(parents=True, exist_ok=True)
+        smoothed(scans / name, single / name, *QUICK)
+    files = {path.relative_to(single) for path in single.rglob("*") if path.is_file()}
+    assert {path.relative_to(out) for path in out.rglob("*") if path.is_file()} - files == {
+        (out / "batch.jsonl").relative_to(out)
+    }
+    assert len(files) == 6  # with the library and the texture of one
+    for name in files:
+        assert (out / name).read_bytes() == (single / name).read_bytes(), name
+
+
+def test_failures_are_told_and_the_others_go_on(scans, tmp_path):
+    (scans / "0.ply").write_bytes(b"no model")
+    said = batch(scans, "--out-dir", tmp_path / "out", *QUICK, code=1)
+    assert "0.ply: the content is of no known format" in said
+    assert "1 of 4 files failed" in said.splitlines()[-1]
+    found = statuses(tmp_path / "out")
+    assert found == {"0.ply": "failed", "a.ply": "done", "b.obj": "done", "deep/c.glb": "done"}
+    assert report_of(tmp_path / "out")["0.ply"]["exit_code"] == 3
+
+
+def test_fail_fast_starts_nothing_more(scans, tmp_path):
+    (scans / "0.ply").write_bytes(b"no model")
+    out = tmp_path / "out"
+    batch(scans, "--out-dir", out, "-j", 1, "--fail-fast", *QUICK, code=1)
+    found = statuses(out)
+    assert found.pop("0.ply") == "failed"
+    assert set(found.values()) == {"not started"}
+    shutil.copy(SAMPLES / KINDS[0], scans / "0.ply")
+    batch(scans, "--out-dir", out, "--resume", *QUICK)
+    assert set(statuses(out).values()) == {"done"}
+
+
+def test_resume_does_again_what_changed_and_nothing_else(scans, tmp_path):
+    out = tmp_path / "out"
+    arguments = (scans, "--out-dir", out, "--resume")
+    batch(*arguments, *QUICK)
+    batch(*arguments, *QUICK)
+    assert set(statuses(out).values()) == {"skipped"}
+
+    shutil.copy(SAMPLES / "terrain-clean.ply", scans / "a.ply")  # other content
+    batch(*arguments, *QUICK)
+    assert statuses(out) == {"a.ply": "done", "b.obj": "skipped", "deep/c.glb": "skipped"}
+    assert (out / "a.ply").read_bytes() == smoothed(scans / "a.ply", tmp_path / "one.ply", *QUICK)
+
+    (out / "b.obj").unlink()  # a result that is gone
+    batch(*arguments, *QUICK)
+    assert statuses(out) == {"a.ply": "skipped", "b.obj": "done", "deep/c.glb": "skipped"}
+
+    batch(*arguments, *QUICK, "--threads", 1)  # of no influence on the result
+    assert set(statuses(out).values()) == {"skipped"}
+    batch(*arguments, *QUICK, "--beta", 20)  # other parameters
+    assert set(statuses(out).values()) == {"done"}
+
+
+def test_resume_sees_that_a_file_beside_a_model_changed(tmp_path):
+    folder = tmp_path / "in"
+    folder.mkdir()
+    write_model(folder, "obj", "skin.png", "skin.mtl")
+    shutil.copy(SAMPLES / "mirrored-noisy.png", folder / "skin.png")
+    out = tmp_path / "out"
+    batch(folder, "--out-dir", out, "--resume", *QUICK)
+    before = (out / "skin.png").read_bytes()
+    shutil.copy(SAMPLES / "mirrored-clean.png", folder / "skin.png")
+    batch(folder, "--out-dir", out, "--resume", *QUICK)
+    assert set(statuses(out).values()) == {"done"}
+    assert (out / "skin.png").read_bytes() != before
+
+
+def test_resume_does_not_replace_what_somebody_else_changed(scans, tmp_path):
+    out = tmp_path / "out"
+    batch(scans, "--out-dir", out, *QUICK)
+    (out / "a.ply").write_bytes(b"edited by hand")
+    said = batch(scans, "--out-dir", out, "--resume", *QUICK, code=1)
+    assert "a.ply: exists already" in said
+    assert (out / "a.ply").read_bytes() == b"edited by hand"
+    batch(scans, "--out-dir", out, "--resume", "--overwrite", *QUICK)
+    assert statuses(out) == {"a.ply": "done", "b.obj": "skipped", "deep/c.glb": "skipped"}
+
+
+def test_a_run_that_is_killed_leaves_no_half_files_and_is_picked_up(tmp_path):
+    scans, out = tmp_path / "scans", tmp_path / "out"
+    scans.mkdir()
+    for number in range(12):
+        shutil.copy(SAMPLES / "terrain-noisy.ply", scans / f"{number:02}.ply")
+    arguments = ["batch", str(scans), "--out-dir", str(out), "-j", "2", *QUICK, "-n", "3"]
+    process = subprocess.Popen([*COMMAND, *arguments], stderr=subprocess.DEVNULL)
+    deadline = time.monotonic() + 60
+    while len(list(out.glob("*.ply"))) < 3 and time.monotonic() < deadline:
+        time.sleep(0.01)
+    process.kill()
+    process.wait()
+
+    whole = smoothed(scans / "00.ply", tmp_path / "one.ply", *QUICK, "-n", "3")
+    made = {path.name: path.stat().st_mtime_ns for path in out.glob("*.ply")}
+    assert 3 <= len(made) < 12
+    assert all((out / name).read_bytes() == whole for name in made)
+    journal = [json.loads(line) for line in (out / "batch.jsonl").read_text().splitlines()]
+    finished = {line["output"].rsplit("/", 1)[1] for line in journal if line["status"] == "done"}
+    assert len(finished) >= 2  # all that were there, but for those in work as the end came
+
+    time.sleep(0.5)  # for workers without a leader to notice
+    batch(*arguments[1:], "--resume")
+    assert all((out / f"{number:02}.ply").read_bytes() == whole for number in range(12))
+    assert {path.name for path in out.iterdir()} == {f"{number:02}.ply" for number in range(12)} | {
+        "batch.jsonl"
+    }
+    assert {name for name in finished if (out / name).stat().st_mtime_ns == made[name]} == finished
+    assert {name for name, status in statuses(out).items() if status == "skipped"} >= finished
+
+
+def test_a_cut_off_last_line_of_the_report_is_minded(scans, tmp_path):
+    out = tmp_path / "out"
+    batch(scans, "--out-dir", out, *QUICK)
+    whole = (out / "batch.jsonl").read_text()
+    (out / "batch.jsonl").write_text(whole[:-20])
+    batch(scans, "--out-dir", out, "--resume", "--overwrite", *QUICK)
+    assert statuses(out) == {"a.ply": "skipped", "b.obj": "skipped", "deep/c.glb": "done"}
+    (out / "batch.jsonl").write_text("{}\n" + whole)
+    assert "line 1 is not of a report" in batch(scans, "--out-dir", out, "--resume", *QUICK, code=3)
+
+
+MANIFESTS = {
+    "jobs.toml": """
+        iterations = 1
+        metric-steps = 0
+        t = 0.5
+        beta-growth = 1
+        beta = 10
+        [[files]]
+        input = "a.ply"
+        output = "first/x.obj"
+        [[files]]
+        input = "b.obj"
+        beta = 3.5
+        space = "linear"
+        channels = ["red", "green"]
+        """,
+    "jobs.csv": (
+        "input,output,iterations,metric_steps,time-step,beta_growth,beta,space,channels\n"
+        'a.ply,first/x.obj,1,0,0.5,1,10,,\nb.obj,,1,0,0.5,1,3.5,linear,"red,green"\n'
+    ),
+    "jobs.jsonl": (
+        '{"input": "a.ply", "output": "first/x.obj", "n": 1, "metric_steps": 0, '
+        '"t": 0.5, "beta-growth": 1, "beta": 10}\n'
+        '\n{"input": "b.obj", "n": 1, "metric_steps": 0, "t": 0.5, "beta-growth": 1, "beta": 3.5, "space": "linear", '
+        '"channels": ["red", "green"]}\n'
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", MANIFESTS)
+def test_a_manifest_has_parameters_for_each_file(name, scans, tmp_path):
+    (scans / name).write_text(MANIFESTS[name])
+    out = tmp_path / "out"
+    batch(scans / name, "--out-dir", out, "--beta", 99)  # for all, so what the manifest says counts for more
+    first = smoothed(scans / "a.ply", tmp_path / "x.obj", *QUICK)
+    assert (out / "first" / "x.obj").read_bytes() == first
+    options = [*QUICK, "--beta", 3.5, "--space", "linear", "--channels", "red,green"]
+    assert (out / "b.obj").read_bytes() == smoothed(scans / "b.obj", tmp_path / "b.obj", *options)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ('[[files]]\ninput = "a.ply"\nbetta = 8', "file 1: betta is no option there"),
+        ('[[files]]\ninput = "a.ply"\nbeta = true', "file 1: beta can be no truth value"),
+        ('[[files]]\ninput = "a.ply"\nwindow = 4', "file 1: window is 4"),
+        ('[[files]]\ninput = "a.ply"\nspace = "pink"', "file 1: Invalid value for '--space'"),
+        ('[[files]]\ninput = "missing.ply"', "there is no such file"),
+        ("[[files]]\nbeta = 8", "it has no input"),
+        ("beta = 8", "no table [[files]]"),
+        ("beta = ", "the manifest cannot be read"),
+    ],
+)
+def test_faults_of_manifests_are_told_before_anything_is_done(text, words, scans, tmp_path):
+    (scans / "jobs.toml").write_text(text)
+    run = beltrami("batch", scans / "jobs.toml", "--out-dir", tmp_path / "out")
+    assert run.returncode in (2, 3)
+    assert words in run.stderr.decode()
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_preset_of_a_file_counts_for_more_than_options_for_all(scans, tmp_path):
+    (scans / "jobs.csv").write_text("input,preset\na.ply,paper\n")
+    batch(scans / "jobs.csv", "--out-dir", tmp_path / "out", "-n", 2, "--beta", 10)
+    expected = smoothed(scans / "a.ply", tmp_path / "one.ply", "--preset", "paper", "--beta", 10)
+    assert (tmp_path / "out" / "a.ply").read_bytes() == expected
+
+
+@pytest.mark.parametrize(
+    ("options", "name"),
+    [
+        (("--suffix", "-clean"), "a-clean.ply"),
+        (("--suffix", ".clean.obj"), "a.clean.obj"),
+        (("--format", "glb"), "a.glb"),
+        (("--format", "obj", "--suffix", ".v2"), "a.v2.obj"),
+    ],
+)
+def test_names_of_outputs(options, name, scans, tmp_path):
+    batch("*.ply", "--out-dir", tmp_path, *options, *QUICK, cwd=scans)
+    assert list(report_of(tmp_path)) == [name]
+    assert open_document(str(tmp_path / name)).format == name.rsplit(".", 1)[1]
+
+
+def test_two_files_never_become_one(scans, tmp_path):
+    shutil.copy(scans / "a.ply", scans / "deep" / "a.ply")
+    inputs = (scans / "a.ply", scans / "deep" / "a.ply")
+    assert "would both become" in batch(*inputs, "--out-dir", tmp_path / "out", code=2)
+    assert "replaced by its own output" in batch(scans, "--out-dir", scans, "--overwrite", code=2)
+
+
+def test_a_file_that_wants_more_than_its_share_of_memory_is_done_alone(scans, tmp_path):
+    size = (scans / "b.obj").stat().st_size
+    share = size - 1000  # more than the other two need, too little for this one
+    assert share > max((scans / name).stat().st_size for name in ("deep/c.glb",))
+    inputs = (scans / "b.obj", scans / "deep" / "c.glb")
+    said = batch(*inputs, "--out-dir", tmp_path / "out", "-j", 2, "--max-memory", 2 * share, "-v", *QUICK)
+    assert "b.obj: wants more than its share of memory" in said
+    assert set(statuses(tmp_path / "out").values()) == {"done"}
