@@ -33,9 +33,10 @@ $(VENV)/.installed-%: $(SOURCES) | $(VENV)/.pip
 demo: $(VENV)/.installed-samples
 	@mkdir -p demo
 	$(BIN)/beltrami smooth sample_data/head-noisy.ply demo/head-smooth.ply --overwrite
-	$(BIN)/python sample_data/picture.py sample_data/head-noisy.ply demo/head-smooth.ply demo/before-after.png
+	$(BIN)/beltrami render sample_data/head-noisy.ply demo/head-smooth.ply demo/before-after.png --crop auto --overwrite
 	$(BIN)/beltrami smooth sample_data/head-tex-noisy.glb demo/head-tex-smooth.glb --overwrite
-	$(BIN)/python sample_data/picture.py sample_data/head-tex-noisy.glb demo/head-tex-smooth.glb demo/before-after-texture.png
+	$(BIN)/beltrami render sample_data/head-tex-noisy.glb demo/head-tex-smooth.glb demo/before-after-texture.png \
+	  --crop auto --overwrite
 	@echo "Vertex colours: demo/head-smooth.ply,     before and after in demo/before-after.png"
 	@echo "Texture:        demo/head-tex-smooth.glb, before and after in demo/before-after-texture.png"
 

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from beltrami_cli.mesh.transfer import srgb_to_linear
+from beltrami_cli.rendering.camera import WHOLE, fitted, orientation
+from beltrami_cli.rendering.paint import VertexPaint
+from beltrami_cli.rendering.sheet import Background, displayed
+from beltrami_cli.rendering.surface_view import SurfaceView
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
 Array = NDArray[np.float64]
 
-SAMPLE_DATA = Path(__file__).resolve().parents[2] / "sample_data"
 DOTS_PER_INCH = 100
 
 
@@ -82,10 +86,6 @@ def view(
     shade : bool
         Whether to add light.
     """
-    sys.path.append(str(SAMPLE_DATA))
-    from picture import BACKGROUND, at_vertices
-    from picture import draw as draw_mesh
-
     rows, columns = heights.shape
     y, x = np.mgrid[:rows, :columns]
     places = [x, heights, y] if lying else [x, -y, heights]
@@ -94,13 +94,13 @@ def view(
     upper = np.column_stack([corner, corner + columns, corner + 1])
     lower = np.column_stack([corner + 1, corner + columns, corner + columns + 1])
     faces = np.concatenate([upper, lower]).astype(np.int32)
-    paint = at_vertices(faces, np.clip(colours, 0, 1).reshape(-1, 3))
-    image = draw_mesh(positions, faces, paint, size, angles, shade=shade)
-    seen = np.abs(image - BACKGROUND).max(axis=2) > 0.02
+    light = srgb_to_linear(np.clip(colours, 0, 1).reshape(-1, 3))
+    surface = SurfaceView(positions, faces, VertexPaint(faces, light))
+    camera = fitted(positions, orientation(*angles), 0, 1)
+    drawn = surface.draw(camera, (size, size), WHOLE, lit=shade)
+    seen = drawn[..., 3] > 0
     inside = np.ix_(np.flatnonzero(seen.any(axis=1)), np.flatnonzero(seen.any(axis=0)))
-    cropped = image[inside]
-    cropped[~seen[inside]] = 1
-    return cropped
+    return displayed(drawn[inside], Background())[..., :3].astype(np.float32)
 
 
 def save(made: Any, path: Path) -> None:
