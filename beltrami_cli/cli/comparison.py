@@ -81,13 +81,14 @@ def _worst(worst: dict[str, Any]) -> str:
 def _table(head: tuple[str, ...], rows: list[list[str]]) -> None:
     rows = [[printable(cell) for cell in row] for row in rows]
     if sys.stdout.isatty():
+        from rich import box
         from rich.console import Console
         from rich.table import Table
         from rich.text import Text
 
-        table = Table()
+        table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
         for number, name in enumerate(head):
-            table.add_column(name, justify="right" if number else "left")
+            table.add_column(name, justify="right" if number else "left", overflow="fold")
         for row in rows:
             table.add_row(*map(Text, row))
         Console().print(table)

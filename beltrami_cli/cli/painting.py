@@ -38,11 +38,16 @@ mask = click.option(
     help="Of an image: an image of the same size that is 0 at holes, which do not count.",
 )
 
+gutter = click.option(
+    "--gutter", default=str(DEFAULTS.textures.gutter), show_default=True, metavar="N|keep",
+    help="Change N texels around every chart too, as lookups across its border see them; or keep them.",
+)  # fmt: skip
+
 _CHOOSING = (
     on, slots, options.materials, options.texture_names, channels, space, mask, options.level, options.inside,
     options.colours, options.max_voxels, options.threads,
 )  # fmt: skip
-_WRITING = (options.gutter, options.texture_format, options.jpeg_quality, options.small_png)
+_WRITING = (gutter, options.texture_format, options.jpeg_quality, options.small_png)
 _USUAL = DEFAULTS.textures
 
 
