@@ -87,12 +87,13 @@ class CutMeans:
             here, there = _ends(step)
             joined = np.isfinite(lengths.reshape(-1)[window]).reshape(filled.shape)
             edges.append((here, there, joined[here] & filled[here] & filled[there]))
-        count = -1
-        while count < (count := np.count_nonzero(reached)):
+        before, count = -1, 0
+        while before < count:
             for here, there, joined in edges:
                 reached[there] |= reached[here] & joined
                 reached[here] |= reached[there] & joined
-        return reached.reshape(len(cells), -1)
+            before, count = count, int(np.count_nonzero(reached))
+        return np.asarray(reached.reshape(len(cells), -1), bool)
 
 
 def _ends(step: tuple[int, int]) -> tuple[tuple[slice, ...], tuple[slice, ...]]:

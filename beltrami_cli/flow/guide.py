@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
     from beltrami_cli.mesh.atlas import Atlas
 
+_ROWS = 256  # of a grid that are looked at together
+
 
 class MeshGuide:
     """Gaussian means over the neighbours of each vertex.
@@ -92,30 +94,49 @@ class GridGuide:
         self._taps = _gaussian_taps(scale)
         self._open = filled if walls else None
         self.gain = float(np.sum(self._taps**2))
-        self._total = self._convolve(filled.astype(np.float32), np.empty(filled.shape, np.float32))
-        np.maximum(self._total, np.float32(1e-6), out=self._total)
+        self._partial, self._part = self._partial_totals(filled)
         self._cut_means = None if atlas is None or not len(atlas.cut_cells) else CutMeans(atlas, self._taps)
 
     def smooth(self, planes: NDArray[np.float32]) -> NDArray[np.float32]:
         """Smooth planes of shape (N, R, C), which must be 0 where cells are not filled."""
         smoothed = np.empty_like(planes)
         for plane, result in zip(planes, smoothed, strict=True):
-            self._convolve(plane, result)
-            result /= self._total
+            self._convolve(plane, self._open, result)
+            result.reshape(-1)[self._partial] /= self._part
             if self._cut_means is not None:
                 self._cut_means.apply(plane, result)
         return smoothed
 
-    def _convolve(self, plane: NDArray[np.float32], result: NDArray[np.float32]) -> NDArray[np.float32]:
-        if self._open is not None:
-            along = _convolve_up_to_walls(plane, self._open, self._taps)
-            result[...] = _convolve_up_to_walls(along.T, self._open.T, self._taps).T
-            return result
+    def _partial_totals(self, filled: NDArray[np.bool_]) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+        """Find the filled cells (flat indices) that lack a neighbour, and the weights of the neighbours they have.
+
+        Most cells have all, with weights of 1 together but for rounding.
+        """
+        reach = len(self._taps) // 2
+        cells, totals = [np.zeros(0, np.int32)], [np.zeros(0, np.float32)]
+        for first in range(0, len(filled), _ROWS):  # whole planes would be as large as what they save
+            above = min(first, reach)
+            band = filled[first - above : first + _ROWS + reach]
+            total = np.empty(band.shape, np.float32)
+            self._convolve(band.astype(np.float32), None if self._open is None else band, total)
+            total = total[above : above + _ROWS]
+            lacking = np.flatnonzero((total < 1 - 1e-6) & filled[first : first + _ROWS])
+            cells.append((lacking + first * filled.shape[1]).astype(np.int32))
+            totals.append(total.reshape(-1)[lacking])
+        return np.concatenate(cells), np.concatenate(totals)
+
+    def _convolve(
+        self, plane: NDArray[np.float32], filled: NDArray[np.bool_] | None, result: NDArray[np.float32]
+    ) -> None:
+        """Convolve a plane, up to walls if it is told what is filled, and write the result."""
+        if filled is not None:
+            along = _convolve_up_to_walls(plane, filled, self._taps)
+            result[...] = _convolve_up_to_walls(along.T, filled.T, self._taps).T
+            return
         from scipy.ndimage import correlate1d
 
         along = correlate1d(plane, self._taps, 0, mode="constant")
         correlate1d(along, self._taps, 1, mode="constant", output=result)
-        return result
 
 
 def _convolve_up_to_walls(

@@ -5,12 +5,15 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+
+    # int32 in atlases of textures, which halves the memory for them.
+    Indices: TypeAlias = NDArray[np.signedinteger[Any]]
 
 EMPTY, OWNED, HALO = 0, 1, 2
 
@@ -32,25 +35,25 @@ class Atlas:
         right, and below left. Infinite where the neighbour lies outside, and where the surface ends between the two
         (at an open edge, or between two parts of a chart that only touch in the image); without meaning where either
         is EMPTY.
-    cut_cells : ndarray of int64, shape (K,)
+    cut_cells : ndarray of int32 or int64, shape (K,)
         Flat indices, ascending, of the cells between which and a neighbour, not EMPTY, the surface ends at an edge.
-    owned_cells : ndarray of int64, shape (T,)
+    owned_cells : ndarray of int32 or int64, shape (T,)
         Flat indices of the owned cells, ascending.
-    owned_texels : ndarray of int64, shape (T,)
+    owned_texels : ndarray of int32 or int64, shape (T,)
         The texel of each: offset of its texture plus row * width + column.
     texture_offsets : ndarray of int64, shape (number of textures + 1,)
         Texels of texture i are numbered from its offset, row by row.
-    halo_cells : ndarray of int64, shape (H,)
+    halo_cells : ndarray of int32 or int64, shape (H,)
         Flat indices of the halo cells, ascending.
-    halo_taps : ndarray of int64, shape (H, 4)
+    halo_taps : ndarray of int32 or int64, shape (H, 4)
         Owned cells (flat indices) from which the halo cell's colour is interpolated.
     halo_weights : ndarray of float32, shape (H, 4)
         Their weights, not negative, with the sum 1.
     halo_seams : ndarray of int32, shape (H,)
         The seam over which the cell was reached, or -1 (no seam: the cell stands for a texel owned elsewhere).
-    gutter_cells : ndarray of int64, shape (G,)
+    gutter_cells : ndarray of int32 or int64, shape (G,)
         Halo cells (flat indices) that stand on a texel that nothing covers.
-    gutter_texels : ndarray of int64, shape (G,)
+    gutter_texels : ndarray of int32 or int64, shape (G,)
         That texel, each at most once: what a lookup just beyond a chart's border should see.
     chart_of : ndarray of int32, shape (T,)
         Chart of each owned cell.
@@ -62,16 +65,16 @@ class Atlas:
 
     kind: NDArray[np.uint8]
     squared_lengths: NDArray[np.float32]
-    cut_cells: NDArray[np.int64]
-    owned_cells: NDArray[np.int64]
-    owned_texels: NDArray[np.int64]
+    cut_cells: Indices
+    owned_cells: Indices
+    owned_texels: Indices
     texture_offsets: NDArray[np.int64]
-    halo_cells: NDArray[np.int64]
-    halo_taps: NDArray[np.int64]
+    halo_cells: Indices
+    halo_taps: Indices
     halo_weights: NDArray[np.float32]
     halo_seams: NDArray[np.int32]
-    gutter_cells: NDArray[np.int64]
-    gutter_texels: NDArray[np.int64]
+    gutter_cells: Indices
+    gutter_texels: Indices
     chart_of: NDArray[np.int32]
     charts: int
     seams: int

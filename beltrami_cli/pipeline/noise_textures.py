@@ -141,4 +141,4 @@ def _repainted(
     new = old.copy()
     noisy = (colours.working(picture, moved) + table[moved]).clip(*limits)
     colours.write(new, index, moved, noisy)
-    return from_float(picture, new, new != old)
+    return from_float(picture, picture.pixels, new, new != old)

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from beltrami_cli.formats.image import from_float, to_float
+from beltrami_cli.formats.image import from_float
+from beltrami_cli.formats.image.picture import full_scale_one
 from beltrami_cli.pipeline.report import Change
 from beltrami_cli.sampling.gutter import fill_gutter
 
@@ -17,6 +18,8 @@ if TYPE_CHECKING:
 
     from beltrami_cli.formats.image import Picture
     from beltrami_cli.pipeline.texel_colours import TexelColours
+
+_BLOCK = 1 << 18  # texels painted at a time, which bounds the memory for them in floats
 
 
 @dataclass(frozen=True)
@@ -77,29 +80,45 @@ def repaint(
     change : Change
         Of the covered texels.
     """
-    old = to_float(picture)
-    new = old.copy()
-    inside, texels = smoothed.of_texture(smoothed.texels, index)
-    after = smoothed.colours[inside]
-    moved = colours.changed(picture, texels, after)
-    colours.write(new, index, texels[moved], after[moved])
-    del after
-    # Texels that are not covered have not changed yet, and do not count.
-    change = dataclasses.replace(Change.between(old, new), count=len(texels) * old.shape[2])
-    covered, known = np.zeros(old.shape[:2], bool), np.zeros(old.shape[:2], bool)
-    covered.reshape(-1)[texels] = True
+    pixels = picture.pixels.copy()
+    change = _paint(pixels, picture, index, colours, smoothed, smoothed.texels, smoothed.colours)
     if gutter is not None:
-        beside, gutter_texels = smoothed.of_texture(smoothed.gutter_texels, index)
-        near = within(covered, gutter).reshape(-1)[gutter_texels]
-        beside[beside], gutter_texels = near, gutter_texels[near]
-        colours.write(new, index, gutter_texels, smoothed.gutter_colours[beside])
-        known.reshape(-1)[gutter_texels] = True
-    pixels = from_float(picture, new, new != old)
-    del old, new  # the rest of the gutter copies pixels, for which the picture's own type will do
-    if gutter is not None:
+        covered, known = np.zeros(pixels.shape[:2], bool), np.zeros(pixels.shape[:2], bool)
+        covered.reshape(-1)[smoothed.of_texture(smoothed.texels, index)[1]] = True
+        beside, texels = smoothed.of_texture(smoothed.gutter_texels, index)
+        near = within(covered, gutter).reshape(-1)[texels]
+        beside[beside] = near
+        chosen = smoothed.gutter_texels[beside]
+        _paint(pixels, picture, index, colours, smoothed, chosen, smoothed.gutter_colours[beside])
+        known.reshape(-1)[texels[near]] = True
         columns = colours.columns(index)
         pixels[..., columns] = fill_gutter(pixels[..., columns], covered, None, gutter, known)
     return pixels, change
+
+
+def _paint(
+    pixels: NDArray[Any],
+    picture: Picture,
+    index: int,
+    colours: TexelColours,
+    smoothed: SmoothedTexels,
+    texels: NDArray[np.int64],
+    samples: NDArray[np.float32],
+) -> Change:
+    """Put the samples that are of a picture into pixels like its own, in place, and return how these change."""
+    table, changes = pixels.reshape(-1, pixels.shape[2]), []
+    for first in range(0, len(texels), _BLOCK):
+        inside, here = smoothed.of_texture(texels[first : first + _BLOCK], index)
+        after = samples[first : first + _BLOCK][inside]
+        moved = colours.changed(picture, here, after)
+        count, here, after = len(here), here[moved], after[moved]
+        old = full_scale_one(table[here])
+        new = old.copy()
+        colours.write(new, index, np.arange(len(here)), after)
+        table[here] = from_float(picture, table[here], new, new != old)
+        # Texels that did not change count, too.
+        changes.append(dataclasses.replace(Change.between(old, new), count=count * table.shape[1]))
+    return Change.joined(changes)
 
 
 def within(covered: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:

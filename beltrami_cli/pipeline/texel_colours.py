@@ -149,17 +149,17 @@ class TexelColours:
 
         Parameters
         ----------
-        values : ndarray of float32, shape (H, W, C)
-            The picture's channels, full scale 1.
+        values : ndarray of float32, shape (..., C)
+            The picture's channels at some or all of its texels, full scale 1.
         index : int
             Which picture.
         texels : ndarray of int64, shape (K,)
-            Row * width + column.
+            Which of these change, counted from the first.
         samples : ndarray of float32, shape (K, N)
             Their new colours in the working space.
         """
         picture = self._pictures[index]
-        table = values.reshape(-1, values.shape[2])
+        table = values.reshape(-1, values.shape[-1])
         whole = self._widened(picture, table[texels])
         working = to_space(whole, picture.encoding, self.space)
         working = working.copy()

@@ -52,7 +52,7 @@ def build_atlas(
     Raises
     ------
     ProcessingError
-        If the charts do not fit on a canvas of 2^31 cells.
+        If the charts do not fit on a canvas of 2^31 cells, or the textures have more texels together.
     """
     columns = list(surface.positions.T)
     if surface.space_of is not None:

@@ -129,10 +129,7 @@ def scenes(quick):
     """Yield the samples and the models of the extra folder, without noise."""
     names = SAMPLES[:2] if quick else SAMPLES
     paths = [min((ROOT / "sample_data").glob(f"{name}-clean.[gop][lb]*")) for name in names]
-    extra = os.environ.get("BELTRAMI_EXTRA_MESHES")
-    if extra and not quick:
-        paths += sorted(path for path in Path(extra).rglob("*") if path.suffix in MODELS)
-    for path in paths:
+    for path in paths if quick else [*paths, *extra_models()]:
         try:
             scene = texture_scene.from_file(path)
         except (BeltramiError, ValueError) as error:
@@ -140,6 +137,12 @@ def scenes(quick):
             continue
         if scene.clean:
             yield scene
+
+
+def extra_models():
+    """Return the models of the extra folder."""
+    extra = os.environ.get("BELTRAMI_EXTRA_MESHES")
+    return sorted(path for path in Path(extra).rglob("*") if path.suffix in MODELS) if extra else []
 
 
 def tuned(scene):

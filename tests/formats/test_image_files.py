@@ -75,10 +75,10 @@ def test_only_changed_entries_change_and_are_rounded_once(kind: str, random: obj
     rng = np.random.default_rng(random.randrange(1 << 30))  # type: ignore[attr-defined]
     picture = read_image(encode(noise(kind, 4), known, kind), "x.tif")
     values = to_float(picture)
-    np.testing.assert_array_equal(from_float(picture, values, np.ones(values.shape, bool)), picture.pixels)
+    np.testing.assert_array_equal(from_float(picture, picture.pixels, values, np.ones(values.shape, bool)), picture.pixels)
     changed = rng.random(values.shape) < 0.5
     new = rng.normal(0.5, 1, values.shape).astype(np.float32)
-    pixels = from_float(picture, new, changed)
+    pixels = from_float(picture, picture.pixels, new, changed)
     np.testing.assert_array_equal(pixels[~changed], picture.pixels[~changed])
     if kind in ("uint8", "uint16"):
         full = np.iinfo(kind).max
@@ -92,7 +92,7 @@ def test_a_mask_of_pixels_may_stand_for_all_their_channels() -> None:
     picture = read_image(encode(noise("uint8", 3), "png"), "x.png")
     mask = np.zeros((5, 7, 1), bool)
     mask[2, 3] = True
-    pixels = from_float(picture, np.ones((5, 7, 3), np.float32), mask)
+    pixels = from_float(picture, picture.pixels, np.ones((5, 7, 3), np.float32), mask)
     assert (pixels[2, 3] == 255).all()
     assert (pixels != picture.pixels).any(axis=2).sum() <= 1
 

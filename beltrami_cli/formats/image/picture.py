@@ -12,8 +12,6 @@ if TYPE_CHECKING:
 
     from beltrami_cli.mesh.painted import Encoding
 
-_BLOCK = 1 << 19  # values rounded at a time, which bounds the memory for them in double precision
-
 
 @dataclass(frozen=True)
 class Picture:
@@ -76,33 +74,32 @@ def to_float(picture: Picture) -> NDArray[np.float32]:
     return full_scale_one(picture.pixels)
 
 
-def from_float(picture: Picture, values: NDArray[np.float32], changed: NDArray[np.bool_]) -> NDArray[Any]:
-    """Return the picture's pixels with some of them changed, each rounded once.
+def from_float(
+    picture: Picture, pixels: NDArray[Any], values: NDArray[np.float32], changed: NDArray[np.bool_]
+) -> NDArray[Any]:
+    """Return some of a picture's pixels with values changed, each rounded once.
 
     Parameters
     ----------
     picture : Picture
-        What the pixels were.
-    values : ndarray of float32, shape (H, W, C)
+        What the pixels are of.
+    pixels : ndarray, shape (..., C)
+        Some of them, or all.
+    values : ndarray of float32, shape (..., C)
         New values, full scale 1. Beyond the range of the stored type they are clipped.
-    changed : ndarray of bool, can be broadcast to (H, W, C)
+    changed : ndarray of bool, can be broadcast to (..., C)
         Which entries become the new values; all others keep what they are.
 
     Returns
     -------
-    ndarray, shape (H, W, C)
+    ndarray, shape (..., C)
         In the type of ``picture.pixels``; where that is float32 for half floats, the numbers are halves.
     """
-    pixels = picture.pixels.copy()
-    chosen = np.broadcast_to(changed, pixels.shape)
-    rows = max(1, _BLOCK // max(1, pixels.shape[1] * pixels.shape[2]))
-    for first in range(0, len(pixels), rows):
-        block = slice(first, first + rows)
-        for kind in sorted(set(picture.kinds)):
-            channels = np.array([other == kind for other in picture.kinds])
-            here = chosen[block] & channels
-            pixels[block][here] = as_stored(values[block][here], kind)
-    return pixels
+    result = pixels.copy()
+    for kind in sorted(set(picture.kinds)):
+        here = np.broadcast_to(changed & np.array([other == kind for other in picture.kinds]), pixels.shape)
+        result[here] = as_stored(values[here], kind)
+    return result
 
 
 def full_scale_one(pixels: NDArray[Any]) -> NDArray[np.float32]:

@@ -78,7 +78,8 @@ class Builder {
       const auto local = static_cast<std::size_t>((row - band.top) * cells.width());
       const auto width = static_cast<std::size_t>(cells.width());
       const std::size_t start = row_start(band, row);
-      for (std::size_t x = 0; x < width; ++x) atlas_.kind[start + x] = static_cast<std::uint8_t>(cells.kind(local + x));
+      for (std::size_t x = 0; x < width; ++x)  // what is empty may be a cell of another rectangle
+        if (cells.kind(local + x) != Kind::empty) atlas_.kind[start + x] = static_cast<std::uint8_t>(cells.kind(local + x));
       measure_row(cells, local, row - band.top + 1 < cells.height(), start, cuts_[index]);
     }
     halo_[index].assign(cells.halo.begin(), cells.halo.end());
@@ -86,7 +87,7 @@ class Builder {
   }
 
   void measure_row(const Cells& cells, std::size_t local, bool has_below, std::size_t start,
-                   std::vector<std::int64_t>& cuts) {
+                   std::vector<Index>& cuts) {
     const auto width = static_cast<std::size_t>(cells.width()), columns = static_cast<std::size_t>(atlas_.columns);
     const std::size_t plane = atlas_.kind.size, below = local + width;
     for (std::size_t x = 0; x < width; ++x) {
@@ -94,7 +95,7 @@ class Builder {
       const auto measure = [&](std::size_t which, std::size_t neighbour, std::size_t step) {
         if (cells.kind(neighbour) == Kind::empty) return;
         if (!cells.are_joined(local + x, neighbour)) {
-          for (const std::size_t cell : {start + x, start + x + step}) cuts.push_back(static_cast<std::int64_t>(cell));
+          for (const std::size_t cell : {start + x, start + x + step}) cuts.push_back(static_cast<Index>(cell));
           return;
         }
         atlas_.squared_lengths[which * plane + start + x] =
@@ -114,23 +115,23 @@ class Builder {
       owned += atlas_.kind[cell] == 1 ? 1 : 0;
       halo += atlas_.kind[cell] == 2 ? 1 : 0;
     }
-    atlas_.owned_cells = Array<std::int64_t>(owned);
-    atlas_.owned_texels = Array<std::int64_t>(owned);
+    atlas_.owned_cells = Array<Index>(owned);
+    atlas_.owned_texels = Array<Index>(owned);
     atlas_.chart_of = Array<Index>(owned);
-    atlas_.halo_cells = Array<std::int64_t>(halo);
-    atlas_.halo_taps = Array<std::int64_t>(4 * halo);
+    atlas_.halo_cells = Array<Index>(halo);
+    atlas_.halo_taps = Array<Index>(4 * halo);
     atlas_.halo_weights = Array<float>(4 * halo);
     atlas_.halo_seams = Array<Index>(halo);
     owned = halo = 0;
     for (std::size_t cell = 0; cell < atlas_.kind.size; ++cell) {
-      if (atlas_.kind[cell] == 1) atlas_.owned_cells[owned++] = static_cast<std::int64_t>(cell);
-      if (atlas_.kind[cell] == 2) atlas_.halo_cells[halo++] = static_cast<std::int64_t>(cell);
+      if (atlas_.kind[cell] == 1) atlas_.owned_cells[owned++] = static_cast<Index>(cell);
+      if (atlas_.kind[cell] == 2) atlas_.halo_cells[halo++] = static_cast<Index>(cell);
     }
   }
 
-  static std::size_t rank(const Array<std::int64_t>& cells, std::size_t cell) {
+  static std::size_t rank(const Array<Index>& cells, std::size_t cell) {
     const auto* begin = cells.data.get();
-    return static_cast<std::size_t>(std::lower_bound(begin, begin + cells.size, static_cast<std::int64_t>(cell)) - begin);
+    return static_cast<std::size_t>(std::lower_bound(begin, begin + cells.size, static_cast<Index>(cell)) - begin);
   }
 
   void fill_lists(std::size_t index) {
@@ -142,16 +143,28 @@ class Builder {
     for (std::int64_t row = band.top; row < band.bottom; ++row) {
       const std::size_t start = row_start(band, row);
       std::size_t owned = rank(atlas_.owned_cells, start), halo = rank(atlas_.halo_cells, start);
-      const std::int64_t texel_row = grid.texel(0, wrapped(rectangle.y + row, grid.height, grid.wrap_y));
-      for (std::int64_t x = 0; x < rectangle.width; ++x) {
-        const auto kind = atlas_.kind[start + static_cast<std::size_t>(x)];
-        if (kind == 1) {
-          atlas_.owned_texels[owned] = texel_row + wrapped(rectangle.x + x, grid.width, grid.wrap_x);
-          atlas_.chart_of[owned++] = window.chart;
-        } else if (kind == 2) {
-          std::copy(next_halo->taps.begin(), next_halo->taps.end(), &atlas_.halo_taps[0] + 4 * halo);
-          std::copy(next_halo->weights.begin(), next_halo->weights.end(), &atlas_.halo_weights[0] + 4 * halo);
-          atlas_.halo_seams[halo++] = (next_halo++)->seam;
+      const std::int64_t y = rectangle.y + row;
+      const bool inside = y >= window.y && y < window.y + grid.height;
+      const std::int64_t texel_row = grid.texel(0, wrapped(y, grid.height, grid.wrap_y));
+      for (std::int64_t i = 0; i < rectangle.width; ++i) {
+        const std::size_t cell = start + static_cast<std::size_t>(i);
+        const std::int64_t x = rectangle.x + i;
+        if (atlas_.kind[cell] == 1) {
+          const std::int64_t texel = texel_row + wrapped(x, grid.width, grid.wrap_x);
+          const bool ours = inside && x >= window.x && x < window.x + grid.width &&
+                            plan_.ownership.window[static_cast<std::size_t>(texel)] == rectangle.window;
+          if (ours) {
+            atlas_.owned_texels[owned] = static_cast<Index>(texel);
+            atlas_.chart_of[owned] = window.chart;
+          }
+          ++owned;
+        } else if (atlas_.kind[cell] == 2) {
+          if (next_halo != halo_[index].end() && static_cast<std::size_t>(next_halo->cell) == cell) {
+            std::copy(next_halo->taps.begin(), next_halo->taps.end(), &atlas_.halo_taps[0] + 4 * halo);
+            std::copy(next_halo->weights.begin(), next_halo->weights.end(), &atlas_.halo_weights[0] + 4 * halo);
+            atlas_.halo_seams[halo] = (next_halo++)->seam;
+          }
+          ++halo;
         }
       }
     }
@@ -169,20 +182,20 @@ class Builder {
     all.erase(std::unique(all.begin(), all.end(),
                           [](const GutterCell& a, const GutterCell& b) { return a.texel == b.texel; }),
               all.end());
-    atlas_.gutter_cells = Array<std::int64_t>(all.size());
-    atlas_.gutter_texels = Array<std::int64_t>(all.size());
+    atlas_.gutter_cells = Array<Index>(all.size());
+    atlas_.gutter_texels = Array<Index>(all.size());
     for (std::size_t i = 0; i < all.size(); ++i) {
-      atlas_.gutter_cells[i] = all[i].cell;
-      atlas_.gutter_texels[i] = all[i].texel;
+      atlas_.gutter_cells[i] = static_cast<Index>(all[i].cell);
+      atlas_.gutter_texels[i] = static_cast<Index>(all[i].texel);
     }
   }
 
   void list_cuts() {
-    std::vector<std::int64_t> all;
+    std::vector<Index> all;
     for (const auto& part : cuts_) all.insert(all.end(), part.begin(), part.end());
     std::sort(all.begin(), all.end());
     all.erase(std::unique(all.begin(), all.end()), all.end());
-    atlas_.cut_cells = Array<std::int64_t>(all.size());
+    atlas_.cut_cells = Array<Index>(all.size());
     std::copy(all.begin(), all.end(), atlas_.cut_cells.data.get());
   }
 
@@ -199,7 +212,7 @@ class Builder {
   Bands bands_;
   std::vector<std::vector<HaloCell>> halo_;      // [band]
   std::vector<std::vector<GutterCell>> gutter_;  // [band]
-  std::vector<std::vector<std::int64_t>> cuts_;  // [band]
+  std::vector<std::vector<Index>> cuts_;         // [band]
   Atlas atlas_;
 };
 
@@ -207,11 +220,14 @@ class Builder {
 
 Atlas make_atlas(const Surface& surface, std::int64_t margin, unsigned threads) {
   if (margin < 1) throw std::invalid_argument("the margin must be at least one cell");
+  const auto& textures = surface.textures;
+  if (!textures.empty() && textures.back().texel(0, textures.back().height) > std::numeric_limits<Index>::max())
+    throw std::length_error("the textures have more than 2^31 texels together");
   const Mesh mesh = make_mesh(surface);
   const Charts charts = make_charts(mesh);
   const Windows windows = make_windows(mesh, charts);
   const Ownership ownership = make_ownership(mesh, charts, windows);
-  const Layout layout = make_layout(ownership, margin);
+  const Layout layout = make_layout(mesh, windows, ownership, margin);
   const NearBorders near_borders(mesh, charts);
   return Builder({mesh, charts, windows, ownership, layout, near_borders, margin}, threads).build();
 }

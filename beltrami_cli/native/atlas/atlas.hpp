@@ -26,18 +26,18 @@ struct Atlas {
   std::int64_t rows = 0, columns = 0;
   Array<std::uint8_t> kind;                   // 0 empty, 1 owned, 2 halo
   Array<float> squared_lengths;               // four planes: to the right, below, below right, below left
-  Array<std::int64_t> cut_cells;              // those between which and a neighbour the surface ends
-  Array<std::int64_t> owned_cells, owned_texels;
+  Array<Index> cut_cells;                     // those between which and a neighbour the surface ends
+  Array<Index> owned_cells, owned_texels;
   Array<Index> chart_of;                      // of each owned cell
-  Array<std::int64_t> halo_cells, halo_taps;  // four taps a cell
+  Array<Index> halo_cells, halo_taps;         // four taps a cell
   Array<float> halo_weights;
   Array<Index> halo_seams;
-  Array<std::int64_t> gutter_cells, gutter_texels;
+  Array<Index> gutter_cells, gutter_texels;
   std::int64_t charts = 0, seams = 0, seam_edges = 0, covered = 0, overlapped = 0;
 };
 
 // Throws std::invalid_argument if an index of the surface is out of range or the margin is not positive,
-// std::length_error if the surface or its canvas is too large.
+// std::length_error if the surface, its textures or its canvas are too large.
 Atlas make_atlas(const Surface& surface, std::int64_t margin, unsigned threads);
 
 }  // namespace beltrami::atlas

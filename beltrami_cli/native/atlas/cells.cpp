@@ -156,8 +156,9 @@ void Cells::make_halo(std::size_t cell, Point2 place, bool record) {
   positions_[cell] = sample->position;
   nearness_[cell] = sample->near_open ? near_open | near_any : near_any;
   if (!record) return;
-  halo.push_back({sample->cells, sample->weights, seam});
-  if (seam != none) record_gutter(cell, place);
+  const std::int64_t at = canvas_cell(place);
+  halo.push_back({static_cast<Index>(at), sample->cells, sample->weights, seam});
+  if (seam != none) record_gutter(cell, place, at);
 }
 
 bool Cells::is_on(std::size_t cell, std::size_t other) const {
@@ -177,7 +178,12 @@ Point2 Cells::place_of(std::size_t cell) const {
   return {static_cast<double>(block_.x + index % block_.width), static_cast<double>(block_.y + index / block_.width)};
 }
 
-void Cells::record_gutter(std::size_t cell, Point2 place) {
+std::int64_t Cells::canvas_cell(Point2 place) const {
+  const std::int64_t row = rectangle_->row + static_cast<std::int64_t>(place.y) - rectangle_->y;
+  return row * plan_.layout.columns + rectangle_->column + static_cast<std::int64_t>(place.x) - rectangle_->x;
+}
+
+void Cells::record_gutter(std::size_t cell, Point2 place, std::int64_t at) {
   const auto x = static_cast<std::int64_t>(place.x), y = static_cast<std::int64_t>(place.y);
   const auto is_off = [](std::int64_t i, std::int32_t size, Wrap wrap) {
     return wrap == Wrap::clamp && (i < 0 || i >= size);
@@ -185,8 +191,7 @@ void Cells::record_gutter(std::size_t cell, Point2 place) {
   if (is_off(x, grid_->width, grid_->wrap_x) || is_off(y, grid_->height, grid_->wrap_y)) return;
   const auto texel = grid_->texel(wrapped(x, grid_->width, grid_->wrap_x), wrapped(y, grid_->height, grid_->wrap_y));
   if (plan_.ownership.window[static_cast<std::size_t>(texel)] != none) return;
-  const std::int64_t row = rectangle_->row + y - rectangle_->y, column = rectangle_->column + x - rectangle_->x;
-  gutter.push_back({texel, nearest_[cell].squared_distance, row * plan_.layout.columns + column});
+  gutter.push_back({texel, nearest_[cell].squared_distance, at});
 }
 
 }  // namespace beltrami::atlas

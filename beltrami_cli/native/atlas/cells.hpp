@@ -18,7 +18,8 @@ namespace beltrami::atlas {
 enum class Kind : std::uint8_t { empty, owned, halo };
 
 struct HaloCell {
-  std::array<std::uint32_t, 4> taps;
+  Index cell;
+  std::array<Index, 4> taps;
   std::array<float, 4> weights;
   Index seam;
 };
@@ -57,7 +58,8 @@ class Cells {
   void find_covered(std::span<const Index> faces);
   void make_owned(std::size_t cell, Point2 place);
   void make_halo(std::size_t cell, Point2 place, bool record);
-  void record_gutter(std::size_t cell, Point2 place);
+  void record_gutter(std::size_t cell, Point2 place, std::int64_t at);
+  std::int64_t canvas_cell(Point2 place) const;
   bool is_on(std::size_t cell, std::size_t other) const;
   Point2 place_of(std::size_t cell) const;
 

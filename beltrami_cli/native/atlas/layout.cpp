@@ -1,11 +1,16 @@
 #include "atlas/layout.hpp"
 
 #include <algorithm>
+#include <cmath>
+#include <stdexcept>
 
 #include "atlas/packing.hpp"
 
 namespace beltrami::atlas {
 namespace {
+
+constexpr std::int64_t most_cells = std::int64_t{1} << 31;
+constexpr double blocks_a_side = 256;
 
 struct Place {
   std::int64_t x, y;
@@ -17,12 +22,18 @@ Place place_of(const Window& window, std::int64_t texel, const Texture& grid) {
   return {unwrapped(column, window.x, grid.width, grid.wrap_x), unwrapped(row, window.y, grid.height, grid.wrap_y)};
 }
 
+// Side of the blocks in which rectangles are packed: fine enough to fit charts together, coarse enough to take little time.
+std::int64_t block_side(const std::vector<Rectangle>& rectangles) {
+  double area = 0;
+  for (const Rectangle& rectangle : rectangles) area += static_cast<double>(rectangle.width * rectangle.height);
+  return std::max<std::int64_t>(1, static_cast<std::int64_t>(std::ceil(std::sqrt(area) / blocks_a_side)));
+}
+
 }  // namespace
 
-Layout make_layout(const Ownership& ownership, std::int64_t margin) {
+Layout make_layout(const Mesh& mesh, const Windows& windows, const Ownership& ownership, std::int64_t margin) {
   Layout layout;
   layout.rectangle_of.assign(ownership.extents.size(), none);
-  std::vector<Size> sizes;
   for (std::size_t window = 0; window < ownership.extents.size(); ++window) {
     const Extent& extent = ownership.extents[window];
     if (extent.empty()) continue;
@@ -30,17 +41,24 @@ Layout make_layout(const Ownership& ownership, std::int64_t margin) {
     Rectangle rectangle{static_cast<Index>(window), extent.first_x - margin, extent.first_y - margin, 0, 0, 0, 0};
     rectangle.width = extent.last_x - extent.first_x + 1 + 2 * margin;
     rectangle.height = extent.last_y - extent.first_y + 1 + 2 * margin;
-    sizes.push_back({rectangle.width, rectangle.height});
     layout.rectangles.push_back(rectangle);
   }
-  const Packing packing = pack(sizes);
+  const std::int64_t block = block_side(layout.rectangles);
+  std::vector<Bits> footprints;
+  for (const Rectangle& rectangle : layout.rectangles)
+    footprints.push_back(make_footprint(mesh, windows, ownership, rectangle, margin, block));
+  const Packing packing = pack(footprints);
   // Without any rectangle there is a canvas still: all margin.
-  layout.rows = std::max(packing.rows, 2 * margin);
-  layout.columns = std::max(packing.columns, 2 * margin);
-  for (std::size_t i = 0; i < sizes.size(); ++i) {
-    layout.rectangles[i].row = packing.spots[i].row;
-    layout.rectangles[i].column = packing.spots[i].column;
+  layout.rows = layout.columns = 2 * margin;
+  for (std::size_t i = 0; i < layout.rectangles.size(); ++i) {
+    Rectangle& rectangle = layout.rectangles[i];
+    rectangle.row = block * packing.spots[i].row;
+    rectangle.column = block * packing.spots[i].column;
+    layout.rows = std::max(layout.rows, rectangle.row + rectangle.height);
+    layout.columns = std::max(layout.columns, rectangle.column + rectangle.width);
   }
+  if (layout.rows * layout.columns > most_cells)
+    throw std::length_error("the charts need a canvas of more than 2^31 cells");
   return layout;
 }
 

@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <vector>
 
+#include "atlas/footprint.hpp"
 #include "atlas/mesh.hpp"
 #include "atlas/near_borders.hpp"
 #include "atlas/ownership.hpp"
@@ -11,21 +12,15 @@
 
 namespace beltrami::atlas {
 
-// The rectangle of a window: what it owns and a margin on all sides.
-struct Rectangle {
-  Index window = none;
-  std::int64_t x = 0, y = 0;            // its upper left cell, in the texture's plane
-  std::int64_t width = 0, height = 0;
-  std::int64_t row = 0, column = 0;     // its upper left cell, on the canvas
-};
-
+// Rectangles may overlap on the canvas, but not the cells within the margin of what their windows own.
 struct Layout {
   std::int64_t rows = 0, columns = 0;
   std::vector<Rectangle> rectangles;
   std::vector<Index> rectangle_of;  // [window]; none if it owns nothing
 };
 
-Layout make_layout(const Ownership& ownership, std::int64_t margin);
+// Throws std::length_error if the canvas would have more than 2^31 cells.
+Layout make_layout(const Mesh& mesh, const Windows& windows, const Ownership& ownership, std::int64_t margin);
 
 // All that is known of a surface before cells are made.
 struct Plan {

@@ -130,13 +130,13 @@ class Lookup {
   }
 
  private:
-  std::uint32_t cell(std::int64_t texel) const { return static_cast<std::uint32_t>(plan_.cell_of(texel, grid_)); }
+  Index cell(std::int64_t texel) const { return static_cast<Index>(plan_.cell_of(texel, grid_)); }
 
   const Plan& plan_;
   Index face_;
   Point2 place_;
   const Texture& grid_;
-  std::array<std::uint32_t, 4> cells_{};
+  std::array<Index, 4> cells_{};
   std::array<double, 4> weights_{};
   std::size_t count_ = 0;
   double sum_ = 0;
@@ -172,7 +172,7 @@ std::optional<Sample> stand_in(const Plan& plan, Index face, std::int64_t x, std
   const Texture& grid = plan.mesh.grid(static_cast<std::size_t>(face));
   const auto texel = grid.texel(wrapped(x, grid.width, grid.wrap_x), wrapped(y, grid.height, grid.wrap_y));
   if (plan.ownership.window[static_cast<std::size_t>(texel)] == none) return std::nullopt;
-  const auto cell = static_cast<std::uint32_t>(plan.cell_of(texel, grid));
+  const auto cell = static_cast<Index>(plan.cell_of(texel, grid));
   return Sample{{cell, cell, cell, cell}, {1, 0, 0, 0}, position, plan.near_borders.is_near_open(texel)};
 }
 

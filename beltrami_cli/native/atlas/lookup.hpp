@@ -11,7 +11,7 @@
 namespace beltrami::atlas {
 
 struct Sample {
-  std::array<std::uint32_t, 4> cells;  // owned
+  std::array<Index, 4> cells;  // owned
   std::array<float, 4> weights;        // with the sum 1
   Point3 position;
   bool near_open;  // whether an open edge may be near

@@ -2,54 +2,160 @@
 
 #include <algorithm>
 #include <array>
+#include <bit>
 #include <cmath>
 #include <numeric>
-#include <stdexcept>
 
 namespace beltrami::atlas {
 namespace {
 
-constexpr std::int64_t most_cells = std::int64_t{1} << 31;
-// Widths that are tried, in sides of a square of the rectangles' area. Wide canvases suit the kernel.
-constexpr std::array relative_widths{0.75, 0.9, 1.0, 1.05, 1.1, 1.2, 1.35, 1.5, 1.75, 2.0, 2.5, 3.0};
+// Widths that are tried, in sides of a square of the shapes' area; of many shapes the first ones only, which then suit.
+constexpr std::array relative_widths{1.0, 1.15, 1.3, 1.6, 2.0, 2.5};
+constexpr std::size_t many_shapes = 256, widths_for_many = 2;
 
-Packing pack_into(std::span<const Size> rectangles, const std::vector<std::size_t>& by_height, std::int64_t width) {
-  Packing packing;
-  packing.spots.resize(rectangles.size());
-  std::int64_t column = 0, shelf = 0;
-  for (const std::size_t i : by_height) {
-    const auto [rectangle_width, rectangle_height] = rectangles[i];
-    if (column + rectangle_width > width || packing.rows == 0) {  // the next shelf; its first is its highest
-      shelf = packing.rows;
-      packing.rows += rectangle_height;
-      column = 0;
+// A run of bits in a shape's row.
+struct Run {
+  std::int64_t row, first, length;
+};
+
+std::vector<Run> runs_of(const Bits& shape) {
+  std::vector<Run> runs;
+  const auto is_set = [&](std::int64_t row, std::int64_t i) { return (shape.row(row)[i / 64] >> (i % 64) & 1) != 0; };
+  for (std::int64_t row = 0; row < shape.rows; ++row)
+    for (std::int64_t first = 0; first < shape.columns;) {
+      std::int64_t end = first;
+      while (end < shape.columns && is_set(row, end)) ++end;
+      if (end > first) runs.push_back({row, first, end - first});
+      first = std::max(end, first + 1);
     }
-    packing.spots[i] = {shelf, column};
-    column += rectangle_width;
-    packing.columns = std::max(packing.columns, column);
+  // Long runs rule out most places.
+  std::stable_sort(runs.begin(), runs.end(), [](const Run& a, const Run& b) { return a.length > b.length; });
+  return runs;
+}
+
+class Canvas {
+ public:
+  explicit Canvas(std::int64_t columns)
+      : columns_(columns), words_(static_cast<std::size_t>((columns + 63) / 64)), blocked_(words_), shifted_(words_) {}
+
+  std::int64_t rows() const { return static_cast<std::int64_t>(longest_.size()); }
+
+  Spot place(const Bits& shape) {
+    const auto runs = runs_of(shape);
+    for (std::int64_t row = 0;; ++row) {
+      while (rows() < row + shape.rows) add_row();
+      const std::int64_t column = find_column(shape, runs, row);
+      if (column < 0) continue;
+      for (const Run& run : runs) fill(row + run.row, column + run.first, run.length);
+      return {row, column};
+    }
   }
+
+ private:
+  void add_row() {
+    taken_.resize(taken_.size() + words_, 0);
+    longest_.push_back(columns_);
+  }
+
+  std::uint64_t* taken(std::int64_t row) { return taken_.data() + static_cast<std::size_t>(row) * words_; }
+
+  // The first column at which none of the runs meets what is taken; -1 if there is none.
+  std::int64_t find_column(const Bits& shape, const std::vector<Run>& runs, std::int64_t row) {
+    for (const Run& run : runs)
+      if (run.length > longest_[static_cast<std::size_t>(row + run.row)]) return -1;
+    // Columns beyond the last one possible are blocked from the start.
+    for (std::size_t word = 0; word < words_; ++word) {
+      const std::int64_t open = std::clamp<std::int64_t>(columns_ - shape.columns + 1 - 64 * static_cast<std::int64_t>(word), 0, 64);
+      blocked_[word] = open == 64 ? 0 : ~std::uint64_t{0} << open;
+    }
+    for (const Run& run : runs)
+      if (!block(run, row)) return -1;
+    for (std::size_t word = 0; word < words_; ++word)
+      if (blocked_[word] != ~std::uint64_t{0})
+        return 64 * static_cast<std::int64_t>(word) + std::countr_one(blocked_[word]);
+    return -1;
+  }
+
+  // Blocks the columns at which a run would meet what is taken; returns whether any is left.
+  bool block(const Run& run, std::int64_t row) {
+    const std::uint64_t* from = taken(row + run.row);
+    shift_down(from, run.first, shifted_.data());
+    for (std::int64_t covered = 1; covered < run.length;) {
+      const std::int64_t step = std::min(covered, run.length - covered);
+      add_shifted(shifted_.data(), step);
+      covered += step;
+    }
+    std::uint64_t all = ~std::uint64_t{0};
+    for (std::size_t word = 0; word < words_; ++word) all &= blocked_[word] |= shifted_[word];
+    return all != ~std::uint64_t{0};
+  }
+
+  void shift_down(const std::uint64_t* from, std::int64_t by, std::uint64_t* to) const {
+    const auto words = static_cast<std::size_t>(by / 64);
+    const int bits = static_cast<int>(by % 64);
+    for (std::size_t i = 0; i < words_; ++i) to[i] = shifted_word(from, i + words, bits);
+  }
+
+  // Words are read before they are written: those that come after are still as they were.
+  void add_shifted(std::uint64_t* words, std::int64_t by) const {
+    const auto skipped = static_cast<std::size_t>(by / 64);
+    const int bits = static_cast<int>(by % 64);
+    for (std::size_t i = 0; i < words_; ++i) words[i] |= shifted_word(words, i + skipped, bits);
+  }
+
+  std::uint64_t shifted_word(const std::uint64_t* from, std::size_t word, int bits) const {
+    const std::uint64_t low = word < words_ ? from[word] : 0, high = word + 1 < words_ ? from[word + 1] : 0;
+    return bits == 0 ? low : low >> bits | high << (64 - bits);
+  }
+
+  void fill(std::int64_t row, std::int64_t first, std::int64_t length) {
+    std::uint64_t* words = taken(row);
+    for (std::int64_t i = first; i < first + length; ++i) words[i / 64] |= std::uint64_t{1} << (i % 64);
+    std::int64_t longest = 0, free = 0;
+    for (std::int64_t i = 0; i < columns_; ++i) {
+      free = (words[i / 64] >> (i % 64) & 1) != 0 ? 0 : free + 1;
+      longest = std::max(longest, free);
+    }
+    longest_[static_cast<std::size_t>(row)] = longest;
+  }
+
+  std::int64_t columns_;
+  std::size_t words_;
+  std::vector<std::uint64_t> taken_, blocked_, shifted_;
+  std::vector<std::int64_t> longest_;  // [row]: free columns side by side
+};
+
+Packing pack_into(std::span<const Bits> shapes, const std::vector<std::size_t>& order, std::int64_t columns) {
+  Packing packing;
+  packing.spots.resize(shapes.size());
+  Canvas canvas(columns);
+  for (const std::size_t i : order) {
+    packing.spots[i] = canvas.place(shapes[i]);
+    packing.columns = std::max(packing.columns, packing.spots[i].column + shapes[i].columns);
+  }
+  packing.rows = canvas.rows();
   return packing;
 }
 
 }  // namespace
 
-Packing pack(std::span<const Size> rectangles) {
-  std::vector<std::size_t> by_height(rectangles.size());
-  std::iota(by_height.begin(), by_height.end(), 0);
-  std::stable_sort(by_height.begin(), by_height.end(),
-                   [&](std::size_t a, std::size_t b) { return rectangles[a].height > rectangles[b].height; });
-  std::int64_t area = 0, widest = 0;
-  for (const Size& rectangle : rectangles) {
-    area += rectangle.width * rectangle.height;
-    widest = std::max(widest, rectangle.width);
+Packing pack(std::span<const Bits> shapes) {
+  std::vector<std::size_t> order(shapes.size());
+  std::iota(order.begin(), order.end(), 0);
+  std::stable_sort(order.begin(), order.end(), [&](std::size_t a, std::size_t b) { return shapes[a].rows > shapes[b].rows; });
+  double area = 0;
+  std::int64_t widest = 1;
+  for (const Bits& shape : shapes) {
+    for (const std::uint64_t word : shape.words) area += std::popcount(word);
+    widest = std::max(widest, shape.columns);
   }
   Packing best;
-  for (const double relative : relative_widths) {
-    const auto width = std::max(widest, static_cast<std::int64_t>(relative * std::sqrt(static_cast<double>(area))));
-    auto packing = pack_into(rectangles, by_height, width);
+  const std::size_t widths = shapes.size() > many_shapes ? widths_for_many : relative_widths.size();
+  for (const double relative : std::span(relative_widths).first(widths)) {
+    const auto columns = std::max(widest, static_cast<std::int64_t>(std::ceil(relative * std::sqrt(area))));
+    auto packing = pack_into(shapes, order, columns);
     if (best.spots.empty() || packing.rows * packing.columns < best.rows * best.columns) best = std::move(packing);
   }
-  if (best.rows * best.columns > most_cells) throw std::length_error("the charts need a canvas of more than 2^31 cells");
   return best;
 }
 

@@ -1,15 +1,13 @@
-// Rectangles packed on one canvas, on shelves.
+// Pictures of bits packed on one canvas so that no bit lies on another.
 #pragma once
 
 #include <cstdint>
 #include <span>
 #include <vector>
 
-namespace beltrami::atlas {
+#include "atlas/footprint.hpp"
 
-struct Size {
-  std::int64_t width, height;
-};
+namespace beltrami::atlas {
 
 struct Spot {
   std::int64_t row, column;
@@ -17,10 +15,10 @@ struct Spot {
 
 struct Packing {
   std::int64_t rows = 0, columns = 0;
-  std::vector<Spot> spots;  // [rectangle]: its upper left cell
+  std::vector<Spot> spots;  // [shape]: where its upper left bit goes
 };
 
-// Throws std::length_error if the canvas would have more than 2^31 cells.
-Packing pack(std::span<const Size> rectangles);
+// High shapes come first, each to the first row, and in it the first column, where it fits.
+Packing pack(std::span<const Bits> shapes);
 
 }  // namespace beltrami::atlas

@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "atlas/atlas.hpp"
+#include "atlas/packing.hpp"
 
 using namespace beltrami::atlas;
 
@@ -137,10 +138,37 @@ void test(const Soup& soup, std::int64_t margin) {
   CHECK(same(atlas.halo_weights, again.halo_weights) && same(atlas.gutter_texels, again.gutter_texels));
 }
 
+Bits make_shape(std::mt19937& random) {
+  Bits shape(static_cast<std::int64_t>(1 + random() % 20), static_cast<std::int64_t>(1 + random() % 150));
+  const auto density = 1 + random() % 9;
+  for (std::int64_t row = 0; row < shape.rows; ++row)
+    for (std::int64_t column = 0; column < shape.columns; ++column)
+      if (random() % 10 <= density) shape.row(row)[column / 64] |= std::uint64_t{1} << (column % 64);
+  return shape;
+}
+
+void test_packing(std::mt19937& random) {
+  std::vector<Bits> shapes;
+  for (auto count = random() % 30; count > 0; --count) shapes.push_back(make_shape(random));
+  const Packing packing = pack(shapes);
+  CHECK(packing.spots.size() == shapes.size());
+  std::vector<int> taken(static_cast<std::size_t>(packing.rows * packing.columns), 0);
+  for (std::size_t i = 0; i < shapes.size(); ++i) {
+    const auto [top, left] = packing.spots[i];
+    CHECK(top >= 0 && left >= 0);
+    CHECK(top + shapes[i].rows <= packing.rows && left + shapes[i].columns <= packing.columns);
+    for (std::int64_t row = 0; row < shapes[i].rows; ++row)
+      for (std::int64_t column = 0; column < shapes[i].columns; ++column)
+        if ((shapes[i].row(row)[column / 64] >> (column % 64) & 1) != 0)
+          CHECK(taken[static_cast<std::size_t>((top + row) * packing.columns + left + column)]++ == 0);
+  }
+}
+
 }  // namespace
 
 int main() {
   std::mt19937 random(1);
+  for (int i = 0; i < 100; ++i) test_packing(random);
   for (int i = 0; i < 250; ++i) test(make_soup(random), 1 + static_cast<std::int64_t>(random() % 7));
   for (int i = 0; i < 40; ++i) {
     const Soup cylinder = make_cylinder(random);
