@@ -4,12 +4,13 @@ PYTHON ?= python3
 VENV   ?= .venv
 BIN     = $(VENV)/bin
 
-.PHONY: demo figures viewer test lint bench run-bench sanitize samples clean help
+.PHONY: demo figures gallery viewer test lint bench run-bench sanitize samples clean help
 .DELETE_ON_ERROR:
 
 help:
 	@echo "make demo      smooth a sample mesh, with a before/after picture"
 	@echo "make figures   reproduce the figures of the paper, with their numbers in docs/figures.md"
+	@echo "make gallery   make the pictures of docs/gallery.md anew"
 	@echo "make test      all tests, in an environment of their own"
 	@echo "make lint      ruff, mypy and the import layers"
 	@echo "make bench     time and judge the kernels against their peers"
@@ -42,6 +43,9 @@ demo: $(VENV)/.installed-samples
 
 figures: $(VENV)/.installed-figures
 	$(BIN)/python docs/figures/make.py
+
+gallery: $(VENV)/.installed-samples
+	$(BIN)/python docs/gallery/make.py
 
 # The official glTF validator comes from npm; where there is no npm, a Python package brings it. Without a network its
 # tests are skipped, and pytest says so.

@@ -105,7 +105,7 @@ def picture_suffix(target: str) -> str:
 
 def encoded(picture: NDArray[np.uint8], target: str, suffix: str) -> Written:
     """Return a picture as the file that it is written as."""
-    file = write_image(fresh_picture(picture, target), picture, suffix=suffix)
+    file = write_image(fresh_picture(picture, target), picture, suffix=suffix, small=True)
     return Written(main=[file.data])
 
 
