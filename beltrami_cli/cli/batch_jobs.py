@@ -8,6 +8,7 @@ import click
 from click.core import ParameterSource
 
 from beltrami_cli.cli import options
+from beltrami_cli.cli.file_options import OF_A_FILE
 from beltrami_cli.cli.named_values import options_of, values_for
 from beltrami_cli.errors import UsageError
 from beltrami_cli.pipeline.batch_job import Job
@@ -20,8 +21,6 @@ if TYPE_CHECKING:
     from beltrami_cli.pipeline.batch_plan import Request
     from beltrami_cli.pipeline.settings import SmoothSettings
 
-# What a manifest may say for a file.
-_OF_A_FILE = click.command("file")(options.smoothing(options.unwrapping(lambda **_: None)))
 _PATHS = ("height", "positions", "mask", "colours")  # always a file; a guide may be one
 
 
@@ -63,13 +62,13 @@ def _given(values: dict[str, Any]) -> dict[str, Any]:
 
 
 def _settings(request: Request, given: dict[str, Any]) -> tuple[SmoothSettings, BakeSettings | None]:
-    own = values_for(options_of(_OF_A_FILE), request.options)
+    own = values_for(options_of(OF_A_FILE), request.options)
     for name in _PATHS:
         if name in own:
             own[name] = str(request.folder / str(own[name]))
     if "guides" in own:
         own["guides"] = tuple(_guide(request.folder, str(guide)) for guide in own["guides"])
-    context = _OF_A_FILE.make_context("file", [], default_map={**given, **own})
+    context = OF_A_FILE.make_context("file", [], default_map={**given, **own})
     for name in own:  # counts for more than what is for all files, also beside a preset
         context.set_parameter_source(name, ParameterSource.COMMANDLINE)
     with context.scope():

@@ -7,15 +7,19 @@ import os
 import signal
 import sys
 import traceback
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
 from beltrami_cli.cli.console import printable
+from beltrami_cli.cli.variables import blamed_variable, with_variables
 from beltrami_cli.errors import BeltramiError
 
 if TYPE_CHECKING:
+    from collections.abc import Collection
     from types import FrameType
+
+    from beltrami_cli.cli.configuration import Configuration
 
 # Command -> module; a module is imported only when its command, or the list of all commands, is asked for.
 COMMANDS = {
@@ -25,6 +29,7 @@ COMMANDS = {
         "batch",
         "check",
         "compare",
+        "config",
         "info",
         "kernel",
         "noise",
@@ -56,11 +61,7 @@ class LazyGroup(click.Group):
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """Import a command."""
-        if cmd_name not in COMMANDS:
-            return None
-        module = importlib.import_module(f"beltrami_cli.cli.{COMMANDS[cmd_name]}")
-        command: click.Command = module.command
-        return command
+        return _command(cmd_name) if cmd_name in COMMANDS else None
 
 
 EPILOG = """\b
@@ -71,6 +72,8 @@ Examples:
   beltrami check scan.ply clean.ply           prove that nothing but colours differs
   beltrami compare truth.ply clean.ply        how far colours differ, for tests in CI
   cat scan.ply | beltrami smooth - - > c.ply  through a pipe
+  beltrami batch scans --out-dir clean        all models in a folder
+  beltrami config smooth                      options from files and the environment
 
 \b
 Exit codes: 0 done; 1 processing failed; 2 wrong usage; 3 input unreadable or not fit;
@@ -87,14 +90,45 @@ Shell completion, for bash (zsh and fish likewise):
     epilog=EPILOG,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
 )
+@click.option(
+    "--config", "config_path", envvar="BELTRAMI_CONFIG", metavar="FILE", help="A TOML file with options."
+)
 @click.version_option(package_name="beltrami-cli", prog_name="beltrami")
-def group() -> None:
+@click.pass_context
+def group(context: click.Context, config_path: str | None) -> None:
     """Smooth the colours painted on 3-D meshes: on the surface itself, keeping edges.
 
     Each colour becomes a point (x, y, z, beta R, beta G, beta B) of a surface in six dimensions, and is averaged
     with its neighbours by their geodesic distance there. So noise is averaged away, edges stay, and nothing else in the
     file changes.
     """
+    from beltrami_cli.cli.configuration import load
+
+    context.obj = load(config_path)
+    name = context.invoked_subcommand
+    if name is not None:
+        context.default_map = {name: defaults_from(context.obj, name)}
+
+
+def defaults_from(configuration: Configuration, name: str) -> dict[str, Any]:
+    """Return what a configuration says of a command; a batch takes over what `smooth` is told of a file."""
+    if configuration.path is None:
+        return {}
+    return configuration.values(name, _command, COMMANDS, ("smooth", _shared_with_smooth(name)))
+
+
+def _command(name: str) -> click.Command:
+    module = importlib.import_module(f"beltrami_cli.cli.{COMMANDS[name]}")
+    return with_variables(module.command, name, "smooth", _shared_with_smooth(name))
+
+
+def _shared_with_smooth(name: str) -> Collection[str]:
+    """Return the options for which a command obeys what is set for `smooth`, so that files come out alike."""
+    if name != "batch":
+        return ()
+    from beltrami_cli.cli.file_options import NAMES
+
+    return NAMES
 
 
 def main() -> NoReturn:
@@ -127,6 +161,8 @@ def _run() -> int:
         return _failure(INTERRUPTED, "interrupted; files are as they were, or complete")
     except click.ClickException as error:
         error.show()
+        if variable := blamed_variable(error):
+            click.echo(f"The value is from the environment: {variable}", err=True)
         return error.exit_code
     except BeltramiError as error:
         if _wants_traceback():

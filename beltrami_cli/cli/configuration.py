@@ -1,0 +1,151 @@
+"""Values of options from a TOML file: which file it is, and what it says for a command."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from beltrami_cli.cli.named_values import options_of, plain, values_for
+from beltrami_cli.cli.variables import long_name
+from beltrami_cli.errors import InputError, UsageError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Collection, Mapping
+
+OWN_NAME, SHARED_NAME = "beltrami.toml", "pyproject.toml"
+# A file that merely lies in a folder above, as in an archive from elsewhere, must not allow these.
+_TO_BE_NAMED = {"allow_outside", "overwrite"}
+
+
+@dataclass(frozen=True)
+class Configuration:
+    """What a file says.
+
+    Attributes
+    ----------
+    path : str or None
+        The file; None: there is none.
+    is_named : bool
+        Whether the user named it; otherwise it was found.
+    common : mapping of str to object
+        Options for all commands that have them.
+    tables : mapping of str to mapping
+        Options by command.
+    """
+
+    path: str | None = None
+    is_named: bool = False
+    common: Mapping[str, object] = field(default_factory=dict)
+    tables: Mapping[str, Mapping[str, object]] = field(default_factory=dict)
+
+    def values(
+        self,
+        name: str,
+        command: Callable[[str], click.Command],
+        names: Collection[str],
+        inherited: tuple[str, Collection[str]],
+    ) -> dict[str, Any]:
+        """Return the values of a command's options, as a default map of click.
+
+        Parameters
+        ----------
+        name : str
+            The command.
+        command : callable
+            Gives a command by its name.
+        names : collection of str
+            The names of all commands.
+        inherited : tuple of str and collection of str
+            Another command whose table counts as well, and for which of its options.
+
+        Raises
+        ------
+        UsageError
+            If there is no such option, or it cannot have the value.
+        """
+        try:
+            for table in set(self.tables) - set(names):
+                raise ValueError(f"there is no command {table}")
+            known = options_of(command(name))
+            common = {key: value for key, value in self.common.items() if plain(key) in known}
+            for key in set(self.common) - set(common):
+                if not any(plain(key) in options_of(command(each)) for each in names):
+                    raise ValueError(f"{key} is no option of any command")
+            values = values_for(known, common)
+            other, shared = inherited
+            if shared:
+                theirs = values_for(options_of(command(other)), self.tables.get(other, {}))
+                values |= {key: value for key, value in theirs.items() if key in shared}
+            values |= values_for(known, self.tables.get(name, {}))
+            self._check(command(name), values)
+        except ValueError as error:
+            raise UsageError(f"{self.path}: {error}; see beltrami config --help") from error
+        return values
+
+    def _check(self, command: click.Command, values: Mapping[str, object]) -> None:
+        """Raise ValueError if a value does not fit its option, or needs to be given more deliberately."""
+        context = click.Context(command)
+        for option in command.params:
+            if option.name not in values:
+                continue
+            if option.name in _TO_BE_NAMED and values[option.name] and not self.is_named:
+                raise ValueError(
+                    f"--{long_name(option)} counts only in a file that --config or BELTRAMI_CONFIG names"
+                )
+            try:
+                option.type_cast_value(context, values[option.name])
+            except click.BadParameter as error:
+                raise ValueError(f"{long_name(option)}: {error.message}") from error
+
+
+def load(named: str | None) -> Configuration:
+    """Read the configuration.
+
+    Parameters
+    ----------
+    named : str or None
+        A file; None: beltrami.toml, or pyproject.toml with a table [tool.beltrami], in the working folder or the
+        nearest one above it.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read.
+    """
+    if named is not None:
+        table = _table(Path(named))
+        if table is None:
+            raise InputError(named, "it has no table [tool.beltrami]", "add one, or name another file")
+        return _sorted(named, table, is_named=True)
+    here = Path.cwd()
+    for folder in (here, *here.parents):
+        for path in (folder / OWN_NAME, folder / SHARED_NAME):
+            if path.is_file() and (table := _table(path)) is not None:
+                return _sorted(str(path), table, is_named=False)
+    return Configuration()
+
+
+def _table(path: Path) -> dict[str, object] | None:
+    import tomllib
+
+    try:
+        tree = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:  # also what is no UTF-8, and no TOML
+        raise InputError(str(path), f"cannot be read ({error})", "mend it, or leave it out") from error
+    tool = tree.get("tool", {})
+    if isinstance(tool, dict) and "beltrami" in tool:
+        tree = tool["beltrami"]
+    elif path.name == SHARED_NAME:
+        return None
+    if not isinstance(tree, dict):
+        raise InputError(str(path), "[tool.beltrami] is no table", "see beltrami config --help")
+    return tree
+
+
+def _sorted(path: str, table: Mapping[str, object], *, is_named: bool) -> Configuration:
+    tables = {name: value for name, value in table.items() if isinstance(value, dict)}
+    common = {name: value for name, value in table.items() if name not in tables}
+    return Configuration(path, is_named, common, tables)
