@@ -4,17 +4,20 @@ from typing import TypedDict
 import numpy as np
 from numpy.typing import NDArray
 
+Indices = NDArray[np.int32] | NDArray[np.int64]
+
 class AtlasArrays(TypedDict):
     kind: NDArray[np.uint8]
     squared_lengths: NDArray[np.float32]
-    owned_cells: NDArray[np.int64]
-    owned_texels: NDArray[np.int64]
-    halo_cells: NDArray[np.int64]
-    halo_taps: NDArray[np.int64]
+    cut_cells: Indices
+    owned_cells: Indices
+    owned_texels: Indices
+    halo_cells: Indices
+    halo_taps: Indices
     halo_weights: NDArray[np.float32]
     halo_seams: NDArray[np.int32]
-    gutter_cells: NDArray[np.int64]
-    gutter_texels: NDArray[np.int64]
+    gutter_cells: Indices
+    gutter_texels: Indices
     chart_of: NDArray[np.int32]
     charts: int
     seams: int
@@ -42,8 +45,8 @@ class TriangulatedManifold:
         colours: NDArray[np.float32],
         beta: float,
         scales: NDArray[np.float32] | None,
-        unfold: bool,
         threads: int,
+        unfold: bool = True,
     ) -> None: ...
     def smooth(
         self,
@@ -63,6 +66,31 @@ class TriangulatedManifold:
     def obtuse_corners(self) -> int: ...
     @property
     def split_corners(self) -> int: ...
+
+class SegmentManifold:
+    def __init__(self, faces: NDArray[np.int32], vertex_count: int) -> None: ...
+    def update_metric(
+        self,
+        positions: NDArray[np.float64],
+        colours: NDArray[np.float32],
+        beta: float,
+        scales: NDArray[np.float32] | None,
+        threads: int,
+    ) -> None: ...
+    def smooth(
+        self,
+        colours: NDArray[np.float32],
+        weights: NDArray[np.float32] | None,
+        time_step: float,
+        radius: float,
+        max_samples: int,
+        threads: int,
+        progress: Callable[[int], None] | None,
+    ) -> tuple[NDArray[np.float32], int, int]: ...
+    def distances(
+        self, source: int, radius: float, max_samples: int
+    ) -> tuple[NDArray[np.int32], NDArray[np.float32]]: ...
+    def edges(self) -> NDArray[np.int32]: ...
 
 class LocalTriangulation:
     def __init__(self, positions: NDArray[np.float64]) -> None: ...

@@ -83,7 +83,7 @@ class Atlas:
     overlapped: int
 
     @cached_property
-    def halo_nearest(self) -> NDArray[np.int64]:
+    def halo_nearest(self) -> Indices:
         """The owned cell nearest to the place of each halo cell, shape (H,)."""
         nearest = self.halo_weights.argmax(axis=1)
         return np.take_along_axis(self.halo_taps, nearest[:, None], axis=1)[:, 0]
