@@ -4,7 +4,7 @@ PYTHON ?= python3
 VENV   ?= .venv
 BIN     = $(VENV)/bin
 
-.PHONY: demo figures gallery viewer test lint bench run-bench sanitize samples clean help
+.PHONY: demo figures gallery viewer test lint bench run-bench sanitize fuzz fuzz-readers fuzz-core survey samples clean help
 .DELETE_ON_ERROR:
 
 help:
@@ -15,6 +15,8 @@ help:
 	@echo "make lint      ruff, mypy and the import layers"
 	@echo "make bench     time and judge the kernels against their peers"
 	@echo "make sanitize  test the core under the address and undefined-behaviour sanitizers"
+	@echo "make fuzz      fuzz every reader and the core, FUZZ_SECONDS=60 each; needs clang++"
+	@echo "make survey    try all models in FOLDERS, and print what came of them as a table"
 	@echo "make samples   make sample_data/ anew, bit for bit"
 	@echo "make viewer    bundle the three.js of beltrami report anew"
 	@echo "make clean     remove what was built"
@@ -79,6 +81,7 @@ sanitize: $(VENV)/.installed-test
 	  -DBELTRAMI_PYTHON=OFF -DBELTRAMI_TESTS=ON -DBELTRAMI_SANITIZE=ON
 	$(BIN)/cmake --build build/sanitize --parallel 2
 	build/sanitize/core_tests
+	build/sanitize/segment_tests
 	build/sanitize/atlas_tests
 	build/sanitize/parametric_tests
 	build/sanitize/points_tests
@@ -91,6 +94,30 @@ viewer:
 	cd build/viewer && node_modules/.bin/esbuild entry.js --bundle --minify --format=iife --global-name=THREE \
 	  --charset=ascii --legal-comments=inline --log-level=warning --outfile=$(abspath beltrami_cli/pages/three.js)
 	cp build/viewer/node_modules/three/LICENSE beltrami_cli/pages/three.LICENSE
+
+# What is found is kept under build/fuzz, to go on from next time.
+FUZZ_SECONDS ?= 60
+FUZZ_TARGETS ?= ply obj gltf off stl 3mf xyz npz volume image arrays
+CLANG        ?= clang++
+
+fuzz: fuzz-readers fuzz-core
+
+fuzz-readers: $(VENV)/.installed-fuzz
+	for target in $(FUZZ_TARGETS); do $(BIN)/python tests/fuzz/run.py $$target --seconds $(FUZZ_SECONDS) || exit 1; done
+
+fuzz-core: $(VENV)/.installed-test
+	@command -v $(CLANG) > /dev/null || { echo "the core is fuzzed with clang++; name it with CLANG=..."; exit 1; }
+	$(BIN)/cmake -S beltrami_cli/native -B build/fuzz-core -DCMAKE_CXX_COMPILER=$(CLANG) -DCMAKE_BUILD_TYPE=RelWithDebInfo \
+	  -DBELTRAMI_PYTHON=OFF -DBELTRAMI_FUZZ=ON
+	$(BIN)/cmake --build build/fuzz-core --parallel 2 --target fuzz_core
+	@mkdir -p build/fuzz/core
+	build/fuzz-core/fuzz_core -max_total_time=$(FUZZ_SECONDS) -timeout=20 -rss_limit_mb=3000 -max_len=8192 \
+	  -artifact_prefix=build/fuzz/core- build/fuzz/core tests/fuzz/corpus/core
+
+# For docs/formats.md: FOLDERS with models of any kind, nothing of which is written to.
+FOLDERS ?= sample_data
+survey: $(VENV)/.installed-test
+	$(BIN)/python tests/hostile/survey.py $(FOLDERS)
 
 samples: $(VENV)/.installed-samples
 	$(BIN)/python sample_data/make.py

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import random
 import shutil
 import sys
 import zipfile
@@ -19,6 +20,7 @@ from formats.ply_files import ENCODINGS, Table, build, coloured
 from formats.test_foreign import OBJECT, coff, model, stl, threemf
 from fuzz.targets import SEPARATOR
 
+CORE = ("triangulated", "parametric", "atlas")
 CORPUS = Path(__file__).with_name("corpus")
 PICTURE = encode(np.random.default_rng(1).integers(0, 256, (4, 4, 3), np.uint8), "png")
 SQUARE = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\n"
@@ -124,9 +126,9 @@ def other_seeds() -> dict[str, dict[str, bytes]]:
         for member in old.namelist():
             new.writestr(zipfile.ZipInfo(member), old.read(member))
     nrrd = "NRRD0004\ntype: float\ndimension: 3\nsizes: 2 2 2\nencoding: raw\nendian: little\nspacings: 1 1 1\n\n"
-    random = np.random.default_rng(5)
+    chance = np.random.default_rng(5)
     images = {
-        f"{kind}": encode(random.integers(0, 256, (3, 5, 3), np.uint8), kind)
+        f"{kind}": encode(chance.integers(0, 256, (3, 5, 3), np.uint8), kind)
         for kind in ("png", "jpeg", "tiff", "bmp", "targa", "webp")
     }
     return {
@@ -144,12 +146,19 @@ def other_seeds() -> dict[str, dict[str, bytes]]:
         "npz": {"cloud": packed.getvalue()},
         "volume": {"npz": volume.getvalue(), "nrrd": nrrd.encode() + np.arange(8, dtype="<f4").tobytes()},
         "image": {kind: bytes([kind == "targa"]) + data for kind, data in images.items()},
+        "core": {name: bytes([number]) + _varied(number) for number, name in enumerate(CORE)},
         "arrays": {
-            "plain": bytes([1, 16, 0, 0, 0, 0, 6, 0]) + random.random(120).tobytes(),
-            "guided": bytes([2, 64, 200, 1, 1, 1, 7, 1]) + random.random(300).tobytes(),
-            "cloud": bytes([1, 16, 0, 0, 0, 0, 14, 0]) + random.random(240).tobytes(),
+            "plain": bytes([1, 16, 0, 0, 0, 0, 6, 0]) + chance.random(120).tobytes(),
+            "guided": bytes([2, 64, 200, 1, 1, 1, 7, 1]) + chance.random(300).tobytes(),
+            "cloud": bytes([1, 16, 0, 0, 0, 0, 14, 0]) + chance.random(240).tobytes(),
         },
     }
+
+
+def _varied(number: int) -> bytes:
+    """Return bytes of which many are small or zero, for the fuzzer of the native core."""
+    chance = random.Random(number)
+    return bytes(chance.choice([chance.randrange(256), chance.randrange(40), 0]) for _ in range(1500))
 
 
 def main() -> None:

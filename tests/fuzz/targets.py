@@ -65,7 +65,9 @@ def _use_vertices(document: Document, folder: Path) -> None:
     for name in document.attributes()[:3]:
         with contextlib.suppress(InputError):
             document.attribute(name)
-    if document.format in ("ply", "obj", "gltf", "glb"):
+    # What numbers mean that can mean two things may look otherwise in the result; the user is told.
+    doubtful = any("taken for" in notice for notice in document.notices)
+    if document.format in ("ply", "obj", "gltf", "glb") and not doubtful:
         colours = np.clip(painted.colours * np.float32(0.5), 0, 1)
         _compare(document, document.patch(colours, "out", moved=True), folder)
 

@@ -159,7 +159,7 @@ def _numbers(document: GltfDocument, tree: Tree) -> dict[str, bytes]:
         except InputError as error:
             numbers = str(error.cause).encode()
         parts[f"accessors[{index}]"] = _spelled(accessor) + numbers
-    for index in sorted(views):
+    for index in sorted(views & set(range(len(accessors.views)))):  # extensions may name others, or none
         parts[f"bufferViews[{index}]"] = _spelled(_view(tree["bufferViews"][index]))
         if index in opaque:  # such as geometry compressed with Draco
             view = accessors.views[index]
