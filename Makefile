@@ -75,6 +75,7 @@ bench:
 run-bench: $(VENV)/.installed-bench
 	$(BIN)/python tests/benchmarks/bench_triangulated.py
 	$(BIN)/python tests/benchmarks/bench_textures.py
+	$(BIN)/python tests/benchmarks/bench_geometry.py
 
 sanitize: $(VENV)/.installed-test
 	$(BIN)/cmake -S beltrami_cli/native -B build/sanitize -DCMAKE_BUILD_TYPE=RelWithDebInfo \

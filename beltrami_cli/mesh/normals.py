@@ -9,11 +9,17 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+# Triangles back to back leave this much of their sum at most, by rounding.
+_CANCELLED = 1e-12
+
 
 def vertex_normals(
     positions: NDArray[np.float64], faces: NDArray[np.int32], group_of: NDArray[np.int32]
 ) -> NDArray[np.float32]:
-    """Compute the mean normal of the triangles around each vertex, weighted by their areas.
+    """Compute the mean normal of the triangles around each vertex.
+
+    Triangles are weighted by the angle that they have there, so that it does not matter how a face is cut [1]_, and by
+    the square root of their area, since the normals of slivers are mostly noise.
 
     Parameters
     ----------
@@ -28,10 +34,21 @@ def vertex_normals(
     -------
     ndarray of float32, shape (V, 3)
         Unit vectors; 0 where the triangles have no area, or cancel out.
+
+    References
+    ----------
+    .. [1] G. Thuermer, C. Wuethrich, "Computing vertex normals from polygonal facets", Journal of Graphics Tools 3(1),
+       1998, doi:10.1080/10867651.1998.10487487
     """
-    sums = _gathered(_double_areas(positions, faces), faces, group_of)
-    length = np.linalg.norm(sums, axis=1, keepdims=True)
-    normals: NDArray[np.float64] = np.divide(sums, length, out=np.zeros_like(sums), where=length > 0)
+    crosses = _double_areas(positions, faces)
+    area = np.linalg.norm(crosses, axis=1)
+    root = np.sqrt(area)[:, None]
+    parts = np.column_stack([np.divide(crosses, root, out=np.zeros_like(crosses), where=root > 0), root])
+    angles = _angles(positions, faces, area)
+    sums = _gathered(np.concatenate([angles[:, [corner]] * parts for corner in range(3)]), faces, group_of)
+    length = np.linalg.norm(sums[:, :3], axis=1)
+    told = length > _CANCELLED * sums[:, 3]
+    normals = np.divide(sums[:, :3], length[:, None], out=np.zeros((len(sums), 3)), where=told[:, None])
     return np.asarray(normals[group_of], np.float32)
 
 
@@ -61,7 +78,7 @@ def normal_tensors(
     area = np.linalg.norm(crosses, axis=1, keepdims=True)
     normals = np.divide(crosses, area, out=np.zeros_like(crosses), where=area > 0)
     products = (crosses[:, :, None] * normals[:, None, :]).reshape(-1, 9)
-    tensors = _gathered(products, faces, group_of).reshape(-1, 3, 3)
+    tensors = _gathered(np.tile(products, (3, 1)), faces, group_of).reshape(-1, 3, 3)
     largest = np.linalg.eigvalsh(tensors)[:, -1:, None]
     return np.asarray(np.divide(tensors, largest, out=np.zeros_like(tensors), where=largest > 0), np.float64)
 
@@ -73,10 +90,23 @@ def _double_areas(positions: NDArray[np.float64], faces: NDArray[np.int32]) -> N
     return crosses
 
 
+def _angles(
+    positions: NDArray[np.float64], faces: NDArray[np.int32], double_area: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the angle of each corner of each triangle, shape (F, 3), in radians."""
+    angles = np.empty((len(faces), 3))
+    for corner in range(3):
+        origin = positions[faces[:, corner]]
+        one = positions[faces[:, (corner + 1) % 3]] - origin
+        other = positions[faces[:, (corner + 2) % 3]] - origin
+        angles[:, corner] = np.arctan2(double_area, np.einsum("fi,fi->f", one, other))
+    return angles
+
+
 def _gathered(
     values: NDArray[np.float64], faces: NDArray[np.int32], group_of: NDArray[np.int32]
 ) -> NDArray[np.float64]:
-    """Sum what triangles have, shape (F, N), over those around each group of vertices, shape (G, N)."""
+    """Sum what corners have, shape (3 F, N), first corners first, over each group of vertices, shape (G, N)."""
     groups = group_of[faces].T.ravel()
     count = int(group_of.max(initial=-1)) + 1
-    return np.stack([np.bincount(groups, np.tile(column, 3), count) for column in values.T], axis=1)
+    return np.stack([np.bincount(groups, column, count) for column in values.T], axis=1)

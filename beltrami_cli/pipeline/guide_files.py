@@ -49,8 +49,7 @@ def read_table(path: str, rows: int, model: str, access: Access) -> NDArray[np.f
     data = read_source(path, access)
     if data[: len(NPY_MAGIC)] == NPY_MAGIC:
         table = read_npy(data, path)
-    elif NpzArchive.recognises(data):
-        archive = NpzArchive(data, path)
+    elif NpzArchive.recognises(data) and (archive := NpzArchive(data, path)).kind() != "points":
         if len(archive.names) != 1:
             which = ", ".join(archive.names)
             raise InputError(path, f"which of its arrays {which} guides cannot be told", "save it alone")

@@ -75,6 +75,31 @@ def terrain(rows, columns, roughness, seed):
     return positions, faces
 
 
+def cube(cells):
+    """Return a cube of cells^2 squares a side, cut by alternating diagonals."""
+    number, faces = {}, []
+    for axis in range(3):
+        for level in (0, cells):
+            for i in range(cells):
+                for j in range(cells):
+                    square = []
+                    for a, b in ((i, j), (i + 1, j), (i + 1, j + 1), (i, j + 1)):
+                        place = [0, 0, 0]
+                        place[axis], place[(axis + 1) % 3], place[(axis + 2) % 3] = level, a, b
+                        square.append(number.setdefault(tuple(place), len(number)))
+                    if level == 0:
+                        square.reverse()
+                    a, b, c, d = square
+                    faces += [(a, b, c), (a, c, d)] if (i + j) % 2 else [(a, b, d), (b, c, d)]
+    return np.array(list(number), float), np.array(faces, np.int32)
+
+
+def off_cube(points, side):
+    """Return the signed distance of points from the surface of the cube between 0 and `side`, negative inside."""
+    out = np.abs(points - side / 2) - side / 2
+    return np.linalg.norm(np.maximum(out, 0), axis=1) + np.minimum(out.max(axis=1), 0)
+
+
 def mean_edge_length(positions, faces):
     """Return the mean length of the edges, each counted once."""
     pairs = np.unique(np.sort(np.asarray(faces)[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)

@@ -11,29 +11,10 @@ from beltrami_cli.mesh.boundary import on_boundary
 from beltrami_cli.mesh.normals import normal_tensors, vertex_normals
 from oracles import surfaces
 
-SIDE = 24
+SIDE = 16
 
 
-def cube(cells):
-    """Return a cube of cells^2 squares a side, cut by alternating diagonals."""
-    number, faces = {}, []
-    for axis in range(3):
-        for level in (0, cells):
-            for i in range(cells):
-                for j in range(cells):
-                    square = []
-                    for a, b in ((i, j), (i + 1, j), (i + 1, j + 1), (i, j + 1)):
-                        place = [0, 0, 0]
-                        place[axis], place[(axis + 1) % 3], place[(axis + 2) % 3] = level, a, b
-                        square.append(number.setdefault(tuple(place), len(number)))
-                    if level == 0:
-                        square.reverse()
-                    a, b, c, d = square
-                    faces += [(a, b, c), (a, c, d)] if (i + j) % 2 else [(a, b, d), (b, c, d)]
-    return np.array(list(number), float), np.array(faces, np.int32)
-
-
-CUBE, CUBE_FACES = cube(SIDE)
+CUBE, CUBE_FACES = surfaces.cube(SIDE)
 SPHERE, SPHERE_FACES = surfaces.icosphere(4)
 SPHERE = SPHERE / surfaces.mean_edge_length(SPHERE, SPHERE_FACES)
 RADIUS = np.linalg.norm(SPHERE[0])
@@ -53,9 +34,7 @@ def rms(values):
 
 
 def off_cube(positions):
-    """Signed distance of points from the surface of the cube."""
-    out = np.abs(positions - SIDE / 2) - SIDE / 2
-    return np.linalg.norm(np.maximum(out, 0), axis=1) + np.minimum(out.max(axis=1), 0)
+    return surfaces.off_cube(positions, SIDE)
 
 
 def edge_distance():
