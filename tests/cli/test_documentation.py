@@ -1,0 +1,145 @@
+"""Every command and option is documented, and what the pages tell people to type works."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import shutil
+from pathlib import Path
+
+import click
+import numpy as np
+import pytest
+
+from beltrami_cli.cli.main import COMMANDS, group
+from cli.commands import SAMPLES
+from formats.image_files import encode
+
+ROOT = Path(__file__).parents[2]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+
+
+def command(name):
+    return group.get_command(click.Context(group), name)
+
+
+def typed(text):
+    """The calls of beltrami in lines of shell, as lists of words, without what is behind redirections."""
+    lines = re.sub(r"\\\n\s*", " ", text).splitlines()
+    for line in lines:
+        words = shlex.split(line, comments=True)
+        for start in [k for k, word in enumerate(words) if word == "beltrami"]:
+            rest = words[start + 1 :]
+            ends = [k for k, word in enumerate(rest) if word in {"|", ">", "<", "&&", "||", ";"}]
+            yield rest[: min(ends, default=len(rest))]
+
+
+def shell_blocks(page):
+    return "".join(re.findall(r"```sh\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL))
+
+
+WRITTEN = [(page.name, words) for page in PAGES for words in typed(shell_blocks(page))]
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_has_a_place_on_a_page_a_description_and_examples(name):
+    assert any(f"beltrami {name} " in page.read_text(encoding="utf-8") for page in PAGES)
+    assert len(command(name).help) > 60
+    assert command(name).epilog.startswith("\b\nExamples:\n")
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_option_says_what_it_does(name):
+    options = [parameter for parameter in command(name).params if isinstance(parameter, click.Option)]
+    assert [option.name for option in options if not option.help] == []
+
+
+def parsed(words):
+    """Check names and values as the command line does, and run nothing."""
+    own = next((k for k, word in enumerate(words) if not word.startswith("-") and word in COMMANDS), None)
+    assert own is not None, words
+    command(words[own]).make_context(words[own], list(words[own + 1 :]))
+
+
+@pytest.mark.parametrize(
+    ("page", "words"), WRITTEN, ids=lambda value: " ".join(value) if isinstance(value, list) else value
+)
+def test_what_pages_say_is_understood(page, words):
+    if words[0] not in {"--help", "--version"}:
+        parsed(words)
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_the_examples_of_the_help_are_understood(name):
+    lines = command(name).epilog.split("\b\n")[1].replace("'", "").splitlines()
+    # What an example is for stands behind it, mostly after two spaces.
+    calls = list(typed("\n".join(re.split(r" {2,}", line.strip())[0] for line in lines)))
+    assert calls
+    for words in calls:
+        kept = list(words)
+        while True:
+            try:
+                parsed(kept)
+                break
+            except click.UsageError:
+                if not re.fullmatch(r"[\w',.;:()/?]+", kept[-1]) or len(kept) < 3:
+                    raise
+                kept.pop()
+
+
+def ramp(channels):
+    return np.linspace(0, 1, 24 * 24 * channels, dtype=np.float32).reshape(24, 24, channels)
+
+
+def point_lines():
+    grid = np.stack(np.meshgrid(np.arange(12), np.arange(12)), axis=2).reshape(-1, 2)
+    return [f"{x} {y} {(x + y) % 3 / 20} {20 * x} {20 * y} 90" for x, y in grid]
+
+
+@pytest.fixture(scope="module")
+def stand_ins(tmp_path_factory):
+    """A small file for every name of an input that the README uses."""
+    folder = tmp_path_factory.mktemp("inputs")
+    for name in ("scan.ply", "clean.ply", "face.ply"):
+        shutil.copy(SAMPLES / "nonmanifold-noisy.ply", folder / name)
+    (folder / "scans").mkdir()
+    for name in ("a.ply", "b.ply"):
+        shutil.copy(SAMPLES / "nonmanifold-noisy.ply", folder / "scans" / name)
+    shutil.copy(SAMPLES / "nonmanifold-noisy.obj", folder / "scan.obj")
+    for name in ("mirrored-noisy.obj", "mirrored-noisy.mtl", "mirrored-noisy.png"):
+        shutil.copy(SAMPLES / name, folder)
+    shutil.copy(SAMPLES / "mirrored-noisy.obj", folder / "photoscan.obj")
+    for name in ("model", "clean", "noisy", "truth", "reference", "result"):
+        shutil.copy(SAMPLES / "head-tex-noisy.glb", folder / f"{name}.glb")
+    images = {
+        "photo.jpg": ("jpeg", 3), "photo.png": ("png", 3), "colour.png": ("png", 3), "mask.png": ("png", 1),
+        "valid.png": ("png", 1), "depth.exr": ("openexr", 1), "xyz.exr": ("openexr", 3), "render.exr": ("openexr", 3),
+        "albedo.png": ("png", 3), "render.png": ("png", 3),
+    }  # fmt: skip
+    for name, (kind, channels) in images.items():
+        pixels = ramp(channels)
+        whole = np.uint8(255 * pixels)
+        (folder / name).write_bytes(encode(pixels if kind == "openexr" else whole, kind))
+    (folder / "cloud.pts").write_text("\n".join(["144", *point_lines()]) + "\n")
+    axis = np.linspace(-1, 1, 12)
+    x, y, z = np.meshgrid(axis, axis, axis, indexing="ij")
+    values = np.sqrt(x**2 + y**2 + z**2) - 0.7
+    colours = np.stack([x, y, z], axis=3) / 2 + 0.5
+    np.savez(folder / "fusion.npz", values=values, colours=colours)
+    return folder
+
+
+RUN = [words for page, words in WRITTEN if page == "README.md" and not {"-", "{}"} & set(words)]
+
+
+@pytest.mark.parametrize("words", RUN, ids=" ".join)
+def test_the_commands_of_the_readme_run(words, stand_ins, tmp_path, monkeypatch):
+    if {"render", "sweep", "report", "--preview"} & set(words):
+        pytest.importorskip("embreex")
+    folder = shutil.copytree(stand_ins, tmp_path / "work")
+    (folder / "run.json").write_text('{"parameters": {}, "stages": {}}')
+    monkeypatch.chdir(folder)
+    own = command(words[0]).params
+    small = ["--size", "40"] if words[0] in ("render", "sweep") and "--size" not in words else []
+    overwriting = ["--overwrite"] if any(option.name == "overwrite" for option in own) else []
+    group.main([*words, *small, *overwriting], prog_name="beltrami", standalone_mode=False)
