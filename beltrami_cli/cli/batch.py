@@ -111,6 +111,7 @@ def command(
     requests = plan(inputs, out_dir, suffix, output_format)
     jobs = jobs_for(requests, smoothing, outside=allow_outside, overwrite=overwrite)
     path = report_path or str(_made(out_dir) / "batch.jsonl")
+    _refuse_report(path, [*inputs, *(name for job in jobs for name in (job.source, job.target))])
     record = Record(path, resume=resume, overwrite=overwrite)
     with Display(jobs, messages) as display:
         outcomes = run_batch(
@@ -129,6 +130,13 @@ def command(
         raise ProcessingError(
             f"{lost} of {len(outcomes)} files failed; mend them, and run the same again with --resume"
         )
+
+
+def _refuse_report(path: str, others: Sequence[str]) -> None:
+    if path == "-":
+        raise OutputError(path, "the report is a file, so that a run can go on from it", "name a file")
+    if Path(path).resolve() in {Path(other).resolve() for other in others}:
+        raise OutputError(path, "the report would replace a file of the batch", "choose another name")
 
 
 def _made(out_dir: str) -> Path:

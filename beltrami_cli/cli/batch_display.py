@@ -63,8 +63,9 @@ class Display:
 
     def postponed(self, key: int) -> None:
         """Take it away for now."""
-        self._messages.detail(f"{self._jobs[key].source}: wants more than its share of memory, so it waits")
         self._end(key)
+        if self._messages.verbose:
+            self._tell(f"{self._jobs[key].source}: wants more than its share of memory, so it waits")
 
     def finished(self, key: int, attempt: Attempt) -> None:
         """Take it away, and tell what went wrong."""
@@ -73,11 +74,19 @@ class Display:
             self._bar.advance(self._all)
         outcome = attempt.outcome
         if attempt.traceback and self._messages.verbose >= 2:
-            click.echo(attempt.traceback, err=True)
+            self._tell(*attempt.traceback.splitlines())
         if outcome.status == "failed":  # also with --quiet, as every error
-            click.echo(f"failed: {printable(outcome.error)}", err=True)
-        else:
-            self._messages.detail(f"{outcome.status}: {outcome.output}, {outcome.seconds:.1f} s")
+            self._tell(f"failed: {outcome.error}")
+        elif self._messages.verbose and not self._messages.quiet:
+            self._tell(f"{outcome.status}: {outcome.output}, {outcome.seconds:.1f} s")
+
+    def _tell(self, *lines: str) -> None:
+        """Print lines above those that move."""
+        for line in map(printable, lines):
+            if self._bar is None:
+                click.echo(line, err=True)
+            else:
+                self._bar.console.print(line, markup=False, highlight=False, soft_wrap=True)
 
     def _end(self, key: int) -> None:
         if self._bar is not None and key in self._lines:

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
+import signal
 import subprocess
 import time
+from pathlib import Path
 
 import pytest
 
@@ -139,35 +142,66 @@ def test_resume_does_not_replace_what_somebody_else_changed(scans, tmp_path):
     assert statuses(out) == {"a.ply": "done", "b.obj": "skipped", "deep/c.glb": "skipped"}
 
 
-def test_a_run_that_is_killed_leaves_no_half_files_and_is_picked_up(tmp_path):
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM], ids=lambda number: number.name)
+def test_a_run_that_is_killed_leaves_no_half_files_and_is_picked_up(number, tmp_path):
     scans, out = tmp_path / "scans", tmp_path / "out"
     scans.mkdir()
-    for number in range(12):
-        shutil.copy(SAMPLES / "terrain-noisy.ply", scans / f"{number:02}.ply")
+    names = [f"{count:02}.ply" for count in range(12)]
+    for name in names:
+        shutil.copy(SAMPLES / "terrain-noisy.ply", scans / name)
     arguments = ["batch", str(scans), "--out-dir", str(out), "-j", "2", *QUICK, "-n", "3"]
     process = subprocess.Popen([*COMMAND, *arguments], stderr=subprocess.DEVNULL)
     deadline = time.monotonic() + 60
     while len(list(out.glob("*.ply"))) < 3 and time.monotonic() < deadline:
         time.sleep(0.01)
-    process.kill()
-    process.wait()
+    process.send_signal(number)
+    assert process.wait() == (130 if number == signal.SIGTERM else -number)
 
     whole = smoothed(scans / "00.ply", tmp_path / "one.ply", *QUICK, "-n", "3")
     made = {path.name: path.stat().st_mtime_ns for path in out.glob("*.ply")}
-    assert 3 <= len(made) < 12
+    assert 3 <= len(made) < len(names)
     assert all((out / name).read_bytes() == whole for name in made)
     journal = [json.loads(line) for line in (out / "batch.jsonl").read_text().splitlines()]
     finished = {line["output"].rsplit("/", 1)[1] for line in journal if line["status"] == "done"}
-    assert len(finished) >= 2  # all that were there, but for those in work as the end came
+    assert len(finished) >= len(made) - 2  # each of two workers has one that it could not yet tell of
 
     time.sleep(0.5)  # for workers without a leader to notice
     batch(*arguments[1:], "--resume")
-    assert all((out / f"{number:02}.ply").read_bytes() == whole for number in range(12))
-    assert {path.name for path in out.iterdir()} == {f"{number:02}.ply" for number in range(12)} | {
-        "batch.jsonl"
-    }
+    assert all((out / name).read_bytes() == whole for name in names)
+    assert {path.name for path in out.iterdir()} == {*names, "batch.jsonl"}  # nothing else is left
     assert {name for name in finished if (out / name).stat().st_mtime_ns == made[name]} == finished
     assert {name for name, status in statuses(out).items() if status == "skipped"} >= finished
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="/proc tells who the workers are")
+def test_a_worker_that_is_killed_takes_only_its_file_with_it_which_is_tried_again(tmp_path):
+    scans, out = tmp_path / "scans", tmp_path / "out"
+    scans.mkdir()
+    for name in ("a.ply", "b.ply", "c.ply"):
+        shutil.copy(SAMPLES / "knot-noisy.ply", scans / name)
+    arguments = ["batch", str(scans), "--out-dir", str(out), "-j", "2", "-v", *QUICK, "-n", "40"]
+    process = subprocess.Popen([*COMMAND, *arguments], stderr=subprocess.PIPE)
+    children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
+    workers = []
+    deadline = time.monotonic() + 60
+    while not workers and time.monotonic() < deadline:
+        found = [pid for pid in children.read_text().split() if b"spawn_main" in _command_line(pid)]
+        started = (out / "batch.jsonl").exists() and "started" in (out / "batch.jsonl").read_text()
+        workers = found if started else []
+        time.sleep(0.02)
+    os.kill(int(workers[0]), signal.SIGKILL)
+    said = process.communicate(timeout=120)[1].decode()
+    assert process.returncode == 0, said
+    assert "so it waits" in said
+    assert statuses(out) == dict.fromkeys(("a.ply", "b.ply", "c.ply"), "done")
+    assert len({(out / name).read_bytes() for name in statuses(out)}) == 1
+
+
+def _command_line(pid):
+    try:
+        return Path(f"/proc/{pid}/cmdline").read_bytes()
+    except OSError:
+        return b""
 
 
 def test_a_cut_off_last_line_of_the_report_is_minded(scans, tmp_path):
@@ -268,6 +302,10 @@ def test_two_files_never_become_one(scans, tmp_path):
     shutil.copy(scans / "a.ply", scans / "deep" / "a.ply")
     inputs = (scans / "a.ply", scans / "deep" / "a.ply")
     assert "would both become" in batch(*inputs, "--out-dir", tmp_path / "out", code=2)
+    report = ("--report", scans / "b.obj", "--overwrite")
+    assert "would replace a file of the batch" in batch(
+        scans / "b.obj", "--out-dir", tmp_path, *report, code=4
+    )
     assert "replaced by its own output" in batch(scans, "--out-dir", scans, "--overwrite", code=2)
 
 
