@@ -10,7 +10,7 @@ from click.core import ParameterSource
 
 from beltrami_cli.cli.embedding import GUIDING, MOVING, embedding_from
 from beltrami_cli.errors import UsageError
-from beltrami_cli.flow.parameters import PRESETS, Clipping, KernelParameters, Space, Units, Weights
+from beltrami_cli.flow.parameters import PRESETS, Clipping, KernelParameters, Solver, Space, Units, Weights
 from beltrami_cli.formats.access import Access
 from beltrami_cli.pipeline.bake_settings import DEFAULT_BAKE, BakeSettings
 from beltrami_cli.pipeline.image_settings import ImageSettings
@@ -107,6 +107,11 @@ units = click.option(
 max_samples = click.option(
     "--max-samples", type=click.IntRange(1, 2**31 - 1), default=_KERNEL.max_samples, show_default=True, metavar="COUNT",
     help="On vertices: the largest kernel, a guard against a time step that is too large. Warns when it takes effect.",
+)  # fmt: skip
+solver = click.option(
+    "--solver", type=click.Choice(get_args(Solver)), default=_KERNEL.solver, show_default=True,
+    help="On vertices: find distances by fast marching, or along straight segments over edges and over one or two "
+    "unfolded edges, which is several times faster and closer to the truth. auto takes fast marching.",
 )  # fmt: skip
 threads = click.option(
     "--threads", type=click.IntRange(1, 1024), default=_KERNEL.threads, metavar="COUNT",
@@ -246,14 +251,14 @@ _SMOOTHING = (
     iterations, time_step, beta, beta_growth, threshold, metric_scale, metric_steps, clipping, preset, on, space,
     channels, units, weights, max_samples, window, height, height_scale, positions, mask, level, inside, colours,
     max_voxels, slots, materials, texture_names, alpha, gutter, texture_format, jpeg_quality, small_png, *GUIDING,
-    *MOVING, threads,
+    *MOVING, solver, threads,
 )  # fmt: skip
 
 # Those of one kernel, which is not written back, and what the others are without being asked for.
 _STUDYING = (
     time_step, beta, beta_growth, threshold, metric_scale, metric_steps, preset, on, space, channels, units, weights,
     max_samples, window, height, height_scale, positions, mask, level, inside, colours, max_voxels, slots, materials,
-    texture_names, alpha, *GUIDING, threads,
+    texture_names, alpha, *GUIDING, solver, threads,
 )  # fmt: skip
 _UNASKED = {
     "iterations": _KERNEL.iterations,
@@ -270,7 +275,7 @@ _BY_DIRECTNESS = (ParameterSource.COMMANDLINE, ParameterSource.ENVIRONMENT, Para
 # Options that are parameters of the kernel, under the names that they have there.
 _KERNEL_OPTIONS = (
     "iterations", "t", "beta", "beta_growth", "threshold", "weights", "units", "max_samples", "threads", "window",
-    "metric_scale", "metric_steps", "clipping",
+    "metric_scale", "metric_steps", "clipping", "solver",
 )  # fmt: skip
 _LEVEL_SET_OPTIONS = ("level", "inside", "colours", "max_voxels")
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from beltrami_cli._native import TriangulatedManifold
+    from beltrami_cli._native import SegmentManifold, TriangulatedManifold
     from beltrami_cli.flow.guidance import Guide
     from beltrami_cli.flow.parameters import KernelParameters
     from beltrami_cli.mesh.surface import SampledSurface
@@ -109,7 +109,7 @@ class BeltramiFlow:
         metric_channels: Sequence[int] | None = None,
         geometry: GeometryParameters | None = None,
     ) -> None:
-        from beltrami_cli._native import TriangulatedManifold, morton_order
+        from beltrami_cli._native import SegmentManifold, TriangulatedManifold, morton_order
 
         self.parameters = parameters
         self._order = morton_order(surface.positions)
@@ -117,7 +117,8 @@ class BeltramiFlow:
         rank[self._order] = np.arange(len(rank), dtype=rank.dtype)
         self._positions = surface.positions[self._order]
         self._colours = surface.colours[self._order]
-        self._manifold: TriangulatedManifold = TriangulatedManifold(rank[surface.all_faces], len(rank))
+        solver = SegmentManifold if parameters.along_segments else TriangulatedManifold
+        self._manifold: SegmentManifold | TriangulatedManifold = solver(rank[surface.all_faces], len(rank))
         # The walls of hard edges join samples at one place: they say nothing about spacing or noise.
         edges, lengths = _edges_in_space(self._manifold.edges(), self._positions)
         self.mean_edge_length = float(lengths.mean()) if len(lengths) else 0.0
@@ -171,8 +172,6 @@ class BeltramiFlow:
 
     def _trial(self, faces: NDArray[np.int32], edges: NDArray[np.int32]) -> MeshTrial:
         """Make the sample of the surface on which parameters are tried."""
-        from beltrami_cli._native import TriangulatedManifold
-
         parameters, count = self.parameters, len(self._colours)
         patches = choose_patches(self._colours, edges, max(_LEAST_TRIED, int(count * _SHARE_TRIED)))
         samples, manifold, metric = patches.samples, self._manifold, self._metric
@@ -180,7 +179,7 @@ class BeltramiFlow:
             rank = np.full(count, -1, np.int32)
             rank[samples] = np.arange(len(samples), dtype=np.int32)
             corners = rank[faces]
-            manifold = TriangulatedManifold(corners[(corners >= 0).all(axis=1)], len(samples))
+            manifold = type(self._manifold)(corners[(corners >= 0).all(axis=1)], len(samples))
             metric = metric.cut_out(samples)
         positions = self._positions[samples]
         scales = None if self._scales is None else self._scales[samples]
@@ -190,7 +189,7 @@ class BeltramiFlow:
             channels: NDArray[np.float32], colours: NDArray[np.float32], beta: float, t: float
         ) -> NDArray[np.float32]:
             own = dataclasses.replace(parameters, t=t)
-            manifold.update_metric(positions, channels, beta, scales, True, own.thread_count)
+            manifold.update_metric(positions, channels, beta, scales, own.thread_count)
             smoothed, _, _ = manifold.smooth(
                 colours, weights, t, own.radius, own.max_samples, own.thread_count, None
             )
@@ -283,7 +282,7 @@ class BeltramiFlow:
         normals = None if self.moving is None else (self.moving.normals, self.moving.beta)
         channels, beta = self._metric.channels(colours, iteration, normals)
         threads = self.parameters.thread_count
-        self._manifold.update_metric(self._positions, channels, beta, self._scales, True, threads)
+        self._manifold.update_metric(self._positions, channels, beta, self._scales, threads)
 
     def _in_order(self, rows: NDArray[Any]) -> NDArray[Any]:
         """Bring rows back to the order that the caller gave them in."""

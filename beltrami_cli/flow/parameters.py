@@ -14,6 +14,7 @@ Units = Literal["spacing", "world"]
 Scheme = Literal["triangles", "metric"]
 Space = Literal["srgb", "linear", "oklab", "data"]
 Clipping = Literal["restore", "keep"]
+Solver = Literal["auto", "fast-marching", "segments"]
 Strength = Literal["gentle", "normal", "strong"]
 Tunable = Literal["iterations", "t", "beta", "beta_growth", "metric_steps"]
 
@@ -64,6 +65,9 @@ class KernelParameters:
     clipping : {"restore", "keep"}
         Whether averages are corrected where noise was cut off at 0 or full scale; never with a `beta` of 0, which
         is a linear kernel.
+    solver : {"auto", "fast-marching", "segments"}
+        How distances on triangles are found: by fast marching from every vertex, or along straight segments over edges
+        and over one or two unfolded edges, from sixteen vertices at once. auto: by fast marching.
     free : tuple of str
         Those of iterations, t, beta, beta_growth and metric_steps that are chosen from the data, by their estimated
         error, see `choose`; the others are kept. The values given here are used where there is no noise to tell
@@ -91,6 +95,7 @@ class KernelParameters:
     metric_steps: int = 2
     scheme: Scheme = "triangles"
     clipping: Clipping = "restore"
+    solver: Solver = "auto"
     free: tuple[Tunable, ...] = ()
     strength: Strength = "normal"
 
@@ -112,7 +117,14 @@ class KernelParameters:
         _require(self.clipping in get_args(Clipping), "clipping", self.clipping, "restore or keep")
         _require(self.strength in get_args(Strength), "strength", self.strength, "gentle, normal or strong")
         _require(set(self.free) <= set(TUNABLE), "free", self.free, f"some of {', '.join(TUNABLE)}")
+        allowed = "auto, fast-marching or segments"
+        _require(self.solver in get_args(Solver), "solver", self.solver, allowed)
         _require(self.threads is None or self.threads >= 1, "threads", self.threads, "1 or more")
+
+    @property
+    def along_segments(self) -> bool:
+        """Whether distances on triangles are found along segments, and not by fast marching."""
+        return self.solver == "segments"
 
     def is_regularised(self, iteration: int) -> bool:
         """Tell whether an iteration, counted from 0, takes distances from smoothed colours."""
@@ -156,6 +168,7 @@ PRESETS: dict[str, dict[str, object]] = {
         "metric_steps": 0,
         "scheme": "metric",
         "clipping": "keep",
+        "solver": "fast-marching",
         "beta_growth": 1.0,
     }
 }

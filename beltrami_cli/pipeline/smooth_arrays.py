@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike
 
-    from beltrami_cli.flow.parameters import Clipping, Space, Units, Weights
+    from beltrami_cli.flow.parameters import Clipping, Solver, Space, Units, Weights
 
 
 def smooth(
@@ -48,6 +48,7 @@ def smooth(
     metric_scale: float = DEFAULTS.kernel.metric_scale,
     metric_steps: int = DEFAULTS.kernel.metric_steps,
     clipping: Clipping = DEFAULTS.kernel.clipping,
+    solver: Solver = DEFAULTS.kernel.solver,
     space: Space = DEFAULTS.space,
     encoding: Encoding = "srgb",
     guide: ArrayLike | None = None,
@@ -93,6 +94,8 @@ def smooth(
         ... in so many of the first iterations; the colours themselves are averaged.
     clipping : {"restore", "keep"}
         Whether averages are corrected where noise was cut off at 0 or full scale.
+    solver : {"auto", "fast-marching", "segments"}
+        How distances are found: by fast marching, or along segments over edges and one or two unfolded edges.
     space : {"srgb", "linear", "oklab", "data"}
         What distances and averages of colours are taken in; "data": the numbers as they are.
     encoding : {"srgb", "linear"}
@@ -127,7 +130,7 @@ def smooth(
     Notes
     -----
     Each iteration averages with the kernel exp(-d^2 / (4 t)), eqs. (8, 9) of [1]_, where d is the geodesic
-    distance on the surface (X, beta I) in R^(M+C), from fast marching [2]_.
+    distance on the surface (X, beta I) in R^(M+C), from fast marching [2]_ or along segments.
 
     References
     ----------
@@ -165,6 +168,7 @@ def smooth(
         metric_scale=metric_scale,
         metric_steps=metric_steps,
         clipping=clipping,
+        solver=solver,
     )
     painted = _painted(positions, faces, colours, encoding)
     if len(painted.channels) != 3 and space == "oklab":

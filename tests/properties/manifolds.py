@@ -15,7 +15,7 @@ def image_manifold(positions, faces, colours, beta, unfold=True, threads=1):
     manifold = _native.TriangulatedManifold(
         np.ascontiguousarray(faces, np.int32).reshape(-1, 3), len(positions)
     )
-    manifold.update_metric(positions, colours, beta, None, unfold, threads)
+    manifold.update_metric(positions, colours, beta, None, threads, unfold)
     return manifold
 
 

@@ -8,6 +8,7 @@
 #include "bindings/atlas.hpp"
 #include "bindings/parametric.hpp"
 #include "bindings/points.hpp"
+#include "bindings/segments.hpp"
 #include "bindings/triangulated.hpp"
 
 namespace {
@@ -23,6 +24,7 @@ void release_free_memory() {
 
 NB_MODULE(_native, module) {
   beltrami::bindings::bind_triangulated(module);
+  beltrami::bindings::bind_segments(module);
   beltrami::bindings::bind_parametric(module);
   beltrami::bindings::bind_atlas(module);
   beltrami::bindings::bind_points(module);

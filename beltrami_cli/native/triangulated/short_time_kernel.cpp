@@ -1,10 +1,10 @@
 #include "triangulated/short_time_kernel.hpp"
 
 #include <algorithm>
-#include <cmath>
 #include <vector>
 
 #include "triangulated/fast_marching.hpp"
+#include "triangulated/kernel_average.hpp"
 
 namespace beltrami::triangulated {
 namespace {
@@ -19,26 +19,6 @@ struct Worker {
   std::vector<double> sums;
   KernelStatistics statistics;
 };
-
-// Averages differences from the centre, so that a constant is a fixed point to the last bit.
-void average(std::span<const Reached> samples, Rows<float> colours, const float* weights, float quarter_inverse_t,
-             std::vector<double>& sums, float* smoothed) {
-  const float* centre = colours[samples.front().vertex];
-  std::fill(sums.begin(), sums.end(), 0.0);
-  double total = 0;
-  for (const auto& [vertex, distance] : samples) {
-    float kernel = std::exp(-distance * distance * quarter_inverse_t);
-    if (weights != nullptr) kernel *= weights[vertex];
-    const float* colour = colours[vertex];
-    total += static_cast<double>(kernel);
-    for (std::size_t channel = 0; channel < sums.size(); ++channel)
-      sums[channel] += static_cast<double>(kernel * (colour[channel] - centre[channel]));
-  }
-  for (std::size_t channel = 0; channel < sums.size(); ++channel) {
-    const double change = total > 0 ? sums[channel] / total : 0;
-    smoothed[channel] = static_cast<float>(static_cast<double>(centre[channel]) + change);
-  }
-}
 
 }  // namespace
 

@@ -135,7 +135,7 @@ void make_slots(Topology& topology, const std::vector<Index>& face_count) {
 
 }  // namespace
 
-Topology make_topology(std::span<const Index> face_corners, Index vertex_count) {
+Topology make_topology(std::span<const Index> face_corners, Index vertex_count, Links links) {
   // Each triangle makes six slots, and a slot must have an index.
   if (face_corners.size() / 3 > static_cast<std::size_t>(std::numeric_limits<Index>::max()) / 6)
     throw std::length_error("the mesh has more triangles than 32-bit indices can count");
@@ -147,6 +147,7 @@ Topology make_topology(std::span<const Index> face_corners, Index vertex_count) 
   collect_edges(topology, std::move(edges));
   find_face_edges(topology);
   const auto face_count = pair_corners(topology);
+  if (links == Links::left_out) return topology;
   make_links(topology);
   make_slots(topology, face_count);
   return topology;

@@ -41,8 +41,11 @@ struct Topology {
                                                    // corners k + 1 and k + 2 (mod 3) to C
 };
 
+// Links and partner slots are what fast marching needs; without them their lists are empty.
+enum class Links { made, left_out };
+
 // Throws std::invalid_argument if an index is outside [0, vertex_count), std::length_error if the mesh is too
 // large for 32-bit indices.
-Topology make_topology(std::span<const Index> face_corners, Index vertex_count);
+Topology make_topology(std::span<const Index> face_corners, Index vertex_count, Links links = Links::made);
 
 }  // namespace beltrami::triangulated

@@ -1,0 +1,96 @@
+#include "triangulated/segment_kernel.hpp"
+
+#include <algorithm>
+#include <array>
+#include <memory>
+
+#include "triangulated/group_sweep.hpp"
+#include "triangulated/kernel_average.hpp"
+#include "triangulated/sweep_variants.hpp"
+
+namespace beltrami::triangulated {
+namespace {
+
+// About a millisecond of work: small enough to share out evenly, large enough that sharing costs nothing.
+constexpr std::size_t groups_per_chunk = 64;
+
+struct Worker {
+  Worker(const Segments& segments) : scratch(static_cast<std::size_t>(segments.vertex_count())) {}
+  GroupScratch scratch;
+  std::unique_ptr<SegmentMarch> marching;  // made when a group needs it
+  KernelStatistics statistics;
+};
+
+void add(KernelStatistics& total, const KernelStatistics& more) {
+  total.samples += more.samples;
+  total.truncated += more.truncated;
+}
+
+}  // namespace
+
+SegmentKernel::SegmentKernel(std::span<const Index> face_corners, Index vertex_count)
+    : topology_(make_topology(face_corners, vertex_count, Links::left_out)), segments_(make_segments(topology_)) {}
+
+void SegmentKernel::update_metric(Rows<double> positions, Rows<float> colours, double beta, const float* scales,
+                                  unsigned threads) {
+  const bool moved = measure_edges(metric_, topology_, positions, colours, beta, scales, threads);
+  if (moved || groups_.members.empty()) {
+    groups_ = make_groups(positions, topology_.vertex_count, threads);
+    region_radius_ = -1;
+  }
+  update_lengths(segments_, metric_, topology_, metric_.squared, threads);
+}
+
+KernelStatistics SegmentKernel::smooth(Rows<float> colours, const float* weights, const KernelParameters& parameters,
+                                       float* smoothed, unsigned threads, const Poll& poll) {
+  if (region_radius_ != parameters.radius) {
+    update_lengths(segments_, metric_, topology_, metric_.in_space, threads);
+    find_regions(groups_, segments_, parameters.radius, threads);
+    region_radius_ = parameters.radius;
+    update_lengths(segments_, metric_, topology_, metric_.squared, threads);
+  }
+  const SweepGroup sweep = choose_sweep();
+  const GroupJob job{&segments_, colours, weights, parameters, smoothed};
+  const auto useful = static_cast<unsigned>(std::clamp<std::size_t>(threads, 1, groups_.count() / groups_per_chunk + 1));
+  std::vector<std::unique_ptr<Worker>> workers(useful);
+  parallel_chunks(
+      groups_.count(), groups_per_chunk, useful,
+      [&](std::size_t begin, std::size_t end, unsigned index) {
+        if (!workers[index]) workers[index] = std::make_unique<Worker>(segments_);
+        Worker& worker = *workers[index];
+        for (std::size_t group = begin; group < end; ++group) {
+          const auto sources = groups_.sources(group), region = groups_.region(group);
+          if (!region.empty()) {
+            add(worker.statistics, sweep(job, sources, region, worker.scratch));
+            continue;
+          }
+          if (!worker.marching) worker.marching = std::make_unique<SegmentMarch>(segments_);
+          march_group(sources, colours, weights, parameters, smoothed, *worker.marching, worker.statistics);
+        }
+      },
+      poll ? Poll([&](std::size_t done) { return poll(std::min(done * group_size, groups_.members.size())); }) : Poll());
+  KernelStatistics statistics;
+  for (const auto& worker : workers)
+    if (worker) add(statistics, worker->statistics);
+  return statistics;
+}
+
+void SegmentKernel::march_group(std::span<const Index> sources, Rows<float> colours, const float* weights,
+                                const KernelParameters& parameters, float* smoothed, SegmentMarch& marching,
+                                KernelStatistics& statistics) const {
+  std::vector<double> sums(colours.width);
+  for (const Index source : sources) {
+    const auto samples = marching.march({&source, 1}, parameters.radius, parameters.max_samples);
+    average(samples, colours, weights, 1 / (4 * parameters.time_step), sums,
+            smoothed + static_cast<std::size_t>(source) * colours.width);
+    add(statistics, {static_cast<std::int64_t>(samples.size()), marching.truncated() ? 1 : 0});
+  }
+}
+
+std::vector<Reached> SegmentKernel::distances(Index source, float radius, std::size_t max_count) const {
+  SegmentMarch marching(segments_);
+  const auto reached = marching.march({&source, 1}, radius, max_count);
+  return {reached.begin(), reached.end()};
+}
+
+}  // namespace beltrami::triangulated

@@ -1,0 +1,46 @@
+// The short-time kernel with distances along segments, sixteen sources side by side: the second solver beside fast marching.
+//
+// A. Spira, R. Kimmel, N. Sochen, "A short time Beltrami kernel for smoothing images on manifolds" (2007), eqs. (8) and (9).
+#pragma once
+
+#include <span>
+#include <vector>
+
+#include "parallel.hpp"
+#include "triangulated/segment_lengths.hpp"
+#include "triangulated/segment_march.hpp"
+#include "triangulated/short_time_kernel.hpp"
+#include "triangulated/vertex_groups.hpp"
+
+namespace beltrami::triangulated {
+
+class SegmentKernel {
+ public:
+  SegmentKernel(std::span<const Index> face_corners, Index vertex_count);
+
+  const Topology& topology() const { return topology_; }
+
+  // Renews all lengths; groups and regions only if positions or scales have changed. As squared_edge_lengths().
+  void update_metric(Rows<double> positions, Rows<float> colours, double beta, const float* scales, unsigned threads);
+
+  // As smooth() of fast marching. Bit-identical for any number of threads and any instruction set; the distances do not
+  // depend on the groups either, so that another order of vertices changes no more than the rounding of the averages.
+  KernelStatistics smooth(Rows<float> colours, const float* weights, const KernelParameters& parameters, float* smoothed,
+                          unsigned threads, const Poll& poll = {});
+
+  // The samples of one kernel in order of distance, the source first.
+  std::vector<Reached> distances(Index source, float radius, std::size_t max_count) const;
+
+ private:
+  void march_group(std::span<const Index> sources, Rows<float> colours, const float* weights,
+                   const KernelParameters& parameters, float* smoothed, SegmentMarch& marching,
+                   KernelStatistics& statistics) const;
+
+  Topology topology_;
+  Segments segments_;
+  EdgeMetric metric_;
+  VertexGroups groups_;
+  float region_radius_ = -1;  // that the regions were found for; -1: they are out of date
+};
+
+}  // namespace beltrami::triangulated

@@ -1,0 +1,249 @@
+"""Distances and kernels along segments, against exact geodesics, fast marching and plain sums."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from math import log, sqrt
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import dijkstra
+
+import beltrami_cli
+from beltrami_cli import _native
+from oracles import strategies, surfaces
+from oracles.exact_geodesic import exact_distances
+from properties.manifolds import distances, image_manifold
+
+
+def segment_manifold(positions, faces, colours, beta, threads=1):
+    positions = np.ascontiguousarray(positions, np.float64)
+    faces = np.ascontiguousarray(faces, np.int32).reshape(-1, 3)
+    manifold = _native.SegmentManifold(faces, len(positions))
+    manifold.update_metric(positions, np.ascontiguousarray(colours, np.float32), beta, None, threads)
+    return manifold
+
+
+def apply_kernel(manifold, colours, t, weights=None, max_samples=10**6, threads=1, threshold=0.01):
+    colours = np.ascontiguousarray(colours, np.float32)
+    return manifold.smooth(colours, weights, t, sqrt(-4 * t * log(threshold)), max_samples, threads, None)
+
+
+def plain_sums(manifold, colours, t, weights=None, max_samples=10**6, threshold=0.01):
+    """Eqs. (8, 9) in double precision, kernel by kernel, with the distances of single marches."""
+    smoothed, radius = np.empty(colours.shape), sqrt(-4 * t * log(threshold))
+    for source in range(len(colours)):
+        held, away = manifold.distances(source, radius, max_samples)
+        kernel = np.exp(-(away.astype(float) ** 2) / (4 * t)) * (1 if weights is None else weights[held])
+        smoothed[source] = kernel @ colours[held] / kernel.sum()
+    return smoothed
+
+
+def noisy_surface(beta=5.0, side=15, seed=0):
+    """A grey image on a lattice that is not quite regular, noise of 20/255: (flat, faces, grey, embedded)."""
+    random = np.random.default_rng(seed)
+    flat, faces = surfaces.lattice(side, side)
+    flat = flat + np.pad(0.1 * random.standard_normal((len(flat), 2)), ((0, 0), (0, 1)))
+    # Three channels have 1.7 times the differences of one.
+    grey = (0.5 + sqrt(3) * 20 / 255 * random.standard_normal((len(flat), 1))).astype(np.float32)
+    return flat, faces, grey, np.column_stack([flat[:, :2], beta * grey.astype(float)])
+
+
+@pytest.mark.parametrize("samples", [20, 50])
+@pytest.mark.parametrize("beta", [2.0, 5.0, 13.0])
+def test_distances_have_at_most_half_the_error_of_fast_marching(samples, beta, record_property):
+    errors = {"segments": [], "marching": []}
+    for seed in range(6):
+        flat, faces, grey, embedded = noisy_surface(beta, seed=seed)
+        middle = 7 * 15 + 7
+        truth = exact_distances(embedded, faces, middle)
+        near = np.argsort(truth)[1:samples]
+        for name, manifold in (
+            ("segments", segment_manifold(flat, faces, grey, beta)),
+            ("marching", image_manifold(flat, faces, grey, beta)),
+        ):
+            found = distances(manifold, len(flat), middle)
+            errors[name].append(found[near] / truth[near] - 1)
+    rms = {name: float(np.sqrt(np.mean(np.square(error)))) for name, error in errors.items()}
+    for name, error in rms.items():
+        record_property(f"rms error of {name}", error)
+    # Paths on the surface are never shorter than the shortest; lengths are rounded to float32.
+    assert np.min(errors["segments"]) > -1e-5
+    assert rms["segments"] < 0.5 * rms["marching"]
+
+
+@given(strategies.painted(strategies.meshes(general=True)))
+@settings(max_examples=60, deadline=None)
+def test_distances_lie_between_geodesics_and_paths_over_edges_on_any_mesh(painted):
+    positions, faces, colours = painted
+    manifold = segment_manifold(positions, faces, colours, 2.0)
+    embedded = np.hstack([positions, 2.0 * colours.astype(float)])
+    over_edges = graph_distances(embedded, faces, extra=0)
+    nearly_geodesic = graph_distances(embedded, faces, extra=12)
+    for source in range(len(positions)):
+        ours = distances(manifold, len(positions), source)
+        # Rounding of squared heights in needles, whose root is 2.4e-4 of their length.
+        scale = 1e-3 * np.where(np.isfinite(over_edges[source]), over_edges[source], 0) + 1e-5
+        assert (ours <= over_edges[source] + scale).all()
+        # A path bends at the points on the edges instead of at the crossing: within 1/12 of an edge, less than 4 %.
+        assert (ours >= 0.96 * nearly_geodesic[source] - scale)[np.isfinite(ours)].all()
+
+
+def graph_distances(embedded, faces, extra):
+    """Return the shortest paths between vertices through so many extra points on every edge of every face."""
+    points, links, number = list(embedded), [], {}
+
+    def on_edge(a, b):
+        a, b = min(a, b), max(a, b)
+        if (a, b) not in number:
+            steps = np.arange(1, extra + 1) / (extra + 1)
+            number[a, b] = range(len(points), len(points) + extra)
+            points.extend(embedded[a] + s * (embedded[b] - embedded[a]) for s in steps)
+        return [a, *number[a, b], b]
+
+    for a, b, c in np.asarray(faces).tolist():
+        rim = sorted({*on_edge(a, b), *on_edge(b, c), *on_edge(a, c)})
+        links += [(p, q) for p in rim for q in rim if p < q]
+    count = len(embedded)
+    if not links:
+        return np.where(np.eye(count, dtype=bool), 0, np.inf)
+    places, ends = np.array(points), np.array(sorted(set(links)))
+    # A graph takes a weight of 0 for no link.
+    lengths = np.maximum(np.linalg.norm(places[ends[:, 0]] - places[ends[:, 1]], axis=1), 1e-12)
+    graph = coo_array((lengths, ends.T), shape=(len(points),) * 2).tocsr()
+    return dijkstra(graph, directed=False, indices=range(count))[:, :count]
+
+
+@given(strategies.painted(strategies.meshes(general=True)), st.sampled_from((0.05, 5.0)))
+@settings(max_examples=60, deadline=None)
+def test_kernels_side_by_side_are_those_of_single_marches_on_any_mesh(painted, t):
+    positions, faces, colours = painted
+    weights = np.random.default_rng(0).random(len(positions)).astype(np.float32) + 0.1
+    manifold = segment_manifold(positions, faces, colours, 2.0)
+    radius = sqrt(-4 * t * log(0.01))
+    held = np.array([len(manifold.distances(v, radius, 10**6)[0]) for v in range(len(positions))])
+    ours, samples, truncated = apply_kernel(manifold, colours, t, weights)
+    np.testing.assert_allclose(ours, plain_sums(manifold, colours, t, weights), atol=1e-5)
+    assert (samples, truncated) == (held.sum(), 0)
+    _, samples, truncated = apply_kernel(manifold, colours, t, weights, max_samples=3)
+    assert (samples, truncated) == (np.minimum(held, 3).sum(), (held > 3).sum())
+
+
+@pytest.mark.parametrize(("t", "most"), [(1.0, 10**6), (1.0, 12), (60.0, 10**6), (60.0, 500)])
+def test_kernels_of_any_size_are_those_of_single_marches(t, most):
+    """Kernels of the largest t go beyond what sixteen sources may share."""
+    positions, faces = surfaces.terrain(50, 50, 0.3, 1)
+    colours = np.random.default_rng(0).random((len(positions), 2)).astype(np.float32)
+    manifold = segment_manifold(positions, faces, colours, 1.0)
+    ours, _, truncated = apply_kernel(manifold, colours, t, max_samples=most)
+    # Two samples whose distances are the same to the last bit may change places at the cut.
+    np.testing.assert_allclose(ours, plain_sums(manifold, colours, t, max_samples=most), atol=1e-5)
+    assert (truncated > 0) == (most < 1000)
+
+
+@pytest.fixture(scope="module")
+def scene():
+    positions, faces = surfaces.terrain(40, 45, 0.3, 1)
+    colours = 0.5 + 20 / 255 * np.random.default_rng(8).standard_normal((len(positions), 3))
+    return positions, faces, colours.astype(np.float32)
+
+
+def test_the_result_does_not_depend_on_threads_and_instruction_set(scene, tmp_path):
+    one, other = (
+        beltrami_cli.smooth(*scene, solver="segments", beta=5, threads=threads).colours for threads in (1, 3)
+    )
+    assert np.array_equal(one, other)
+    np.savez(tmp_path / "scene.npz", *scene)
+    script = (
+        "import sys, numpy, beltrami_cli; scene = numpy.load(sys.argv[1]).values(); "
+        "numpy.save(sys.argv[2], beltrami_cli.smooth(*scene, solver='segments', beta=5, threads=1).colours)"
+    )
+    for lesser in ("baseline", "x86-64-v3"):
+        if lesser != "baseline" and _native.sweep_instruction_set() == "baseline":
+            continue
+        command = [sys.executable, "-P", "-c", script, tmp_path / "scene.npz", tmp_path / f"{lesser}.npy"]
+        subprocess.run(command, check=True, env=os.environ | {"BELTRAMI_SIMD": lesser})
+        assert np.array_equal(np.load(tmp_path / f"{lesser}.npy"), one)
+
+
+def test_the_order_of_vertices_changes_no_more_than_rounding(scene):
+    positions, faces, colours = scene
+    order = np.random.default_rng(0).permutation(len(positions))
+    rank = np.argsort(order)
+    manifold = segment_manifold(positions, faces, colours, 5.0)
+    moved = segment_manifold(positions[order], rank[faces], colours[order], 5.0)
+    for source in (0, 700, 1799):
+        near, away = manifold.distances(source, 4.0, 10**6)
+        near_moved, away_moved = moved.distances(int(rank[source]), 4.0, 10**6)
+        # Edges run from their lower vertex, so that heights are rounded otherwise.
+        np.testing.assert_allclose(np.sort(away), np.sort(away_moved), rtol=1e-5)
+        assert len(np.setxor1d(near, order[near_moved])) <= 1
+    plain, shuffled = (apply_kernel(m, c, 0.7)[0] for m, c in ((manifold, colours), (moved, colours[order])))
+    difference = np.abs(shuffled - plain[order])
+    # A sample may flip at the cut-off: a weight of 0.01 in some ten, times a colour difference of 0.3.
+    assert difference.mean() < 1e-5
+    assert difference.max() < 1e-3
+
+
+def test_lengths_that_change_in_space_are_noticed(scene):
+    positions, faces, colours = scene
+    manifold = segment_manifold(4 * positions, faces, colours, 1.0)
+    apply_kernel(manifold, colours, 0.7)
+    manifold.update_metric(positions, colours, 1.0, None, 1)
+    fresh = segment_manifold(positions, faces, colours, 1.0)
+    assert np.array_equal(apply_kernel(manifold, colours, 0.7)[0], apply_kernel(fresh, colours, 0.7)[0])
+    scales = np.full(len(positions), 0.5, np.float32)
+    manifold.update_metric(positions, colours, 1.0, scales, 1)
+    halved = segment_manifold(positions / 2, faces, colours, 1.0)
+    np.testing.assert_allclose(
+        apply_kernel(manifold, colours, 0.7)[0], apply_kernel(halved, colours, 0.7)[0], atol=1e-5
+    )
+
+
+def test_colours_differ_from_those_of_fast_marching_by_no_more_than_the_distances_explain(scene):
+    positions, faces, colours = scene
+    t, radius = 0.7, sqrt(-2.8 * log(0.01))
+    segments, marching = (make(positions, faces, colours, 5.0) for make in (segment_manifold, image_manifold))
+    apart = []
+    for source in range(0, len(positions), 10):
+        ours, theirs = (distances(m, len(positions), source, radius) for m in (segments, marching))
+        both = np.isfinite(ours) & np.isfinite(theirs) & (ours > 0)
+        apart.append(theirs[both] / ours[both] - 1)
+    relative = np.sqrt(np.mean(np.concatenate(apart) ** 2))
+    # A distance longer by a factor 1 + e has its weight changed by e d^2 / 2t, twice e on average over a kernel of two
+    # dimensions, and so the mean of colours of standard deviation s by at most 2 e s if all errors conspire.
+    difference = apply_kernel(segments, colours, t)[0] - apply_kernel(marching, colours, t)[0]
+    assert 0 < np.sqrt(np.mean(difference**2)) < 2 * relative * colours.std()
+
+
+@pytest.mark.parametrize("beta", [0.0, 20.0])
+def test_constants_stay_and_colours_stay_in_range(scene, beta):
+    positions, faces, colours = scene
+    smoothed = beltrami_cli.smooth(
+        *scene, solver="segments", beta=beta, space="data", clipping="keep"
+    ).colours
+    assert (smoothed >= colours.min(axis=0)).all()
+    assert (smoothed <= colours.max(axis=0)).all()
+    constant = np.broadcast_to(colours[:1], colours.shape)
+    kept = beltrami_cli.smooth(positions, faces, constant, solver="segments", beta=beta, space="data").colours
+    assert np.array_equal(kept, constant)
+
+
+def test_without_beta_a_plane_is_smoothed_by_the_gaussian():
+    flat, faces = surfaces.lattice(41, 41)
+    impulse = np.zeros((len(flat), 1), np.float32)
+    centre = 20 * 41 + 20
+    impulse[centre] = 1
+    t = 2.0
+    ours, _, _ = apply_kernel(segment_manifold(flat, faces, impulse, 0.0), impulse, t)
+    away = np.sum((flat - flat[centre]) ** 2, axis=1)
+    truth = np.where(away <= -4 * t * log(0.01), np.exp(-away / (4 * t)), 0)
+    # Here, where no strip of three triangles is crossed straight, a path bends by 15 degrees at most: it is too long
+    # by at most 1 / cos 15 degrees - 1 = 3.5 %, and the sum of weights too small by twice that times the mean of
+    # d^2/4t, 0.95.
+    np.testing.assert_allclose(ours[:, 0], truth / truth.sum(), atol=0.066 * truth.max() / truth.sum())
