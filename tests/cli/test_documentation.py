@@ -140,6 +140,6 @@ def test_the_commands_of_the_readme_run(words, stand_ins, tmp_path, monkeypatch)
     (folder / "run.json").write_text('{"parameters": {}, "stages": {}}')
     monkeypatch.chdir(folder)
     own = command(words[0]).params
-    small = ["--size", "40"] if words[0] in ("render", "sweep") and "--size" not in words else []
+    small = ["--size", "40"] if words[0] in ("render", "sweep") else []  # the last one counts
     overwriting = ["--overwrite"] if any(option.name == "overwrite" for option in own) else []
     group.main([*words, *small, *overwriting], prog_name="beltrami", standalone_mode=False)
