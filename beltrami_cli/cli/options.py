@@ -10,7 +10,17 @@ from click.core import ParameterSource
 
 from beltrami_cli.cli.embedding import GUIDING, MOVING, embedding_from
 from beltrami_cli.errors import UsageError
-from beltrami_cli.flow.parameters import PRESETS, Clipping, KernelParameters, Solver, Space, Units, Weights
+from beltrami_cli.flow.parameters import (
+    PRESETS,
+    Clipping,
+    KernelParameters,
+    Solver,
+    Space,
+    Strength,
+    Units,
+    Weights,
+    parameters_with,
+)
 from beltrami_cli.formats.access import Access
 from beltrami_cli.pipeline.bake_settings import DEFAULT_BAKE, BakeSettings
 from beltrami_cli.pipeline.image_settings import ImageSettings
@@ -54,23 +64,24 @@ _KERNEL, _TEXTURES, _IMAGE, _LEVEL_SET = (
 SMALLEST_SCALE = 0.05
 
 iterations = click.option(
-    "-n", "--iterations", type=click.IntRange(0), default=_KERNEL.iterations, show_default=True, metavar="N",
-    help="Kernel iterations; more smooth further. 0 leaves every byte as it is.",
+    "-n", "--iterations", type=click.IntRange(0), metavar="N",
+    help="Kernel iterations; more smooth further. 0 leaves every byte as it is.  [default: chosen from the data]",
 )  # fmt: skip
 time_step = click.option(
-    "-t", "--time-step", "t", type=float, default=_KERNEL.t, show_default=True, metavar="T",
+    "-t", "--time-step", "t", type=float, metavar="T",
     help="Time step of an iteration: away from edges it is a Gaussian of variance 2T, in squared sample spacings. "
     "On textures and images the window bounds the kernel, so that it is this Gaussian only if the window holds it: "
-    "raise --window for a large T.",
+    "raise --window for a large T.  [default: chosen from the data]",
 )  # fmt: skip
 beta = click.option(
     "--beta", type=float, default=_KERNEL.beta, metavar="B",
     help="How strongly edges are kept: sample spacings per unit of colour (full scale 1). 0 is a plain Gaussian "
-    "on the surface; 5 to 40 suits strong to slight noise.  [default: from the estimated noise]",
+    "on the surface; 5 to 40 suits strong to slight noise.  [default: chosen from the data]",
 )  # fmt: skip
 beta_growth = click.option(
-    "--beta-growth", type=float, default=_KERNEL.beta_growth, show_default=True, metavar="G",
-    help="Multiply beta by G from one iteration to the next: as less noise is left, finer edges count.",
+    "--beta-growth", type=float, metavar="G",
+    help="Multiply beta by G from one iteration to the next: as less noise is left, finer edges count.  [default: "
+    "chosen from the data]",
 )  # fmt: skip
 clipping = click.option(
     "--clipping", type=click.Choice(get_args(Clipping)), default=_KERNEL.clipping, show_default=True,
@@ -87,8 +98,20 @@ metric_scale = click.option(
     "themselves are averaged. 0: never.",
 )  # fmt: skip
 metric_steps = click.option(
-    "--metric-steps", type=click.IntRange(0), default=_KERNEL.metric_steps, show_default=True, metavar="K",
-    help="Do so in the first K iterations; the others take distances from the colours as they are.",
+    "--metric-steps", type=click.IntRange(0), metavar="K",
+    help="Do so in the first K iterations; the others take distances from the colours as they are.  [default: chosen "
+    "from the data]",
+)  # fmt: skip
+strength = click.option(
+    "--strength", type=click.Choice(get_args(Strength)), default=_KERNEL.strength, show_default=True,
+    help="Smooth less or more than what is estimated to be closest to the colours without noise. It moves only what is "
+    "not given.",
+)  # fmt: skip
+fast = click.option(
+    "--fast", is_flag=True,
+    help=f"Choose nothing from the data but --beta by the noise: the rest is -n {_KERNEL.iterations}, "
+    f"-t {_KERNEL.t:g}, --beta-growth {_KERNEL.beta_growth:g}, --metric-steps {_KERNEL.metric_steps}, unless given. "
+    "So it is with --beta 0, --preset and --smooth-geometry too.",
 )  # fmt: skip
 preset = click.option(
     "--preset", type=click.Choice(sorted(PRESETS)),
@@ -248,10 +271,10 @@ verbose = click.option(
 )
 
 _SMOOTHING = (
-    iterations, time_step, beta, beta_growth, threshold, metric_scale, metric_steps, clipping, preset, on, space,
-    channels, units, weights, max_samples, window, height, height_scale, positions, mask, level, inside, colours,
-    max_voxels, slots, materials, texture_names, alpha, gutter, texture_format, jpeg_quality, small_png, *GUIDING,
-    *MOVING, solver, threads,
+    iterations, time_step, beta, beta_growth, threshold, metric_scale, metric_steps, clipping, strength, fast, preset,
+    on, space, channels, units, weights, max_samples, window, height, height_scale, positions, mask, level, inside,
+    colours, max_voxels, slots, materials, texture_names, alpha, gutter, texture_format, jpeg_quality, small_png,
+    *GUIDING, *MOVING, solver, threads,
 )  # fmt: skip
 
 # Those of one kernel, which is not written back, and what the others are without being asked for.
@@ -261,8 +284,10 @@ _STUDYING = (
     texture_names, alpha, *GUIDING, solver, threads,
 )  # fmt: skip
 _UNASKED = {
-    "iterations": _KERNEL.iterations,
+    "iterations": None,
     "clipping": _KERNEL.clipping,
+    "strength": _KERNEL.strength,
+    "fast": True,
     "gutter": str(_TEXTURES.gutter),
     "texture_format": _TEXTURES.image_suffix,
     "jpeg_quality": _TEXTURES.jpeg_quality,
@@ -275,7 +300,7 @@ _BY_DIRECTNESS = (ParameterSource.COMMANDLINE, ParameterSource.ENVIRONMENT, Para
 # Options that are parameters of the kernel, under the names that they have there.
 _KERNEL_OPTIONS = (
     "iterations", "t", "beta", "beta_growth", "threshold", "weights", "units", "max_samples", "threads", "window",
-    "metric_scale", "metric_steps", "clipping", "solver",
+    "metric_scale", "metric_steps", "clipping", "solver", "strength",
 )  # fmt: skip
 _LEVEL_SET_OPTIONS = ("level", "inside", "colours", "max_voxels")
 
@@ -380,7 +405,7 @@ def _kernel_from(options: dict[str, Any]) -> KernelParameters:
     if 0 < values["metric_scale"] < SMALLEST_SCALE:
         scale = values["metric_scale"]
         raise UsageError(f"metric_scale is {scale}, but must be 0, or between {SMALLEST_SCALE} and 3")
-    return KernelParameters(**values)
+    return parameters_with(values, choose=not (options["fast"] or options["preset"]))
 
 
 def is_given(name: str) -> bool:

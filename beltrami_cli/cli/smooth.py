@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import click
 
@@ -22,9 +22,10 @@ if TYPE_CHECKING:
 
 EPILOG = """\b
 Examples:
-  beltrami smooth scan.ply clean.ply                    sensible defaults
-  beltrami smooth scan.ply clean.ply -n 10 --beta 8     stronger
-  beltrami smooth scan.ply clean.ply -n 2               gentler
+  beltrami smooth scan.ply clean.ply                    all parameters chosen from the data
+  beltrami smooth scan.ply clean.ply --strength strong  stronger; or gentle
+  beltrami smooth scan.ply clean.ply --fast             by a fixed rule, without choosing
+  beltrami smooth scan.ply clean.ply -n 2 -v            two iterations; the rest chosen around it, and told
   beltrami smooth photoscan.obj clean.obj               textures too, across their seams
   beltrami smooth scan.glb clean.glb --metric-steps 4 -n 6                   rich natural textures
   beltrami smooth scan.ply clean.glb --unwrap           in a new texture, for meshes without one
@@ -40,12 +41,13 @@ Examples:
   beltrami smooth render.png clean.png --guide albedo.png --metric-channels none   joint filtering
   beltrami smooth scan.ply clean.ply --guide quality.npy --guide-beta 5
   beltrami smooth scan.ply clean.ply --smooth-geometry  positions too; creases stay
-  beltrami smooth scan.ply clean.ply --preview look.png before and after in a picture
+  beltrami smooth scan.ply clean.ply --preview look.png  before and after in a picture
   zcat scan.ply.gz | beltrami smooth - - | gzip > clean.ply.gz
 
 \b
-Strength grows with -n and -t and falls with --beta. If edges soften, raise --beta; if noise stays,
-raise -n, or lower --beta. See what a file is like with `beltrami info FILE`.
+What is not given is chosen by an estimate of the error, see docs/tuning.md. Strength grows with -n and -t and falls
+with --beta. If edges soften, raise --beta, or say --strength gentle; if noise stays, raise -n, lower --beta, or say
+--strength strong. See what a file is like, and what would be chosen, with `beltrami info FILE`.
 """
 
 
@@ -193,14 +195,16 @@ def _tell(messages: Messages, report: SmoothReport, *, dry_run: bool) -> None:
     _warn(messages, report)
     for stage, seconds in report.stages.items():
         messages.detail(f"{stage:>14}: {seconds['wall']:.2f} s, {seconds['cpu']:.2f} s CPU")
+    free = cast("list[str]", report.parameters["free"])
     for key in ("iterations", "t", "threshold", "metric_scale", "metric_steps", "space"):
-        messages.detail(f"{key:>14}: {report.parameters[key]}")
+        messages.detail(f"{key:>14}: {'chosen from the data' if key in free else report.parameters[key]}")
     name = f"{report.output}: {'not written (dry run), ' if dry_run else ''}"
     if report.vertices is not None:
         done, counts = report.vertices, report.vertices.counts
         what = f"{counts['vertices']} {'points' if 'outliers' in counts else 'vertices'}"
         messages.say(name + _summary(what, done.noise, done.beta, counts["samples_per_kernel"], done.change))
         _tell_guides(messages, done.guides)
+        _tell_choice(messages, done.choice)
         if done.geometry is not None:
             messages.say(name + _geometry(done.geometry, done.spacing))
     if report.image is not None:
@@ -210,14 +214,26 @@ def _tell(messages: Messages, report: SmoothReport, *, dry_run: bool) -> None:
         samples = done_image.samples_per_kernel
         messages.say(name + _summary(what, done_image.noise, done_image.beta, samples, done_image.change))
         _tell_guides(messages, done_image.guides)
+        _tell_choice(messages, done_image.choice)
     for slot in report.textures:
         textures = f"{len(slot.textures)} {slot.slot} texture{'s' if len(slot.textures) > 1 else ''}"
         what = f"{textures}, {slot.counts['covered']} texels in {slot.counts['charts']} charts"
         messages.say(name + _summary(what, slot.noise, slot.beta, slot.samples_per_kernel, slot.change))
         _tell_guides(messages, slot.guides)
+        _tell_choice(messages, slot.choice)
         if slot.counts["jumps"]:
             jumps = f"{slot.counts['jumps']} of {slot.counts['seams']} seams"
             messages.detail(f"{jumps} are real colour edges and were not smoothed over")
+
+
+def _tell_choice(messages: Messages, choice: dict[str, Any] | None) -> None:
+    if choice is None:
+        return
+    chosen = ", ".join(f"{name} {value:.3g}" for name, value in choice["chosen"].items())
+    messages.detail(
+        f"chosen: {chosen}; estimated PSNR {choice['psnr']:.1f} +- {choice['error']:.1f} dB, {choice['gain']:+.1f} dB "
+        f"against the input; the best of {choice['candidates']} on {choice['samples']} samples"
+    )
 
 
 def _tell_guides(messages: Messages, guides: dict[str, float]) -> None:

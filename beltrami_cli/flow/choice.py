@@ -20,10 +20,8 @@ if TYPE_CHECKING:
     from beltrami_cli.flow.parameters import KernelParameters
     from beltrami_cli.flow.risk import Trial
 
-# Values that are tried: beta times the noise, its growth, and how many iterations have the regularised metric.
+# Values that are tried of beta times the noise.
 _CONTRASTS = (0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0)
-_GROWTHS = (1.0, 1.5, 2.5, 4.0)
-_GUIDED = (0, 1, 2, 3)
 
 # Noise that cannot be told from the steps of an 8-bit file is none.
 _LEAST_NOISE = 0.5 / 255
@@ -31,25 +29,35 @@ _LEAST_NOISE = 0.5 / 255
 
 @dataclass(frozen=True)
 class Reach:
-    """Time steps to try on a kind of sampling, and where the search starts.
+    """What to try on a kind of sampling, and where the search starts.
 
     Attributes
     ----------
     steps : tuple of float
         Time steps.
+    growths : tuple of float
+        Values of the growth of beta.
+    guided : tuple of int
+        Numbers of regularised iterations.
+    most : int
+        Iterations in one schedule.
     contrast, growth, step : float
         Where to start: beta times the noise, its growth, and the time step.
     """
 
     steps: tuple[float, ...]
+    growths: tuple[float, ...]
+    guided: tuple[int, ...]
+    most: int
     contrast: float
     growth: float
     step: float
 
 
 # On a grid the window bounds the kernel, and a large time step only makes its weights more even.
-ON_GRIDS = Reach((2.4, 4.0, 8.0), 1.4, 1.5, 8.0)
-ON_MESHES = Reach((1.2, 2.4, 4.0), 1.0, 1.5, 2.4)
+ON_GRIDS = Reach((2.4, 4.0, 8.0), (1.0, 1.5, 2.5, 4.0), (0, 1, 2, 3), 8, 1.4, 1.5, 8.0)
+# On a mesh the time step alone bounds the kernel, and larger ones take longer than they gain.
+ON_MESHES = Reach((1.2, 2.4), (1.5, 2.5), (0, 1, 2), 6, 1.0, 1.5, 2.4)
 
 
 @dataclass(frozen=True)
@@ -150,9 +158,9 @@ def _grid(parameters: KernelParameters, reach: Reach, scale: float, by_rule: flo
     """Return what may be chosen; `scale` is the beta by which noise has the length 1, and 0 if no colour counts."""
     free = parameters.free
     betas = tuple(sorted({contrast * scale for contrast in _CONTRASTS}))
-    growths: tuple[float, ...] = _GROWTHS
-    steps: tuple[float, ...] = reach.steps
-    guided: tuple[int, ...] = _GUIDED
+    growths = reach.growths
+    steps = reach.steps
+    guided = reach.guided
     if "beta" not in free:
         betas = (by_rule if parameters.beta is None else parameters.beta,)
     if "beta_growth" not in free or scale == 0:
@@ -172,7 +180,7 @@ def _grid(parameters: KernelParameters, reach: Reach, scale: float, by_rule: flo
         _nearest(steps, reach.step),
         _nearest(guided, 1),
     )
-    return Grid(betas, growths, steps, guided, iterations, start)
+    return Grid(betas, growths, steps, guided, iterations, reach.most, start)
 
 
 def _nearest(values: tuple[float, ...], wanted: float) -> int:

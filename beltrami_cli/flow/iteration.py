@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 # Samples on which parameters are tried, as a share of all, so that trying takes no longer than smoothing: some forty
 # iterations are tried, each twice. Fewer than so many samples tell too little, and take about a second.
 _SHARE_TRIED = 1 / 20
-_LEAST_TRIED = 5_500
+_LEAST_TRIED = 2_500
 
 
 @dataclass(frozen=True)
@@ -53,6 +53,8 @@ class FlowResult:
         Kernels that `max_samples` cut short, over all iterations.
     positions : ndarray of float64, shape (S, 3), or None
         New positions, if they were smoothed.
+    choice : Choice or None
+        Parameters that were chosen from the data, if any were.
     """
 
     colours: NDArray[np.float32]
@@ -62,6 +64,7 @@ class FlowResult:
     samples_per_kernel: float
     truncated: int
     positions: NDArray[np.float64] | None = None
+    choice: Choice | None = None
 
 
 class BeltramiFlow:
@@ -231,6 +234,7 @@ class BeltramiFlow:
             samples / max(1, parameters.iterations * count),
             truncated,
             None if self.moving is None else self._in_order(self.moving.positions),
+            self.choice,
         )
 
     def _with_marks(self) -> NDArray[np.float32]:

@@ -5,9 +5,12 @@ from __future__ import annotations
 import math
 import os
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from beltrami_cli.errors import UsageError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
 
 Weights = Literal["uniform", "area"]
 Units = Literal["spacing", "world"]
@@ -22,7 +25,7 @@ Tunable = Literal["iterations", "t", "beta", "beta_growth", "metric_steps"]
 TUNABLE: tuple[Tunable, ...] = get_args(Tunable)
 
 # How much the smoothness of the result counts beside its closeness to the input.
-SMOOTHNESS: dict[Strength, float] = {"gentle": 0.4, "normal": 1.0, "strong": 2.5}
+SMOOTHNESS: dict[Strength, float] = {"gentle": 0.7, "normal": 1.0, "strong": 1.5}
 
 
 @dataclass(frozen=True)
@@ -150,6 +153,30 @@ class KernelParameters:
         if self.threads is not None:
             return self.threads
         return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def parameters_with(values: Mapping[str, Any], *, choose: bool = True) -> KernelParameters:
+    """Make parameters of which some are given, and leave those that are not to be chosen.
+
+    Parameters
+    ----------
+    values : mapping of str to object
+        Names and values; None for a parameter that is not given.
+    choose : bool
+        Whether those of `TUNABLE` that are not given are chosen from the data; else they have their defaults.
+
+    Returns
+    -------
+    KernelParameters
+
+    Raises
+    ------
+    UsageError
+        If a value is out of its range.
+    """
+    given = {name: value for name, value in values.items() if value is not None}
+    free = tuple(name for name in TUNABLE if name not in given) if choose else ()
+    return KernelParameters(**given, free=free)
 
 
 def _require(holds: bool, name: str, value: object, allowed: str) -> None:

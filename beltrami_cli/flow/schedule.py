@@ -10,14 +10,11 @@ from beltrami_cli.flow.risk import Risk, RiskEstimate, State, Step
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-# Iterations in one schedule; what needs more has a larger time step beside it that does the same in fewer.
-_MOST_STEPS = 8
-
-# So many iterations in a row that make the estimate worse end a path.
+# So many iterations in a row that make the estimate worse than it was end a path.
 _PATIENCE = 1
 
-# Improvements by less than this share of the noise's variance are chance.
-_WORTH_MOVING = 1e-4
+# Improvements by less than this share of the noise's variance are chance: some 0.1 dB of a good result.
+_WORTH_MOVING = 5e-4
 
 
 @dataclass(frozen=True)
@@ -58,7 +55,9 @@ class Grid:
     guided : tuple of int
         Numbers of regularised iterations.
     iterations : int or None
-        How many iterations there must be; None: as many as pay.
+        How many iterations there must be; None: as many as pay ...
+    most : int
+        ... but no more than so many.
     start : tuple of int
         Where in `betas`, `growths`, `steps` and `guided` to start.
     """
@@ -68,6 +67,7 @@ class Grid:
     steps: tuple[float, ...]
     guided: tuple[int, ...]
     iterations: int | None
+    most: int
     start: tuple[int, int, int, int]
 
     def at(self, place: tuple[int, int, int, int], plain: int = 0) -> Schedule:
@@ -152,7 +152,7 @@ class Search:
             if wanted is None or done == wanted:
                 costs.append(self._try(schedule, state))
             best = costs.index(min(costs)) if costs else 0
-            if done >= (_MOST_STEPS if wanted is None else wanted) or len(costs) > best + _PATIENCE:
+            if done >= (self._grid.most if wanted is None else wanted) or len(costs) > best + _PATIENCE:
                 return costs[best]
             state = self._step(state, schedule.step(done))
             schedule = replace(schedule, plain=schedule.plain + 1)

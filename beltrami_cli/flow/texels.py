@@ -204,7 +204,13 @@ class TexelFlow:
         owned = planes.reshape(len(planes), -1)[:, self.atlas.owned_cells]
         kernels = max(1, parameters.iterations * len(self.atlas.owned_cells))
         return FlowResult(
-            np.ascontiguousarray(owned.T), self.spacing, self.beta, self.sigma, samples / kernels, 0
+            np.ascontiguousarray(owned.T),
+            self.spacing,
+            self.beta,
+            self.sigma,
+            samples / kernels,
+            0,
+            choice=self.choice,
         )
 
     def _with_marks(self) -> NDArray[np.float32]:

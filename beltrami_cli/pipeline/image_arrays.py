@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
+    from beltrami_cli.flow.choice import Choice
     from beltrami_cli.flow.parameters import KernelParameters, Space
     from beltrami_cli.mesh.painted import Encoding
     from beltrami_cli.pipeline.guide_images import GuideImage
@@ -40,6 +41,8 @@ class ImageResult:
         Pixels that are no holes.
     samples_per_kernel : float
         Mean number of pixels that a kernel held.
+    choice : Choice or None
+        Parameters that were chosen from the data, and their estimated error, if any were.
     """
 
     colours: NDArray[np.float32]
@@ -48,6 +51,7 @@ class ImageResult:
     noise: NDArray[np.float64]
     samples: int
     samples_per_kernel: float
+    choice: Choice | None = None
 
 
 @dataclass(frozen=True)
@@ -130,6 +134,7 @@ class ArrayImage:
             result.sigma,
             len(pixels),
             result.samples_per_kernel,
+            choice=result.choice,
         )
 
     def _working(self, pixels: NDArray[np.int64]) -> NDArray[np.float32]:

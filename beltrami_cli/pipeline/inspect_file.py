@@ -12,6 +12,7 @@ from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.image.recognition import is_image
 from beltrami_cli.formats.source import read_source
 from beltrami_cli.pipeline.opening import document_from, refuse_options_of_level_sets
+from beltrami_cli.pipeline.report import describe_choice
 from beltrami_cli.pipeline.room import require_room_for_textures
 from beltrami_cli.pipeline.settings import DEFAULTS, SmoothSettings
 from beltrami_cli.pipeline.work import choose_work
@@ -19,6 +20,8 @@ from beltrami_cli.pipeline.work import choose_work
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from beltrami_cli.flow.iteration import BeltramiFlow
+    from beltrami_cli.flow.texels import TexelFlow
     from beltrami_cli.formats.document import Document
     from beltrami_cli.mesh.painted import PaintedVertices
     from beltrami_cli.mesh.surface import SampledSurface
@@ -50,8 +53,8 @@ def inspect_file(
         JSON types only: "file" (facts of the format); for vertex colours "colours", "surface" or for points without
         faces "cloud" (counts, spacing, bounds), "noise" (standard deviation per channel, full scale 1) and "smooth"
         (parameters as they would be used, and the mean number of samples that a kernel of the first iteration would
-        hold); "textures", a list with an entry for each slot that would be smoothed; "notices". For an image "file", "image", "noise",
-        "smooth" and "notices".
+        hold); "textures", a list with an entry for each slot that would be smoothed; "notices". For an image "file",
+        "image", "noise", "smooth" and "notices".
 
     Raises
     ------
@@ -93,7 +96,7 @@ def _describe_image(data: bytes, name: str, settings: SmoothSettings, access: Ac
         "file": {"name": name, "format": facts.pop("format"), "bytes": len(data)},
         "image": {**facts, "pitch": flow.spacing},
         "noise": prepared.colours.named(flow.sigma),
-        "smooth": _describe_kernel(settings, flow.beta, flow.guide_betas),
+        "smooth": _describe_kernel(settings, flow),
         "notices": list(prepared.notices),
     }
 
@@ -118,7 +121,7 @@ def _describe_vertices(document: Document, settings: SmoothSettings, access: Acc
             painted.channels[i]: float(s)
             for i, s in zip(prepared.channels.taking_part, flow.sigma, strict=True)
         },
-        "smooth": _describe_kernel(settings, flow.beta, flow.guide_betas)
+        "smooth": _describe_kernel(settings, flow)
         | (
             {}
             if flow.moving is None
@@ -173,7 +176,7 @@ def _describe_range(
             "mean_edge_length": flow.spacing,
         },
         "noise": prepared.named(flow.sigma),
-        "smooth": _describe_kernel(settings, flow.beta, flow.guide_betas),
+        "smooth": _describe_kernel(settings, flow),
     }
 
 
@@ -199,18 +202,20 @@ def _describe_slot(
         "colour_jumps": flow.jumps,
         "pitch": flow.spacing,
         "noise": prepared.colours.named(flow.sigma),
-        "smooth": _describe_kernel(settings, flow.beta, flow.guide_betas),
+        "smooth": _describe_kernel(settings, flow),
     }
 
 
-def _describe_kernel(
-    settings: SmoothSettings, beta: float, guide_betas: dict[str, float] | None = None
-) -> dict[str, object]:
+def _describe_kernel(settings: SmoothSettings, flow: BeltramiFlow | TexelFlow) -> dict[str, object]:
+    choice = describe_choice(flow.choice)
+    used = dataclasses.asdict(dataclasses.replace(flow.parameters, beta=flow.beta))
+    del used["free"]  # nothing is any more
     return {
-        **dataclasses.asdict(dataclasses.replace(settings.kernel, beta=beta)),
+        **used,
         "threads": settings.kernel.thread_count,
         "space": settings.space,
-        **({"guide_betas": guide_betas} if guide_betas else {}),
+        **({"guide_betas": flow.guide_betas} if flow.guide_betas else {}),
+        **({"choice": choice} if choice else {}),
     }
 
 

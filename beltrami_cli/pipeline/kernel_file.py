@@ -92,7 +92,7 @@ def kernel_file(
     place = read_place(at)
     output = Output(target, overwrite=overwrite, is_text=suffix == ".csv")
     # What is restored of clipped colours comes after the averages of all iterations, and is none of them.
-    kernel = dataclasses.replace(settings.kernel, iterations=iteration - 1, clipping="keep")
+    kernel = dataclasses.replace(settings.kernel, iterations=iteration - 1, clipping="keep", free=())
     settings = dataclasses.replace(settings, kernel=kernel)
     data = read_source(source, access)
     if is_image(data, source):

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from beltrami_cli.flow.choice import Choice
     from beltrami_cli.formats.document import Document
     from beltrami_cli.mesh.painted import PaintedVertices
     from beltrami_cli.pipeline.settings import SmoothSettings
@@ -76,6 +77,10 @@ class VertexReport:
     geometry : dict of str to float, or None
         If positions were smoothed: the estimated noise of the normals in radians, the beta used for them, and the mean,
         root mean square and largest distance that a vertex moved, in the file's own unit of length.
+    choice : dict or None
+        If parameters were chosen from the data: "chosen" with their values, and what is known of the result: its
+        estimated "psnr" in dB, the standard "error" of that, the "gain" over the input, and the numbers of "candidates"
+        that were compared and of "samples" that they were compared on.
     """
 
     counts: dict[str, float]
@@ -85,6 +90,7 @@ class VertexReport:
     change: dict[str, float]
     guides: dict[str, float]
     geometry: dict[str, float] | None
+    choice: dict[str, object] | None = None
 
 
 @dataclass(frozen=True)
@@ -108,6 +114,8 @@ class ImageReport:
         The beta used for each guide, by its name.
     change : dict of str to float
         Mean, root mean square and largest change of a smoothed value, full scale 1, as stored.
+    choice : dict or None
+        As for `VertexReport`.
     """
 
     image: dict[str, object]
@@ -117,6 +125,7 @@ class ImageReport:
     samples_per_kernel: float
     guides: dict[str, float]
     change: dict[str, float]
+    choice: dict[str, object] | None = None
 
 
 @dataclass(frozen=True)
@@ -128,7 +137,8 @@ class SmoothReport:
     input, output, format : str
         Where from, where to, and the format written.
     parameters : dict
-        The parameters that were asked for; what was chosen in place of an absent beta is with what it was chosen for.
+        The parameters that were asked for; those named in "free" were left to be chosen, and what was chosen is with
+        what it was chosen for.
     vertices : VertexReport or None
         For vertex colours, if they were smoothed.
     textures : list of SlotReport
@@ -255,7 +265,13 @@ def _vertex_report(document: Document, result: SmoothResult) -> VertexReport:
         change=Change.between(painted.colours, result.colours).summary(),
         guides=result.guide_betas,
         geometry=_geometry_report(painted, result),
+        choice=describe_choice(result.choice),
     )
+
+
+def describe_choice(choice: Choice | None) -> dict[str, object] | None:
+    """Return in JSON types what was chosen, and by what estimate."""
+    return None if choice is None else dataclasses.asdict(choice)
 
 
 def _geometry_report(painted: PaintedVertices, result: SmoothResult) -> dict[str, float] | None:

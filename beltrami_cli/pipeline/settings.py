@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import Literal, get_args
 
 from beltrami_cli.errors import UsageError
-from beltrami_cli.flow.parameters import KernelParameters, Space
+from beltrami_cli.flow.parameters import TUNABLE, KernelParameters, Space
 from beltrami_cli.pipeline.embedding_settings import EmbeddingSettings
 from beltrami_cli.pipeline.image_settings import ImageSettings
 from beltrami_cli.pipeline.level_set_settings import LevelSetSettings
@@ -83,7 +83,7 @@ class SmoothSettings:
     Attributes
     ----------
     kernel : KernelParameters
-        Iterations, time step, beta and the rest.
+        Iterations, time step, beta and the rest; by default all that can be are chosen from the data.
     space : {"srgb", "linear", "oklab", "data"}
         What colour distances and averages are taken in; "data" takes the stored numbers as they are.
     channels : tuple of str or None
@@ -106,7 +106,7 @@ class SmoothSettings:
         If a value is not one of those named, or `space` contradicts `channels`.
     """
 
-    kernel: KernelParameters = field(default_factory=KernelParameters)
+    kernel: KernelParameters = field(default_factory=lambda: KernelParameters(free=TUNABLE))
     space: Space = "srgb"
     channels: tuple[str, ...] | None = None
     on: Target = "auto"

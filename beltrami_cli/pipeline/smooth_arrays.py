@@ -8,7 +8,7 @@ import numpy as np
 
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.guidance import Guide, centred
-from beltrami_cli.flow.parameters import KernelParameters
+from beltrami_cli.flow.parameters import parameters_with
 from beltrami_cli.mesh.painted import Encoding, PaintedVertices
 from beltrami_cli.mesh.validation import (
     check_mesh,
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike
 
-    from beltrami_cli.flow.parameters import Clipping, Solver, Space, Units, Weights
+    from beltrami_cli.flow.parameters import Clipping, Solver, Space, Strength, Units, Weights
 
 
 def smooth(
@@ -36,19 +36,21 @@ def smooth(
     faces: ArrayLike | None,
     colours: ArrayLike,
     *,
-    iterations: int = DEFAULTS.kernel.iterations,
-    t: float = DEFAULTS.kernel.t,
-    beta: float | None = DEFAULTS.kernel.beta,
-    beta_growth: float = DEFAULTS.kernel.beta_growth,
+    iterations: int | None = None,
+    t: float | None = None,
+    beta: float | None = None,
+    beta_growth: float | None = None,
     threshold: float = DEFAULTS.kernel.threshold,
     weights: Weights = DEFAULTS.kernel.weights,
     units: Units = DEFAULTS.kernel.units,
     max_samples: int = DEFAULTS.kernel.max_samples,
     threads: int | None = DEFAULTS.kernel.threads,
     metric_scale: float = DEFAULTS.kernel.metric_scale,
-    metric_steps: int = DEFAULTS.kernel.metric_steps,
+    metric_steps: int | None = None,
     clipping: Clipping = DEFAULTS.kernel.clipping,
     solver: Solver = DEFAULTS.kernel.solver,
+    strength: Strength = DEFAULTS.kernel.strength,
+    fast: bool = False,
     space: Space = DEFAULTS.space,
     encoding: Encoding = "srgb",
     guide: ArrayLike | None = None,
@@ -70,13 +72,14 @@ def smooth(
     colours : array_like, shape (V, C) or (V,)
         Any number of channels, finite. uint8, uint16 and uint32 are taken by their full scale, floats as they are
         (full scale 1); other integers are refused, for their full scale is not known.
-    iterations : int
-        Number N of kernel iterations.
-    t : float
+    iterations : int, optional
+        Number N of kernel iterations. It, `t`, `beta`, `beta_growth` and `metric_steps` are chosen from the data where
+        they are not given, by the estimated error of the result; see `strength` and `fast`.
+    t : float, optional
         Time step, in squared units of length.
-    beta : float or None
-        Units of length per unit of colour; None: from the estimated noise. 0: a geodesic Gaussian.
-    beta_growth : float
+    beta : float, optional
+        Units of length per unit of colour. 0: a geodesic Gaussian.
+    beta_growth : float, optional
         Factor, 1 or more, by which beta grows from one iteration to the next.
     threshold : float
         Samples with a kernel value below it are left out.
@@ -90,12 +93,16 @@ def smooth(
         None: all that the process may use. The result does not depend on it.
     metric_scale : float
         Take distances from colours smoothed by a Gaussian of this standard deviation, in sample spacings ...
-    metric_steps : int
+    metric_steps : int, optional
         ... in so many of the first iterations; the colours themselves are averaged.
     clipping : {"restore", "keep"}
         Whether averages are corrected where noise was cut off at 0 or full scale.
     solver : {"auto", "fast-marching", "segments"}
         How distances are found: by fast marching, or along segments over edges and one or two unfolded edges.
+    strength : {"gentle", "normal", "strong"}
+        Whether what is chosen smooths less or more than what is estimated to be best.
+    fast : bool
+        Whether parameters that are not given follow a fixed rule instead, which takes no time.
     space : {"srgb", "linear", "oklab", "data"}
         What distances and averages of colours are taken in; "data": the numbers as they are.
     encoding : {"srgb", "linear"}
@@ -142,33 +149,37 @@ def smooth(
     betas = {"beta": beta, "guide_beta": guide_beta, "normal_beta": normal_beta}
     check_numbers(
         {
-            "iterations": iterations,
+            "iterations": 0 if iterations is None else iterations,
             "max_samples": max_samples,
-            "metric_steps": metric_steps,
+            "metric_steps": 0 if metric_steps is None else metric_steps,
             "threads": 1 if threads is None else threads,
         },
         {
-            "t": t,
+            "t": 1 if t is None else t,
             "threshold": threshold,
             "metric_scale": metric_scale,
-            "beta_growth": beta_growth,
+            "beta_growth": 1 if beta_growth is None else beta_growth,
             **{name: 0 if value is None else value for name, value in betas.items()},
         },
     )
-    kernel = KernelParameters(
-        iterations=iterations,
-        t=t,
-        beta=beta,
-        beta_growth=beta_growth,
-        threshold=threshold,
-        weights=weights,
-        units=units,
-        max_samples=max_samples,
-        threads=threads,
-        metric_scale=metric_scale,
-        metric_steps=metric_steps,
-        clipping=clipping,
-        solver=solver,
+    kernel = parameters_with(
+        {
+            "iterations": iterations,
+            "t": t,
+            "beta": beta,
+            "beta_growth": beta_growth,
+            "threshold": threshold,
+            "weights": weights,
+            "units": units,
+            "max_samples": max_samples,
+            "threads": threads,
+            "metric_scale": metric_scale,
+            "metric_steps": metric_steps,
+            "clipping": clipping,
+            "solver": solver,
+            "strength": strength,
+        },
+        choose=not fast,
     )
     painted = _painted(positions, faces, colours, encoding)
     if len(painted.channels) != 3 and space == "oklab":

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, get_args
 
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.guidance import centred
-from beltrami_cli.flow.parameters import Clipping, KernelParameters, Space
+from beltrami_cli.flow.parameters import Space, parameters_with
 from beltrami_cli.mesh.painted import Encoding
 from beltrami_cli.mesh.validation import check_numbers, guide_table
 from beltrami_cli.pipeline.embedding_settings import EmbeddingSettings
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike
 
-    from beltrami_cli.flow.parameters import Scheme, Units
+    from beltrami_cli.flow.parameters import Clipping, Scheme, Strength, Units
 
 
 def smooth_image(
@@ -29,18 +29,20 @@ def smooth_image(
     height: ArrayLike | None = None,
     height_scale: float = 1.0,
     valid: ArrayLike | None = None,
-    iterations: int = DEFAULTS.kernel.iterations,
-    t: float = DEFAULTS.kernel.t,
-    beta: float | None = DEFAULTS.kernel.beta,
-    beta_growth: float = DEFAULTS.kernel.beta_growth,
+    iterations: int | None = None,
+    t: float | None = None,
+    beta: float | None = None,
+    beta_growth: float | None = None,
     threshold: float = DEFAULTS.kernel.threshold,
     units: Units = DEFAULTS.kernel.units,
     threads: int | None = DEFAULTS.kernel.threads,
     window: int = DEFAULTS.kernel.window,
     metric_scale: float = DEFAULTS.kernel.metric_scale,
-    metric_steps: int = DEFAULTS.kernel.metric_steps,
+    metric_steps: int | None = None,
     scheme: Scheme = DEFAULTS.kernel.scheme,
     clipping: Clipping = DEFAULTS.kernel.clipping,
+    strength: Strength = DEFAULTS.kernel.strength,
+    fast: bool = False,
     space: Space = DEFAULTS.space,
     encoding: Encoding = "srgb",
     guide: ArrayLike | None = None,
@@ -64,13 +66,14 @@ def smooth_image(
         Pixels per unit of height.
     valid : array_like of bool, shape (H, W), optional
         False at holes. They keep their colours, lend none, and nothing crosses them.
-    iterations : int
-        Number N of kernel iterations.
-    t : float
+    iterations : int, optional
+        Number N of kernel iterations. It, `t`, `beta`, `beta_growth` and `metric_steps` are chosen from the data where
+        they are not given, by the estimated error of the result; see `strength` and `fast`.
+    t : float, optional
         Time step, in squared units of length.
-    beta : float or None
-        Units of length per unit of colour; None: from the estimated noise. 0: a Gaussian.
-    beta_growth : float
+    beta : float, optional
+        Units of length per unit of colour. 0: a Gaussian.
+    beta_growth : float, optional
         Factor, 1 or more, by which beta grows from one iteration to the next.
     threshold : float
         Pixels with a kernel value below it are left out.
@@ -83,12 +86,16 @@ def smooth_image(
         Pixels a side of the square in which a kernel is looked for, odd.
     metric_scale : float
         Take distances from colours smoothed by a Gaussian of this standard deviation, in pixels ...
-    metric_steps : int
+    metric_steps : int, optional
         ... in so many of the first iterations; the colours themselves are averaged.
     scheme : {"triangles", "metric"}
         Distances through the triangles of neighbouring pixels, or the paper's parametric fast marching.
     clipping : {"restore", "keep"}
         Whether averages are corrected where noise was cut off at 0 or full scale.
+    strength : {"gentle", "normal", "strong"}
+        Whether what is chosen smooths less or more than what is estimated to be best.
+    fast : bool
+        Whether parameters that are not given follow a fixed rule instead, which takes no time.
     space : {"srgb", "linear", "oklab", "data"}
         What distances and averages of colours are taken in; "data": the numbers as they are.
     encoding : {"srgb", "linear"}
@@ -126,34 +133,38 @@ def smooth_image(
     """
     check_numbers(
         {
-            "iterations": iterations,
-            "metric_steps": metric_steps,
+            "iterations": 0 if iterations is None else iterations,
+            "metric_steps": 0 if metric_steps is None else metric_steps,
             "window": window,
             "threads": 1 if threads is None else threads,
         },
         {
-            "t": t,
+            "t": 1 if t is None else t,
             "beta": 0 if beta is None else beta,
             "threshold": threshold,
             "metric_scale": metric_scale,
-            "beta_growth": beta_growth,
+            "beta_growth": 1 if beta_growth is None else beta_growth,
             "guide_beta": 0 if guide_beta is None else guide_beta,
             "height_scale": height_scale,
         },
     )
-    kernel = KernelParameters(
-        iterations=iterations,
-        t=t,
-        beta=beta,
-        beta_growth=beta_growth,
-        threshold=threshold,
-        units=units,
-        threads=threads,
-        window=window,
-        metric_scale=metric_scale,
-        metric_steps=metric_steps,
-        scheme=scheme,
-        clipping=clipping,
+    kernel = parameters_with(
+        {
+            "iterations": iterations,
+            "t": t,
+            "beta": beta,
+            "beta_growth": beta_growth,
+            "threshold": threshold,
+            "units": units,
+            "threads": threads,
+            "window": window,
+            "metric_scale": metric_scale,
+            "metric_steps": metric_steps,
+            "scheme": scheme,
+            "clipping": clipping,
+            "strength": strength,
+        },
+        choose=not fast,
     )
     if space not in get_args(Space):
         raise UsageError(f"space is {space}, but must be {', '.join(get_args(Space))}")

@@ -19,7 +19,7 @@ from beltrami_cli.formats.image import (
     write_image,
 )
 from beltrami_cli.pipeline.prepare_image import prepare_image, refuse_options_of_meshes
-from beltrami_cli.pipeline.report import ImageReport, SmoothReport, make_image_report
+from beltrami_cli.pipeline.report import ImageReport, SmoothReport, describe_choice, make_image_report
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -134,6 +134,7 @@ def _smoothed(
         samples_per_kernel=round(result.samples_per_kernel, 2),
         guides=guides,
         change=change.summary(),
+        choice=describe_choice(result.choice),
     )
     return Written([image.data], notices=_notices(prepared, suffix)), report
 

@@ -166,4 +166,5 @@ def smooth_range(
         result.samples_per_kernel,
         0,
         flow.guide_betas,
+        choice=result.choice,
     )

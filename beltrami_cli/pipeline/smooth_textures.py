@@ -12,7 +12,7 @@ from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.image import check_writable, losses, write_image
 from beltrami_cli.pipeline.prepare_textures import PreparedSlot, prepare_slot
 from beltrami_cli.pipeline.repainting import SmoothedTexels, repaint
-from beltrami_cli.pipeline.report import Change
+from beltrami_cli.pipeline.report import Change, describe_choice
 from beltrami_cli.pipeline.texel_colours import COLOUR_SLOTS
 
 if TYPE_CHECKING:
@@ -56,6 +56,8 @@ class SlotReport:
         The beta used for each guide, by its name.
     change : dict of str to float
         Mean, root mean square and largest change of a covered texel's value, full scale 1, as stored.
+    choice : dict or None
+        As for `VertexReport`.
     """
 
     slot: str
@@ -67,6 +69,7 @@ class SlotReport:
     samples_per_kernel: float
     guides: dict[str, float] = field(default_factory=dict)
     change: dict[str, float] = field(default_factory=dict)
+    choice: dict[str, object] | None = None
 
 
 @dataclass(frozen=True)
@@ -124,6 +127,7 @@ def smooth_slot(
         noise=prepared.colours.named(result.sigma),
         samples_per_kernel=round(result.samples_per_kernel, 2),
         guides=flow.guide_betas,
+        choice=describe_choice(result.choice),
     )
     notices = list(atlas_notices(prepared.atlas))
     smoothed = SmoothedTexels(

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from beltrami_cli.flow.choice import Choice
     from beltrami_cli.mesh.painted import PaintedVertices
     from beltrami_cli.mesh.surface import SampledSurface
     from beltrami_cli.pipeline.settings import SmoothSettings
@@ -71,6 +72,8 @@ class SmoothResult:
         of length per radian.
     cloud : CloudCounts or None
         For points without faces.
+    choice : Choice or None
+        Parameters that were chosen from the data, and their estimated error, if any were.
     """
 
     colours: NDArray[np.float32]
@@ -86,6 +89,7 @@ class SmoothResult:
     normal_noise: float | None = None
     normal_beta: float | None = None
     cloud: CloudCounts | None = None
+    choice: Choice | None = None
 
 
 @dataclass(frozen=True)
@@ -222,6 +226,7 @@ def smooth_painted(
         None if result.positions is None else result.positions[sampling.sample_of],
         None if moving is None else moving.sigma,
         None if moving is None else moving.beta,
+        choice=result.choice,
     )
 
 

@@ -12,7 +12,7 @@ from scene import SIGMA
 MOST_ITERATIONS = 8
 
 
-def bilateral(noisy, score, *, window):
+def bilateral(noisy, score, *, window, sigma=SIGMA):
     """Return the best scores of OpenCV's bilateral filter, iterated.
 
     Parameters
@@ -23,6 +23,8 @@ def bilateral(noisy, score, *, window):
         From an image in [0, 1] to a tuple of scores; the first is tuned for.
     window : int
         Texels a side.
+    sigma : float
+        Of the noise, by which the filter's own parameters are scaled.
 
     Returns
     -------
@@ -34,28 +36,31 @@ def bilateral(noisy, score, *, window):
     for colour, space in itertools.product((1, 1.5, 2, 2.7, 4), (1.2, 1.8, 3, 5)):
         smoothed = image
         for _ in range(MOST_ITERATIONS):
-            smoothed = cv2.bilateralFilter(smoothed, window, colour * SIGMA, space)
+            smoothed = cv2.bilateralFilter(smoothed, window, colour * sigma, space)
             found.append(score(smoothed))
     return max(found, key=lambda scores: scores[0])
 
 
-def nonlocal_means(noisy, score):
+def nonlocal_means(noisy, score, *, sigma=SIGMA):
     """Return the best scores of scikit-image's fast non-local means."""
     restoration = scikit_image()
     image = noisy.astype(np.float32) / 255
     settings = itertools.product((0.4, 0.6, 0.8), (3, 5))
     run = restoration.denoise_nl_means
-    options = {"patch_distance": 6, "fast_mode": True, "channel_axis": -1, "sigma": SIGMA}
-    found = [score(run(image, h=h * SIGMA, patch_size=patch, **options)) for h, patch in settings]
+    options = {"patch_distance": 6, "fast_mode": True, "channel_axis": -1, "sigma": sigma}
+    found = [score(run(image, h=h * sigma, patch_size=patch, **options)) for h, patch in settings]
     return max(found, key=lambda scores: scores[0])
 
 
-def total_variation(noisy, score):
+def total_variation(noisy, score, *, sigma=SIGMA):
     """Return the best scores of scikit-image's total variation (Chambolle)."""
     restoration = scikit_image()
     image = noisy.astype(np.float32) / 255
     weights = (0.05, 0.07, 0.1, 0.14)
-    found = [score(restoration.denoise_tv_chambolle(image, weight=w, channel_axis=-1)) for w in weights]
+    found = [
+        score(restoration.denoise_tv_chambolle(image, weight=w * sigma / SIGMA, channel_axis=-1))
+        for w in weights
+    ]
     return max(found, key=lambda scores: scores[0])
 
 

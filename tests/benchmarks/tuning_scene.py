@@ -1,0 +1,178 @@
+"""What parameters are judged on: samples with known noise, and the flow on them, step by step."""
+
+from __future__ import annotations
+
+import dataclasses
+import tempfile
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import texture_files
+from scene import ROOT
+
+from beltrami_cli.flow.iteration import BeltramiFlow
+from beltrami_cli.flow.parameters import TUNABLE, KernelParameters
+from beltrami_cli.flow.texels import TexelFlow
+from beltrami_cli.flow.trial_grid import _blocks, _cut_out
+from beltrami_cli.formats.image import read_image
+from beltrami_cli.formats.source import open_document
+from beltrami_cli.mesh.atlas import HALO, OWNED
+from beltrami_cli.sampling.atlas import build_atlas
+from beltrami_cli.sampling.vertices import sample_vertices
+
+MARGIN = 6  # cells: half the window, and the reach of the regularised metric
+REACH = 5
+
+
+def with_noise(clean, sigma, seed=11):
+    """Return 8-bit colours in [0, 1] with noise; rows are samples."""
+    noisy = clean + sigma * np.random.default_rng(seed).standard_normal(clean.shape)
+    return (np.rint(np.clip(noisy, 0, 1) * 255) / 255).astype(np.float32)
+
+
+def psnr(colours, clean):
+    """Return the peak signal-to-noise ratio in dB; the peak is 1."""
+    return float(-10 * np.log10(np.mean((np.asarray(colours, np.float64) - clean) ** 2)))
+
+
+@dataclass(frozen=True)
+class Texels:
+    """Covered texels of a model, or of blocks of it: atlas, and colours (T, 3) without noise."""
+
+    name: str
+    atlas: object
+    clean: np.ndarray
+    starts = (1.4, 8.0)
+    steps = (2.4, 4.0, 8.0)
+
+    def flow(self, noisy, parameters):
+        """Return the flow."""
+        return TexelFlow(self.atlas, noisy, parameters)
+
+    def noisy(self, sigma):
+        """Return colours with noise."""
+        return with_noise(self.clean, sigma)
+
+
+@dataclass(frozen=True)
+class Vertices:
+    """Coloured vertices, with the noise the same where they coincide."""
+
+    name: str
+    painted: object
+    starts = (1.0, 2.4)
+    steps = (1.2, 2.4, 4.0)
+
+    @cached_property
+    def clean(self):
+        """The colours without noise, one row a place."""
+        return self.painted.colours[self._first]
+
+    @cached_property
+    def _place(self):
+        return np.unique(np.round(self.painted.positions, 9), axis=0, return_index=True, return_inverse=True)
+
+    @property
+    def _first(self):
+        return self._place[1]
+
+    def noisy(self, sigma):
+        """Return colours with noise, one row a place."""
+        return with_noise(self.clean, sigma)
+
+    def flow(self, noisy, parameters):
+        """Return the flow on places."""
+        colours = noisy[self._place[2].ravel()]
+        surface, sampling = sample_vertices(self.painted, colours)
+        flow = BeltramiFlow(surface, parameters)
+        flow.rows = sampling.sample_of[self._first]
+        return flow
+
+
+def textures(scenes, most):
+    """Yield the texels of textured scenes; of a larger one blocks with about `most` of them."""
+    for scene in scenes:
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "clean.glb"
+            texture_files.write_glb(
+                path, scene, [np.rint(image * 255).astype(np.uint8) for image in scene.clean]
+            )
+            surface = open_document(str(path)).textured("baseColor")
+            pixels = [read_image(texture.data, texture.name).pixels[..., :3] for texture in surface.textures]
+        atlas = build_atlas(surface, [(image.shape[1], image.shape[0]) for image in pixels], MARGIN, 2)
+        # 8-bit files, so that what is known to be true can be stored.
+        clean = np.concatenate([image.reshape(-1, 3) for image in pixels])[atlas.owned_texels] / 255.0
+        if len(atlas.owned_cells) > most:
+            atlas, clean = blocks_of(atlas, clean, most)
+        yield Texels(scene.name, atlas, clean)
+
+
+def blocks_of(atlas, clean, most):
+    """Return blocks of an atlas that end at their borders, and the colours of their owned cells."""
+    cells, core = _blocks(atlas, most, REACH)
+    part = _cut_out(atlas, cells, core, REACH)
+    kind = part.kind.copy()
+    kept = np.zeros(kind.size, bool)
+    kept[part.halo_cells] = True
+    flat = kind.reshape(-1)
+    flat[(flat == HALO) & ~kept] = 0
+    row = np.searchsorted(atlas.owned_cells, cells.reshape(-1)[part.owned_cells])
+    owned = np.flatnonzero(kind == OWNED)
+    return dataclasses.replace(
+        part, kind=kind, owned_cells=owned, owned_texels=atlas.owned_texels[row]
+    ), clean[row]
+
+
+def vertices():
+    """Yield the samples with vertex colours."""
+    for path in sorted((ROOT / "sample_data").glob("*-clean.ply")):
+        document = open_document(str(path))
+        if document.has_vertex_colours() and not document.slots():
+            yield Vertices(path.name, document.painted())
+
+
+class Steps:
+    """The flow on a scene, step by step, judged by the truth after each."""
+
+    def __init__(self, scene, noisy):
+        # With these the flow makes all that its iterations need; beta and the rest are given step by step.
+        self.flow = scene.flow(noisy, KernelParameters(iterations=1, beta=1.0, metric_steps=1))
+        self.scene, self.on_grid = scene, isinstance(self.flow, TexelFlow)
+        self.start = self.flow._with_marks()
+        self.channels = noisy.shape[1]
+
+    def step(self, state, beta, t, *, regularised):
+        """Return the state after an iteration."""
+        flow = self.flow
+        if self.on_grid:
+            metric, used = flow._metric.join(state[: self.channels], beta, regularised=regularised)
+            return flow._iterate(flow.atlas, flow._scale, metric, state, used, t)
+        colours = np.ascontiguousarray(state[:, : self.channels])
+        metric, used = flow._metric.join(colours, beta, regularised=regularised)
+        flow._manifold.update_metric(
+            flow._positions, metric, used, flow._scales, True, flow.parameters.thread_count
+        )
+        radius = dataclasses.replace(flow.parameters, t=t).radius
+        return flow._manifold.smooth(state, None, t, radius, 2000, flow.parameters.thread_count, None)[0]
+
+    def score(self, state):
+        """Return the PSNR of a state, after averages of clipped noise were restored."""
+        planes = (state if self.on_grid else state.T).copy()
+        if self.flow._clipped is not None:
+            self.flow._clipped.restore(planes[: self.channels], planes[self.channels :])
+        planes = planes[: self.channels]
+        if self.on_grid:
+            return psnr(planes.reshape(self.channels, -1)[:, self.flow.atlas.owned_cells].T, self.scene.clean)
+        return psnr(self.flow._in_order(planes.T)[self.flow.rows], self.scene.clean)
+
+
+def chosen(scene, noisy, **others):
+    """Return the PSNR with parameters chosen from the data, and the flow."""
+    flow = scene.flow(noisy, KernelParameters(free=TUNABLE, **others))
+    colours = flow.run().colours
+    return psnr(colours if isinstance(flow, TexelFlow) else colours[flow.rows], scene.clean), flow
+
+
+__all__ = ["Steps", "Texels", "Vertices", "chosen", "psnr", "textures", "vertices"]
