@@ -1,0 +1,183 @@
+"""Tries every model in some folders, and mutations of those that could be smoothed, and counts what came of them.
+
+    python tests/hostile/survey.py [NAME=]FOLDER... [--mutations N] [--list]
+
+Each file is smoothed in a process of its own, into an empty folder, and the result compared with `check`. Nothing is
+written to the folders. Exits with 1 if anything but colours changed, a file was left over, or a
+process crashed or hung.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import json
+import os
+import random
+import shutil
+import signal
+import sys
+import tempfile
+import time
+from collections import Counter
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from typing import TYPE_CHECKING
+
+from beltrami_cli.errors import BeltramiError, InputError, UnpaintedError
+from beltrami_cli.formats.access import Access
+from beltrami_cli.pipeline.check_file import check_files
+from beltrami_cli.pipeline.settings import KernelParameters, SmoothSettings
+from beltrami_cli.pipeline.smooth_file import smooth_file
+from fuzz.test_replay import mutated
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+KEPT = {".ply", ".obj", ".gltf", ".glb"}
+READ = {".off", ".stl", ".3mf", ".dae", ".zae", ".3dxml", ".xaml"}
+SETTINGS = SmoothSettings(kernel=KernelParameters(iterations=1, threads=1))
+ACCESS = Access(memory=4 << 30)
+PATIENCE = 180  # seconds
+PRELOADED = ("smooth_textures", "smooth_vertices", "conversion")
+OUTCOMES = {
+    "smoothed": "only colours changed",
+    "converted": "read, written as PLY",
+    "unpainted": "no colours",
+    "missing": "files missing",
+    "refused": "damaged or not supported",
+    "FAILED": "failed",
+}
+
+
+def models(folder: Path) -> list[Path]:
+    """Return all models in a folder and below."""
+    return sorted(path for path in folder.rglob("*") if path.suffix.lower() in KEPT | READ and path.is_file())
+
+
+def attempt(source: Path, out: Path) -> tuple[str, str]:
+    """Smooth and compare; return the outcome and what was said."""
+    kept = source.suffix.lower() in KEPT
+    target = out / (source.name if kept else f"{source.stem}.ply")
+    try:
+        report = smooth_file(source, target, SETTINGS, access=ACCESS)
+    except UnpaintedError as error:
+        missing = "is missing" in error.cause
+        return _refused("missing" if missing else "unpainted", error, out)
+    except InputError as error:
+        return _refused("missing" if "is missing" in error.cause else "refused", error, out)
+    except BeltramiError as error:
+        return "FAILED", f"{type(error).__name__}: {error}"
+    if not kept:
+        return "converted", report.output
+    check = check_files(source, target, ACCESS)
+    if not check.faithful:
+        return "FAILED", next(f"{d.what}: {d.detail}" for d in check.differences if not d.of_colour)
+    return "smoothed", ""
+
+
+def _refused(outcome: str, error: InputError, out: Path) -> tuple[str, str]:
+    left = [path.name for path in out.rglob("*")]
+    if left or "\n" in str(error):
+        return "FAILED", f"left over: {left}; {error}"
+    return outcome, error.cause
+
+
+def apart(source: Path, out: Path) -> tuple[str, str]:
+    """Do so in a process of its own, which is ended if it takes too long."""
+    reader, writer = os.pipe()
+    pid = os.fork()
+    if pid == 0:
+        os.close(reader)
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
+        try:
+            result = attempt(source, out)
+        except BaseException as error:
+            result = "FAILED", f"{type(error).__name__}: {error}"
+        os.write(writer, json.dumps(result).encode()[:4000])
+        os._exit(0)
+    os.close(writer)
+    end = time.monotonic() + PATIENCE
+    while os.waitpid(pid, os.WNOHANG) == (0, 0):
+        if time.monotonic() > end:
+            os.kill(pid, signal.SIGKILL)
+            os.waitpid(pid, 0)
+            return "FAILED", f"no end within {PATIENCE} s"
+        time.sleep(0.002)
+    with os.fdopen(reader, "rb") as file:
+        said = file.read()
+    if not said:
+        return "FAILED", "the process crashed"
+    outcome, detail = json.loads(said)
+    return outcome, detail
+
+
+def tried(source: Path) -> tuple[str, str]:
+    """Try one file."""
+    out = Path(tempfile.mkdtemp(prefix="survey-"))
+    try:
+        return apart(source, out)
+    finally:
+        shutil.rmtree(out)
+
+
+def mutations(source: Path, count: int) -> Iterator[tuple[str, str]]:
+    """Try a file with bytes changed; what lies beside it stays as it is."""
+    good, chance = source.read_bytes(), random.Random(source.name)
+    folder = Path(tempfile.mkdtemp(prefix="survey-"))
+    try:
+        shutil.copytree(source.parent, folder / "model", ignore_dangling_symlinks=True)
+        bad = folder / "model" / source.name
+        for number in range(count):
+            bad.write_bytes(mutated(good, [good], chance))
+            outcome, detail = tried(bad)
+            yield outcome, f"mutation {number}: {detail}"
+    finally:
+        shutil.rmtree(folder)
+
+
+def table(counts: dict[str, Counter[str]]) -> str:
+    """Return counts as a table in Markdown."""
+    lines = [
+        f"| what | files | {' | '.join(OUTCOMES.values())} |",
+        "| --- |" + " ---: |" * (len(OUTCOMES) + 1),
+    ]
+    for what, counter in counts.items():
+        numbers = [counter.total(), *(counter[outcome] for outcome in OUTCOMES)]
+        lines.append(f"| {what} | {' | '.join(map(str, numbers))} |")
+    return "\n".join(lines)
+
+
+def main() -> int:
+    """Try everything, print the table."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("folders", nargs="+", metavar="[NAME=]FOLDER")
+    parser.add_argument("--mutations", type=int, default=0)
+    parser.add_argument("--list", action="store_true", help="Tell what came of each file.")
+    chosen = parser.parse_args()
+    for name in ("OpenImageIO", *(f"beltrami_cli.pipeline.{name}" for name in PRELOADED)):
+        importlib.import_module(name)
+    counts: dict[str, Counter[str]] = {}
+    for each in chosen.folders:
+        label, folder = each.rpartition("=")[0], Path(each.rpartition("=")[2])
+        label = label or folder.name
+        for source in models(folder):
+            what = f"{label}, {source.suffix.lower()}"
+            found = [(what, *tried(source))]
+            if chosen.mutations and found[0][1] == "smoothed" and source.stat().st_size < 1 << 20:
+                found += [(f"{label}, mutations", *result) for result in mutations(source, chosen.mutations)]
+            for row, outcome, detail in found:
+                counts.setdefault(row, Counter())[outcome] += 1
+                if outcome == "FAILED" or (chosen.list and row == what):
+                    print(f"{outcome}: {source.relative_to(folder)}: {detail}", file=sys.stderr)
+    counts["all"] = sum(counts.values(), Counter())
+    print(table(counts))
+    return int(counts["all"]["FAILED"] > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
