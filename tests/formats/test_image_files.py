@@ -75,7 +75,9 @@ def test_only_changed_entries_change_and_are_rounded_once(kind: str, random: obj
     rng = np.random.default_rng(random.randrange(1 << 30))  # type: ignore[attr-defined]
     picture = read_image(encode(noise(kind, 4), known, kind), "x.tif")
     values = to_float(picture)
-    np.testing.assert_array_equal(from_float(picture, picture.pixels, values, np.ones(values.shape, bool)), picture.pixels)
+    np.testing.assert_array_equal(
+        from_float(picture, picture.pixels, values, np.ones(values.shape, bool)), picture.pixels
+    )
     changed = rng.random(values.shape) < 0.5
     new = rng.normal(0.5, 1, values.shape).astype(np.float32)
     pixels = from_float(picture, picture.pixels, new, changed)

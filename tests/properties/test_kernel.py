@@ -163,8 +163,12 @@ def test_the_flow_depends_on_its_time_and_not_on_how_it_is_cut():
     """N steps of t and N/2 of 2t approximate the same flow where the image is smooth."""
     positions, faces = surfaces.icosphere(4)
     colours = 0.5 + 0.3 * positions
-    one = beltrami_cli.smooth(positions, faces, colours, beta=2, beta_growth=1, iterations=8, t=1.0, space="data").colours
-    other = beltrami_cli.smooth(positions, faces, colours, beta=2, beta_growth=1, iterations=4, t=2.0, space="data").colours
+    one = beltrami_cli.smooth(
+        positions, faces, colours, beta=2, beta_growth=1, iterations=8, t=1.0, space="data"
+    ).colours
+    other = beltrami_cli.smooth(
+        positions, faces, colours, beta=2, beta_growth=1, iterations=4, t=2.0, space="data"
+    ).colours
     change = np.linalg.norm(one - colours)
     assert np.linalg.norm(one - other) < 0.1 * change
 
