@@ -23,14 +23,19 @@ TRUTH = 0.5 + MASK[:, None] * STEP
 NOISY = TRUTH + np.random.default_rng(2).normal(0, 60 / 255, TRUTH.shape)
 
 
+# Given, so that they are not chosen from the data, which differ between the two sides of a comparison.
+FIXED = {"iterations": 5, "t": 2.4, "beta": 6.0, "beta_growth": 1.5, "metric_steps": 2}
+
+
 def on_mesh(colours=NOISY, **parameters):
-    return beltrami_cli.smooth(POSITIONS, FACES, colours, **parameters).colours
+    return beltrami_cli.smooth(POSITIONS, FACES, colours, **{**FIXED, **parameters}).colours
 
 
 def on_image(colours=NOISY, guide=None, **parameters):
     image = colours.reshape(SIDE, SIDE, -1)
     guide = None if guide is None else guide.reshape(SIDE, SIDE, -1)
-    return beltrami_cli.smooth_image(image, guide=guide, **parameters).colours.reshape(colours.shape)
+    smoothed = beltrami_cli.smooth_image(image, guide=guide, **{**FIXED, **parameters}).colours
+    return smoothed.reshape(colours.shape)
 
 
 def psnr(colours):
