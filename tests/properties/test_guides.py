@@ -57,7 +57,8 @@ def test_a_clean_guide_recovers_an_edge_that_noise_buries(smooth):
     assert psnr(guided) > psnr(plain) + 3
     assert contrast(guided) > 0.95
     assert contrast(plain) < 0.75
-    assert psnr(smooth(guide=MASK)) > psnr(smooth()) + 1
+    # Beside colours that count little, the guide keeps the edges too.
+    assert psnr(smooth(beta=2.0, guide=MASK)) > psnr(smooth(beta=2.0)) + 1
 
 
 @both
