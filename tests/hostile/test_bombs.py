@@ -128,6 +128,43 @@ BOMBS: dict[str, Callable[[Path], Path]] = {
     "nested": file("a.gltf", NESTED),
     "repeated keys": file("a.gltf", REPEATED),
     "scenes of all nodes": file("a.gltf", gltf({**CROWD, "scenes": [{"nodes": [0]}] * 20_000})),
+    "triangles drawn again": file(
+        "a.gltf",
+        gltf(
+            {
+                "buffers": [{"byteLength": 60_000, "uri": "data:;base64," + "A" * 80_000}],
+                "bufferViews": [{"buffer": 0, "byteLength": 60_000}],
+                "accessors": [
+                    {"bufferView": 0, "componentType": 5126, "count": 100, "type": "VEC3"},
+                    {
+                        "bufferView": 0,
+                        "componentType": 5121,
+                        "count": 100,
+                        "type": "VEC3",
+                        "normalized": True,
+                    },
+                    *(
+                        {
+                            "bufferView": 0,
+                            "byteOffset": i,
+                            "componentType": 5121,
+                            "count": 50_000,
+                            "type": "SCALAR",
+                        }
+                        for i in range(3000)
+                    ),
+                ],
+                "meshes": [
+                    {
+                        "primitives": [
+                            {"attributes": {"POSITION": 0, "COLOR_0": 1}, "indices": i}
+                            for i in range(2, 3002)
+                        ]
+                    }
+                ],
+            }
+        ),
+    ),
     "words of mtllib": file("a.obj", f"mtllib {'m ' * 500_000}\n{SQUARE}".encode()),
     "names of mtllib": file("a.obj", (SQUARE + "mtllib m.mtl\n" * 200_000).encode()),
     "missing maps": many_maps,

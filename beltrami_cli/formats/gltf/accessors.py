@@ -17,6 +17,9 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.gltf.buffers import Buffers
     from beltrami_cli.formats.gltf.tree import Entry
 
+# Corners, for all slots together: a byte is an index at least, and vertices take a dozen each.
+_LEAST_DRAWN, _MOST_DRAWN = 1 << 20, 16
+
 Stored = np.ndarray[Any, np.dtype[Any]]
 """Numbers as they are in the file: little-endian integers or float32."""
 
@@ -47,6 +50,7 @@ class Accessors:
         self.all = read_accessors(root, self.views)
         self.draco = DracoMeshes(self)
         self._added: list[Accessor] = []
+        self._drawn = 0
 
     def __len__(self) -> int:
         return len(self.all)
@@ -70,6 +74,19 @@ class Accessors:
     def is_added(self, index: int) -> bool:
         """Return whether an accessor is none of the JSON's, but decoded."""
         return index >= len(self.all)
+
+    def count_drawn(self, primitive: Entry, corners: int) -> None:
+        """Count the corners that primitives draw; small files can name the same ones without end.
+
+        Raises
+        ------
+        InputError
+            If all primitives together draw far more than there are bytes.
+        """
+        self._drawn += corners
+        if self._drawn > _LEAST_DRAWN + _MOST_DRAWN * self.buffers.bytes_at_hand:
+            cause = f"with it, {self._drawn} corners are drawn of {self.buffers.bytes_at_hand} bytes"
+            raise primitive.fault("", cause, "the same triangles are used again and again: export each once")
 
     def require_bytes(self, index: int) -> None:
         """Load the buffer of an accessor, so that its count is known to be backed by bytes.

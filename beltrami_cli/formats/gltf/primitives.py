@@ -80,6 +80,7 @@ def drawn(primitive: Entry, accessors: Accessors, count: int, placement: Placeme
         If its indices are damaged.
     """
     index = index_accessor(primitive, accessors)
+    accessors.count_drawn(primitive, count if index is None else accessors[index].count)
     corners = np.arange(count) if index is None else _indices(primitive, accessors, index, count)
     faces = triangles(drawing_mode(primitive), corners)
     if np.linalg.det(placement.matrix[:3, :3]) < 0:
