@@ -152,7 +152,7 @@ class Steps:
         colours = np.ascontiguousarray(state[:, : self.channels])
         metric, used = flow._metric.join(colours, beta, regularised=regularised)
         flow._manifold.update_metric(
-            flow._positions, metric, used, flow._scales, True, flow.parameters.thread_count
+            flow._positions, metric, used, flow._scales, flow.parameters.thread_count
         )
         radius = dataclasses.replace(flow.parameters, t=t).radius
         return flow._manifold.smooth(state, None, t, radius, 2000, flow.parameters.thread_count, None)[0]

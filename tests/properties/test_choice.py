@@ -111,8 +111,8 @@ def test_the_choice_is_near_the_best_on_an_image(sigma):
 
 
 def test_the_choice_is_near_the_best_on_a_mesh():
-    positions, faces = surfaces.icosphere(3)
-    clean = 0.5 + 0.2 * np.sign(np.sin(3 * positions)) * np.array([1, 0.5, 0.8])
+    positions, faces = surfaces.icosphere(4)
+    clean = 0.5 + 0.2 * np.sign(np.sin(5 * positions)) * np.array([1, 0.5, 0.8])
     colours = noisy(clean)
     reached = psnr(beltrami_cli.smooth(positions, faces, colours, space="data").colours, clean)
     best = max(
