@@ -1,0 +1,77 @@
+"""--max-memory: sizes as people write them, and a limit that holds and is lifted again."""
+
+from __future__ import annotations
+
+import re
+import resource
+
+import numpy as np
+import pytest
+
+from beltrami_cli.errors import InputError
+from beltrami_cli.pipeline.memory import limited_memory, memory_of_machine, parse_size, show_size
+from cli.commands import SAMPLES, beltrami
+
+
+@pytest.mark.parametrize(
+    ("text", "size"),
+    [
+        ("1", 1),
+        ("500M", 500 << 20),
+        ("4G", 4 << 30),
+        ("1.5g", 3 << 29),
+        ("2 GiB", 2 << 30),
+        ("3kB", 3 << 10),
+        ("1T", 1 << 40),
+    ],
+)
+def test_sizes(text: str, size: int) -> None:
+    assert parse_size(text) == size
+
+
+@pytest.mark.parametrize("text", [" ", "G", "-1G", "1X", "1 G B", "nan", "1e9", "0x10", "9" * 30])
+def test_what_is_no_size(text: str) -> None:
+    with pytest.raises(ValueError, match=re.escape(text)):
+        parse_size(text)
+
+
+def test_sizes_are_shown_in_the_unit_that_suits_them() -> None:
+    assert [show_size(size) for size in (12, 500 << 20, 4 << 30)] == ["12", "500M", "4G"]
+
+
+def test_the_machine_has_some_memory() -> None:
+    assert (memory_of_machine() or 1 << 30) > 1 << 28
+
+
+def test_more_than_the_limit_is_refused_by_name_and_the_limit_is_lifted() -> None:
+    before = resource.getrlimit(resource.RLIMIT_DATA)
+    message = r"big\.ply: needs more than 1G of memory; raise --max-memory"
+    with pytest.raises(InputError, match=message), limited_memory(1 << 30, "big.ply"):
+        np.zeros(1 << 34, np.uint8)
+    assert resource.getrlimit(resource.RLIMIT_DATA) == before
+    with limited_memory(1 << 30, "small.ply"):
+        assert np.ones(1 << 26, np.uint8).sum() == 1 << 26
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"), [(["--max-memory", "lots"], "no size"), (["--max-memory", "0"], "no memory")]
+)
+def test_wrong_sizes_are_wrong_usage(arguments: list[str], words: str, tmp_path) -> None:
+    run = beltrami("smooth", SAMPLES / "terrain-noisy.ply", tmp_path / "out.ply", *arguments)
+    assert run.returncode == 2
+    assert words in run.stderr.decode()
+
+
+@pytest.mark.parametrize("verb", ["info", "check", "smooth"])
+def test_a_traceback_comes_on_demand_only(verb: str, tmp_path) -> None:
+    bad = tmp_path / "bad.ply"
+    bad.write_bytes(b"ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nend_header\n")
+    others = {"info": [], "check": [bad], "smooth": [tmp_path / "out.ply"]}[verb]
+    plain = beltrami(verb, bad, *others)
+    assert plain.returncode == 3
+    assert plain.stderr.count(b"\n") == 1
+    assert b"Traceback" not in plain.stderr
+    told = beltrami(verb, bad, *others, "-vv")
+    assert told.returncode == 3
+    assert b"Traceback" in told.stderr
+    assert told.stderr.endswith(plain.stderr)
