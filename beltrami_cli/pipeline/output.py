@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import stat
 import sys
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING
 
 from beltrami_cli.errors import OutputError
@@ -76,6 +76,11 @@ class Output:
                     f"{name} cannot be written beside it",
                     "choose a file as OUTPUT, or --format glb",
                 )
+            path = PurePosixPath(name)
+            if (
+                path.is_absolute() or ".." in path.parts
+            ):  # No reader gives such a name; this is the last door.
+                raise OutputError(name, "would be written outside the output's folder")
             self._check_file(self.folder / name)
 
     def write(self, written: Written) -> None:

@@ -7,10 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from beltrami_cli.errors import InputError
+from beltrami_cli.errors import InputError, OutputError
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.beside import Beside, UnfitReferenceError
+from beltrami_cli.formats.document import Written
 from beltrami_cli.formats.source import open_document
+from beltrami_cli.pipeline.output import Output
 from beltrami_cli.pipeline.smooth_file import smooth_file
 from hostile.folders import snapshot
 from hostile.textured_models import OTHER, PICTURE, write_model
@@ -158,3 +160,11 @@ def test_a_library_from_outside_comes_inside_with_all_its_images(moved: bool, wo
     assert document.notices == []
     assert document.textured("normal").textures[0].data == OTHER
     assert (target.parent / "result.mtl").is_file()
+
+
+@pytest.mark.parametrize("name", ["/tmp/x.png", "../x.png", "a/../../x.png"])
+def test_the_last_door_is_shut_as_well(name: str, tmp_path: Path) -> None:
+    output = Output(str(tmp_path / "out.obj"), overwrite=True)
+    with pytest.raises(OutputError, match="outside the output's folder"):
+        output.write(Written([b""], {name: b""}))
+    assert list(tmp_path.iterdir()) == []
