@@ -75,3 +75,11 @@ def test_additions_and_removals_take_the_style_of_their_neighbours(text, change,
     tree = parsed(text, "")
     change(tree)
     assert revised(text, tree) == expected
+
+
+def test_half_characters_stay_escaped():
+    text = '{"a": ["\\ud800"], "b": 1}'
+    tree = parsed(text, "x.gltf")
+    tree["a"].append({"name": tree["a"][0]})
+    tree["b"] = "ü"
+    assert revised(text, tree).encode() == '{"a": ["\\ud800",{"name": "\\ud800"}], "b": "ü"}'.encode()

@@ -20,6 +20,7 @@ DEEPEST = 100
 """Levels of nesting that are read; glTF needs about ten, and recursion must stay far from Python's limit."""
 
 _DECODER = json.JSONDecoder()
+_SURROGATE = re.compile("[\ud800-\udfff]")
 _SPACE = re.compile(r"[ \t\n\r]*")
 
 
@@ -121,6 +122,8 @@ class _Style:
         separators = (",", self.colon) if "\n" in lead or self.colon == ":" else (", ", self.colon)
         indent = self.indent if "\n" in lead else None
         text = json.dumps(value, ensure_ascii=False, allow_nan=False, indent=indent, separators=separators)
+        if _SURROGATE.search(text):  # one half of a character, which UTF-8 cannot hold but an escape can
+            text = json.dumps(value, allow_nan=False, indent=indent, separators=separators)
         return text.replace("\n", lead[: lead.rfind("\n") + 1].lstrip(" \t") + lead[lead.rfind("\n") + 1 :])
 
 
