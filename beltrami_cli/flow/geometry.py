@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli.flow.noise import choose_normal_beta, estimate_normal_sigma
+from beltrami_cli.flow.normal_noise import choose_normal_beta, estimate_normal_sigma
 from beltrami_cli.mesh.boundary import on_boundary
 from beltrami_cli.mesh.normals import normal_tensors, vertex_normals
 

@@ -14,7 +14,7 @@ from beltrami_cli.flow.geometry import GeometryParameters, MovingPositions
 from beltrami_cli.flow.mesh_metric import MeshMetric
 from beltrami_cli.flow.one_kernel import SampledKernel, kernel_values
 from beltrami_cli.flow.spacing import local_spacing
-from beltrami_cli.flow.trial_mesh import MeshTrial, choose_patches, random_signs
+from beltrami_cli.flow.trial_mesh import MeshTrial, SampleFields, choose_patches, random_signs
 from beltrami_cli.mesh.areas import vertex_areas
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 # Samples on which parameters are tried, as a share of all, so that trying takes no longer than smoothing: some forty
 # iterations are tried, each twice. Fewer than so many samples tell too little, and take about a second.
 _SHARE_TRIED = 1 / 20
-_LEAST_TRIED = 2_500
+_LEAST_TRIED = 4_000
 
 
 @dataclass(frozen=True)
@@ -163,7 +163,11 @@ class BeltramiFlow:
         """Choose the free parameters, and tell the metric of them."""
         parameters = dataclasses.replace(self.parameters, free=())
         if is_noisy(self.sigma) and len(edges):
-            trial = self._trial(faces, edges)
+            budget = max(_LEAST_TRIED, int(len(self._colours) * _SHARE_TRIED))
+            sample = choose_patches(self._colours, edges, budget)
+            signs = random_signs(self._colours, edges)
+            fields = SampleFields(self._positions, self._colours, signs, self._scales, self._weights)
+            trial = MeshTrial(sample, fields, faces, self._manifold, self._metric, parameters)
             parameters, self.choice = choose(
                 trial, trial.samples, self.sigma, self._metric.counting, unit, self._metric.beta,
                 self.parameters, ON_MESHES,
@@ -172,34 +176,6 @@ class BeltramiFlow:
             parameters = dataclasses.replace(parameters, iterations=0)
         self.parameters = parameters
         self._metric.use(parameters)
-
-    def _trial(self, faces: NDArray[np.int32], edges: NDArray[np.int32]) -> MeshTrial:
-        """Make the sample of the surface on which parameters are tried."""
-        parameters, count = self.parameters, len(self._colours)
-        patches = choose_patches(self._colours, edges, max(_LEAST_TRIED, int(count * _SHARE_TRIED)))
-        samples, manifold, metric = patches.samples, self._manifold, self._metric
-        if len(samples) < count:
-            rank = np.full(count, -1, np.int32)
-            rank[samples] = np.arange(len(samples), dtype=np.int32)
-            corners = rank[faces]
-            manifold = type(self._manifold)(corners[(corners >= 0).all(axis=1)], len(samples))
-            metric = metric.cut_out(samples)
-        positions = self._positions[samples]
-        scales = None if self._scales is None else self._scales[samples]
-        weights = None if self._weights is None else self._weights[samples]
-
-        def iterate(
-            channels: NDArray[np.float32], colours: NDArray[np.float32], beta: float, t: float
-        ) -> NDArray[np.float32]:
-            own = dataclasses.replace(parameters, t=t)
-            manifold.update_metric(positions, channels, beta, scales, own.thread_count)
-            smoothed, _, _ = manifold.smooth(
-                colours, weights, t, own.radius, own.max_samples, own.thread_count, None
-            )
-            return smoothed
-
-        signs = random_signs(self._colours, edges)[samples]
-        return MeshTrial(self._colours[samples], signs, patches.counting, metric, iterate)
 
     def run(self, progress: Callable[[int, int], None] | None = None) -> FlowResult:
         """Run all iterations.

@@ -2,24 +2,27 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from numpy.typing import NDArray
 
+    from beltrami_cli._native import SegmentManifold, TriangulatedManifold
     from beltrami_cli.flow.mesh_metric import MeshMetric
+    from beltrami_cli.flow.parameters import KernelParameters
     from beltrami_cli.flow.risk import Step
 
 # Rings of a patch whose results count, and rings around these that only lend their colours.
-_CORE, _RIM = 12, 4
+_CORE, _RIM = 7, 3
 
 # A patch of so many rings has about so many samples, each ring six more than the last.
 _PATCH = 3 * (_CORE + _RIM) ** 2
+
+_WHOLE = 1.5
 
 # Odd numbers with their bits well mixed, to hash with.
 _MIX = np.uint64(0x9E3779B97F4A7C15)
@@ -42,39 +45,90 @@ class Patches:
     counting: NDArray[np.bool_]
 
 
+@dataclass(frozen=True)
+class SampleFields:
+    """What is known at each of S samples: rows of positions, noisy colours, signs, scales and weights (or None)."""
+
+    positions: NDArray[np.float64]
+    colours: NDArray[np.float32]
+    signs: NDArray[np.float32]
+    scales: NDArray[np.float32] | None
+    weights: NDArray[np.float32] | None
+
+    def at(self, samples: NDArray[np.int64]) -> SampleFields:
+        """Return the rows of some samples."""
+        return SampleFields(
+            self.positions[samples],
+            self.colours[samples],
+            self.signs[samples],
+            None if self.scales is None else self.scales[samples],
+            None if self.weights is None else self.weights[samples],
+        )
+
+
 class MeshTrial:
-    """Patches of a surface.
+    """Patches of a surface, as a surface of their own.
 
     Parameters
     ----------
-    colours : ndarray of float32, shape (P, N)
-        Noisy colours of the patches' samples.
-    signs : ndarray of float32, shape (P, N)
-        1 or -1; see `random_signs`.
-    counting : ndarray of bool, shape (P,)
-        Samples whose results count.
+    patches : Patches
+        Which of the S samples to try on.
+    fields : SampleFields
+        Of all samples.
+    faces : ndarray of int32, shape (F, 3)
+        All triangles.
+    manifold : TriangulatedManifold or SegmentManifold
+        Of all samples; used if the patches are all.
     metric : MeshMetric
-        Of the patches.
-    iterate : callable
-        Makes an iteration from the channels of the metric, colours, beta and t.
+        Of all samples.
+    parameters : KernelParameters
+        What is not tried: the threshold and the like.
+
+    Attributes
+    ----------
+    samples : int
+        Samples whose results count.
     """
 
     def __init__(
         self,
-        colours: NDArray[np.float32],
-        signs: NDArray[np.float32],
-        counting: NDArray[np.bool_],
+        patches: Patches,
+        fields: SampleFields,
+        faces: NDArray[np.int32],
+        manifold: TriangulatedManifold | SegmentManifold,
         metric: MeshMetric,
-        iterate: Callable[..., NDArray[np.float32]],
+        parameters: KernelParameters,
     ) -> None:
-        self.start, self.signs = colours, signs
-        self._counting, self._metric, self._iterate = counting, metric, iterate
-        self.samples = int(np.count_nonzero(counting))
+        count, samples = len(fields.colours), patches.samples
+        self._manifold, self._metric, self._fields = manifold, metric, fields
+        if len(samples) < count:
+            rank = np.full(count, -1, np.int32)
+            rank[samples] = np.arange(len(samples), dtype=np.int32)
+            corners = rank[faces]
+            self._manifold = type(manifold)(corners[(corners >= 0).all(axis=1)], len(samples))
+            self._metric, self._fields = metric.cut_out(samples), fields.at(samples)
+        self._counting, self._parameters = patches.counting, parameters
+        self.samples = int(np.count_nonzero(patches.counting))
+
+    @property
+    def start(self) -> NDArray[np.float32]:
+        """The noisy colours."""
+        return self._fields.colours
+
+    @property
+    def signs(self) -> NDArray[np.float32]:
+        """Random signs, see `random_signs`."""
+        return self._fields.signs
 
     def step(self, state: NDArray[np.float32], step: Step) -> NDArray[np.float32]:
         """Return the colours after an iteration."""
+        own, fields = dataclasses.replace(self._parameters, t=step.t), self._fields
         metric, beta = self._metric.join(state, step.beta, regularised=step.regularised)
-        return self._iterate(metric, state, beta, step.t)
+        self._manifold.update_metric(fields.positions, metric, beta, fields.scales, own.thread_count)
+        smoothed, _, _ = self._manifold.smooth(
+            state, fields.weights, own.t, own.radius, own.max_samples, own.thread_count, None
+        )
+        return smoothed
 
     def scored(self, state: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the colours of the samples that count, shape (samples, N)."""
@@ -119,7 +173,7 @@ def choose_patches(colours: NDArray[np.float32], edges: NDArray[np.int32], budge
     Patches
     """
     count = len(colours)
-    if count <= budget:
+    if count <= _WHOLE * budget:  # patches with their rims would take nearly all
         return Patches(np.arange(count), np.bincount(edges.ravel(), minlength=count) > 0)
     joined = np.bincount(edges.ravel(), minlength=count) > 0
     rank = np.where(joined, _hashes(colours, edges), np.iinfo(np.uint64).max)

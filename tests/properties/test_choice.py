@@ -150,20 +150,18 @@ def test_the_choice_does_not_depend_on_the_order_of_vertices_or_the_pose():
         assert other.chosen[name] == pytest.approx(value, rel=1e-6)
 
 
-def test_a_sample_of_a_mesh_gives_nearly_the_choice_of_all(monkeypatch):
-    """What one patch of a sixth of the mesh chooses is, on all of it, within 0.5 dB of what all of it chooses."""
-    positions, faces = surfaces.icosphere(4)
+def test_a_sample_of_a_mesh_is_enough(monkeypatch):
+    """Half as large a sample as is taken leads to within 0.3 dB of the same result, on all of the mesh."""
+    positions, faces = surfaces.icosphere(5)
     clean = 0.5 + 0.2 * np.sign(np.sin(5 * positions))
     surface = SampledSurface(positions, faces, np.zeros((0, 3), np.int32), noisy(clean))
-    reached = {}
-    for budget in (1000, len(positions)):
+    reached = []
+    for budget in (iteration._LEAST_TRIED // 2, iteration._LEAST_TRIED):
         monkeypatch.setattr(iteration, "_LEAST_TRIED", budget)
         flow = BeltramiFlow(surface, CHOSEN)
-        reached[flow.choice.samples] = psnr(flow.run().colours, clean)
-    few, all_of_them = sorted(reached)
-    assert few < len(positions) / 5
-    assert all_of_them == len(positions)
-    assert reached[few] > reached[all_of_them] - 0.5
+        assert flow.choice.samples < len(positions) / 4
+        reached.append(psnr(flow.run().colours, clean))
+    assert reached[0] > reached[1] - 0.3
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import beltrami_cli
-from beltrami_cli.flow.noise import estimate_normal_sigma
+from beltrami_cli.flow.normal_noise import estimate_normal_sigma
 from beltrami_cli.mesh.boundary import on_boundary
 from beltrami_cli.mesh.normals import normal_tensors, vertex_normals
 from oracles import surfaces
