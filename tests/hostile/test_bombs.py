@@ -81,7 +81,7 @@ def sparse_file(folder: Path) -> Path:
 
 def many_maps(folder: Path) -> Path:
     path = write_model(folder, "obj", "")
-    (folder / "m.mtl").write_text("newmtl m\n" + "".join(f"map_Kd {i}.png\n" for i in range(50_000)))
+    (folder / "m.mtl").write_text("newmtl m\n" + "".join(f"map_Kd {i}.png\n" for i in range(20_000)))
     return path
 
 
@@ -165,8 +165,8 @@ BOMBS: dict[str, Callable[[Path], Path]] = {
             }
         ),
     ),
-    "words of mtllib": file("a.obj", f"mtllib {'m ' * 500_000}\n{SQUARE}".encode()),
-    "names of mtllib": file("a.obj", (SQUARE + "mtllib m.mtl\n" * 200_000).encode()),
+    "words of mtllib": file("a.obj", f"mtllib {'m ' * 300_000}\n{SQUARE}".encode()),
+    "names of mtllib": file("a.obj", (SQUARE + "mtllib m.mtl\n" * 100_000).encode()),
     "missing maps": many_maps,
     "pixels by the header": with_texture(png(65535, 65535, zlib.compress(b""))),
     "pixels that are there": with_texture(png(8192, 8192, zlib.compress(bytes(8192 * (3 * 8192 + 1)), 9))),
@@ -195,7 +195,7 @@ def test_bombs_are_refused_in_one_line_and_little_memory(
     assert "Traceback" not in said
     assert len(said) < 1000
     assert usage.ru_maxrss << 10 < MOST, f"{usage.ru_maxrss >> 10} MiB"
-    assert usage.ru_utime + usage.ru_stime < 20, said
+    assert usage.ru_utime + usage.ru_stime < 10, said
     assert sorted(path.name for path in tmp_path.iterdir()) == before
 
 

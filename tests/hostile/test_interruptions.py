@@ -62,7 +62,7 @@ def test_a_signal_at_a_random_moment(number: signal.Signals, tmp_path: Path) -> 
     duration = time.monotonic() - start
     before, finished = snapshot(folder), snapshot(work)
     moments = random.Random(int(number))
-    for _ in range(4):
+    for _ in range(3):
         shutil.rmtree(work)
         shutil.copytree(folder, work)
         process = subprocess.Popen(arguments, cwd=work, stderr=subprocess.PIPE)
