@@ -8,6 +8,9 @@
 namespace beltrami::atlas {
 namespace {
 
+// A face that is thinner than so many texels holds few of them, and cannot tell alone how far apart they are.
+constexpr double thin = 2;
+
 // Bits of a cell: whether its texel is near an open edge, and near any border.
 constexpr std::uint8_t near_open = 1, near_any = 2;
 
@@ -30,7 +33,12 @@ double halo_reach(std::int64_t margin) {
 }
 
 Cells::Cells(const Plan& plan)
-    : plan_(plan), reach_(halo_reach(plan.margin)), connections_(plan.mesh, plan.charts) {}
+    : plan_(plan), reach_(halo_reach(plan.margin)), connections_(plan.mesh, plan.charts) {
+  for (std::int64_t y = -plan.margin; y <= plan.margin; ++y)
+    for (std::int64_t x = -plan.margin; x <= plan.margin; ++x)
+      nearest_first_.push_back({static_cast<double>(x), static_cast<double>(y)});
+  std::stable_sort(nearest_first_.begin(), nearest_first_.end(), [](Point2 a, Point2 b) { return dot(a, a) < dot(b, b); });
+}
 
 void Cells::make(const Band& band, std::span<const Index> borders, std::span<const Index> faces) {
   enter(band);
@@ -141,15 +149,8 @@ void Cells::make_halo(std::size_t cell, Point2 place, bool record) {
     sample = stand_in(plan_, face, static_cast<std::int64_t>(place.x), static_cast<std::int64_t>(place.y),
                       map.inside(place));
   } else {
-    const Border& border = plan_.charts.borders[static_cast<std::size_t>(nearest_[cell].border)];
-    seam = border.seam;
-    const Way way(plan_.mesh, border.edge, place);
-    if (way.end() == End::landed) sample = look_up(plan_, way.landing());
-    faces_[cell] = none;
-    if (sample && sample->near_open) {
-      faces_[cell] = -1 - static_cast<Index>(ways_.size());
-      ways_.push_back(way);
-    }
+    seam = plan_.charts.borders[static_cast<std::size_t>(nearest_[cell].border)].seam;
+    sample = continue_chart(cell, place);
   }
   if (!sample) return;
   kinds_[cell] = Kind::halo;
@@ -159,6 +160,72 @@ void Cells::make_halo(std::size_t cell, Point2 place, bool record) {
   const std::int64_t at = canvas_cell(place);
   halo.push_back({static_cast<Index>(at), sample->cells, sample->weights, seam});
   if (seam != none) record_gutter(cell, place, at);
+}
+
+// The surface where the nearest border leads on. Where no texel shows it, the colour comes from further on.
+std::optional<Sample> Cells::continue_chart(std::size_t cell, Point2 place) {
+  const Edge edge = plan_.charts.borders[static_cast<std::size_t>(nearest_[cell].border)].edge;
+  const Plane plane = plane_at(edge, place);
+  const Way way(plan_.mesh, edge, plane, place);
+  faces_[cell] = none;
+  if (way.end() != End::landed) return std::nullopt;
+  const Landing landing = way.landing();
+  auto sample = look_up(plan_, landing);
+  const Point2 ahead = plane.across();
+  for (std::int64_t i = 1; !sample && i <= plan_.margin; ++i) {
+    const Way further(plan_.mesh, edge, plane, place + static_cast<double>(i) * ahead);
+    if (further.end() != End::landed) break;
+    sample = look_up(plan_, further.landing());
+    if (sample) sample->position = position_of(plan_.mesh, landing);
+  }
+  if (sample && sample->near_open) {
+    faces_[cell] = -1 - static_cast<Index>(ways_.size());
+    ways_.push_back(way);
+  }
+  return sample;
+}
+
+Plane Cells::plane_at(Edge edge, Point2 place) const {
+  Plane plane(plan_.mesh, edge);
+  if (!plane.is_flat() || plane.thickness() >= thin) return plane;
+  const Point2 inside = plane.foot(place) - plane.across();
+  for (const Point2 step : nearest_first_) {
+    const std::int64_t x = std::llround(inside.x + step.x) - block_.x, y = std::llround(inside.y + step.y) - block_.y;
+    if (!is_owned(x, y)) continue;
+    plane.correct(step_at(x, y, {1, 0}), step_at(x, y, {0, 1}));
+    break;
+  }
+  return plane;
+}
+
+// From an owned cell to the next one in space, as its neighbours tell, or its face if there are none.
+Point3 Cells::step_at(std::int64_t x, std::int64_t y, Point2 step) const {
+  const auto right = static_cast<std::int64_t>(step.x), down = static_cast<std::int64_t>(step.y);
+  const bool ahead = is_owned(x + right, y + down), behind = is_owned(x - right, y - down);
+  const std::int64_t last_x = ahead ? x + right : x, last_y = ahead ? y + down : y;
+  const std::int64_t first_x = behind ? x - right : x, first_y = behind ? y - down : y;
+  if (ahead || behind)
+    return (ahead && behind ? 0.5 : 1.0) * (owned_position(last_x, last_y) - owned_position(first_x, first_y));
+  FaceMap map;
+  const Point2 place{static_cast<double>(block_.x + x), static_cast<double>(block_.y + y)};
+  map.use(plan_.mesh, owned_face(x, y));
+  return map.extended(place + step) - map.extended(place);
+}
+
+bool Cells::is_owned(std::int64_t x, std::int64_t y) const {
+  return x >= 0 && x < block_.width && y >= -plan_.margin && y < block_.height + plan_.margin &&
+         owned_[static_cast<std::size_t>((y + plan_.margin) * block_.width + x)] != 0;
+}
+
+Index Cells::owned_face(std::int64_t x, std::int64_t y) const {
+  const auto texel = grid_->texel(columns_[static_cast<std::size_t>(x)], wrapped(block_.y + y, grid_->height, grid_->wrap_y));
+  return plan_.ownership.face[static_cast<std::size_t>(texel)];
+}
+
+Point3 Cells::owned_position(std::int64_t x, std::int64_t y) const {
+  FaceMap map;
+  map.use(plan_.mesh, owned_face(x, y));
+  return map.inside({static_cast<double>(block_.x + x), static_cast<double>(block_.y + y)});
 }
 
 bool Cells::is_on(std::size_t cell, std::size_t other) const {

@@ -58,6 +58,12 @@ class Cells {
   void find_covered(std::span<const Index> faces);
   void make_owned(std::size_t cell, Point2 place);
   void make_halo(std::size_t cell, Point2 place, bool record);
+  std::optional<Sample> continue_chart(std::size_t cell, Point2 place);
+  Plane plane_at(Edge edge, Point2 place) const;
+  Point3 step_at(std::int64_t x, std::int64_t y, Point2 step) const;
+  bool is_owned(std::int64_t x, std::int64_t y) const;
+  Index owned_face(std::int64_t x, std::int64_t y) const;
+  Point3 owned_position(std::int64_t x, std::int64_t y) const;
   void record_gutter(std::size_t cell, Point2 place, std::int64_t at);
   std::int64_t canvas_cell(Point2 place) const;
   bool is_on(std::size_t cell, std::size_t other) const;
@@ -71,6 +77,7 @@ class Cells {
   const Texture* grid_ = nullptr;
   std::vector<std::int32_t> columns_;   // texel column at each of the block's; none outside the window
   std::vector<std::uint8_t> owned_;     // with margin rows more above and below
+  std::vector<Point2> nearest_first_;   // steps to cells within the margin
   std::vector<std::uint8_t> wanted_;    // whether the cell, not owned, is near an owned one
   std::vector<Index> covering_;         // the face of the chart that covers a wanted cell
   std::vector<Kind> kinds_;

@@ -50,7 +50,8 @@ bool is_covered(const Mesh& mesh, Index start, Point2 place) {
 class Lookup {
  public:
   Lookup(const Plan& plan, Index face, Point2 place)
-      : plan_(plan), face_(face), place_(place), grid_(plan.mesh.grid(static_cast<std::size_t>(face))) {}
+      : plan_(plan), face_(face), place_(place), grid_(plan.mesh.grid(static_cast<std::size_t>(face))),
+        is_flat_(doubled_area(plan.mesh.texels[static_cast<std::size_t>(face)]) == 0) {}
 
   std::int64_t texel(double x, double y) const {
     return grid_.texel(wrapped(static_cast<std::int64_t>(x), grid_.width, grid_.wrap_x),
@@ -67,6 +68,7 @@ class Lookup {
   // the chart does not end before it.
   bool is_ours(std::int64_t texel, double x, double y) const {
     if (plan_.ownership.window[static_cast<std::size_t>(texel)] == none) return false;
+    if (is_flat_) return true;
     if (is_of_owners_chart(texel)) return is_joined(texel, x, y);
     return plan_.ownership.loser[static_cast<std::size_t>(plan_.charts.chart_of[static_cast<std::size_t>(face_)])] != 0 &&
            is_covered(plan_.mesh, face_, {x, y});
@@ -136,6 +138,7 @@ class Lookup {
   Index face_;
   Point2 place_;
   const Texture& grid_;
+  bool is_flat_;  // without area in the image
   std::array<Index, 4> cells_{};
   std::array<double, 4> weights_{};
   std::size_t count_ = 0;
@@ -145,14 +148,18 @@ class Lookup {
 
 }  // namespace
 
+Point3 position_of(const Mesh& mesh, const Landing& landing) {
+  Point3 position;
+  for (std::size_t k = 0; k < 3; ++k)
+    position = position + landing.weights[k] * mesh.corner(static_cast<std::size_t>(landing.face), k);
+  return position;
+}
+
 std::optional<Sample> look_up(const Plan& plan, const Landing& landing) {
   const auto face = static_cast<std::size_t>(landing.face);
   Point2 place;
-  Point3 position;
-  for (std::size_t k = 0; k < 3; ++k) {
-    place = place + landing.weights[k] * plan.mesh.texels[face][k];
-    position = position + landing.weights[k] * plan.mesh.corner(face, k);
-  }
+  for (std::size_t k = 0; k < 3; ++k) place = place + landing.weights[k] * plan.mesh.texels[face][k];
+  Point3 position = position_of(plan.mesh, landing);
   place = {snapped(place.x), snapped(place.y)};
   Lookup lookup(plan, landing.face, place);
   const double x = std::floor(place.x), y = std::floor(place.y), u = place.x - x, v = place.y - y;

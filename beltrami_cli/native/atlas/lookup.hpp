@@ -17,8 +17,11 @@ struct Sample {
   bool near_open;  // whether an open edge may be near
 };
 
-// The texels around the landing in the texture of its face, if they belong to its chart. A point on a texel's centre
-// is that texel. Empty if no texel of the chart is near.
+Point3 position_of(const Mesh& mesh, const Landing& landing);
+
+// The texels around the landing in the texture of its face, if they belong to its chart; of a face without area in
+// the image, the texels that it shows, whosoever they are. A point on a texel's centre is that texel. Empty if there is
+// no such texel near.
 std::optional<Sample> look_up(const Plan& plan, const Landing& landing);
 
 // The texel at a place of a chart's plane, which a face of the chart covers. Empty if nobody owns it.

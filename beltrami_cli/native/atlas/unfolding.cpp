@@ -10,6 +10,8 @@ namespace {
 constexpr int longest_walk = 64;
 // What lies on an edge but for rounding belongs to the face before it: it must not fall off an open edge.
 constexpr double rounding = 1e-9;
+// Relative difference of steps across an edge; less is the curvature of the surface.
+constexpr double contradiction = 0.5;
 // Edge k of a laid face leads from its corner k to the next; by the last one a way enters.
 constexpr std::size_t entry = 2, no_edge = 3;
 
@@ -96,15 +98,43 @@ Plane::Plane(const Mesh& mesh, Edge edge) {
   side_ = texels[next(next(k))] - origin_;
   area_ = cross(along_, side_);
   const Point3 a = mesh.corner(face, k), b = mesh.corner(face, next(k));
-  length_ = std::sqrt(dot(b - a, b - a));
+  edge_ = b - a;
+  length_ = std::sqrt(dot(edge_, edge_));
   if (!is_flat()) return;
   const Apex apex = apex_of(a, b, mesh.corner(face, next(next(k))));
   foot_ = apex.foot;
   height_ = apex.height;
 }
 
+double Plane::thickness() const {
+  const Point2 third = side_ - along_;
+  return std::abs(area_) / std::sqrt(std::max({dot(along_, along_), dot(side_, side_), dot(third, third)}));
+}
+
+Point2 Plane::across() const {
+  const double length = std::sqrt(dot(along_, along_)), side = area_ < 0 ? 1 : -1;
+  return {-along_.y * side / length, along_.x * side / length};
+}
+
+void Plane::correct(Point3 right, Point3 down) {
+  const Point2 out = across();
+  const Point3 step = out.x * right + out.y * down, x = (1 / length_) * edge_, aside = step - dot(step, x) * x;
+  const double height = std::sqrt(dot(aside, aside));
+  if (!(height > 0)) return;
+  const Point3 y = (1 / height) * aside;
+  const Point2 told{dot(step, x), height}, own = at(origin_ + out), difference = own - told;
+  if (dot(difference, difference) <= contradiction * contradiction * dot(told, told)) return;
+  right_ = {dot(right, x), dot(right, y)};
+  down_ = {dot(down, x), dot(down, y)};
+  corrected_ = true;
+}
+
 Point2 Plane::at(Point2 place) const {
   const Point2 offset = place - origin_;
+  if (corrected_) {
+    const Point2 from = nearest(place), beyond = offset - (from.x / length_) * along_;
+    return from + beyond.x * right_ + beyond.y * down_;
+  }
   const double beta = cross(offset, side_) / area_, gamma = cross(along_, offset) / area_;
   return {(beta + gamma * foot_) * length_, -gamma * height_ * length_};
 }
@@ -113,7 +143,7 @@ Point2 Plane::nearest(Point2 place) const {
   return {std::clamp(dot(place - origin_, along_) / dot(along_, along_), 0.0, 1.0) * length_, 0};
 }
 
-Way::Way(const Mesh& mesh, Edge edge, Point2 place) : plane_(mesh, edge), end_(End::lost) {
+Way::Way(const Mesh& mesh, Edge edge, const Plane& plane, Point2 place) : plane_(plane), end_(End::lost) {
   if (!plane_.is_flat()) return;
   from_ = plane_.nearest(place);
   to_ = plane_.at(place);

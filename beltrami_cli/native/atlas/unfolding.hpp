@@ -32,13 +32,24 @@ class Plane {
 
   bool is_flat() const { return area_ != 0 && length_ > 0; }
   double length() const { return length_; }
+  // The least height of the face, in texels.
+  double thickness() const;
+  // The unit vector across the edge, in texels.
+  Point2 across() const;
+  // Takes what texels near the edge tell, their steps in space to the right and down, if the face contradicts them.
+  void correct(Point3 right, Point3 down);
   // Of a place in the texture's plane, and of the edge's point nearest to it.
   Point2 at(Point2 place) const;
   Point2 nearest(Point2 place) const;
+  // That point, in the texture's plane.
+  Point2 foot(Point2 place) const { return origin_ + (nearest(place).x / length_) * along_; }
 
  private:
   Point2 origin_, along_, side_;
+  Point3 edge_;
   double area_, length_, foot_ = 0, height_ = 0;  // of the apex, in units of the edge
+  bool corrected_ = false;
+  Point2 right_, down_;  // if corrected: steps of a texel beyond the edge
 };
 
 // The straight way from an edge to a place of the texture's plane, outside the edge's face beyond the edge: the face's map
@@ -46,7 +57,8 @@ class Plane {
 // faces.
 class Way {
  public:
-  Way(const Mesh& mesh, Edge edge, Point2 place);
+  Way(const Mesh& mesh, Edge edge, const Plane& plane, Point2 place);
+  Way(const Mesh& mesh, Edge edge, Point2 place) : Way(mesh, edge, Plane(mesh, edge), place) {}
 
   End end() const { return end_; }
   // Where it has landed.
