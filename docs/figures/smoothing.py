@@ -22,6 +22,7 @@ PAPER = {
     "window": 7,
     "scheme": "metric",
     "metric_steps": 0,
+    "beta_growth": 1,
     "clipping": "keep",
 }
 

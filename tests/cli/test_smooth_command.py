@@ -102,7 +102,7 @@ def test_a_link_stays_and_what_it_points_to_is_replaced(tmp_path):
         ([".", "out.ply"], 3, b"directory"),
         ([str(NOISY), "nowhere/out.ply"], 4, b"nowhere"),
         ([str(NOISY), "."], 4, b"folder"),
-        ([str(NOISY), "out.xyz"], 2, b".xyz"),
+        ([str(NOISY), "out.abc"], 2, b".abc"),
         ([str(NOISY), "out.ply", "-t", "0"], 2, b"t is 0"),
         ([str(NOISY), "out.ply", "--beta", "-1"], 2, b"beta"),
         ([str(NOISY), "out.ply", "--beta", "nan"], 2, b"beta"),

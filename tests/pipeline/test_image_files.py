@@ -200,31 +200,32 @@ def test_heights_and_positions_are_read_from_images(tmp_path):
     height = (np.sin(x / 4) + 2).astype(np.float32)
     height[3, 4] = np.nan
     source = save(tmp_path / "a.exr", pixels)
-    kernel = KernelParameters(beta=8)
+    # Given, so that the one who calls does not choose by the data.
+    fixed = {"beta": 8, "iterations": 5, "t": 2.4, "beta_growth": 2.0, "metric_steps": 2}
 
     def smoothed(**images):
         smooth_file(
             source,
             tmp_path / "b.exr",
-            SmoothSettings(kernel, "data", image=ImageSettings(**images)),
+            SmoothSettings(KernelParameters(**fixed), "data", image=ImageSettings(**images)),
             overwrite=True,
         )
         return load(tmp_path / "b.exr").pixels
 
     depth = str(save(tmp_path / "depth.exr", height[..., None]))
-    expected = smooth_image(pixels, beta=8, space="data", height=height, height_scale=5).colours
+    expected = smooth_image(pixels, **fixed, space="data", height=height, height_scale=5).colours
     assert np.abs(smoothed(height=depth, height_scale=5) - expected).max() < 1e-6
     whole = np.rint(65535 * np.nan_to_num(height) / 4).astype(np.uint16)
     depth = str(save(tmp_path / "depth.png", whole[..., None]))
-    expected = smooth_image(pixels, beta=8, space="data", height=whole / 65535, height_scale=20).colours
+    expected = smooth_image(pixels, **fixed, space="data", height=whole / 65535, height_scale=20).colours
     assert np.abs(smoothed(height=depth, height_scale=20) - expected).max() < 1e-6
     places = np.dstack([x, 2 * y, height])
     positions = str(save(tmp_path / "places.exr", places))
-    expected = smooth_image(pixels, beta=8, space="data", positions=places).colours
+    expected = smooth_image(pixels, **fixed, space="data", positions=places).colours
     assert np.abs(smoothed(positions=positions) - expected).max() < 1e-6
     seen = np.where(x > 5, 1, 0).astype(np.float32)
     positions = str(save(tmp_path / "seen.exr", np.dstack([places, seen])))
-    expected = smooth_image(pixels, beta=8, space="data", positions=places, valid=seen > 0).colours
+    expected = smooth_image(pixels, **fixed, space="data", positions=places, valid=seen > 0).colours
     # OpenEXR has alpha multiplied in, of which 0 leaves nothing.
     assert np.abs(smoothed(positions=positions) - expected)[seen > 0].max() < 1e-6
 

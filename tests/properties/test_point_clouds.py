@@ -158,14 +158,14 @@ def test_coincident_points_of_different_colours_are_averaged():
 def test_tiny_clouds_are_smoothed_as_far_as_they_can(count):
     positions = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0], [0.5, 0.5, 0]])[:count]
     colours = noisy(count)
-    result = beltrami_cli.smooth(positions, None, colours, beta=1)
+    result = beltrami_cli.smooth(positions, None, colours, beta=1, iterations=3)
     assert result.cloud.outliers == (count if count < 3 else 0)
     assert np.array_equal(result.colours, colours.astype(np.float32)) == (count < 3)
 
 
 def test_points_in_one_line_stay_as_they_are():
     line = np.column_stack([np.linspace(0, 1, 50), np.zeros((50, 2))])
-    result = beltrami_cli.smooth(line, None, noisy(50), beta=1)
+    result = beltrami_cli.smooth(line, None, noisy(50), beta=1, iterations=3)
     assert result.cloud.outliers == 50
     assert np.array_equal(result.colours, noisy(50).astype(np.float32))
 
