@@ -10,6 +10,7 @@ import click
 from beltrami_cli.cli import options
 from beltrami_cli.cli.console import Messages
 from beltrami_cli.cli.rendering import LOOKS, looking, render_settings_from
+from beltrami_cli.flow.parameters import TUNABLE
 from beltrami_cli.pipeline.settings import DEFAULTS
 
 if TYPE_CHECKING:
@@ -33,6 +34,8 @@ away: smooth with the parameters that you like best.
 _SWEPT: dict[str, type[int] | type[float]] = {
     "beta": float, "t": float, "iterations": int, "metric_scale": float, "metric_steps": int,
 }  # fmt: skip
+# Of what is not swept, the choice from the data is left open as in `beltrami smooth`.
+_UNSWEPT = {name: None if name in TUNABLE else getattr(DEFAULTS.kernel, name) for name in _SWEPT}
 _SHOWN = {"iterations": "n", "metric_scale": "metric scale", "metric_steps": "metric steps"}
 
 
@@ -103,8 +106,7 @@ def _trials(given: dict[str, Any]) -> tuple[list[tuple[dict[str, float], SmoothS
     trials = []
     for combination in itertools.product(*swept.values()):
         chosen = dict(zip(swept, combination, strict=True))
-        defaults = {name: getattr(DEFAULTS.kernel, name) for name in _SWEPT}
-        settings = options.settings_from({**given, **defaults, **chosen})
+        settings = options.settings_from({**given, **_UNSWEPT, **chosen})
         trials.append(({_SHOWN.get(name, name): value for name, value in chosen.items()}, settings))
     rows = [len(values) for values in swept.values() if len(values) > 1]
     return trials, max(2, rows[-1] if rows else 2)

@@ -84,14 +84,16 @@ def test_distances_lie_between_geodesics_and_paths_over_edges_on_any_mesh(painte
     manifold = segment_manifold(positions, faces, colours, 2.0)
     embedded = np.hstack([positions, 2.0 * colours.astype(float)])
     over_edges = graph_distances(embedded, faces, extra=0)
-    nearly_geodesic = graph_distances(embedded, faces, extra=12)
+    nearly_geodesic = graph_distances(embedded, faces, extra=30)
+    # A path of the graph crosses edges at these points only, at most half a gap away, which makes it longer by at most a
+    # gap; a segment of ours crosses two edges, and a path of several segments is told by 4 % more.
+    gap = np.linalg.norm(embedded[faces] - embedded[np.roll(faces, 1, axis=1)], axis=2).max(initial=0) / 31
     for source in range(len(positions)):
         ours = distances(manifold, len(positions), source)
         # Rounding of squared heights in needles, whose root is 2.4e-4 of their length.
         scale = 1e-3 * np.where(np.isfinite(over_edges[source]), over_edges[source], 0) + 1e-5
         assert (ours <= over_edges[source] + scale).all()
-        # A path bends at the points on the edges instead of at the crossing: within 1/12 of an edge, less than 4 %.
-        assert (ours >= 0.96 * nearly_geodesic[source] - scale)[np.isfinite(ours)].all()
+        assert (ours >= 0.96 * nearly_geodesic[source] - 2 * gap - scale)[np.isfinite(ours)].all()
 
 
 def graph_distances(embedded, faces, extra):
