@@ -13,33 +13,33 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from beltrami_cli.errors import BeltramiError, InputError, OutputError, ProcessingError, UsageError
     from beltrami_cli.flow.parameters import KernelParameters
-    from beltrami_cli.pipeline.image_arrays import ImageResult
-    from beltrami_cli.pipeline.image_settings import ImageSettings
-    from beltrami_cli.pipeline.inspect_file import inspect_file
-    from beltrami_cli.pipeline.report import SmoothReport
-    from beltrami_cli.pipeline.settings import SmoothSettings, TextureSettings
-    from beltrami_cli.pipeline.smooth_arrays import smooth
-    from beltrami_cli.pipeline.smooth_file import smooth_file
-    from beltrami_cli.pipeline.smooth_image import smooth_image
-    from beltrami_cli.pipeline.smooth_vertices import SmoothResult
+    from beltrami_cli.pipeline.images.arrays import ImageResult
+    from beltrami_cli.pipeline.images.smooth import smooth_image
+    from beltrami_cli.pipeline.inspect import inspect_file
+    from beltrami_cli.pipeline.settings.image import ImageSettings
+    from beltrami_cli.pipeline.settings.smooth import SmoothSettings, TextureSettings
+    from beltrami_cli.pipeline.smooth.file import smooth_file
+    from beltrami_cli.pipeline.smooth.report import SmoothReport
+    from beltrami_cli.pipeline.vertices.arrays import smooth
+    from beltrami_cli.pipeline.vertices.smooth import SmoothResult
 
 _HOME_OF = {
     "BeltramiError": "errors",
-    "ImageResult": "pipeline.image_arrays",
-    "ImageSettings": "pipeline.image_settings",
+    "ImageResult": "pipeline.images.arrays",
+    "ImageSettings": "pipeline.settings.image",
     "InputError": "errors",
     "KernelParameters": "flow.parameters",
     "OutputError": "errors",
     "ProcessingError": "errors",
-    "SmoothReport": "pipeline.report",
-    "SmoothResult": "pipeline.smooth_vertices",
-    "SmoothSettings": "pipeline.settings",
-    "TextureSettings": "pipeline.settings",
+    "SmoothReport": "pipeline.smooth.report",
+    "SmoothResult": "pipeline.vertices.smooth",
+    "SmoothSettings": "pipeline.settings.smooth",
+    "TextureSettings": "pipeline.settings.smooth",
     "UsageError": "errors",
-    "inspect_file": "pipeline.inspect_file",
-    "smooth": "pipeline.smooth_arrays",
-    "smooth_file": "pipeline.smooth_file",
-    "smooth_image": "pipeline.smooth_image",
+    "inspect_file": "pipeline.inspect",
+    "smooth": "pipeline.vertices.arrays",
+    "smooth_file": "pipeline.smooth.file",
+    "smooth_image": "pipeline.images.smooth",
 }
 
 __all__ = [

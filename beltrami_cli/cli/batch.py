@@ -15,7 +15,7 @@ from beltrami_cli.errors import OutputError, ProcessingError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from beltrami_cli.pipeline.batch_job import Outcome
+    from beltrami_cli.pipeline.batch.job import Outcome
 
 EPILOG = """\b
 Examples:
@@ -101,9 +101,9 @@ def command(
     from beltrami_cli.cli.batch_display import Display, show_table
     from beltrami_cli.cli.batch_jobs import jobs_for
     from beltrami_cli.flow.parameters import KernelParameters
-    from beltrami_cli.pipeline.batch import run_batch
-    from beltrami_cli.pipeline.batch_plan import plan
-    from beltrami_cli.pipeline.batch_record import Record
+    from beltrami_cli.pipeline.batch.plan import plan
+    from beltrami_cli.pipeline.batch.record import Record
+    from beltrami_cli.pipeline.batch.run import run_batch
     from beltrami_cli.pipeline.memory import memory_of_machine
 
     start = time.monotonic()

@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from beltrami_cli.errors import UsageError
-from beltrami_cli.pipeline.embedding_settings import EmbeddingSettings
+from beltrami_cli.pipeline.settings.embedding import EmbeddingSettings
 
 _NOTHING = "none"
 

@@ -22,11 +22,11 @@ from beltrami_cli.flow.parameters import (
     parameters_with,
 )
 from beltrami_cli.formats.access import Access
-from beltrami_cli.pipeline.bake_settings import DEFAULT_BAKE, BakeSettings
-from beltrami_cli.pipeline.image_settings import ImageSettings
-from beltrami_cli.pipeline.level_set_settings import MOST_VOXELS, Inside, LevelSetSettings
 from beltrami_cli.pipeline.memory import limited_memory, memory_of_machine, parse_size
-from beltrami_cli.pipeline.settings import (
+from beltrami_cli.pipeline.settings.bake import DEFAULT_BAKE, BakeSettings
+from beltrami_cli.pipeline.settings.image import ImageSettings
+from beltrami_cli.pipeline.settings.level_set import MOST_VOXELS, Inside, LevelSetSettings
+from beltrami_cli.pipeline.settings.smooth import (
     DEFAULTS,
     IMAGE_FORMATS,
     OUTPUT_FORMATS,

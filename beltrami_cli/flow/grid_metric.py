@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.flow.guidance import choose_guide_beta, join_channels
-from beltrami_cli.flow.guide import GridGuide
 from beltrami_cli.flow.noise import beta_of, estimate_sigma_on_grid
+from beltrami_cli.flow.regularisation import GridGaussian
 from beltrami_cli.flow.seams import find_colour_jumps, halo_beyond
 from beltrami_cli.mesh.atlas import EMPTY, OWNED, refresh_halo
 
@@ -44,7 +44,7 @@ class GridMetric:
     metric_channels : sequence of int or None
         Which of the N colour channels count; None: all.
     walls : bool
-        As for `GridGuide`.
+        As for `GridGaussian`.
 
     Attributes
     ----------
@@ -74,9 +74,9 @@ class GridMetric:
         if not len(counting):
             self.beta = 0.0
         self._walls = walls
-        self._guide: GridGuide | None = None
+        self._gaussian: GridGaussian | None = None
         if parameters.is_regularised(0):
-            self._guide = self._smoothing(atlas)
+            self._gaussian = self._smoothing(atlas)
         self.guide_betas: dict[str, float] = {}
         self._guide_planes = [self._take(guide) for guide in guides]
 
@@ -91,9 +91,9 @@ class GridMetric:
             Counted from 0.
         """
         if not self._parameters.is_regularised(iteration):
-            self._guide = None  # its planes are not needed any more
+            self._gaussian = None  # its planes are not needed any more
         beta = self.beta * self._parameters.growth(iteration)
-        return self.join(colours, beta, regularised=self._guide is not None)
+        return self.join(colours, beta, regularised=self._gaussian is not None)
 
     def join(
         self, colours: NDArray[np.float32], beta: float, *, regularised: bool
@@ -109,28 +109,30 @@ class GridMetric:
         self._parameters = parameters
         if parameters.beta is not None and self.beta > 0:
             self.beta = parameters.beta
-        if self._guide is None and parameters.is_regularised(0):
-            self._guide = self._smoothing(self._atlas)
+        if self._gaussian is None and parameters.is_regularised(0):
+            self._gaussian = self._smoothing(self._atlas)
 
     def cut_out(self, atlas: Atlas, cells: NDArray[np.int64]) -> GridMetric:
         """Return the metric of some cells, flat indices of shape (R', C'), on a canvas of their own."""
         part = copy(self)
         part._atlas = atlas
-        part._guide = None if self._guide is None else part._smoothing(atlas)
+        part._gaussian = None if self._gaussian is None else part._smoothing(atlas)
         part._guide_planes = [
             (np.ascontiguousarray(planes.reshape(len(planes), -1)[:, cells]), beta)
             for planes, beta in self._guide_planes
         ]
         return part
 
-    def _smoothing(self, atlas: Atlas) -> GridGuide:
-        return GridGuide(atlas.kind != EMPTY, self._parameters.metric_scale, walls=self._walls, atlas=atlas)
+    def _smoothing(self, atlas: Atlas) -> GridGaussian:
+        return GridGaussian(
+            atlas.kind != EMPTY, self._parameters.metric_scale, walls=self._walls, atlas=atlas
+        )
 
     def _regularised(self, planes: NDArray[np.float32], beta: float) -> tuple[NDArray[np.float32], float]:
         """Return what distances are taken from in place of noisy planes, and its beta."""
-        if self._guide is None or beta == 0:
+        if self._gaussian is None or beta == 0:
             return planes, beta
-        return self._guide.smooth(planes), beta / self._guide.gain
+        return self._gaussian.smooth(planes), beta / self._gaussian.gain
 
     def _take(self, guide: Guide) -> tuple[NDArray[np.float32], float]:
         """Return the planes and the beta that a guide adds to the metric, and note the beta."""

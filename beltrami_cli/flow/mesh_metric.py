@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.flow.guidance import choose_guide_beta, join_channels
-from beltrami_cli.flow.guide import MeshGuide
 from beltrami_cli.flow.noise import beta_of, estimate_sigma
+from beltrami_cli.flow.regularisation import MeshGaussian
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -70,9 +70,9 @@ class MeshMetric:
         if not len(counting):
             self.beta = 0.0
         self._count, self._edges, self._lengths = len(colours), edges, lengths
-        self._guide: MeshGuide | None = None
+        self._gaussian: MeshGaussian | None = None
         if parameters.is_regularised(0):
-            self._guide = self._smoothing()
+            self._gaussian = self._smoothing()
         self.guide_betas: dict[str, float] = {}
         self._guide_channels = [self._take(guide, edges) for guide in guides]
 
@@ -91,10 +91,10 @@ class MeshMetric:
             Normals of a surface that moves, and their beta.
         """
         if not self._parameters.is_regularised(iteration):
-            self._guide = None  # its arrays are not needed any more
+            self._gaussian = None  # its arrays are not needed any more
         beta = self.beta * self._parameters.growth(iteration)
         moving = [] if normals is None else [self._regularised(*normals)]
-        return self.join(colours, beta, moving, regularised=self._guide is not None)
+        return self.join(colours, beta, moving, regularised=self._gaussian is not None)
 
     def join(
         self,
@@ -115,8 +115,8 @@ class MeshMetric:
         self._parameters = parameters
         if parameters.beta is not None and self.beta > 0:
             self.beta = parameters.beta
-        if self._guide is None and parameters.is_regularised(0):
-            self._guide = self._smoothing()
+        if self._gaussian is None and parameters.is_regularised(0):
+            self._gaussian = self._smoothing()
 
     def cut_out(self, samples: NDArray[np.int64]) -> MeshMetric:
         """Return the metric of some samples, ascending, that are a surface of their own."""
@@ -129,18 +129,18 @@ class MeshMetric:
             rank[self._edges[inside]],
             self._lengths[inside],
         )
-        part._guide = None if self._guide is None else part._smoothing()
+        part._gaussian = None if self._gaussian is None else part._smoothing()
         part._guide_channels = [(values[samples], beta) for values, beta in self._guide_channels]
         return part
 
-    def _smoothing(self) -> MeshGuide:
-        return MeshGuide(self._count, self._edges, self._lengths, self._parameters.metric_scale)
+    def _smoothing(self) -> MeshGaussian:
+        return MeshGaussian(self._count, self._edges, self._lengths, self._parameters.metric_scale)
 
     def _regularised(self, channels: NDArray[np.float32], beta: float) -> tuple[NDArray[np.float32], float]:
         """Return what distances are taken from in place of noisy channels, and its beta."""
-        if self._guide is None or beta == 0:
+        if self._gaussian is None or beta == 0:
             return channels, beta
-        return self._guide.smooth(channels), beta / self._guide.gain
+        return self._gaussian.smooth(channels), beta / self._gaussian.gain
 
     def _take(self, guide: Guide, edges: NDArray[np.int32]) -> tuple[NDArray[np.float32], float]:
         """Return the channels and the beta that a guide adds to the metric, and note the beta."""

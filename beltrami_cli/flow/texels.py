@@ -10,10 +10,10 @@ import numpy as np
 from beltrami_cli.flow.choice import ON_GRIDS, Choice, choose, is_noisy
 from beltrami_cli.flow.clipping import find_clipped
 from beltrami_cli.flow.grid_metric import GridMetric
-from beltrami_cli.flow.guide import guide_radius
 from beltrami_cli.flow.iteration import FlowResult, shifted
 from beltrami_cli.flow.noise import estimate_sigma_on_grid
 from beltrami_cli.flow.one_kernel import SampledKernel, kernel_on_grid
+from beltrami_cli.flow.regularisation import guide_radius
 from beltrami_cli.flow.seams import find_colour_jumps, halo_beyond
 from beltrami_cli.flow.trial_grid import GridTrial
 from beltrami_cli.mesh.atlas import EMPTY, OWNED, refresh_halo, without_halo
@@ -48,7 +48,7 @@ class TexelFlow:
     parameters : KernelParameters
         What to run with.
     walls : bool
-        Whether the regularised metric must not look over empty cells either; see `GridGuide`.
+        Whether the regularised metric must not look over empty cells either; see `GridGaussian`.
     guides : sequence of Guide
         Channels that enter the metric and stay as they are; T rows each.
     metric_channels : sequence of int, optional

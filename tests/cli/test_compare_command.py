@@ -15,10 +15,10 @@ import pytest
 
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.formats.source import open_document
-from beltrami_cli.pipeline.compare_files import compare_files
-from beltrami_cli.pipeline.compare_limits import Limits
-from beltrami_cli.pipeline.noise_file import noise_file
-from beltrami_cli.pipeline.noise_settings import NoiseSettings
+from beltrami_cli.pipeline.compare.files import compare_files
+from beltrami_cli.pipeline.compare.limits import Limits
+from beltrami_cli.pipeline.noise.file import noise_file
+from beltrami_cli.pipeline.settings.noise import NoiseSettings
 from cli.commands import COMMAND, SAMPLES, beltrami
 from formats.image_files import encode
 from formats.volume_files import sphere_file

@@ -12,8 +12,8 @@ from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.formats.ply import write_ply
 from beltrami_cli.formats.source import open_document
 from beltrami_cli.mesh.painted import MeshContents
-from beltrami_cli.pipeline.prepare_textures import prepare_slot
-from beltrami_cli.pipeline.settings import DEFAULTS
+from beltrami_cli.pipeline.settings.smooth import DEFAULTS
+from beltrami_cli.pipeline.textures.prepare import prepare_slot
 from cli.commands import SAMPLES, beltrami
 from oracles import surfaces
 

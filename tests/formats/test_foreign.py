@@ -20,7 +20,7 @@ from beltrami_cli.formats.foreign import ForeignDocument
 from beltrami_cli.formats.foreign.painting import PaintedPolygons, colours_of_vertices
 from beltrami_cli.formats.source import recognise
 from beltrami_cli.mesh.transfer import linear_to_srgb
-from beltrami_cli.pipeline.smooth_file import smooth_file
+from beltrami_cli.pipeline.smooth.file import smooth_file
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.obj import ObjDocument
 from beltrami_cli.formats.source import open_document
-from beltrami_cli.pipeline.smooth_file import smooth_file
+from beltrami_cli.pipeline.smooth.file import smooth_file
 from hostile.folders import snapshot
 from hostile.textured_models import OTHER, PICTURE
 

@@ -28,9 +28,9 @@ from typing import TYPE_CHECKING
 
 from beltrami_cli.errors import BeltramiError, InputError, UnpaintedError
 from beltrami_cli.formats.access import Access
-from beltrami_cli.pipeline.check_file import check_files
-from beltrami_cli.pipeline.settings import KernelParameters, SmoothSettings
-from beltrami_cli.pipeline.smooth_file import smooth_file
+from beltrami_cli.pipeline.check import check_files
+from beltrami_cli.pipeline.settings.smooth import KernelParameters, SmoothSettings
+from beltrami_cli.pipeline.smooth.file import smooth_file
 from fuzz.test_replay import mutated
 
 if TYPE_CHECKING:

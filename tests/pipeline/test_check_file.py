@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.formats.source import open_document
-from beltrami_cli.pipeline.check_file import check_files
-from beltrami_cli.pipeline.smooth_file import smooth_file
+from beltrami_cli.pipeline.check import check_files
+from beltrami_cli.pipeline.smooth.file import smooth_file
 from cli.commands import COMMAND, SAMPLES
 from formats.ply_files import ENCODINGS, Table, build, coloured
 from hostile.textured_models import OTHER, PICTURE, write_model

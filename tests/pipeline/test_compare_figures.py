@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from beltrami_cli.mesh.areas import triangle_areas
-from beltrami_cli.pipeline.colour_difference import cie_lab, delta_e_2000
-from beltrami_cli.pipeline.paired_colours import PairedColours, figures
-from beltrami_cli.pipeline.structural_similarity import structural_similarity
-from beltrami_cli.pipeline.texel_places import near_seams, seam_steps, texel_areas
+from beltrami_cli.pipeline.compare.colour_difference import cie_lab, delta_e_2000
+from beltrami_cli.pipeline.compare.paired_colours import PairedColours, figures
+from beltrami_cli.pipeline.compare.structural_similarity import structural_similarity
+from beltrami_cli.pipeline.textures.places import near_seams, seam_steps, texel_areas
 from beltrami_cli.sampling.atlas import build_atlas
 from pipeline.cut_boards import BOARD, CHART, SIDE
 

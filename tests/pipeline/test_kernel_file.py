@@ -14,9 +14,9 @@ import trimesh
 import beltrami_cli
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.parameters import PRESETS, KernelParameters
-from beltrami_cli.pipeline.image_settings import ImageSettings
-from beltrami_cli.pipeline.kernel_file import kernel_file
-from beltrami_cli.pipeline.settings import DEFAULTS, SmoothSettings
+from beltrami_cli.pipeline.kernel.file import kernel_file
+from beltrami_cli.pipeline.settings.image import ImageSettings
+from beltrami_cli.pipeline.settings.smooth import DEFAULTS, SmoothSettings
 from oracles import surfaces
 
 SAMPLES = Path(__file__).parents[2] / "sample_data"

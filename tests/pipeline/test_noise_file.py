@@ -12,11 +12,11 @@ from beltrami_cli.cli.amounts import amount, sure_amount
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.source import open_document
-from beltrami_cli.pipeline.check_file import check_files
-from beltrami_cli.pipeline.noise_file import noise_file
-from beltrami_cli.pipeline.noise_kinds import add_noise
-from beltrami_cli.pipeline.noise_settings import NoiseSettings
-from beltrami_cli.pipeline.settings import SmoothSettings, TextureSettings
+from beltrami_cli.pipeline.check import check_files
+from beltrami_cli.pipeline.noise.file import noise_file
+from beltrami_cli.pipeline.noise.kinds import add_noise
+from beltrami_cli.pipeline.settings.noise import NoiseSettings
+from beltrami_cli.pipeline.settings.smooth import SmoothSettings, TextureSettings
 from cli.commands import SAMPLES, beltrami
 from formats.image_files import encode
 from formats.volume_files import sphere_file

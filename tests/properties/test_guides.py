@@ -7,8 +7,8 @@ import pytest
 
 import beltrami_cli
 from beltrami_cli.flow.guidance import Guide, choose_guide_beta
-from beltrami_cli.flow.guide import guide_radius
 from beltrami_cli.flow.parameters import KernelParameters
+from beltrami_cli.flow.regularisation import guide_radius
 from beltrami_cli.flow.texels import TexelFlow
 from beltrami_cli.sampling.atlas import build_atlas
 from oracles import surfaces

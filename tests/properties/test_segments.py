@@ -85,8 +85,8 @@ def test_distances_lie_between_geodesics_and_paths_over_edges_on_any_mesh(painte
     embedded = np.hstack([positions, 2.0 * colours.astype(float)])
     over_edges = graph_distances(embedded, faces, extra=0)
     nearly_geodesic = graph_distances(embedded, faces, extra=30)
-    # A path of the graph crosses edges at these points only, at most half a gap away, which makes it longer by at most a
-    # gap; a segment of ours crosses two edges, and a path of several segments is told by 4 % more.
+    # A path of the graph crosses edges at these points only, at most half a gap away, which makes it longer by at most
+    # a gap; a segment of ours crosses two edges, and what more segments make is less than 4 %.
     gap = np.linalg.norm(embedded[faces] - embedded[np.roll(faces, 1, axis=1)], axis=2).max(initial=0) / 31
     for source in range(len(positions)):
         ours = distances(manifold, len(positions), source)

@@ -6,8 +6,8 @@ import dataclasses
 
 import numpy as np
 
-from beltrami_cli.flow.guide import guide_radius
 from beltrami_cli.flow.parameters import KernelParameters
+from beltrami_cli.flow.regularisation import guide_radius
 from beltrami_cli.flow.texels import TexelFlow
 from beltrami_cli.mesh.textured import Texture, TexturedSurface
 from beltrami_cli.sampling.atlas import build_atlas

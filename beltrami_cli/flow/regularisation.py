@@ -1,0 +1,170 @@
+"""The regularised metric: distances from colours that were smoothed a little, so that noise does not make them.
+
+Averages are still taken over the colours themselves. Smoothing cuts the noise in the metric by a known gain, and
+beta is divided by it, so that noise adds the same to distances with and without it and beta keeps its meaning.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from beltrami_cli.flow.cut_means import CutMeans
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from beltrami_cli.mesh.atlas import Atlas
+
+_ROWS = 256  # of a grid that are looked at together
+
+
+class MeshGaussian:
+    """Gaussian means over the neighbours of each vertex.
+
+    Parameters
+    ----------
+    count : int
+        Vertices.
+    edges : ndarray of int32, shape (E, 2)
+        Edges with a length in space; those of hard colour edges are left out.
+    lengths : ndarray of float64, shape (E,)
+        Their lengths in sample spacings.
+    scale : float
+        Standard deviation of the Gaussian, in sample spacings.
+
+    Attributes
+    ----------
+    gain : float
+        What is left of the standard deviation of white noise.
+    """
+
+    def __init__(
+        self, count: int, edges: NDArray[np.int32], lengths: NDArray[np.float64], scale: float
+    ) -> None:
+        self._edges, self._count = edges, count
+        self._weights = np.exp(-(lengths**2) / (2 * scale**2)).astype(np.float32)
+        self._total = 1 + self._gather(self._weights)
+        gains = np.sqrt(1 + self._gather(self._weights**2)) / self._total
+        joined = self._total > 1  # vertices without neighbours keep their noise, and do not count
+        self.gain = float(gains[joined].mean()) if joined.any() else 1.0
+
+    def smooth(self, colours: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Smooth colours of shape (count, N)."""
+        low, high = self._edges.T
+        smoothed = np.empty_like(colours)
+        for channel in range(colours.shape[1]):
+            values = colours[:, channel]
+            total = values + np.bincount(low, self._weights * values[high], self._count)
+            total += np.bincount(high, self._weights * values[low], self._count)
+            smoothed[:, channel] = total / self._total
+        return smoothed
+
+    def _gather(self, weights: NDArray[np.float32]) -> NDArray[np.float64]:
+        low, high = self._edges.T
+        sums = np.bincount(low, weights, self._count) + np.bincount(high, weights, self._count)
+        return np.asarray(sums, np.float64)
+
+
+class GridGaussian:
+    """Gaussian means over the cells of a grid that hold a colour.
+
+    Parameters
+    ----------
+    filled : ndarray of bool, shape (R, C)
+        Cells that hold a colour; the others lend none.
+    scale : float
+        Standard deviation of the Gaussian, in cells.
+    walls : bool
+        Whether cells that are not filled stop the Gaussian, and not only lend no colour: it goes along the row and then
+        along the column as far as cells are filled. Textures, whose charts keep their distance, do without.
+    atlas : Atlas, optional
+        The canvas, across whose cuts no colour is lent.
+
+    Attributes
+    ----------
+    gain : float
+        What is left of the standard deviation of white noise, away from borders.
+    """
+
+    def __init__(
+        self, filled: NDArray[np.bool_], scale: float, *, walls: bool = False, atlas: Atlas | None = None
+    ) -> None:
+        self._taps = _gaussian_taps(scale)
+        self._open = filled if walls else None
+        self.gain = float(np.sum(self._taps**2))
+        self._partial, self._part = self._partial_totals(filled)
+        self._cut_means = None if atlas is None or not len(atlas.cut_cells) else CutMeans(atlas, self._taps)
+
+    def smooth(self, planes: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Smooth planes of shape (N, R, C), which must be 0 where cells are not filled."""
+        smoothed = np.empty_like(planes)
+        for plane, result in zip(planes, smoothed, strict=True):
+            self._convolve(plane, self._open, result)
+            result.reshape(-1)[self._partial] /= self._part
+            if self._cut_means is not None:
+                self._cut_means.apply(plane, result)
+        return smoothed
+
+    def _partial_totals(self, filled: NDArray[np.bool_]) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+        """Find the filled cells (flat indices) that lack a neighbour, and the weights of the neighbours they have.
+
+        Most cells have all, with weights of 1 together but for rounding.
+        """
+        reach = len(self._taps) // 2
+        cells, totals = [np.zeros(0, np.int32)], [np.zeros(0, np.float32)]
+        for first in range(0, len(filled), _ROWS):  # whole planes would be as large as what they save
+            above = min(first, reach)
+            band = filled[first - above : first + _ROWS + reach]
+            total = np.empty(band.shape, np.float32)
+            self._convolve(band.astype(np.float32), None if self._open is None else band, total)
+            total = total[above : above + _ROWS]
+            lacking = np.flatnonzero((total < 1 - 1e-6) & filled[first : first + _ROWS])
+            cells.append((lacking + first * filled.shape[1]).astype(np.int32))
+            totals.append(total.reshape(-1)[lacking])
+        return np.concatenate(cells), np.concatenate(totals)
+
+    def _convolve(
+        self, plane: NDArray[np.float32], filled: NDArray[np.bool_] | None, result: NDArray[np.float32]
+    ) -> None:
+        """Convolve a plane, up to walls if it is told what is filled, and write the result."""
+        if filled is not None:
+            along = _convolve_up_to_walls(plane, filled, self._taps)
+            result[...] = _convolve_up_to_walls(along.T, filled.T, self._taps).T
+            return
+        from scipy.ndimage import correlate1d
+
+        along = correlate1d(plane, self._taps, 0, mode="constant")
+        correlate1d(along, self._taps, 1, mode="constant", output=result)
+
+
+def _convolve_up_to_walls(
+    plane: NDArray[np.float32], filled: NDArray[np.bool_], taps: NDArray[np.float32]
+) -> NDArray[np.float32]:
+    """Convolve along the first axis; of what lies at or behind a cell that is not filled, nothing counts."""
+    reach = len(taps) // 2
+    result = np.where(filled, taps[reach] * plane, np.float32(0))
+    for ahead in (True, False):
+        seen = filled
+        for step in range(1, min(reach, len(plane) - 1) + 1):
+            near, far = (
+                (slice(None, -step), slice(step, None)) if ahead else (slice(step, None), slice(None, -step))
+            )
+            seen = (seen[:-1] if ahead else seen[1:]) & filled[
+                far
+            ]  # all cells from the near one to the far one
+            result[near] += taps[reach + step] * np.where(seen, plane[far], np.float32(0))
+    return result
+
+
+def guide_radius(scale: float) -> int:
+    """Return how many cells a `GridGaussian` reaches to each side."""
+    return len(_gaussian_taps(scale)) // 2 if scale > 0 else 0
+
+
+def _gaussian_taps(scale: float) -> NDArray[np.float32]:
+    # Beyond 2.5 standard deviations lies one per cent of a Gaussian.
+    reach = max(1, int(np.ceil(2.5 * scale - 0.5)))
+    taps = np.exp(-(np.arange(-reach, reach + 1) ** 2) / (2 * scale**2))
+    return np.asarray(taps / taps.sum(), np.float32)

@@ -1,0 +1,1 @@
+"""Move colours between textures and vertices."""

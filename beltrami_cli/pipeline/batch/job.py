@@ -1,0 +1,182 @@
+"""One file of a batch: what is to be done, doing it, and what came of it."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import os
+import time
+import traceback
+from dataclasses import dataclass, field
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from beltrami_cli.errors import BeltramiError, InputError
+from beltrami_cli.formats.access import Access
+from beltrami_cli.pipeline.memory import limited_memory
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from beltrami_cli.pipeline.settings.bake import BakeSettings
+    from beltrami_cli.pipeline.settings.smooth import SmoothSettings
+
+Status = Literal["started", "done", "skipped", "failed", "not started"]
+
+
+@dataclass(frozen=True)
+class Job:
+    """What is to be done with one file; it can be sent to another process.
+
+    Attributes
+    ----------
+    source, target : str
+        Where from, where to.
+    settings : SmoothSettings
+        What smoothing is told.
+    unwrap : BakeSettings or None
+        How a new texture is made; None: none is wanted.
+    outside : bool
+        Whether files are followed that the model names beyond its own folder.
+    overwrite : bool
+        Whether existing files may be replaced.
+    """
+
+    source: str
+    target: str
+    settings: SmoothSettings
+    unwrap: BakeSettings | None = None
+    outside: bool = False
+    overwrite: bool = False
+
+    @property
+    def parameters(self) -> str:
+        """Hash of all that the result depends on besides the files: the settings and the version of this program."""
+        settings = dataclasses.asdict(self.settings)
+        del settings["kernel"]["threads"]  # the result is the same for any number
+        unwrap = None if self.unwrap is None else dataclasses.asdict(self.unwrap)
+        told = [version("beltrami-cli"), settings, unwrap, self.outside]
+        return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of one file; as JSON it is a line of the report.
+
+    Attributes
+    ----------
+    input, output : str
+        Where from, where to.
+    status : {"started", "done", "skipped", "failed", "not started"}
+        What was done; "skipped": what an earlier run did still holds.
+    parameters_sha256 : str
+        See `Job.parameters`.
+    time : float
+        When it was written, in seconds since 1970.
+    seconds : float
+        How long it took.
+    error : str
+        What went wrong.
+    exit_code : int
+        What `smooth` would have exited with.
+    read, written : dict of str to str
+        SHA-256 of every file that was read, and that was written.
+    report : dict or None
+        The report of `smooth`.
+    """
+
+    input: str
+    output: str
+    status: Status
+    parameters_sha256: str = ""
+    time: float = field(default_factory=time.time)
+    seconds: float = 0.0
+    error: str = ""
+    exit_code: int = 0
+    read: dict[str, str] = field(default_factory=dict)
+    written: dict[str, str] = field(default_factory=dict)
+    report: dict[str, object] | None = None
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """What a worker answers: the outcome, whether more memory might help, and where an unforeseen error arose."""
+
+    outcome: Outcome
+    wants_memory: bool = False
+    traceback: str = ""
+
+
+def do_job(job: Job, memory: int | None, progress: Callable[[str, int, int], None] | None = None) -> Attempt:
+    """Smooth one file, as `smooth_file` does.
+
+    Parameters
+    ----------
+    job : Job
+        What is to be done.
+    memory : int or None
+        Bytes that the job may take; None: as many as there are.
+    progress : callable, optional
+        As for `smooth_file`.
+
+    Returns
+    -------
+    Attempt
+        Whatever goes wrong with the file is told in it, and not raised.
+    """
+    from beltrami_cli.pipeline.smooth.file import smooth_file
+
+    start = time.monotonic()
+    read: dict[str, str] = {}
+
+    def note(path: Path, data: bytes) -> None:
+        read[str(path.absolute())] = hashlib.sha256(data).hexdigest()
+
+    try:
+        with limited_memory(memory, job.source):
+            report = smooth_file(
+                job.source, job.target, job.settings, unwrap=job.unwrap, overwrite=job.overwrite, progress=progress,
+                access=Access(outside=job.outside, memory=memory, note=note),
+            )  # fmt: skip
+        output = Path(os.path.realpath(job.target))
+        files = [output, *(output.parent / name for name in report.written[1:])]
+        done = failed(job, "", 0, time.monotonic() - start)
+        return Attempt(
+            dataclasses.replace(
+                done,
+                status="done",
+                read=read,
+                written={str(file): hash_of(file) for file in files},
+                report=dataclasses.asdict(report),
+            )
+        )
+    except BeltramiError as error:
+        # Whatever refuses a file for want of memory names the option as the way out.
+        wants_memory = isinstance(error, InputError) and "--max-memory" in error.remedy
+        outcome = failed(job, str(error), error.exit_code, time.monotonic() - start)
+        return Attempt(outcome, wants_memory)
+    except Exception as error:  # even a mistake of ours is of this file only
+        cause = " ".join(f"{job.source}: unexpected error: {type(error).__name__}: {error}".split())
+        told = f"{cause}; run again with -vv and report it"
+        return Attempt(failed(job, told, 1, time.monotonic() - start), traceback=traceback.format_exc())
+
+
+def failed(job: Job, error: str, exit_code: int, seconds: float = 0.0) -> Outcome:
+    """Return the outcome of a job that failed."""
+    return Outcome(
+        job.source,
+        job.target,
+        "failed",
+        parameters_sha256=job.parameters,
+        seconds=round(seconds, 3),
+        error=error,
+        exit_code=exit_code,
+    )
+
+
+def hash_of(path: Path) -> str:
+    """Return the SHA-256 of a file in hexadecimal digits; OSError if it cannot be read."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -1,0 +1,150 @@
+"""Which files a batch is about, and where their results go."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from beltrami_cli.errors import InputError, UsageError
+from beltrami_cli.pipeline.batch.manifest import is_manifest, read_manifest
+from beltrami_cli.pipeline.settings.smooth import IMAGE_FORMATS, IMAGE_SUFFIXES, OUTPUT_FORMATS
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping
+
+# What a folder stands for: models and points. Its images may be their textures, and are named by themselves.
+MODEL_SUFFIXES = tuple(f".{name}" for name in OUTPUT_FORMATS)
+_MAGIC = set("*?[")
+_WRITABLE = {*MODEL_SUFFIXES, *IMAGE_SUFFIXES, *(f".{name}" for name in IMAGE_FORMATS)}
+
+
+@dataclass(frozen=True)
+class Request:
+    """One file of a batch.
+
+    Attributes
+    ----------
+    source, target : str
+        Where from, where to.
+    options : mapping of str to object
+        What a manifest says for this file, by the names of options of `smooth`.
+    origin : str
+        Which line of which manifest that is.
+    folder : Path
+        What paths among the options are relative to.
+    """
+
+    source: str
+    target: str
+    options: Mapping[str, object] = field(default_factory=dict)
+    origin: str = ""
+    folder: Path = Path()
+
+
+def plan(inputs: Iterable[str], out_dir: str, suffix: str, extension: str | None) -> list[Request]:
+    """Find the files that inputs stand for, and name their outputs.
+
+    Parameters
+    ----------
+    inputs : iterable of str
+        Files; globs; folders, for all models in them and below; manifests.
+    out_dir : str
+        Folder of the outputs. What lies below a folder or the fixed part of a glob keeps its place below it.
+    suffix : str
+        Put between the name and the extension; or, with the extension of a format in it, instead of the extension.
+    extension : str or None
+        Format of the outputs; None: as the input.
+
+    Returns
+    -------
+    list of Request
+
+    Raises
+    ------
+    InputError
+        If there is no such file.
+    UsageError
+        If two outputs are the same file, or an output is its input.
+    """
+    requests = []
+    for text in inputs:
+        if text == "-":
+            raise UsageError("a batch is of files, and - is none; beltrami smooth takes a pipe")
+        if is_manifest(text):
+            requests += list(_of_manifest(text, out_dir, suffix, extension))
+        else:
+            requests += [
+                Request(str(path), str(Path(out_dir) / result_name(place, suffix, extension)))
+                for path, place in _found(text, Path(out_dir))
+            ]
+    if not requests:
+        raise UsageError("there is nothing to do; name files, globs, folders or a manifest")
+    requests = list({(each.source, each.target, str(each.options)): each for each in requests}.values())
+    _refuse_clashes(requests)
+    return requests
+
+
+def result_name(place: Path, suffix: str, extension: str | None) -> Path:
+    """Return the place of an output below the folder of all, from that of its input."""
+    ending = Path(f"x{suffix}").suffix.lower()
+    if ending in _WRITABLE and extension is None:
+        return place.with_name(place.stem + suffix)
+    return place.with_name(place.stem + suffix + (f".{extension}" if extension else place.suffix))
+
+
+def _found(text: str, out_dir: Path) -> Iterator[tuple[Path, Path]]:
+    """Give the files that an input stands for, and their places below the output folder."""
+    path = Path(text)
+    if path.is_dir():
+        inside = sorted(each for each in path.rglob("*") if each.suffix.lower() in MODEL_SUFFIXES)
+        found = [(each, each.relative_to(path)) for each in inside if _is_input(each, path, out_dir)]
+    elif path.exists() or not _MAGIC & set(text):
+        if not path.is_file():
+            raise InputError(text, "there is no such file", "check the path")
+        found = [(path, Path(path.name))]
+    else:
+        root = _fixed_part(path)
+        named = sorted(root.glob(str(path.relative_to(root))))
+        found = [(each, each.relative_to(root)) for each in named if _is_input(each, root, out_dir)]
+    if not found:
+        raise InputError(text, "no file that can be smoothed is found there", "check the path")
+    yield from found
+
+
+def _is_input(path: Path, root: Path, out_dir: Path) -> bool:
+    """Tell whether a file that was found is meant: results of an earlier run and hidden files are not."""
+    hidden = any(part.startswith(".") for part in path.relative_to(root).parts)
+    inner, outer = out_dir.resolve(), root.resolve()
+    is_result = inner != outer and inner.is_relative_to(outer) and path.resolve().is_relative_to(inner)
+    return path.is_file() and not hidden and not is_result
+
+
+def _fixed_part(pattern: Path) -> Path:
+    fixed = next(number for number, part in enumerate(pattern.parts) if _MAGIC & set(part))
+    return Path(*pattern.parts[:fixed])
+
+
+def _of_manifest(text: str, out_dir: str, suffix: str, extension: str | None) -> Iterator[Request]:
+    folder = Path(text).parent
+    for row in read_manifest(text):
+        source = folder / row.input
+        if not source.is_file():
+            raise InputError(str(source), "there is no such file", f"check {row.origin}")
+        place = Path(row.output) if row.output else result_name(Path(source.name), suffix, extension)
+        yield Request(str(source), str(Path(out_dir) / place), row.options, row.origin, folder)
+
+
+def _refuse_clashes(requests: Iterable[Request]) -> None:
+    known: dict[str, Request] = {}
+    for request in requests:
+        place = os.path.realpath(request.target)
+        if os.path.realpath(request.source) == place:
+            raise UsageError(f"{request.source} would be replaced by its own output; give a --suffix")
+        other = known.setdefault(place, request)
+        if other is not request:
+            raise UsageError(
+                f"{other.source} and {request.source} would both become {request.target}; give their folder "
+                "instead, or a manifest with outputs"
+            )

@@ -1,0 +1,1 @@
+"""What is in a file, which of it is worked on, and what belongs beside it."""

@@ -1,0 +1,122 @@
+"""What a job does with a document: which of its colours are smoothed, and in which format they are written."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from beltrami_cli.errors import InputError, UnpaintedError, UsageError
+from beltrami_cli.pipeline.settings.smooth import OUTPUT_FORMATS
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from beltrami_cli.formats.document import Document
+    from beltrami_cli.mesh.textured import Slot
+    from beltrami_cli.pipeline.settings.smooth import Format, SmoothSettings
+
+
+@dataclass(frozen=True)
+class Work:
+    """What is smoothed.
+
+    Attributes
+    ----------
+    vertices : bool
+        Whether the vertex colours are.
+    slots : tuple of Slot
+        The texture slots that are.
+    notices : tuple of str
+        What the user should know of the choice.
+    """
+
+    vertices: bool
+    slots: tuple[Slot, ...]
+    notices: tuple[str, ...] = ()
+
+
+def choose_work(document: Document, settings: SmoothSettings) -> Work:
+    """Choose what is smoothed, by the settings and by what is there.
+
+    Raises
+    ------
+    InputError
+        If there is nothing of what is asked for; the message says what there is.
+    UsageError
+        If something is asked for that only images have.
+    """
+    if settings.image.given:
+        wrong = ", ".join(settings.image.given)
+        raise UsageError(f"{wrong}: for images only, but {document.name} is none; leave it out")
+    present = document.slots()
+    slots = tuple(slot for slot in present if slot in settings.textures.slots)
+    coloured = settings.on != "texture" and document.has_vertex_colours()
+    if settings.on == "vertices" or (settings.on == "auto" and not slots and coloured):
+        if not coloured:
+            document.painted()  # raises, and says what there is instead
+        return Work(vertices=True, slots=())
+    if settings.on == "both" and not (coloured and slots):
+        missing = "vertex colours" if slots else "textures in the chosen slots"
+        raise InputError(document.name, f"it has no {missing}", "use --on auto")
+    if not slots:
+        raise _nothing_to_smooth(document, present)
+    slots = _with_chosen_textures(document, slots, settings)
+    both = settings.on == "both"
+    notices = (
+        ("its vertex colours stay as they are; --on both smooths them too",) if coloured and not both else ()
+    )
+    return Work(vertices=both, slots=slots, notices=notices)
+
+
+def _nothing_to_smooth(document: Document, present: Sequence[Slot]) -> InputError:
+    """Return the error that there are no colours, or that they are damaged."""
+    try:
+        document.painted()
+    except UnpaintedError:
+        pass
+    except InputError as error:
+        return error
+    cause = "it has neither vertex colours nor textures to smooth"
+    if present:
+        remedy = f"add --slots {present[0]}"
+        return UnpaintedError(
+            document.name, f"{cause}, but textures in the slots {', '.join(present)}", remedy
+        )
+    reason = document.notices[0].rstrip(".") if document.notices else ""
+    return UnpaintedError(document.name, cause + (f" ({reason})" if reason else ""))
+
+
+def _with_chosen_textures(
+    document: Document, slots: tuple[Slot, ...], settings: SmoothSettings
+) -> tuple[Slot, ...]:
+    """Leave out the slots in which the globs choose nothing."""
+    wanted = settings.textures
+    if not (wanted.names or wanted.materials):
+        return slots
+    from beltrami_cli.pipeline.textures.prepare import choose_textures
+
+    kept = tuple(slot for slot in slots if choose_textures(document.textured(slot), wanted).textures)
+    if not kept:
+        names = {texture.name for slot in slots for texture in document.textured(slot).textures}
+        raise UsageError(f"{document.name}: no texture fits the globs; there are {', '.join(sorted(names))}")
+    return kept
+
+
+def choose_format(document: Document, target: str, chosen: str | None) -> Format:
+    """Choose the format to write, by option, by the output's name, or as the source.
+
+    Raises
+    ------
+    UsageError
+        If the name's extension is of no known format.
+    """
+    told = chosen or Path(target).suffix.lower().lstrip(".")
+    if told in OUTPUT_FORMATS:
+        return OUTPUT_FORMATS[told]
+    if target == "-" or not told:
+        return OUTPUT_FORMATS.get(document.format, "ply")
+    raise UsageError(
+        f"{target}: no format is known for .{told}; end the name in {', '.join('.' + f for f in OUTPUT_FORMATS)}, "
+        "or say --format"
+    )

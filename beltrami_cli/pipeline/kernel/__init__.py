@@ -1,0 +1,1 @@
+"""One kernel, to look at."""

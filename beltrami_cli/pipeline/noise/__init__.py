@@ -1,0 +1,1 @@
+"""Noise laid on a surface."""

@@ -1,0 +1,1 @@
+"""Smooth one file: read, sample, iterate, write, and tell what was done."""

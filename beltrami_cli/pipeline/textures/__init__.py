@@ -1,0 +1,1 @@
+"""Textures: from the pictures of a model to the flow and back."""

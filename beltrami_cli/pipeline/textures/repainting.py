@@ -1,0 +1,128 @@
+"""Smoothed texels put back into pictures, and their gutters refilled."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from beltrami_cli.formats.image import from_float
+from beltrami_cli.formats.image.picture import full_scale_one
+from beltrami_cli.pipeline.smooth.report import Change
+from beltrami_cli.sampling.gutter import fill_gutter
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from beltrami_cli.formats.image import Picture
+    from beltrami_cli.pipeline.textures.colours import TexelColours
+
+_BLOCK = 1 << 18  # texels painted at a time, which bounds the memory for them in floats
+
+
+@dataclass(frozen=True)
+class SmoothedTexels:
+    """What the flow made of the texels of all pictures.
+
+    Attributes
+    ----------
+    texture_offsets : ndarray of int64, shape (number of textures + 1,)
+        Texels of texture i are numbered from its offset, row by row.
+    texels : ndarray of int64, shape (T,)
+        The covered texels.
+    colours : ndarray of float32, shape (T, N)
+        Their colours, in the working space.
+    gutter_texels : ndarray of int64, shape (G,)
+        Texels just beyond charts.
+    gutter_colours : ndarray of float32, shape (G, N)
+        Colours of the surface as it continues there.
+    """
+
+    texture_offsets: NDArray[np.int64]
+    texels: NDArray[np.int64]
+    colours: NDArray[np.float32]
+    gutter_texels: NDArray[np.int64]
+    gutter_colours: NDArray[np.float32]
+
+    def of_texture(
+        self, texels: NDArray[np.int64], index: int
+    ) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
+        """Choose the texels of one texture, and number them from its first."""
+        first, last = self.texture_offsets[index : index + 2]
+        inside = (texels >= first) & (texels < last)
+        return inside, texels[inside] - first
+
+
+def repaint(
+    picture: Picture, index: int, colours: TexelColours, smoothed: SmoothedTexels, gutter: int | None
+) -> tuple[NDArray[Any], Change]:
+    """Return a picture's new pixels, and how its covered texels changed.
+
+    Parameters
+    ----------
+    picture : Picture
+        The source.
+    index : int
+        Which of the atlas's textures it is.
+    colours : TexelColours
+        The way from working colours to pixels.
+    smoothed : SmoothedTexels
+        New colours of covered texels and of the gutter.
+    gutter : int or None
+        Texels beyond the charts that are refilled; None: none.
+
+    Returns
+    -------
+    pixels : ndarray, shape (H, W, C)
+        In the picture's type. Texels that did not change keep their exact values.
+    change : Change
+        Of the covered texels.
+    """
+    pixels = picture.pixels.copy()
+    change = _paint(pixels, picture, index, colours, smoothed, smoothed.texels, smoothed.colours)
+    if gutter is not None:
+        covered, known = np.zeros(pixels.shape[:2], bool), np.zeros(pixels.shape[:2], bool)
+        covered.reshape(-1)[smoothed.of_texture(smoothed.texels, index)[1]] = True
+        beside, texels = smoothed.of_texture(smoothed.gutter_texels, index)
+        near = within(covered, gutter).reshape(-1)[texels]
+        beside[beside] = near
+        chosen = smoothed.gutter_texels[beside]
+        _paint(pixels, picture, index, colours, smoothed, chosen, smoothed.gutter_colours[beside])
+        known.reshape(-1)[texels[near]] = True
+        columns = colours.columns(index)
+        pixels[..., columns] = fill_gutter(pixels[..., columns], covered, None, gutter, known)
+    return pixels, change
+
+
+def _paint(
+    pixels: NDArray[Any],
+    picture: Picture,
+    index: int,
+    colours: TexelColours,
+    smoothed: SmoothedTexels,
+    texels: NDArray[np.int64],
+    samples: NDArray[np.float32],
+) -> Change:
+    """Put the samples that are of a picture into pixels like its own, in place, and return how these change."""
+    table, changes = pixels.reshape(-1, pixels.shape[2]), []
+    for first in range(0, len(texels), _BLOCK):
+        inside, here = smoothed.of_texture(texels[first : first + _BLOCK], index)
+        after = samples[first : first + _BLOCK][inside]
+        moved = colours.changed(picture, here, after)
+        count, here, after = len(here), here[moved], after[moved]
+        old = full_scale_one(table[here])
+        new = old.copy()
+        colours.write(new, index, np.arange(len(here)), after)
+        table[here] = from_float(picture, table[here], new, new != old)
+        # Texels that did not change count, too.
+        changes.append(dataclasses.replace(Change.between(old, new), count=count * table.shape[1]))
+    return Change.joined(changes)
+
+
+def within(covered: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
+    """Tell which texels lie at most `reach` rows and columns from a covered one."""
+    from scipy.ndimage import maximum_filter
+
+    return np.asarray(maximum_filter(covered, 2 * reach + 1, mode="constant"), bool)

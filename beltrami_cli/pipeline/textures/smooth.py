@@ -1,0 +1,205 @@
+"""Smooth the textures of one slot: textured surface in, new image files out."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
+from beltrami_cli.formats.image import check_writable, losses, write_image
+from beltrami_cli.pipeline.smooth.report import Change, describe_choice
+from beltrami_cli.pipeline.textures.colours import COLOUR_SLOTS
+from beltrami_cli.pipeline.textures.prepare import PreparedSlot, prepare_slot
+from beltrami_cli.pipeline.textures.repainting import SmoothedTexels, repaint
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from beltrami_cli.formats.document import Document
+    from beltrami_cli.formats.image import Picture
+    from beltrami_cli.mesh.atlas import Atlas
+    from beltrami_cli.mesh.textured import ImageFile, Slot, TexturedSurface
+    from beltrami_cli.pipeline.settings.smooth import SmoothSettings, TextureSettings
+
+
+# Per cent of texels with several places; fewer come of rounding at the borders of charts.
+_WORTH_TELLING = 1.0
+
+
+@dataclass(frozen=True)
+class SlotReport:
+    """What was done to the textures of a slot.
+
+    Attributes
+    ----------
+    slot : str
+        The slot.
+    textures : list of dict
+        For each texture its name, size, type, and how many of its texels the surface covers.
+    counts : dict of str to int
+        Charts, seams, jumps, covered and overlapped texels of all textures together; jumps are seams whose two
+        sides really differ, which nothing was smoothed over.
+    pitch : float
+        Mean distance of neighbouring texels on the surface, in the model's own unit of length.
+    beta : float
+        As used.
+    noise : dict of str to float
+        Estimated standard deviation per channel, full scale 1, in the working space.
+    samples_per_kernel : float
+        Mean number of samples that a kernel held.
+    guides : dict of str to float
+        The beta used for each guide, by its name.
+    change : dict of str to float
+        Mean, root mean square and largest change of a covered texel's value, full scale 1, as stored.
+    choice : dict or None
+        As for `VertexReport`.
+    """
+
+    slot: str
+    textures: list[dict[str, object]]
+    counts: dict[str, int]
+    pitch: float
+    beta: float
+    noise: dict[str, float]
+    samples_per_kernel: float
+    guides: dict[str, float] = field(default_factory=dict)
+    change: dict[str, float] = field(default_factory=dict)
+    choice: dict[str, object] | None = None
+
+
+@dataclass(frozen=True)
+class SlotResult:
+    """New image files for a slot, under the keys of its textures; what was done; and what the user should know."""
+
+    images: dict[tuple[Slot, str], ImageFile]
+    report: SlotReport
+    notices: tuple[str, ...]
+
+
+def smooth_slot(
+    surface: TexturedSurface,
+    slot: Slot,
+    settings: SmoothSettings,
+    progress: Callable[[int, int], None] | None = None,
+    document: Document | None = None,
+    access: Access = EVERYTHING_INSIDE,
+) -> SlotResult:
+    """Smooth all chosen textures of a slot together, over the surface and across their seams.
+
+    Parameters
+    ----------
+    surface : TexturedSurface
+        As a document gives it.
+    slot : Slot
+        Which slot it is: colours, or data.
+    settings : SmoothSettings
+        The kernel's parameters, the working space, and what concerns textures.
+    progress : callable, optional
+        Called with the work done so far and the work to do; may raise to stop.
+    document, access
+        As for `prepare_slot`.
+
+    Returns
+    -------
+    SlotResult
+
+    Raises
+    ------
+    UsageError, InputError
+        As `prepare_slot`.
+    """
+    prepared = prepare_slot(surface, slot, settings, document, access)
+    for picture in prepared.pictures:
+        check_writable(picture, settings.textures.image_suffix)
+    flow = prepared.flow(settings)
+    result = flow.run(progress)
+    report = SlotReport(
+        slot=slot,
+        textures=describe_textures(prepared),
+        counts={**atlas_counts(prepared.atlas), "jumps": flow.jumps},
+        pitch=result.spacing,
+        beta=result.beta,
+        noise=prepared.colours.named(result.sigma),
+        samples_per_kernel=round(result.samples_per_kernel, 2),
+        guides=flow.guide_betas,
+        choice=describe_choice(result.choice),
+    )
+    notices = list(atlas_notices(prepared.atlas))
+    smoothed = SmoothedTexels(
+        prepared.atlas.texture_offsets,
+        prepared.atlas.owned_texels,
+        result.colours,
+        flow.atlas.gutter_texels,
+        flow.gutter_colours(),
+    )
+    pictures, colours, textures = prepared.pictures, prepared.colours, prepared.surface.textures
+    del prepared, flow  # canvases as large as the pictures that are made now
+    images: dict[tuple[Slot, str], ImageFile] = {}
+    changes = []
+    for index, (texture, picture) in enumerate(zip(textures, pictures, strict=True)):
+        pixels, change = repaint(picture, index, colours, smoothed, settings.textures.gutter)
+        changes.append(change)
+        images[slot, texture.key] = _encode(picture, pixels, slot, settings.textures)
+        notices += picture.notices
+        if settings.textures.image_suffix is not None:
+            notices += losses(picture, settings.textures.image_suffix)
+    report = dataclasses.replace(report, change=Change.joined(changes).summary())
+    return SlotResult(images, report, tuple(notices))
+
+
+def _encode(picture: Picture, pixels: NDArray[Any], slot: Slot, wanted: TextureSettings) -> ImageFile:
+    return write_image(
+        picture,
+        pixels,
+        suffix=wanted.image_suffix,
+        jpeg_quality=wanted.jpeg_quality,
+        small=wanted.small,
+        as_data=slot not in COLOUR_SLOTS,
+    )
+
+
+def atlas_counts(atlas: Atlas) -> dict[str, int]:
+    """Return what an atlas is made of."""
+    return {
+        "charts": atlas.charts,
+        "seams": atlas.seams,
+        "covered": atlas.covered,
+        "overlapped": atlas.overlapped,
+    }
+
+
+def atlas_notices(atlas: Atlas) -> tuple[str, ...]:
+    """Return what the user should know of texels that are covered more than once, or not at all."""
+    if not len(atlas.owned_texels):
+        return (
+            "no visible texel is covered by the surface, so nothing was smoothed; --unwrap makes a new atlas",
+        )
+    share = 100 * atlas.overlapped / max(1, atlas.covered)
+    if share < _WORTH_TELLING:
+        return ()
+    return (
+        f"{share:.0f} % of the covered texels lie at several places of the surface (mirrored, tiled or overlapping "
+        "charts); each was smoothed at one of them",
+    )
+
+
+def describe_textures(prepared: PreparedSlot) -> list[dict[str, object]]:
+    """Return facts about each texture, in JSON types."""
+    covered = np.histogram(prepared.atlas.owned_texels, prepared.atlas.texture_offsets)[0]
+    return [
+        {
+            "name": texture.name,
+            "width": picture.pixels.shape[1],
+            "height": picture.pixels.shape[0],
+            "format": picture.format,
+            "stored": picture.stored,
+            "channels": list(picture.channels),
+            "covered": round(float(count / picture.pixels[..., 0].size), 4),
+        }
+        for texture, picture, count in zip(prepared.surface.textures, prepared.pictures, covered, strict=True)
+    ]
