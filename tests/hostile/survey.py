@@ -2,32 +2,38 @@
 
     python tests/hostile/survey.py [NAME=]FOLDER... [--mutations N] [--list]
 
-Each file is smoothed in a process of its own, into an empty folder, and the result compared with `check`. Nothing is
-written to the folders. Exits with 1 if anything but colours changed, a file was left over, or a
-process crashed or hung.
+Each file is smoothed in a process of its own, into an empty folder: its textures and its vertex colours, where it has
+both. The result is compared with `check`. Exits with 1 if anything but colours changed, colours left the range of those
+before, a file was left over, anything in the folders changed, or a process crashed, hung or took too much memory.
 """
 
 from __future__ import annotations
 
 import argparse
+import hashlib
 import importlib
 import json
 import os
 import random
+import resource
 import shutil
 import signal
 import sys
 import tempfile
 import time
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from beltrami_cli.errors import BeltramiError, InputError, UnpaintedError
 from beltrami_cli.formats.access import Access
+from beltrami_cli.formats.source import open_document
 from beltrami_cli.pipeline.check import check_files
 from beltrami_cli.pipeline.settings.smooth import KernelParameters, SmoothSettings
 from beltrami_cli.pipeline.smooth.file import smooth_file
@@ -36,12 +42,15 @@ from fuzz.test_replay import mutated
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from beltrami_cli.formats.document import Document
+
 KEPT = {".ply", ".obj", ".gltf", ".glb"}
 READ = {".off", ".stl", ".3mf", ".dae", ".zae", ".3dxml", ".xaml"}
-SETTINGS = SmoothSettings(kernel=KernelParameters(iterations=1, threads=1))
+SETTINGS = SmoothSettings(kernel=KernelParameters(iterations=1, beta=10, clipping="keep", threads=1))
 ACCESS = Access(memory=4 << 30)
 PATIENCE = 180  # seconds
-PRELOADED = ("smooth_textures", "smooth_vertices", "conversion")
+MOST_MEMORY = 8 << 30  # bytes of addresses, which are always more than what is used
+PRELOADED = ("textures.smooth", "vertices.smooth", "documents.conversion")
 OUTCOMES = {
     "smoothed": "only colours changed",
     "converted": "read, written as PLY",
@@ -62,7 +71,10 @@ def attempt(source: Path, out: Path) -> tuple[str, str]:
     kept = source.suffix.lower() in KEPT
     target = out / (source.name if kept else f"{source.stem}.ply")
     try:
-        report = smooth_file(source, target, SETTINGS, access=ACCESS)
+        document = open_document(str(source), ACCESS)
+        both = document.has_vertex_colours() and set(document.slots()) & set(SETTINGS.textures.slots)
+        settings = replace(SETTINGS, on="both") if both else SETTINGS
+        report = smooth_file(source, target, settings, access=ACCESS)
     except UnpaintedError as error:
         missing = "is missing" in error.cause
         return _refused("missing" if missing else "unpainted", error, out)
@@ -70,12 +82,23 @@ def attempt(source: Path, out: Path) -> tuple[str, str]:
         return _refused("missing" if "is missing" in error.cause else "refused", error, out)
     except BeltramiError as error:
         return "FAILED", f"{type(error).__name__}: {error}"
+    wrong = [path.name for path in out.rglob("*") if path.name.endswith(".tmp")]
+    if wrong or (document.has_vertex_colours() and not _within_range(document, target)):
+        return "FAILED", f"left over: {wrong}" if wrong else "colours beyond those of the input"
     if not kept:
         return "converted", report.output
     check = check_files(source, target, ACCESS)
     if not check.faithful:
         return "FAILED", next(f"{d.what}: {d.detail}" for d in check.differences if not d.of_colour)
     return "smoothed", ""
+
+
+def _within_range(document: Document, target: Path) -> bool:
+    """Tell whether averages lie within what they were made of, or on the nearest value that the file can hold."""
+    before, after = document.painted().colours, open_document(str(target), ACCESS).painted().colours
+    slack = 1 / 255 + 1e-4 * np.abs(before).max()
+    low, high = np.clip(before.min(axis=0), 0, 1), np.clip(before.max(axis=0), 0, 1)
+    return bool(((after >= low - slack) & (after <= high + slack)).all())
 
 
 def _refused(outcome: str, error: InputError, out: Path) -> tuple[str, str]:
@@ -92,6 +115,7 @@ def apart(source: Path, out: Path) -> tuple[str, str]:
     if pid == 0:
         os.close(reader)
         os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
+        resource.setrlimit(resource.RLIMIT_AS, (MOST_MEMORY, MOST_MEMORY))
         try:
             result = attempt(source, out)
         except BaseException as error:
@@ -138,6 +162,14 @@ def mutations(source: Path, count: int) -> Iterator[tuple[str, str]]:
         shutil.rmtree(folder)
 
 
+def state(folder: Path) -> dict[str, str]:
+    """Return what is in a folder, so that it can be told later whether anything changed."""
+    return {
+        str(path): hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else ""
+        for path in folder.rglob("*")
+    }
+
+
 def table(counts: dict[str, Counter[str]]) -> str:
     """Return counts as a table in Markdown."""
     lines = [
@@ -164,7 +196,7 @@ def main() -> int:
     counts: dict[str, Counter[str]] = {}
     for each in chosen.folders:
         label, folder = each.rpartition("=")[0], Path(each.rpartition("=")[2])
-        label = label or folder.name
+        label, before = label or folder.name, state(folder)
         for source in models(folder):
             what = f"{label}, {source.suffix.lower()}"
             found = [(what, *tried(source))]
@@ -174,6 +206,9 @@ def main() -> int:
                 counts.setdefault(row, Counter())[outcome] += 1
                 if outcome == "FAILED" or (chosen.list and row == what):
                     print(f"{outcome}: {source.relative_to(folder)}: {detail}", file=sys.stderr)
+        if state(folder) != before:
+            print(f"FAILED: {folder} is not as it was", file=sys.stderr)
+            counts[f"{label}, the folder itself"] = Counter(FAILED=1)
     counts["all"] = sum(counts.values(), Counter())
     print(table(counts))
     return int(counts["all"]["FAILED"] > 0)

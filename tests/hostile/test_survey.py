@@ -1,0 +1,104 @@
+"""The survey counts what it says, and sees what it is there to see."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import sys
+import time
+from typing import TYPE_CHECKING
+
+import pytest
+
+from hostile import survey
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+PLY = (
+    b"ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
+    b"property uchar red\nproperty uchar green\nproperty uchar blue\nelement face 1\n"
+    b"property list uchar int vertex_indices\nend_header\n0 0 0 0 0 0\n1 0 0 9 9 9\n0 1 0 90 90 90\n3 0 1 2\n"
+)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Models of every outcome but failure."""
+    made = tmp_path / "models"
+    made.mkdir()
+    (made / "a.ply").write_bytes(PLY)
+    (made / "b.ply").write_bytes(PLY[:-8])
+    (made / "c.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    (made / "d.obj").write_text("mtllib d.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nusemtl m\nf 1/1 2/1 3/1\n")
+    (made / "d.mtl").write_text("newmtl m\nmap_Kd gone.png\n")
+    (made / "e.off").write_text("COFF\n3 1 0\n0 0 0 .1 .2 .3\n1 0 0 .1 .9 .3\n0 1 0 .1 .2 .5\n3 0 1 2\n")
+    return made
+
+
+def survey_of(folder: Path, monkeypatch: pytest.MonkeyPatch, *options: str) -> int:
+    """Run the survey as from the command line."""
+    monkeypatch.setattr(sys, "argv", ["survey", f"x={folder}", *options])
+    return survey.main()
+
+
+def test_every_outcome_has_its_column(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert survey_of(folder, monkeypatch, "--mutations", "2") == 0
+    rows = [line for line in capsys.readouterr().out.splitlines() if line.startswith("| x")]
+    assert "| x, .ply | 2 | 1 | 0 | 0 | 0 | 1 | 0 |" in rows
+    assert "| x, .obj | 2 | 0 | 0 | 1 | 1 | 0 | 0 |" in rows
+    assert "| x, .off | 1 | 0 | 1 | 0 | 0 | 0 | 0 |" in rows
+    assert any(row.startswith("| x, mutations | 2 |") for row in rows)
+
+
+def crash(*_: object, **__: object) -> None:
+    """End the process as a crash of native code does."""
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def hang(*_: object, **__: object) -> None:
+    """Take longer than anybody waits."""
+    time.sleep(60)
+
+
+def fill(*_: object, **__: object) -> None:
+    """Take more memory than there is for a file."""
+    bytearray(survey.MOST_MEMORY)
+
+
+def move_a_vertex(source: Path, target: Path, *_: object, **__: object) -> None:
+    """Write something else than colours."""
+    target.write_bytes(source.read_bytes().replace(b"1 0 0 9", b"2 0 0 9"))
+
+
+def leave_a_file(source: Path, target: Path, *_: object, **__: object) -> None:
+    """Leave what is temporary."""
+    shutil.copy(source, target)
+    target.with_name(".a.ply.0123.tmp").write_bytes(b"")
+
+
+def zeros(source: Path, target: Path, *_: object, **__: object) -> None:
+    """Write colours that are nowhere in the input."""
+    target.write_bytes(source.read_bytes().replace(b"90 90 90", b"200 0 0"))
+
+
+def change_the_source(source: Path, *_: object, **__: object) -> None:
+    """Touch what must only be read."""
+    source.write_bytes(b"")
+    raise survey.InputError(str(source), "refused")
+
+
+@pytest.mark.parametrize("harm", [crash, hang, fill, move_a_vertex, leave_a_file, zeros, change_the_source])
+def test_harm_is_seen(
+    harm: object, folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for path in folder.iterdir():
+        if path.name != "a.ply":
+            path.unlink()
+    monkeypatch.setattr(survey, "smooth_file", harm)
+    monkeypatch.setattr(survey, "PATIENCE", 1)
+    assert survey_of(folder, monkeypatch) == 1
+    assert "FAILED" in capsys.readouterr().err
