@@ -120,7 +120,8 @@ class BeltramiFlow:
         rank[self._order] = np.arange(len(rank), dtype=rank.dtype)
         self._positions = surface.positions[self._order]
         self._colours = surface.colours[self._order]
-        solver = SegmentManifold if parameters.along_segments else TriangulatedManifold
+        length = _mean_length(surface) if parameters.units == "world" else 1.0
+        solver = SegmentManifold if parameters.is_along_segments(length) else TriangulatedManifold
         self._manifold: SegmentManifold | TriangulatedManifold = solver(rank[surface.all_faces], len(rank))
         # The walls of hard edges join samples at one place: they say nothing about spacing or noise.
         edges, lengths = _edges_in_space(self._manifold.edges(), self._positions)
@@ -283,6 +284,13 @@ def shifted(
 ) -> Callable[[int], None] | None:
     """Make the progress of one iteration count on from those before it."""
     return None if progress is None else lambda done: progress(before + done, total)
+
+
+def _mean_length(surface: SampledSurface) -> float:
+    """Return the mean length of the sides of all faces; 1 without faces."""
+    corners = surface.positions[surface.faces]
+    sides = corners - np.roll(corners, 1, axis=1)
+    return float(np.sqrt((sides**2).sum(axis=2)).mean()) if len(corners) else 1.0
 
 
 def _edges_in_space(

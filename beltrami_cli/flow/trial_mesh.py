@@ -136,9 +136,10 @@ class MeshTrial:
 
 
 def random_signs(colours: NDArray[np.float32], edges: NDArray[np.int32]) -> NDArray[np.float32]:
-    """Return signs that look random but depend only on the colours around each sample, and not on the order of samples.
+    """Return signs that look random but depend only on the colours around each sample.
 
-    So what is chosen by them is the same for a mesh that was turned, or whose vertices come in another order.
+    So what is chosen by them is the same for a mesh that was turned, or whose vertices or channels come in another
+    order.
 
     Parameters
     ----------
@@ -152,8 +153,10 @@ def random_signs(colours: NDArray[np.float32], edges: NDArray[np.int32]) -> NDAr
     ndarray of float32, shape (S, N)
         1 or -1.
     """
-    bits = _hashes(colours, edges)[:, None] >> np.arange(colours.shape[1], dtype=np.uint64) % np.uint64(40)
-    return np.where(bits & np.uint64(1), np.float32(1), np.float32(-1))
+    around, signs = _hashes(colours, edges), np.empty(colours.shape, np.float32)
+    for own, column in zip(_bits(colours), signs.T, strict=True):
+        column[:] = np.where(_mixed(around + _mixed(own)) & np.uint64(1), 1, -1)
+    return signs
 
 
 def choose_patches(colours: NDArray[np.float32], edges: NDArray[np.int32], budget: int) -> Patches:
@@ -192,15 +195,20 @@ def choose_patches(colours: NDArray[np.float32], edges: NDArray[np.int32], budge
 def _hashes(colours: NDArray[np.float32], edges: NDArray[np.int32]) -> NDArray[np.uint64]:
     """Hash each sample's colours with those of its neighbours, and theirs."""
     hashes = np.zeros(len(colours), np.uint64)
-    for column in np.ascontiguousarray(colours.T).view(np.uint32):
-        hashes = _mixed(hashes + column)
+    # A sum does not depend on the order of channels, nor on that of neighbours.
+    for own in _bits(colours):
+        hashes += _mixed(own)
     for _ in range(2):
-        # A sum does not depend on the order of neighbours.
         beside = np.zeros_like(hashes)
         np.add.at(beside, edges[:, 0], hashes[edges[:, 1]])
         np.add.at(beside, edges[:, 1], hashes[edges[:, 0]])
         hashes = _mixed(_mixed(hashes) + beside)
     return hashes
+
+
+def _bits(colours: NDArray[np.float32]) -> NDArray[np.uint64]:
+    """Return the bits of each channel's colours as numbers, shape (N, S)."""
+    return np.ascontiguousarray(colours.T).view(np.uint32).astype(np.uint64)
 
 
 def _mixed(values: NDArray[np.uint64]) -> NDArray[np.uint64]:

@@ -21,7 +21,15 @@ from oracles.surfaces import icosphere
 RANDOM = np.random.default_rng(9)
 T = 0.02
 # Lengths in radii of the sphere, samples by their area: what converges to the continuous kernel.
-WORLD = {"iterations": 1, "t": T, "units": "world", "weights": "area", "metric_scale": 0, "space": "data"}
+WORLD = {
+    "iterations": 1,
+    "t": T,
+    "units": "world",
+    "weights": "area",
+    "metric_scale": 0,
+    "space": "data",
+    "solver": "fast-marching",  # which converges on finer and finer meshes
+}
 
 
 def opened(path):
