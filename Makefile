@@ -79,7 +79,7 @@ run-bench: $(VENV)/.installed-bench
 
 sanitize: $(VENV)/.installed-test
 	$(BIN)/cmake -S beltrami_cli/native -B build/sanitize -DCMAKE_BUILD_TYPE=RelWithDebInfo \
-	  -DBELTRAMI_PYTHON=OFF -DBELTRAMI_TESTS=ON -DBELTRAMI_SANITIZE=ON
+	  -DBELTRAMI_PYTHON=OFF -DBELTRAMI_TESTS=ON -DBELTRAMI_SANITIZE=ON -DBELTRAMI_WARNINGS_FAIL=ON
 	$(BIN)/cmake --build build/sanitize --parallel 2
 	build/sanitize/core_tests
 	build/sanitize/segment_tests

@@ -34,7 +34,7 @@ inline Lanes from_bits(Mask bits) { return reinterpret_cast<Lanes>(bits); }
 // Other compilers: the same operations lane by lane.
 template <class T>
 struct Pack {
-  T lane[lane_count] = {};
+  T lane[lane_count];  // not set by itself, so that bytes may be copied over it
   T operator[](std::size_t i) const { return lane[i]; }
 };
 using Lanes = Pack<float>;
