@@ -14,6 +14,7 @@ EPILOG = """\b
 Examples:
   beltrami info scan.ply
   beltrami info scan.glb --json | jq .noise
+  beltrami info scan.obj --json | jq '.textures[].images'    each texture: size, charts, overlap, noise, ...
   beltrami info scan.ply -t 4 --beta 5       how large would kernels be?
 """
 
@@ -43,8 +44,20 @@ def command(source: str, as_json: bool, verbose: int, **smoothing: Any) -> None:
 def _lines(content: Any) -> list[str]:
     if isinstance(content, dict):
         width = max(map(len, content))
-        return [f"  {key.replace('_', ' '):<{width}}  {_show(value)}" for key, value in content.items()]
+        return [
+            f"  {label:<{width}}  {text}"
+            for key, value in content.items()
+            for label, text in _rows(key, value)
+        ]
     return [f"  {_show(entry)}" for entry in content]
+
+
+def _rows(key: str, value: Any) -> list[tuple[str, str]]:
+    """Return what stands on the lines of a value: one, or as many as there are records in a list."""
+    label = key.replace("_", " ")
+    if isinstance(value, list) and value and all(isinstance(entry, dict) for entry in value):
+        return [(label if number == 0 else "", _show(entry)) for number, entry in enumerate(value)]
+    return [(label, _show(value))]
 
 
 def _show(value: Any) -> str:
@@ -55,5 +68,8 @@ def _show(value: Any) -> str:
             f"({_show(entry)})" if isinstance(entry, (list, dict)) else _show(entry) for entry in value
         )
     if isinstance(value, dict):
-        return ", ".join(f"{key.replace('_', ' ')} {_show(entry)}" for key, entry in value.items())
+        return ", ".join(
+            f"{key.replace('_', ' ')} {f'({_show(entry)})' if isinstance(entry, dict) else _show(entry)}"
+            for key, entry in value.items()
+        )
     return str(value)

@@ -53,8 +53,9 @@ def inspect_file(
         JSON types only: "file" (facts of the format); for vertex colours "colours", "surface" or for points without
         faces "cloud" (counts, spacing, bounds), "noise" (standard deviation per channel, full scale 1) and "smooth"
         (parameters as they would be used, and the mean number of samples that a kernel of the first iteration would
-        hold); "textures", a list with an entry for each slot that would be smoothed; "notices". For an image "file",
-        "image", "noise", "smooth" and "notices".
+        hold), which is left out if they would stay as they are beside textures; "textures", a list with an entry for
+        each slot that would be smoothed, in which "images" describes each texture, and "surface" for the mesh under
+        them; "notices". For an image "file", "image", "noise", "smooth" and "notices".
 
     Raises
     ------
@@ -78,6 +79,8 @@ def inspect_file(
         facts.update(_describe_range(document, grid, settings, access))
     elif work.vertices:
         facts.update(_describe_vertices(document, settings, access))
+    elif work.slots:
+        facts.update(_describe_under_textures(document, work.slots[0], settings, access))
     require_room_for_textures(document, work.slots, settings.textures, access)
     slots = [_describe_slot(document, slot, settings, access) for slot in work.slots]
     if slots:
@@ -129,6 +132,20 @@ def _describe_vertices(document: Document, settings: SmoothSettings, access: Acc
         )
         | {"samples_per_kernel": round(flow.probe_samples(_PROBED_KERNELS), 1)},
     }
+
+
+def _describe_under_textures(
+    document: Document, slot: Slot, settings: SmoothSettings, access: Access
+) -> dict[str, object]:
+    """Describe the surface that only textures are smoothed on, and the vertex colours that it has besides."""
+    if settings.on == "auto" and document.grid() is None and document.has_vertex_colours():
+        # They stay as they are, so no parameters are chosen for them.
+        plain = dataclasses.replace(DEFAULTS, kernel=dataclasses.replace(settings.kernel, free=()))
+        facts = _describe_vertices(document, plain, access)
+        return {key: facts[key] for key in facts if key != "smooth"}
+    from beltrami_cli.pipeline.textures.description import describe_surface
+
+    return {"surface": describe_surface(document.textured(slot))}
 
 
 def _describe_mesh(painted: PaintedVertices, prepared: PreparedVertices) -> dict[str, object]:
@@ -190,18 +207,14 @@ def _place_positions(surface: SampledSurface, sampling: VertexSampling) -> NDArr
 def _describe_slot(
     document: Document, slot: Slot, settings: SmoothSettings, access: Access
 ) -> dict[str, object]:
+    from beltrami_cli.pipeline.textures.description import describe_slot
     from beltrami_cli.pipeline.textures.prepare import prepare_slot
-    from beltrami_cli.pipeline.textures.smooth import atlas_counts, describe_textures
 
     prepared = prepare_slot(document.textured(slot), slot, settings, document, access)
     flow = prepared.flow(settings)
     return {
         "slot": slot,
-        "images": describe_textures(prepared),
-        **atlas_counts(prepared.atlas),
-        "colour_jumps": flow.jumps,
-        "pitch": flow.spacing,
-        "noise": prepared.colours.named(flow.sigma),
+        **describe_slot(prepared, flow, settings),
         "smooth": _describe_kernel(settings, flow),
     }
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 
 import pytest
 
@@ -62,3 +63,69 @@ def test_a_file_without_colours_is_refused(tmp_path):
     run = beltrami("info", plain)
     assert run.returncode == 3
     assert run.stdout == b""
+
+
+def test_each_of_several_textures_has_its_own_noise_charts_and_pitch(tmp_path):
+    for name in ("torus-two-noisy.gltf", "torus-two-noisy.bin", "torus-two-noisy-icing.png"):
+        shutil.copy(SAMPLES / name, tmp_path)
+    shutil.copy(SAMPLES / "torus-two-clean-dough.png", tmp_path / "torus-two-noisy-dough.png")
+    told = info(tmp_path / "torus-two-noisy.gltf", "--fast")
+    (slot,) = told["textures"]
+    icing, dough = slot["images"]
+    assert min(icing["noise"].values()) > 15 / 255
+    assert max(dough["noise"].values()) < 3 / 255
+    # Each is one strip around the torus, whose ends meet in a seam; along both rims it meets the other.
+    assert (icing["charts"], dough["charts"], slot["charts"]) == (1, 1, 2)
+    assert (icing["seams"], dough["seams"], slot["seams_between_textures"], slot["seams"]) == (1, 1, 1, 3)
+    # The same surface: where there are fewer texels each is wider.
+    assert min(icing["pitch"], dough["pitch"]) <= slot["pitch"] <= max(icing["pitch"], dough["pitch"])
+
+
+def test_overlap_is_told_of_the_texture_that_has_it(tmp_path):
+    shutil.copy(SAMPLES / "mirrored-noisy.png", tmp_path / "shared.png")
+    shutil.copy(SAMPLES / "mirrored-noisy.png", tmp_path / "own.png")
+    (tmp_path / "both.mtl").write_text("newmtl one\nmap_Kd shared.png\nnewmtl other\nmap_Kd own.png\n")
+    square = "vt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\nf -4/-4 -3/-3 -2/-2 -1/-1\n"
+    quads = ["v {0} 0 0\nv {1} 0 0\nv {1} 1 0\nv {0} 1 0\n".format(x, x + 1) for x in (0, 5, 9)]
+    materials = ["usemtl one\n", "", "usemtl other\n"]
+    quads = [quad + material + square for quad, material in zip(quads, materials, strict=True)]
+    (tmp_path / "both.obj").write_text("mtllib both.mtl\n" + "".join(quads))
+    (slot,) = info(tmp_path / "both.obj", "--fast")["textures"]
+    shared, own = slot["images"]
+    assert shared["overlapped"] == shared["width"] * shared["height"] == slot["overlapped"]
+    assert (shared["charts"], own["charts"], own["overlapped"]) == (2, 1, 0)
+
+
+def test_the_mesh_under_textures_is_described():
+    closed, opened = (
+        info("head-tex-clean.glb", "--fast")["surface"],
+        info("mirrored-clean.obj", "--fast")["surface"],
+    )
+    assert closed["boundary_edges"] == closed["non_manifold_edges"] == 0
+    assert opened["triangles"] > 0
+    # Euler's formula for a closed surface without handles, over places: glTF splits vertices at seams.
+    assert closed["vertices"] - closed["coincident_vertices"] - closed["edges"] + closed["triangles"] == 2
+
+
+def test_vertex_colours_beside_textures_are_described_and_said_to_stay(tmp_path):
+    shutil.copy(SAMPLES / "scan-noisy.jpg", tmp_path)
+    corners = "".join(
+        f"{x} {y} 0 {60 * x} 90 {200 * y} {x} {y}\n" for x, y in ((0, 0), (1, 0), (1, 1), (0, 1))
+    )
+    properties = [
+        *(f"float {axis}" for axis in "xyz"),
+        *(f"uchar {name}" for name in ("red", "green", "blue")),
+    ]
+    properties += ["float s", "float t"]
+    header = "ply\nformat ascii 1.0\ncomment TextureFile scan-noisy.jpg\nelement vertex 4\n"
+    header += "".join(f"property {told}\n" for told in properties)
+    header += "element face 1\nproperty list uchar int vertex_indices\nend_header\n"
+    (tmp_path / "both.ply").write_text(header + corners + "4 0 1 2 3\n")
+    told = info(tmp_path / "both.ply", "--fast")
+    assert told["colours"]["greatest"] == pytest.approx([60 / 255, 90 / 255, 200 / 255])
+    assert told["surface"]["triangles"] == 2
+    assert "smooth" not in told
+    assert told["textures"][0]["images"][0]["name"] == "scan-noisy.jpg"
+    assert "--on both" in told["notices"][0]
+    assert "smooth" in info(tmp_path / "both.ply", "--fast", "--on", "both")
+    assert "colours" not in info(tmp_path / "both.ply", "--fast", "--on", "texture")

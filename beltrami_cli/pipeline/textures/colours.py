@@ -110,13 +110,17 @@ class TexelColours:
     def transparent(self, atlas: Atlas, textures: Sequence[Texture]) -> NDArray[np.bool_]:
         """Tell which owned cells lend no colour, because their texel cannot be seen."""
         hidden = np.zeros(len(atlas.owned_texels), bool)
-        if not self._hides:
-            return hidden
-        for index, (picture, texture) in enumerate(zip(self._pictures, textures, strict=True)):
-            if picture.alpha is not None and texture.alpha_hides:
-                inside, texels = self._texels(atlas, index)
-                hidden[inside] = picture.pixels[..., picture.alpha].reshape(-1)[texels] == 0
+        for index, texture in enumerate(textures):
+            inside, texels = self._texels(atlas, index)
+            hidden[inside] = self.hidden(index, texture, texels)
         return hidden
+
+    def hidden(self, index: int, texture: Texture, texels: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Tell which of some texels (row * width + column) of a picture lend no colour."""
+        picture = self._pictures[index]
+        if not self._hides or picture.alpha is None or not texture.alpha_hides:
+            return np.zeros(len(texels), bool)
+        return np.asarray(picture.pixels[..., picture.alpha].reshape(-1)[texels] == 0)
 
     def columns(self, index: int) -> list[int]:
         """Return which channels of a picture change."""

@@ -19,7 +19,10 @@ from beltrami_cli.pipeline.textures.guides import GuidedTexels
 from beltrami_cli.sampling.atlas import build_atlas
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from beltrami_cli.flow.guidance import Guide
+    from beltrami_cli.flow.parameters import KernelParameters
     from beltrami_cli.formats.document import Document
     from beltrami_cli.formats.image import Picture
     from beltrami_cli.mesh.atlas import Atlas
@@ -93,16 +96,22 @@ def prepare_slot(
     """
     surface = choose_textures(surface, settings.textures)
     pictures = [read_image(texture.data, texture.name) for texture in surface.textures]
-    kernel = settings.kernel
-    margin = kernel.window // 2 + (guide_radius(kernel.metric_scale) if kernel.metric_steps else 0)
-    sizes = [(picture.pixels.shape[1], picture.pixels.shape[0]) for picture in pictures]
-    atlas = build_atlas(surface, sizes, margin, kernel.thread_count)
+    atlas = build_slot_atlas(surface, pictures, settings.kernel)
     colours = TexelColours(pictures, slot, settings)
     transparent = colours.transparent(atlas, surface.textures)
     if transparent.any():
         atlas = without_owned(atlas, transparent)
     guides = GuidedTexels(document, surface, pictures, atlas, settings, access).guides() if document else []
     return PreparedSlot(surface, pictures, atlas, colours, tuple(guides))
+
+
+def build_slot_atlas(
+    surface: TexturedSurface, pictures: Sequence[Picture], kernel: KernelParameters
+) -> Atlas:
+    """Make the manifold of the texels of pictures, as far continued beyond seams as a kernel looks."""
+    margin = kernel.window // 2 + (guide_radius(kernel.metric_scale) if kernel.metric_steps else 0)
+    sizes = [(picture.pixels.shape[1], picture.pixels.shape[0]) for picture in pictures]
+    return build_atlas(surface, sizes, margin, kernel.thread_count)
 
 
 def choose_textures(surface: TexturedSurface, wanted: TextureSettings) -> TexturedSurface:
@@ -115,7 +124,11 @@ def choose_textures(surface: TexturedSurface, wanted: TextureSettings) -> Textur
         )
         return by_name and by_material
 
-    kept = [index for index, texture in enumerate(surface.textures) if fits(texture)]
+    return only_textures(surface, [i for i, texture in enumerate(surface.textures) if fits(texture)])
+
+
+def only_textures(surface: TexturedSurface, kept: list[int]) -> TexturedSurface:
+    """Keep the textures of these indices; triangles of the others have none."""
     new_index = np.full(len(surface.textures) + 1, -1, np.int32)
     new_index[kept] = np.arange(len(kept), dtype=np.int32)
     return dataclasses.replace(

@@ -6,13 +6,12 @@ import dataclasses
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.image import check_writable, losses, write_image
 from beltrami_cli.pipeline.smooth.report import Change, describe_choice
 from beltrami_cli.pipeline.textures.colours import COLOUR_SLOTS
-from beltrami_cli.pipeline.textures.prepare import PreparedSlot, prepare_slot
+from beltrami_cli.pipeline.textures.description import atlas_counts, describe_textures
+from beltrami_cli.pipeline.textures.prepare import prepare_slot
 from beltrami_cli.pipeline.textures.repainting import SmoothedTexels, repaint
 
 if TYPE_CHECKING:
@@ -163,16 +162,6 @@ def _encode(picture: Picture, pixels: NDArray[Any], slot: Slot, wanted: TextureS
     )
 
 
-def atlas_counts(atlas: Atlas) -> dict[str, int]:
-    """Return what an atlas is made of."""
-    return {
-        "charts": atlas.charts,
-        "seams": atlas.seams,
-        "covered": atlas.covered,
-        "overlapped": atlas.overlapped,
-    }
-
-
 def atlas_notices(atlas: Atlas) -> tuple[str, ...]:
     """Return what the user should know of texels that are covered more than once, or not at all."""
     if not len(atlas.owned_texels):
@@ -186,20 +175,3 @@ def atlas_notices(atlas: Atlas) -> tuple[str, ...]:
         f"{share:.0f} % of the covered texels lie at several places of the surface (mirrored, tiled or overlapping "
         "charts); each was smoothed at one of them",
     )
-
-
-def describe_textures(prepared: PreparedSlot) -> list[dict[str, object]]:
-    """Return facts about each texture, in JSON types."""
-    covered = np.histogram(prepared.atlas.owned_texels, prepared.atlas.texture_offsets)[0]
-    return [
-        {
-            "name": texture.name,
-            "width": picture.pixels.shape[1],
-            "height": picture.pixels.shape[0],
-            "format": picture.format,
-            "stored": picture.stored,
-            "channels": list(picture.channels),
-            "covered": round(float(count / picture.pixels[..., 0].size), 4),
-        }
-        for texture, picture, count in zip(prepared.surface.textures, prepared.pictures, covered, strict=True)
-    ]
