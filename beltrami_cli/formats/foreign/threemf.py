@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 _RELATIONS = "_rels/.rels"
 _USUAL = "3D/3dmodel.model"
-_TARGET = re.compile(rb"<Relationship\b[^>]*>")
+_TARGET = re.compile(rb"<Relationship\b[^<>]*+>")
 _DEEPEST = 32  # parts within parts
 _MOST_PARTS = 100_000
 _MOST_TRIANGLES = 1 << 26

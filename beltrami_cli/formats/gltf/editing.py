@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from beltrami_cli.errors import InputError
 from beltrami_cli.formats.gltf.files import re_embedded
+from beltrami_cli.formats.gltf.sharing import named_views
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -71,9 +74,29 @@ class Edit:
         octets[:, :size] = np.ascontiguousarray(numbers).view(np.uint8)
         start = self.append(buffer, octets.tobytes())
         view = {"buffer": buffer, "byteOffset": start, "byteLength": octets.size, "target": VERTEX_DATA}
+        return self.add_view(view | ({"byteStride": stride} if stride != size else {}))
+
+    def add_view(self, view: Tree) -> int:
+        """Add a view; return its index.
+
+        Raises
+        ------
+        InputError
+            If something in the file names a view of that index already, which was not there: it would mean this one.
+        """
         views = self.tree.setdefault("bufferViews", [])
-        views.append(view | ({"byteStride": stride} if stride != size else {}))
+        if len(views) in self._named:
+            raise InputError(
+                self.container.name,
+                f"it names bufferViews[{len(views)}], which is not there, so no view can be added",
+                "repair the file",
+            )
+        views.append(view)
         return len(views) - 1
+
+    @cached_property
+    def _named(self) -> set[int]:
+        return set(named_views(self.container.tree))
 
     def home(self, preferred: Iterable[int]) -> int:
         """Return the first of some buffers that takes bytes, otherwise any that does, otherwise a new one."""

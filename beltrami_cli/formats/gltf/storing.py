@@ -122,9 +122,9 @@ def _store(edit: Edit, buffer: int, blobs: Sequence[_Blob]) -> None:
         data += bytes(-len(data) % 4)
         place = {"buffer": buffer, "byteOffset": len(data), "byteLength": len(blob.data)}
         if blob.view is None:
-            views.append(place)
+            index = edit.add_view(place)
             for image in blob.images:
-                edit.tree["images"][image]["bufferView"] = len(views) - 1
+                edit.tree["images"][image]["bufferView"] = index
         else:
             views[blob.view] |= place
         data += blob.data

@@ -24,11 +24,12 @@ SLOTS: dict[str, Slot] = {
 }
 """What is painted by the maps of a keyword; the first keyword that a material has is the one that counts."""
 
+# Possessive (++), so that lines of a million blanks or digits are not tried again from each of them.
 _STATEMENT = re.compile(
-    rb"^[ \t]*(newmtl|(?!map_aat\b)map_\w+|bump|disp|decal|refl|norm)[ \t]+([^\r\n]*[^\s])",
+    rb"^[ \t]*+(newmtl|(?!map_aat\b)map_\w+|bump|disp|decal|refl|norm)[ \t]++([^\r\n]*[^\s])",
     re.IGNORECASE | re.MULTILINE,
 )
-_NUMBERS = rb"(?:[ \t]+[-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?(?=[ \t])){1,3}"
+_NUMBERS = rb"(?:[ \t]++[-+]?(?:\d++\.?\d*+|\.\d++)(?:e[-+]?\d++)?(?=[ \t])){1,3}"
 _OPTION = re.compile(
     rb"-(?:([ost])(" + _NUMBERS + rb")|mm(?:[ \t]+\S+){2}|(\w+)[ \t]+(\S+))[ \t]+", re.IGNORECASE
 )

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.beside import Beside
     from beltrami_cli.formats.ply.tables import Table
 
-_COMMENT = re.compile(rb"(?:\n|\r)comment[ \t]+TextureFile[ \t:]+([^\r\n]*[^\s])", re.IGNORECASE)
+_COMMENT = re.compile(rb"(?:\n|\r)comment[ \t]+TextureFile[ \t:]++([^\r\n]*[^\s])", re.IGNORECASE)
 _OF_VERTICES = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"), ("texture_s", "texture_t"))
 _OF_FACES = "texcoord"
 _NUMBER = "texnumber"
