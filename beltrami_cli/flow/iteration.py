@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.choice import ON_MESHES, Choice, choose, is_noisy
 from beltrami_cli.flow.clipping import find_clipped
 from beltrami_cli.flow.geometry import GeometryParameters, MovingPositions
 from beltrami_cli.flow.mesh_metric import MeshMetric
 from beltrami_cli.flow.one_kernel import SampledKernel, kernel_values
+from beltrami_cli.flow.pieces.mesh import MeshFields, cut_mesh
+from beltrami_cli.flow.pieces.splitting import wanted_split
 from beltrami_cli.flow.spacing import local_spacing
 from beltrami_cli.flow.trial_mesh import MeshTrial, SampleFields, choose_patches, random_signs
 from beltrami_cli.mesh.areas import vertex_areas
@@ -31,6 +35,9 @@ if TYPE_CHECKING:
 # iterations are tried, each twice. Fewer than so many samples tell too little, and take about a second.
 _SHARE_TRIED = 1 / 20
 _LEAST_TRIED = 4_000
+
+# How far, in edges, kernels of pieces are first expected to reach for each sample spacing.
+_EDGES_PER_SPACING = 2.0
 
 
 @dataclass(frozen=True)
@@ -153,8 +160,13 @@ class BeltramiFlow:
             joined = np.zeros(len(rank), bool)
             joined[edges] = True  # isolated samples keep their colours, and say nothing of the others'
             self._clipped = find_clipped(self._colours[joined], self.sigma)
+        # Only pieces need the triangles once more.
+        self._split = wanted_split()
+        self._faces = None if self._split is None else rank[surface.all_faces]
         self.moving: MovingPositions | None = None
         if geometry is not None:
+            if self._split is not None:
+                raise UsageError("vertices are not moved in pieces; leave out --pieces, or --smooth-geometry")
             places = GeometryParameters(geometry.places[self._order], geometry.normal_beta)
             self.moving = MovingPositions(
                 self._positions, rank[surface.faces], edges, self.mean_edge_length or 1.0, unit, places
@@ -191,15 +203,9 @@ class BeltramiFlow:
         FlowResult
         """
         parameters, count = self.parameters, len(self._order)
-        colours, samples, truncated = self._with_marks(), 0, 0
         channels = self._colours.shape[1]
-        for iteration in range(parameters.iterations):
-            self._set_metric(np.ascontiguousarray(colours[:, :channels]), iteration)
-            colours, held, cut = self._average(
-                colours, shifted(progress, iteration * count, parameters.iterations * count)
-            )
-            samples += held
-            truncated += cut
+        iterate = self._iterate if self._split is None else self._iterate_in_pieces
+        colours, samples, truncated = iterate(self._with_marks(), progress)
         if self._clipped is not None:
             self._clipped.restore(colours.T[:channels], colours.T[channels:])
         self._colours = colours = np.ascontiguousarray(colours[:, :channels])
@@ -213,6 +219,40 @@ class BeltramiFlow:
             None if self.moving is None else self._in_order(self.moving.positions),
             self.choice,
         )
+
+    def _iterate(
+        self, colours: NDArray[np.float32], progress: Callable[[int, int], None] | None
+    ) -> tuple[NDArray[np.float32], float, int]:
+        """Run all iterations; return the colours, the samples held, and the kernels cut short."""
+        parameters, count, samples, truncated = self.parameters, len(self._order), 0, 0
+        channels = self._colours.shape[1]
+        for iteration in range(parameters.iterations):
+            self._set_metric(np.ascontiguousarray(colours[:, :channels]), iteration)
+            colours, held, cut = self._average(
+                colours, shifted(progress, iteration * count, parameters.iterations * count)
+            )
+            samples += held
+            truncated += cut
+        return colours, samples, truncated
+
+    def _iterate_in_pieces(
+        self, colours: NDArray[np.float32], progress: Callable[[int, int], None] | None
+    ) -> tuple[NDArray[np.float32], float, int]:
+        """Do what `_iterate` does, to the last bit, piece by piece; the samples held are estimated."""
+        parameters, faces, split = self.parameters, self._faces, self._split
+        if faces is None or split is None or not parameters.iterations:
+            return colours, 0, 0
+        from beltrami_cli._native import SegmentManifold
+
+        fields = MeshFields(
+            self._positions, faces, self._manifold.edges(), self._scales, self._weights, self._metric,
+            self._colours.shape[1], parameters, isinstance(self._manifold, SegmentManifold),
+        )  # fmt: skip
+        spacing = self.mean_edge_length if parameters.units == "world" else 1.0
+        # Edges are shorter here and longer there; what proves too narrow is cut anew.
+        reach = min(len(colours), 2 + int(_EDGES_PER_SPACING * parameters.radius / (spacing or 1.0)))
+        done = split.run(partial(cut_mesh, fields), reach, colours, parameters.iterations, progress)
+        return done.values, done.samples, done.truncated
 
     def _with_marks(self) -> NDArray[np.float32]:
         """Return the channels to average: the colours, and the marks of samples that were cut off."""

@@ -133,6 +133,18 @@ class MeshMetric:
         part._guide_channels = [(values[samples], beta) for values, beta in self._guide_channels]
         return part
 
+    def piece(self, rank: NDArray[np.int32], samples: NDArray[np.int64], count: int) -> MeshMetric:
+        """Return the metric of a piece, for `join`: what it is on the whole; arguments as for `MeshGaussian.piece`."""
+        part = copy(self)
+        part._count, part._edges, part._lengths = count, np.zeros((0, 2), np.int32), np.zeros(0)
+        part._gaussian = None if self._gaussian is None else self._gaussian.piece(rank, samples, count)
+        part._guide_channels = []
+        for values, beta in self._guide_channels:
+            spread = np.zeros((count, values.shape[1]), values.dtype)
+            spread[rank[samples]] = values[samples]
+            part._guide_channels.append((spread, beta))
+        return part
+
     def _smoothing(self) -> MeshGaussian:
         return MeshGaussian(self._count, self._edges, self._lengths, self._parameters.metric_scale)
 

@@ -6,6 +6,7 @@ beta is divided by it, so that noise adds the same to distances with and without
 
 from __future__ import annotations
 
+from copy import copy
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -60,6 +61,26 @@ class MeshGaussian:
             total += np.bincount(high, self._weights * values[low], self._count)
             smoothed[:, channel] = total / self._total
         return smoothed
+
+    def piece(self, rank: NDArray[np.int32], samples: NDArray[np.int64], count: int) -> MeshGaussian:
+        """Return the same means for a piece of the surface: right where it holds all neighbours, to the last bit.
+
+        Parameters
+        ----------
+        rank : ndarray of int32, shape (count,)
+            Where vertices stand in the piece, ascending; -1: not at all.
+        samples : ndarray of int64, shape (P,)
+            The vertices of the piece.
+        count : int
+            Places in the piece, of which some may stay empty.
+        """
+        part = copy(self)
+        ends = rank[self._edges]
+        inside = (ends >= 0).all(axis=1)
+        part._edges, part._weights, part._count = ends[inside], self._weights[inside], count
+        part._total = np.ones(count)
+        part._total[rank[samples]] = self._total[samples]
+        return part
 
     def _gather(self, weights: NDArray[np.float32]) -> NDArray[np.float64]:
         low, high = self._edges.T

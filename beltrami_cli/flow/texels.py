@@ -13,6 +13,8 @@ from beltrami_cli.flow.grid_metric import GridMetric
 from beltrami_cli.flow.iteration import FlowResult, shifted
 from beltrami_cli.flow.noise import estimate_sigma_on_grid
 from beltrami_cli.flow.one_kernel import SampledKernel, kernel_on_grid
+from beltrami_cli.flow.pieces.grid import GridFields, cut_grid
+from beltrami_cli.flow.pieces.splitting import wanted_split
 from beltrami_cli.flow.regularisation import guide_radius
 from beltrami_cli.flow.seams import find_colour_jumps, halo_beyond
 from beltrami_cli.flow.trial_grid import GridTrial
@@ -171,11 +173,35 @@ class TexelFlow:
         FlowResult
             `colours` are those of the owned cells, shape (T, N).
         """
-        from beltrami_cli._native import smooth_grid
-
-        parameters, samples, channels = self.parameters, 0, len(self._planes)
+        parameters, channels = self.parameters, len(self._planes)
         planes = self._with_marks()
         self._planes = np.empty((0, 0, 0), np.float32)  # freed once the first step is done
+        if wanted_split() is None:
+            planes, samples = self._iterate_all(planes, channels, progress)
+        else:
+            planes, samples = self._iterate_in_pieces(planes, channels, progress)
+        if self._clipped is not None:
+            self._clipped.restore(planes[:channels], planes[channels:])
+        self._planes = planes = planes[:channels]
+        owned = planes.reshape(len(planes), -1)[:, self.atlas.owned_cells]
+        kernels = max(1, parameters.iterations * len(self.atlas.owned_cells))
+        return FlowResult(
+            np.ascontiguousarray(owned.T),
+            self.spacing,
+            self.beta,
+            self.sigma,
+            samples / kernels,
+            0,
+            choice=self.choice,
+        )
+
+    def _iterate_all(
+        self, planes: NDArray[np.float32], channels: int, progress: Callable[[int, int], None] | None
+    ) -> tuple[NDArray[np.float32], float]:
+        """Run all iterations on planes of which so many are colours; return them, and the samples held."""
+        from beltrami_cli._native import smooth_grid
+
+        parameters, size, samples = self.parameters, self.atlas.kind.size, 0
         for iteration in range(parameters.iterations):
             metric, beta = self._metric.planes(planes[:channels], iteration)
             planes, held = smooth_grid(
@@ -191,27 +217,27 @@ class TexelFlow:
                 self._scheme(),
                 0,
                 parameters.thread_count,
-                shifted(
-                    progress, iteration * self.atlas.kind.size, parameters.iterations * self.atlas.kind.size
-                ),
+                shifted(progress, iteration * size, parameters.iterations * size),
             )
             del metric
             refresh_halo(planes, self.atlas)
             samples += held
-        if self._clipped is not None:
-            self._clipped.restore(planes[:channels], planes[channels:])
-        self._planes = planes = planes[:channels]
-        owned = planes.reshape(len(planes), -1)[:, self.atlas.owned_cells]
-        kernels = max(1, parameters.iterations * len(self.atlas.owned_cells))
-        return FlowResult(
-            np.ascontiguousarray(owned.T),
-            self.spacing,
-            self.beta,
-            self.sigma,
-            samples / kernels,
-            0,
-            choice=self.choice,
-        )
+        return planes, samples
+
+    def _iterate_in_pieces(
+        self, planes: NDArray[np.float32], channels: int, progress: Callable[[int, int], None] | None
+    ) -> tuple[NDArray[np.float32], float]:
+        """Do what `_iterate_all` does, to the last bit, piece by piece."""
+        parameters, split, atlas = self.parameters, wanted_split(), self.atlas
+        if split is None or not parameters.iterations or not len(atlas.owned_cells):
+            return planes, 0
+        fields = GridFields(atlas, self._scale, self._metric, channels, parameters, self._scheme())
+        flat = planes.reshape(len(planes), -1)
+        values = np.ascontiguousarray(flat[:, atlas.owned_cells].T)
+        done = split.run(lambda count, _: cut_grid(fields, count), 0, values, parameters.iterations, progress)
+        flat[:, atlas.owned_cells] = done.values.T
+        refresh_halo(planes, atlas)
+        return planes, done.samples
 
     def _with_marks(self) -> NDArray[np.float32]:
         """Return the planes to average: the colours, and the marks of samples that were cut off."""
