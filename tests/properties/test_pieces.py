@@ -73,11 +73,6 @@ ON_MESHES = {
     "areas": {"solver": "segments", "weights": "area", "iterations": 3},
     "world": {"solver": "segments", "units": "world", "metric_steps": 0, "beta": 0.0},
     "cut short": {"solver": "segments", "max_samples": 15},
-        "solver": "segments",
-        "t": 30.0,
-        "beta": 0.5,
-        "iterations": 1,
-    },  # without regions of groups
 }
 
 
