@@ -134,7 +134,7 @@ def choose(
     scale = choose_beta(counting, 1.0) * unit if len(counting) else 0.0
     grid = _grid(parameters, reach, scale, beta)
     estimate = RiskEstimate(trial, sigma, SMOOTHNESS[parameters.strength])
-    search = Search(estimate, grid, noise, pause)
+    search = Search(estimate, grid, noise, samples * len(sigma), pause)
     best = search.run()
     risk = search.tried[best]
     values: dict[str, Any] = {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from math import sqrt
 from typing import TYPE_CHECKING
 
 from beltrami_cli.flow.risk import Risk, RiskEstimate, State, Step
@@ -13,8 +14,9 @@ if TYPE_CHECKING:
 # So many iterations in a row that make the estimate worse than it was end a path.
 _PATIENCE = 1
 
-# Improvements by less than this share of the noise's variance are chance: some 0.1 dB of a good result.
-_WORTH_MOVING = 5e-4
+# What a schedule must gain for each step in the grid away from the start, as a share of the noise's variance: less is
+# chance. Some 0.1 dB of a good result; and more where there are few samples to tell by, over their root.
+_LEAST_GAIN, _GAIN_OF_ONE = 5e-4, 0.15
 
 
 @dataclass(frozen=True)
@@ -100,6 +102,8 @@ class Search:
         What may be chosen.
     noise : float
         Mean variance of the noise.
+    values : int
+        Samples times channels, which the estimate is a mean over.
     pause : callable
         Called before every iteration that is tried; may raise to stop.
 
@@ -110,50 +114,60 @@ class Search:
     """
 
     def __init__(
-        self, estimate: RiskEstimate, grid: Grid, noise: float, pause: Callable[[], None] | None = None
+        self,
+        estimate: RiskEstimate,
+        grid: Grid,
+        noise: float,
+        values: int,
+        pause: Callable[[], None] | None = None,
     ) -> None:
         self.tried: dict[Schedule, Risk] = {}
-        self._estimate, self._grid, self._noise, self._pause = estimate, grid, noise, pause
-        self._costs: dict[tuple[int, int, int, int], float] = {}
+        self._estimate, self._grid, self._pause = estimate, grid, pause
+        self._gain = noise * max(_LEAST_GAIN, _GAIN_OF_ONE / sqrt(max(1, values)))
+        self._best: dict[tuple[int, int, int, int], tuple[float, Schedule]] = {}
         self._guided_states: dict[Schedule, State] = {}
 
     def run(self) -> Schedule:
         """Return the best schedule found: along one axis after another, until none gets better."""
-        if self._grid.iterations is None:
-            self._try(replace(self._grid.at(self._grid.start), guided=0), self._estimate.start)
-        place, best = self._grid.start, self._path(self._grid.start)
-        moved = True
+        place = self._grid.start
+        best, moved = self._path(place), True
         while moved:
             moved = False
             for axis in (0, 1, 3, 2):
                 for way in (1, -1):
                     ahead = self._grid.beside(place, axis, way)
-                    while (
-                        ahead is not None and (cost := self._path(ahead)) < best - _WORTH_MOVING * self._noise
-                    ):
+                    while ahead is not None and (cost := self._path(ahead)) < best:
                         place, best, moved = ahead, cost, True
                         ahead = self._grid.beside(place, axis, way)
-        return min(self.tried, key=lambda schedule: self.tried[schedule].cost)
+        best, schedule = min(self._best.values(), key=lambda found: found[0])
+        if self._grid.iterations is None:
+            nothing = replace(schedule, guided=0, plain=0)
+            if self._try(nothing, self._estimate.start) < best:
+                return nothing
+        return schedule
 
     def _path(self, place: tuple[int, int, int, int]) -> float:
         """Try the schedules at a place, with more and more plain iterations; return the least cost."""
-        if place not in self._costs:
-            self._costs[place] = self._walk(self._grid.at(place))
-        return self._costs[place]
+        if place not in self._best:
+            away = sum(abs(here - there) for here, there in zip(place, self._grid.start, strict=True))
+            least, schedule = self._walk(self._grid.at(place))
+            self._best[place] = (least + away * self._gain, schedule)
+        return self._best[place][0]
 
-    def _walk(self, schedule: Schedule) -> float:
+    def _walk(self, schedule: Schedule) -> tuple[float, Schedule]:
+        """Iterate until that makes the estimate worse; return the least cost, and after how many it was reached."""
         wanted = self._grid.iterations
         if wanted is not None and schedule.guided > wanted:
-            return float("inf")
+            return float("inf"), schedule
         state = self._after_guided(schedule)
-        costs: list[float] = []
+        found: list[tuple[float, Schedule]] = []
         while True:
             done = schedule.guided + schedule.plain
             if wanted is None or done == wanted:
-                costs.append(self._try(schedule, state))
-            best = costs.index(min(costs)) if costs else 0
-            if done >= (self._grid.most if wanted is None else wanted) or len(costs) > best + _PATIENCE:
-                return costs[best]
+                found.append((self._try(schedule, state), schedule))
+            best = min(range(len(found)), key=lambda k: found[k][0], default=0)
+            if done >= (self._grid.most if wanted is None else wanted) or len(found) > best + 1 + _PATIENCE:
+                return found[best]
             state = self._step(state, schedule.step(done))
             schedule = replace(schedule, plain=schedule.plain + 1)
 

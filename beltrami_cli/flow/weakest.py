@@ -10,17 +10,19 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli.flow.clipping import sigma_of_clipped
+from beltrami_cli.flow.clipping import sigma_of_clipped, variance_of_clipped
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# The share of the groups that are taken to be free of edges and texture. On painted, baked and photographed textures
-# with noise of 2 to 40 of 255, estimates hardly differ between 0.05 and 0.3; a rich texture without noise asks for few.
-_FREE = 0.1
-
-# Groups away from the limits that are enough to look at no others: of all, and at least so many.
+# Groups with at most such a share of their samples at a limit lose little of their noise there, and how much is known.
+# So many of them are enough to look at no others: of all, and at least.
+_NEARLY_WHOLE = 0.2
 _ENOUGH_SHARE, _ENOUGH_GROUPS = 0.02, 20
+
+# Share of the groups without edges and texture, in a picture as most are: in plain ones the noise comes out a little too
+# small by it, in rich ones too large.
+_IDLE = 0.75
 
 # A group without any spread holds no noise; where fewer than this share of the groups do, they are plain areas that
 # were painted after the noise came in, or masked.
@@ -36,6 +38,7 @@ def weakest_level(
     low: NDArray[np.float64],
     high: NDArray[np.float64],
     mean: NDArray[np.float64],
+    free: float,
 ) -> float:
     """Estimate the standard deviation of noise from groups of samples of one channel.
 
@@ -49,6 +52,8 @@ def weakest_level(
         Share of each group's samples that stand at 0, and at 1.
     mean : ndarray of float64, shape (M,)
         Mean colour of each group.
+    free : float
+        Share of the groups that are taken to be free of edges and texture.
 
     Returns
     -------
@@ -57,13 +62,14 @@ def weakest_level(
 
     Notes
     -----
-    A quantile of the energies is compared with the same quantile of the chi-square distribution. Groups with samples
-    at a limit are left out, for there noise was cut off. Where nearly all are such, the noise of each is that of a
-    normal variable censored at the limit with the group's mean and share; see `clipping`.
+    A low quantile of the energies is compared with that of the chi-square distribution. Groups with many samples at a
+    limit are left out, for there noise was cut off. Where nearly all are such, the noise of each is that of a normal
+    variable censored at the limit with the group's mean and share; see `clipping`.
     """
-    free = (low == 0) & (high == 0)
-    if np.count_nonzero(free) >= max(_ENOUGH_GROUPS, _ENOUGH_SHARE * len(energy)):
-        return _quantile_level(energy[free], freedom)
+    near = low + high <= _NEARLY_WHOLE
+    if np.count_nonzero(near) >= max(_ENOUGH_GROUPS, _ENOUGH_SHARE * len(energy)):
+        uncut = energy[near] / (variance_of_clipped(low[near]) * variance_of_clipped(high[near]))
+        return _quantile_level(uncut, freedom, free)
     told = []
     for share, gap in ((low, mean), (high, 1 - mean)):
         telling = (share > _TELLING[0]) & (share < _TELLING[1])
@@ -71,11 +77,11 @@ def weakest_level(
     censored = np.concatenate(told)
     if len(censored) >= _ENOUGH_GROUPS:
         # Such an estimate is as good as that of as many samples, and a group has fewer degrees of freedom than samples.
-        return _quantile_level(censored, freedom)
-    return _quantile_level(energy, freedom)
+        return _quantile_level(censored, freedom, free)
+    return _quantile_level(energy, freedom, free)
 
 
-def _quantile_level(energy: NDArray[np.float64], freedom: float) -> float:
+def _quantile_level(energy: NDArray[np.float64], freedom: float, free: float) -> float:
     from scipy.special import chdtri
 
     if not len(energy):
@@ -84,5 +90,5 @@ def _quantile_level(energy: NDArray[np.float64], freedom: float) -> float:
     if len(spread) > _PLAIN * len(energy):
         energy = spread
     # Of few groups none may be free; the median stays closer to the noise than the least.
-    share = max(_FREE, min(0.5, 2 / len(energy)))
-    return float(np.sqrt(np.quantile(energy, share) * freedom / chdtri(freedom, 1 - share)))
+    share = max(free, min(0.5, 2 / len(energy)))
+    return float(np.sqrt(np.quantile(energy, share) * freedom / chdtri(freedom, 1 - share / _IDLE)))

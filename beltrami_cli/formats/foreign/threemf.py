@@ -22,7 +22,7 @@ _RELATIONS = "_rels/.rels"
 _USUAL = "3D/3dmodel.model"
 _TARGET = re.compile(rb"<Relationship\b[^<>]*+>")
 _DEEPEST = 32  # parts within parts
-_MOST_PARTS = 100_000
+_MOST_PARTS = 20_000
 _MOST_TRIANGLES = 1 << 26
 _BYTES_OF_TRIANGLE = 400  # that one takes while it is put together
 
