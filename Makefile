@@ -4,7 +4,7 @@ PYTHON ?= python3
 VENV   ?= .venv
 BIN     = $(VENV)/bin
 
-.PHONY: demo figures gallery viewer test lint bench run-bench sanitize fuzz fuzz-readers fuzz-core survey samples clean help
+.PHONY: demo figures gallery viewer docs build-docs man test test-minimum lint bench run-bench sanitize fuzz fuzz-readers fuzz-core survey samples clean help
 .DELETE_ON_ERROR:
 
 help:
@@ -12,6 +12,9 @@ help:
 	@echo "make figures   reproduce the figures of the paper, with their numbers in docs/figures.md"
 	@echo "make gallery   make the pictures of docs/gallery.md anew"
 	@echo "make test      all tests, in an environment of their own"
+	@echo "make test-minimum  the same with the oldest versions of what it depends on"
+	@echo "make docs      build the documentation as a site, in build/site"
+	@echo "make man       make the manual pages, in build/man"
 	@echo "make lint      ruff, mypy and the import layers"
 	@echo "make bench     time and judge the kernels against their peers"
 	@echo "make sanitize  test the core under the address and undefined-behaviour sanitizers"
@@ -30,7 +33,7 @@ $(VENV)/.pip:
 	@touch $@
 
 $(VENV)/.installed-%: $(SOURCES) | $(VENV)/.pip
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --upgrade '.[$*]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --upgrade $(RESTRAIN) '.[$*]'
 	@touch $@
 
 demo: $(VENV)/.installed-samples
@@ -61,6 +64,13 @@ $(VENV)/.gltf-validator: Makefile | $(VENV)/.pip
 
 test: $(VENV)/.installed-test $(VENV)/.gltf-validator
 	$(BIN)/pytest
+
+# Nothing newer than tests/minimum-versions.txt, on the oldest Python; in an environment of its own.
+MINIMUM_PYTHON ?= python3.11
+
+test-minimum:
+	$(MAKE) --no-print-directory VENV=$(VENV)-minimum PYTHON=$(MINIMUM_PYTHON) \
+	  RESTRAIN="--prefer-binary --constraint tests/minimum-versions.txt" test
 
 lint: $(VENV)/.installed-test
 	$(BIN)/ruff check .
@@ -125,6 +135,18 @@ samples: $(VENV)/.installed-samples
 
 clean:
 	rm -rf build demo .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
+
+# The site has an environment of its own: its packages are no part of what is tested.
+docs:
+	$(MAKE) --no-print-directory VENV=$(VENV)-docs build-docs
+
+build-docs: $(VENV)/.installed-docs
+	$(BIN)/mkdocs build --strict --quiet --site-dir build/site
+	@echo "The site: build/site/index.html"
+
+man: $(VENV)/.installed-test
+	$(BIN)/python -P -m beltrami_cli.cli.manual build/man "$$($(BIN)/python -P -c 'from importlib.metadata import version; print(version("beltrami-cli"))')"
+	@echo "The manual pages: build/man/*.1; read one with: man -l build/man/beltrami-smooth.1"
 
 # The batch rule. In a Makefile of your own, copy it and write `beltrami` for $(BIN)/beltrami; options for all files go into
 # BELTRAMI_FLAGS, for one into a target-specific variable:  face.clean.ply: BELTRAMI_FLAGS = -n 2

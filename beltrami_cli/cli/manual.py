@@ -1,0 +1,123 @@
+"""Manual pages made from the commands: `python -m beltrami_cli.cli.manual DIR VERSION`; the wheel holds them."""
+
+from __future__ import annotations
+
+import re
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from beltrami_cli.cli.main import COMMANDS, group
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+_ENVIRONMENT = (
+    "Every option has a variable: {}, with _ for - in the option. Options come from a file, too. What counts is, first "
+    "to last: the command line, variables, the file, the default; beltrami config {} shows what is in force."
+)
+_FILES = (
+    "beltrami.toml, or [tool.beltrami] in pyproject.toml, in the working folder or above it; or --config FILE"
+)
+_EXIT_STATUS = (
+    ("0", "Done."), ("1", "Processing failed, or a limit is broken."), ("2", "Wrong usage."),
+    ("3", "An input is unreadable or not fit."), ("4", "An output is not writable."), ("130", "Interrupted."),
+)  # fmt: skip
+
+
+def manual(version: str) -> Iterator[tuple[str, str]]:
+    """Yield the names of the manual pages, such as ``beltrami-smooth.1``, and their text for man(7).
+
+    Parameters
+    ----------
+    version : str
+        Of the program.
+    """
+    top = click.Context(group, info_name="beltrami", **group.context_settings)
+    commands = {name: group.get_command(top, name) for name in sorted(COMMANDS)}
+    listed = [
+        (f"beltrami-{name}(1)", each.get_short_help_str(300)) for name, each in commands.items() if each
+    ]
+    yield (
+        "beltrami.1",
+        "\n".join([*_page(top, version), ".SH COMMANDS", *_pairs(listed), *_ending("beltrami", commands)]),
+    )
+    for name, command in commands.items():
+        if command is not None:
+            context = click.Context(command, top, name)
+            yield f"beltrami-{name}.1", "\n".join([*_page(context, version), *_ending(name, commands)])
+
+
+def _page(context: click.Context, version: str) -> Iterator[str]:
+    """Yield what the help of a command says, as sections."""
+    command, name = context.command, context.command_path.replace(" ", "-")
+    usage = " ".join(command.collect_usage_pieces(context))
+    yield f'.TH "{_text(name.upper())}" 1 "" "beltrami {_text(version)}" "User Commands"'
+    yield from (".SH NAME", f"{_text(name)} \\- {_text(command.get_short_help_str(300).rstrip('.'))}")
+    yield from (".SH SYNOPSIS", f".B {_text(context.command_path)}", f".I {_text(usage)}")
+    yield ".SH DESCRIPTION"
+    yield from _blocks(command.help or "")
+    yield ".SH OPTIONS"
+    records = [parameter.get_help_record(context) for parameter in command.get_params(context)]
+    yield from _pairs([record for record in records if record is not None])
+    examples, _, rest = (command.epilog or "").partition("\n\n")
+    yield ".SH EXAMPLES"
+    yield from _verbatim(examples.split("\n")[2:])
+    if rest.strip():
+        yield ".SH NOTES"
+        yield from _blocks(rest)
+
+
+def _ending(name: str, commands: dict[str, click.Command | None]) -> Iterator[str]:
+    """Yield the sections that all pages have."""
+    yield ".SH EXIT STATUS"
+    yield from _pairs(list(_EXIT_STATUS))
+    shown = "smooth" if name == "beltrami" else name
+    yield from (".SH ENVIRONMENT", ".PP")
+    yield _text(_ENVIRONMENT.format(f"BELTRAMI_{shown.upper()}_OPTION", shown))
+    yield from (".SH FILES", ".PP", _text(_FILES))
+    others = sorted(({"beltrami"} | {f"beltrami-{each}" for each in commands}) - {name, f"beltrami-{name}"})
+    yield from (".SH SEE ALSO", ".PP", ", ".join(f"\\fB{_text(other)}\\fR(1)" for other in others), "")
+
+
+def _pairs(pairs: list[tuple[str, str]]) -> Iterator[str]:
+    for term, meaning in pairs:
+        yield from (".TP", f".B {_text(term)}", _text(" ".join(meaning.split())))
+
+
+def _blocks(text: str) -> Iterator[str]:
+    """Yield paragraphs; those after a line with a backspace keep their lines, as click has it."""
+    for block in re.split(r"\n\s*\n", text.strip()):
+        lines = block.strip().split("\n")
+        if lines[0].strip() != "\b":
+            yield from (".PP", _text(" ".join(block.split())))
+        elif len(lines) > 2 and lines[1].rstrip().endswith(":"):
+            yield from (".PP", _text(lines[1].strip()), ".PP")
+            yield from _verbatim(lines[2:])
+        else:
+            yield from (".PP", _text(" ".join(" ".join(lines[1:]).split())))
+
+
+def _verbatim(lines: list[str]) -> Iterator[str]:
+    yield from (".nf", *(_text(line.strip()) for line in lines if line.strip()), ".fi")
+
+
+def _text(text: str) -> str:
+    """Return text in which nothing is a request to roff, and a dash can be searched for and pasted."""
+    safe = text.replace("\\", "\\[rs]").replace("-", "\\-").replace("`", "\\[ga]").replace("'", "\\[aq]")
+    safe = re.sub(r"[^\x00-\x7f]", lambda found: f"\\[u{ord(found[0]):04X}]", safe)
+    return f"\\&{safe}" if safe.startswith(".") else safe
+
+
+def main(folder: str, version: str) -> None:
+    """Write the manual pages into a folder, which is made."""
+    target = Path(folder)
+    target.mkdir(parents=True, exist_ok=True)
+    for name, text in manual(version):
+        (target / name).write_text(text, encoding="ascii")
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

@@ -1,0 +1,43 @@
+"""The manual pages say what the commands say, and roff understands them."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+
+import click
+import pytest
+
+from beltrami_cli.cli.main import COMMANDS, group
+from beltrami_cli.cli.manual import main, manual
+
+PAGES = dict(manual("1.2.3"))
+
+
+def test_there_is_a_page_for_every_command_and_one_for_all():
+    assert set(PAGES) == {"beltrami.1", *(f"beltrami-{name}.1" for name in COMMANDS)}
+    assert all(f"beltrami\\-{name}(1)" in PAGES["beltrami.1"] for name in COMMANDS)
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_option_is_on_the_page_with_the_name_that_is_typed(name):
+    command = group.get_command(click.Context(group), name)
+    options = [text for each in command.params if isinstance(each, click.Option) for text in each.opts]
+    page = PAGES[f"beltrami-{name}.1"].replace("\\-", "-")
+    assert [text for text in options if not re.search(rf"^\.B .*{text}\b", page, re.MULTILINE)] == []
+
+
+@pytest.mark.skipif(shutil.which("groff") is None, reason="there is no groff")
+def test_roff_has_nothing_to_complain_of_and_shows_examples_as_they_are_typed(tmp_path):
+    main(str(tmp_path), "1.2.3")
+    for page in tmp_path.iterdir():
+        done = subprocess.run(
+            ["groff", "-ww", "-man", "-Tascii", "-P-c", "-rLL=200n", page.name],
+            cwd=tmp_path, capture_output=True, check=True, timeout=60,
+        )  # fmt: skip
+        assert done.stderr == b""
+        assert b"beltrami 1.2.3" in done.stdout
+        if page.name == "beltrami.1":
+            assert b"cat scan.ply | beltrami smooth - - > c.ply" in done.stdout
+            assert b'eval "$(_BELTRAMI_COMPLETE=bash_source beltrami)"' in done.stdout
