@@ -1,0 +1,17 @@
+"""What of the tests there is for which system."""
+
+from __future__ import annotations
+
+import sys
+
+# Signals, FIFOs, limits of resources, terminals and shells as POSIX has them.
+_OF_POSIX = [
+    "cli/test_batch_command.py",
+    "cli/test_memory_option.py",
+    "cli/test_readme_many_files.py",
+    "cli/test_smooth_command.py",
+    "formats/test_gltf_container.py",
+    "hostile",
+]
+
+collect_ignore = _OF_POSIX if sys.platform == "win32" else []
