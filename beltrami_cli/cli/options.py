@@ -250,7 +250,7 @@ max_unwrap_faces = click.option(
     help="The largest mesh to unwrap. 16 thousand triangles take some 7 s, 82 thousand 2 minutes, and so on.",
 )  # fmt: skip
 overwrite = click.option(
-    "--overwrite", is_flag=True, help="Replace OUTPUT, and files beside it, if they exist."
+    "--overwrite", is_flag=True, help="Replace OUTPUT, and the files beside it that it names, if they exist."
 )
 output_format = click.option(
     "--format", "output_format", type=click.Choice([*OUTPUT_FORMATS, *IMAGE_FORMATS]),

@@ -34,11 +34,14 @@ class Written:
         Files beside it that are new or changed, by their path relative to the main file ("/" separates).
     notices : tuple of str
         What the user should be told, one sentence each: what the format cannot hold, what was rounded.
+    superseded : frozenset of str
+        Of the document's references, those that nothing in the new files names any more.
     """
 
     main: Sequence[Bytes]
     sidecars: Mapping[str, Bytes] = field(default_factory=dict)
     notices: tuple[str, ...] = ()
+    superseded: frozenset[str] = frozenset()
 
 
 class Document(ABC):

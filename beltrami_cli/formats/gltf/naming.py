@@ -18,15 +18,20 @@ if TYPE_CHECKING:
 
 def used_names(root: Entry) -> set[str]:
     """Return the names of all files that a glTF refers to, case folded."""
-    taken = set()
+    return {name.casefold() for name in named_files(root)}
+
+
+def named_files(root: Entry) -> set[str]:
+    """Return the relative paths of all files that a glTF refers to."""
+    names = set()
     for entry in [*root.entries("buffers"), *root.entries("images")]:
         uri = entry.text("uri")
         if uri is not None and not is_data(uri):
             try:
-                taken.add(relative_name(uri).casefold())
+                names.add(relative_name(uri))
             except UnfitReferenceError:
                 continue  # not a name beside the file, so it cannot be hit
-    return taken
+    return names
 
 
 def place_pictures(edit: Edit, tree: Tree, stem: str, *, moved: bool) -> dict[str, Bytes]:

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 from beltrami_cli.formats.beside import brought_inside
 from beltrami_cli.formats.document import Written
 from beltrami_cli.formats.gltf.files import as_uri, re_embedded, relative_name
-from beltrami_cli.formats.gltf.naming import place_pictures, used_names
+from beltrami_cli.formats.gltf.naming import named_files, place_pictures, used_names
+from beltrami_cli.formats.gltf.tree import Entry
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -15,7 +16,6 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.document import Bytes
     from beltrami_cli.formats.gltf.editing import Edit
     from beltrami_cli.formats.gltf.json_text import Tree
-    from beltrami_cli.formats.gltf.tree import Entry
 
 
 def written(edit: Edit, stem: str, *, moved: bool) -> Written:
@@ -33,7 +33,10 @@ def written(edit: Edit, stem: str, *, moved: bool) -> Written:
     sidecars = place_buffers(edit, edit.tree, sidecar_names(edit.container.root, stem), moved=moved)
     sidecars |= place_pictures(edit, edit.tree, stem, moved=moved)
     chunk = edit.buffers.get(0) if _source(edit, 0) == "chunk" else None
-    return Written(edit.container.rebuilt(edit.tree, chunk), sidecars, tuple(edit.notices))
+    kept = used_names(Entry(edit.container.name, "", edit.tree))
+    superseded = {name for name in named_files(edit.container.root) if name.casefold() not in kept}
+    pieces = edit.container.rebuilt(edit.tree, chunk)
+    return Written(pieces, sidecars, tuple(edit.notices), frozenset(superseded))
 
 
 def place_buffers(edit: Edit, tree: Tree, names: Iterator[str], *, moved: bool) -> dict[str, Bytes]:

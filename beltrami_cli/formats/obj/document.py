@@ -121,9 +121,10 @@ class ObjDocument(Document):
         """Return the files with other colours and images; see `Document.patch`."""
         sidecars: dict[str, Bytes] = {}
         spans: Spans = {}
+        superseded: frozenset[str] = frozenset()
         if images:
             source = Path(self.name).stem
-            sidecars, spans = repainted(self._materials, images, source, stem, moved=moved)
+            sidecars, spans, superseded = repainted(self._materials, images, source, stem, moved=moved)
         data = exchange_spans(self._data, spans)
         known, paint = self._scan.vertices, self._scan.polypaint
         starts, ends = (shifted(tokens, spans) for tokens in (known.token_starts, known.token_ends))
@@ -138,7 +139,7 @@ class ObjDocument(Document):
             changed = places.positions != known.positions[known.coloured]
             parts.append(new_positions(data, starts[:, :3], ends[:, :3], places.positions, changed))
         notices = (_STALE,) if places is not None and "normal" in self.attributes() else ()
-        return Written(renumbered(data, parts) if parts else [data], sidecars, notices)
+        return Written(renumbered(data, parts) if parts else [data], sidecars, notices, superseded)
 
     def require_movable(self) -> None:
         """Check nothing: any number can be exchanged in a text."""

@@ -29,8 +29,8 @@ def repainted(
     stem: str,
     *,
     moved: bool,
-) -> tuple[dict[str, Bytes], Spans]:
-    """Return the new files beside an OBJ file, and what changes in itself.
+) -> tuple[dict[str, Bytes], Spans, frozenset[str]]:
+    """Return the new files beside an OBJ file, what changes in itself, and which old files nothing names any more.
 
     Parameters
     ----------
@@ -49,12 +49,19 @@ def repainted(
         Images, and libraries in which names of images changed.
     spans : dict of (int, int) to bytes
         New names of libraries by where the old ones stand in the OBJ file.
+    superseded : frozenset of str
+        Images and libraries that have files of other names in their place.
     """
     taken = {path.casefold() for path in materials.paths}
     sidecars: dict[str, Bytes] = {}
     edits: dict[str, Spans] = {}
-    for (slot, path), image in images.items():
-        affected = list(materials.affected(slot, path))
+    superseded: set[str] = set()
+    renamings: dict[str, int] = {}
+    for (path, image), slots in _by_file(images).items():
+        # What two slots show alike is one file; with the base colour go maps that are of other slots, too.
+        affected = list(
+            {id(found): (of, found) for s in slots for of, found in materials.affected(s, path)}.values()
+        )
         # Its name is free only if no map that keeps the old image has it.
         keeps = moved and len(affected) == materials.uses(path)
         inside = brought_inside(path)
@@ -62,8 +69,10 @@ def repainted(
         new = new if keeps and new == path else _reserve(new, taken)
         taken.add(new.casefold())
         sidecars[new] = image.data
+        renamings[path] = renamings.get(path, 0) + (len(affected) if new != path else 0)
         for library, found in affected:
             edits.setdefault(library.path, {})[found.start, found.end] = _spelled(found, path, new, library)
+    superseded |= {path for path, count in renamings.items() if count == materials.uses(path)}
     spans: Spans = {}
     for library in materials.libraries:
         if library.path not in edits:
@@ -77,8 +86,17 @@ def repainted(
             new = _reserve(str(PurePosixPath(brought_inside(library.path)).with_name(f"{stem}.mtl")), taken)
             for name, start, end in library.mentions:
                 spans[start, end] = respelled(name, library.path, new)
+            superseded.add(library.path)
         sidecars[new] = exchange_spans(library.data, edits[library.path])
-    return sidecars, spans
+    return sidecars, spans, frozenset(superseded)
+
+
+def _by_file(images: Mapping[tuple[Slot, str], ImageFile]) -> dict[tuple[str, ImageFile], list[Slot]]:
+    """Return the slots in which an image is replaced by a file."""
+    slots: dict[tuple[str, ImageFile], list[Slot]] = {}
+    for (slot, path), image in images.items():
+        slots.setdefault((path, image), []).append(slot)
+    return slots
 
 
 def _reserve(path: str, taken: set[str]) -> str:

@@ -134,14 +134,16 @@ class PlyDocument(Document):
         places: MovedVertices | None = None,
     ) -> Written:
         """Return the files with other colours and images; see `Document.patch`."""
-        sidecars, spans = renamed_images(self._images, images, Path(self.name).stem, stem, moved=moved)
+        source = Path(self.name).stem
+        sidecars, spans, superseded = renamed_images(self._images, images, source, stem, moved=moved)
         header = exchange_spans(self._data[: self._header.end], spans)
         changes = [] if colours is None else self._recoloured(colours)
         changes += [] if places is None else moved_changes(self._vertices, self._kinds, places)
         if any(change.rows.any() for change in changes):
-            return Written([header, *patch_body(self._data, self._header, self._vertices, changes)], sidecars)
-        body = memoryview(self._data)[self._header.end :]
-        return Written([header, body] if spans else [self._data], sidecars)
+            pieces = [header, *patch_body(self._data, self._header, self._vertices, changes)]
+        else:
+            pieces = [header, memoryview(self._data)[self._header.end :]] if spans else [self._data]
+        return Written(pieces, sidecars, superseded=superseded)
 
     def _recoloured(self, colours: NDArray[np.float32]) -> list[Change]:
         changed = colours != self._colours.values

@@ -22,8 +22,8 @@ def renamed_images(
     stem: str,
     *,
     moved: bool,
-) -> tuple[dict[str, Bytes], Spans]:
-    """Return the new image files, and the new names by where the old ones stand.
+) -> tuple[dict[str, Bytes], Spans, frozenset[str]]:
+    """Return the new image files, the new names by where the old ones stand, and which old ones are named no more.
 
     Parameters
     ----------
@@ -39,13 +39,16 @@ def renamed_images(
     taken = {comment.path.casefold() for comment in comments if comment.path is not None}
     sidecars: dict[str, Bytes] = {}
     spans: Spans = {}
+    superseded: set[str] = set()
     for (_, path), image in images.items():
         inside = brought_inside(path)
         new = with_suffix(inside if moved else renamed(inside, source, stem), image.suffix)
         new = new if moved and new == path else unused(new, taken)
         taken.add(new.casefold())
         sidecars[new] = image.data
+        if new != path:
+            superseded.add(path)
         for comment in comments:
             if comment.path == path and new != path:
                 spans[comment.start, comment.end] = respelled(comment.name, path, new)
-    return sidecars, spans
+    return sidecars, spans, frozenset(superseded)

@@ -13,7 +13,7 @@ from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.document import Written
 from beltrami_cli.formats.image.recognition import is_image
 from beltrami_cli.formats.source import read_source
-from beltrami_cli.pipeline.documents.companions import is_moved, names_beside, with_references
+from beltrami_cli.pipeline.documents.companions import plan_companions
 from beltrami_cli.pipeline.documents.conversion import make_files
 from beltrami_cli.pipeline.documents.opening import document_from, refuse_options_of_level_sets
 from beltrami_cli.pipeline.documents.room import require_room_for_textures
@@ -155,14 +155,12 @@ def _model(
     if noise.sigma == 0:
         work = Work(vertices=False, slots=())  # the output is the input
     require_room_for_textures(document, work.slots, settings.textures, access)
-    moved = is_moved(source, target)
-    references = list(document.references()) if moved and target_format == document.format else []
-    output.check_sidecars(
-        names_beside(document, work, settings, target_format, target, references, moved=moved)
-    )
+    companions = plan_companions(document, work, settings, target_format, source, target, output, access)
     colours, images, added, notices = _changed(document, work, settings, noise)
-    written = make_files(document, colours, images, target_format, Path(target).stem, moved=moved)
-    written = with_references(written, Path(source).parent, references)
+    written = make_files(
+        document, colours, images, target_format, Path(target).stem, moved=companions.keep_names
+    )
+    written = companions.complete(written, access)
     told = (*document.notices, *work.notices, *notices, *written.notices)
     return Written(written.main, written.sidecars, told), added
 

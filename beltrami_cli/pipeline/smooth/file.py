@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.image.recognition import is_image
 from beltrami_cli.formats.source import read_source
-from beltrami_cli.pipeline.documents.companions import is_moved, names_beside, with_references
+from beltrami_cli.pipeline.documents.companions import plan_companions
 from beltrami_cli.pipeline.documents.conversion import make_files
 from beltrami_cli.pipeline.documents.opening import document_from, refuse_options_of_level_sets
 from beltrami_cli.pipeline.documents.room import require_room_for_textures
@@ -107,12 +107,7 @@ def smooth_file(
         else:
             require_geometry(document, work, settings, written_back=target_format == document.format)
         require_room_for_textures(document, work.slots, settings.textures, access)
-        moved = is_moved(source, target)
-        references = list(document.references()) if moved and target_format == document.format else []
-        if output is not None:
-            output.check_sidecars(
-                names_beside(document, work, settings, target_format, target, references, moved=moved)
-            )
+        companions = plan_companions(document, work, settings, target_format, source, target, output, access)
     with watch.stage("smooth"):
         vertices = _smooth_vertices(document, work, settings, progress, access)
         images, slots, notices = _smooth_slots(document, work, settings, progress, access)
@@ -120,10 +115,11 @@ def smooth_file(
         colours = None if vertices is None else vertices.colours
         positions = None if vertices is None else vertices.positions
         places = None if positions is None else moved_vertices(document, positions)
+        stem = Path(target).stem
         written = make_files(
-            document, colours, images, target_format, Path(target).stem, moved=moved, places=places
+            document, colours, images, target_format, stem, moved=companions.keep_names, places=places
         )
-        written = with_references(written, Path(source).parent, references, access)
+        written = companions.complete(written, access)
         if output is not None:
             output.write(written)
     files = [] if output is None else [target, *written.sidecars]
@@ -162,11 +158,16 @@ def _smooth_slots(
     images: dict[tuple[Slot, str], ImageFile] = {}
     reports: list[SlotReport] = []
     notices: list[str] = []
-    for slot in work.slots:
+    if work.slots:
+        from beltrami_cli.pipeline.textures.prepare import choose_textures
+        from beltrami_cli.pipeline.textures.shared import SharedImages
         from beltrami_cli.pipeline.textures.smooth import smooth_slot
 
+        chosen = [choose_textures(document.textured(slot), settings.textures) for slot in work.slots]
+        shared = SharedImages(texture.key for surface in chosen for texture in surface.textures)
+    for slot in work.slots:
         textured, label = document.textured(slot), f"{slot} textures"
-        result = smooth_slot(textured, slot, settings, _labelled(progress, label), document, access)
+        result = smooth_slot(textured, slot, settings, _labelled(progress, label), document, access, shared)
         images.update(result.images)
         reports.append(result.report)
         notices.extend(result.notices)

@@ -13,6 +13,7 @@ from beltrami_cli.pipeline.textures.colours import COLOUR_SLOTS
 from beltrami_cli.pipeline.textures.description import atlas_counts, describe_textures
 from beltrami_cli.pipeline.textures.prepare import prepare_slot
 from beltrami_cli.pipeline.textures.repainting import SmoothedTexels, repaint
+from beltrami_cli.pipeline.textures.shared import SharedImages
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -87,6 +88,7 @@ def smooth_slot(
     progress: Callable[[int, int], None] | None = None,
     document: Document | None = None,
     access: Access = EVERYTHING_INSIDE,
+    shared: SharedImages | None = None,
 ) -> SlotResult:
     """Smooth all chosen textures of a slot together, over the surface and across their seams.
 
@@ -102,10 +104,13 @@ def smooth_slot(
         Called with the work done so far and the work to do; may raise to stop.
     document, access
         As for `prepare_slot`.
+    shared : SharedImages, optional
+        What other slots made of the same images.
 
     Returns
     -------
     SlotResult
+        Its images are also those of earlier slots, where their changes are in them.
 
     Raises
     ------
@@ -139,11 +144,13 @@ def smooth_slot(
     pictures, colours, textures = prepared.pictures, prepared.colours, prepared.surface.textures
     del prepared, flow  # canvases as large as the pictures that are made now
     images: dict[tuple[Slot, str], ImageFile] = {}
-    changes = []
+    changes, shared = [], shared or SharedImages()
     for index, (texture, picture) in enumerate(zip(textures, pictures, strict=True)):
         pixels, change = repaint(picture, index, colours, smoothed, settings.textures.gutter)
         changes.append(change)
-        images[slot, texture.key] = _encode(picture, pixels, slot, settings.textures)
+        pixels, slots = shared.join(slot, texture.key, pixels, colours.columns(index))
+        file = _encode(picture, pixels, slot, settings.textures)
+        images |= {(each, texture.key): file for each in slots}
         notices += picture.notices
         if settings.textures.image_suffix is not None:
             notices += losses(picture, settings.textures.image_suffix)
