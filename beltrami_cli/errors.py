@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+_LONGEST = 1000  # characters; what a file has for a name may be a million
 
-def _line(text: str) -> str:
-    """Return text as one line; files may hold names with control characters."""
-    return "".join(character if character.isprintable() else "?" for character in text)
+
+def one_line(text: str) -> str:
+    """Return text as one line that fits any terminal; files may hold names with control characters."""
+    line = "".join(character if character.isprintable() else "?" for character in text)
+    return line if len(line) <= _LONGEST else f"{line[: _LONGEST // 2]} ... {line[-_LONGEST // 2 :]}"
 
 
 class BeltramiError(Exception):
@@ -48,7 +51,7 @@ class InputError(BeltramiError):
 
     def __init__(self, name: str, cause: str, remedy: str = "") -> None:
         self.name, self.cause, self.remedy = name, cause, remedy
-        super().__init__(_line(f"{name}: {cause}" + (f"; {remedy}" if remedy else "")))
+        super().__init__(one_line(f"{name}: {cause}" + (f"; {remedy}" if remedy else "")))
 
 
 class UnpaintedError(InputError):
@@ -72,4 +75,4 @@ class OutputError(BeltramiError):
 
     def __init__(self, name: str, cause: str, remedy: str = "") -> None:
         self.name, self.cause, self.remedy = name, cause, remedy
-        super().__init__(_line(f"{name}: {cause}" + (f"; {remedy}" if remedy else "")))
+        super().__init__(one_line(f"{name}: {cause}" + (f"; {remedy}" if remedy else "")))

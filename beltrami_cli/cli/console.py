@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING
 
 import click
 
+from beltrami_cli.errors import one_line
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from rich.progress import TaskID
 
-
-def printable(text: str) -> str:
-    """Return text that moves no cursor and fits any terminal: files may hold names with control characters."""
-    return "".join(character if character.isprintable() else "?" for character in text)
+printable = one_line
+"""Text that moves no cursor and fits any terminal."""
 
 
 class Messages:

@@ -28,6 +28,7 @@ from beltrami_cli.formats.gltf.repackaging import as_glb, as_gltf
 from beltrami_cli.formats.gltf.repainting import repaint
 from beltrami_cli.formats.gltf.saving import written
 from beltrami_cli.formats.gltf.scene import placements
+from beltrami_cli.formats.gltf.structure import require_structure
 from beltrami_cli.formats.gltf.surfaces import COLOUR_TYPES, Surface, gather
 from beltrami_cli.formats.gltf.texturing import gather_textured
 from beltrami_cli.mesh.painted import MeshContents, MovedVertices, PaintedVertices
@@ -82,6 +83,7 @@ class GltfDocument(Document):
         self.container = read_container(data, name)
         self.format = self.container.kind
         self.root = self.container.root
+        require_structure(self.root)
         self.buffers = Buffers(self.container, self._beside)
         self.accessors = Accessors(self.root, self.buffers)
         self.places = placements(self.root)

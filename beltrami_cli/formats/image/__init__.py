@@ -3,7 +3,14 @@
 from beltrami_cli.formats.image.conversion import is_exact, losses
 from beltrami_cli.formats.image.picture import Picture, from_float, to_float
 from beltrami_cli.formats.image.reading import read_image
-from beltrami_cli.formats.image.recognition import WRITABLE, format_of, format_of_suffix, is_image, label_of
+from beltrami_cli.formats.image.recognition import (
+    WRITABLE,
+    format_of,
+    format_of_suffix,
+    is_image,
+    label_of,
+    suffix_for,
+)
 from beltrami_cli.formats.image.writing import check_writable, write_image
 
 __all__ = [
@@ -18,6 +25,7 @@ __all__ = [
     "label_of",
     "losses",
     "read_image",
+    "suffix_for",
     "to_float",
     "write_image",
 ]

@@ -9,7 +9,7 @@ import numpy as np
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.image.metadata import has_palette, is_animated, is_cmyk_jpeg
 from beltrami_cli.formats.image.picture import Picture
-from beltrami_cli.formats.image.recognition import FORMATS, READABLE, format_of, label_of, suffix_of
+from beltrami_cli.formats.image.recognition import READABLE, format_of, label_of, suffix_for
 from beltrami_cli.formats.image.scratch import scratch_file
 
 if TYPE_CHECKING:
@@ -130,7 +130,6 @@ def _picture(
         channels = ("Y", "A")
     alpha = next((i for i, channel in enumerate(channels) if channel.lower() in ("a", "alpha")), None)
     colour = _colour_channels(channels, alpha)
-    suffix = suffix_of(name).lower()
     return Picture(
         name=name,
         pixels=pixels,
@@ -141,7 +140,7 @@ def _picture(
         stored=kinds[colour[0]],
         kinds=kinds,
         format=known,
-        suffix=suffix if suffix in FORMATS[known].suffixes else FORMATS[known].suffixes[0],
+        suffix=suffix_for(data, name),
         notices=notices,
         source=data,
         spec=spec,

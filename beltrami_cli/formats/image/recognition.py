@@ -120,6 +120,27 @@ def format_of(data: bytes, name: str) -> str | None:
     return by_name if by_name in _WITHOUT_MARK else None
 
 
+def suffix_for(data: bytes, name: str) -> str:
+    """Return the extension of an image: that of its name if it fits the content, otherwise the usual one of its format.
+
+    Parameters
+    ----------
+    data : bytes
+        The file.
+    name : str
+        Its name.
+
+    Returns
+    -------
+    str
+        With the dot; empty if the content is of no known format.
+    """
+    known, suffix = format_of(data, name), suffix_of(name).lower()
+    if known is None:
+        return ""
+    return suffix if suffix in FORMATS[known].suffixes else FORMATS[known].suffixes[0]
+
+
 def is_image(data: bytes, name: str) -> bool:
     """Tell whether a file is an image, and none of the models and clouds whose text might start like one."""
     return format_of(data, name) is not None and suffix_of(name).lower() not in _MODELS
