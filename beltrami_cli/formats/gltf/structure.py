@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from beltrami_cli.formats.gltf.tree import spelled
+
 if TYPE_CHECKING:
     from beltrami_cli.formats.gltf.tree import Entry
 
@@ -56,7 +58,7 @@ def require_structure(root: Entry) -> None:
         place, value, shape = stack.pop()
         kind: Any = shape if isinstance(shape, type) else type(shape)
         if not isinstance(value, kind) or isinstance(value, bool):
-            raise root.fault(place, f"is {type(value).__name__} instead of {_NAMES[kind]}")
+            raise root.fault(place, f"is {spelled(value)} instead of {_NAMES[kind]}")
         if isinstance(shape, list):
             stack += [(f"{place}[{index}]", child, shape[0]) for index, child in enumerate(value)]
         elif isinstance(shape, dict):

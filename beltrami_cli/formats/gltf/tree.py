@@ -58,10 +58,10 @@ class Entry:
 
     def _integer(self, value: object, key: str, least: int, below: int | None) -> int:
         if not isinstance(value, int) or isinstance(value, bool):
-            raise self.fault(key, f"is {_shown(value)} instead of an integer")
+            raise self.fault(key, f"is {spelled(value)} instead of an integer")
         if value < least or (below is not None and value >= below):
             end = f" and below {below}" if below is not None else ""
-            raise self.fault(key, f"is {_shown(value)}, but must be at least {least}{end}")
+            raise self.fault(key, f"is {spelled(value)}, but must be at least {least}{end}")
         return value
 
     def integers(self, key: str, *, below: int) -> list[int]:
@@ -83,21 +83,21 @@ class Entry:
         """Return a finite number."""
         value = self.value.get(key, default)
         if not _finite(value):
-            raise self.fault(key, f"is {_shown(value)} instead of a finite number")
+            raise self.fault(key, f"is {spelled(value)} instead of a finite number")
         return float(value)
 
     def flag(self, key: str) -> bool:
         """Return a boolean member; false if it is missing."""
         value = self.value.get(key, False)
         if not isinstance(value, bool):
-            raise self.fault(key, f"is {_shown(value)} instead of true or false")
+            raise self.fault(key, f"is {spelled(value)} instead of true or false")
         return value
 
     def text(self, key: str) -> str | None:
         """Return a string member, or None if it is missing."""
         value = self.value.get(key)
         if value is not None and not isinstance(value, str):
-            raise self.fault(key, f"is {_shown(value)} instead of a string")
+            raise self.fault(key, f"is {spelled(value)} instead of a string")
         return value
 
     def texts(self, key: str) -> list[str]:
@@ -111,7 +111,7 @@ class Entry:
         """Return an object member; an empty one if it is missing."""
         value = self.value.get(key, {})
         if not isinstance(value, dict):
-            raise self.fault(key, f"is {_shown(value)} instead of an object")
+            raise self.fault(key, f"is {spelled(value)} instead of an object")
         return Entry(self.name, self.at(key), value)
 
     def entries(self, key: str) -> list[Entry]:
@@ -119,14 +119,14 @@ class Entry:
         found = []
         for index, value in enumerate(self._array(key)):
             if not isinstance(value, dict):
-                raise self.fault(f"{key}[{index}]", f"is {_shown(value)} instead of an object")
+                raise self.fault(f"{key}[{index}]", f"is {spelled(value)} instead of an object")
             found.append(Entry(self.name, f"{self.at(key)}[{index}]", value))
         return found
 
     def _array(self, key: str) -> list[Any]:
         value = self.value.get(key, [])
         if not isinstance(value, list):
-            raise self.fault(key, f"is {_shown(value)} instead of an array")
+            raise self.fault(key, f"is {spelled(value)} instead of an array")
         return value
 
 
@@ -139,6 +139,7 @@ def _finite(value: object) -> bool:
         return False
 
 
-def _shown(value: object) -> str:
+def spelled(value: object) -> str:
+    """Return a value for a message: numbers and the like as they are, objects and arrays by their kind."""
     text = repr(value) if not isinstance(value, dict | list) else type(value).__name__
     return text if len(text) <= 40 else text[:37] + "..."
