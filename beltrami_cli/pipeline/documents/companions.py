@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from beltrami_cli.errors import BeltramiError, OutputError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access, read_regular
+from beltrami_cli.formats.image.recognition import suffix_for
 from beltrami_cli.formats.source import open_document
 from beltrami_cli.mesh.textured import ImageFile
 from beltrami_cli.pipeline.documents.conversion import make_files
@@ -142,7 +143,7 @@ def _names(
         (slot, texture.key): ImageFile(
             # Other bytes: what is equal is not written anew.
             texture.data + b"\n",
-            suffix or Path(texture.name).suffix.lower() or ".png",
+            suffix or suffix_for(texture.data, texture.name) or ".png",
         )
         for slot in work.slots
         for texture in choose_textures(document.textured(slot), settings.textures).textures
