@@ -54,10 +54,12 @@ class Reach:
     step: float
 
 
+# On painted, baked and photographed samples with noise of 5 to 40 of 255, other time steps and growths are hardly
+# better when tuned on the truth, and worse when they are chosen: more to choose from is more to choose wrong.
 # On a grid the window bounds the kernel, and a large time step only makes its weights more even.
-ON_GRIDS = Reach((2.4, 4.0, 8.0), (1.0, 1.5, 2.5, 4.0), (0, 1, 2, 3), 8, 1.4, 1.5, 8.0)
+ON_GRIDS = Reach((8.0,), (1.5,), (1, 2, 3), 10, 1.4, 1.5, 8.0)
 # On a mesh the time step alone bounds the kernel, and larger ones take longer than they gain.
-ON_MESHES = Reach((1.2, 2.4), (1.5, 2.5), (0, 1, 2), 6, 1.0, 1.5, 2.4)
+ON_MESHES = Reach((1.6, 2.4), (2.0,), (0, 1, 2), 6, 1.0, 2.0, 2.4)
 
 
 @dataclass(frozen=True)
@@ -133,8 +135,8 @@ def choose(
     noise = float(np.mean(np.square(sigma)))
     scale = choose_beta(counting, 1.0) * unit if len(counting) else 0.0
     grid = _grid(parameters, reach, scale, beta)
-    estimate = RiskEstimate(trial, sigma, SMOOTHNESS[parameters.strength])
-    search = Search(estimate, grid, noise, samples * len(sigma), pause)
+    estimate = RiskEstimate(trial, sigma)
+    search = Search(estimate, grid, noise, SMOOTHNESS[parameters.strength], pause)
     best = search.run()
     risk = search.tried[best]
     values: dict[str, Any] = {

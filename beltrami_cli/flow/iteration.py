@@ -31,11 +31,6 @@ if TYPE_CHECKING:
     from beltrami_cli.flow.parameters import KernelParameters
     from beltrami_cli.mesh.surface import SampledSurface
 
-# Samples on which parameters are tried, as a share of all, so that trying takes no longer than smoothing: some forty
-# iterations are tried, each twice. Fewer than so many samples tell too little, and take about a second.
-_SHARE_TRIED = 1 / 20
-_LEAST_TRIED = 4_000
-
 # How far, in edges, kernels of pieces are first expected to reach for each sample spacing.
 _EDGES_PER_SPACING = 2.0
 
@@ -176,8 +171,7 @@ class BeltramiFlow:
         """Choose the free parameters, and tell the metric of them."""
         parameters = dataclasses.replace(self.parameters, free=())
         if is_noisy(self.sigma) and len(edges):
-            budget = max(_LEAST_TRIED, int(len(self._colours) * _SHARE_TRIED))
-            sample = choose_patches(self._colours, edges, budget)
+            sample = choose_patches(self._colours, edges)
             signs = random_signs(self._colours, edges)
             fields = SampleFields(self._positions, self._colours, signs, self._scales, self._weights)
             trial = MeshTrial(sample, fields, faces, self._manifold, self._metric, parameters)

@@ -79,10 +79,9 @@ def estimate_sigma(colours: NDArray[np.float32], edges: NDArray[np.int32]) -> ND
             for column in (squares, inside, values <= 0, values >= 1, values)
         )
         size = _around(np.ones(len(values)), edges)
-        near = (total[inside] / held[inside], _FREEDOM_AROUND)
-        sigma.append(
-            weakest_level(*near, *(part[inside] / size[inside] for part in (low, high, mean)), _FREE_AROUND)
-        )
+        low, high, mean = (part[inside] / size[inside] for part in (low, high, mean))
+        energy = total[inside] / held[inside]
+        sigma.append(weakest_level(energy, _FREEDOM_AROUND, low, high, mean, _FREE_AROUND))
     return np.array(sigma)
 
 

@@ -76,13 +76,17 @@ class Risk:
         Mean over samples and channels, in squared units of colour. Estimates of small errors may be below 0.
     error : float
         Standard error of `value`, from how parts of the sample differ.
-    cost : float
-        As `value`, but with the divergence counting more or less; what is minimised.
+    divergence : float
+        The part of `value` that the divergence makes.
     """
 
     value: float
     error: float
-    cost: float
+    divergence: float
+
+    def weighted(self, weight: float) -> float:
+        """Return `value`, but with the divergence counting more, which asks for smoother results, or less."""
+        return self.value + (weight - 1) * self.divergence
 
 
 @dataclass(frozen=True)
@@ -102,12 +106,10 @@ class RiskEstimate:
         Where to estimate it.
     sigma : ndarray of float64, shape (N,)
         Standard deviation of the noise of each channel.
-    weight : float
-        By what factor the divergence counts in `Risk.cost`: more asks for smoother results, less for gentler ones.
     """
 
-    def __init__(self, trial: Trial, sigma: NDArray[np.float64], weight: float = 1.0) -> None:
-        self._trial, self._weight = trial, weight
+    def __init__(self, trial: Trial, sigma: NDArray[np.float64]) -> None:
+        self._trial = trial
         self._epsilon = _EPSILON * float(np.sqrt(np.square(sigma).mean()))
         self._noisy = trial.scored(trial.start)
         self._variance = np.square(sigma) * self._left_by_clipping()
@@ -152,4 +154,4 @@ class RiskEstimate:
         each = (misfit + divergence).mean(axis=1)
         parts = np.array([part.mean() for part in np.array_split(each, _PARTS) if len(part)])
         error = float(parts.std(ddof=1) / np.sqrt(len(parts))) if len(parts) > 1 else float("inf")
-        return Risk(float(each.mean()), error, float((misfit + self._weight * divergence).mean()))
+        return Risk(float(each.mean()), error, float(divergence.mean()))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from math import sqrt
 from typing import TYPE_CHECKING
 
 from beltrami_cli.flow.risk import Risk, RiskEstimate, State, Step
@@ -14,9 +13,8 @@ if TYPE_CHECKING:
 # So many iterations in a row that make the estimate worse than it was end a path.
 _PATIENCE = 1
 
-# What a schedule must gain for each step in the grid away from the start, as a share of the noise's variance: less is
-# chance. Some 0.1 dB of a good result; and more where there are few samples to tell by, over their root.
-_LEAST_GAIN, _GAIN_OF_ONE = 5e-4, 0.15
+# Improvements by less than this share of the noise's variance are chance: some 0.1 dB of a good result.
+_WORTH_MOVING = 5e-4
 
 
 @dataclass(frozen=True)
@@ -102,8 +100,8 @@ class Search:
         What may be chosen.
     noise : float
         Mean variance of the noise.
-    values : int
-        Samples times channels, which the estimate is a mean over.
+    weight : float
+        By what factor the divergence counts in the end: more chooses smoother results, less gentler ones.
     pause : callable
         Called before every iteration that is tried; may raise to stop.
 
@@ -118,62 +116,57 @@ class Search:
         estimate: RiskEstimate,
         grid: Grid,
         noise: float,
-        values: int,
+        weight: float = 1.0,
         pause: Callable[[], None] | None = None,
     ) -> None:
         self.tried: dict[Schedule, Risk] = {}
         self._estimate, self._grid, self._pause = estimate, grid, pause
-        self._gain = noise * max(_LEAST_GAIN, _GAIN_OF_ONE / sqrt(max(1, values)))
-        self._best: dict[tuple[int, int, int, int], tuple[float, Schedule]] = {}
+        self._gain, self._weight = _WORTH_MOVING * noise, weight
+        self._least: dict[tuple[int, int, int, int], float] = {}
         self._guided_states: dict[Schedule, State] = {}
 
     def run(self) -> Schedule:
         """Return the best schedule found: along one axis after another, until none gets better."""
-        place = self._grid.start
-        best, moved = self._path(place), True
+        if self._grid.iterations is None:
+            self._try(replace(self._grid.at(self._grid.start), guided=0), self._estimate.start)
+        place, moved = self._grid.start, True
+        least = self._path(place)
         while moved:
             moved = False
             for axis in (0, 1, 3, 2):
                 for way in (1, -1):
                     ahead = self._grid.beside(place, axis, way)
-                    while ahead is not None and (cost := self._path(ahead)) < best:
-                        place, best, moved = ahead, cost, True
+                    while ahead is not None and self._path(ahead) < least - self._gain:
+                        place, least, moved = ahead, self._path(ahead), True
                         ahead = self._grid.beside(place, axis, way)
-        best, schedule = min(self._best.values(), key=lambda found: found[0])
-        if self._grid.iterations is None:
-            nothing = replace(schedule, guided=0, plain=0)
-            if self._try(nothing, self._estimate.start) < best:
-                return nothing
-        return schedule
+        # All weights choose from the same schedules, so a larger one never chooses a gentler one.
+        return min(self.tried, key=lambda schedule: self.tried[schedule].weighted(self._weight))
 
     def _path(self, place: tuple[int, int, int, int]) -> float:
-        """Try the schedules at a place, with more and more plain iterations; return the least cost."""
-        if place not in self._best:
-            away = sum(abs(here - there) for here, there in zip(place, self._grid.start, strict=True))
-            least, schedule = self._walk(self._grid.at(place))
-            self._best[place] = (least + away * self._gain, schedule)
-        return self._best[place][0]
+        """Try the schedules at a place, with more and more plain iterations; return the least risk."""
+        if place not in self._least:
+            self._least[place] = self._walk(self._grid.at(place))
+        return self._least[place]
 
-    def _walk(self, schedule: Schedule) -> tuple[float, Schedule]:
-        """Iterate until that makes the estimate worse; return the least cost, and after how many it was reached."""
+    def _walk(self, schedule: Schedule) -> float:
         wanted = self._grid.iterations
         if wanted is not None and schedule.guided > wanted:
-            return float("inf"), schedule
+            return float("inf")
         state = self._after_guided(schedule)
-        found: list[tuple[float, Schedule]] = []
+        risks: list[float] = []
         while True:
             done = schedule.guided + schedule.plain
             if wanted is None or done == wanted:
-                found.append((self._try(schedule, state), schedule))
-            best = min(range(len(found)), key=lambda k: found[k][0], default=0)
-            if done >= (self._grid.most if wanted is None else wanted) or len(found) > best + 1 + _PATIENCE:
-                return found[best]
+                risks.append(self._try(schedule, state))
+            best = risks.index(min(risks)) if risks else 0
+            if done >= (self._grid.most if wanted is None else wanted) or len(risks) > best + _PATIENCE:
+                return risks[best]
             state = self._step(state, schedule.step(done))
             schedule = replace(schedule, plain=schedule.plain + 1)
 
     def _try(self, schedule: Schedule, state: State) -> float:
         self.tried[schedule] = self._estimate.of(state)
-        return self.tried[schedule].cost
+        return self.tried[schedule].value
 
     def _after_guided(self, schedule: Schedule) -> State:
         """Return the state after the regularised iterations, which longer schedules share."""

@@ -16,6 +16,11 @@ if TYPE_CHECKING:
     from beltrami_cli.flow.parameters import KernelParameters
     from beltrami_cli.flow.risk import Step
 
+# Samples to try parameters on, as a share of all, so that trying takes no longer than smoothing: some thirty iterations
+# are tried, each twice. Fewer than so many samples tell too little, and take some tenths of a second.
+_SHARE_TRIED = 1 / 20
+_LEAST_TRIED = 4_000
+
 # Rings of a patch whose results count, and rings around these that only lend their colours.
 _CORE, _RIM = 7, 3
 
@@ -159,7 +164,7 @@ def random_signs(colours: NDArray[np.float32], edges: NDArray[np.int32]) -> NDAr
     return signs
 
 
-def choose_patches(colours: NDArray[np.float32], edges: NDArray[np.int32], budget: int) -> Patches:
+def choose_patches(colours: NDArray[np.float32], edges: NDArray[np.int32]) -> Patches:
     """Choose patches spread at random over a surface, by the colours and not by the order of samples.
 
     Parameters
@@ -167,18 +172,18 @@ def choose_patches(colours: NDArray[np.float32], edges: NDArray[np.int32], budge
     colours : ndarray of float32, shape (S, N)
         Noisy colours.
     edges : ndarray of int32, shape (E, 2)
-        Distinct edges.
-    budget : int
-        About how many samples to take; a surface that has no more is taken whole.
+        Distinct edges; samples without any are left out.
 
     Returns
     -------
     Patches
     """
     count = len(colours)
-    if count <= _WHOLE * budget:  # patches with their rims would take nearly all
-        return Patches(np.arange(count), np.bincount(edges.ravel(), minlength=count) > 0)
     joined = np.bincount(edges.ravel(), minlength=count) > 0
+    connected = np.count_nonzero(joined)
+    budget = max(_LEAST_TRIED, int(connected * _SHARE_TRIED))
+    if connected <= _WHOLE * budget:  # patches with their rims would take nearly all
+        return Patches(np.flatnonzero(joined), np.ones(connected, bool))
     rank = np.where(joined, _hashes(colours, edges), np.iinfo(np.uint64).max)
     reached = np.zeros(count, bool)
     reached[np.argsort(rank, kind="stable")[: max(1, budget // _PATCH)]] = True

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 _NEARLY_WHOLE = 0.2
 _ENOUGH_SHARE, _ENOUGH_GROUPS = 0.02, 20
 
-# Share of the groups without edges and texture, in a picture as most are: in plain ones the noise comes out a little too
-# small by it, in rich ones too large.
+# Share of the groups without edges and texture, in a picture as most are: in plain ones the noise comes out a little
+# too small by it, in rich ones too large.
 _IDLE = 0.75
 
 # A group without any spread holds no noise; where fewer than this share of the groups do, they are plain areas that

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import beltrami_cli
-from beltrami_cli.flow import iteration
+from beltrami_cli.flow import trial_mesh
 from beltrami_cli.flow.iteration import BeltramiFlow
 from beltrami_cli.flow.noise import estimate_sigma_on_grid
 from beltrami_cli.flow.parameters import TUNABLE, KernelParameters
@@ -156,8 +156,8 @@ def test_a_sample_of_a_mesh_is_enough(monkeypatch):
     clean = 0.5 + 0.2 * np.sign(np.sin(5 * positions))
     surface = SampledSurface(positions, faces, np.zeros((0, 3), np.int32), noisy(clean))
     reached = []
-    for budget in (iteration._LEAST_TRIED // 2, iteration._LEAST_TRIED):
-        monkeypatch.setattr(iteration, "_LEAST_TRIED", budget)
+    for budget in (trial_mesh._LEAST_TRIED // 2, trial_mesh._LEAST_TRIED):
+        monkeypatch.setattr(trial_mesh, "_LEAST_TRIED", budget)
         flow = BeltramiFlow(surface, CHOSEN)
         assert flow.choice.samples < len(positions) / 4
         reached.append(psnr(flow.run().colours, clean))
