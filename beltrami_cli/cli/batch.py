@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,12 +11,13 @@ import click
 
 from beltrami_cli.cli import options
 from beltrami_cli.cli.console import Messages
-from beltrami_cli.errors import OutputError, ProcessingError
+from beltrami_cli.errors import OutputError, ProcessingError, UsageError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from beltrami_cli.pipeline.batch.job import Outcome
+    from beltrami_cli.pipeline.batch.run import Crew
 
 EPILOG = """\b
 Examples:
@@ -26,6 +28,7 @@ Examples:
   beltrami batch scans --out-dir clean --suffix -clean  a.ply becomes clean/a-clean.ply
   beltrami batch jobs.toml --out-dir clean              a manifest with parameters for each file
   beltrami batch scans --out-dir clean --resume         go on after a failure, or with new files
+  beltrami batch scans --out-dir clean --scheduler tcp://head:8786     on many machines
 
 \b
 A manifest has the names of options without dashes. In TOML, with options for all first:
@@ -64,6 +67,16 @@ options given here, which are for all files.
     "--report", "report_path", metavar="FILE.jsonl",
     help="Where a line of JSON for each file is written.  [default: batch.jsonl in DIR]",
 )  # fmt: skip
+@click.option(
+    "--scheduler", metavar="ADDRESS",
+    help="Do the files on the workers of this Dask scheduler: tcp://HOST:PORT, or the file (.json) in which it wrote "
+    "where it is. Inputs and outputs lie on storage that all share, or are URLs. See docs/cluster.md.",
+)  # fmt: skip
+@click.option(
+    "--pieces", type=click.IntRange(1, 100_000), metavar="COUNT",
+    help="Cut every mesh and texture into so many pieces, which the workers of --scheduler smooth together: for those "
+    "that are too large for one machine's patience.",
+)  # fmt: skip
 @options.smoothing
 @options.unwrapping
 @options.output_format
@@ -79,6 +92,8 @@ def command(
     resume: bool,
     fail_fast: bool,
     report_path: str | None,
+    scheduler: str | None,
+    pieces: int | None,
     output_format: str | None,
     allow_outside: bool,
     max_memory: int | None,
@@ -106,21 +121,23 @@ def command(
     from beltrami_cli.pipeline.batch.run import run_batch
     from beltrami_cli.pipeline.memory import memory_of_machine
 
+    if pieces is not None and scheduler is None:
+        raise UsageError("--pieces are for the workers of a --scheduler; name one")
     start = time.monotonic()
     messages = Messages(quiet=quiet, verbose=verbose)
     requests = plan(inputs, out_dir, suffix, output_format)
     jobs = jobs_for(requests, smoothing, outside=allow_outside, overwrite=overwrite)
-    path = report_path or str(_made(out_dir) / "batch.jsonl")
+    path = report_path or _report_in(out_dir)
     _refuse_report(path, [*inputs, *(name for job in jobs for name in (job.source, job.target))])
-    record = Record(path, resume=resume, overwrite=overwrite)
-    with Display(jobs, messages) as display:
+    with _crew(scheduler, pieces, at_once, max_memory) as crew, Display(jobs, messages) as display:
         outcomes = run_batch(
             jobs,
-            record,
+            Record(path, resume=resume, overwrite=overwrite),  # once there is somebody to do anything
             display,
             at_once=at_once or KernelParameters().thread_count,
             memory=max_memory or memory_of_machine(),
             fail_fast=fail_fast,
+            crew=crew,
         )
     if not quiet:
         show_table(outcomes)
@@ -139,15 +156,40 @@ def _refuse_report(path: str, others: Sequence[str]) -> None:
         raise OutputError(path, "the report would replace a file of the batch", "choose another name")
 
 
-def _made(out_dir: str) -> Path:
-    folder = Path(out_dir)
+@contextlib.contextmanager
+def _crew(
+    scheduler: str | None, pieces: int | None, at_once: int | None, memory: int | None
+) -> Iterator[Crew | None]:
+    """Give those who do the files on other machines; None: they are done on this one."""
+    if scheduler is None:
+        yield None
+        return
+    from beltrami_cli.pipeline.cluster.connection import connected
+    from beltrami_cli.pipeline.cluster.files import ClusterCrew
+    from beltrami_cli.pipeline.cluster.split_files import SplittingCrew
+
+    with connected(scheduler) as client:
+        yield (
+            ClusterCrew(client, at_once, memory) if pieces is None else SplittingCrew(client, pieces, memory)
+        )
+
+
+def _report_in(out_dir: str) -> str:
+    """Return where the report stands if nothing else is said, and make the folder."""
+    from beltrami_cli.pipeline.batch.storage import is_url, without_scheme
+
+    if is_url(out_dir):
+        raise UsageError(
+            "the report is a file of this machine; with a URL as --out-dir, name it with --report"
+        )
+    folder = Path(without_scheme(out_dir))
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise OutputError(
             out_dir, f"the folder cannot be made ({error.strerror})", "choose another"
         ) from error
-    return folder
+    return str(folder / "batch.jsonl")
 
 
 def _counts(outcomes: Sequence[Outcome]) -> str:

@@ -58,6 +58,8 @@ class Display:
     def advanced(self, key: int, label: str, done: int, total: int) -> None:
         """Move it."""
         if self._bar is not None:
+            if key not in self._lines:  # others had it waiting, and have begun
+                self.started(key)
             description = f"{self._name(key)}: {printable(label)}"
             self._bar.update(self._lines[key], description=description, completed=done, total=total)
 

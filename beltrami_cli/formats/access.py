@@ -30,11 +30,14 @@ class Access:
         before they are read.
     note : callable or None
         Told of every file that was read as a whole, with what it held; so a job can say what its result depends on.
+    bring : callable or None
+        Told of every file beside a model before it is looked for; so it can be fetched from elsewhere.
     """
 
     outside: bool = False
     memory: int | None = None
     note: Callable[[Path, bytes], None] | None = field(default=None, compare=False)
+    bring: Callable[[Path], None] | None = field(default=None, compare=False)
 
 
 EVERYTHING_INSIDE = Access()

@@ -84,6 +84,8 @@ class Beside:
         path = meant_path(name, within, outside=self.access.outside)
         if self._folder is None:
             raise UnfitReferenceError("is a file beside the model, whose folder is not known")
+        if self.access.bring is not None:
+            self.access.bring(self._folder / path)
         try:
             is_file = stat.S_ISREG((self._folder / path).stat().st_mode)
             there = (self._folder / path).resolve()

@@ -11,10 +11,11 @@ import traceback
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from beltrami_cli.errors import BeltramiError, InputError
 from beltrami_cli.formats.access import Access
+from beltrami_cli.pipeline.batch.storage import hash_at, is_url
 from beltrami_cli.pipeline.memory import limited_memory
 
 if TYPE_CHECKING:
@@ -109,7 +110,13 @@ class Attempt:
     traceback: str = ""
 
 
-def do_job(job: Job, memory: int | None, progress: Callable[[str, int, int], None] | None = None) -> Attempt:
+def do_job(
+    job: Job,
+    memory: int | None,
+    progress: Callable[[str, int, int], None] | None = None,
+    *,
+    is_alone: bool = True,
+) -> Attempt:
     """Smooth one file, as `smooth_file` does.
 
     Parameters
@@ -120,38 +127,21 @@ def do_job(job: Job, memory: int | None, progress: Callable[[str, int, int], Non
         Bytes that the job may take; None: as many as there are.
     progress : callable, optional
         As for `smooth_file`.
+    is_alone : bool
+        Whether the process has nothing else to do, so that its memory can be limited; if not, only what is refused
+        beforehand is refused.
 
     Returns
     -------
     Attempt
         Whatever goes wrong with the file is told in it, and not raised.
     """
-    from beltrami_cli.pipeline.smooth.file import smooth_file
-
     start = time.monotonic()
-    read: dict[str, str] = {}
-
-    def note(path: Path, data: bytes) -> None:
-        read[str(path.absolute())] = hashlib.sha256(data).hexdigest()
-
     try:
-        with limited_memory(memory, job.source):
-            report = smooth_file(
-                job.source, job.target, job.settings, unwrap=job.unwrap, overwrite=job.overwrite, progress=progress,
-                access=Access(outside=job.outside, memory=memory, note=note),
-            )  # fmt: skip
-        output = Path(os.path.realpath(job.target))
-        files = [output, *(output.parent / name for name in report.written[1:])]
-        done = failed(job, "", 0, time.monotonic() - start)
-        return Attempt(
-            dataclasses.replace(
-                done,
-                status="done",
-                read=read,
-                written={str(file): hash_of(file) for file in files},
-                report=dataclasses.asdict(report),
-            )
-        )
+        with limited_memory(memory if is_alone else None, job.source):
+            at_urls = is_url(job.source) or is_url(job.target)
+            done = (_done_at_urls if at_urls else _done)(job, memory, progress)
+        return Attempt(dataclasses.replace(done, seconds=round(time.monotonic() - start, 3)))
     except BeltramiError as error:
         # Whatever refuses a file for want of memory names the option as the way out.
         wants_memory = isinstance(error, InputError) and "--max-memory" in error.remedy
@@ -163,20 +153,53 @@ def do_job(job: Job, memory: int | None, progress: Callable[[str, int, int], Non
         return Attempt(failed(job, told, 1, time.monotonic() - start), traceback=traceback.format_exc())
 
 
+def _done(job: Job, memory: int | None, progress: Callable[[str, int, int], None] | None) -> Outcome:
+    from beltrami_cli.pipeline.smooth.file import smooth_file
+
+    read: dict[str, str] = {}
+
+    def note(path: Path, data: bytes) -> None:
+        read[str(path.absolute())] = hashlib.sha256(data).hexdigest()
+
+    report = smooth_file(
+        job.source, job.target, job.settings, unwrap=job.unwrap, overwrite=job.overwrite, progress=progress,
+        access=Access(outside=job.outside, memory=memory, note=note),
+    )  # fmt: skip
+    written = _hashes(job.target, report.written[1:])
+    return _outcome(job, "done", read=read, written=written, report=dataclasses.asdict(report))
+
+
+def _done_at_urls(job: Job, memory: int | None, progress: Callable[[str, int, int], None] | None) -> Outcome:
+    from beltrami_cli.pipeline.batch.staging import staged
+    from beltrami_cli.pipeline.smooth.file import smooth_file
+
+    with staged(job) as stage:
+        here = stage.job
+        try:
+            report = smooth_file(
+                here.source, here.target, job.settings, unwrap=job.unwrap, overwrite=here.overwrite,
+                progress=progress, access=stage.access(memory),
+            )  # fmt: skip
+        except BeltramiError as error:
+            error.args = (stage.in_words(error),)
+            raise
+        report = dataclasses.replace(
+            report, input=job.source, output=job.target, written=[job.target, *report.written[1:]]
+        )
+        beside = report.written[1:]
+        written = stage.send(beside) if is_url(job.target) else _hashes(job.target, beside)
+        return _outcome(job, "done", read=stage.read, written=written, report=dataclasses.asdict(report))
+
+
+def _hashes(target: str, beside: list[str]) -> dict[str, str]:
+    output = Path(os.path.realpath(target))
+    return {str(file): hash_at(str(file)) for file in [output, *(output.parent / name for name in beside)]}
+
+
+def _outcome(job: Job, status: Status, **told: Any) -> Outcome:
+    return Outcome(job.source, job.target, status, parameters_sha256=job.parameters, **told)
+
+
 def failed(job: Job, error: str, exit_code: int, seconds: float = 0.0) -> Outcome:
     """Return the outcome of a job that failed."""
-    return Outcome(
-        job.source,
-        job.target,
-        "failed",
-        parameters_sha256=job.parameters,
-        seconds=round(seconds, 3),
-        error=error,
-        exit_code=exit_code,
-    )
-
-
-def hash_of(path: Path) -> str:
-    """Return the SHA-256 of a file in hexadecimal digits; OSError if it cannot be read."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+    return _outcome(job, "failed", seconds=round(seconds, 3), error=error, exit_code=exit_code)

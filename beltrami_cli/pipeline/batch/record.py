@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 
 from beltrami_cli.errors import InputError, OutputError
 from beltrami_cli.formats.document import Written
-from beltrami_cli.pipeline.batch.job import Outcome, hash_of
+from beltrami_cli.pipeline.batch.job import Outcome
+from beltrami_cli.pipeline.batch.storage import exists, hash_at, is_url, place_of
 from beltrami_cli.pipeline.writing.output import Output
 
 if TYPE_CHECKING:
@@ -52,11 +53,11 @@ class Record:
 
     def latest(self, job: Job) -> Outcome | None:
         """Return what was last written of a job's output."""
-        return self._latest.get(os.path.realpath(job.target))
+        return self._latest.get(place_of(job.target))
 
     def add(self, outcome: Outcome) -> None:
         """Write a line, at once and for good."""
-        self._latest[os.path.realpath(outcome.output)] = outcome
+        self._latest[place_of(outcome.output)] = outcome
         try:
             with Path(self.path).open("a", encoding="utf-8") as file:
                 file.write(_line(outcome))
@@ -67,7 +68,7 @@ class Record:
 
     def close(self, outcomes: Iterable[Outcome]) -> None:
         """Write the report anew, with one line a file: those of this run in their order, after the others."""
-        now = {os.path.realpath(outcome.output): outcome for outcome in outcomes}
+        now = {place_of(outcome.output): outcome for outcome in outcomes}
         earlier = {place: outcome for place, outcome in self._latest.items() if place not in now}
         self._output.write(
             Written(main=[_line(each).encode() for each in [*earlier.values(), *now.values()]])
@@ -78,9 +79,7 @@ def is_done(job: Job, outcome: Outcome | None) -> bool:
     """Tell whether an earlier run did the job, and nothing that it depends on has changed since."""
     if outcome is None or outcome.status not in ("done", "skipped"):
         return False
-    same = outcome.parameters_sha256 == job.parameters and os.path.realpath(job.source) == os.path.realpath(
-        outcome.input
-    )
+    same = outcome.parameters_sha256 == job.parameters and place_of(job.source) == place_of(outcome.input)
     return same and _holds(outcome.read) and _holds(outcome.written)
 
 
@@ -90,16 +89,16 @@ def is_ours(outcome: Outcome | None) -> bool:
         return False
     if outcome.status == "started":  # it looked that there were none
         return True
-    return os.path.realpath(outcome.output) in outcome.written and all(
-        not Path(name).exists() or _holds({name: digest}) for name, digest in outcome.written.items()
+    return place_of(outcome.output) in outcome.written and all(
+        not exists(name) or _holds({name: digest}) for name, digest in outcome.written.items()
     )
 
 
 def tidy(outcome: Outcome | None) -> None:
     """Remove what a run that was killed left half written beside its output."""
-    if outcome is None or outcome.status != "started":
+    if outcome is None or outcome.status != "started" or is_url(outcome.output):
         return
-    folder = Path(os.path.realpath(outcome.output)).parent
+    folder = Path(place_of(outcome.output)).parent
     for path in folder.glob(".*.tmp"):
         if _TEMPORARY.fullmatch(path.name) and path.stat().st_mtime >= outcome.time - 1:
             path.unlink(missing_ok=True)
@@ -107,7 +106,7 @@ def tidy(outcome: Outcome | None) -> None:
 
 def _holds(hashes: dict[str, str]) -> bool:
     try:
-        return all(hash_of(Path(name)) == digest for name, digest in hashes.items())
+        return all(hash_at(name) == digest for name, digest in hashes.items())
     except OSError:
         return False
 
@@ -131,6 +130,6 @@ def _read(path: str) -> dict[str, Outcome]:
                 break
             cause = f"line {number} is not of a report of beltrami batch"
             raise InputError(path, cause, "leave out --resume, or choose another --report") from None
-        latest.pop(os.path.realpath(outcome.output), None)
-        latest[os.path.realpath(outcome.output)] = outcome
+        latest.pop(place_of(outcome.output), None)
+        latest[place_of(outcome.output)] = outcome
     return latest

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import dataclasses
 from collections import deque
-from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 from beltrami_cli.errors import OutputError
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.pipeline.batch.job import Attempt, Outcome, failed
 from beltrami_cli.pipeline.batch.record import is_done, is_ours, tidy
+from beltrami_cli.pipeline.batch.storage import exists, make_folder_of
 from beltrami_cli.pipeline.batch.workers import Workers
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from beltrami_cli.pipeline.batch.job import Job
     from beltrami_cli.pipeline.batch.record import Record
@@ -36,6 +36,35 @@ class Watcher(Protocol):
         """Be told what came of a file."""
 
 
+class Crew(Protocol):
+    """Who does jobs, to be used as a context; what is still in work at its end is given up."""
+
+    threads: int | None
+    """For each file, if it does not say itself; None: as many as there are."""
+    queues: bool
+    """Whether jobs may wait after they were given to it; then it is told of a file only how far it is."""
+
+    def __enter__(self) -> Crew:
+        """Begin."""
+
+    def __exit__(self, *error: object) -> None:
+        """End."""
+
+    @property
+    def is_full(self) -> bool:
+        """Whether it takes no more jobs for now."""
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether it has any job."""
+
+    def start(self, key: int, job: Job) -> None:
+        """Take a job."""
+
+    def answers(self, jobs: Callable[[int], Job]) -> Iterator[tuple[int, Attempt | tuple[str, int, int]]]:
+        """Wait, and tell of a key either how far it is, or what came of it; `jobs` gives the job of a key."""
+
+
 def run_batch(
     jobs: Sequence[Job],
     record: Record,
@@ -44,6 +73,7 @@ def run_batch(
     at_once: int,
     memory: int | None,
     fail_fast: bool = False,
+    crew: Crew | None = None,
 ) -> list[Outcome]:
     """Smooth many files, each as `smooth_file` would alone.
 
@@ -62,6 +92,8 @@ def run_batch(
         alone at the end, with all of it.
     fail_fast : bool
         Stop at the first failure. What is in work then is given up.
+    crew : Crew, optional
+        Who does the jobs, instead of processes of this machine; `at_once` and `memory` are then its concern.
 
     Returns
     -------
@@ -73,7 +105,8 @@ def run_batch(
     OutputError
         If the report cannot be written.
     """
-    return _Batch(jobs, record, watcher, fail_fast=fail_fast).run(at_once, memory)
+    batch = _Batch(jobs, record, watcher, fail_fast=fail_fast)
+    return batch.run_by(crew) if crew is not None else batch.run(at_once, memory)
 
 
 class _Batch:
@@ -85,13 +118,24 @@ class _Batch:
         self._writers: dict[str, tuple[int, str]] = {}  # who wrote a file, and its hash
 
     def run(self, at_once: int, memory: int | None) -> list[Outcome]:
-        for earlier in self._earlier:
-            tidy(earlier)
-        waiting = deque(key for key in range(len(self._jobs)) if not self._skips(key))
+        waiting = self._to_do()
         count = max(1, min(at_once, len(waiting)))
         share = None if memory is None else memory // count
-        larger = self._work(waiting, count, share, is_last=count == 1)
-        self._work(larger, 1, memory, is_last=True)
+        threads = KernelParameters().thread_count
+        larger = self._work(waiting, Workers(count, share, max(1, threads // count)), is_last=count == 1)
+        self._work(larger, Workers(1, memory, threads), is_last=True)
+        return self._outcomes_of_all()
+
+    def run_by(self, crew: Crew) -> list[Outcome]:
+        self._work(self._to_do(), crew, is_last=True)
+        return self._outcomes_of_all()
+
+    def _to_do(self) -> deque[int]:
+        for earlier in self._earlier:
+            tidy(earlier)
+        return deque(key for key in range(len(self._jobs)) if not self._skips(key))
+
+    def _outcomes_of_all(self) -> list[Outcome]:
         outcomes = [self._outcomes.get(key) or self._not_started(key) for key in range(len(self._jobs))]
         self._record.close(outcomes)
         return outcomes
@@ -103,14 +147,13 @@ class _Batch:
         self._finish(key, Attempt(dataclasses.replace(earlier, status="skipped")))
         return True
 
-    def _work(self, waiting: deque[int], count: int, memory: int | None, *, is_last: bool) -> deque[int]:
+    def _work(self, waiting: deque[int], crew: Crew, *, is_last: bool) -> deque[int]:
         """Do what waits, and return what wants more memory, unless this is its last chance."""
         larger: deque[int] = deque()
-        threads = max(1, KernelParameters().thread_count // count)
-        with Workers(count, memory) as workers:
+        with crew as workers:
             while not self._stopped and (waiting or workers.is_busy):
                 while waiting and not workers.is_full and not self._stopped:
-                    self._start(waiting.popleft(), workers, threads)
+                    self._start(waiting.popleft(), workers)
                 for key, told in workers.answers(self._jobs.__getitem__) if workers.is_busy else ():
                     if not isinstance(told, Attempt):
                         self._watcher.advanced(key, *told)
@@ -121,7 +164,7 @@ class _Batch:
                         self._finish(key, told)
         return larger
 
-    def _start(self, key: int, workers: Workers, threads: int) -> None:
+    def _start(self, key: int, crew: Crew) -> None:
         job, earlier = self._jobs[key], self._earlier[key]
         overwrite = job.overwrite or is_ours(earlier)
         try:
@@ -130,11 +173,12 @@ class _Batch:
             self._finish(key, Attempt(failed(job, str(error), error.exit_code)))
             return
         if job.settings.kernel.threads is None:
-            kernel = dataclasses.replace(job.settings.kernel, threads=threads)
+            kernel = dataclasses.replace(job.settings.kernel, threads=crew.threads)
             job = dataclasses.replace(job, settings=dataclasses.replace(job.settings, kernel=kernel))
         self._record.add(Outcome(job.source, job.target, "started", job.parameters))
-        workers.start(key, dataclasses.replace(job, overwrite=overwrite))
-        self._watcher.started(key)
+        crew.start(key, dataclasses.replace(job, overwrite=overwrite))
+        if not crew.queues:
+            self._watcher.started(key)
 
     def _finish(self, key: int, attempt: Attempt) -> None:
         outcome = self._checked(key, attempt.outcome)
@@ -168,11 +212,6 @@ class _Batch:
 
 
 def _make_place(target: str, *, overwrite: bool) -> None:
-    if Path(target).exists() and not overwrite:
+    if exists(target) and not overwrite:
         raise OutputError(target, "exists already", "choose another --out-dir or --suffix, or --overwrite")
-    folder = Path(target).parent
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        cause = f"the folder {folder} cannot be made ({error.strerror})"
-        raise OutputError(target, cause, "choose another --out-dir") from error
+    make_folder_of(target)

@@ -49,10 +49,15 @@ class Workers:
         Processes at once.
     memory : int or None
         Bytes that each may take; None: as many as there are.
+    threads : int
+        For each file.
     """
 
-    def __init__(self, count: int, memory: int | None) -> None:
+    queues = False
+
+    def __init__(self, count: int, memory: int | None, threads: int) -> None:
         self._count, self._memory = count, memory
+        self.threads: int | None = threads
         self._idle: list[_Worker] = []
         self._busy: dict[Connection[Any, Any], _Worker] = {}
         self._context = multiprocessing.get_context("spawn")  # a fork would copy locks of threads as they are

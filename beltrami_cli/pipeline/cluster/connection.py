@@ -1,0 +1,75 @@
+"""The connection to a Dask scheduler."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import logging
+import socket
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+from urllib.parse import urlsplit
+
+from beltrami_cli.errors import ProcessingError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+_PATIENCE = 15.0  # seconds for a scheduler to answer
+
+
+@contextlib.contextmanager
+def connected(address: str) -> Iterator[Any]:
+    """Connect to a scheduler, and leave it in the end.
+
+    Parameters
+    ----------
+    address : str
+        Such as tcp://host:8786, or the path of a file (.json) in which a scheduler wrote where it is.
+
+    Yields
+    ------
+    distributed.Client
+
+    Raises
+    ------
+    ProcessingError
+        If Dask is not installed, or no scheduler answers.
+    """
+    try:
+        from distributed import Client
+    except ImportError as error:
+        raise ProcessingError(
+            "--scheduler needs Dask, which is not installed; pip install 'beltrami-cli[cluster]'"
+        ) from error
+    # What goes wrong is told by us, in one line.
+    for name in ("distributed", "distributed.client", "distributed.comm"):
+        logging.getLogger(name).setLevel(logging.CRITICAL)
+    try:
+        where = _address_in(address) if address.endswith(".json") else address
+        _require_listener(where)
+        client = Client(where, timeout=_PATIENCE, set_as_default=False)
+    except (OSError, ValueError, KeyError) as error:
+        cause = " ".join(f"{type(error).__name__}: {error}".split())[:200]
+        raise ProcessingError(
+            f"{address}: no Dask scheduler answers there ({cause}); start one with dask scheduler, or check the address"
+        ) from error
+    try:
+        yield client
+    finally:
+        client.close()
+
+
+def _address_in(path: str) -> str:
+    """Return what a scheduler wrote into a file."""
+    return str(json.loads(Path(path).read_text(encoding="utf-8"))["address"])
+
+
+def _require_listener(address: str) -> None:
+    """Raise ValueError or OSError if an address is none, or nobody listens there: a client would try for long."""
+    parts = urlsplit(address if "://" in address else f"tcp://{address}")
+    if parts.scheme == "inproc":
+        return
+    if not parts.hostname or not parts.port:
+        raise ValueError("an address is like tcp://HOST:PORT")
+    socket.create_connection((parts.hostname, parts.port), timeout=_PATIENCE).close()

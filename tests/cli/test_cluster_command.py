@@ -1,0 +1,224 @@
+"""`beltrami batch --scheduler`: the same files from many machines, whichever of them dies meanwhile."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from beltrami_cli.cli.main import group
+from beltrami_cli.flow.iteration import BeltramiFlow
+from beltrami_cli.flow.parameters import KernelParameters
+from beltrami_cli.flow.pieces.splitting import in_pieces
+from beltrami_cli.pipeline.cluster.pieces import OnCluster
+from cli.commands import COMMAND, SAMPLES, beltrami
+from cli.dask_cluster import Cluster
+from hostile.textured_models import write_model
+from properties.test_pieces import FIXED, SURFACE
+
+pytest.importorskip("distributed")
+
+QUICK = ("-n", "1", "-t", "0.5", "--beta", "10", "--beta-growth", "1", "--metric-steps", "0")
+
+
+@pytest.fixture(scope="module")
+def running(tmp_path_factory):
+    cluster = Cluster(tmp_path_factory.mktemp("cluster"))
+    yield cluster
+    cluster.close()
+
+
+@pytest.fixture
+def cluster(running):
+    running.grow(2)
+    return running
+
+
+@pytest.fixture
+def scans(tmp_path):
+    """A mesh of more than one piece, and a texture."""
+    folder = tmp_path / "scans"
+    (folder / "deep").mkdir(parents=True)
+    shutil.copy(SAMPLES / "knot-noisy.ply", folder / "knot.ply")
+    for kind in ("obj", "mtl", "png"):
+        shutil.copy(SAMPLES / f"mirrored-noisy.{kind}", folder / "deep")
+    return folder
+
+
+def batch(*arguments, code=0, cwd=None):
+    run = beltrami("batch", *arguments, cwd=cwd)
+    assert run.returncode == code, run.stderr.decode()
+    assert b"Traceback" not in run.stderr
+    return run.stderr.decode()
+
+
+def report_of(path):
+    return [json.loads(line) for line in path.read_text().splitlines()]
+
+
+def files_in(folder):
+    files = (path for path in folder.rglob("*") if path.is_file() and path.name != "batch.jsonl")
+    return {str(path.relative_to(folder)): path.read_bytes() for path in files}
+
+
+def test_files_and_pieces_are_as_on_one_machine_and_done_once(cluster, scans, tmp_path):
+    """That a batch on one machine gives what `smooth` gives is tested beside it."""
+    batch("scans", "--out-dir", "here", *QUICK, "-n", "2", cwd=tmp_path)
+    expected = files_in(tmp_path / "here")
+    assert len(expected) == 4
+    on_cluster = ("--scheduler", cluster.address, *QUICK, "-n", "2")
+    (scans / "bad.ply").write_bytes(b"no model")
+    # Paths are relative to where the command runs, which is not where the workers do.
+    said = batch("scans", "--out-dir", "out", *on_cluster, cwd=tmp_path, code=1)
+    assert "failed: scans/bad.ply: the content is of no known format" in said
+    assert files_in(tmp_path / "out") == expected
+    lines = report_of(tmp_path / "out" / "batch.jsonl")
+    assert {line["input"]: line["status"] for line in lines} == {
+        "scans/bad.ply": "failed",
+        "scans/deep/mirrored-noisy.obj": "done",
+        "scans/knot.ply": "done",
+    }
+    (scans / "bad.ply").unlink()
+    # What one machine did holds on the cluster.
+    batch("scans", "--out-dir", "here", "--resume", *on_cluster, cwd=tmp_path)
+    assert [line["status"] for line in report_of(tmp_path / "here" / "batch.jsonl")] == ["skipped", "skipped"]
+
+    batch(scans, "--out-dir", tmp_path / "joined", "--pieces", 3, *on_cluster)
+    assert files_in(tmp_path / "joined") == expected
+
+
+def test_a_worker_that_is_killed_midway_costs_nothing_but_time(cluster, tmp_path):
+    scans, out = tmp_path / "scans", tmp_path / "out"
+    scans.mkdir()
+    for number in range(4):
+        shutil.copy(SAMPLES / "knot-noisy.ply", scans / f"{number}.ply")
+    long = (*QUICK, "-n", "60")
+    arguments = ["batch", scans, "--out-dir", out, "--scheduler", cluster.address, *long]
+    run = subprocess.Popen([*COMMAND, *map(str, arguments)], stderr=subprocess.PIPE)
+    assert cluster.kill_busy()
+    said = run.communicate(timeout=120)[1].decode()
+    assert run.returncode == 0, said
+    assert [line["status"] for line in report_of(out / "batch.jsonl")] == ["done"] * 4
+    single = tmp_path / "single.ply"
+    assert beltrami("smooth", scans / "0.ply", single, *long).returncode == 0
+    assert set(files_in(out).values()) == {single.read_bytes()}
+
+
+def test_a_surface_in_pieces_outlives_a_worker(cluster):
+    parameters = KernelParameters(**FIXED)
+    whole = BeltramiFlow(SURFACE, parameters).run()
+    killed = []
+
+    def progress(done, total):
+        if not killed and done >= total // 2:
+            cluster.kill(min(cluster._workers))
+            killed.append(done)
+
+    with cluster.client() as client, in_pieces(3, OnCluster(client)):
+        parts = BeltramiFlow(SURFACE, parameters).run(progress)
+    assert killed
+    assert np.array_equal(parts.colours, whole.colours)
+
+
+def test_urls_are_brought_and_sent_with_what_lies_beside_them(tmp_path):
+    """In one process, whose memory is a file system for all threads."""
+    import fsspec
+    from distributed import LocalCluster
+
+    folder = tmp_path / "in"
+    write_model(folder, "obj", "skin.png", "skin.mtl")
+    shutil.copy(SAMPLES / "mirrored-noisy.png", folder / "skin.png")
+    shutil.copy(SAMPLES / "terrain-noisy.ply", folder / "a.ply")
+    memory = fsspec.filesystem("memory")
+    for path in folder.iterdir():
+        memory.pipe_file(f"/beltrami/in/deep/{path.name}", path.read_bytes())
+    memory.pipe_file("/beltrami/in/.hidden/b.ply", b"not meant")
+    batch(folder, "--out-dir", tmp_path / "out", *QUICK)
+    report = tmp_path / "report.jsonl"
+    words = [
+        "batch",
+        "memory://beltrami/in",
+        "--out-dir",
+        "memory://beltrami/out",
+        "--report",
+        report,
+        "--resume",
+    ]
+    with LocalCluster(n_workers=1, threads_per_worker=2, processes=False, dashboard_address=":0") as cluster:
+        words = [*words, "--scheduler", cluster.scheduler_address, "-q", *QUICK]
+        for status in ("done", "skipped"):
+            group.main(list(map(str, words)), standalone_mode=False)
+            assert [line["status"] for line in report_of(report)] == [status] * 2
+        found = {name: memory.cat_file(name) for name in memory.find("/beltrami/out")}
+        assert found == {
+            f"/beltrami/out/deep/{name}": data for name, data in files_in(tmp_path / "out").items()
+        }
+
+        memory.pipe_file("/beltrami/in/deep/skin.png", (SAMPLES / "mirrored-clean.png").read_bytes())
+        group.main(list(map(str, words)), standalone_mode=False)
+        lines = {line["input"].rsplit("/", 1)[1]: line for line in report_of(report)}
+        assert {name: line["status"] for name, line in lines.items()} == {
+            "a.ply": "skipped",
+            "model.obj": "done",
+        }
+        assert "memory:///beltrami/in/deep/skin.png" in lines["model.obj"]["read"]
+    memory.rm("/beltrami", recursive=True)
+
+
+def test_file_urls_are_paths(scans, tmp_path):
+    batch(f"file://{scans}/*.ply", "--out-dir", f"file://{tmp_path}/out", *QUICK)
+    (line,) = report_of(tmp_path / "out" / "batch.jsonl")
+    assert (line["input"], line["output"]) == (f"{scans}/knot.ply", f"{tmp_path}/out/knot.ply")
+    assert set(files_in(tmp_path / "out")) == {"knot.ply"}
+
+
+def test_without_the_extra_it_is_named_and_nothing_else_misses_it(scans, tmp_path):
+    hidden = "import sys; sys.modules.update(dask=None, distributed=None, fsspec=None)"
+    start = [sys.executable, "-P", "-c", f"{hidden}; from beltrami_cli.cli.main import main; main()"]
+    out = ["batch", str(scans / "knot.ply"), "--out-dir", str(tmp_path / "out"), *QUICK]
+    for more, words in (
+        (["--scheduler", "tcp://127.0.0.1:1"], b"pip install 'beltrami-cli[cluster]'"),
+        (["memory://x/a.ply"], b"pip install 'beltrami-cli[cluster]'"),
+        ([], b"1 done"),
+    ):
+        run = subprocess.run([*start, *out, *more], capture_output=True, timeout=60, check=False)
+        assert words in run.stderr, run.stderr
+        assert run.returncode == (0 if not more else 1 if "--scheduler" in more else 3)
+
+
+@pytest.mark.parametrize(
+    ("options", "words", "code"),
+    [
+        (("--pieces", 2), "--pieces are for the workers of a --scheduler", 2),
+        (("--scheduler", "nonsense"), "no Dask scheduler answers there", 1),
+        (("--scheduler", "tcp://127.0.0.1:1"), "no Dask scheduler answers there", 1),
+        (("--scheduler", "missing.json"), "no Dask scheduler answers there", 1),
+        (("--out-dir", "memory://x"), "name it with --report", 2),
+    ],
+)
+def test_what_does_not_fit_is_told_in_one_line(options, words, code, scans, tmp_path):
+    said = batch(scans / "knot.ply", "--out-dir", tmp_path / "out", *options, code=code)
+    assert words in said.splitlines()[-1]
+
+
+def test_nothing_is_sent_over_what_is_there(tmp_path):
+    import fsspec
+
+    memory = fsspec.filesystem("memory")
+    memory.pipe_file("/there/in/a.ply", (SAMPLES / "terrain-noisy.ply").read_bytes())
+    memory.pipe_file("/there/out/a.ply", b"mine")
+    from beltrami_cli.pipeline.batch.job import Job, do_job
+    from beltrami_cli.pipeline.settings.smooth import SmoothSettings
+
+    job = Job(
+        "memory://there/in/a.ply", "memory://there/out/a.ply", SmoothSettings(KernelParameters(**FIXED))
+    )
+    attempt = do_job(job, None)
+    assert attempt.outcome.status == "failed"
+    assert "memory://there/out/a.ply: exists already" in attempt.outcome.error
+    assert memory.cat_file("/there/out/a.ply") == b"mine"
+    memory.rm("/there", recursive=True)
