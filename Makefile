@@ -141,7 +141,7 @@ docs:
 	$(MAKE) --no-print-directory VENV=$(VENV)-docs build-docs
 
 build-docs: $(VENV)/.installed-docs
-	$(BIN)/mkdocs build --strict --quiet --site-dir build/site
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet --site-dir build/site
 	@echo "The site: build/site/index.html"
 
 man: $(VENV)/.installed-test

@@ -98,7 +98,7 @@ def point_lines():
 
 @pytest.fixture(scope="module")
 def stand_ins(tmp_path_factory):
-    """A small file for every name of an input that the README uses."""
+    """A small file for every name of an input that the README and the pages of `RUN` use."""
     folder = tmp_path_factory.mktemp("inputs")
     for name in ("scan.ply", "clean.ply", "face.ply"):
         shutil.copy(SAMPLES / "nonmanifold-noisy.ply", folder / name)
@@ -129,17 +129,21 @@ def stand_ins(tmp_path_factory):
     return folder
 
 
-RUN = [words for page, words in WRITTEN if page == "README.md" and not {"-", "{}"} & set(words)]
+RUN_PAGES = {"README.md", "configuration.md", "images.md", "index.md", "tuning.md"}
+FOUND = [words for page, words in WRITTEN if page in RUN_PAGES and not {"-", "{}"} & set(words)]
+RUN = list({" ".join(words): words for words in FOUND}.values())
 
 
 @pytest.mark.parametrize("words", RUN, ids=" ".join)
-def test_the_commands_of_the_readme_run(words, stand_ins, tmp_path, monkeypatch):
+def test_the_commands_of_the_readme_and_of_pages_to_start_with_run(words, stand_ins, tmp_path, monkeypatch):
     if {"render", "sweep", "report", "--preview"} & set(words):
         pytest.importorskip("embreex")
     folder = shutil.copytree(stand_ins, tmp_path / "work")
     (folder / "run.json").write_text('{"parameters": {}, "stages": {}}')
     monkeypatch.chdir(folder)
-    own = command(words[0]).params
-    small = ["--size", "40"] if words[0] in ("render", "sweep") else []  # the last one counts
+    (folder / "other.toml").write_text("[smooth]\nbeta = 8\n")
+    name = next(word for word in words if word in COMMANDS)
+    own = command(name).params
+    small = ["--size", "40"] if name in ("render", "sweep") else []  # the last one counts
     overwriting = ["--overwrite"] if any(option.name == "overwrite" for option in own) else []
     group.main([*words, *small, *overwriting], prog_name="beltrami", standalone_mode=False)
