@@ -129,7 +129,7 @@ def command(
     jobs = jobs_for(requests, smoothing, outside=allow_outside, overwrite=overwrite)
     path = report_path or _report_in(out_dir)
     _refuse_report(path, [*inputs, *(name for job in jobs for name in (job.source, job.target))])
-    with _crew(scheduler, pieces, at_once, max_memory) as crew, Display(jobs, messages) as display:
+    with _crew(scheduler, pieces, at_once, max_memory, messages) as crew, Display(jobs, messages) as display:
         outcomes = run_batch(
             jobs,
             Record(path, resume=resume, overwrite=overwrite),  # once there is somebody to do anything
@@ -158,7 +158,7 @@ def _refuse_report(path: str, others: Sequence[str]) -> None:
 
 @contextlib.contextmanager
 def _crew(
-    scheduler: str | None, pieces: int | None, at_once: int | None, memory: int | None
+    scheduler: str | None, pieces: int | None, at_once: int | None, memory: int | None, messages: Messages
 ) -> Iterator[Crew | None]:
     """Give those who do the files on other machines; None: they are done on this one."""
     if scheduler is None:
@@ -169,6 +169,8 @@ def _crew(
     from beltrami_cli.pipeline.cluster.split_files import SplittingCrew
 
     with connected(scheduler) as client:
+        if not client.nthreads():
+            messages.say(f"{scheduler} has no workers yet; the files wait for them")
         yield (
             ClusterCrew(client, at_once, memory) if pieces is None else SplittingCrew(client, pieces, memory)
         )
