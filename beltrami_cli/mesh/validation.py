@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from beltrami_cli.errors import InputError, UsageError
+from beltrami_cli.mesh.scale import check_scale
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def check_mesh(painted: PaintedVertices, name: str) -> None:
-    """Check shapes, indices and finiteness.
+    """Check shapes, indices, finiteness, and that distances are not too small or large.
 
     Parameters
     ----------
@@ -38,6 +39,7 @@ def check_mesh(painted: PaintedVertices, name: str) -> None:
         raise InputError(name, f"a face names a vertex outside 0 to {len(positions) - 1}")
     _check_finite(positions, "position", name)
     _check_finite(colours, "colour", name)
+    check_scale(positions, faces, name)
 
 
 def position_table(positions: ArrayLike) -> NDArray[np.float64]:

@@ -13,7 +13,7 @@ from beltrami_cli.formats.image.recognition import is_image
 from beltrami_cli.formats.source import read_source
 from beltrami_cli.pipeline.documents.opening import document_from, refuse_options_of_level_sets
 from beltrami_cli.pipeline.documents.room import require_room_for_textures
-from beltrami_cli.pipeline.documents.work import choose_work
+from beltrami_cli.pipeline.documents.work import choose_work, require_scale
 from beltrami_cli.pipeline.settings.smooth import DEFAULTS, SmoothSettings
 from beltrami_cli.pipeline.smooth.report import describe_choice
 
@@ -71,6 +71,7 @@ def inspect_file(
         return _describe_image(data, "<stdin>" if name == "-" else name, settings, access)
     document = document_from(data, name, settings, access)
     work = choose_work(document, settings)
+    require_scale(document, work)
     facts: dict[str, object] = {
         "file": {"name": document.name, "format": document.format, **document.facts()}
     }

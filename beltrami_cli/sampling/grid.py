@@ -103,10 +103,13 @@ def _measure(
         plane[here][edges] = step[0] ** 2 + step[1] ** 2
         return
     total = np.zeros(edges.shape)
-    for column in np.moveaxis(positions, 2, 0):
-        # Differences are taken before any rounding: maps may lie far from the origin.
-        total += np.square(np.subtract(column[there], column[here], out=np.zeros(edges.shape), where=edges))
-    np.copyto(plane[here], total, where=edges, casting="same_kind")
+    # The background of a map may be as far away as numbers go: infinitely far, so that nothing crosses there.
+    with np.errstate(over="ignore"):
+        for column in np.moveaxis(positions, 2, 0):
+            # Differences are taken before any rounding: maps may lie far from the origin.
+            steps = np.subtract(column[there], column[here], out=np.zeros(edges.shape), where=edges)
+            total += np.square(steps)
+        np.copyto(plane[here], total, where=edges, casting="same_kind")
 
 
 def _ends(step: tuple[int, int]) -> tuple[tuple[slice, slice], tuple[slice, slice]]:

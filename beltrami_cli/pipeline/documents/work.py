@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from beltrami_cli.errors import InputError, UnpaintedError, UsageError
+from beltrami_cli.mesh.scale import check_scale
 from beltrami_cli.pipeline.settings.smooth import OUTPUT_FORMATS
 
 if TYPE_CHECKING:
@@ -67,6 +68,22 @@ def choose_work(document: Document, settings: SmoothSettings) -> Work:
         ("its vertex colours stay as they are; --on both smooths them too",) if coloured and not both else ()
     )
     return Work(vertices=both, slots=slots, notices=notices)
+
+
+def require_scale(document: Document, work: Work) -> None:
+    """Refuse a document if distances on what is worked on cannot be computed with.
+
+    Raises
+    ------
+    InputError
+        As `check_scale`, and `Document.painted` and `Document.textured`.
+    """
+    if work.vertices:
+        painted = document.painted()
+        check_scale(painted.positions, painted.faces, document.name)
+    for slot in work.slots:
+        surface = document.textured(slot)
+        check_scale(surface.positions, surface.faces[surface.texture_of >= 0], document.name)
 
 
 def _nothing_to_smooth(document: Document, present: Sequence[Slot]) -> InputError:

@@ -12,6 +12,7 @@ from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.image import read_image
 from beltrami_cli.formats.image.picture import full_scale_one
 from beltrami_cli.formats.source import read_source
+from beltrami_cli.mesh.scale import check_scale
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -82,6 +83,7 @@ def read_surface(picture: Picture, wanted: ImageSettings, access: Access = EVERY
         pixels, told = _read(wanted.positions, picture, access)
         notices += told
         positions = _positions_of(pixels)
+        check_scale(positions.reshape(-1, 3), _triangles(*positions.shape[:2]), wanted.positions)
         valid &= np.isfinite(positions).all(axis=2) & _opaque(pixels)
     if wanted.mask is not None:
         valid &= _mask_of(_read(wanted.mask, picture, access)[0])
@@ -131,6 +133,12 @@ def _positions_of(picture: Picture) -> NDArray[np.float64]:
             "give an image with the three channels X, Y and Z, or red, green and blue",
         )
     return full_scale_one(picture.pixels[..., columns]).astype(np.float64)
+
+
+def _triangles(rows: int, columns: int) -> NDArray[np.int32]:
+    """Return a triangle of each pixel with its neighbours on the right and below."""
+    at = np.arange(rows * columns, dtype=np.int32).reshape(rows, columns)[:-1, :-1].ravel()
+    return np.stack([at, at + 1, at + columns], axis=1).astype(np.int32)
 
 
 def _opaque(picture: Picture) -> NDArray[np.bool_]:

@@ -13,7 +13,7 @@ from beltrami_cli.formats.image.recognition import is_image
 from beltrami_cli.formats.source import read_source
 from beltrami_cli.pipeline.documents.opening import document_from, refuse_options_of_level_sets
 from beltrami_cli.pipeline.documents.room import require_room_for_textures
-from beltrami_cli.pipeline.documents.work import choose_work
+from beltrami_cli.pipeline.documents.work import choose_work, require_scale
 from beltrami_cli.pipeline.kernel.encoding import SUFFIXES, encode
 from beltrami_cli.pipeline.kernel.place import read_place
 from beltrami_cli.pipeline.settings.smooth import DEFAULTS
@@ -119,6 +119,7 @@ def _study(
     progress: Callable[[int, int], None] | None,
 ) -> KernelStudy:
     work = choose_work(document, settings)
+    require_scale(document, work)
     if work.vertices and not work.slots:
         grid = document.grid()
         if grid is not None:

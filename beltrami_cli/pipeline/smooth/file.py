@@ -13,7 +13,7 @@ from beltrami_cli.pipeline.documents.companions import plan_companions
 from beltrami_cli.pipeline.documents.conversion import make_files
 from beltrami_cli.pipeline.documents.opening import document_from, refuse_options_of_level_sets
 from beltrami_cli.pipeline.documents.room import require_room_for_textures
-from beltrami_cli.pipeline.documents.work import Work, choose_format, choose_work
+from beltrami_cli.pipeline.documents.work import Work, choose_format, choose_work, require_scale
 from beltrami_cli.pipeline.settings.smooth import DEFAULTS, SmoothSettings
 from beltrami_cli.pipeline.smooth.report import SmoothReport, make_report
 from beltrami_cli.pipeline.smooth.stopwatch import Stopwatch
@@ -106,6 +106,7 @@ def smooth_file(
             work = Work(vertices=False, slots=())  # the output is the input
         else:
             require_geometry(document, work, settings, written_back=target_format == document.format)
+        require_scale(document, work)
         require_room_for_textures(document, work.slots, settings.textures, access)
         companions = plan_companions(document, work, settings, target_format, source, target, output, access)
     with watch.stage("smooth"):

@@ -12,7 +12,7 @@ from beltrami_cli.pipeline.bake.new_texture import texture_from_textures, textur
 from beltrami_cli.pipeline.documents.conversion import names_beside, write_textured
 from beltrami_cli.pipeline.documents.opening import open_input
 from beltrami_cli.pipeline.documents.room import require_room_for_textures
-from beltrami_cli.pipeline.documents.work import choose_format
+from beltrami_cli.pipeline.documents.work import Work, choose_format, require_scale
 from beltrami_cli.pipeline.smooth.report import SmoothReport, make_report
 from beltrami_cli.pipeline.smooth.stopwatch import Stopwatch
 from beltrami_cli.pipeline.textures.smooth import smooth_slot
@@ -86,7 +86,10 @@ def smooth_unwrapped(
         if output is not None:
             suffix = settings.textures.image_suffix or ".png"
             output.check_sidecars(names_beside(target_format, stem, suffix))
-    if _is_textured(document, settings):
+    textured = _is_textured(document, settings)
+    if settings.kernel.iterations:
+        require_scale(document, Work(vertices=not textured, slots=("baseColor",) if textured else ()))
+    if textured:
         if settings.embedding.guides:
             raise UsageError("--guide cannot guide the new texture that --unwrap makes; use both in turn")
         require_room_for_textures(document, ("baseColor",), settings.textures, access)
