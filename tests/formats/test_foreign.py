@@ -295,6 +295,59 @@ def test_dae_colours_in_their_place(tmp_path: Path) -> None:
         opened(DAE[:-1].encode(), "x.dae").painted()
 
 
+SKIN = "\n".join(
+    [
+        '<library_controllers><controller id="k"><skin source="#g">',
+        "<bind_shape_matrix>1 0 0 0 0 1 0 0 0 0 1 3 0 0 0 1</bind_shape_matrix>",
+        '<source id="j"><Name_array id="ja" count="1">Bone</Name_array><technique_common>',
+        '<accessor source="#ja" count="1"><param name="JOINT" type="name"/></accessor></technique_common></source>',
+        '<source id="b"><float_array id="ba" count="16">1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1</float_array>',
+        '<technique_common><accessor source="#ba" count="1" stride="16"><param name="TRANSFORM" type="float4x4"/></accessor>',
+        "</technique_common></source>",
+        '<source id="w"><float_array id="wa" count="1">1</float_array><technique_common>',
+        '<accessor source="#wa" count="1"><param name="WEIGHT" type="float"/></accessor></technique_common></source>',
+        '<joints><input semantic="JOINT" source="#j"/><input semantic="INV_BIND_MATRIX" source="#b"/></joints>',
+        '<vertex_weights count="4"><input semantic="JOINT" source="#j" offset="0"/>',
+        '<input semantic="WEIGHT" source="#w" offset="1"/><vcount>1 1 1 1</vcount>',
+        "<v>0 0 0 0 0 0 0 0</v></vertex_weights>",
+        "</skin></controller></library_controllers>",
+    ]
+)
+
+
+def test_dae_polygons_with_a_skin_are_where_they_were_bound() -> None:
+    pytest.importorskip("collada", reason="pycollada is not installed: run the tests by `make test`")
+    skinned = DAE.replace('<instance_geometry url="#g"/>', '<instance_controller url="#k"/>')
+    skinned = skinned.replace("<library_visual_scenes>", f"{SKIN}<library_visual_scenes>")
+    document = opened(skinned.encode(), "x.dae")
+    painted = document.painted()
+    np.testing.assert_array_equal(painted.positions[painted.faces], SQUARE[FACES] + [0, 0, 3])
+    assert "skins" in document.contents().left_out
+
+
+def test_dae_polygons_that_cannot_be_read_are_told_of() -> None:
+    pytest.importorskip("collada", reason="pycollada is not installed: run the tests by `make test`")
+    with pytest.raises(InputError, match="Corrupted float array"):
+        opened(DAE.replace("1 1 0 0 1 0<", "1,1 0 0 1 0<").encode(), "x.dae").painted()
+    broken = '<node><instance_geometry url="#gone"/></node></visual_scene>'
+    document = opened(DAE.replace("</visual_scene>", broken).encode(), "x.dae")
+    assert len(document.painted().faces) == 2
+    assert "what could not be read" in document.contents().left_out
+
+
+def test_off_with_its_counts_right_behind_the_mark() -> None:
+    assert (
+        len(
+            opened(b" \tCOFF3 1 0\n0 0 0 1 0 0 1\n1 0 0 1 1 0 1\n0 1 0 1 0 1 1\n3 0 1 2", "x.off")
+            .painted()
+            .faces
+        )
+        == 1
+    )
+    with pytest.raises(InputError, match="no known format"):
+        opened(b"OFFSET 3 1 0", "x.off")
+
+
 XAML = '<GeometryModel3D xmlns="http://schemas.microsoft.com/winfx/2006/xaml/presentation">junk'
 
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-HEADER = re.compile(rb"(?:\s++|#[^\n]*+\n)*+(ST)?(C)?(N)?(4)?(n)?OFF\b", re.IGNORECASE)
+HEADER = re.compile(rb"(?:\s++|#[^\n]*+\n)*+(ST)?(C)?(N)?(4)?(n)?OFF(?![A-Za-z_])", re.IGNORECASE)
 _COMMENT = re.compile(rb"#[^\r\n]*")
 _COLOUR = (3, 4)  # numbers
 

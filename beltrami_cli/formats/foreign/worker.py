@@ -9,11 +9,16 @@ from __future__ import annotations
 import io
 import signal
 import sys
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from beltrami_cli.formats.foreign.painting import PaintedPolygons
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
 
 MISSING = 77
 """What it exits with if a package is not installed."""
@@ -64,8 +69,8 @@ def read_collada(data: bytes) -> PaintedPolygons:
 
     document = collada.Collada(io.BytesIO(data), ignore=[collada.common.DaeError])
     positions, colours, left = [], [], set()
-    for bound in document.scene.objects("geometry") if document.scene is not None else ():
-        for primitive in bound.original.primitives:
+    for geometry, matrix in _placed(document.scene) if document.scene is not None else ():
+        for primitive in geometry.primitives:
             if isinstance(primitive, (collada.polylist.Polylist, collada.polygons.Polygons)):
                 primitive = primitive.triangleset()
             if not isinstance(primitive, collada.triangleset.TriangleSet):
@@ -74,9 +79,13 @@ def read_collada(data: bytes) -> PaintedPolygons:
             if primitive.vertex is None or not len(primitive.index):
                 continue
             places = primitive.vertex[primitive.vertex_index].reshape(-1, 3).astype(np.float64)
-            positions.append(places @ bound.matrix[:3, :3].T + bound.matrix[:3, 3])
+            positions.append(places @ matrix[:3, :3].T + matrix[:3, 3])
             colours.append(_colours_of(primitive))
+    if document.errors and not positions:
+        raise document.errors[0]
     corners = np.arange(sum(map(len, positions)))
+    left |= {"what could not be read"} if document.errors else set()
+    left |= {"skins"} if document.controllers else set()
     left |= {"materials"} if document.materials else set()
     left |= {"textures"} if document.images else set()
     return PaintedPolygons(
@@ -87,6 +96,15 @@ def read_collada(data: bytes) -> PaintedPolygons:
         "float32",
         tuple(sorted(left)),
     )
+
+
+def _placed(scene: Any) -> Iterator[tuple[Any, NDArray[np.float64]]]:
+    """Give every geometry with its matrix: of its node or, with a skin, of where it was bound to the joints."""
+    for bound in scene.objects("geometry"):
+        yield bound.original, bound.matrix
+    for bound in scene.objects("controller"):
+        if hasattr(bound, "skin"):
+            yield bound.skin.geometry, bound.skin.bind_shape_matrix
 
 
 def _colours_of(primitive: Any) -> Any:
