@@ -70,7 +70,7 @@ def make_files(
     if images:
         raise UsageError(
             f"textures cannot be converted from {document.format} to {target_format}; "
-            f"give the output the extension .{document.format}"
+            f"give the output the extension .{document.format}, or add --unwrap, which makes one new texture of them"
         )
     contents = document.contents()
     if colours is not None:
