@@ -67,7 +67,7 @@ def make_files(
 
     if isinstance(document, GltfDocument) and (target_format == "glb" or target_format == "gltf"):
         return document.repackaged(colours, stem, target_format, moved=moved, images=images, places=places)
-    if images:
+    if images or (document.slots() and not document.has_vertex_colours()):
         raise UsageError(
             f"textures cannot be converted from {document.format} to {target_format}; "
             f"give the output the extension .{document.format}, or add --unwrap, which makes one new texture of them"
