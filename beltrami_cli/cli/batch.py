@@ -111,7 +111,10 @@ def command(
     A run that was killed leaves no file half written. Given the same again with --resume, it goes on.
 
     --max-memory is for all files together, in equal shares; a file for which its share is too little is done alone at
-    the end, with all of it. The program itself takes some 0.2G more for each job.
+    the end, with all of it. The program itself takes some 0.2G more for each job. With --scheduler it is for each file.
+
+    With --scheduler the workers of a Dask cluster do the files (extra cluster), and INPUTS and --out-dir may be URLs
+    that fsspec opens, as they may be without.
     """
     from beltrami_cli.cli.batch_display import Display, show_table
     from beltrami_cli.cli.batch_jobs import jobs_for

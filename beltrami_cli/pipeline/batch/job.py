@@ -145,7 +145,10 @@ def do_job(
     except BeltramiError as error:
         # Whatever refuses a file for want of memory names the option as the way out.
         wants_memory = isinstance(error, InputError) and "--max-memory" in error.remedy
-        outcome = failed(job, str(error), error.exit_code, time.monotonic() - start)
+        told = str(error)
+        if job.source not in told and job.target not in told:
+            told = f"{job.source}: {told}"
+        outcome = failed(job, told, error.exit_code, time.monotonic() - start)
         return Attempt(outcome, wants_memory)
     except Exception as error:  # even a mistake of ours is of this file only
         cause = " ".join(f"{job.source}: unexpected error: {type(error).__name__}: {error}".split())

@@ -15,6 +15,8 @@ from beltrami_cli.errors import ProcessingError
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+LOST = "the connection to the scheduler was lost"
+
 _PATIENCE = 15.0  # seconds for a scheduler to answer
 
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from beltrami_cli.pipeline.batch.job import Attempt, failed
 from beltrami_cli.pipeline.batch.storage import is_url, place_of
+from beltrami_cli.pipeline.cluster.connection import LOST
 from beltrami_cli.pipeline.cluster.task import do_on_worker
 
 if TYPE_CHECKING:
@@ -81,7 +82,7 @@ class ClusterCrew:
         except queue.Empty:
             if self._client.status != "running" and self._client.status != "connecting":
                 for key in list(self._futures):
-                    yield key, self._lost(key, jobs(key), "the connection to the scheduler is gone")
+                    yield key, self._lost(key, jobs(key), LOST)
             return
         if key not in self._futures:
             return
@@ -91,7 +92,7 @@ class ClusterCrew:
         yield key, self._attempt(key, jobs(key))
 
     def _attempt(self, key: int, job: Job) -> Attempt:
-        from distributed import KilledWorker
+        from distributed import CancelledError, KilledWorker
 
         future = self._futures[key]
         try:
@@ -100,6 +101,8 @@ class ClusterCrew:
             # The last of them died with this file in work: it may be what they died of.
             cause = f"every worker that had it in work died, the last one at {error.last_worker.address}"
             return self._lost(key, job, f"{cause}; there may be too little memory")
+        except CancelledError:
+            return self._lost(key, job, f"{LOST}, or the work was cancelled there")
         except Exception as error:
             return self._lost(key, job, " ".join(f"{type(error).__name__}: {error}".split()))
         del self._futures[key]

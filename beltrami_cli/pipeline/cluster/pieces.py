@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from beltrami_cli.errors import ProcessingError
 from beltrami_cli.flow.pieces.exchange import Advance, collect, plan_loans
 from beltrami_cli.flow.pieces.splitting import Joined, TooNarrowError, joined
+from beltrami_cli.pipeline.cluster.connection import LOST
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -65,14 +66,22 @@ class OnCluster:
         from distributed import CancelledError, KilledWorker
 
         for _ in range(_RETRIES):
+            self._require_scheduler(None)
             try:
                 return self._run(pieces, values, iterations, progress)
             except (CancelledError, KilledWorker) as error:
                 last = error
+            except Exception as error:  # many kinds, as Dask itself is not ready for it everywhere
+                self._require_scheduler(error)
+                raise
         cause = " ".join(str(last).split())
         raise ProcessingError(
             f"workers died {_RETRIES} times with pieces of the surface ({cause}); there may be too little memory there"
         )
+
+    def _require_scheduler(self, error: Exception | None) -> None:
+        if self._client.status != "running":
+            raise ProcessingError(LOST) from error
 
     def _run(
         self,

@@ -1,0 +1,150 @@
+"""Time many files, and large surfaces in pieces, on one and on two workers of a Dask cluster on this machine.
+
+Beside the time on the clock there is the processor time of the busiest worker: what the clock would show on a machine
+with nothing else to do, but for what is sent and waited for.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from beltrami_cli.flow.iteration import BeltramiFlow
+from beltrami_cli.flow.parameters import KernelParameters
+from beltrami_cli.flow.pieces.splitting import in_pieces
+from beltrami_cli.mesh.surface import SampledSurface
+from beltrami_cli.pipeline.batch.job import Job
+from beltrami_cli.pipeline.batch.record import Record
+from beltrami_cli.pipeline.batch.run import run_batch
+from beltrami_cli.pipeline.cluster.files import ClusterCrew
+from beltrami_cli.pipeline.cluster.pieces import OnCluster
+from beltrami_cli.pipeline.images.grid_flow import grid_flow
+from beltrami_cli.pipeline.settings.smooth import SmoothSettings
+from cli.commands import SAMPLES
+from cli.dask_cluster import Cluster
+from oracles import surfaces
+
+REPEATS = 2
+FIXED = KernelParameters(
+    iterations=5, t=2.4, beta=4.0, beta_growth=1.5, metric_steps=1, clipping="keep", threads=1
+)
+FILES = 24
+
+
+class Silent:
+    """Watches a batch and says nothing."""
+
+    def __getattr__(self, name):
+        return lambda *_: None
+
+
+def many_files(client):
+    """Smooth some files, each for a second or so."""
+    settings = SmoothSettings(dataclasses.replace(FIXED, iterations=60))
+    with tempfile.TemporaryDirectory() as folder:
+        jobs = [
+            Job(str(SAMPLES / "knot-noisy.ply"), f"{folder}/{number}.ply", settings)
+            for number in range(FILES)
+        ]
+        record = Record(f"{folder}/batch.jsonl", resume=False, overwrite=False)
+        start = time.perf_counter()
+        outcomes = run_batch(
+            jobs, record, Silent(), at_once=1, memory=None, crew=ClusterCrew(client, None, None)
+        )
+        assert all(outcome.status == "done" for outcome in outcomes)
+        return time.perf_counter() - start
+
+
+def mesh(side=700):
+    """Make the flow on a mesh of half a million vertices."""
+    flat, faces = surfaces.lattice(side, side)
+    random = np.random.default_rng(0)
+    colours = 0.5 + 20 / 255 * random.standard_normal((len(flat), 3))
+    surface = SampledSurface(
+        flat, faces.astype(np.int32), np.zeros((0, 3), np.int32), colours.astype(np.float32)
+    )
+    return BeltramiFlow(surface, FIXED)
+
+
+def texture(side=2048):
+    """Make the flow on a picture of four million pixels."""
+    random = np.random.default_rng(0)
+    colours = (0.5 + 20 / 255 * random.standard_normal((side * side, 3))).astype(np.float32)
+    return grid_flow(np.ones((side, side), bool), lambda pixels: colours[pixels], FIXED)
+
+
+def in_eight_pieces(make):
+    """Return what runs a flow, made before, in eight pieces; the time is of its iterations, from cut to joined."""
+
+    def run(client):
+        with in_pieces(8, OnCluster(client)):
+            flow = make()
+            start = time.perf_counter()
+            flow.run()
+            return time.perf_counter() - start
+
+    return run
+
+
+def whole(make):
+    """Time the same on one thread without a cluster: on the clock, and of the processor."""
+    flow = make()
+    start, used = time.perf_counter(), time.process_time()
+    flow.run()
+    return time.perf_counter() - start, time.process_time() - used
+
+
+def busiest(client, case):
+    """Time a case: on the clock, and the processor time of the busiest worker."""
+    before = client.run(time.process_time)
+    clock = case(client)
+    after = client.run(time.process_time)
+    return clock, max(after[worker] - before[worker] for worker in after)
+
+
+def best(measure):
+    """Return the least of each time over repeats."""
+    return tuple(min(times) for times in zip(*(measure() for _ in range(REPEATS)), strict=True))
+
+
+def main() -> None:
+    """Print the table of docs/cluster.md."""
+    cases = {
+        f"{FILES} meshes of 5,000 vertices": many_files,
+        "a mesh of 490,000 vertices, 8 pieces": in_eight_pieces(mesh),
+        "a picture of 2048 x 2048 pixels, 8 pieces": in_eight_pieces(texture),
+    }
+    alone = [None, best(lambda: whole(mesh)), best(lambda: whole(texture))]
+    times = {}
+    for workers in (1, 2):
+        with tempfile.TemporaryDirectory() as folder:
+            cluster = Cluster(Path(folder))
+            try:
+                cluster.grow(workers)
+                with cluster.client() as client:
+                    for name, case in cases.items():
+                        times[name, workers] = best(lambda case=case: busiest(client, case))
+            finally:
+                cluster.close()
+    print(
+        "| clock / processor | no cluster, 1 thread | 1 worker | 2 workers | ratio |\n| --- | --- | --- | --- | --- |"
+    )
+    for name, one in zip(cases, alone, strict=True):
+        first, second = times[name, 1], times[name, 2]
+        ratio = " / ".join(f"{a / b:.2f}" for a, b in zip(first, second, strict=True))
+        print(f"| {name} | {shown(one)} | {shown(first)} | {shown(second)} | {ratio} |")
+
+
+def shown(times):
+    """Return both times in words."""
+    return "" if times is None else " / ".join(f"{each:.1f} s" for each in times)
+
+
+if __name__ == "__main__":
+    main()
