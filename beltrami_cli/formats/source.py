@@ -135,6 +135,8 @@ def recognise(data: bytes, name: str, folder: Path | None, access: Access = EVER
             name, f"it is a {archive} archive, which is not opened", "unpack it, and give the model"
         )
     if name.lower().endswith(".obj"):
+        if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
+            raise InputError(name, "it is text in UTF-16", "save it as UTF-8")
         from beltrami_cli.formats.obj import ObjDocument
 
         return ObjDocument(data, name, folder, access)

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.obj import ObjDocument
+from beltrami_cli.formats.source import recognise
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -161,3 +162,10 @@ def test_material_files_and_textures_inside_the_folder_are_referred_to(tmp_path:
 def test_facts_are_known_without_colours() -> None:
     facts = opened(b"v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nf 1 2 3\n").facts()
     assert (facts["vertices"], facts["coloured_vertices"], facts["polygons"]) == (3, 0, 1)
+
+
+@pytest.mark.parametrize("encoding", ["utf-16-le", "utf-16-be"])
+def test_text_in_utf_16_is_named(encoding: str) -> None:
+    data = "\ufeffv 0 0 0 1 0 0\n".encode(encoding)
+    with pytest.raises(InputError, match="UTF-16; save it as UTF-8"):
+        recognise(data, "x.obj", None)

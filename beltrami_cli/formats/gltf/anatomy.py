@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 _SHARED = ("accessors", "bufferViews", "buffers", "images", "textures", "materials", "meshes")
 _IMAGE_EXTENSIONS = {WEBP, *FOREIGN}
 _PLACE = ("uri", "bufferView", "mimeType")  # of an image
+_NUMBERS_OF_COLOURS = ("bufferView", "byteOffset", "sparse", "min", "max")
 _PACKED_PLACE = ("buffer", "byteOffset", "byteLength")  # of compressed bytes, in the extension of a view
 
 
@@ -128,10 +129,15 @@ def _texture(
 
 
 def _meshes(tree: Tree) -> dict[str, bytes]:
-    """Return the meshes without which accessors their colours have."""
+    """Return the meshes, and what the accessors of their colours say but for the numbers."""
     parts = {}
+    accessors = objects(tree.get("accessors"))
     for index, mesh in enumerate(objects(tree.get("meshes"))):
-        for primitive in objects(mesh.get("primitives")):
+        for number, primitive in enumerate(objects(mesh.get("primitives"))):
+            colour = primitive.get("attributes", {}).get("COLOR_0")
+            if colour is not None and 0 <= colour < len(accessors):
+                kept = {k: v for k, v in accessors[colour].items() if k not in _NUMBERS_OF_COLOURS}
+                parts[f"colours of meshes[{index}].primitives[{number}]"] = _spelled(kept)
             packed = primitive.get("extensions", {}).get(DRACO, {})
             for attributes in (primitive.get("attributes", {}), packed.get("attributes", {})):
                 attributes.pop("COLOR_0", None)
