@@ -46,7 +46,9 @@ def read_model(data: bytes, name: str) -> None:
         document = recognise(main, name, Path(folder), ACCESS)
         document.facts()
         document.references()
-        _use_vertices(document, Path(folder))
+        for use in (document.anatomy, document.contents, lambda: _use_vertices(document, Path(folder))):
+            with contextlib.suppress(InputError):
+                use()
         for slot in document.slots()[:2]:
             with contextlib.suppress(InputError):
                 surface = document.textured(slot)
@@ -61,7 +63,6 @@ def _use_vertices(document: Document, folder: Path) -> None:
     assert painted.faces.size == 0 or 0 <= painted.faces.min() <= painted.faces.max() < len(painted.colours)
     if len(painted.faces):  # points may lack places that were not measured
         assert np.isfinite(painted.positions[painted.faces]).all()
-    document.contents()
     for name in document.attributes()[:3]:
         with contextlib.suppress(InputError):
             document.attribute(name)
