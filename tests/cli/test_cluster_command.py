@@ -96,7 +96,7 @@ def test_a_worker_that_is_killed_midway_costs_nothing_but_time(cluster, tmp_path
     scans.mkdir()
     for number in range(4):
         shutil.copy(SAMPLES / "knot-noisy.ply", scans / f"{number}.ply")
-    long = (*QUICK, "-n", "60")
+    long = (*QUICK, "-n", "150")
     arguments = ["batch", scans, "--out-dir", out, "--scheduler", cluster.address, *long]
     run = subprocess.Popen([*COMMAND, *map(str, arguments)], stderr=subprocess.PIPE)
     assert cluster.kill_busy()

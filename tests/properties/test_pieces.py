@@ -95,7 +95,7 @@ def test_a_mesh_in_pieces_has_the_bits_of_the_whole(name):
 
 def test_kernels_that_are_too_large_for_groups_have_the_bits_of_the_whole_too():
     surface = wavy_surface(65)
-    large = {"solver": "segments", "t": 40.0, "max_samples": 20, "iterations": 1}
+    large = {"solver": "segments", "t": 32.0, "max_samples": 20, "iterations": 1}
     parameters = KernelParameters(**{**FIXED, **large})
     whole = BeltramiFlow(surface, parameters).run()
     with in_pieces(2, InTurn(2)):
@@ -107,7 +107,7 @@ def test_kernels_that_are_too_large_for_groups_have_the_bits_of_the_whole_too():
 def test_pieces_that_are_too_narrow_are_found_out_and_cut_anew(solver, monkeypatch):
     parameters = KernelParameters(**{**FIXED, "solver": solver})
     whole = BeltramiFlow(SURFACE, parameters).run()
-    monkeypatch.setattr(iteration, "_EDGES_PER_SPACING", 0)  # the first guess is two edges
+    monkeypatch.setattr(iteration, "_EDGES_PER_SPACING", 0.5)  # the first guess is four edges
     runner = Sent()
     with in_pieces(3, runner):
         parts = BeltramiFlow(SURFACE, parameters).run()
