@@ -105,10 +105,20 @@ class LocalTriangulation:
     def faces(self) -> NDArray[np.int32]: ...
 
 def local_scale(squared_lengths: NDArray[np.float32], window_radius: int) -> NDArray[np.float32]: ...
+def halo_repeats(
+    rows: int,
+    columns: int,
+    cells: NDArray[np.int64],
+    sources: NDArray[np.int64],
+    seams: NDArray[np.int32],
+    reach: int,
+    threads: int,
+) -> NDArray[np.uint8]: ...
 def smooth_grid(
     kind: NDArray[np.uint8],
     squared_lengths: NDArray[np.float32],
     scale: NDArray[np.float32] | None,
+    repeats: NDArray[np.uint8] | None,
     metric: NDArray[np.float32],
     colours: NDArray[np.float32],
     beta: float,

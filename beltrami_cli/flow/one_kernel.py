@@ -10,6 +10,7 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from beltrami_cli.flow.cell_fields import CellFields
     from beltrami_cli.flow.parameters import KernelParameters
     from beltrami_cli.mesh.atlas import Atlas
 
@@ -54,7 +55,7 @@ def kernel_values(distances: NDArray[np.float32], t: float) -> NDArray[np.float3
 
 def kernel_on_grid(
     atlas: Atlas,
-    scale: NDArray[np.float32] | None,
+    fields: CellFields,
     metric: NDArray[np.float32],
     planes: NDArray[np.float32],
     beta: float,
@@ -68,8 +69,8 @@ def kernel_on_grid(
     ----------
     atlas : Atlas
         The canvas of R x C cells.
-    scale : ndarray of float32, shape (R, C), or None
-        What squared lengths are multiplied by, to be in the unit of length; None: 1.
+    fields : CellFields
+        Of the canvas.
     metric, planes : ndarray of float32, shape (N, R, C)
         Colours that distances are taken from, and colours that are averaged.
     beta : float
@@ -99,7 +100,7 @@ def kernel_on_grid(
     window = grid_distances(
         kind,
         np.ascontiguousarray(atlas.squared_lengths[:, rows, across]),
-        None if scale is None else np.ascontiguousarray(scale[rows, across]),
+        None if fields.scale is None else np.ascontiguousarray(fields.scale[rows, across]),
         np.ascontiguousarray(metric[:, rows, across]),
         beta,
         parameters.radius,
@@ -115,9 +116,12 @@ def kernel_on_grid(
     # Samples at one place have the distance 0 too.
     first = np.argsort(cells != cell, kind="stable")
     distances, cells = window[y, x][first], cells[first]
+    weights = kernel_values(distances, parameters.t)
+    if fields.repeats is not None:
+        weights /= fields.repeats.reshape(-1)[cells]
     return SampledKernel(
         cells.astype(np.int64),
         distances,
-        kernel_values(distances, parameters.t),
+        weights,
         np.ascontiguousarray(planes.reshape(len(planes), -1)[:, cells].T),
     )

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from beltrami_cli.flow.cell_fields import CellFields, halo_repeats
 from beltrami_cli.flow.choice import ON_GRIDS, Choice, choose, is_noisy
 from beltrami_cli.flow.clipping import find_clipped
 from beltrami_cli.flow.grid_metric import GridMetric
@@ -110,7 +111,9 @@ class TexelFlow:
         scale = local_scale(atlas.squared_lengths, parameters.window // 2)
         owned_scale = scale.reshape(-1)[atlas.owned_cells]
         self.spacing = float(np.mean(1 / np.sqrt(owned_scale))) if len(owned_scale) else 0.0
-        self._scale = scale if parameters.units == "spacing" else None
+        self._fields = CellFields(
+            scale if parameters.units == "spacing" else None, halo_repeats(atlas, parameters.thread_count)
+        )
         if unit is None:
             unit = self.spacing if parameters.units == "world" else 1.0
         self._metric = GridMetric(atlas, self.sigma, unit, parameters, guides, metric_channels, walls=walls)
@@ -129,7 +132,7 @@ class TexelFlow:
             budget = max(_LEAST_TRIED, int(len(self.atlas.owned_cells) * _SHARE_TRIED))
             reach = parameters.window // 2 + guide_radius(parameters.metric_scale)
             trial = GridTrial(
-                self.atlas, self._planes, self._scale, self._metric, self._iterate, budget, reach
+                self.atlas, self._planes, self._fields, self._metric, self._iterate, budget, reach
             )
             parameters, self.choice = choose(
                 trial, trial.samples, self.sigma, self._metric.counting, unit, self._metric.beta,
@@ -143,7 +146,7 @@ class TexelFlow:
     def _iterate(
         self,
         atlas: Atlas,
-        scale: NDArray[np.float32] | None,
+        fields: CellFields,
         metric: NDArray[np.float32],
         planes: NDArray[np.float32],
         beta: float,
@@ -154,8 +157,8 @@ class TexelFlow:
 
         own = dataclasses.replace(self.parameters, t=t)
         smoothed, _ = smooth_grid(
-            atlas.kind, atlas.squared_lengths, scale, metric, planes, beta, t, own.radius, own.window // 2,
-            self._scheme(), 0, own.thread_count, None,
+            atlas.kind, atlas.squared_lengths, fields.scale, fields.repeats, metric, planes, beta, t, own.radius,
+            own.window // 2, self._scheme(), 0, own.thread_count, None,
         )  # fmt: skip
         refresh_halo(smoothed, atlas)
         return smoothed
@@ -207,7 +210,8 @@ class TexelFlow:
             planes, held = smooth_grid(
                 self.atlas.kind,
                 self.atlas.squared_lengths,
-                self._scale,
+                self._fields.scale,
+                self._fields.repeats,
                 metric,
                 planes,
                 beta,
@@ -231,7 +235,7 @@ class TexelFlow:
         parameters, split, atlas = self.parameters, wanted_split(), self.atlas
         if split is None or not parameters.iterations or not len(atlas.owned_cells):
             return planes, 0
-        fields = GridFields(atlas, self._scale, self._metric, channels, parameters, self._scheme())
+        fields = GridFields(atlas, self._fields, self._metric, channels, parameters, self._scheme())
         flat = planes.reshape(len(planes), -1)
         values = np.ascontiguousarray(flat[:, atlas.owned_cells].T)
         done = split.run(lambda count, _: cut_grid(fields, count), 0, values, parameters.iterations, progress)
@@ -267,7 +271,7 @@ class TexelFlow:
         """
         metric, beta = self._metric.planes(self._planes, self.parameters.iterations)
         return kernel_on_grid(
-            self.atlas, self._scale, metric, self._planes, beta, self.parameters, self._scheme(), cell
+            self.atlas, self._fields, metric, self._planes, beta, self.parameters, self._scheme(), cell
         )
 
     def gutter_colours(self) -> NDArray[np.float32]:

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from beltrami_cli.flow.cell_fields import CellFields
     from beltrami_cli.flow.grid_metric import GridMetric
     from beltrami_cli.flow.risk import Step
     from beltrami_cli.mesh.atlas import Atlas
@@ -37,12 +38,12 @@ class GridTrial:
         The canvas, R x C cells.
     planes : ndarray of float32, shape (N, R, C)
         Noisy colours, halo included.
-    scale : ndarray of float32, shape (R, C), or None
-        As `smooth_grid` takes it.
+    fields : CellFields
+        Of the whole canvas.
     metric : GridMetric
         Of the whole canvas.
     iterate : callable
-        Makes an iteration from the atlas, the scale, metric planes, colours, beta and t.
+        Makes an iteration from the atlas, its fields, metric planes, colours, beta and t.
     budget : int
         About how many cells to look at; a canvas with no more owned cells is taken whole.
     reach : int
@@ -58,7 +59,7 @@ class GridTrial:
         self,
         atlas: Atlas,
         planes: NDArray[np.float32],
-        scale: NDArray[np.float32] | None,
+        fields: CellFields,
         metric: GridMetric,
         iterate: Callable[..., NDArray[np.float32]],
         budget: int,
@@ -66,12 +67,12 @@ class GridTrial:
     ) -> None:
         self._iterate = iterate
         if len(atlas.owned_cells) <= budget:
-            self._atlas, self._scale, self._metric, self.start = atlas, scale, metric, planes
+            self._atlas, self._fields, self._metric, self.start = atlas, fields, metric, planes
             self._scored = atlas.owned_cells
         else:
             cells, core = _blocks(atlas, budget, reach)
             self._atlas = _cut_out(atlas, cells, core, reach)
-            self._scale = None if scale is None else np.ascontiguousarray(scale.reshape(-1)[cells])
+            self._fields = fields.at(cells)
             self.start = np.ascontiguousarray(planes.reshape(len(planes), -1)[:, cells])
             self.start[:, self._atlas.kind == EMPTY] = 0
             self._metric = metric.cut_out(self._atlas, cells)
@@ -85,7 +86,7 @@ class GridTrial:
     def step(self, state: NDArray[np.float32], step: Step) -> NDArray[np.float32]:
         """Return the planes after an iteration."""
         metric, beta = self._metric.join(state, step.beta, regularised=step.regularised)
-        return self._iterate(self._atlas, self._scale, metric, state, beta, step.t)
+        return self._iterate(self._atlas, self._fields, metric, state, beta, step.t)
 
     def scored(self, state: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the colours of the cells that count, shape (samples, N)."""

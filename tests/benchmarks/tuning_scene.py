@@ -148,7 +148,7 @@ class Steps:
         flow = self.flow
         if self.on_grid:
             metric, used = flow._metric.join(state[: self.channels], beta, regularised=regularised)
-            return flow._iterate(flow.atlas, flow._scale, metric, state, used, t)
+            return flow._iterate(flow.atlas, flow._fields, metric, state, used, t)
         colours = np.ascontiguousarray(state[:, : self.channels])
         metric, used = flow._metric.join(colours, beta, regularised=regularised)
         flow._manifold.update_metric(

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import beltrami_cli
-from beltrami_cli._native import local_scale, smooth_grid
+from beltrami_cli._native import halo_repeats, local_scale, smooth_grid
 from beltrami_cli.flow.parameters import PRESETS, KernelParameters
 from oracles import surfaces
 from properties.textured_planes import Board, smooth_image, textured
@@ -154,7 +154,9 @@ def test_missing_edges_and_empty_rows_are_not_crossed(scheme):
     colours = np.zeros((1, 24, 24), np.float32)
     colours[0, 13:] = 1
     window = 3 if scheme == "sweep" else 0
-    result, _ = smooth_grid(kind, lengths, None, colours, colours, 0.0, 2.0, 6.0, window, scheme, 1, 1, None)
+    result, _ = smooth_grid(
+        kind, lengths, None, None, colours, colours, 0.0, 2.0, 6.0, window, scheme, 1, 1, None
+    )
     assert np.array_equal(result, colours)
 
 
@@ -219,7 +221,7 @@ def test_window_sweeps_agree_with_the_heap_march(beta, t, mean, largest, window)
     radius = float(np.sqrt(-4 * t * log(0.01)))
     results = {
         scheme: smooth_grid(
-            kind, lengths, None, noisy, noisy, beta, t, radius, window // 2, scheme, repairs, 1, None
+            kind, lengths, None, None, noisy, noisy, beta, t, radius, window // 2, scheme, repairs, 1, None
         )[0]
         for scheme, repairs in (("sweep", 0), ("triangles", 0))
     }
@@ -227,7 +229,7 @@ def test_window_sweeps_agree_with_the_heap_march(beta, t, mean, largest, window)
     assert difference.mean() < mean
     assert difference.max() < largest
     repaired, _ = smooth_grid(
-        kind, lengths, None, noisy, noisy, beta, t, radius, window // 2, "sweep", 2, 1, None
+        kind, lengths, None, None, noisy, noisy, beta, t, radius, window // 2, "sweep", 2, 1, None
     )
     assert np.abs(repaired - results["triangles"]).mean() <= difference.mean() + 1e-8
 
@@ -236,7 +238,7 @@ def test_window_sweeps_agree_with_the_heap_march(beta, t, mean, largest, window)
 def test_every_instruction_set_gives_the_same_bits(name, monkeypatch):
     kind, lengths = grid(50)
     noisy = np.ascontiguousarray(painting(50).transpose(2, 0, 1), np.float32)
-    arguments = (kind, lengths, None, noisy, noisy, 8.0, 1.5, 5.0, 3, "sweep", 0, 1, None)
+    arguments = (kind, lengths, None, None, noisy, noisy, 8.0, 1.5, 5.0, 3, "sweep", 0, 1, None)
     best, _ = smooth_grid(*arguments)
     monkeypatch.setenv("BELTRAMI_SIMD", name)
     try:
@@ -259,7 +261,9 @@ def test_every_scheme_smooths_by_a_gaussian_on_a_sheared_plane(scheme, shear):
     impulse[0, 20, 20] = 1
     window = 0 if scheme != "sweep" else 7
     radius = float(np.sqrt(-4 * t * log(0.001)))
-    ours, _ = smooth_grid(kind, lengths, None, impulse, impulse, 0.0, t, radius, window, scheme, 1, 1, None)
+    ours, _ = smooth_grid(
+        kind, lengths, None, None, impulse, impulse, 0.0, t, radius, window, scheme, 1, 1, None
+    )
     y, x = np.mgrid[-20:21, -20:21]
     away = (x[..., None] * e1 + y[..., None] * e2) ** 2 @ [1, 1]
     truth = np.where(away <= radius**2, np.exp(-away / (4 * t)), 0)
@@ -295,3 +299,54 @@ def test_a_regularised_metric_resists_the_noise_that_it_does_not_see():
         return -10 * np.log10(np.mean((result - clean) ** 2))
 
     assert psnr(metric_scale=0.7, metric_steps=1) > psnr(metric_steps=0) + 1
+
+
+@pytest.mark.parametrize("scheme", ["triangles", "metric", "sweep"])
+def test_a_cell_that_repeats_a_texel_counts_for_its_share(scheme):
+    """A linear kernel of shares w is that of w I over that of w."""
+    kind, lengths = grid(30)
+    repeats = RANDOM.integers(1, 5, kind.shape).astype(np.uint8)
+    repeats[:, :15] = 1  # of samples: only what lies beyond a seam is repeated
+    kind[:, 15:] = np.where(kind[:, 15:] == 1, 2, kind[:, 15:])
+    colours = np.ascontiguousarray(painting(30).transpose(2, 0, 1), np.float32)
+    shares = (1 / repeats).astype(np.float32)
+    both = np.concatenate([colours * shares, shares[None]])
+    more = (0.0, 1.5, 5.0, 3, scheme, 0, 1, None)
+    result, _ = smooth_grid(kind, lengths, None, repeats, colours, colours, *more)
+    parts, _ = smooth_grid(kind, lengths, None, None, both, both, *more)
+    owned = kind == 1
+    assert np.abs(result - parts[:3] / parts[3])[:, owned].max() < 2e-6  # rounding of sums of 49
+    assert np.abs(result - smooth_grid(kind, lengths, None, None, colours, colours, *more)[0]).max() > 1e-3
+
+
+def test_repeats_are_those_within_reach_over_the_same_seam():
+    rows, columns, reach = 20, 30, 2
+    cells = RANDOM.choice(rows * columns, 300, replace=False)
+    sources, seams = RANDOM.integers(0, 9, 300), RANDOM.integers(-1, 2, 300).astype(np.int32)
+    repeats = halo_repeats(rows, columns, cells, sources, seams, reach, 2)
+    row, column = np.divmod(cells, columns)
+    near = np.maximum(np.abs(row[:, None] - row), np.abs(column[:, None] - column)) <= reach
+    same = (sources[:, None] == sources) & (seams[:, None] == seams)
+    assert np.array_equal(repeats.ravel()[cells], (near & same).sum(axis=1))
+    assert (np.delete(repeats.ravel(), cells) == 1).all()
+
+
+@pytest.mark.parametrize("ratio", [24 / 64, 32 / 64])
+def test_a_fine_chart_is_not_spoilt_by_a_coarse_one_beyond_its_seam(ratio):
+    """Stripes that coarse texels do not resolve: each is shown in several fine cells there, but is one sample."""
+    positions, faces = surfaces.plane(2, 3)
+    corners = positions[faces][:, :, :2]
+    fine = corners.mean(axis=1)[:, 0] < 1
+    uv = np.where(fine[:, None, None], 64 * corners, [80, 0] + 64 * ratio * (corners - [1, 0])) / 128
+    apart = np.concatenate([positions, positions + np.array([9, 0, 0])])
+    torn = textured(apart, np.where(fine[:, None], faces, faces + len(positions)), uv)
+    y, x = np.mgrid[:128, :128]
+    along = np.where(x < 64, x + 0.5, 64 + (x - 79.5) / ratio)  # on the surface, in fine texels
+    stripes = 0.3 + 0.4 * ((along + (y + 0.5) * np.where(x < 64, 1, 1 / ratio)) // 8 % 2)[..., None]
+    noisy = stripes + np.random.default_rng(8).normal(0, 20 / 255, stripes.shape)
+    settings = {"beta": 18.0, "beta_growth": 1.5, "t": 4.0, "iterations": 8, "metric_steps": 2}
+    whole, alone = (
+        np.mean((smooth_image(surface, noisy, **settings)[0] - stripes)[:64, 60:64] ** 2)
+        for surface in (textured(positions, faces, uv), torn)
+    )
+    assert whole < alone

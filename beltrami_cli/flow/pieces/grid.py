@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from beltrami_cli.flow.cell_fields import CellFields
     from beltrami_cli.flow.grid_metric import GridMetric
     from beltrami_cli.flow.parameters import KernelParameters
     from beltrami_cli.mesh.atlas import Atlas
@@ -34,8 +35,8 @@ class GridFields:
     ----------
     atlas : Atlas
         With T owned cells, which are the samples.
-    scale : ndarray of float32, shape (R, C), or None
-        As the core takes it.
+    cells : CellFields
+        Of the whole canvas.
     metric : GridMetric
         Of the whole canvas.
     channels : int
@@ -47,7 +48,7 @@ class GridFields:
     """
 
     atlas: Atlas
-    scale: NDArray[np.float32] | None
+    cells: CellFields
     metric: GridMetric
     channels: int
     parameters: KernelParameters
@@ -118,7 +119,7 @@ class GridPiece:
         cut[atlas.cut_cells] = True
         self._lengths = np.ascontiguousarray(atlas.squared_lengths.reshape(4, -1)[:, cells])
         self._kind = kind
-        self._scale = None if fields.scale is None else np.ascontiguousarray(fields.scale.reshape(-1)[cells])
+        self._cells = fields.cells.at(cells)
         alone = _without_references(atlas, kind, self._lengths, np.flatnonzero(cut[cells.reshape(-1)]))
         self._metric = fields.metric.cut_out(alone, cells)
         self._beta, self._channels = fields.metric.beta, fields.channels
@@ -143,8 +144,8 @@ class GridPiece:
             regularised=parameters.is_regularised(iteration),
         )
         smoothed, held = smooth_grid(
-            self._kind, self._lengths, self._scale, metric, planes, beta, parameters.t, parameters.radius,
-            parameters.window // 2, self._scheme, 0, threads, None,
+            self._kind, self._lengths, self._cells.scale, self._cells.repeats, metric, planes, beta, parameters.t,
+            parameters.radius, parameters.window // 2, self._scheme, 0, threads, None,
         )  # fmt: skip
         made = smoothed.reshape(len(smoothed), -1)[:, self._own_cells]
         return Advance(np.ascontiguousarray(made.T), held, 0)

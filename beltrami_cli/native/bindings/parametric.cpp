@@ -9,6 +9,7 @@
 
 #include "bindings/arrays.hpp"
 #include "parametric/local_scale.hpp"
+#include "parametric/repeats.hpp"
 #include "parametric/window_march.hpp"
 #include "parametric/window_sweep.hpp"
 
@@ -25,8 +26,12 @@ Planes planes_of(const Stack& stack, const Grid& grid) {
   return {stack.data(), stack.shape(0)};
 }
 
-Grid grid_of(const Cells& kind, const Stack& squared_lengths, const std::optional<Plane>& scale) {
-  const Grid grid{kind.shape(0), kind.shape(1), kind.data(), squared_lengths.data(), scale ? scale->data() : nullptr};
+Grid grid_of(const Cells& kind, const Stack& squared_lengths, const std::optional<Plane>& scale,
+             const std::optional<Cells>& repeats = {}) {
+  const Grid grid{kind.shape(0), kind.shape(1), kind.data(), squared_lengths.data(), scale ? scale->data() : nullptr,
+                  repeats ? repeats->data() : nullptr};
+  if (repeats && (repeats->shape(0) != grid.rows || repeats->shape(1) != grid.columns))
+    throw nb::value_error("the repeats must have the grid's shape");
   if (scale && (scale->shape(0) != grid.rows || scale->shape(1) != grid.columns))
     throw nb::value_error("the scale must have the grid's shape");
   if (planes_of(squared_lengths, grid).channels != direction_count) throw nb::value_error("four planes of lengths are needed");
@@ -36,10 +41,11 @@ Grid grid_of(const Cells& kind, const Stack& squared_lengths, const std::optiona
 Scheme march_of(const std::string& scheme) { return scheme == "metric" ? Scheme::metric : Scheme::triangles; }
 
 // One kernel iteration on a grid. scheme: "sweep" (window of the given radius), "triangles" or "metric" (heap march).
-auto smooth_grid(const Cells& kind, const Stack& squared_lengths, const std::optional<Plane>& scale, const Stack& metric, const Stack& colours, float beta,
+auto smooth_grid(const Cells& kind, const Stack& squared_lengths, const std::optional<Plane>& scale,
+                 const std::optional<Cells>& repeats, const Stack& metric, const Stack& colours, float beta,
                  float time_step, float radius, int window_radius, const std::string& scheme, int repairs,
                  unsigned threads, const nb::object& progress) {
-  const Grid grid = grid_of(kind, squared_lengths, scale);
+  const Grid grid = grid_of(kind, squared_lengths, scale, repeats);
   const Planes metric_planes = planes_of(metric, grid), colour_planes = planes_of(colours, grid);
   const SweepParameters parameters{time_step, radius, beta, repairs};
   std::unique_ptr<float[]> smoothed(new float[colours.size()]);
@@ -92,14 +98,30 @@ auto local_scale_of(const Stack& squared_lengths, int window_radius) {
   return give<float, nb::ndim<2>>(std::move(scale), {rows, columns});
 }
 
+// How often halo cells show the same sample, see count_repeats; cells, sources and seams have a row a halo cell.
+auto halo_repeats(std::size_t rows, std::size_t columns, const Vector<std::int64_t>& cells,
+                  const Vector<std::int64_t>& sources, const Vector<std::int32_t>& seams, int reach, unsigned threads) {
+  if (sources.size() != cells.size() || seams.size() != cells.size()) throw nb::value_error("one row a halo cell is needed");
+  for (std::size_t i = 0; i < cells.size(); ++i)
+    if (cells.data()[i] < 0 || static_cast<std::size_t>(cells.data()[i]) >= rows * columns)
+      throw nb::index_error("a halo cell lies outside the grid");
+  std::unique_ptr<std::uint8_t[]> repeats(new std::uint8_t[rows * columns]);
+  {
+    const nb::gil_scoped_release unlock;
+    count_repeats(rows, columns, {cells.data(), sources.data(), seams.data(), cells.size()}, reach, repeats.get(), threads);
+  }
+  return give<std::uint8_t, nb::ndim<2>>(std::move(repeats), {rows, columns});
+}
+
 }  // namespace
 
 void bind_parametric(nb::module_& module) {
   using namespace nb::literals;
-  module.def("smooth_grid", &smooth_grid, "kind"_a, "squared_lengths"_a, "scale"_a.none(), "metric"_a, "colours"_a, "beta"_a, "time_step"_a,
+  module.def("smooth_grid", &smooth_grid, "kind"_a, "squared_lengths"_a, "scale"_a.none(), "repeats"_a.none(), "metric"_a, "colours"_a, "beta"_a, "time_step"_a,
              "radius"_a, "window_radius"_a, "scheme"_a, "repairs"_a, "threads"_a, "progress"_a.none());
   module.def("grid_distances", &grid_distances, "kind"_a, "squared_lengths"_a, "scale"_a.none(), "metric"_a, "beta"_a, "radius"_a,
              "window_radius"_a, "scheme"_a, "repairs"_a, "cell"_a);
+  module.def("halo_repeats", &halo_repeats, "rows"_a, "columns"_a, "cells"_a, "sources"_a, "seams"_a, "reach"_a, "threads"_a);
   module.def("local_scale", &local_scale_of, "squared_lengths"_a, "window_radius"_a);
   module.def("sweep_instruction_set", &sweep_instruction_set);
 }

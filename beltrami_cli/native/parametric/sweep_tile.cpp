@@ -137,9 +137,10 @@ struct Averages {
   float* sums;  // lane_count a channel
 };
 
-// Sums over the window's cells within the radius, as differences from the centres, so that a constant stays.
+// Sums over the window's cells within the radius, as differences from the centres, so that a constant stays. `shares`
+// is what each cell of the tile counts for; nullptr: 1.
 Averages average(const TileJob& job, const Layout& layout, const float* window, const float* colours,
-                 std::size_t centre, float* sums) {
+                 const float* shares, std::size_t centre, float* sums) {
   const float factor = -1 / (4 * job.parameters->time_step);
   const float reach = std::min(job.parameters->radius, longest_radius);
   Averages averages{splat(1), splat(1), sums};
@@ -148,11 +149,12 @@ Averages average(const TileJob& job, const Layout& layout, const float* window, 
     const Lanes phi = load(window + static_cast<std::size_t>(target.slot) * lane_count);
     const Mask within = phi <= reach;
     const Lanes distance = select(within, phi, Lanes{});
-    const Lanes kernel = select(within, exponential(distance * distance * factor), Lanes{});
+    const std::ptrdiff_t step = layout.at(target.offset);
+    Lanes kernel = select(within, exponential(distance * distance * factor), Lanes{});
+    if (shares != nullptr) kernel = kernel * load(shares + centre + step);
     averages.held += select(within, splat(1), Lanes{});
     averages.total += kernel;
     const float* here = colours + centre;
-    const std::ptrdiff_t step = layout.at(target.offset);
     for (float* sum = sums; sum != sums + job.colours.channels * lane_count; sum += lane_count, here += layout.size)
       store(sum, load(sum) + kernel * (load(here + step) - load(here)));
   }
@@ -189,8 +191,8 @@ std::int64_t sweep_tile(const TileJob& job, const Tile& tile, TileScratch& scrat
   const Grid& grid = *job.grid;
   const Layout layout(tile, job.program->radius);
   const int side = 2 * job.program->radius + 1;
-  // Besides the colours, the scale and what is blocked.
-  const std::size_t colour_planes = job.metric.channels + job.colours.channels + 2;
+  // Besides the colours, what is blocked, the scale and the shares.
+  const std::size_t colour_planes = job.metric.channels + job.colours.channels + 3;
   scratch.planes.resize((plane_count + colour_planes) * layout.size);
   scratch.window.resize(static_cast<std::size_t>(side * side) * lane_count);
   scratch.sums.resize(job.colours.channels * lane_count);
@@ -204,6 +206,10 @@ std::int64_t sweep_tile(const TileJob& job, const Tile& tile, TileScratch& scrat
   float* blocked = colours + job.colours.channels * layout.size;
   float* scale = grid.scale != nullptr ? blocked + layout.size : nullptr;
   if (scale != nullptr) copy_plane(grid, grid.scale, tile, layout, 1, scale);
+  float* shares = grid.repeats != nullptr ? blocked + 2 * layout.size : nullptr;
+  if (shares != nullptr)
+    copy_plane(grid, grid.repeats, tile, layout, 1, shares,
+               [](std::uint8_t repeats) { return 1 / static_cast<float>(repeats); });
   measure_edges(job, tile, layout, metric, scale, blocked, squared, lengths);
   for (std::size_t i = 0; i < stencil_classes.size(); ++i)
     make_class(layout, squared, stencil_classes[i], coefficients + 3 * i * layout.size);
@@ -223,7 +229,7 @@ std::int64_t sweep_tile(const TileJob& job, const Tile& tile, TileScratch& scrat
       for (int repair = 0; repair < job.parameters->repairs; ++repair)
         pass(job.program->repair, layout, lengths, coefficients, centre, window);
       if (job.distances != nullptr) write_window(window, side * side, job.distances);
-      const Averages averages = average(job, layout, window, colours, centre, scratch.sums.data());
+      const Averages averages = average(job, layout, window, colours, shares, centre, scratch.sums.data());
       samples += write_owned(job, averages, cell, count);
     }
   return samples;

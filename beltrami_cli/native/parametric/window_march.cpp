@@ -29,16 +29,18 @@ std::int64_t smooth_by_marching(const Grid& grid, Planes metric, Planes colours,
   const std::size_t count = numbers.cell_of.size();
   std::vector<float> rows(count * colours.channels), result(rows.size());
   std::vector<std::uint8_t> wanted(count);
+  std::vector<float> shares(grid.repeats != nullptr ? count : 0);
   const auto places = window_radius > 0 ? places_of(numbers, grid.columns) : std::vector<GridPlace>();
   for (std::size_t i = 0; i < count; ++i) {
     const std::size_t cell = numbers.cell_of[i];
     wanted[i] = grid.kind[cell] == owned;
+    if (!shares.empty()) shares[i] = 1 / static_cast<float>(grid.repeats[cell]);
     for (std::size_t channel = 0; channel < colours.channels; ++channel)
       rows[i * colours.channels + channel] = colours.data[channel * grid.cells() + cell];
   }
   const Poll cell_poll = poll ? Poll([&](std::size_t done) { return poll(done * grid.cells() / count); }) : Poll();
   const triangulated::Selection selection{wanted.data(), window_radius > 0 ? places.data() : nullptr, window_radius};
-  const auto statistics = triangulated::smooth(stencils, {rows.data(), colours.channels}, nullptr,
+  const auto statistics = triangulated::smooth(stencils, {rows.data(), colours.channels}, shares.empty() ? nullptr : shares.data(),
                                                {parameters.time_step, std::min(parameters.radius, longest_radius), count}, result.data(), threads, cell_poll,
                                                selection);
   std::copy(colours.data, colours.data + colours.channels * grid.cells(), smoothed);
