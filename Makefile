@@ -80,7 +80,7 @@ lint: $(VENV)/.installed-test
 
 # The peers have an environment of their own: they pin other versions of what the tests use.
 bench:
-	$(MAKE) --no-print-directory VENV=$(VENV)-bench run-bench
+	$(MAKE) --no-print-directory VENV=$(VENV)-bench RESTRAIN="--no-binary gdist" run-bench
 
 run-bench: $(VENV)/.installed-bench
 	$(BIN)/python tests/benchmarks/bench_triangulated.py

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import OpenImageIO
+import pytest
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -74,6 +75,9 @@ def encode(
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / f"image{(SUFFIXES | RARER_SUFFIXES)[known]}"
         file = OpenImageIO.ImageOutput.create(known)
+        if file is None:
+            OpenImageIO.geterror()
+            pytest.skip(f"this build of OpenImageIO does not write {known}")
         assert file.open(str(path), spec), file.geterror()
         assert file.write_image(np.ascontiguousarray(pixels))
         assert file.close()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import struct
 import zlib
 from typing import TYPE_CHECKING
@@ -9,12 +10,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 import OpenImageIO
 import pytest
+from PIL import Image
 
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.formats.image import check_writable, from_float, losses, read_image, to_float, write_image
 from formats.image_files import RARER_SUFFIXES, encode, noise, png_chunk
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
 WRITTEN = [
@@ -57,26 +60,23 @@ def psd(pixels: np.ndarray) -> bytes:
     return header + bytes(12) + bytes(2) + np.moveaxis(pixels, 2, 0).tobytes()
 
 
-def read_only() -> list[tuple[str, bytes, np.ndarray]]:
+def read_only() -> dict[str, tuple[Callable[[], bytes], np.ndarray]]:
     opaque = noise("uint8", 4)
     opaque[..., 3] = 255
     flat = np.full((5, 7, 3), 9, np.uint8)
-    return [
-        ("x.dds", dds(opaque), opaque),
-        ("x.psd", psd(opaque[..., :3]), opaque[..., :3]),
-        ("x.ico", encode(opaque, "ico"), opaque),
-        ("x.gif", encode(flat, "gif"), np.dstack([flat, np.full((5, 7), 255, np.uint8)])),
-        ("x.z", encode(noise("float", 1), "zfile"), noise("float", 1)),
-    ]
+    return {
+        "x.dds": (lambda: dds(opaque), opaque),
+        "x.psd": (lambda: psd(opaque[..., :3]), opaque[..., :3]),
+        "x.ico": (lambda: encode(opaque, "ico"), opaque),
+        "x.gif": (lambda: encode(flat, "gif"), np.dstack([flat, np.full((5, 7), 255, np.uint8)])),
+        "x.z": (lambda: encode(noise("float", 1), "zfile"), noise("float", 1)),
+    }
 
 
-@pytest.mark.parametrize(
-    ("name", "data", "pixels"), read_only(), ids=lambda value: value if isinstance(value, str) else ""
-)
-def test_formats_that_are_only_read_say_what_else_there_is(
-    name: str, data: bytes, pixels: np.ndarray
-) -> None:
-    picture = read_image(data, name)
+@pytest.mark.parametrize("name", read_only())
+def test_formats_that_are_only_read_say_what_else_there_is(name: str) -> None:
+    make, pixels = read_only()[name]
+    picture = read_image(make(), name)
     np.testing.assert_array_equal(picture.pixels, pixels)
     with pytest.raises(
         UsageError, match=f"{name}: images cannot be written as {name[2:].upper()}; choose .png"
@@ -168,3 +168,15 @@ def test_damage_is_refused_or_read_around(known: str) -> None:
         except InputError:
             continue
         assert np.isfinite(picture.pixels).all()
+
+
+@pytest.mark.parametrize("suffix", [".png", ".bmp", ".tga", ".tif"])
+def test_palettes_of_all_formats_are_told_of_and_greys_alone_are_none(suffix: str) -> None:
+    colours = Image.fromarray(noise("uint8", 3, 16, 16)).quantize(16)
+    buffer = io.BytesIO()
+    colours.save(buffer, Image.registered_extensions()[suffix])
+    assert "palette" in read_image(buffer.getvalue(), f"x{suffix}").notices[0]
+    for kind in ("RGB", "L"):
+        plain = io.BytesIO()
+        colours.convert(kind).save(plain, Image.registered_extensions()[suffix])
+        assert not read_image(plain.getvalue(), f"x{suffix}").notices
