@@ -129,6 +129,17 @@ def test_options_before_the_name_of_a_map(options: str, name: str, tmp_path: Pat
     assert texture.name == name
 
 
+@pytest.mark.parametrize("name", ["m a.mtl", '"m a.mtl"', "./m a.mtl", ".\\m a.mtl", "m a.mtl # why"])
+def test_a_library_is_found_however_it_is_named(name: str, tmp_path: Path) -> None:
+    (tmp_path / "a.png").write_bytes(PICTURE)
+    (tmp_path / "m a.mtl").write_text('newmtl m\nmap_Kd "a.png"\n')
+    source = f"mtllib {name}\n{SQUARE}{CORNERS}usemtl m\nf 1/1 2/2 3/3 4/4\n"
+    (tmp_path / "x.obj").write_text(source)
+    smooth_file(tmp_path / "x.obj", tmp_path / "y.obj")
+    assert (tmp_path / "y.obj").read_text() == source.replace("m a.mtl", "y.mtl")
+    assert (tmp_path / "y.mtl").read_text() == 'newmtl m\nmap_Kd "y_a.png"\n'
+
+
 def test_the_first_library_that_has_a_material_counts(tmp_path: Path) -> None:
     for name, image in {"a": PICTURE, "b": OTHER}.items():
         (tmp_path / f"{name}.png").write_bytes(image)

@@ -135,6 +135,8 @@ class Materials:
     def _names(self, text: bytes, start: int) -> Iterator[tuple[str, int]]:
         """Split the names of several libraries, which may hold blanks; give each with its place."""
         whole = os.fsdecode(text)
+        if len(whole) > 2 and whole[0] == whole[-1] == '"':
+            whole, start = whole[1:-1], start + 1
         if self._beside.find(whole) is not None:
             yield whole, start
             return
