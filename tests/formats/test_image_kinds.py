@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import struct
 import zlib
 from typing import TYPE_CHECKING
@@ -10,7 +9,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 import OpenImageIO
 import pytest
-from PIL import Image
 
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.formats.image import check_writable, from_float, losses, read_image, to_float, write_image
@@ -168,15 +166,3 @@ def test_damage_is_refused_or_read_around(known: str) -> None:
         except InputError:
             continue
         assert np.isfinite(picture.pixels).all()
-
-
-@pytest.mark.parametrize("suffix", [".png", ".bmp", ".tga", ".tif"])
-def test_palettes_of_all_formats_are_told_of_and_greys_alone_are_none(suffix: str) -> None:
-    colours = Image.fromarray(noise("uint8", 3, 16, 16)).quantize(16)
-    buffer = io.BytesIO()
-    colours.save(buffer, Image.registered_extensions()[suffix])
-    assert "palette" in read_image(buffer.getvalue(), f"x{suffix}").notices[0]
-    for kind in ("RGB", "L"):
-        plain = io.BytesIO()
-        colours.convert(kind).save(plain, Image.registered_extensions()[suffix])
-        assert not read_image(plain.getvalue(), f"x{suffix}").notices

@@ -24,6 +24,7 @@ _WEBP_ALPHA, _WEBP_ANIMATION = 0x10, 0x02
 _WEBP_PIXELS = (b"ALPH", b"VP8 ", b"VP8L")
 _COMMENT, _ADOBE, _START_OF_SCAN = 0xFE, 0xEE, 0xDA
 _FRAMES = (*range(0xC0, 0xC4), *range(0xC5, 0xC8), *range(0xC9, 0xCC), *range(0xCD, 0xD0))
+_MOST_BITS_OF_A_PALETTE = 8
 _PLAIN_MARKERS = (0x01, *range(0xD0, 0xD9))  # markers without a segment
 
 
@@ -64,9 +65,17 @@ def is_animated(data: bytes, known: str) -> bool:
     return known == "webp" and data[12:16] == b"VP8X" and len(data) > 20 and bool(data[20] & _WEBP_ANIMATION)
 
 
-def has_palette(data: bytes) -> bool:
-    """Tell whether a PNG file stores numbers of colours in a palette."""
-    return data[25:26] == b"\3"  # colour type, in the header that every file starts with
+def has_palette(data: bytes, known: str) -> bool:
+    """Tell whether a PNG, BMP, TGA or GIF file stores numbers of colours in a palette."""
+    match known:
+        case "png":
+            return data[25:26] == b"\3"  # colour type, in the header that every file starts with
+        case "bmp":  # bits a pixel, in the header of OS/2 or in that of Windows
+            at = 24 if data[14:18] == b"\x0c\0\0\0" else 28
+            return 0 < int.from_bytes(data[at : at + 2], "little") <= _MOST_BITS_OF_A_PALETTE
+        case "targa":  # a map of colours, and pixels that number them, plain or in runs
+            return data[1:3] in (b"\1\1", b"\1\x09")
+    return known == "gif"
 
 
 def is_lossless_webp(data: bytes) -> bool:

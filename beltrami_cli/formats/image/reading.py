@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 _LARGEST = 1 << 28  # pixels: 16384 x 16384, the largest texture that graphics cards take
 _MOST_CHANNELS = 64
+_COLOURED = 3  # channels
+_PALETTE_IN_TIFF = 3  # its photometric interpretation
 _MOST_MEGABYTES = 8192  # of decoded pixels
 _STORED = {"uint8": "uint8", "uint16": "uint16", "half": "float16", "float": "float32"}
 _EXPORT = "export it as RGB or grey with 8 or 16 bits, or as floats"
@@ -71,7 +73,7 @@ def read_image(data: bytes, name: str, *, finite: bool = True) -> Picture:
             error = file.geterror()
             if pixels is None or error:
                 raise _damaged(name, known, error, path)
-            notices = _left_out(file, data, known, name)
+            notices = _left_out(file, spec, data, known, name)
         finally:
             file.close()
             file.geterror()
@@ -87,7 +89,7 @@ def read_image(data: bytes, name: str, *, finite: bool = True) -> Picture:
     return _picture(data, name, known, spec, pixels, notices)
 
 
-def _left_out(file: Any, data: bytes, known: str, name: str) -> tuple[str, ...]:
+def _left_out(file: Any, spec: Any, data: bytes, known: str, name: str) -> tuple[str, ...]:
     """Say what of the file is neither read nor kept."""
     notices = []
     if known == "psd":  # whose first image is all its layers together
@@ -96,7 +98,9 @@ def _left_out(file: Any, data: bytes, known: str, name: str) -> tuple[str, ...]:
         notices.append(f"{name} holds several images, of which only the first is read and kept.")
     if file.seek_subimage(0, 1):
         notices.append(f"{name} holds smaller copies of itself (mip levels), which are left out.")
-    if known == "gif" or (known == "png" and has_palette(data)):
+    in_tiff = spec.get_int_attribute("tiff:PhotometricInterpretation") == _PALETTE_IN_TIFF
+    # In a palette of greys alone OpenImageIO sees grey, and so writes it.
+    if spec.nchannels >= _COLOURED and (in_tiff or has_palette(data, known)):
         notices.append(f"{name} has a palette, which becomes full colours.")
     return tuple(notices)
 
