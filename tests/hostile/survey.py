@@ -97,7 +97,8 @@ def _within_range(document: Document, target: Path) -> bool:
     """Tell whether averages lie within what they were made of, or on the nearest value that the file can hold."""
     before, after = document.painted().colours, open_document(str(target), ACCESS).painted().colours
     slack = 1 / 255 + 1e-4 * np.abs(before).max()
-    low, high = np.clip(before.min(axis=0), 0, 1), np.clip(before.max(axis=0), 0, 1)
+    low, high = before.min(axis=0), before.max(axis=0)
+    low, high = np.minimum(low, np.clip(low, 0, 1)), np.maximum(high, np.clip(high, 0, 1))
     return bool(((after >= low - slack) & (after <= high + slack)).all())
 
 
