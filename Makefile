@@ -19,7 +19,7 @@ help:
 	@echo "make bench     time and judge the kernels against their peers"
 	@echo "make sanitize  test the core under the address and undefined-behaviour sanitizers"
 	@echo "make fuzz      fuzz every reader and the core, FUZZ_SECONDS=60 each; needs clang++"
-	@echo "make survey    try all models in FOLDERS, and print what came of them as a table"
+	@echo "make survey    try all models in FOLDERS, and print what came of them and of MUTATIONS of each as a table"
 	@echo "make samples   make sample_data/ anew, bit for bit"
 	@echo "make viewer    bundle the three.js of beltrami report anew"
 	@echo "make clean     remove what was built"
@@ -126,9 +126,10 @@ fuzz-core: $(VENV)/.installed-test
 	  -artifact_prefix=build/fuzz/core- build/fuzz/core tests/fuzz/corpus/core
 
 # For docs/formats.md: FOLDERS with models of any kind, nothing of which is written to.
-FOLDERS ?= sample_data
+FOLDERS   ?= sample_data
+MUTATIONS ?= 8
 survey: $(VENV)/.installed-test
-	$(BIN)/python tests/hostile/survey.py $(FOLDERS)
+	$(BIN)/python tests/hostile/survey.py $(FOLDERS) --mutations $(MUTATIONS)
 
 samples: $(VENV)/.installed-samples
 	$(BIN)/python sample_data/make.py

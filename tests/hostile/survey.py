@@ -148,15 +148,23 @@ def tried(source: Path) -> tuple[str, str]:
         shutil.rmtree(out)
 
 
+def overwritten(data: bytes, chance: random.Random) -> bytes:
+    """Change a byte or a few where they are, so that most of a file stays what it was."""
+    result = bytearray(data)
+    for _ in range(chance.choice([1, 1, 3])):
+        result[chance.randrange(len(result))] = chance.randrange(256)
+    return bytes(result)
+
+
 def mutations(source: Path, count: int) -> Iterator[tuple[str, str]]:
-    """Try a file with bytes changed; what lies beside it stays as it is."""
+    """Try a file with bytes changed, removed and put in; what lies beside it stays as it is."""
     good, chance = source.read_bytes(), random.Random(source.name)
     folder = Path(tempfile.mkdtemp(prefix="survey-"))
     try:
         shutil.copytree(source.parent, folder / "model", ignore_dangling_symlinks=True)
         bad = folder / "model" / source.name
         for number in range(count):
-            bad.write_bytes(mutated(good, [good], chance))
+            bad.write_bytes(mutated(good, [good], chance) if number % 2 else overwritten(good, chance))
             outcome, detail = tried(bad)
             yield outcome, f"mutation {number}: {detail}"
     finally:
