@@ -60,7 +60,8 @@ def _page(context: click.Context, version: str) -> Iterator[str]:
     yield ".SH DESCRIPTION"
     yield from _blocks(command.help or "")
     yield ".SH OPTIONS"
-    records = [parameter.get_help_record(context) for parameter in command.get_params(context)]
+    options = [each for each in command.get_params(context) if isinstance(each, click.Option)]
+    records = [option.get_help_record(context) for option in options]
     yield from _pairs([record for record in records if record is not None])
     examples, _, rest = (command.epilog or "").partition("\n\n")
     yield ".SH EXAMPLES"

@@ -26,6 +26,7 @@ def test_every_option_is_on_the_page_with_the_name_that_is_typed(name):
     options = [text for each in command.params if isinstance(each, click.Option) for text in each.opts]
     page = PAGES[f"beltrami-{name}.1"].replace("\\-", "-")
     assert [text for text in options if not re.search(rf"^\.B .*{text}\b", page, re.MULTILINE)] == []
+    assert re.findall(r"\.B (.*)\n\n", page) == []  # each is explained
 
 
 @pytest.mark.skipif(shutil.which("groff") is None, reason="there is no groff")
