@@ -57,7 +57,7 @@ class Reach:
 # On painted, baked and photographed samples with noise of 5 to 40 of 255, other time steps and growths are hardly
 # better when tuned on the truth, and worse when they are chosen: more to choose from is more to choose wrong.
 # On a grid the window bounds the kernel, and a large time step only makes its weights more even.
-ON_GRIDS = Reach((8.0,), (1.5,), (1, 2, 3), 10, 1.4, 1.5, 8.0)
+ON_GRIDS = Reach((8.0,), (1.5, 3.0), (0, 1, 2, 3), 10, 1.4, 1.5, 8.0)
 # On a mesh the time step alone bounds the kernel, and larger ones take longer than they gain.
 ON_MESHES = Reach((1.6, 2.4), (2.0,), (0, 1, 2), 6, 1.0, 2.0, 2.4)
 
