@@ -83,9 +83,11 @@ def test_noise_goes_and_the_edge_and_the_outliers_stay(clouds, tmp_path):
 
 def test_all_formats_give_the_same_colours(clouds, tmp_path):
     results = []
+    # Positions are rounded differently, which may tip the balance between parameters that are chosen.
+    given = ("-n", "3", "-t", "2.4", "--beta", "10", "--beta-growth", "1.5", "--metric-steps", "1")
     for extension in ("ply", "xyz", "pts", "npz"):
         target = tmp_path / f"{extension}.ply"
-        assert beltrami("smooth", clouds / f"scan.{extension}", target).returncode == 0
+        assert beltrami("smooth", clouds / f"scan.{extension}", target, *given).returncode == 0
         painted = PlyDocument(target.read_bytes(), "x.ply").painted()
         assert not len(painted.faces)
         results.append(np.rint(255 * painted.colours))
