@@ -134,7 +134,8 @@ max_samples = click.option(
 solver = click.option(
     "--solver", type=click.Choice(get_args(Solver)), default=_KERNEL.solver, show_default=True,
     help="On vertices: find distances by fast marching, or along straight segments over edges and over one or two "
-    "unfolded edges, which is several times faster and closer to the truth. auto takes fast marching.",
+    "unfolded edges, which is several times faster and closer to the truth. auto takes segments for kernels of a "
+    "radius of up to 14 sample spacings (-t below 10), where that is so, and fast marching for larger ones.",
 )  # fmt: skip
 threads = click.option(
     "--threads", type=click.IntRange(1, 1024), default=_KERNEL.threads, metavar="COUNT",

@@ -16,6 +16,7 @@ from scipy.sparse.csgraph import dijkstra
 
 import beltrami_cli
 from beltrami_cli import _native
+from beltrami_cli.flow.parameters import KernelParameters
 from oracles import strategies, surfaces
 from oracles.exact_geodesic import exact_distances
 from properties.manifolds import distances, image_manifold
@@ -249,3 +250,25 @@ def test_without_beta_a_plane_is_smoothed_by_the_gaussian():
     # by at most 1 / cos 15 degrees - 1 = 3.5 %, and the sum of weights too small by twice that times the mean of
     # d^2/4t, 0.95.
     np.testing.assert_allclose(ours[:, 0], truth / truth.sum(), atol=0.066 * truth.max() / truth.sum())
+
+
+def test_segments_are_the_default_as_far_as_they_are_the_more_exact():
+    """On a level lattice, where segments cannot bend but at vertices and fast marching converges."""
+    side = 61
+    flat, faces = surfaces.lattice(side, side)
+    grey, middle = np.zeros((len(flat), 1), np.float32), side * side // 2
+    truth = np.linalg.norm(flat - flat[middle], axis=1)
+    errors = {}
+    for name, make in (("segments", segment_manifold), ("marching", image_manifold)):
+        found = distances(make(flat, faces, grey, 1.0), len(flat), middle)
+        for radius in (10, 20):
+            near = (truth > 0) & (truth < radius)
+            errors[name, radius] = np.sqrt(np.mean((found[near] / truth[near] - 1) ** 2))
+    assert errors["segments", 10] < errors["marching", 10]
+    assert errors["segments", 20] > errors["marching", 20]
+    for radius, along in ((10, True), (20, False)):
+        t = radius**2 / (-4 * log(0.01))
+        assert KernelParameters(t=t).is_along_segments(1.0) == along
+        assert KernelParameters(t=4 * t).is_along_segments(2.0) == along
+        assert KernelParameters(t=t, solver="segments").is_along_segments(1.0)
+        assert not KernelParameters(t=t, solver="fast-marching").is_along_segments(1.0)
