@@ -20,16 +20,19 @@ if TYPE_CHECKING:
 _NEARLY_WHOLE = 0.2
 _ENOUGH_SHARE, _ENOUGH_GROUPS = 0.02, 20
 
-# Share of the groups without edges and texture, in a picture as most are: in plain ones the noise comes out a little
-# too small by it, in rich ones too large.
-_IDLE = 0.75
+# In a picture as most are, some groups are busy with edges or texture, so a low quantile of all is a third higher a one
+# of the others. In plain pictures the noise comes out a little too small by it, in rich ones too large.
+_BUSY = 1 / 3
 
-# A group without any spread holds no noise; where fewer than this share of the groups do, they are plain areas that
-# were painted after the noise came in, or masked.
+# A group without any spread holds no noise. Where so many do, there is none; fewer are plain areas that were painted
+# after the noise came in, masked, or overexposed.
 _PLAIN = 0.5
 
 # Groups of a clipped colour of which the censored normal distribution can tell the noise: shares of samples at a limit.
 _TELLING = (0.05, 0.6)
+
+# What has a larger spread, of full scale 1, and stands at a limit is line art and no noise.
+_LOUDEST = 1 / 3
 
 
 def weakest_level(
@@ -66,29 +69,31 @@ def weakest_level(
     limit are left out, for there noise was cut off. Where nearly all are such, the noise of each is that of a normal
     variable censored at the limit with the group's mean and share; see `clipping`.
     """
+    if np.count_nonzero(energy) <= _PLAIN * len(energy):
+        return 0.0
     near = low + high <= _NEARLY_WHOLE
-    if np.count_nonzero(near) >= max(_ENOUGH_GROUPS, _ENOUGH_SHARE * len(energy)):
-        uncut = energy[near] / (variance_of_clipped(low[near]) * variance_of_clipped(high[near]))
+    uncut = energy[near] / (variance_of_clipped(low[near]) * variance_of_clipped(high[near]))
+    if len(uncut) >= max(_ENOUGH_GROUPS, _ENOUGH_SHARE * len(energy)):
         return _quantile_level(uncut, freedom, free)
     told = []
-    for share, gap in ((low, mean), (high, 1 - mean)):
-        telling = (share > _TELLING[0]) & (share < _TELLING[1])
-        told.append(sigma_of_clipped(gap[telling], share[telling]) ** 2)
+    for share, other, gap in ((low, high, mean), (high, low, 1 - mean)):
+        # With samples at both limits there is an edge.
+        telling = (share > _TELLING[0]) & (share < _TELLING[1]) & (other < _TELLING[0])
+        sigma = sigma_of_clipped(gap[telling], share[telling])
+        told.append(sigma[sigma < _LOUDEST] ** 2)
     censored = np.concatenate(told)
-    if len(censored) >= _ENOUGH_GROUPS:
-        # Such an estimate is as good as that of as many samples, and a group has fewer degrees of freedom than samples.
-        return _quantile_level(censored, freedom, free)
-    return _quantile_level(energy, freedom, free)
+    # Such an estimate is as good as that of as many samples, and a group has fewer degrees of freedom than samples.
+    enough = len(censored) >= _ENOUGH_GROUPS or not len(uncut)
+    return _quantile_level(censored if enough else uncut, freedom, free)
 
 
 def _quantile_level(energy: NDArray[np.float64], freedom: float, free: float) -> float:
     from scipy.special import chdtri
 
+    energy = energy[energy > 0]
     if not len(energy):
         return 0.0
-    spread = energy[energy > 0]
-    if len(spread) > _PLAIN * len(energy):
-        energy = spread
     # Of few groups none may be free; the median stays closer to the noise than the least.
     share = max(free, min(0.5, 2 / len(energy)))
-    return float(np.sqrt(np.quantile(energy, share) * freedom / chdtri(freedom, 1 - share / _IDLE)))
+    idle = share * (1 + _BUSY * (1 - share))
+    return float(np.sqrt(np.quantile(energy, share) * freedom / chdtri(freedom, 1 - idle)))

@@ -250,3 +250,13 @@ def test_parameters_tell_what_is_open():
     assert CHOSEN.is_open
     assert not KernelParameters().is_open
     assert not dataclasses.replace(CHOSEN, beta=0.0).is_open
+
+
+def test_line_art_and_flat_paint_have_no_noise():
+    """Colours at 0 and 1 with sharp or antialiased borders, and areas that are plain but for a few borders."""
+    y, x = np.mgrid[:96, :96] / 96
+    letters = np.clip(8 * np.sin(40 * x) * np.sin(30 * y + 9 * x) + 0.5, 0, 1)
+    checks = (np.floor(12 * x) + np.floor(12 * y)) % 2
+    everywhere = np.ones((96, 96), bool)
+    planes = np.stack([letters, checks, np.where(x + y > 0.8, 0.4, 1.0)]).astype(np.float32)
+    assert (estimate_sigma_on_grid(planes, everywhere) < 0.5 / 255).all()
