@@ -88,10 +88,11 @@ def require_scale(document: Document, work: Work) -> None:
 
 def _nothing_to_smooth(document: Document, present: Sequence[Slot]) -> InputError:
     """Return the error that there are no colours, or that they are damaged."""
+    why = ""
     try:
         document.painted()
-    except UnpaintedError:
-        pass
+    except UnpaintedError as error:
+        why = error.cause
     except InputError as error:
         return error
     cause = "it has neither vertex colours nor textures to smooth"
@@ -100,7 +101,7 @@ def _nothing_to_smooth(document: Document, present: Sequence[Slot]) -> InputErro
         return UnpaintedError(
             document.name, f"{cause}, but textures in the slots {', '.join(present)}", remedy
         )
-    reason = document.notices[0].rstrip(".") if document.notices else ""
+    reason = document.notices[0].rstrip(".") if document.notices else why
     return UnpaintedError(document.name, cause + (f" ({reason})" if reason else ""))
 
 
