@@ -70,11 +70,13 @@ class Choice:
     ----------
     chosen : dict of str to float
         The parameters that were free, with their values.
-    psnr : float
+    psnr : float or None
         Estimated PSNR of the result, against the colours without noise; before averages of clipped noise are restored.
-    error : float
+        None: errors cannot be estimated, since the noise of neighbouring samples is not independent, and a fixed rule
+        chose.
+    error : float or None
         Its standard error in dB, if the estimate of the noise is right.
-    gain : float
+    gain : float or None
         How far that is above the estimated PSNR of the input.
     candidates : int
         Schedules that were compared.
@@ -83,11 +85,11 @@ class Choice:
     """
 
     chosen: dict[str, float]
-    psnr: float
-    error: float
-    gain: float
-    candidates: int
-    samples: int
+    psnr: float | None = None
+    error: float | None = None
+    gain: float | None = None
+    candidates: int = 0
+    samples: int = 0
 
 
 def choose(
@@ -149,6 +151,13 @@ def choose(
     chosen: dict[str, Any] = {name: values[name] for name in parameters.free}
     choice = Choice(chosen, *_decibels(risk, noise), len(search.tried), samples)
     return dataclasses.replace(parameters, **chosen, free=()), choice
+
+
+def choose_by_rule(beta: float, parameters: KernelParameters) -> tuple[KernelParameters, Choice]:
+    """Keep the default for what is free, and the `beta` that the noise gives by rule, in units of length."""
+    values = {**dataclasses.asdict(parameters), "beta": beta}
+    chosen: dict[str, float] = {name: values[name] for name in parameters.free}
+    return dataclasses.replace(parameters, free=()), Choice(chosen)
 
 
 def is_noisy(sigma: NDArray[np.float64]) -> bool:

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.flow.cell_fields import CellFields, halo_repeats
-from beltrami_cli.flow.choice import ON_GRIDS, Choice, choose, is_noisy
+from beltrami_cli.flow.choice import ON_GRIDS, Choice, choose, choose_by_rule, is_noisy
 from beltrami_cli.flow.clipping import find_clipped
+from beltrami_cli.flow.correlation import is_correlated_on_grid
 from beltrami_cli.flow.grid_metric import GridMetric
 from beltrami_cli.flow.iteration import FlowResult, shifted
 from beltrami_cli.flow.noise import estimate_sigma_on_grid
@@ -128,7 +129,12 @@ class TexelFlow:
     def _choose(self, unit: float) -> KernelParameters:
         """Choose the free parameters, and tell the metric of them; without noise they stay as they are."""
         parameters = dataclasses.replace(self.parameters, free=())
-        if is_noisy(self.sigma) and len(self.atlas.owned_cells):
+        if not (is_noisy(self.sigma) and len(self.atlas.owned_cells)):
+            if "iterations" in self.parameters.free:
+                parameters = dataclasses.replace(parameters, iterations=0)
+        elif is_correlated_on_grid(self._planes, self.atlas.kind == OWNED):
+            parameters, self.choice = choose_by_rule(self._metric.beta, self.parameters)
+        else:
             budget = max(_LEAST_TRIED, int(len(self.atlas.owned_cells) * _SHARE_TRIED))
             reach = parameters.window // 2 + guide_radius(parameters.metric_scale)
             trial = GridTrial(
@@ -138,8 +144,6 @@ class TexelFlow:
                 trial, trial.samples, self.sigma, self._metric.counting, unit, self._metric.beta,
                 self.parameters, ON_GRIDS,
             )  # fmt: skip
-        elif "iterations" in self.parameters.free:
-            parameters = dataclasses.replace(parameters, iterations=0)
         self._metric.use(parameters)
         return parameters
 

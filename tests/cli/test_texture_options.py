@@ -133,10 +133,10 @@ def test_the_papers_preset_is_one_iteration_and_not_the_default(square, tmp_path
 
 def test_no_metric_steps_are_the_same_as_no_metric_scale(square, tmp_path):
     source = square(noise())
-    common = ("-n", "2", "--beta", "10")
+    common = ("-n", "2", "--beta", "10", "-t", "2.4", "--beta-growth", "2")
     steps = pixels(smooth(source, tmp_path / "steps" / "out.obj", *common, "--metric-steps", "0"))
     scale = pixels(smooth(source, tmp_path / "scale" / "out.obj", *common, "--metric-scale", "0"))
-    default = pixels(smooth(source, tmp_path / "default" / "out.obj", *common))
+    default = pixels(smooth(source, tmp_path / "default" / "out.obj", *common, "--metric-steps", "1"))
     assert np.array_equal(steps, scale)
     assert not np.array_equal(steps, default)
 

@@ -260,3 +260,17 @@ def test_line_art_and_flat_paint_have_no_noise():
     everywhere = np.ones((96, 96), bool)
     planes = np.stack([letters, checks, np.where(x + y > 0.8, 0.4, 1.0)]).astype(np.float32)
     assert (estimate_sigma_on_grid(planes, everywhere) < 0.5 / 255).all()
+
+
+def test_the_fixed_rule_chooses_where_the_noise_of_neighbours_is_not_independent():
+    """Chroma that is stored for 2 x 2 pixels together, as in most JPEG pictures."""
+    white = noisy(painting(128))
+    luma = white.mean(axis=2, keepdims=True)
+    chroma = (white - luma).reshape(64, 2, 64, 2, 3).mean(axis=(1, 3)).repeat(2, axis=0).repeat(2, axis=1)
+    for image, chosen in ((white, True), (luma + chroma, False)):
+        image = (np.rint(np.clip(image, 0, 1) * 255) / 255).astype(np.float32)
+        result = beltrami_cli.smooth_image(image, space="data")
+        assert (result.choice.psnr is not None) == chosen
+        assert (result.choice.candidates > 0) == chosen
+        by_rule = beltrami_cli.smooth_image(image, space="data", fast=True)
+        assert np.array_equal(result.colours, by_rule.colours) != chosen
