@@ -45,7 +45,9 @@ KernelStatistics SegmentKernel::smooth(Rows<float> colours, const float* weights
                                        float* smoothed, unsigned threads, const Poll& poll) {
   if (region_radius_ != parameters.radius) {
     update_lengths(segments_, metric_, topology_, metric_.in_space, threads);
-    find_regions(groups_, segments_, parameters.radius, threads);
+    region_radius_ = -1;
+    // It may be asked to stop, and has done nothing yet of what progress counts.
+    find_regions(groups_, segments_, parameters.radius, threads, poll ? Poll([&](std::size_t) { return poll(0); }) : Poll());
     region_radius_ = parameters.radius;
     update_lengths(segments_, metric_, topology_, metric_.squared, threads);
   }

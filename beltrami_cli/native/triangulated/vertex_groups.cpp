@@ -79,12 +79,12 @@ VertexGroups make_groups(Rows<double> positions, Index vertex_count, unsigned th
   return groups;
 }
 
-void find_regions(VertexGroups& groups, const Segments& segments, float radius, unsigned threads) {
+void find_regions(VertexGroups& groups, const Segments& segments, float radius, unsigned threads, const Poll& poll) {
   const std::size_t count = groups.count();
   groups.ends.assign(count, 0);
   groups.regions.assign((count + groups_per_block - 1) / groups_per_block, {});
   std::vector<SegmentMarch> marches(std::max(1U, threads), SegmentMarch(segments));
-  parallel_chunks(count, groups_per_block, threads, [&](std::size_t begin, std::size_t end, unsigned worker) {
+  const auto find = [&](std::size_t begin, std::size_t end, unsigned worker) {
     SegmentMarch& marching = marches[worker];
     auto& block = groups.regions[begin / groups_per_block];
     for (std::size_t group = begin; group < end; ++group) {
@@ -94,7 +94,8 @@ void find_regions(VertexGroups& groups, const Segments& segments, float radius, 
       groups.ends[group] = static_cast<std::uint32_t>(block.size());
     }
     block.shrink_to_fit();
-  });
+  };
+  parallel_chunks(count, groups_per_block, threads, find, poll);
 }
 
 }  // namespace beltrami::triangulated

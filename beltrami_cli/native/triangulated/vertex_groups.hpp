@@ -5,6 +5,7 @@
 #include <span>
 #include <vector>
 
+#include "parallel.hpp"
 #include "triangulated/metric.hpp"
 #include "triangulated/segments.hpp"
 
@@ -33,6 +34,7 @@ VertexGroups make_groups(Rows<double> positions, Index vertex_count, unsigned th
 
 // Finds the vertices within the radius of a group's members, along segments of the metric without colours: colours make
 // no path shorter, so that the regions hold for any.
-void find_regions(VertexGroups& groups, const Segments& segments, float radius, unsigned threads);
+void find_regions(VertexGroups& groups, const Segments& segments, float radius, unsigned threads,
+                  const Poll& poll = {});
 
 }  // namespace beltrami::triangulated
