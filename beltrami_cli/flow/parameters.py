@@ -33,6 +33,10 @@ SMOOTHNESS: dict[Strength, float] = {"gentle": 0.7, "normal": 1.0, "strong": 1.5
 _SEGMENTS_REACH = 14
 
 
+# Logarithm of the growth at which any difference in colour is far beyond the kernel, and numbers do not overflow yet.
+_MOST_GROWTH = 25.0
+
+
 @dataclass(frozen=True)
 class KernelParameters:
     """What the kernel is run with; the record holds the defaults.
@@ -148,7 +152,7 @@ class KernelParameters:
 
     def growth(self, iteration: int) -> float:
         """Return by what factor beta is larger in an iteration, counted from 0, than in the first."""
-        return self.beta_growth**iteration
+        return math.exp(min(iteration * math.log(self.beta_growth), _MOST_GROWTH))
 
     @property
     def is_open(self) -> bool:

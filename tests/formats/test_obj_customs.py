@@ -11,8 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from beltrami_cli.errors import InputError
+from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.obj import ObjDocument
 from beltrami_cli.formats.source import open_document
+from beltrami_cli.pipeline.settings.smooth import SmoothSettings
 from beltrami_cli.pipeline.smooth.file import smooth_file
 from hostile.folders import snapshot
 from hostile.textured_models import OTHER, PICTURE
@@ -153,7 +155,8 @@ def test_without_its_library_a_file_with_colours_is_smoothed_all_the_same(tmp_pa
     lines = [f"{line} {i / 4} 0 1" for i, line in enumerate(SQUARE.splitlines())]
     model = tmp_path / "x.obj"
     model.write_text("\n".join(["mtllib gone.mtl", *lines, "usemtl m", "f 1 2 3 4"]))
-    report = smooth_file(model, tmp_path / "y.obj")
+    settings = SmoothSettings(KernelParameters(beta=1, iterations=2))
+    report = smooth_file(model, tmp_path / "y.obj", settings)
     assert any("'gone.mtl' is missing" in warning for warning in report.warnings)
     colours = re.compile(rb"^(v \S+ \S+ \S+).*$", re.MULTILINE)
     after = (tmp_path / "y.obj").read_bytes()

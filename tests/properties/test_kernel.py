@@ -247,3 +247,13 @@ def test_no_beta_makes_noise_free_colours_move_visibly():
     result = beltrami_cli.smooth(positions, faces, colours)
     error = np.mean((result.colours - colours / 255) ** 2)
     assert error < exp(-log(10) * 4.5)  # PSNR above 45 dB
+
+
+def test_many_iterations_of_a_growing_beta_do_not_overflow(noisy_terrain):
+    positions, faces, colours = noisy_terrain
+    parameters = {"beta": 8.0, "beta_growth": 3.0, "t": 1.0, "metric_steps": 0}
+    many, more = (
+        beltrami_cli.smooth(positions, faces, colours, iterations=n, **parameters) for n in (60, 1500)
+    )
+    assert np.isfinite(more.colours).all()
+    assert np.array_equal(more.colours, many.colours)  # by then no neighbour is near
