@@ -31,7 +31,7 @@ _WORTH_RESTORING = 1e-3
 # Local noise is believed up to so many times the estimated one, which is too low where many samples are cut off.
 _TRUSTED = 1.2
 
-# Entries of the tables over the share of samples at a limit, from 0 to one half.
+# Entries of the tables over the share of samples at a limit, up to one half.
 _TABLE = 1024
 
 
@@ -135,10 +135,8 @@ def sigma_of_clipped(gap: NDArray[np.float64], share: NDArray[np.float64]) -> ND
     ndarray of float64
         Of the noise before it was cut off [1]_.
     """
-    from scipy.special import ndtr, ndtri
-
-    alpha = ndtri(1 - share)
-    told: NDArray[np.float64] = gap / (alpha * ndtr(alpha) + np.exp(-(alpha**2) / 2) / np.sqrt(2 * np.pi))
+    table = _censored_normal()
+    told: NDArray[np.float64] = gap / np.interp(share, table.share, table.gap)
     return told
 
 
@@ -155,13 +153,8 @@ def variance_of_clipped(share: NDArray[np.float64]) -> NDArray[np.float64]:
     ndarray of float64
         Variance of a normal variable censored at the limit [1]_, as a share of the variance without.
     """
-    from scipy.special import ndtri
-
-    beyond = np.clip(share, 1e-6, 1 - 1e-6)
-    alpha = ndtri(1 - beyond)
-    density = np.exp(-(alpha**2) / 2) / np.sqrt(2 * np.pi)
-    mean = alpha * beyond - density
-    left: NDArray[np.float64] = 1 - beyond - alpha * density + alpha**2 * beyond - mean**2
+    table = _censored_normal()
+    left: NDArray[np.float64] = np.interp(share, table.share, table.variance)
     return left
 
 
@@ -174,22 +167,49 @@ def _towards_limit(
     by sigma (alpha Phi(alpha) + phi(alpha)) [1]_. The share gives alpha, and the gap the local sigma; that is not
     believed beyond `sigma`, for then colours differ and not only noise.
     """
-    table_alpha, table_gap = _censored_normal()
-    place = np.clip(share, 0, 0.5) * np.float32(2 * (_TABLE - 1))
-    alpha = np.interp(place, np.arange(_TABLE), table_alpha).astype(np.float32)
-    gap_of_one = np.interp(place, np.arange(_TABLE), table_gap).astype(np.float32)
+    table = _censored_normal()
+    # The share of a true colour within the limits is at most one half.
+    share = np.minimum(share, np.float32(0.5))
+    alpha = np.interp(share, table.share, table.alpha).astype(np.float32)
+    gap_of_one = np.interp(share, table.share, table.gap).astype(np.float32)
     local = np.minimum(gap / gap_of_one, sigma)
     closer: NDArray[np.float32] = local * (gap_of_one - alpha)
     return np.where(share > 0, np.maximum(closer, 0), np.float32(0))
 
 
+@dataclass(frozen=True)
+class _CensoredNormal:
+    """What is true of a normal variable with sigma = 1 that is censored at a limit, by the share that stands there.
+
+    Attributes
+    ----------
+    share : ndarray of float64, shape (M,)
+        Ascending from 0 to 1.
+    alpha : ndarray of float64, shape (M,)
+        From the mean before it was censored to the limit.
+    gap : ndarray of float64, shape (M,)
+        From the mean after it was censored to the limit.
+    variance : ndarray of float64, shape (M,)
+        After it was censored.
+    """
+
+    share: NDArray[np.float64]
+    alpha: NDArray[np.float64]
+    gap: NDArray[np.float64]
+    variance: NDArray[np.float64]
+
+
 @cache
-def _censored_normal() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Tabulate alpha, and the gap to the limit for sigma = 1, over the share of samples at the limit."""
+def _censored_normal() -> _CensoredNormal:
+    # SciPy has these functions, and takes longer to be imported than a small mesh takes to be smoothed.
     normal = NormalDist()
-    # A share of 0 is an alpha without bound; what the table has there makes no difference to the mean.
-    shares = np.linspace(0, 0.5, _TABLE)
-    shares[0] = shares[1] / 100
-    alpha = np.array([normal.inv_cdf(1 - share) for share in shares])
-    gap = np.array([a * normal.cdf(a) + normal.pdf(a) for a in alpha])
-    return alpha, gap
+    share = np.linspace(0, 1, 2 * _TABLE - 1)
+    # Shares of 0 and 1 are an alpha without bound; what the table has there makes no difference to the mean.
+    least = share[1] / 100
+    inside = np.clip(share, least, 1 - least)
+    alpha = -np.array([normal.inv_cdf(part) for part in inside])
+    density = np.exp(-(alpha**2) / 2) / np.sqrt(2 * np.pi)
+    gap = alpha * (1 - inside) + density
+    variance = 1 - inside - alpha * density + alpha**2 * inside - (alpha - gap) ** 2
+    variance[[0, -1]] = 1, 0
+    return _CensoredNormal(share, alpha, gap, variance)

@@ -2,9 +2,11 @@
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from beltrami_cli import smooth, smooth_image
-from beltrami_cli.flow.clipping import find_clipped
+from beltrami_cli.flow.clipping import find_clipped, sigma_of_clipped, variance_of_clipped
+from beltrami_cli.flow.weakest import chi_square_quantile
 
 SIGMA = 0.08
 
@@ -101,3 +103,19 @@ def test_restored_colours_stay_within_full_scale(level):
     restored = smooth_image(flat(level), iterations=1, t=0.5).colours
     assert restored.min() >= 0
     assert restored.max() <= 1
+
+
+def test_tables_are_those_of_the_normal_and_the_chi_square_distribution():
+    shares = np.array([1e-3, 0.01, 0.1, 0.2, 0.5, 0.8])
+    alpha = stats.norm.isf(shares)
+    clipped = [np.minimum(stats.norm.ppf((np.arange(10**6) + 0.5) / 10**6), limit) for limit in alpha]
+    variances = [sample.var() for sample in clipped]
+    np.testing.assert_allclose(
+        variance_of_clipped(shares), variances, rtol=2e-3
+    )  # the tails of a million samples
+    gaps = alpha - [sample.mean() for sample in clipped]
+    np.testing.assert_allclose(sigma_of_clipped(0.1 * gaps, shares), 0.1, rtol=2e-3)
+    for freedom in (10, 13, 26, 60):
+        for share in (0.02, 0.1, 0.3, 0.6):
+            exact = stats.chi2.ppf(share, freedom) / freedom
+            assert chi_square_quantile(freedom, share) == pytest.approx(exact, rel=0.01)
