@@ -88,11 +88,14 @@ class ClippedChannels:
             Averages, with the same weights, of what `marks` gave.
         """
         for share, k in zip(marks, self.clipped, strict=True):
-            mean = channels[k]
             sigma = np.float32(_TRUSTED * self.sigma[k])
-            raised = _towards_limit(1 - mean, share, sigma)
-            lowered = _towards_limit(mean, -share, sigma)
-            channels[k] = np.clip(mean + raised - lowered, np.minimum(mean, 0), np.maximum(mean, 1))
+            high, low = share > 0, share < 0
+            mean = channels[k][high]
+            raised = mean + _towards_limit(1 - mean, share[high], sigma)
+            channels[k][high] = np.minimum(raised, np.maximum(mean, 1))
+            mean = channels[k][low]
+            lowered = mean - _towards_limit(mean, -share[low], sigma)
+            channels[k][low] = np.maximum(lowered, np.minimum(mean, 0))
 
 
 def find_clipped(colours: NDArray[np.float32], sigma: NDArray[np.float64]) -> ClippedChannels | None:
@@ -174,7 +177,7 @@ def _towards_limit(
     gap_of_one = np.interp(share, table.share, table.gap).astype(np.float32)
     local = np.minimum(gap / gap_of_one, sigma)
     closer: NDArray[np.float32] = local * (gap_of_one - alpha)
-    return np.where(share > 0, np.maximum(closer, 0), np.float32(0))
+    return np.maximum(closer, 0)
 
 
 @dataclass(frozen=True)

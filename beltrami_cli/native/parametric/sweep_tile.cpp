@@ -138,7 +138,8 @@ struct Averages {
 };
 
 // Sums over the window's cells within the radius, as differences from the centres, so that a constant stays. `shares`
-// is what each cell of the tile counts for; nullptr: 1.
+// is what each cell of the tile counts for, if it is not 1 for all.
+template <bool shared>
 Averages average(const TileJob& job, const Layout& layout, const float* window, const float* colours,
                  const float* shares, std::size_t centre, float* sums) {
   const float factor = -1 / (4 * job.parameters->time_step);
@@ -151,7 +152,7 @@ Averages average(const TileJob& job, const Layout& layout, const float* window, 
     const Lanes distance = select(within, phi, Lanes{});
     const std::ptrdiff_t step = layout.at(target.offset);
     Lanes kernel = select(within, exponential(distance * distance * factor), Lanes{});
-    if (shares != nullptr) kernel = kernel * load(shares + centre + step);
+    if constexpr (shared) kernel = kernel * load(shares + centre + step);
     averages.held += select(within, splat(1), Lanes{});
     averages.total += kernel;
     const float* here = colours + centre;
@@ -229,7 +230,9 @@ std::int64_t sweep_tile(const TileJob& job, const Tile& tile, TileScratch& scrat
       for (int repair = 0; repair < job.parameters->repairs; ++repair)
         pass(job.program->repair, layout, lengths, coefficients, centre, window);
       if (job.distances != nullptr) write_window(window, side * side, job.distances);
-      const Averages averages = average(job, layout, window, colours, shares, centre, scratch.sums.data());
+      const Averages averages =
+          shares != nullptr ? average<true>(job, layout, window, colours, shares, centre, scratch.sums.data())
+                            : average<false>(job, layout, window, colours, shares, centre, scratch.sums.data());
       samples += write_owned(job, averages, cell, count);
     }
   return samples;
