@@ -6,7 +6,7 @@ import io
 
 import numpy as np
 import pytest
-import trimesh
+from trimesh.exchange.ply import load_ply
 
 from beltrami_cli.formats.ply import PlyDocument
 from formats.ply_files import ENCODINGS, Table, build, coloured
@@ -20,10 +20,10 @@ def test_reading_agrees_with_trimesh(encoding: str) -> None:
         row[:] = [*random.normal(size=3).astype(np.float32).tolist(), *random.integers(0, 256, 3).tolist()]
     data = build(tables, encoding).data
     painted = PlyDocument(data, "x.ply").painted()
-    other = trimesh.load(io.BytesIO(data), file_type="ply", process=False)
-    np.testing.assert_allclose(painted.positions, other.vertices, rtol=1e-7)
-    np.testing.assert_array_equal(painted.faces, other.faces)
-    np.testing.assert_array_equal(np.rint(painted.colours * 255), other.visual.vertex_colors[:, :3])
+    other = load_ply(io.BytesIO(data))  # trimesh.load drops vertices without a face in some versions
+    np.testing.assert_allclose(painted.positions, other["vertices"], rtol=1e-7)
+    np.testing.assert_array_equal(painted.faces, other["faces"])
+    np.testing.assert_array_equal(np.rint(painted.colours * 255), other["vertex_colors"][:, :3])
     assert (painted.stored, painted.encoding, painted.channels) == ("uint8", "srgb", ("red", "green", "blue"))
 
 
