@@ -40,6 +40,13 @@ class CellFields:
             None if self.repeats is None else np.ascontiguousarray(self.repeats.reshape(-1)[cells]),
         )
 
+    def rows(self, rows: slice) -> CellFields:
+        """Return the values of some rows, one after the other."""
+        return CellFields(
+            None if self.scale is None else self.scale[rows],
+            None if self.repeats is None else self.repeats[rows],
+        )
+
 
 def halo_repeats(atlas: Atlas, threads: int) -> NDArray[np.uint8] | None:
     """Count how often texels are shown beyond seams.

@@ -36,24 +36,38 @@ class CutMeans:
         self._shape, self._reach = atlas.kind.shape, len(taps) // 2
         self._weights = np.outer(taps, taps).reshape(-1)
         self._cells = self._near(atlas)
-        reached = [np.packbits(self._reached(atlas, cells), axis=1) for cells in self._chunks()]
+        chunks = [self._cells[chunk] for chunk in self._chunks(0, len(self._cells))]
+        reached = [np.packbits(self._reached(atlas, cells), axis=1) for cells in chunks]
         self._reached_bits = np.concatenate(reached) if reached else np.zeros((0, 1), np.uint8)
 
-    def apply(self, plane: NDArray[np.float32], result: NDArray[np.float32]) -> None:
-        """Put the means of a plane, shape (R, C), at the cells near cuts into another, in place."""
-        first = 0
-        for cells in self._chunks():
-            bits = self._reached_bits[first : first + len(cells)]
-            weights = np.unpackbits(bits, axis=1, count=len(self._weights)) * self._weights
-            window, _ = self._window(cells)
-            means = np.einsum("kw,kw->k", plane.reshape(-1)[window], weights) / weights.sum(axis=1)
-            result.reshape(-1)[cells] = means
-            first += len(cells)
+    def apply(self, plane: NDArray[np.float32], result: NDArray[np.float32], first: int = 0) -> None:
+        """Put the means of a plane at the cells near cuts into another, in place.
 
-    def _chunks(self) -> Iterator[NDArray[np.int64]]:
+        Parameters
+        ----------
+        plane, result : ndarray of float32, shape (K, C)
+            Rows of the canvas. Where the window of a cell leaves them, and not the canvas, nothing is put.
+        first : int
+            The first of these rows.
+        """
+        rows, columns = self._shape
+        last = first + len(plane)
+        top = first + self._reach if first else 0
+        bottom = last - self._reach if last < rows else last
+        begin, end = np.searchsorted(self._cells, [top * columns, max(top, bottom) * columns])
+        for chunk in self._chunks(begin, end):
+            cells = self._cells[chunk]
+            weights = (
+                np.unpackbits(self._reached_bits[chunk], axis=1, count=len(self._weights)) * self._weights
+            )
+            window = self._window(cells)[0] - first * columns
+            means = np.einsum("kw,kw->k", plane.reshape(-1)[window], weights) / weights.sum(axis=1)
+            result.reshape(-1)[cells - first * columns] = means
+
+    def _chunks(self, begin: int, end: int) -> Iterator[slice]:
         size = max(1, _AT_ONCE // len(self._weights))
-        for first in range(0, len(self._cells), size):
-            yield self._cells[first : first + size]
+        for first in range(begin, end, size):
+            yield slice(first, min(first + size, end))
 
     def _near(self, atlas: Atlas) -> NDArray[np.int64]:
         """Find the cells, not empty, whose window holds a cell at a cut."""

@@ -80,29 +80,35 @@ class GridMetric:
         self.guide_betas: dict[str, float] = {}
         self._guide_planes = [self._take(guide) for guide in guides]
 
-    def planes(self, colours: NDArray[np.float32], iteration: int) -> tuple[NDArray[np.float32], float]:
+    def planes(
+        self, colours: NDArray[np.float32], iteration: int, first: int = 0
+    ) -> tuple[NDArray[np.float32], float]:
         """Return the planes that an iteration, counted from 0, takes distances from, and their beta.
 
         Parameters
         ----------
-        colours : ndarray of float32, shape (N, R, C)
-            As they are before the iteration, halo included.
+        colours : ndarray of float32, shape (N, K, C)
+            As they are before the iteration, halo included, in K rows of the canvas.
         iteration : int
             Counted from 0.
+        first : int
+            The first of these rows. If they are not all, the planes are right only as far from the first and last as
+            the regularised metric reaches.
         """
         if not self._parameters.is_regularised(iteration):
             self._gaussian = None  # its planes are not needed any more
         beta = self.beta * self._parameters.growth(iteration)
-        return self.join(colours, beta, regularised=self._gaussian is not None)
+        return self.join(colours, beta, first, regularised=self._gaussian is not None)
 
     def join(
-        self, colours: NDArray[np.float32], beta: float, *, regularised: bool
+        self, colours: NDArray[np.float32], beta: float, first: int = 0, *, regularised: bool
     ) -> tuple[NDArray[np.float32], float]:
-        """Return the planes to take distances from, and their beta, for colours and a beta of these."""
+        """Return the planes to take distances from, and their beta, for rows of colours and a beta of these."""
         if self._chosen is not None:
             colours = colours[self._chosen]
-        own = self._regularised(colours, beta) if regularised else (colours, beta)
-        return join_channels([own, *self._guide_planes], axis=0)
+        rows = slice(first, first + colours.shape[1])
+        own = self._regularised(colours, beta, first) if regularised else (colours, beta)
+        return join_channels([own, *((planes[:, rows], beta) for planes, beta in self._guide_planes)], axis=0)
 
     def use(self, parameters: KernelParameters) -> None:
         """Take other parameters, which were chosen after the metric was made: iterations, beta and the like."""
@@ -128,11 +134,13 @@ class GridMetric:
             atlas.kind != EMPTY, self._parameters.metric_scale, walls=self._walls, atlas=atlas
         )
 
-    def _regularised(self, planes: NDArray[np.float32], beta: float) -> tuple[NDArray[np.float32], float]:
+    def _regularised(
+        self, planes: NDArray[np.float32], beta: float, first: int
+    ) -> tuple[NDArray[np.float32], float]:
         """Return what distances are taken from in place of noisy planes, and its beta."""
         if self._gaussian is None or beta == 0:
             return planes, beta
-        return self._gaussian.smooth(planes), beta / self._gaussian.gain
+        return self._gaussian.smooth(planes, first), beta / self._gaussian.gain
 
     def _take(self, guide: Guide) -> tuple[NDArray[np.float32], float]:
         """Return the planes and the beta that a guide adds to the metric, and note the beta."""

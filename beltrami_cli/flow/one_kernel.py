@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from beltrami_cli.flow.canvas import scheme_of
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -60,7 +62,6 @@ def kernel_on_grid(
     planes: NDArray[np.float32],
     beta: float,
     parameters: KernelParameters,
-    scheme: str,
     cell: int,
 ) -> SampledKernel:
     """Take the kernel of one owned cell out of a canvas.
@@ -76,9 +77,7 @@ def kernel_on_grid(
     beta : float
         Units of length per unit of colour of `metric`.
     parameters : KernelParameters
-        t, threshold and window.
-    scheme : {"sweep", "triangles", "metric"}
-        As the compiled core names them.
+        t, threshold, window and scheme.
     cell : int
         Flat index of an OWNED cell.
 
@@ -105,7 +104,7 @@ def kernel_on_grid(
         beta,
         parameters.radius,
         reach,
-        scheme,
+        scheme_of(parameters),
         0,
         (row - top) * kind.shape[1] + column - left,
     )

@@ -118,14 +118,21 @@ class GridGaussian:
         self._partial, self._part = self._partial_totals(filled)
         self._cut_means = None if atlas is None or not len(atlas.cut_cells) else CutMeans(atlas, self._taps)
 
-    def smooth(self, planes: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Smooth planes of shape (N, R, C), which must be 0 where cells are not filled."""
+    def smooth(self, planes: NDArray[np.float32], first: int = 0) -> NDArray[np.float32]:
+        """Smooth some rows of planes, shape (N, K, C), which must be 0 where cells are not filled.
+
+        Of rows that are not all, those within the Gaussian's reach of the first and last are not right.
+        """
         smoothed = np.empty_like(planes)
+        count, columns = planes.shape[1:]
+        is_open = None if self._open is None else self._open[first : first + count]
+        here = slice(*np.searchsorted(self._partial, [first * columns, (first + count) * columns]))
+        partial = self._partial[here] - first * columns
         for plane, result in zip(planes, smoothed, strict=True):
-            self._convolve(plane, self._open, result)
-            result.reshape(-1)[self._partial] /= self._part
+            self._convolve(plane, is_open, result)
+            result.reshape(-1)[partial] /= self._part[here]
             if self._cut_means is not None:
-                self._cut_means.apply(plane, result)
+                self._cut_means.apply(plane, result, first)
         return smoothed
 
     def _partial_totals(self, filled: NDArray[np.bool_]) -> tuple[NDArray[np.int32], NDArray[np.float32]]:

@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
-import dataclasses
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from beltrami_cli.flow.bands import Bands
+from beltrami_cli.flow.canvas import Canvas
+from beltrami_cli.flow.canvas_choice import choose_on_canvas
 from beltrami_cli.flow.cell_fields import CellFields, halo_repeats
-from beltrami_cli.flow.choice import ON_GRIDS, Choice, choose, choose_by_rule, is_noisy
-from beltrami_cli.flow.clipping import find_clipped
-from beltrami_cli.flow.correlation import is_correlated_on_grid
+from beltrami_cli.flow.clipping import ClippedChannels, find_clipped
 from beltrami_cli.flow.grid_metric import GridMetric
 from beltrami_cli.flow.iteration import FlowResult, shifted
 from beltrami_cli.flow.noise import estimate_sigma_on_grid
 from beltrami_cli.flow.one_kernel import SampledKernel, kernel_on_grid
-from beltrami_cli.flow.pieces.grid import GridFields, cut_grid
+from beltrami_cli.flow.pieces.grid import cut_grid
 from beltrami_cli.flow.pieces.splitting import wanted_split
-from beltrami_cli.flow.regularisation import guide_radius
 from beltrami_cli.flow.seams import find_colour_jumps, halo_beyond
-from beltrami_cli.flow.trial_grid import GridTrial
 from beltrami_cli.mesh.atlas import EMPTY, OWNED, refresh_halo, without_halo
 
 if TYPE_CHECKING:
@@ -27,17 +25,10 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from beltrami_cli.flow.choice import Choice
     from beltrami_cli.flow.guidance import Guide
     from beltrami_cli.flow.parameters import KernelParameters
     from beltrami_cli.mesh.atlas import Atlas
-
-# The widest window that the sweeps are made for; a wider one is looked through by a heap march.
-_WIDEST_SWEEP = 15
-
-# Cells on which parameters are tried, as a share of all, so that trying takes no longer than smoothing: some sixty
-# iterations are tried, each twice. Fewer than so many cells tell too little, and take about a second.
-_SHARE_TRIED = 1 / 25
-_LEAST_TRIED = 25_000
 
 
 class TexelFlow:
@@ -120,52 +111,13 @@ class TexelFlow:
         self._metric = GridMetric(atlas, self.sigma, unit, parameters, guides, metric_channels, walls=walls)
         self.choice: Choice | None = None
         if parameters.is_open:
-            self.parameters = parameters = self._choose(unit)
+            parameters, self.choice = choose_on_canvas(self._canvas(), self._planes, self.sigma, unit)
+            self.parameters = parameters
+            self._metric.use(parameters)
         self.beta, self.guide_betas = self._metric.beta, self._metric.guide_betas
         self._clipped = None
         if parameters.clipping == "restore" and self.beta > 0 and parameters.iterations:
             self._clipped = find_clipped(colours, self.sigma)
-
-    def _choose(self, unit: float) -> KernelParameters:
-        """Choose the free parameters, and tell the metric of them; without noise they stay as they are."""
-        parameters = dataclasses.replace(self.parameters, free=())
-        if not (is_noisy(self.sigma) and len(self.atlas.owned_cells)):
-            if "iterations" in self.parameters.free:
-                parameters = dataclasses.replace(parameters, iterations=0)
-        elif is_correlated_on_grid(self._planes, self.atlas.kind == OWNED):
-            parameters, self.choice = choose_by_rule(self._metric.beta, self.parameters)
-        else:
-            budget = max(_LEAST_TRIED, int(len(self.atlas.owned_cells) * _SHARE_TRIED))
-            reach = parameters.window // 2 + guide_radius(parameters.metric_scale)
-            trial = GridTrial(
-                self.atlas, self._planes, self._fields, self._metric, self._iterate, budget, reach
-            )
-            parameters, self.choice = choose(
-                trial, trial.samples, self.sigma, self._metric.counting, unit, self._metric.beta,
-                self.parameters, ON_GRIDS,
-            )  # fmt: skip
-        self._metric.use(parameters)
-        return parameters
-
-    def _iterate(
-        self,
-        atlas: Atlas,
-        fields: CellFields,
-        metric: NDArray[np.float32],
-        planes: NDArray[np.float32],
-        beta: float,
-        t: float,
-    ) -> NDArray[np.float32]:
-        """Return the planes after one iteration on some canvas."""
-        from beltrami_cli._native import smooth_grid
-
-        own = dataclasses.replace(self.parameters, t=t)
-        smoothed, _ = smooth_grid(
-            atlas.kind, atlas.squared_lengths, fields.scale, fields.repeats, metric, planes, beta, t, own.radius,
-            own.window // 2, self._scheme(), 0, own.thread_count, None,
-        )  # fmt: skip
-        refresh_halo(smoothed, atlas)
-        return smoothed
 
     def run(self, progress: Callable[[int, int], None] | None = None) -> FlowResult:
         """Run all iterations.
@@ -180,17 +132,14 @@ class TexelFlow:
         FlowResult
             `colours` are those of the owned cells, shape (T, N).
         """
-        parameters, channels = self.parameters, len(self._planes)
-        planes = self._with_marks()
-        self._planes = np.empty((0, 0, 0), np.float32)  # freed once the first step is done
-        if wanted_split() is None:
-            planes, samples = self._iterate_all(planes, channels, progress)
+        parameters = self.parameters
+        if self._clipped is None:
+            samples = self._iterate([self._planes], progress)
         else:
-            planes, samples = self._iterate_in_pieces(planes, channels, progress)
-        if self._clipped is not None:
-            self._clipped.restore(planes[:channels], planes[channels:])
-        self._planes = planes = planes[:channels]
-        owned = planes.reshape(len(planes), -1)[:, self.atlas.owned_cells]
+            marks = self._marks(self._clipped)
+            samples = self._iterate([self._planes, marks], progress)
+            self._clipped.restore(self._planes, marks)
+        owned = self._planes.reshape(len(self._planes), -1)[:, self.atlas.owned_cells]
         kernels = max(1, parameters.iterations * len(self.atlas.owned_cells))
         return FlowResult(
             np.ascontiguousarray(owned.T),
@@ -202,59 +151,46 @@ class TexelFlow:
             choice=self.choice,
         )
 
-    def _iterate_all(
-        self, planes: NDArray[np.float32], channels: int, progress: Callable[[int, int], None] | None
-    ) -> tuple[NDArray[np.float32], float]:
-        """Run all iterations on planes of which so many are colours; return them, and the samples held."""
-        from beltrami_cli._native import smooth_grid
-
-        parameters, size, samples = self.parameters, self.atlas.kind.size, 0
-        for iteration in range(parameters.iterations):
-            metric, beta = self._metric.planes(planes[:channels], iteration)
-            planes, held = smooth_grid(
-                self.atlas.kind,
-                self.atlas.squared_lengths,
-                self._fields.scale,
-                self._fields.repeats,
-                metric,
-                planes,
-                beta,
-                parameters.t,
-                parameters.radius,
-                parameters.window // 2,
-                self._scheme(),
-                0,
-                parameters.thread_count,
-                shifted(progress, iteration * size, parameters.iterations * size),
+    def _iterate(
+        self, stacks: Sequence[NDArray[np.float32]], progress: Callable[[int, int], None] | None
+    ) -> float:
+        """Run all iterations on stacks of planes, in place; return the samples that kernels held."""
+        if wanted_split() is not None:
+            return self._iterate_in_pieces(stacks, progress)
+        iterations, size, samples = self.parameters.iterations, self.atlas.kind.size, 0
+        bands = Bands(self._canvas())
+        for iteration in range(iterations):
+            samples += bands.iterate(
+                stacks, iteration, shifted(progress, iteration * size, iterations * size)
             )
-            del metric
-            refresh_halo(planes, self.atlas)
-            samples += held
-        return planes, samples
+        return samples
 
     def _iterate_in_pieces(
-        self, planes: NDArray[np.float32], channels: int, progress: Callable[[int, int], None] | None
-    ) -> tuple[NDArray[np.float32], float]:
-        """Do what `_iterate_all` does, to the last bit, piece by piece."""
+        self, stacks: Sequence[NDArray[np.float32]], progress: Callable[[int, int], None] | None
+    ) -> float:
+        """Do what bands do, to the last bit, piece by piece."""
         parameters, split, atlas = self.parameters, wanted_split(), self.atlas
         if split is None or not parameters.iterations or not len(atlas.owned_cells):
-            return planes, 0
-        fields = GridFields(atlas, self._fields, self._metric, channels, parameters, self._scheme())
-        flat = planes.reshape(len(planes), -1)
-        values = np.ascontiguousarray(flat[:, atlas.owned_cells].T)
-        done = split.run(lambda count, _: cut_grid(fields, count), 0, values, parameters.iterations, progress)
-        flat[:, atlas.owned_cells] = done.values.T
-        refresh_halo(planes, atlas)
-        return planes, done.samples
+            return 0
+        canvas = self._canvas()
+        flat = [plane.reshape(-1) for stack in stacks for plane in stack]
+        values = np.column_stack([plane[atlas.owned_cells] for plane in flat])
+        done = split.run(lambda count, _: cut_grid(canvas, count), 0, values, parameters.iterations, progress)
+        for plane, channel in zip(flat, done.values.T, strict=True):
+            plane[atlas.owned_cells] = channel
+        for stack in stacks:
+            refresh_halo(stack, atlas)
+        return done.samples
 
-    def _with_marks(self) -> NDArray[np.float32]:
-        """Return the planes to average: the colours, and the marks of samples that were cut off."""
-        if self._clipped is None:
-            return self._planes
-        marks = self._clipped.marks(self._planes)
+    def _canvas(self) -> Canvas:
+        return Canvas(self.atlas, self._fields, self._metric, len(self._planes), self.parameters)
+
+    def _marks(self, clipped: ClippedChannels) -> NDArray[np.float32]:
+        """Return the planes to average beside the colours: the marks of samples that were cut off."""
+        marks = clipped.marks(self._planes)
         marks[:, self.atlas.kind == EMPTY] = 0
         refresh_halo(marks, self.atlas)
-        return np.concatenate([self._planes, marks])
+        return marks
 
     @property
     def planes(self) -> NDArray[np.float32]:
@@ -274,16 +210,9 @@ class TexelFlow:
         SampledKernel
         """
         metric, beta = self._metric.planes(self._planes, self.parameters.iterations)
-        return kernel_on_grid(
-            self.atlas, self._fields, metric, self._planes, beta, self.parameters, self._scheme(), cell
-        )
+        return kernel_on_grid(self.atlas, self._fields, metric, self._planes, beta, self.parameters, cell)
 
     def gutter_colours(self) -> NDArray[np.float32]:
         """Return the colours that the atlas's gutter cells have now, shape (G, N)."""
         refresh_halo(self._planes, self.atlas, interpolated=True)
         return np.ascontiguousarray(self._planes.reshape(len(self._planes), -1)[:, self.atlas.gutter_cells].T)
-
-    def _scheme(self) -> str:
-        if self.parameters.scheme == "metric":
-            return "metric"
-        return "sweep" if self.parameters.window <= _WIDEST_SWEEP else "triangles"

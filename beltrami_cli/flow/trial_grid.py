@@ -43,7 +43,7 @@ class GridTrial:
     metric : GridMetric
         Of the whole canvas.
     iterate : callable
-        Makes an iteration from the atlas, its fields, metric planes, colours, beta and t.
+        Makes an iteration from the atlas, its fields, metric planes with their beta, colours and t.
     budget : int
         About how many cells to look at; a canvas with no more owned cells is taken whole.
     reach : int
@@ -85,8 +85,8 @@ class GridTrial:
 
     def step(self, state: NDArray[np.float32], step: Step) -> NDArray[np.float32]:
         """Return the planes after an iteration."""
-        metric, beta = self._metric.join(state, step.beta, regularised=step.regularised)
-        return self._iterate(self._atlas, self._fields, metric, state, beta, step.t)
+        metric = self._metric.join(state, step.beta, regularised=step.regularised)
+        return self._iterate(self._atlas, self._fields, metric, state, step.t)
 
     def scored(self, state: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the colours of the cells that count, shape (samples, N)."""

@@ -12,13 +12,14 @@ import numpy as np
 import texture_files
 from scene import ROOT
 
+from beltrami_cli.flow.canvas import apply_kernel
 from beltrami_cli.flow.iteration import BeltramiFlow
 from beltrami_cli.flow.parameters import TUNABLE, KernelParameters
 from beltrami_cli.flow.texels import TexelFlow
 from beltrami_cli.flow.trial_grid import _blocks, _cut_out
 from beltrami_cli.formats.image import read_image
 from beltrami_cli.formats.source import open_document
-from beltrami_cli.mesh.atlas import HALO, OWNED
+from beltrami_cli.mesh.atlas import HALO, OWNED, refresh_halo
 from beltrami_cli.sampling.atlas import build_atlas
 from beltrami_cli.sampling.vertices import sample_vertices
 
@@ -140,15 +141,30 @@ class Steps:
         # With these the flow makes all that its iterations need; beta and the rest are given step by step.
         self.flow = scene.flow(noisy, KernelParameters(iterations=1, beta=1.0, metric_steps=1))
         self.scene, self.on_grid = scene, isinstance(self.flow, TexelFlow)
-        self.start = self.flow._with_marks()
+        self.start = self._planes_with_marks() if self.on_grid else self.flow._with_marks()
         self.channels = noisy.shape[1]
+
+    def _planes_with_marks(self):
+        clipped = self.flow._clipped
+        return np.concatenate([self.flow.planes, *([] if clipped is None else [self.flow._marks(clipped)])])
 
     def step(self, state, beta, t, *, regularised):
         """Return the state after an iteration."""
         flow = self.flow
         if self.on_grid:
-            metric, used = flow._metric.join(state[: self.channels], beta, regularised=regularised)
-            return flow._iterate(flow.atlas, flow._fields, metric, state, used, t)
+            atlas, parameters = flow.atlas, dataclasses.replace(flow.parameters, t=t)
+            metric = flow._metric.join(state[: self.channels], beta, regularised=regularised)
+            state, _ = apply_kernel(
+                atlas.kind,
+                atlas.squared_lengths,
+                flow._fields,
+                metric,
+                state,
+                parameters,
+                parameters.thread_count,
+            )
+            refresh_halo(state, atlas)
+            return state
         colours = np.ascontiguousarray(state[:, : self.channels])
         metric, used = flow._metric.join(colours, beta, regularised=regularised)
         flow._manifold.update_metric(

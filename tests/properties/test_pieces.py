@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from beltrami_cli.errors import UsageError
-from beltrami_cli.flow import iteration, texels
+from beltrami_cli.flow import iteration
+from beltrami_cli.flow.canvas import Canvas
 from beltrami_cli.flow.geometry import GeometryParameters
 from beltrami_cli.flow.guidance import Guide
 from beltrami_cli.flow.iteration import BeltramiFlow
@@ -183,8 +184,8 @@ def test_a_margin_that_is_one_cell_too_narrow_is_not_enough(monkeypatch):
     parameters = KernelParameters(**{**FIXED, "metric_scale": 1.0, "beta": 1.0})
     valid, values = np.ones((70, 90), bool), noisy(70 * 90)
     whole = grid_flow(valid, lambda pixels: values[pixels], parameters).run()
-    margin = texels.GridFields.margin.fget
-    monkeypatch.setattr(texels.GridFields, "margin", property(lambda fields: margin(fields) - 2))
+    margin = Canvas.margin.fget
+    monkeypatch.setattr(Canvas, "margin", property(lambda canvas: margin(canvas) - 2))
     with in_pieces(4, InTurn(2)):
         parts = grid_flow(valid, lambda pixels: values[pixels], parameters).run()
     assert not np.array_equal(parts.colours, whole.colours)

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from beltrami_cli.flow.canvas import apply_kernel
 from beltrami_cli.flow.pieces.exchange import Advance
-from beltrami_cli.flow.regularisation import guide_radius
 from beltrami_cli.mesh.atlas import EMPTY, HALO, OWNED
 
 if TYPE_CHECKING:
@@ -18,56 +18,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from beltrami_cli.flow.cell_fields import CellFields
-    from beltrami_cli.flow.grid_metric import GridMetric
-    from beltrami_cli.flow.parameters import KernelParameters
+    from beltrami_cli.flow.canvas import Canvas
     from beltrami_cli.mesh.atlas import Atlas
-
-# The paper's scheme looks for the support of an obtuse quadrant so many cells away.
-_FURTHEST_SUPPORT = 10
-
-
-@dataclass(frozen=True)
-class GridFields:
-    """A canvas as the flow has it.
-
-    Attributes
-    ----------
-    atlas : Atlas
-        With T owned cells, which are the samples.
-    cells : CellFields
-        Of the whole canvas.
-    metric : GridMetric
-        Of the whole canvas.
-    channels : int
-        How many of the values are colours, which the metric is made of.
-    parameters : KernelParameters
-        What to run with.
-    scheme : str
-        As the core takes it.
-    """
-
-    atlas: Atlas
-    cells: CellFields
-    metric: GridMetric
-    channels: int
-    parameters: KernelParameters
-    scheme: str
-
-    @property
-    def margin(self) -> int:
-        """How many cells around a cell its result in one iteration depends on."""
-        parameters = self.parameters
-        window = parameters.window // 2 + 1 + (_FURTHEST_SUPPORT if self.scheme == "metric" else 0)
-        return window + (guide_radius(parameters.metric_scale) if parameters.metric_steps else 0)
-
-    def sources(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return for each cell of the canvas the sample that it is, and the one whose value it has; -1: none."""
-        number = np.full(self.atlas.kind.size, -1, np.int64)
-        number[self.atlas.owned_cells] = np.arange(len(self.atlas.owned_cells))
-        source = number.copy()
-        source[self.atlas.halo_cells] = number[self.atlas.halo_nearest]
-        return number, source
 
 
 @dataclass(frozen=True)
@@ -85,18 +37,18 @@ class GridPiece:
 
     Parameters
     ----------
-    fields : GridFields
+    canvas : Canvas
         The whole canvas.
     core : Core
         The rectangle.
     number, source : ndarray of int64, shape (R * C,)
-        As `GridFields.sources` tells.
+        As `_sources` tells.
     """
 
     def __init__(
-        self, fields: GridFields, core: Core, number: NDArray[np.int64], source: NDArray[np.int64]
+        self, canvas: Canvas, core: Core, number: NDArray[np.int64], source: NDArray[np.int64]
     ) -> None:
-        atlas, margin = fields.atlas, fields.margin
+        atlas, margin = canvas.atlas, canvas.margin
         rows, columns = atlas.kind.shape
         down = np.arange(max(0, core.top - margin), min(rows, core.bottom + margin))
         along = np.arange(max(0, core.left - margin), min(columns, core.right + margin))
@@ -119,42 +71,48 @@ class GridPiece:
         cut[atlas.cut_cells] = True
         self._lengths = np.ascontiguousarray(atlas.squared_lengths.reshape(4, -1)[:, cells])
         self._kind = kind
-        self._cells = fields.cells.at(cells)
+        self._cells = canvas.cells.at(cells)
         alone = _without_references(atlas, kind, self._lengths, np.flatnonzero(cut[cells.reshape(-1)]))
-        self._metric = fields.metric.cut_out(alone, cells)
-        self._beta, self._channels = fields.metric.beta, fields.channels
-        self._parameters, self._scheme = fields.parameters, fields.scheme
-        self.threads = fields.parameters.threads
+        self._metric = canvas.metric.cut_out(alone, cells)
+        self._beta, self._channels = canvas.metric.beta, canvas.channels
+        self._parameters = canvas.parameters
+        self.threads = canvas.parameters.threads
 
     def advance(
         self, own: NDArray[np.float32], borrowed: NDArray[np.float32], iteration: int, threads: int
     ) -> Advance:
         """As for `Piece`."""
-        from beltrami_cli._native import smooth_grid
-
         parameters = self._parameters
         planes = np.zeros((own.shape[1], *self._kind.shape), np.float32)
         values = np.concatenate([own, borrowed])
         flat = planes.reshape(len(planes), -1)
         for plane, channel in zip(flat, values.T, strict=True):
             plane[self._filled] = channel[self._rows]
-        metric, beta = self._metric.join(
+        metric = self._metric.join(
             planes[: self._channels],
             self._beta * parameters.growth(iteration),
             regularised=parameters.is_regularised(iteration),
         )
-        smoothed, held = smooth_grid(
-            self._kind, self._lengths, self._cells.scale, self._cells.repeats, metric, planes, beta, parameters.t,
-            parameters.radius, parameters.window // 2, self._scheme, 0, threads, None,
-        )  # fmt: skip
+        smoothed, held = apply_kernel(
+            self._kind, self._lengths, self._cells, metric, planes, parameters, threads
+        )
         made = smoothed.reshape(len(smoothed), -1)[:, self._own_cells]
         return Advance(np.ascontiguousarray(made.T), held, 0)
 
 
-def cut_grid(fields: GridFields, count: int) -> list[GridPiece]:
+def cut_grid(canvas: Canvas, count: int) -> list[GridPiece]:
     """Cut a canvas into up to `count` pieces with about the same number of owned cells."""
-    number, source = fields.sources()
-    return [GridPiece(fields, core, number, source) for core in _cores(fields.atlas.kind == OWNED, count)]
+    number, source = _sources(canvas.atlas)
+    return [GridPiece(canvas, core, number, source) for core in _cores(canvas.atlas.kind == OWNED, count)]
+
+
+def _sources(atlas: Atlas) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return for each cell of the canvas the sample that it is, and the one whose value it has; -1: none."""
+    number = np.full(atlas.kind.size, -1, np.int64)
+    number[atlas.owned_cells] = np.arange(len(atlas.owned_cells))
+    source = number.copy()
+    source[atlas.halo_cells] = number[atlas.halo_nearest]
+    return number, source
 
 
 def _cores(owned: NDArray[np.bool_], count: int) -> Iterator[Core]:

@@ -44,7 +44,10 @@ Variant choose_variant() {
 
 std::vector<Tile> cut_into_tiles(const Grid& grid) {
   std::vector<Tile> tiles;
-  for (std::size_t row = 0; row < grid.rows; row += tile_rows)
+  // A band of a canvas has rows without owned cells above it, and its own rows are as many as those of whole tiles.
+  const std::uint8_t* first = std::find(grid.kind, grid.kind + grid.cells(), owned);
+  const std::size_t top = static_cast<std::size_t>(first - grid.kind) / std::max<std::size_t>(1, grid.columns);
+  for (std::size_t row = top; row < grid.rows; row += tile_rows)
     for (std::size_t column = 0; column < grid.columns; column += tile_columns) {
       const Tile tile{row, column, std::min(tile_rows, grid.rows - row), std::min(tile_columns, grid.columns - column)};
       bool used = false;

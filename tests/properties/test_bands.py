@@ -1,0 +1,101 @@
+"""A canvas that is smoothed band by band in place has the bits of one that is smoothed at once."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from beltrami_cli.flow import bands
+from beltrami_cli.flow.canvas import Canvas
+from beltrami_cli.flow.guidance import Guide
+from beltrami_cli.flow.parameters import KernelParameters
+from beltrami_cli.flow.texels import TexelFlow
+from beltrami_cli.pipeline.images.grid_flow import grid_flow
+from beltrami_cli.sampling.atlas import build_atlas
+from properties.test_pieces import FIXED, ON_GRIDS, noisy
+from properties.test_slits import SIDE, TEXELS, cut_plane
+
+THREE_ITERATIONS = {**FIXED, "iterations": 3, "metric_steps": 2}
+
+
+def narrow_bands(monkeypatch):
+    """Let bands be as low as their margins allow; return a list that takes the heights of all."""
+    monkeypatch.setattr(bands, "_CELLS", 1)
+    monkeypatch.setattr(bands, "_CELLS_PER_THREAD", 0)
+    monkeypatch.setattr(bands, "_TILE_ROWS", 1)
+    counts = []
+    make = bands.Bands.__init__
+
+    def counting(self, canvas):
+        make(self, canvas)
+        counts.append(len(self._starts))
+
+    monkeypatch.setattr(bands.Bands, "__init__", counting)
+    return counts
+
+
+def textured_flow(parameters):
+    size = SIDE * TEXELS + 2
+    atlas = build_atlas(cut_plane("aslant", True), [(size, size)], parameters.window // 2 + 3, 1)
+    colours = noisy(len(atlas.owned_cells))
+    guide = Guide("guide", colours[::-1, :1].copy(), 1.5)
+    return TexelFlow(atlas, colours, parameters, guides=[guide], metric_channels=[0, 2])
+
+
+def image_flow(parameters):
+    random = np.random.default_rng(5)
+    valid = random.random((70, 90)) > 0.03
+    positions = np.dstack([*np.meshgrid(np.arange(90.0), np.arange(70.0)), 3 * random.random((70, 90))])
+    values = noisy(valid.size)
+    return grid_flow(valid, lambda pixels: values[pixels], parameters, positions=positions)
+
+
+@pytest.mark.parametrize("make", [textured_flow, image_flow])
+@pytest.mark.parametrize("name", ON_GRIDS)
+def test_bands_have_the_bits_of_the_whole(make, name, monkeypatch):
+    parameters = KernelParameters(**{**THREE_ITERATIONS, **ON_GRIDS[name]})
+    flow = make(parameters)
+    assert name == "world" or flow._clipped is not None
+    whole, gutter = flow.run(), flow.gutter_colours()
+    counts = narrow_bands(monkeypatch)
+    flow = make(parameters)
+    parts = flow.run()
+    assert counts[-1] >= 3
+    assert np.array_equal(parts.colours, whole.colours)
+    assert np.array_equal(flow.gutter_colours(), gutter)
+    assert parts.samples_per_kernel == whole.samples_per_kernel
+
+
+def test_a_margin_that_is_one_cell_too_narrow_is_not_enough(monkeypatch):
+    """So the test above would see it."""
+    parameters = KernelParameters(**{**FIXED, "metric_scale": 1.0, "beta": 1.0})
+    whole = image_flow(parameters).run()
+    narrow_bands(monkeypatch)
+    margin = Canvas.margin.fget
+    monkeypatch.setattr(Canvas, "margin", property(lambda canvas: margin(canvas) - 2))
+    assert not np.array_equal(image_flow(parameters).run().colours, whole.colours)
+
+
+def test_progress_goes_from_band_to_band_up_to_the_work_there_is(monkeypatch):
+    counts = narrow_bands(monkeypatch)
+    flow = image_flow(KernelParameters(**THREE_ITERATIONS))
+    told = []
+    flow.run(lambda done, total: told.append((done, total)))
+    cells = flow.atlas.kind.size
+    assert counts == [counts[0]]
+    assert {total for _, total in told} == {3 * cells}
+    assert [done for done, _ in told] == sorted(done for done, _ in told)
+    assert told[-1][0] <= 3 * cells
+
+
+def test_chosen_parameters_do_not_depend_on_bands(monkeypatch):
+    free = dataclasses.replace(
+        KernelParameters(threads=2), free=("iterations", "t", "beta", "beta_growth", "metric_steps")
+    )
+    whole = image_flow(free).run()
+    narrow_bands(monkeypatch)
+    parts = image_flow(free).run()
+    assert parts.choice == whole.choice
+    assert np.array_equal(parts.colours, whole.colours)
