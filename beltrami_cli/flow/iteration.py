@@ -114,10 +114,10 @@ class BeltramiFlow:
         metric_channels: Sequence[int] | None = None,
         geometry: GeometryParameters | None = None,
     ) -> None:
-        from beltrami_cli._native import SegmentManifold, TriangulatedManifold, morton_order
+        from beltrami_cli._native import SegmentManifold, TriangulatedManifold, vertex_order
 
         self.parameters = parameters
-        self._order = morton_order(surface.positions)
+        self._order = vertex_order(surface.positions, surface.all_faces)
         rank = np.empty_like(self._order)
         rank[self._order] = np.arange(len(rank), dtype=rank.dtype)
         self._positions = surface.positions[self._order]

@@ -9,6 +9,7 @@
 #include "triangulated/short_time_kernel.hpp"
 #include "triangulated/stencils.hpp"
 #include "triangulated/topology.hpp"
+#include "triangulated/vertex_order.hpp"
 
 namespace beltrami::bindings {
 namespace {
@@ -62,11 +63,19 @@ class TriangulatedManifold {
   Stencils stencils_;
 };
 
-auto morton_order_of(const Matrix<double>& positions) {
-  const auto order = morton_order(rows_of(positions), static_cast<Index>(positions.shape(0)));
+auto give_order(const std::vector<Index>& order) {
   std::unique_ptr<Index[]> copy(new Index[order.size()]);
   std::copy(order.begin(), order.end(), copy.get());
   return give<Index, nb::ndim<1>>(std::move(copy), {order.size()});
+}
+
+auto morton_order_of(const Matrix<double>& positions) {
+  return give_order(morton_order(rows_of(positions), static_cast<Index>(positions.shape(0))));
+}
+
+auto vertex_order_of(const Matrix<double>& positions, const Matrix<Index>& faces) {
+  if (faces.shape(1) != 3) throw nb::value_error("faces must have three corners");
+  return give_order(vertex_order(rows_of(positions), {faces.data(), faces.size()}, static_cast<Index>(positions.shape(0))));
 }
 
 }  // namespace
@@ -74,6 +83,7 @@ auto morton_order_of(const Matrix<double>& positions) {
 void bind_triangulated(nb::module_& module) {
   using namespace nb::literals;
   module.def("morton_order", &morton_order_of, "positions"_a);
+  module.def("vertex_order", &vertex_order_of, "positions"_a, "faces"_a);
   nb::class_<TriangulatedManifold>(module, "TriangulatedManifold")
       .def(nb::init<const Matrix<Index>&, Index>(), "faces"_a, "vertex_count"_a)
       .def("update_metric", &TriangulatedManifold::update_metric, "positions"_a, "colours"_a, "beta"_a, "scales"_a.none(),

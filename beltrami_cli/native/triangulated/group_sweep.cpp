@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <array>
+#include <bit>
 #include <cmath>
 #include <limits>
 #include <utility>
@@ -37,14 +38,16 @@ inline std::uint32_t where_smaller(Lanes a, Lanes b) {
 
 class Group {
  public:
-  Group(const GroupJob& job, std::span<const Index> sources, std::span<const Index> region, GroupScratch& scratch)
-      : job_(job), sources_(sources), region_(region), scratch_(scratch),
+  Group(const GroupJob& job, std::span<const Index> sources, GroupScratch& scratch)
+      : job_(job), sources_(sources), scratch_(scratch),
         beyond_(std::nextafter(job.parameters.radius, std::numeric_limits<float>::infinity())) {}
 
-  KernelStatistics run() {
+  std::optional<KernelStatistics> run() {
     begin();
-    find_distances();
-    for (const Index vertex : region_) scratch_.place[static_cast<std::size_t>(vertex)] = 0;
+    const bool fits = find_distances();
+    for (std::size_t place = 0; place < size_; ++place)
+      scratch_.place[static_cast<std::size_t>(scratch_.region[place])] = 0;
+    if (!fits) return std::nullopt;
     const KernelStatistics statistics = find_kernels();
     average();
     return statistics;
@@ -53,84 +56,99 @@ class Group {
  private:
   float* row(std::size_t place) { return scratch_.lanes.data() + place * group_size; }
 
-  // Distances that are not known stand just beyond the radius, so that no path leads further.
   void begin() {
-    const std::size_t size = region_.size();
-    if (scratch_.lanes.size() < size * group_size) scratch_.lanes.resize(size * group_size);
-    std::fill_n(scratch_.lanes.begin(), size * group_size, beyond_);
-    scratch_.changed.assign(size, 0);
-    scratch_.steps_of.assign(size, {0, 0});
-    steps_end_ = 0;
-    for (std::size_t i = 0; i < size; ++i) {
-      scratch_.place[static_cast<std::size_t>(region_[i])] = static_cast<std::uint16_t>(i + 1);
-      prefetch(region_[i]);
-    }
+    grow(group_size);
+    for (const Index source : sources_) prefetch(source);
     for (std::size_t lane = 0; lane < sources_.size(); ++lane) {
-      const std::size_t place = scratch_.place[static_cast<std::size_t>(sources_[lane])] - 1U;
-      row(place)[lane] = 0;
-      scratch_.changed[place] = 1;
+      add(sources_[lane]);
+      row(lane)[lane] = 0;
+      scratch_.least[lane] = 0;
+      scratch_.changed[lane] = 1;
     }
+  }
+
+  void grow(std::size_t size) {
+    if (scratch_.region.size() >= size) return;
+    size = std::max(size, 2 * scratch_.region.size());
+    scratch_.region.resize(size);
+    scratch_.changed.resize(size);
+    scratch_.least.resize(size);
+    scratch_.lanes.resize(size * group_size);
+  }
+
+  // Gives a vertex a place. Distances that are not known stand just beyond the radius, so that no path leads further.
+  std::uint32_t add(Index vertex) {
+    const std::size_t place = size_++;
+    scratch_.region[place] = vertex;
+    scratch_.changed[place] = 0;
+    scratch_.least[place] = beyond_;
+    for (std::size_t part = 0; part < parts; ++part) store(row(place) + part * lane_count, splat(beyond_));
+    prefetch(vertex);
+    return scratch_.place[static_cast<std::size_t>(vertex)] = static_cast<std::uint16_t>(size_);
   }
 
   // The lists of segments from a vertex are about to be read.
   void prefetch([[maybe_unused]] Index vertex) const {
 #if defined(__GNUC__)
-    const std::uint64_t* offset = job_.segments->offsets.data() + vertex;
-    for (std::uint64_t i = offset[0]; i < offset[1]; i += 64 / sizeof(Segment))
-      __builtin_prefetch(job_.segments->from.data() + i);
+    const std::uint32_t* offset = job_.segments->offsets.data() + vertex;
+    for (std::uint32_t i = offset[0]; i < offset[1]; i += 64 / sizeof(float)) {
+      __builtin_prefetch(job_.segments->lengths.data() + i);
+      __builtin_prefetch(job_.segments->targets.data() + i);
+    }
 #endif
   }
 
   // Passes changes on, vertex by vertex, until there are none: then every distance is that of the shortest path, whatever
-  // the order, as sums along a path are rounded in the same way for all.
-  void find_distances() {
-    for (std::size_t place = std::min(region_.size(), group_size); place-- > 0;) pass_on(place);
+  // the order, as sums along a path are rounded in the same way for all. Returns whether there was room.
+  bool find_distances() {
+    for (std::size_t place = sources_.size(); place-- > 0;) pass_on(place);
     for (bool any = true; any;) {
       any = false;
-      for (std::size_t place = 0; place < region_.size(); ++place) any |= pass_on(place);
-    }
-  }
-
-  bool pass_on(std::size_t place) {
-    if (std::exchange(scratch_.changed[place], 0U) == 0) return false;
-    GroupScratch::Steps& steps = scratch_.steps_of[place];
-    if (steps.end == 0) steps = list_steps(region_[place]);
-    float* lanes = scratch_.lanes.data();
-    std::uint32_t* changed = scratch_.changed.data();
-    std::array<Lanes, parts> here;
-    for (std::size_t part = 0; part < parts; ++part) here[part] = load(row(place) + part * lane_count);
-    const GroupScratch::Step* last = scratch_.steps.data() + steps.end;
-    for (const GroupScratch::Step* step = scratch_.steps.data() + steps.begin; step != last; ++step) {
-      float* target = lanes + step->place * group_size;
-      std::uint32_t nearer = 0;
-      for (std::size_t part = 0; part < parts; ++part) {
-        const Lanes before = load(target + part * lane_count), through = here[part] + step->length;
-        nearer |= where_smaller(through, before);
-        store(target + part * lane_count, smaller(through, before));
-      }
-      changed[step->place] |= nearer;
+      for (std::size_t place = 0; place < size_; ++place) any |= pass_on(place);
+      if (size_ > largest_region) return false;
     }
     return true;
   }
 
-  // The segments from a vertex that stay in the region and are straight; without branches, as that is hard to predict.
-  GroupScratch::Steps list_steps(Index vertex) {
+  bool pass_on(std::size_t place) {
+    if (std::exchange(scratch_.changed[place], 0U) == 0) return false;
     const Segments& segments = *job_.segments;
-    const Segment* first = segments.from.data() + segments.offsets[static_cast<std::size_t>(vertex)];
-    const Segment* last = segments.from.data() + segments.offsets[static_cast<std::size_t>(vertex) + 1];
-    const std::uint32_t begin = steps_end_;
-    const auto most = begin + static_cast<std::size_t>(last - first);
-    if (scratch_.steps.size() < most) scratch_.steps.resize(2 * most);
-    GroupScratch::Step* next = scratch_.steps.data() + begin;
-    const std::uint16_t* places = scratch_.place.data();
-    const float beyond = beyond_;
-    for (const Segment* segment = first; segment != last; ++segment) {
-      const std::uint32_t place = places[static_cast<std::size_t>(segment->target)];
-      *next = {place - 1, segment->length};
-      next += static_cast<std::ptrdiff_t>((place != 0) & (segment->length < beyond));
+    const std::uint32_t* offset = segments.offsets.data() + scratch_.region[place];
+    const std::uint32_t begin = offset[0], end = offset[1];
+    grow(size_ + (end - begin));
+    std::array<Lanes, parts> here;
+    for (std::size_t part = 0; part < parts; ++part) here[part] = load(row(place) + part * lane_count);
+    // A longer segment leads out of all kernels; rounding must not make that of one that does not.
+    const float least = scratch_.least[place], limit = (beyond_ - least) * 1.000001F;
+    const float* lengths = segments.lengths.data();
+    const Index* targets = segments.targets.data();
+    for (std::uint32_t chunk = begin; chunk < end; chunk += 64) {
+      const std::uint32_t count = std::min(end - chunk, 64U);
+      std::uint64_t within = 0;
+      for (std::uint32_t k = 0; k < count; k += lane_count)
+        within |= std::uint64_t{where_smaller(load(lengths + chunk + k), splat(limit))} << k;
+      within &= ~std::uint64_t{0} >> (64 - count);
+      for (; within != 0; within &= within - 1) {
+        const std::uint32_t i = chunk + static_cast<std::uint32_t>(std::countr_zero(within));
+        relax(targets[i], lengths[i], here, least);
+      }
     }
-    steps_end_ = static_cast<std::uint32_t>(next - scratch_.steps.data());
-    return {begin, steps_end_};
+    return true;
+  }
+
+  void relax(Index target, float length, const std::array<Lanes, parts>& here, float from) {
+    std::uint32_t place = scratch_.place[static_cast<std::size_t>(target)];
+    if (place == 0) place = add(target);
+    --place;
+    float* distances = row(place);
+    std::uint32_t nearer = 0;
+    for (std::size_t part = 0; part < parts; ++part) {
+      const Lanes before = load(distances + part * lane_count), through = here[part] + length;
+      nearer |= where_smaller(through, before);
+      store(distances + part * lane_count, smaller(through, before));
+    }
+    scratch_.least[place] = std::min(scratch_.least[place], from + length);
+    scratch_.changed[place] |= nearer;
   }
 
   // Turns distances into kernel values, K = exp(-d^2 / 4 t), and lists the places that any kernel holds.
@@ -138,7 +156,7 @@ class Group {
     const float factor = -1 / (4 * job_.parameters.time_step);
     std::array<float, group_size> counts{};
     scratch_.held.clear();
-    for (std::size_t place = 0; place < region_.size(); ++place) {
+    for (std::size_t place = 0; place < size_; ++place) {
       std::uint32_t within = 0;
       for (std::size_t part = 0; part < parts; ++part)
         within |= where_smaller(load(row(place) + part * lane_count), splat(beyond_));
@@ -165,7 +183,7 @@ class Group {
         float* values = row(place) + part * lane_count;
         const Lanes distance = load(values);
         Lanes kernel = select(distance < splat(beyond_), exponential(distance * distance * factor), Lanes{});
-        if (job_.weights != nullptr) kernel = kernel * job_.weights[region_[place]];
+        if (job_.weights != nullptr) kernel = kernel * job_.weights[scratch_.region[place]];
         store(values, kernel);
       }
     return statistics;
@@ -176,11 +194,11 @@ class Group {
     std::vector<std::pair<float, Index>> order;
     for (const std::uint32_t place : scratch_.held)
       if (row(place)[lane] < beyond_)
-        order.emplace_back(region_[place] == sources_[lane] ? -1 : row(place)[lane], region_[place]);
+        order.emplace_back(scratch_.region[place] == sources_[lane] ? -1 : row(place)[lane], scratch_.region[place]);
     const auto last = order.begin() + static_cast<std::ptrdiff_t>(job_.parameters.max_samples);
     std::nth_element(order.begin(), last, order.end());
     for (const std::uint32_t place : scratch_.held)
-      if (region_[place] != sources_[lane] && !(std::pair(row(place)[lane], region_[place]) < *last))
+      if (scratch_.region[place] != sources_[lane] && !(std::pair(row(place)[lane], scratch_.region[place]) < *last))
         row(place)[lane] = beyond_;
   }
 
@@ -199,7 +217,7 @@ class Group {
       std::array<Lanes, parts> sums{}, centre;
       for (std::size_t part = 0; part < parts; ++part) centre[part] = load(centres.data() + part * lane_count);
       for (const std::uint32_t place : scratch_.held) {
-        const float colour = job_.colours[region_[place]][channel];
+        const float colour = job_.colours[scratch_.region[place]][channel];
         low = std::min(low, colour);
         high = std::max(high, colour);
         for (std::size_t part = 0; part < parts; ++part)
@@ -215,17 +233,16 @@ class Group {
   }
 
   const GroupJob& job_;
-  std::span<const Index> sources_, region_;
+  std::span<const Index> sources_;
   GroupScratch& scratch_;
   float beyond_;
-  std::uint32_t steps_end_ = 0;
+  std::size_t size_ = 0;  // of the region
 };
 
 }  // namespace
 
-KernelStatistics sweep_group(const GroupJob& job, std::span<const Index> sources, std::span<const Index> region,
-                             GroupScratch& scratch) {
-  return Group(job, sources, region, scratch).run();
+std::optional<KernelStatistics> sweep_group(const GroupJob& job, std::span<const Index> sources, GroupScratch& scratch) {
+  return Group(job, sources, scratch).run();
 }
 
 }  // namespace beltrami::triangulated::BELTRAMI_VARIANT

@@ -3,6 +3,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <optional>
 #include <span>
 #include <vector>
 
@@ -11,6 +12,9 @@
 #include "triangulated/short_time_kernel.hpp"
 
 namespace beltrami::triangulated {
+
+// Where the kernels of a group reach more vertices than this, their distances do not fit the caches.
+constexpr std::size_t largest_region = 16384;
 
 struct GroupJob {
   const Segments* segments;
@@ -22,39 +26,28 @@ struct GroupJob {
 
 // Scratch memory of one thread, grown on first use and kept.
 struct GroupScratch {
-  // A segment within the region.
-  struct Step {
-    std::uint32_t place;  // of its target
-    float length;
-  };
-  struct Steps {
-    std::uint32_t begin, end;
-  };
   explicit GroupScratch(std::size_t vertex_count) : place(vertex_count, 0) {}
-  std::vector<std::uint16_t> place;  // [vertex]: 1 + its place in the region, 0 outside
-  std::vector<float> lanes;          // 16 a vertex of the region: distances, later kernel values
-  std::vector<std::uint32_t> changed;
-  std::vector<Steps> steps_of;
-  std::vector<Step> steps;
-  std::vector<std::uint32_t> held;  // the places that a kernel holds
+  std::vector<std::uint16_t> place;   // [vertex]: 1 + its place in the region, 0 outside
+  std::vector<Index> region;          // [place]: the vertices that any of the kernels reaches, as they are found
+  std::vector<float> lanes;           // [place]: 16 distances, later kernel values
+  std::vector<std::uint32_t> changed; // [place]: whether any distance has fallen and was not passed on
+  std::vector<float> least;           // [place]: the least of its distances
+  std::vector<std::uint32_t> held;    // the places that a kernel holds
 };
 
-// Writes the smoothed colours of up to 16 sources, all in the region, which has at most 65534 vertices.
-using SweepGroup = KernelStatistics (*)(const GroupJob& job, std::span<const Index> sources,
-                                        std::span<const Index> region, GroupScratch& scratch);
+// Writes the smoothed colours of up to 16 sources. Nothing is written, or told, if they reach too many vertices.
+using SweepGroup = std::optional<KernelStatistics> (*)(const GroupJob& job, std::span<const Index> sources,
+                                                       GroupScratch& scratch);
 
 namespace baseline {
-KernelStatistics sweep_group(const GroupJob& job, std::span<const Index> sources, std::span<const Index> region,
-                             GroupScratch& scratch);
+std::optional<KernelStatistics> sweep_group(const GroupJob& job, std::span<const Index> sources, GroupScratch& scratch);
 }
 #ifdef BELTRAMI_X86_VARIANTS
 namespace x86_64_v3 {
-KernelStatistics sweep_group(const GroupJob& job, std::span<const Index> sources, std::span<const Index> region,
-                             GroupScratch& scratch);
+std::optional<KernelStatistics> sweep_group(const GroupJob& job, std::span<const Index> sources, GroupScratch& scratch);
 }
 namespace x86_64_v4 {
-KernelStatistics sweep_group(const GroupJob& job, std::span<const Index> sources, std::span<const Index> region,
-                             GroupScratch& scratch);
+std::optional<KernelStatistics> sweep_group(const GroupJob& job, std::span<const Index> sources, GroupScratch& scratch);
 }
 #endif
 

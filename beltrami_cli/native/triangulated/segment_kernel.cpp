@@ -34,23 +34,12 @@ SegmentKernel::SegmentKernel(std::span<const Index> face_corners, Index vertex_c
 void SegmentKernel::update_metric(Rows<double> positions, Rows<float> colours, double beta, const float* scales,
                                   unsigned threads) {
   const bool moved = measure_edges(metric_, topology_, positions, colours, beta, scales, threads);
-  if (moved || groups_.members.empty()) {
-    groups_ = make_groups(positions, topology_.vertex_count, threads);
-    region_radius_ = -1;
-  }
+  if (moved || groups_.members.empty()) groups_ = make_groups(positions, segments_, threads);
   update_lengths(segments_, metric_, topology_, metric_.squared, threads);
 }
 
 KernelStatistics SegmentKernel::smooth(Rows<float> colours, const float* weights, const KernelParameters& parameters,
                                        float* smoothed, unsigned threads, const Poll& poll) {
-  if (region_radius_ != parameters.radius) {
-    update_lengths(segments_, metric_, topology_, metric_.in_space, threads);
-    region_radius_ = -1;
-    // It may be asked to stop, and has done nothing yet of what progress counts.
-    find_regions(groups_, segments_, parameters.radius, threads, poll ? Poll([&](std::size_t) { return poll(0); }) : Poll());
-    region_radius_ = parameters.radius;
-    update_lengths(segments_, metric_, topology_, metric_.squared, threads);
-  }
   const SweepGroup sweep = choose_sweep();
   const GroupJob job{&segments_, colours, weights, parameters, smoothed};
   const auto useful = static_cast<unsigned>(std::clamp<std::size_t>(threads, 1, groups_.count() / groups_per_chunk + 1));
@@ -61,9 +50,9 @@ KernelStatistics SegmentKernel::smooth(Rows<float> colours, const float* weights
         if (!workers[index]) workers[index] = std::make_unique<Worker>(segments_);
         Worker& worker = *workers[index];
         for (std::size_t group = begin; group < end; ++group) {
-          const auto sources = groups_.sources(group), region = groups_.region(group);
-          if (!region.empty()) {
-            add(worker.statistics, sweep(job, sources, region, worker.scratch));
+          const auto sources = groups_.sources(group);
+          if (const auto done = sweep(job, sources, worker.scratch)) {
+            add(worker.statistics, *done);
             continue;
           }
           if (!worker.marching) worker.marching = std::make_unique<SegmentMarch>(segments_);

@@ -40,7 +40,6 @@ class SegmentKernel {
   Segments segments_;
   EdgeMetric metric_;
   VertexGroups groups_;
-  float region_radius_ = -1;  // that the regions were found for; -1: they are out of date
 };
 
 }  // namespace beltrami::triangulated

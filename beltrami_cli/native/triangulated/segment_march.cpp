@@ -34,8 +34,8 @@ std::span<const Reached> SegmentMarch::march(std::span<const Index> sources, flo
     }
     reached_.push_back({vertex, distance});
     const auto row = static_cast<std::size_t>(vertex);
-    for (std::uint64_t i = segments_.offsets[row]; i < segments_.offsets[row + 1]; ++i)
-      relax(segments_.from[i].target, distance + segments_.from[i].length);
+    for (std::uint32_t i = segments_.offsets[row]; i < segments_.offsets[row + 1]; ++i)
+      relax(segments_.targets[i], distance + segments_.lengths[i]);
   }
   return reached_;
 }

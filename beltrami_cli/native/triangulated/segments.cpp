@@ -37,23 +37,24 @@ void for_each_segment(const Topology& topology, Visit visit) {
 Segments make_segments(const Topology& topology) {
   Segments segments;
   segments.offsets.assign(static_cast<std::size_t>(topology.vertex_count) + 1, 0);
+  std::uint64_t count = 0;
   for_each_segment(topology, [&](Index a, Index b, std::uint32_t) {
     ++segments.offsets[static_cast<std::size_t>(a)];
     ++segments.offsets[static_cast<std::size_t>(b)];
+    count += 2;
   });
-  std::exclusive_scan(segments.offsets.begin(), segments.offsets.end(), segments.offsets.begin(), std::uint64_t{0});
-  const std::uint64_t count = segments.offsets.back();
   if (count >= std::numeric_limits<std::uint32_t>::max())
     throw std::length_error("the mesh has more segments than 32-bit numbers can count");
+  std::exclusive_scan(segments.offsets.begin(), segments.offsets.end(), segments.offsets.begin(), std::uint32_t{0});
   const auto spare = static_cast<std::uint32_t>(count);
-  segments.from.assign(count + 1, {0, no_segment});
+  segments.targets.resize(count);
+  segments.lengths.assign(count + spare_lengths, no_segment);
   segments.places.assign(2 * topology.edges.size() + topology.twins.size(), {spare, spare});
   auto cursor = segments.offsets;
   for_each_segment(topology, [&](Index a, Index b, std::uint32_t id) {
-    const auto from_a = static_cast<std::uint32_t>(cursor[static_cast<std::size_t>(a)]++);
-    const auto from_b = static_cast<std::uint32_t>(cursor[static_cast<std::size_t>(b)]++);
-    segments.from[from_a].target = b;
-    segments.from[from_b].target = a;
+    const std::uint32_t from_a = cursor[static_cast<std::size_t>(a)]++, from_b = cursor[static_cast<std::size_t>(b)]++;
+    segments.targets[from_a] = b;
+    segments.targets[from_b] = a;
     segments.places[id] = {from_a, from_b};
   });
   return segments;

@@ -18,21 +18,21 @@ namespace beltrami::triangulated {
 // Larger than any length; adding lengths to it cannot overflow.
 constexpr float no_segment = 1e30F;
 
-struct Segment {
-  Index target;
-  float length;  // no_segment where the straight line leaves the strip
-};
+// As many lengths as the widest register holds may be read from any place on.
+constexpr std::size_t spare_lengths = 16;
 
 // Segment ids: [0, E) the edges, [E, 2 E) across the edge, [2 E, 2 E + 3 F) around the corner, over both its edges.
+// Both directions of every segment stand in lists, grouped by the vertex that it comes from.
 struct Segments {
-  std::vector<std::uint64_t> offsets;  // [vertex], one more at the end
-  std::vector<Segment> from;           // both directions of every segment, grouped by the vertex that it comes from
-  std::vector<std::array<std::uint32_t, 2>> places;  // [id]: both directions in `from`; its last entry, a spare one,
-                                                     // for what is no segment
+  std::vector<std::uint32_t> offsets;  // [vertex], one more at the end
+  std::vector<Index> targets;          // [place in the lists]
+  std::vector<float> lengths;          // [place in the lists]: no_segment where the straight line leaves the strip; and
+                                       // `spare_lengths` more
+  std::vector<std::array<std::uint32_t, 2>> places;  // [id]: both directions; the first spare one for what is no segment
 
   Index vertex_count() const { return static_cast<Index>(offsets.size() - 1); }
   void set_length(std::size_t id, float length) {
-    for (const std::uint32_t place : places[id]) from[place].length = length;
+    for (const std::uint32_t place : places[id]) lengths[place] = length;
   }
 };
 

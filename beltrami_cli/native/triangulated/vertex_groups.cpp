@@ -3,17 +3,18 @@
 #include <algorithm>
 #include <limits>
 #include <numeric>
+#include <vector>
 
 #include "parallel.hpp"
-#include "triangulated/segment_march.hpp"
 
 namespace beltrami::triangulated {
 namespace {
 
 constexpr std::size_t groups_per_block = 256;
 
-// Rounding of lengths must not cut a region short.
-constexpr float margin = 1.001F;
+// On even surfaces every third segment or so stays within a group; where it is less than one of this many, vertices that
+// lie side by side are not neighbours: leaves of a tree, sheets upon sheets, positions that mean nothing.
+constexpr std::size_t usual_share = 8;
 
 class Bisection {
  public:
@@ -53,6 +54,55 @@ class Bisection {
   Rows<double> positions_;
 };
 
+// The vertices of one block, [first, first + size), and the segments between them.
+class Block {
+ public:
+  Block(const Segments& segments, std::size_t first, std::size_t size) : segments_(segments), first_(first), size_(size) {}
+
+  // How many segments stay within groups.
+  std::size_t count_inside(std::span<const Index> members) const {
+    std::vector<std::size_t> group(size_);
+    for (std::size_t i = 0; i < size_; ++i) group[static_cast<std::size_t>(members[i]) - first_] = i / group_size;
+    std::size_t inside = 0;
+    for (std::size_t i = 0; i < size_; ++i)
+      for_each_target(i, [&](std::size_t target) { inside += group[i] == group[target]; });
+    return inside;
+  }
+
+  std::size_t count_all() const { return segments_.offsets[first_ + size_] - segments_.offsets[first_]; }
+
+  // Grows group after group along segments, each from the first vertex that is left.
+  std::vector<Index> gather() const {
+    std::vector<Index> members;
+    members.reserve(size_);
+    std::vector<bool> taken(size_, false);
+    const auto take = [&](std::size_t i) {
+      if (taken[i]) return;
+      taken[i] = true;
+      members.push_back(static_cast<Index>(first_ + i));
+    };
+    for (std::size_t seed = 0; seed < size_; ++seed) {
+      std::size_t next = members.size();
+      const std::size_t full = (next / group_size + 1) * group_size;
+      for (take(seed); next < members.size() && members.size() < full; ++next)
+        for_each_target(static_cast<std::size_t>(members[next]) - first_, [&](std::size_t target) {
+          if (members.size() < full) take(target);
+        });
+    }
+    return members;
+  }
+
+ private:
+  template <class Visit>
+  void for_each_target(std::size_t i, Visit visit) const {
+    for (std::uint32_t k = segments_.offsets[first_ + i]; k < segments_.offsets[first_ + i + 1]; ++k)
+      if (const std::size_t target = static_cast<std::size_t>(segments_.targets[k]) - first_; target < size_) visit(target);
+  }
+
+  const Segments& segments_;
+  std::size_t first_, size_;
+};
+
 }  // namespace
 
 std::span<const Index> VertexGroups::sources(std::size_t group) const {
@@ -60,42 +110,23 @@ std::span<const Index> VertexGroups::sources(std::size_t group) const {
   return {members.data() + begin, std::min(group_size, members.size() - begin)};
 }
 
-std::span<const Index> VertexGroups::region(std::size_t group) const {
-  const std::uint32_t begin = group % groups_per_block == 0 ? 0 : ends[group - 1];
-  return {regions[group / groups_per_block].data() + begin, ends[group] - begin};
-}
-
-VertexGroups make_groups(Rows<double> positions, Index vertex_count, unsigned threads) {
+VertexGroups make_groups(Rows<double> positions, const Segments& segments, unsigned threads) {
   VertexGroups groups;
-  groups.members.resize(static_cast<std::size_t>(vertex_count));
+  groups.members.resize(static_cast<std::size_t>(segments.vertex_count()));
   std::iota(groups.members.begin(), groups.members.end(), Index{0});
-  // Block by block, and without positions the order given must do.
-  if (positions.width == 0) return groups;
   const Bisection bisection(positions);
   parallel_chunks(groups.members.size(), groups_per_block * group_size, threads,
                   [&](std::size_t begin, std::size_t end, unsigned) {
-                    bisection.cut({groups.members.data() + begin, end - begin});
+                    const std::span<Index> members(groups.members.data() + begin, end - begin);
+                    // Without positions the order given must do.
+                    if (positions.width > 0) bisection.cut(members);
+                    const Block block(segments, begin, members.size());
+                    const std::size_t inside = block.count_inside(members);
+                    if (inside * usual_share >= block.count_all()) return;
+                    const auto gathered = block.gather();
+                    if (block.count_inside(gathered) > inside) std::copy(gathered.begin(), gathered.end(), members.begin());
                   });
   return groups;
-}
-
-void find_regions(VertexGroups& groups, const Segments& segments, float radius, unsigned threads, const Poll& poll) {
-  const std::size_t count = groups.count();
-  groups.ends.assign(count, 0);
-  groups.regions.assign((count + groups_per_block - 1) / groups_per_block, {});
-  std::vector<SegmentMarch> marches(std::max(1U, threads), SegmentMarch(segments));
-  const auto find = [&](std::size_t begin, std::size_t end, unsigned worker) {
-    SegmentMarch& marching = marches[worker];
-    auto& block = groups.regions[begin / groups_per_block];
-    for (std::size_t group = begin; group < end; ++group) {
-      const auto reached = marching.march(groups.sources(group), margin * radius, largest_region);
-      if (!marching.truncated())
-        for (const auto& [vertex, distance] : reached) block.push_back(vertex);
-      groups.ends[group] = static_cast<std::uint32_t>(block.size());
-    }
-    block.shrink_to_fit();
-  };
-  parallel_chunks(count, groups_per_block, threads, find, poll);
 }
 
 }  // namespace beltrami::triangulated
