@@ -1,8 +1,14 @@
-"""What of the tests there is for which system."""
+"""What of the tests there is for which system, and that how long an example takes is no failure."""
 
 from __future__ import annotations
 
 import sys
+
+from hypothesis import settings
+
+# Another process on the same processors makes any example last.
+settings.register_profile("patient", settings(deadline=None))
+settings.load_profile("patient")
 
 # Signals, FIFOs, limits of resources, terminals and shells as POSIX has them.
 _OF_POSIX = [

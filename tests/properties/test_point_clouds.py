@@ -96,7 +96,7 @@ def test_rotation_shift_and_scale_make_no_difference(scale, shift):
     positions, _ = surfaces.terrain(30, 30, 0.15, 8)
     positions[:, :2] += np.random.default_rng(9).uniform(-0.3, 0.3, (900, 2))
     colours = strips(positions, 6)
-    turned = Rotation.random(rng=np.random.default_rng(10)).apply(positions) * scale + shift
+    turned = Rotation.random(None, np.random.default_rng(10)).apply(positions) * scale + shift
     expected = beltrami_cli.smooth(positions, None, colours, beta=10).colours
     assert np.abs(beltrami_cli.smooth(turned, None, colours, beta=10).colours - expected).max() < 2e-4
 

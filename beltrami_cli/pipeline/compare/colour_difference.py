@@ -86,7 +86,8 @@ def _with_hue(*colours: NDArray[np.float64]) -> list[tuple[NDArray[np.float64], 
     mean = sum(np.hypot(lab[:, 1], lab[:, 2]) for lab in colours) / 2  # eqs. (2), (3)
     stretch = 1 + 0.5 * (1 - np.sqrt(mean**7 / (mean**7 + _25_TO_7)))  # eqs. (4), (5)
     found: list[tuple[NDArray[np.float64], ...]] = []
-    for lightness, a, b in (lab.T for lab in colours):
+    # Side by side: how NumPy 2.0 rounds arctan2 of other arrays depends on where in memory they lie.
+    for lightness, a, b in (np.ascontiguousarray(lab.T) for lab in colours):
         stretched = stretch * a
         hue = np.degrees(np.arctan2(b, stretched)) % 360  # eqs. (6), (7)
         found.append((lightness, np.hypot(stretched, b), hue))
