@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.flow.canvas import apply_kernel
+from beltrami_cli.mesh import large_arrays
 from beltrami_cli.mesh.atlas import HALO, OWNED, refresh_halo
 
 if TYPE_CHECKING:
@@ -35,12 +36,11 @@ class Bands:
 
     def __init__(self, canvas: Canvas) -> None:
         self._canvas = canvas
-        rows, columns = canvas.atlas.kind.shape
+        columns = canvas.atlas.kind.shape[1]
         wanted = max(_CELLS, _CELLS_PER_THREAD * canvas.parameters.thread_count) // max(1, columns)
         # A band is at least as high as the margin, so that it depends on none but the bands beside it.
         least = max(wanted, canvas.margin, 1)
         self._height = -(-least // _TILE_ROWS) * _TILE_ROWS
-        self._starts = range(0, rows, self._height)
 
     def iterate(
         self,
@@ -67,8 +67,8 @@ class Bands:
         atlas, margin = self._canvas.atlas, self._canvas.margin
         rows, columns = atlas.kind.shape
         held, above = 0, np.zeros((sum(map(len, stacks)), 0, columns), np.float32)
-        for top in self._starts:
-            bottom = min(rows, top + self._height)
+        for band in large_arrays.blocks(rows, self._height):
+            top, bottom = band.start, band.stop
             last = min(rows, bottom + margin)
             # What lies above was overwritten by the band before.
             before = np.concatenate([above, np.concatenate([stack[:, top:last] for stack in stacks])], axis=1)

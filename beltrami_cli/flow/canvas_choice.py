@@ -5,6 +5,8 @@ from __future__ import annotations
 import dataclasses
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from beltrami_cli.flow.canvas import apply_kernel
 from beltrami_cli.flow.choice import ON_GRIDS, Choice, choose, choose_by_rule, is_noisy
 from beltrami_cli.flow.correlation import is_correlated_on_grid
@@ -13,7 +15,6 @@ from beltrami_cli.flow.trial_grid import GridTrial
 from beltrami_cli.mesh.atlas import OWNED, refresh_halo
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
     from beltrami_cli.flow.canvas import Canvas
@@ -25,6 +26,11 @@ if TYPE_CHECKING:
 # iterations are tried, each twice. Fewer than so many cells tell too little, and take about a second.
 _SHARE_TRIED = 1 / 25
 _LEAST_TRIED = 25_000
+# More tell nothing new: of so many the risk is known to some hundredths of a dB.
+_MOST_TRIED = 500_000
+
+# Rows in which correlated noise is looked for, in so many bands.
+_ROWS, _BANDS = 64, 32
 
 
 def choose_on_canvas(
@@ -56,7 +62,8 @@ def choose_on_canvas(
         if "iterations" in wanted.free:
             parameters = dataclasses.replace(parameters, iterations=0)
         return parameters, None
-    if is_correlated_on_grid(planes, atlas.kind == OWNED):
+    rows = _some_rows(len(atlas.kind))
+    if is_correlated_on_grid(planes[:, rows], atlas.kind[rows] == OWNED):
         return choose_by_rule(canvas.metric.beta, wanted)
 
     def iterate(
@@ -70,9 +77,17 @@ def choose_on_canvas(
         refresh_halo(smoothed, atlas)
         return smoothed
 
-    budget = max(_LEAST_TRIED, int(len(atlas.owned_cells) * _SHARE_TRIED))
+    budget = min(max(_LEAST_TRIED, int(len(atlas.owned_cells) * _SHARE_TRIED)), _MOST_TRIED)
     reach = wanted.window // 2 + guide_radius(wanted.metric_scale)
     trial = GridTrial(atlas, planes, canvas.cells, canvas.metric, iterate, budget, reach)
     return choose(
         trial, trial.samples, sigma, canvas.metric.counting, unit, canvas.metric.beta, wanted, ON_GRIDS
     )
+
+
+def _some_rows(count: int) -> slice | NDArray[np.intp]:
+    """Choose bands of rows, evenly spread; all rows if there are not many."""
+    if count <= _ROWS * _BANDS:
+        return slice(None)
+    first = np.linspace(0, count - _ROWS, _BANDS).astype(int)
+    return (first[:, None] + np.arange(_ROWS)).reshape(-1)

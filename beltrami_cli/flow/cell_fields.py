@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from beltrami_cli.mesh import large_arrays
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -15,6 +17,9 @@ if TYPE_CHECKING:
 # Rows and columns about a halo cell in which others are looked for that show the same texel: those of a chart that is
 # up to seven times as fine as what it is continued by.
 _REPEATS_REACH = 3
+
+# Rows that are looked at together.
+_ROWS = 256
 
 
 @dataclass(frozen=True)
@@ -46,6 +51,31 @@ class CellFields:
             None if self.scale is None else self.scale[rows],
             None if self.repeats is None else self.repeats[rows],
         )
+
+
+def local_scales(atlas: Atlas, window: int) -> NDArray[np.float32]:
+    """Tell by what squared lengths are multiplied, to be in units of the sample spacing around each cell.
+
+    Parameters
+    ----------
+    atlas : Atlas
+        The canvas.
+    window : int
+        Rows and columns over which the spacing is taken.
+
+    Returns
+    -------
+    ndarray of float32, shape (R, C)
+    """
+    from beltrami_cli._native import local_scale
+
+    rows, reach = atlas.kind.shape[0], window // 2
+    scales = large_arrays.zeros(atlas.kind.shape, np.float32)
+    for band in large_arrays.blocks(rows, _ROWS):
+        first = max(0, band.start - reach)
+        lengths = np.ascontiguousarray(atlas.squared_lengths[:, first : band.stop + reach])
+        scales[band] = local_scale(lengths, reach)[band.start - first : band.stop - first]
+    return scales
 
 
 def halo_repeats(atlas: Atlas, threads: int) -> NDArray[np.uint8] | None:

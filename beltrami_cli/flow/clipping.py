@@ -22,6 +22,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from beltrami_cli.mesh import large_arrays
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -113,11 +115,17 @@ def find_clipped(colours: NDArray[np.float32], sigma: NDArray[np.float64]) -> Cl
     ClippedChannels or None
         None if no channel was: a channel with values beyond a limit is not cut off there, nor is one without noise.
     """
-    low, high = [], []
-    for values, noise in zip(colours.T, sigma, strict=True):
-        noisy = len(values) > 0 and noise > 0
-        low.append(bool(noisy and values.min() == 0 and np.mean(values == 0) >= _WORTH_RESTORING))
-        high.append(bool(noisy and values.max() == 1 and np.mean(values == 1) >= _WORTH_RESTORING))
+    count, channels = colours.shape
+    least, most = np.full(channels, np.inf), np.full(channels, -np.inf)
+    at_0, at_1 = np.zeros(channels), np.zeros(channels)
+    for block in large_arrays.blocks(count):
+        for k, values in enumerate(colours[block].T):
+            least[k], most[k] = min(least[k], values.min()), max(most[k], values.max())
+            at_0[k] += np.count_nonzero(values == 0)
+            at_1[k] += np.count_nonzero(values == 1)
+    worth, noisy = _WORTH_RESTORING * count, np.asarray(sigma) > 0
+    low = (noisy & (least == 0) & (at_0 >= worth)).tolist()
+    high = (noisy & (most == 1) & (at_1 >= worth)).tolist()
     if not (any(low) or any(high)):
         return None
     return ClippedChannels(tuple(low), tuple(high), np.asarray(sigma, np.float64))

@@ -11,7 +11,7 @@ from beltrami_cli.mesh.atlas import OWNED
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from beltrami_cli.mesh.atlas import Atlas
+    from beltrami_cli.mesh.atlas import Atlas, Indices
 
 # A jump counts if it is this many standard errors of the mean over the seam ...
 _ERRORS = 4.0
@@ -89,10 +89,8 @@ def halo_beyond(atlas: Atlas, different: NDArray[np.bool_]) -> NDArray[np.bool_]
     beyond = (seams >= 0) & different[np.maximum(seams, 0)]
     if not beyond.any():
         return beyond
-    chart_at = np.full(atlas.kind.size, -1, np.int32)
-    chart_at[atlas.owned_cells] = atlas.chart_of
-    reached = chart_at[atlas.halo_nearest]
-    sides = _sides_of_seams(atlas, chart_at, reached)
+    reached = _charts_at(atlas, atlas.halo_nearest)
+    sides = _sides_of_seams(atlas, reached)
     jumps = {tuple(pair) for seam, pair in enumerate(np.sort(sides, axis=1).tolist()) if different[seam]}
     # Cells of a third chart, by the chart and the seam that they were reached over.
     third = (seams >= 0) & ~beyond & (reached[:, None] != sides[seams]).all(axis=1)
@@ -102,16 +100,20 @@ def halo_beyond(atlas: Atlas, different: NDArray[np.bool_]) -> NDArray[np.bool_]
     return beyond
 
 
-def _sides_of_seams(
-    atlas: Atlas, chart_at: NDArray[np.int32], reached: NDArray[np.int32]
-) -> NDArray[np.int32]:
+def _charts_at(atlas: Atlas, cells: Indices) -> NDArray[np.int32]:
+    """Return the charts of some cells; -1: not owned."""
+    if not len(atlas.owned_cells):
+        return np.full(len(cells), -1, np.int32)
+    rank = np.minimum(np.searchsorted(atlas.owned_cells, cells), len(atlas.owned_cells) - 1)
+    return np.where(atlas.owned_cells[rank] == cells, atlas.chart_of[rank], np.int32(-1))
+
+
+def _sides_of_seams(atlas: Atlas, reached: NDArray[np.int32]) -> NDArray[np.int32]:
     """Find the two charts of each seam, shape (S, 2): of an owned cell, and what the halo cell beside it shows."""
     columns = atlas.kind.shape[1]
     sides = np.full((max(1, atlas.seams), 2), -1, np.int32)
     for step in (1, -1, columns, -columns):
-        inner = atlas.halo_cells - step
-        inside = (inner >= 0) & (inner < len(chart_at))
-        own = np.where(inside, chart_at[np.where(inside, inner, 0)], -1)
+        own = _charts_at(atlas, atlas.halo_cells - step)
         beside = (atlas.halo_seams >= 0) & (own >= 0)
         sides[atlas.halo_seams[beside]] = np.column_stack([own[beside], reached[beside]])
     return sides

@@ -9,7 +9,7 @@ import numpy as np
 from beltrami_cli.flow.bands import Bands
 from beltrami_cli.flow.canvas import Canvas
 from beltrami_cli.flow.canvas_choice import choose_on_canvas
-from beltrami_cli.flow.cell_fields import CellFields, halo_repeats
+from beltrami_cli.flow.cell_fields import CellFields, halo_repeats, local_scales
 from beltrami_cli.flow.clipping import ClippedChannels, find_clipped
 from beltrami_cli.flow.grid_metric import GridMetric
 from beltrami_cli.flow.iteration import FlowResult, shifted
@@ -18,7 +18,15 @@ from beltrami_cli.flow.one_kernel import SampledKernel, kernel_on_grid
 from beltrami_cli.flow.pieces.grid import cut_grid
 from beltrami_cli.flow.pieces.splitting import wanted_split
 from beltrami_cli.flow.seams import find_colour_jumps, halo_beyond
-from beltrami_cli.mesh.atlas import EMPTY, OWNED, refresh_halo, without_halo
+from beltrami_cli.mesh import large_arrays
+from beltrami_cli.mesh.atlas import (
+    EMPTY,
+    OWNED,
+    owned_colours,
+    painted,
+    refresh_halo,
+    without_halo,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -29,6 +37,9 @@ if TYPE_CHECKING:
     from beltrami_cli.flow.guidance import Guide
     from beltrami_cli.flow.parameters import KernelParameters
     from beltrami_cli.mesh.atlas import Atlas
+
+# Rows of a canvas that are gone through together.
+_ROWS = 64
 
 
 class TexelFlow:
@@ -83,12 +94,8 @@ class TexelFlow:
         metric_channels: Sequence[int] | None = None,
         unit: float | None = None,
     ) -> None:
-        from beltrami_cli._native import local_scale
-
         self.parameters = parameters
-        self._planes = np.zeros((colours.shape[1], *atlas.kind.shape), np.float32)
-        self._planes.reshape(len(self._planes), -1)[:, atlas.owned_cells] = colours.T
-        refresh_halo(self._planes, atlas)
+        self._planes = painted(atlas, colours)
         self.sigma = estimate_sigma_on_grid(self._planes, atlas.kind == OWNED)
         different = np.zeros(max(1, atlas.seams), bool)
         # Where colours do not count as distance, a jump of theirs is no edge.
@@ -100,9 +107,8 @@ class TexelFlow:
             self._planes.reshape(len(self._planes), -1)[:, atlas.halo_cells[beyond]] = 0
             atlas = without_halo(atlas, beyond)
         self.atlas = atlas
-        scale = local_scale(atlas.squared_lengths, parameters.window // 2)
-        owned_scale = scale.reshape(-1)[atlas.owned_cells]
-        self.spacing = float(np.mean(1 / np.sqrt(owned_scale))) if len(owned_scale) else 0.0
+        scale = local_scales(atlas, parameters.window)
+        self.spacing = _mean_spacing(atlas, scale)
         self._fields = CellFields(
             scale if parameters.units == "spacing" else None, halo_repeats(atlas, parameters.thread_count)
         )
@@ -138,11 +144,11 @@ class TexelFlow:
         else:
             marks = self._marks(self._clipped)
             samples = self._iterate([self._planes, marks], progress)
-            self._clipped.restore(self._planes, marks)
-        owned = self._planes.reshape(len(self._planes), -1)[:, self.atlas.owned_cells]
+            for rows in large_arrays.blocks(len(self.atlas.kind), _ROWS):
+                self._clipped.restore(self._planes[:, rows], marks[:, rows])
         kernels = max(1, parameters.iterations * len(self.atlas.owned_cells))
         return FlowResult(
-            np.ascontiguousarray(owned.T),
+            owned_colours(self._planes, self.atlas),
             self.spacing,
             self.beta,
             self.sigma,
@@ -174,7 +180,7 @@ class TexelFlow:
             return 0
         canvas = self._canvas()
         flat = [plane.reshape(-1) for stack in stacks for plane in stack]
-        values = np.column_stack([plane[atlas.owned_cells] for plane in flat])
+        values = np.concatenate([owned_colours(stack, atlas) for stack in stacks], axis=1)
         done = split.run(lambda count, _: cut_grid(canvas, count), 0, values, parameters.iterations, progress)
         for plane, channel in zip(flat, done.values.T, strict=True):
             plane[atlas.owned_cells] = channel
@@ -187,8 +193,12 @@ class TexelFlow:
 
     def _marks(self, clipped: ClippedChannels) -> NDArray[np.float32]:
         """Return the planes to average beside the colours: the marks of samples that were cut off."""
-        marks = clipped.marks(self._planes)
-        marks[:, self.atlas.kind == EMPTY] = 0
+        kind = self.atlas.kind
+        marks = large_arrays.zeros((len(clipped.clipped), *kind.shape), np.float32)
+        for rows in large_arrays.blocks(len(kind), _ROWS):
+            marks[:, rows] = np.where(
+                kind[rows] == EMPTY, np.float32(0), clipped.marks(self._planes[:, rows])
+            )
         refresh_halo(marks, self.atlas)
         return marks
 
@@ -216,3 +226,12 @@ class TexelFlow:
         """Return the colours that the atlas's gutter cells have now, shape (G, N)."""
         refresh_halo(self._planes, self.atlas, interpolated=True)
         return np.ascontiguousarray(self._planes.reshape(len(self._planes), -1)[:, self.atlas.gutter_cells].T)
+
+
+def _mean_spacing(atlas: Atlas, scale: NDArray[np.float32]) -> float:
+    """Return the mean length that is 1 in local units, over the owned cells; 0 without any."""
+    total, count = 0.0, 0
+    for rows in large_arrays.blocks(len(atlas.kind), _ROWS):
+        spacing = 1 / np.sqrt(scale[rows][atlas.kind[rows] == OWNED])
+        total, count = total + float(spacing.sum(dtype=np.float64)), count + len(spacing)
+    return total / count if count else 0.0

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from beltrami_cli.flow.cell_fields import CellFields
     from beltrami_cli.flow.grid_metric import GridMetric
     from beltrami_cli.flow.risk import Step
-    from beltrami_cli.mesh.atlas import Atlas
+    from beltrami_cli.mesh.atlas import Atlas, Indices
 
 # Cells a side of the core of a block, whose result counts.
 _CORE = 64
@@ -104,12 +104,11 @@ def _blocks(atlas: Atlas, budget: int, reach: int) -> tuple[NDArray[np.int64], N
         The cells whose results count.
     """
     rows, columns = atlas.kind.shape
-    owned = atlas.owned_cells
-    tile = owned // columns // _CORE * -(-columns // _CORE) + owned % columns // _CORE
-    tiles, counts = np.unique(tile, return_counts=True)
-    held = np.cumsum(counts)
+    across = np.arange(0, columns, _CORE)
+    bands = (atlas.kind[top : top + _CORE] == OWNED for top in range(0, rows, _CORE))
+    held = np.cumsum([np.add.reduceat(band.sum(axis=0), across) for band in bands])
     wanted = max(1, budget // _CORE**2)
-    chosen = tiles[np.unique(np.searchsorted(held, (np.arange(wanted) + 0.5) * held[-1] / wanted))]
+    chosen = np.unique(np.searchsorted(held, (np.arange(wanted) + 0.5) * held[-1] / wanted))
     top, left = np.divmod(chosen, -(-columns // _CORE))
     margin = _RIM + reach
     side = np.arange(-margin, _CORE + margin)
@@ -130,27 +129,22 @@ def _cut_out(atlas: Atlas, cells: NDArray[np.int64], core: NDArray[np.bool_], re
     at = np.arange(side)
     inner = (at >= reach) & (at < side - reach)
     kind[(kind == OWNED) & ~np.tile(inner[:, None] & inner, (len(cells) // side, 1))] = HALO
-    place = np.full(atlas.kind.size, -1, np.int32)
-    for chosen in (
-        kind == OWNED,
-        core & (kind == OWNED),
-    ):  # a core's own cell rather than another block's rim
-        place[cells[chosen]] = np.flatnonzero(chosen)
-    halo = np.full(atlas.kind.size, -1, np.int32)
-    halo[atlas.halo_cells] = np.arange(len(atlas.halo_cells))
-    rank = np.where(kind == EMPTY, -1, halo[cells]).reshape(-1)
-    mirrored = np.flatnonzero(rank >= 0)
-    rank = rank[mirrored]
-    taps = place[atlas.halo_taps[rank]]
+    # A cell that is in several blocks is taken from the one whose core it is, and not from another's rim.
+    owned = np.flatnonzero(kind == OWNED)
+    order = np.lexsort([~core.reshape(-1)[owned], cells.reshape(-1)[owned]])
+    owned = owned[order]
+    mirrored = np.flatnonzero(kind != EMPTY)
+    rank = _rank(atlas.halo_cells, cells.reshape(-1)[mirrored])
+    mirrored, rank = mirrored[rank >= 0], rank[rank >= 0]
+    place = _rank(cells.reshape(-1)[owned], atlas.halo_taps[rank])
+    taps = np.where(place >= 0, owned[place], -1) if len(owned) else place
     whole = np.all((taps >= 0) | (atlas.halo_weights[rank] == 0), axis=1)
-    cut = np.zeros(atlas.kind.size, bool)
-    cut[atlas.cut_cells] = True
     nothing = np.zeros(0, np.int64)
     return dataclasses.replace(
         atlas,
         kind=kind,
         squared_lengths=np.ascontiguousarray(atlas.squared_lengths.reshape(4, -1)[:, cells]),
-        cut_cells=np.flatnonzero(cut[cells.reshape(-1)]),
+        cut_cells=np.flatnonzero(_rank(atlas.cut_cells, cells.reshape(-1)) >= 0),
         owned_cells=np.flatnonzero(kind == OWNED),
         halo_cells=mirrored[whole],
         halo_taps=np.maximum(taps[whole], 0).astype(np.int64),
@@ -159,3 +153,11 @@ def _cut_out(atlas: Atlas, cells: NDArray[np.int64], core: NDArray[np.bool_], re
         gutter_cells=nothing,
         gutter_texels=nothing,
     )
+
+
+def _rank(ascending: Indices, wanted: Indices) -> NDArray[np.int64]:
+    """Tell where numbers stand in an ascending list, the first of equal ones; -1: nowhere."""
+    if not len(ascending):
+        return np.full(wanted.shape, -1, np.int64)
+    rank = np.minimum(np.searchsorted(ascending, wanted), len(ascending) - 1)
+    return np.where(ascending[rank] == wanted, rank, -1)

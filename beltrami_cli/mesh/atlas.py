@@ -9,7 +9,11 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
+from beltrami_cli.mesh import large_arrays
+
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from numpy.typing import NDArray
 
     # int32 in atlases of textures, which halves the memory for them.
@@ -87,6 +91,61 @@ class Atlas:
         """The owned cell nearest to the place of each halo cell, shape (H,)."""
         nearest = self.halo_weights.argmax(axis=1)
         return np.take_along_axis(self.halo_taps, nearest[:, None], axis=1)[:, 0]
+
+    def texels_by_texture(self, texels: Indices) -> Iterator[tuple[int, NDArray[np.bool_] | slice, Indices]]:
+        """Go through the textures that some texels are of.
+
+        Yields
+        ------
+        index : int
+            Of the texture.
+        inside : ndarray of bool, shape (K,), or slice
+            Which of the texels; a slice of all, if they are of one texture.
+        own : ndarray of int, shape (number of these,)
+            The same, counted from the first texel of the texture.
+        """
+        yield from texels_by_texture(self.texture_offsets, texels)
+
+
+def texels_by_texture(
+    offsets: NDArray[np.int64], texels: Indices
+) -> Iterator[tuple[int, NDArray[np.bool_] | slice, Indices]]:
+    """As `Atlas.texels_by_texture`, for textures whose texels begin at some offsets."""
+    if not len(texels):
+        return
+    first = int(np.searchsorted(offsets, texels.min(), "right")) - 1
+    last = int(np.searchsorted(offsets, texels.max(), "right")) - 1
+    for index in range(first, last + 1):
+        begin, end = offsets[index : index + 2].tolist()
+        if first == last:
+            yield index, slice(None), texels - begin
+            return
+        inside = (texels >= begin) & (texels < end)
+        if inside.any():
+            yield index, inside, texels[inside] - begin
+
+
+def painted(atlas: Atlas, colours: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Put the colours of owned cells, shape (T, N), on the canvas, shape (N, R, C), halo included; 0 elsewhere."""
+    planes = large_arrays.zeros((colours.shape[1], *atlas.kind.shape), np.float32)
+    flat = planes.reshape(len(planes), -1)
+    for block in large_arrays.blocks(len(atlas.owned_cells)):
+        cells = atlas.owned_cells[block].astype(np.intp)
+        for plane, channel in zip(flat, colours[block].T, strict=True):
+            plane[cells] = channel
+    refresh_halo(planes, atlas)
+    return planes
+
+
+def owned_colours(planes: NDArray[np.float32], atlas: Atlas) -> NDArray[np.float32]:
+    """Return the colours of the owned cells, shape (T, N), from planes of shape (N, R, C)."""
+    colours = large_arrays.zeros((len(atlas.owned_cells), len(planes)), np.float32)
+    flat = planes.reshape(len(planes), -1)
+    for block in large_arrays.blocks(len(atlas.owned_cells)):
+        cells = atlas.owned_cells[block].astype(np.intp)
+        for channel, plane in zip(colours[block].T, flat, strict=True):
+            channel[:] = plane[cells]
+    return colours
 
 
 def refresh_halo(planes: NDArray[np.float32], atlas: Atlas, *, interpolated: bool = False) -> None:

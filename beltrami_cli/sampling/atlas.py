@@ -8,6 +8,7 @@ import numpy as np
 
 from beltrami_cli._native import build_atlas as build_native_atlas
 from beltrami_cli.errors import ProcessingError
+from beltrami_cli.mesh import large_arrays
 from beltrami_cli.mesh.atlas import Atlas
 from beltrami_cli.sampling.grouping import group_equal_rows
 
@@ -68,6 +69,8 @@ def build_atlas(
             grids,
             margin,
             threads,
+            lambda size: large_arrays.zeros(size, np.uint8),
+            lambda _: large_arrays.leave_memory(),
         )
     except ValueError as error:  # what the core's length errors become
         raise ProcessingError(f"{error}; use smaller textures") from error

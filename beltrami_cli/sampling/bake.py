@@ -67,9 +67,9 @@ def bake(
     shape = (height, width)
     # Where charts are smaller than a texel, what lies beside them is all that there is.
     source = covered if covered.any() else beside
-    return fill_gutter(
-        pixels.reshape(*shape, channels), source.reshape(shape), None, None, beside.reshape(shape), threads
-    )
+    texture = pixels.reshape(*shape, channels)
+    fill_gutter(texture, source.reshape(shape), None, None, beside.reshape(shape), threads)
+    return texture
 
 
 def interpolated(

@@ -321,7 +321,7 @@ def test_a_cell_that_repeats_a_texel_counts_for_its_share(scheme):
 
 def test_repeats_are_those_within_reach_over_the_same_seam():
     rows, columns, reach = 20, 30, 2
-    cells = RANDOM.choice(rows * columns, 300, replace=False)
+    cells = np.sort(RANDOM.choice(rows * columns, 300, replace=False))
     sources, seams = RANDOM.integers(0, 9, 300), RANDOM.integers(-1, 2, 300).astype(np.int32)
     repeats = halo_repeats(rows, columns, cells, sources, seams, reach, 2)
     row, column = np.divmod(cells, columns)

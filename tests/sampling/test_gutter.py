@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from scipy import ndimage
 
 from beltrami_cli import _native
+from beltrami_cli.sampling import gutter
 from beltrami_cli.sampling.gutter import fill_gutter
 
 
@@ -27,6 +28,12 @@ def test_the_nearest_mark_is_the_nearest(seed, height, width, density):
     assert np.array_equal((rows - y) ** 2 + (columns - x) ** 2, squared)
 
 
+def filled_gutter(pixels, *arguments, **options):
+    filled = pixels.copy()
+    fill_gutter(filled, *arguments, **options)
+    return filled
+
+
 @pytest.fixture
 def picture():
     pixels = np.random.default_rng(3).integers(0, 256, (30, 40, 3), dtype=np.uint8)
@@ -37,7 +44,7 @@ def picture():
 
 def test_only_texels_within_the_width_are_filled(picture):
     pixels, covered = picture
-    filled = fill_gutter(pixels, covered, None, 3)
+    filled = filled_gutter(pixels, covered, None, 3)
     distance, (rows, columns) = ndimage.distance_transform_edt(~covered, return_indices=True)
     assert filled.dtype == pixels.dtype
     assert np.array_equal(filled[distance <= 3], pixels[rows, columns][distance <= 3])
@@ -48,7 +55,7 @@ def test_without_a_width_all_texels_with_content_are_filled(picture):
     pixels, covered = picture
     content = np.zeros_like(covered)
     content[:, :25] = True
-    filled = fill_gutter(pixels, covered, content, None)
+    filled = filled_gutter(pixels, covered, content, None)
     assert np.array_equal(filled[:, 25:], pixels[:, 25:])
     assert np.array_equal(filled[0, 0], pixels[10, 5])
     assert np.array_equal(filled[29, 24], pixels[19, 14])
@@ -58,13 +65,24 @@ def test_known_texels_keep_their_colours_and_lend_none(picture):
     pixels, covered = picture
     known = np.zeros_like(covered)
     known[10:20, 15] = True
-    filled = fill_gutter(pixels, covered, None, 4, known)
+    filled = filled_gutter(pixels, covered, None, 4, known)
     assert np.array_equal(filled[known], pixels[known])
     assert np.array_equal(filled[12, 16], pixels[12, 14])
 
 
 def test_nothing_covered_or_nothing_wanted_changes_nothing(picture):
     pixels, covered = picture
-    assert np.array_equal(fill_gutter(pixels, np.zeros_like(covered), None, None), pixels)
-    assert np.array_equal(fill_gutter(pixels, covered, None, 0), pixels)
-    assert fill_gutter(pixels, covered, None, 0) is not pixels
+    assert np.array_equal(filled_gutter(pixels, np.zeros_like(covered), None, None), pixels)
+    assert np.array_equal(filled_gutter(pixels, covered, None, 0), pixels)
+
+
+@pytest.mark.parametrize("width", [3, 40])
+def test_bands_of_rows_give_what_the_whole_gives(width, monkeypatch):
+    random = np.random.default_rng(7)
+    pixels = random.integers(0, 256, (90, 40, 3), dtype=np.uint8)
+    covered = random.random((90, 40)) > 0.97
+    whole = filled_gutter(pixels, covered, None, width, channels=[0, 2])
+    assert np.array_equal(whole[..., 1], pixels[..., 1])
+    assert not np.array_equal(whole, pixels)
+    monkeypatch.setattr(gutter, "_ROWS", 1)
+    assert np.array_equal(filled_gutter(pixels, covered, None, width, channels=[0, 2]), whole)

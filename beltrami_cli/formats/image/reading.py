@@ -11,6 +11,7 @@ from beltrami_cli.formats.image.metadata import has_palette, is_animated, is_cmy
 from beltrami_cli.formats.image.picture import Picture
 from beltrami_cli.formats.image.recognition import READABLE, format_of, label_of, suffix_for
 from beltrami_cli.formats.image.scratch import scratch_file
+from beltrami_cli.mesh.large_arrays import copy_of, is_on_disk
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -78,6 +79,8 @@ def read_image(data: bytes, name: str, *, finite: bool = True) -> Picture:
             file.close()
             file.geterror()
             OpenImageIO.geterror()
+    if is_on_disk():
+        pixels = copy_of(pixels)
     pixels = pixels.reshape(spec.height, spec.width, spec.nchannels)
     if pixels.dtype.kind == "f":
         pixels = pixels.astype(np.float32)

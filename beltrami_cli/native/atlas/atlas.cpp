@@ -25,8 +25,8 @@ float squared_length(Point3 a, Point3 b) { return static_cast<float>(dot(a - b, 
 
 class Builder {
  public:
-  Builder(const Plan& plan, unsigned threads)
-      : plan_(plan), threads_(threads), bands_(make_bands(plan, halo_reach(plan.margin))) {}
+  Builder(const Plan& plan, unsigned threads, const Allocate& allocate, const Poll& poll)
+      : plan_(plan), threads_(threads), allocate_(allocate), poll_(poll), bands_(make_bands(plan, halo_reach(plan.margin))) {}
 
   Atlas build() {
     prepare_canvas();
@@ -36,11 +36,11 @@ class Builder {
     parallel_chunks(bands_.bands.size(), bands_per_chunk, threads_, [&](std::size_t begin, std::size_t end, unsigned) {
       Cells cells(plan_);
       for (std::size_t band = begin; band < end; ++band) build_band(cells, band);
-    });
+    }, poll_);
     list_cells();
     parallel_chunks(bands_.bands.size(), bands_per_chunk, threads_, [&](std::size_t begin, std::size_t end, unsigned) {
       for (std::size_t band = begin; band < end; ++band) fill_lists(band);
-    });
+    }, poll_);
     list_gutter();
     list_cuts();
     count();
@@ -52,13 +52,13 @@ class Builder {
     atlas_.rows = plan_.layout.rows;
     atlas_.columns = plan_.layout.columns;
     const auto cells = static_cast<std::size_t>(atlas_.rows * atlas_.columns);
-    atlas_.kind = Array<std::uint8_t>(cells);
-    atlas_.squared_lengths = Array<float>(4 * cells);
+    atlas_.kind = Array<std::uint8_t>(cells, allocate_);
+    atlas_.squared_lengths = Array<float>(4 * cells, allocate_);
     parallel_chunks(cells, cells_per_chunk, threads_, [&](std::size_t begin, std::size_t end, unsigned) {
       std::fill(&atlas_.kind[0] + begin, &atlas_.kind[0] + end, std::uint8_t{0});
       std::fill(&atlas_.squared_lengths[0] + 4 * begin, &atlas_.squared_lengths[0] + 4 * end,
                 std::numeric_limits<float>::infinity());
-    });
+    }, poll_);
   }
 
   const Rectangle& rectangle_of(const Band& band) const {
@@ -112,25 +112,32 @@ class Builder {
   void list_cells() {
     std::size_t owned = 0, halo = 0;
     for (std::size_t cell = 0; cell < atlas_.kind.size; ++cell) {
+      rest_at(cell);
       owned += atlas_.kind[cell] == 1 ? 1 : 0;
       halo += atlas_.kind[cell] == 2 ? 1 : 0;
     }
-    atlas_.owned_cells = Array<Index>(owned);
-    atlas_.owned_texels = Array<Index>(owned);
-    atlas_.chart_of = Array<Index>(owned);
-    atlas_.halo_cells = Array<Index>(halo);
-    atlas_.halo_taps = Array<Index>(4 * halo);
-    atlas_.halo_weights = Array<float>(4 * halo);
-    atlas_.halo_seams = Array<Index>(halo);
+    atlas_.owned_cells = Array<Index>(owned, allocate_);
+    atlas_.owned_texels = Array<Index>(owned, allocate_);
+    atlas_.chart_of = Array<Index>(owned, allocate_);
+    atlas_.halo_cells = Array<Index>(halo, allocate_);
+    atlas_.halo_taps = Array<Index>(4 * halo, allocate_);
+    atlas_.halo_weights = Array<float>(4 * halo, allocate_);
+    atlas_.halo_seams = Array<Index>(halo, allocate_);
     owned = halo = 0;
     for (std::size_t cell = 0; cell < atlas_.kind.size; ++cell) {
+      rest_at(cell);
       if (atlas_.kind[cell] == 1) atlas_.owned_cells[owned++] = static_cast<Index>(cell);
       if (atlas_.kind[cell] == 2) atlas_.halo_cells[halo++] = static_cast<Index>(cell);
     }
   }
 
+  // Lets the caller in every now and then.
+  void rest_at(std::size_t cell) const {
+    if (cell % (4 * cells_per_chunk) == 0 && poll_ && !poll_(0)) throw Cancelled();
+  }
+
   static std::size_t rank(const Array<Index>& cells, std::size_t cell) {
-    const auto* begin = cells.data.get();
+    const auto* begin = cells.data();
     return static_cast<std::size_t>(std::lower_bound(begin, begin + cells.size, static_cast<Index>(cell)) - begin);
   }
 
@@ -182,8 +189,8 @@ class Builder {
     all.erase(std::unique(all.begin(), all.end(),
                           [](const GutterCell& a, const GutterCell& b) { return a.texel == b.texel; }),
               all.end());
-    atlas_.gutter_cells = Array<Index>(all.size());
-    atlas_.gutter_texels = Array<Index>(all.size());
+    atlas_.gutter_cells = Array<Index>(all.size(), allocate_);
+    atlas_.gutter_texels = Array<Index>(all.size(), allocate_);
     for (std::size_t i = 0; i < all.size(); ++i) {
       atlas_.gutter_cells[i] = static_cast<Index>(all[i].cell);
       atlas_.gutter_texels[i] = static_cast<Index>(all[i].texel);
@@ -195,8 +202,8 @@ class Builder {
     for (const auto& part : cuts_) all.insert(all.end(), part.begin(), part.end());
     std::sort(all.begin(), all.end());
     all.erase(std::unique(all.begin(), all.end()), all.end());
-    atlas_.cut_cells = Array<Index>(all.size());
-    std::copy(all.begin(), all.end(), atlas_.cut_cells.data.get());
+    atlas_.cut_cells = Array<Index>(all.size(), allocate_);
+    std::copy(all.begin(), all.end(), atlas_.cut_cells.data());
   }
 
   void count() {
@@ -209,6 +216,8 @@ class Builder {
 
   const Plan& plan_;
   unsigned threads_;
+  const Allocate& allocate_;
+  const Poll& poll_;
   Bands bands_;
   std::vector<std::vector<HaloCell>> halo_;      // [band]
   std::vector<std::vector<GutterCell>> gutter_;  // [band]
@@ -218,7 +227,8 @@ class Builder {
 
 }  // namespace
 
-Atlas make_atlas(const Surface& surface, std::int64_t margin, unsigned threads) {
+Atlas make_atlas(const Surface& surface, std::int64_t margin, unsigned threads, const Allocate& allocate,
+                 const Poll& poll) {
   if (margin < 1) throw std::invalid_argument("the margin must be at least one cell");
   const auto& textures = surface.textures;
   if (!textures.empty() && textures.back().texel(0, textures.back().height) > std::numeric_limits<Index>::max())
@@ -226,10 +236,10 @@ Atlas make_atlas(const Surface& surface, std::int64_t margin, unsigned threads) 
   const Mesh mesh = make_mesh(surface);
   const Charts charts = make_charts(mesh);
   const Windows windows = make_windows(mesh, charts);
-  const Ownership ownership = make_ownership(mesh, charts, windows);
+  const Ownership ownership = make_ownership(mesh, charts, windows, allocate, poll);
   const Layout layout = make_layout(mesh, windows, ownership, margin);
   const NearBorders near_borders(mesh, charts);
-  return Builder({mesh, charts, windows, ownership, layout, near_borders, margin}, threads).build();
+  return Builder({mesh, charts, windows, ownership, layout, near_borders, margin}, threads, allocate, poll).build();
 }
 
 }  // namespace beltrami::atlas

@@ -3,23 +3,13 @@
 
 #include <array>
 #include <cstdint>
-#include <memory>
 #include <vector>
 
+#include "atlas/array.hpp"
 #include "atlas/mesh.hpp"
+#include "parallel.hpp"
 
 namespace beltrami::atlas {
-
-template <class T>
-struct Array {
-  std::unique_ptr<T[]> data;
-  std::size_t size = 0;
-
-  Array() = default;
-  explicit Array(std::size_t count) : data(new T[count]), size(count) {}
-  T& operator[](std::size_t i) { return data[i]; }
-  const T& operator[](std::size_t i) const { return data[i]; }
-};
 
 // Cells are named by row * columns + column; texels by their number among those of all textures.
 struct Atlas {
@@ -36,8 +26,10 @@ struct Atlas {
   std::int64_t charts = 0, seams = 0, seam_edges = 0, covered = 0, overlapped = 0;
 };
 
-// Throws std::invalid_argument if an index of the surface is out of range or the margin is not positive,
-// std::length_error if the surface, its textures or its canvas are too large.
-Atlas make_atlas(const Surface& surface, std::int64_t margin, unsigned threads);
+// The large arrays, also those that are needed only meanwhile, are allocated by `allocate`. The poll counts bands of
+// charts. Throws std::invalid_argument if an index of the surface is out of range or the margin is not positive,
+// std::length_error if the surface, its textures or its canvas are too large, Cancelled if the poll asks to stop.
+Atlas make_atlas(const Surface& surface, std::int64_t margin, unsigned threads,
+                 const Allocate& allocate = allocate_on_heap, const Poll& poll = {});
 
 }  // namespace beltrami::atlas

@@ -11,17 +11,22 @@ namespace {
 // A single-precision coordinate near 1 of a texture of 1,024 texels is no better than this.
 constexpr double on_edge = 1e-4;
 
+constexpr std::int64_t texels_per_poll = 1 << 22;
+
 class Painter {
  public:
-  Painter(const Mesh& mesh, const Charts& charts, const Windows& windows)
-      : mesh_(mesh), charts_(charts), windows_(windows) {
+  Painter(const Mesh& mesh, const Charts& charts, const Windows& windows, const Allocate& allocate, const Poll& poll)
+      : mesh_(mesh), charts_(charts), windows_(windows), poll_(poll) {
     const auto& textures = mesh.surface->textures;
-    const auto texels = textures.empty() ? 0 : textures.back().texel(0, textures.back().height);
-    result_.window.assign(static_cast<std::size_t>(texels), none);
-    result_.face.assign(static_cast<std::size_t>(texels), none);
+    const auto texels =
+        static_cast<std::size_t>(textures.empty() ? 0 : textures.back().texel(0, textures.back().height));
+    for (Array<Index>* array : {&result_.window, &result_.face}) {
+      *array = Array<Index>(texels, allocate);
+      std::fill(array->data(), array->data() + texels, none);
+    }
     result_.extents.resize(windows.windows.size());
     result_.loser.assign(charts.size(), 0);
-    overlapped_.assign(static_cast<std::size_t>(texels), false);
+    overlapped_.assign(texels, false);
     covered_in_.assign(textures.size(), 0);
     overlapped_in_.assign(textures.size(), 0);
   }
@@ -63,12 +68,21 @@ class Painter {
     const Window& window = windows_.windows[index];
     const Texture& grid = grid_of(window);
     const std::int64_t row = grid.texel(0, wrapped(y, grid.height, grid.wrap_y));
+    rest(end - begin);
     std::int32_t column = wrapped(begin, grid.width, grid.wrap_x);
     const std::int32_t step = grid.wrap_x == Wrap::mirror && unwrapped(0, window.x, grid.width, grid.wrap_x) != window.x ? -1 : 1;
     for (std::int64_t x = begin; x < end; ++x, column += step) {
       if (column == grid.width) column = 0;
       claim(index, face, static_cast<std::size_t>(row + column), x, y);
     }
+  }
+
+  // Lets the caller in every now and then.
+  void rest(std::int64_t texels) {
+    since_poll_ += texels;
+    if (since_poll_ < texels_per_poll) return;
+    since_poll_ = 0;
+    if (poll_ && !poll_(0)) throw Cancelled();
   }
 
   void claim(std::size_t index, Index face, std::size_t texel, std::int64_t x, std::int64_t y) {
@@ -130,6 +144,8 @@ class Painter {
   const Mesh& mesh_;
   const Charts& charts_;
   const Windows& windows_;
+  const Poll& poll_;
+  std::int64_t since_poll_ = 0;
   Ownership result_;
   std::vector<bool> overlapped_;
   std::vector<std::int64_t> covered_in_, overlapped_in_;  // [texture]
@@ -148,8 +164,9 @@ void Extent::add(std::int64_t x, std::int64_t y) {
   last_y = std::max(last_y, y);
 }
 
-Ownership make_ownership(const Mesh& mesh, const Charts& charts, const Windows& windows) {
-  return Painter(mesh, charts, windows).paint();
+Ownership make_ownership(const Mesh& mesh, const Charts& charts, const Windows& windows, const Allocate& allocate,
+                         const Poll& poll) {
+  return Painter(mesh, charts, windows, allocate, poll).paint();
 }
 
 }  // namespace beltrami::atlas

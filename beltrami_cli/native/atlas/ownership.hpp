@@ -4,9 +4,11 @@
 #include <cstdint>
 #include <vector>
 
+#include "atlas/array.hpp"
 #include "atlas/charts.hpp"
 #include "atlas/mesh.hpp"
 #include "atlas/windows.hpp"
+#include "parallel.hpp"
 
 namespace beltrami::atlas {
 
@@ -18,15 +20,16 @@ struct Extent {
 };
 
 struct Ownership {
-  std::vector<Index> window;        // [texel]; none where no face covers it
-  std::vector<Index> face;          // [texel]
+  Array<Index> window;              // [texel]; none where no face covers it
+  Array<Index> face;                // [texel]
   std::vector<Extent> extents;      // [window]
   std::vector<std::uint8_t> loser;  // [chart]: whether it covers texels that it does not own at that place
   std::int64_t covered = 0, overlapped = 0;
 };
 
 // Texels belong to the first window, and in it to the first face, that covers their centre. What lies exactly on the
-// outer edges of charts is covered, too, where nothing else covers it.
-Ownership make_ownership(const Mesh& mesh, const Charts& charts, const Windows& windows);
+// outer edges of charts is covered, too, where nothing else covers it. Throws Cancelled if the poll asks to stop.
+Ownership make_ownership(const Mesh& mesh, const Charts& charts, const Windows& windows, const Allocate& allocate,
+                         const Poll& poll);
 
 }  // namespace beltrami::atlas

@@ -10,14 +10,35 @@ namespace {
 using atlas::Array;
 using atlas::Index;
 
-template <class T>
-auto vector_of(Array<T>& array) {
-  return give<T, nb::ndim<1>>(std::move(array.data), {array.size});
+// NumPy arrays over memory that stays as long as they do.
+template <class T, class Shape>
+Result<T, Shape> view(const Array<T>& array, std::initializer_list<std::size_t> shape) {
+  auto* kept = new atlas::Memory(array.memory());
+  nb::capsule owner(kept, [](void* memory) noexcept { delete static_cast<atlas::Memory*>(memory); });
+  return Result<T, Shape>(kept->get(), shape, owner);
 }
 
 template <class T>
-auto rows_of_four(Array<T>& array) {
-  return give<T, nb::shape<-1, 4>>(std::move(array.data), {array.size / 4, 4});
+auto vector_of(const Array<T>& array) {
+  return view<T, nb::ndim<1>>(array, {array.size});
+}
+
+template <class T>
+auto rows_of_four(const Array<T>& array) {
+  return view<T, nb::shape<-1, 4>>(array, {array.size / 4, 4});
+}
+
+// Memory of arrays that Python makes: `zeros` is called with a number of bytes.
+atlas::Allocate allocate_by(const nb::object& zeros) {
+  return [&zeros](std::size_t bytes) -> atlas::Memory {
+    const nb::gil_scoped_acquire lock;
+    auto array = nb::cast<nb::ndarray<std::uint8_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>>(zeros(bytes));
+    void* data = array.data();
+    return {data, [array = std::move(array)](void*) mutable {
+              const nb::gil_scoped_acquire released;
+              array = {};
+            }};
+  };
 }
 
 std::vector<atlas::Texture> textures_of(const Matrix<Index>& grids) {
@@ -34,12 +55,11 @@ std::vector<atlas::Texture> textures_of(const Matrix<Index>& grids) {
   return textures;
 }
 
-nb::dict to_dict(atlas::Atlas& made) {
+nb::dict to_dict(const atlas::Atlas& made) {
   const auto rows = static_cast<std::size_t>(made.rows), columns = static_cast<std::size_t>(made.columns);
   nb::dict result;
-  result["kind"] = give<std::uint8_t, nb::ndim<2>>(std::move(made.kind.data), {rows, columns});
-  result["squared_lengths"] =
-      give<float, nb::shape<4, -1, -1>>(std::move(made.squared_lengths.data), {4, rows, columns});
+  result["kind"] = view<std::uint8_t, nb::ndim<2>>(made.kind, {rows, columns});
+  result["squared_lengths"] = view<float, nb::shape<4, -1, -1>>(made.squared_lengths, {4, rows, columns});
   result["owned_cells"] = vector_of(made.owned_cells);
   result["owned_texels"] = vector_of(made.owned_texels);
   result["halo_cells"] = vector_of(made.halo_cells);
@@ -61,16 +81,20 @@ nb::dict to_dict(atlas::Atlas& made) {
 nb::dict build_atlas(const Matrix<double>& positions, const Matrix<Index>& faces,
                      const nb::ndarray<const double, nb::shape<-1, 3, 2>, nb::c_contig, nb::device::cpu>& uv,
                      const Vector<Index>& texture_of, const Matrix<Index>& grids, std::int64_t margin,
-                     unsigned threads) {
+                     unsigned threads, const nb::object& zeros, const nb::object& progress) {
   if (positions.shape(1) != 3 || faces.shape(1) != 3) throw nb::value_error("three coordinates, three corners");
   if (uv.shape(0) != faces.shape(0) || texture_of.shape(0) != faces.shape(0))
     throw nb::value_error("one row a face is needed");
   atlas::Surface surface{positions.data(), static_cast<Index>(positions.shape(0)), {faces.data(), faces.size()},
                          uv.data(), {texture_of.data(), texture_of.size()}, textures_of(grids)};
   atlas::Atlas made;
-  {
+  PythonPoll poll(progress);
+  try {
     const nb::gil_scoped_release unlock;
-    made = atlas::make_atlas(surface, margin, threads);
+    made = atlas::make_atlas(surface, margin, threads, allocate_by(zeros), poll.poll());
+  } catch (const Cancelled&) {
+    poll.rethrow();
+    throw;
   }
   return to_dict(made);
 }
@@ -91,7 +115,7 @@ auto nearest_marked(const Matrix<bool>& marked, std::int64_t reach, unsigned thr
 void bind_atlas(nb::module_& module) {
   using namespace nb::literals;
   module.def("build_atlas", &build_atlas, "positions"_a, "faces"_a, "uv"_a, "texture_of"_a, "grids"_a, "margin"_a,
-             "threads"_a);
+             "threads"_a, "zeros"_a, "progress"_a.none());
   module.def("nearest_marked", &nearest_marked, "marked"_a, "reach"_a, "threads"_a);
 }
 

@@ -5,6 +5,7 @@
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/tuple.h>
 
+#include <algorithm>
 #include <cmath>
 
 #include "bindings/arrays.hpp"
@@ -105,6 +106,7 @@ auto halo_repeats(std::size_t rows, std::size_t columns, const Vector<std::int64
   for (std::size_t i = 0; i < cells.size(); ++i)
     if (cells.data()[i] < 0 || static_cast<std::size_t>(cells.data()[i]) >= rows * columns)
       throw nb::index_error("a halo cell lies outside the grid");
+  if (!std::is_sorted(cells.data(), cells.data() + cells.size())) throw nb::value_error("the cells must ascend");
   std::unique_ptr<std::uint8_t[]> repeats(new std::uint8_t[rows * columns]);
   {
     const nb::gil_scoped_release unlock;

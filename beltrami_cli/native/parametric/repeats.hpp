@@ -10,7 +10,7 @@
 namespace beltrami::parametric {
 
 struct HaloCells {
-  const std::int64_t* cells;    // of the canvas, each at most once
+  const std::int64_t* cells;    // of the canvas, ascending
   const std::int64_t* sources;  // the cell whose value each has
   const std::int32_t* seams;    // the seam that each was reached over
   std::size_t count;

@@ -86,7 +86,7 @@ Soup make_cylinder(std::mt19937& random) {
 
 template <class T>
 bool same(const Array<T>& a, const Array<T>& b) {
-  return a.size == b.size && (a.size == 0 || std::memcmp(a.data.get(), b.data.get(), a.size * sizeof(T)) == 0);
+  return a.size == b.size && (a.size == 0 || std::memcmp(a.data(), b.data(), a.size * sizeof(T)) == 0);
 }
 
 void check_lists(const Atlas& atlas) {

@@ -2,20 +2,29 @@
 
 from __future__ import annotations
 
+import contextlib
+import tempfile
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.image.measuring import measure_image
+from beltrami_cli.mesh.large_arrays import kept_on_disk
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Iterator
 
     from beltrami_cli.formats.access import Access
     from beltrami_cli.formats.document import Document
+    from beltrami_cli.formats.image.measuring import ImageSize
     from beltrami_cli.mesh.textured import Slot
     from beltrami_cli.pipeline.settings.smooth import TextureSettings
 
 _FLOATS = 2 * 4  # the old and the new colours of one image at a time, in single precision
+
+# Bytes for each texel of all textures together that smoothing takes besides the images, at most: with large arrays in
+# memory, and in files.
+_SMOOTHING, _SMOOTHING_ON_DISK = 130, 8
 
 
 def require_room(images: Iterable[tuple[str, bytes]], access: Access) -> None:
@@ -36,17 +45,11 @@ def require_room(images: Iterable[tuple[str, bytes]], access: Access) -> None:
     if access.memory is None:
         return
     decoded, working = 0, 0
-    for name, data in images:
-        size = measure_image(data)
-        if size is None:
-            continue  # whoever decodes it tells what is wrong
+    for name, size in _measured(images):
         decoded += size.decoded
         working = max(working, size.samples * _FLOATS)
         if decoded + working > access.memory:
-            cause = (
-                f"its {size.width} x {size.height} pixels of {size.channels} channels do not fit into memory"
-            )
-            raise InputError(name, cause, "scale it down, or raise --max-memory")
+            raise _too_large(name, size)
 
 
 def require_room_for_textures(
@@ -60,7 +63,74 @@ def require_room_for_textures(
         As `require_room` and `Document.textured`.
     """
     for slot in slots:
-        from beltrami_cli.pipeline.textures.prepare import choose_textures
+        require_room(_chosen(document, slot, wanted), access)
 
-        chosen = choose_textures(document.textured(slot), wanted)
-        require_room(((texture.name, texture.data) for texture in chosen.textures), access)
+
+@contextlib.contextmanager
+def room_for_smoothing(
+    document: Document, slots: Iterable[Slot], wanted: TextureSettings, access: Access, target: str | None
+) -> Iterator[bool]:
+    """Let the chosen textures of a document be smoothed in files, where there is too little memory to do it there.
+
+    Parameters
+    ----------
+    document : Document
+        The model.
+    slots : iterable of Slot
+        Smoothed one after the other.
+    wanted : TextureSettings
+        Which textures.
+    access : Access
+        How much memory there is.
+    target : str or None
+        The output, beside which files without a name take what does not fit; None: the folder for temporary files.
+
+    Yields
+    ------
+    bool
+        Whether it is done in files.
+
+    Raises
+    ------
+    InputError
+        If even so there is too little.
+    """
+    on_disk = False
+    if access.memory is not None:
+        for slot in slots:
+            on_disk |= _is_too_much(_chosen(document, slot, wanted), access.memory)
+    folder = Path(tempfile.gettempdir()) if target is None else Path(target).absolute().parent
+    with kept_on_disk(folder) if on_disk else contextlib.nullcontext():
+        yield on_disk
+
+
+def _is_too_much(images: Iterable[tuple[str, bytes]], memory: int) -> bool:
+    """Tell whether images cannot be smoothed together in memory; refuse them if they cannot be in files either."""
+    texels, decoded, largest = 0, 0, 0
+    for name, size in _measured(images):
+        texels += size.width * size.height
+        decoded += size.decoded
+        largest = max(largest, size.decoded)
+        if largest + _SMOOTHING_ON_DISK * texels > memory:
+            raise _too_large(name, size)
+    return 2 * decoded + _SMOOTHING * texels > memory
+
+
+def _chosen(document: Document, slot: Slot, wanted: TextureSettings) -> Iterator[tuple[str, bytes]]:
+    from beltrami_cli.pipeline.textures.prepare import choose_textures
+
+    for texture in choose_textures(document.textured(slot), wanted).textures:
+        yield texture.name, texture.data
+
+
+def _measured(images: Iterable[tuple[str, bytes]]) -> Iterator[tuple[str, ImageSize]]:
+    """Measure images, but for those that cannot be: whoever decodes them tells what is wrong."""
+    for name, data in images:
+        size = measure_image(data)
+        if size is not None:
+            yield name, size
+
+
+def _too_large(name: str, size: ImageSize) -> InputError:
+    cause = f"its {size.width} x {size.height} pixels of {size.channels} channels do not fit into memory"
+    return InputError(name, cause, "scale it down, or raise --max-memory")

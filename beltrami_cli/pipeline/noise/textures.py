@@ -133,10 +133,9 @@ def _repainted(
         covered.reshape(-1)[texels] = True
         beside, gutter_texels = added.of_texture(added.gutter_texels, index)
         near = within(covered, gutter).reshape(-1)[gutter_texels]
-        beside[beside], gutter_texels = near, gutter_texels[near]
-        table[gutter_texels] = added.gutter_colours[beside]
-        known.reshape(-1)[gutter_texels] = True
-        table = fill_gutter(change, covered, None, gutter, known).reshape(table.shape)
+        table[gutter_texels[near]] = added.gutter_colours[beside][near]
+        known.reshape(-1)[gutter_texels[near]] = True
+        fill_gutter(change, covered, None, gutter, known)
     moved = np.flatnonzero(table.any(axis=1))
     new = old.copy()
     noisy = (colours.working(picture, moved) + table[moved]).clip(*limits)

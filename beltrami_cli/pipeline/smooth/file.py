@@ -12,7 +12,7 @@ from beltrami_cli.formats.source import read_source
 from beltrami_cli.pipeline.documents.companions import plan_companions
 from beltrami_cli.pipeline.documents.conversion import make_files
 from beltrami_cli.pipeline.documents.opening import document_from, refuse_options_of_level_sets
-from beltrami_cli.pipeline.documents.room import require_room_for_textures
+from beltrami_cli.pipeline.documents.room import room_for_smoothing
 from beltrami_cli.pipeline.documents.work import Work, choose_format, choose_work, require_scale
 from beltrami_cli.pipeline.settings.smooth import DEFAULTS, SmoothSettings
 from beltrami_cli.pipeline.smooth.report import SmoothReport, make_report
@@ -107,9 +107,9 @@ def smooth_file(
         else:
             require_geometry(document, work, settings, written_back=target_format == document.format)
         require_scale(document, work)
-        require_room_for_textures(document, work.slots, settings.textures, access)
         companions = plan_companions(document, work, settings, target_format, source, target, output, access)
-    with watch.stage("smooth"):
+    place = None if output is None else target
+    with watch.stage("smooth"), room_for_smoothing(document, work.slots, settings.textures, access, place):
         vertices = _smooth_vertices(document, work, settings, progress, access)
         images, slots, notices = _smooth_slots(document, work, settings, progress, access)
     with watch.stage("write"):

@@ -9,6 +9,7 @@ import numpy as np
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.colour_space import from_space, to_space
 from beltrami_cli.formats.image.picture import full_scale_one
+from beltrami_cli.mesh import large_arrays
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -88,12 +89,10 @@ class TexelColours:
 
     def samples(self, atlas: Atlas) -> NDArray[np.float32]:
         """Return the colours of the owned cells in the working space, shape (T, N)."""
-        if len(self._pictures) == 1:
-            return self.working(self._pictures[0], atlas.owned_texels)
-        table = np.empty((len(atlas.owned_texels), len(self.names)), np.float32)
-        for index, picture in enumerate(self._pictures):
-            inside, texels = self._texels(atlas, index)
-            table[inside] = self.working(picture, texels)
+        table = large_arrays.zeros((len(atlas.owned_texels), len(self.names)), np.float32)
+        for block in large_arrays.blocks(len(table)):
+            for index, inside, texels in atlas.texels_by_texture(atlas.owned_texels[block]):
+                table[block][inside] = self.working(self._pictures[index], texels)
         return table
 
     def working(self, picture: Picture, texels: NDArray[np.int64]) -> NDArray[np.float32]:
@@ -110,17 +109,23 @@ class TexelColours:
     def transparent(self, atlas: Atlas, textures: Sequence[Texture]) -> NDArray[np.bool_]:
         """Tell which owned cells lend no colour, because their texel cannot be seen."""
         hidden = np.zeros(len(atlas.owned_texels), bool)
-        for index, texture in enumerate(textures):
-            inside, texels = self._texels(atlas, index)
-            hidden[inside] = self.hidden(index, texture, texels)
+        if not any(self._can_hide(index, texture) for index, texture in enumerate(textures)):
+            return hidden
+        for block in large_arrays.blocks(len(hidden)):
+            for index, inside, texels in atlas.texels_by_texture(atlas.owned_texels[block]):
+                hidden[block][inside] = self.hidden(index, textures[index], texels)
         return hidden
 
     def hidden(self, index: int, texture: Texture, texels: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Tell which of some texels (row * width + column) of a picture lend no colour."""
         picture = self._pictures[index]
-        if not self._hides or picture.alpha is None or not texture.alpha_hides:
+        if not self._can_hide(index, texture):
             return np.zeros(len(texels), bool)
-        return np.asarray(picture.pixels[..., picture.alpha].reshape(-1)[texels] == 0)
+        table = picture.pixels.reshape(-1, picture.pixels.shape[2])
+        return np.asarray(table[texels, picture.alpha] == 0)
+
+    def _can_hide(self, index: int, texture: Texture) -> bool:
+        return self._hides and self._pictures[index].alpha is not None and texture.alpha_hides
 
     def columns(self, index: int) -> list[int]:
         """Return which channels of a picture change."""
@@ -180,11 +185,6 @@ class TexelColours:
                 table[texels, picture.colour[i]] = stored[:, i]
         if self._alpha and picture.alpha is not None:
             table[texels, picture.alpha] = samples[:, -1]
-
-    def _texels(self, atlas: Atlas, index: int) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
-        first, last = atlas.texture_offsets[index : index + 2]
-        inside = (atlas.owned_texels >= first) & (atlas.owned_texels < last)
-        return inside, atlas.owned_texels[inside] - first
 
     def _widened(self, picture: Picture, pixels: NDArray[np.float32]) -> NDArray[np.float32]:
         every = tuple(range(pixels.shape[1]))

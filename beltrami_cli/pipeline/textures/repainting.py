@@ -10,6 +10,8 @@ import numpy as np
 
 from beltrami_cli.formats.image import from_float
 from beltrami_cli.formats.image.picture import full_scale_one
+from beltrami_cli.mesh import large_arrays
+from beltrami_cli.mesh.atlas import texels_by_texture
 from beltrami_cli.pipeline.smooth.report import Change
 from beltrami_cli.sampling.gutter import fill_gutter
 
@@ -17,6 +19,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from beltrami_cli.formats.image import Picture
+    from beltrami_cli.mesh.atlas import Indices
     from beltrami_cli.pipeline.textures.colours import TexelColours
 
 _BLOCK = 1 << 18  # texels painted at a time, which bounds the memory for them in floats
@@ -46,13 +49,12 @@ class SmoothedTexels:
     gutter_texels: NDArray[np.int64]
     gutter_colours: NDArray[np.float32]
 
-    def of_texture(
-        self, texels: NDArray[np.int64], index: int
-    ) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
+    def of_texture(self, texels: Indices, index: int) -> tuple[NDArray[np.bool_] | slice, Indices]:
         """Choose the texels of one texture, and number them from its first."""
-        first, last = self.texture_offsets[index : index + 2]
-        inside = (texels >= first) & (texels < last)
-        return inside, texels[inside] - first
+        for found, inside, own in texels_by_texture(self.texture_offsets, texels):
+            if found == index:
+                return inside, own
+        return np.zeros(len(texels), bool), texels[:0]
 
 
 def repaint(
@@ -80,19 +82,18 @@ def repaint(
     change : Change
         Of the covered texels.
     """
-    pixels = picture.pixels.copy()
+    pixels = large_arrays.copy_of(picture.pixels)
     change = _paint(pixels, picture, index, colours, smoothed, smoothed.texels, smoothed.colours)
     if gutter is not None:
         covered, known = np.zeros(pixels.shape[:2], bool), np.zeros(pixels.shape[:2], bool)
-        covered.reshape(-1)[smoothed.of_texture(smoothed.texels, index)[1]] = True
-        beside, texels = smoothed.of_texture(smoothed.gutter_texels, index)
+        for block in large_arrays.blocks(len(smoothed.texels)):
+            covered.reshape(-1)[smoothed.of_texture(smoothed.texels[block], index)[1]] = True
+        inside, texels = smoothed.of_texture(smoothed.gutter_texels, index)
         near = within(covered, gutter).reshape(-1)[texels]
-        beside[beside] = near
-        chosen = smoothed.gutter_texels[beside]
-        _paint(pixels, picture, index, colours, smoothed, chosen, smoothed.gutter_colours[beside])
+        chosen, values = smoothed.gutter_texels[inside][near], smoothed.gutter_colours[inside][near]
+        _paint(pixels, picture, index, colours, smoothed, chosen, values)
         known.reshape(-1)[texels[near]] = True
-        columns = colours.columns(index)
-        pixels[..., columns] = fill_gutter(pixels[..., columns], covered, None, gutter, known)
+        fill_gutter(pixels, covered, None, gutter, known, channels=colours.columns(index))
     return pixels, change
 
 
@@ -107,9 +108,9 @@ def _paint(
 ) -> Change:
     """Put the samples that are of a picture into pixels like its own, in place, and return how these change."""
     table, changes = pixels.reshape(-1, pixels.shape[2]), []
-    for first in range(0, len(texels), _BLOCK):
-        inside, here = smoothed.of_texture(texels[first : first + _BLOCK], index)
-        after = samples[first : first + _BLOCK][inside]
+    for block in large_arrays.blocks(len(texels), _BLOCK):
+        inside, here = smoothed.of_texture(texels[block], index)
+        after = samples[block][inside]
         moved = colours.changed(picture, here, after)
         count, here, after = len(here), here[moved], after[moved]
         old = full_scale_one(table[here])

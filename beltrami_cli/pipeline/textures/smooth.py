@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.image import check_writable, losses, write_image
+from beltrami_cli.mesh import large_arrays
 from beltrami_cli.pipeline.smooth.report import Change, describe_choice
 from beltrami_cli.pipeline.textures.colours import COLOUR_SLOTS
 from beltrami_cli.pipeline.textures.description import atlas_counts, describe_textures
@@ -148,6 +149,7 @@ def smooth_slot(
     for index, (texture, picture) in enumerate(zip(textures, pictures, strict=True)):
         pixels, change = repaint(picture, index, colours, smoothed, settings.textures.gutter)
         changes.append(change)
+        large_arrays.leave_memory()
         pixels, slots = shared.join(slot, texture.key, pixels, colours.columns(index))
         file = _encode(picture, pixels, slot, settings.textures)
         images |= {(each, texture.key): file for each in slots}

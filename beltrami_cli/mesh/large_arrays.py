@@ -1,0 +1,112 @@
+"""Arrays as long as a surface has samples: in memory, or in a file where a job must do with less of it.
+
+In a file they look the same to whoever uses them. The system reads and writes the pages of the file as they are
+touched, so work that goes through such arrays from one end to the other, block by block, needs memory for blocks only.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import mmap
+import os
+import tempfile
+import weakref
+from contextvars import ContextVar
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from beltrami_cli.errors import ProcessingError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+    from pathlib import Path
+
+    from numpy.typing import DTypeLike, NDArray
+
+BLOCK = 1 << 20
+"""Samples that passes over all of them take at a time."""
+
+_LEAST = 1 << 24  # bytes; smaller arrays stay in memory
+
+
+@dataclass(frozen=True)
+class _Disk:
+    folder: Path
+    maps: weakref.WeakSet[mmap.mmap] = field(default_factory=weakref.WeakSet)
+
+
+_DISK: ContextVar[_Disk | None] = ContextVar("disk", default=None)
+
+
+@contextlib.contextmanager
+def kept_on_disk(folder: Path) -> Iterator[None]:
+    """Let large arrays that are made meanwhile, in this thread, be kept in files without a name in a folder."""
+    token = _DISK.set(_Disk(folder))
+    try:
+        yield
+    finally:
+        _DISK.reset(token)
+
+
+def zeros(shape: int | Sequence[int], dtype: DTypeLike) -> NDArray[Any]:
+    """Return an array of zeros, like `numpy.zeros`.
+
+    Raises
+    ------
+    ProcessingError
+        If there is no room for it on the disk where it belongs.
+    """
+    disk = _DISK.get()
+    shape = (shape,) if isinstance(shape, int) else tuple(shape)
+    size = math.prod(shape) * np.dtype(dtype).itemsize
+    if disk is None or size < _LEAST:
+        return np.zeros(shape, dtype)
+    try:
+        with tempfile.TemporaryFile(dir=disk.folder) as file:
+            if hasattr(
+                os, "posix_fallocate"
+            ):  # else a full disk would end the program when a page is written
+                os.posix_fallocate(file.fileno(), 0, size)
+            else:
+                file.truncate(size)
+            pages = mmap.mmap(file.fileno(), size)
+    except OSError as error:
+        raise ProcessingError(
+            f"{disk.folder}: there is no room for {size >> 20} MB of working space ({error.strerror}); "
+            "free some, or raise --max-memory"
+        ) from error
+    disk.maps.add(pages)
+    return np.frombuffer(pages, dtype).reshape(shape)
+
+
+def copy_of(array: NDArray[Any]) -> NDArray[Any]:
+    """Return a copy of an array, made block by block."""
+    copy = zeros(array.shape, array.dtype)
+    source, target = array.reshape(-1), copy.reshape(-1)
+    for block in blocks(len(source)):
+        target[block] = source[block]
+    return copy
+
+
+def blocks(count: int, size: int = BLOCK) -> Iterator[slice]:
+    """Go through a number of samples in blocks; what was touched of arrays in files leaves memory in between."""
+    leave_memory()
+    for first in range(0, count, size):
+        yield slice(first, min(count, first + size))
+        leave_memory()
+
+
+def leave_memory() -> None:
+    """Let what was touched of arrays in files leave memory; it is read again when it is needed."""
+    disk = _DISK.get()
+    if disk is not None and hasattr(mmap, "MADV_DONTNEED"):
+        for pages in disk.maps:
+            pages.madvise(mmap.MADV_DONTNEED)
+
+
+def is_on_disk() -> bool:
+    """Tell whether large arrays that are made now are kept in files."""
+    return _DISK.get() is not None
