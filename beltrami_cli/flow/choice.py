@@ -41,25 +41,23 @@ class Reach:
         Numbers of regularised iterations.
     most : int
         Iterations in one schedule.
-    contrast, growth, step : float
-        Where to start: beta times the noise, its growth, and the time step.
+    starts : tuple of (float, float, float, int)
+        Where to start: beta times the noise, its growth, the time step, and the number of regularised iterations.
     """
 
     steps: tuple[float, ...]
     growths: tuple[float, ...]
     guided: tuple[int, ...]
     most: int
-    contrast: float
-    growth: float
-    step: float
+    starts: tuple[tuple[float, float, float, int], ...]
 
 
 # On painted, baked and photographed samples with noise of 5 to 40 of 255, other time steps and growths are hardly
 # better when tuned on the truth, and worse when they are chosen: more to choose from is more to choose wrong.
 # On a grid the window bounds the kernel, and a large time step only makes its weights more even.
-ON_GRIDS = Reach((8.0,), (1.5, 3.0), (0, 1, 2, 3), 10, 1.4, 1.5, 8.0)
+ON_GRIDS = Reach((8.0,), (1.5, 3.0), (0, 1, 2, 3), 10, ((1.4, 1.5, 8.0, 1), (1.4, 3.0, 8.0, 2)))
 # On a mesh the time step alone bounds the kernel, and larger ones take longer than they gain.
-ON_MESHES = Reach((1.6, 2.4), (2.0,), (0, 1, 2), 6, 1.0, 2.0, 2.4)
+ON_MESHES = Reach((1.6, 2.4), (2.0,), (0, 1, 2), 6, ((1.0, 2.0, 2.4, 1),))
 
 
 @dataclass(frozen=True)
@@ -185,13 +183,16 @@ def _grid(parameters: KernelParameters, reach: Reach, scale: float, by_rule: flo
     iterations = None if "iterations" in free else parameters.iterations
     if iterations is not None:
         guided = tuple(sorted({min(count, iterations) for count in guided}))
-    start = (
-        _nearest(betas, reach.contrast * scale),
-        _nearest(growths, reach.growth),
-        _nearest(steps, reach.step),
-        _nearest(guided, 1),
+    starts = tuple(
+        (
+            _nearest(betas, contrast * scale),
+            _nearest(growths, growth),
+            _nearest(steps, step),
+            _nearest(guided, count),
+        )
+        for contrast, growth, step, count in reach.starts
     )
-    return Grid(betas, growths, steps, guided, iterations, reach.most, start)
+    return Grid(betas, growths, steps, guided, iterations, reach.most, starts)
 
 
 def _nearest(values: tuple[float, ...], wanted: float) -> int:

@@ -12,9 +12,9 @@ from beltrami_cli.flow.noise import estimate_sigma_on_grid
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# How much larger noise may come out at half the resolution: on painted, baked and photographed textures at most 1.3
-# times for independent noise, and at least 1.6 for what JPEG leaves of it, by subsampling chroma or by coarse steps.
-_MOST = 1.5
+# How much larger noise may come out at half the resolution: on painted, baked and photographed textures at most 1.2
+# times for independent noise, and mostly more than 2 for what JPEG leaves, by subsampling chroma or by coarse steps.
+_MOST = 1.4
 
 # Of more channels, which are no colours, so many are looked at.
 _CHANNELS = 3

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from beltrami_cli.flow.parameters import SMOOTHNESS
-from beltrami_cli.flow.weakest import weakest_level
+from beltrami_cli.flow.weakest import Groups, Kind, weakest_levels
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -26,19 +26,22 @@ _ENOUGH_SQUARES = 200_000
 _TILE = 8
 _FULL_TILE = _TILE**2 / 2
 
-# Share of the tiles, and of the neighbourhoods on a mesh, that are taken to be free of edges and texture. On painted,
-# baked and photographed textures with noise of 2 to 40 of 255, estimates hardly differ between 0.05 and 0.3; a rich
-# texture without noise asks for few. On coarse meshes there are edges nearly everywhere.
-_FREE_TILES = 0.1
-_FREE_AROUND = 0.02
-
 # Coefficients of overlapping squares are correlated, by -1/2 beside and 1/4 across: the sum of the squared correlations
-# is how many of them count as one degree of freedom.
+# is how many of them count as one degree of freedom. The means of the squares are as uneven as that on white noise.
 _HAAR_OVERLAP = 2.25
+_UNEVEN_TILES, _SPREAD_OF_TILES = 0.237, 0.253
 
-# Degrees of freedom of the mean square over a sample, its neighbours and theirs: those of white noise on a triangle
-# mesh of degree six, where residuals of neighbours are correlated.
-_FREEDOM_AROUND = 13.0
+# The same of a sample, its neighbours and theirs, on a triangle mesh of degree six.
+_FREEDOM_AROUND = 10.8
+_UNEVEN_AROUND, _SPREAD_AROUND = 0.0348, 0.675
+
+# Share of the tiles, and of the neighbourhoods on a mesh, that are taken to be free of edges and texture, and how many
+# at least. On painted, baked and photographed textures with noise of 5 to 40 of 255, estimates hardly differ between
+# shares of 0.05 and 0.2. Neighbourhoods overlap, so of them many say little more than few; and on coarse meshes there
+# are edges nearly everywhere.
+_TILES_SHARE, _TILES_LEAST = 0.1, 20
+_AROUND_SHARE, _AROUND_LEAST = 0.05, 300
+
 _NEIGHBOURS = 3  # fewer: a border or a stray edge, whose mean leans to one side
 
 # Colour distance at which the first kernel should fall off, in units of the noise: beta sigma. A search over vertex
@@ -51,7 +54,7 @@ def estimate_sigma(colours: NDArray[np.float32], edges: NDArray[np.int32]) -> ND
     """Estimate the standard deviation of independent noise, per channel.
 
     A sample with k neighbours differs from their mean by noise of variance sigma^2 (1 + 1/k), and by what the image
-    does there, which is least in the neighbourhoods that `weakest_level` looks at.
+    does there; `weakest_levels` looks at the neighbourhoods where means of means are even, so that it does little.
 
     Parameters
     ----------
@@ -65,34 +68,41 @@ def estimate_sigma(colours: NDArray[np.float32], edges: NDArray[np.int32]) -> ND
     ndarray of float64, shape (N,)
         In units of `colours`; 0 where no sample has neighbours.
     """
-    degree = np.bincount(edges.ravel(), minlength=len(colours))
+    count = len(colours)
+    degree = np.bincount(edges.ravel(), minlength=count)
     inside = degree >= _NEIGHBOURS
-    sigma = []
-    for values, residual in zip(colours.T, residuals(colours, edges), strict=True):
-        if not residual.size:
-            sigma.append(0.0)
-            continue
-        squares = np.zeros(len(values))
+    if not inside.any():
+        return np.zeros(colours.shape[1])
+    held = _around(inside.astype(np.float64), edges)[inside]
+    size = _around(np.ones(count), edges)[inside]
+    found = []
+    for values, residual in zip(colours.T.astype(np.float64), residuals(colours, edges), strict=True):
+        squares = np.zeros(count)
         squares[inside] = residual**2
-        total, held, low, high, mean = (
-            _around(column.astype(np.float64), edges)
-            for column in (squares, inside, values <= 0, values >= 1, values)
-        )
-        size = _around(np.ones(len(values)), edges)
-        low, high, mean = (part[inside] / size[inside] for part in (low, high, mean))
-        energy = total[inside] / held[inside]
-        sigma.append(weakest_level(energy, _FREEDOM_AROUND, low, high, mean, _FREE_AROUND))
-    return np.array(sigma)
+        means = values - values.mean()  # small numbers, whose squares lose no digits
+        for _ in range(2):
+            means = _and_beside(means, edges) / (degree + 1)
+        even, level = (_around(part, edges)[inside] / size for part in (means**2, means))
+        low, high, mean = (_around(part, edges)[inside] / size for part in (values <= 0, values >= 1, values))
+        energy = _around(squares, edges)[inside] / held
+        found.append((energy, np.maximum(even - level**2, 0), low, high, mean))
+    kind = Kind(_FREEDOM_AROUND, _UNEVEN_AROUND, _SPREAD_AROUND, _AROUND_SHARE, _AROUND_LEAST)
+    return weakest_levels(Groups(*np.array(found).swapaxes(0, 1)), kind)
 
 
-def _around(values: NDArray[np.float64], edges: NDArray[np.int32]) -> NDArray[np.float64]:
+def _around(values: NDArray[Any], edges: NDArray[np.int32]) -> NDArray[np.float64]:
     """Sum over each sample and its neighbours, and over these and their neighbours again."""
-    for _ in range(2):
-        one, other = edges[:, 0], edges[:, 1]
-        count = len(values)
-        beside = np.bincount(one, values[other], count) + np.bincount(other, values[one], count)
-        values = values + beside
-    return values
+    if not values.any():
+        return np.zeros(len(values))
+    return _and_beside(_and_beside(values.astype(np.float64), edges), edges)
+
+
+def _and_beside(values: NDArray[np.float64], edges: NDArray[np.int32]) -> NDArray[np.float64]:
+    """Sum over each sample and its neighbours."""
+    one, other = edges[:, 0], edges[:, 1]
+    count = len(values)
+    beside = np.bincount(one, values[other], count) + np.bincount(other, values[one], count)
+    return np.asarray(values + beside, np.float64)
 
 
 def residuals(values: NDArray[np.float32], edges: NDArray[np.int32]) -> Iterator[NDArray[np.float64]]:
@@ -112,7 +122,7 @@ def estimate_sigma_on_grid(planes: NDArray[np.float32], filled: NDArray[np.bool_
     """Estimate the standard deviation of independent noise on a grid, per channel.
 
     The diagonal Haar coefficients (a - b - c + d) / 2 of all 2 x 2 squares keep the noise and lose constants and
-    slopes [1]_; `weakest_level` takes them from the tiles of 8 x 8 squares where the image does least.
+    slopes [1]_; `weakest_levels` takes them from the tiles of 8 x 8 squares where means of squares are even.
 
     Parameters
     ----------
@@ -139,19 +149,21 @@ def estimate_sigma_on_grid(planes: NDArray[np.float32], filled: NDArray[np.bool_
     enough = count >= min(_FULL_TILE, float(count.max(initial=1)))
     if not enough.any():
         return np.zeros(len(planes))
-    sigma = []
+    found = []
     for plane in planes:
-        band = plane[rows]
-        detail = (band[:, near, near] - band[:, near, far] - band[:, far, near] + band[:, far, far]) / 2
-        own = band[:, near, near]
-        energy, low, high, mean = (
+        band = plane[rows].astype(np.float64)
+        corners = [band[:, i, j] for i in (near, far) for j in (near, far)]
+        detail = (corners[0] - corners[1] - corners[2] + corners[3]) / 2
+        means = sum(corners) / 4 - band.mean()  # small numbers, whose squares lose no digits
+        own = corners[0]
+        energy, even, level, low, high, mean = (
             _tiles(np.where(squares, of, 0))[enough] / count[enough]
-            for of in (detail.astype(np.float64) ** 2, own <= 0, own >= 1, own)
+            for of in (detail**2, means**2, means, own <= 0, own >= 1, own)
         )
-        sigma.append(
-            weakest_level(energy, float(count[enough].mean()) / _HAAR_OVERLAP, low, high, mean, _FREE_TILES)
-        )
-    return np.array(sigma)
+        found.append((energy, np.maximum(even - level**2, 0), low, high, mean))
+    freedom = float(count[enough].mean()) / _HAAR_OVERLAP
+    kind = Kind(freedom, _UNEVEN_TILES, _SPREAD_OF_TILES, _TILES_SHARE, _TILES_LEAST)
+    return weakest_levels(Groups(*np.array(found).swapaxes(0, 1)), kind)
 
 
 def _bands(filled: NDArray[np.bool_]) -> NDArray[np.intp]:

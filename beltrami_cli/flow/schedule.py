@@ -58,7 +58,7 @@ class Grid:
         How many iterations there must be; None: as many as pay ...
     most : int
         ... but no more than so many.
-    start : tuple of int
+    starts : tuple of tuple of int
         Where in `betas`, `growths`, `steps` and `guided` to start.
     """
 
@@ -68,7 +68,7 @@ class Grid:
     guided: tuple[int, ...]
     iterations: int | None
     most: int
-    start: tuple[int, int, int, int]
+    starts: tuple[tuple[int, int, int, int], ...]
 
     def at(self, place: tuple[int, int, int, int], plain: int = 0) -> Schedule:
         """Return the schedule at some place in the grid."""
@@ -126,11 +126,21 @@ class Search:
         self._guided_states: dict[Schedule, State] = {}
 
     def run(self) -> Schedule:
-        """Return the best schedule found: along one axis after another, until none gets better."""
+        """Return the best schedule found."""
         if self._grid.iterations is None:
-            self._try(replace(self._grid.at(self._grid.start), guided=0), self._estimate.start)
-        place, moved = self._grid.start, True
-        least = self._path(place)
+            self._try(replace(self._grid.at(self._grid.starts[0]), guided=0), self._estimate.start)
+        least = float("inf")
+        for start in self._grid.starts:
+            if (
+                self._path(start) < least - self._gain
+            ):  # else it lies no lower than where another descent ended
+                least = self._descend(start)
+        # All weights choose from the same schedules, so a larger one never chooses a gentler one.
+        return min(self.tried, key=lambda schedule: self.tried[schedule].weighted(self._weight))
+
+    def _descend(self, place: tuple[int, int, int, int]) -> float:
+        """Go along one axis after another until none gets better; return the least risk."""
+        least, moved = self._path(place), True
         while moved:
             moved = False
             for axis in (0, 1, 3, 2):
@@ -139,8 +149,7 @@ class Search:
                     while ahead is not None and self._path(ahead) < least - self._gain:
                         place, least, moved = ahead, self._path(ahead), True
                         ahead = self._grid.beside(place, axis, way)
-        # All weights choose from the same schedules, so a larger one never chooses a gentler one.
-        return min(self.tried, key=lambda schedule: self.tried[schedule].weighted(self._weight))
+        return least
 
     def _path(self, place: tuple[int, int, int, int]) -> float:
         """Try the schedules at a place, with more and more plain iterations; return the least risk."""

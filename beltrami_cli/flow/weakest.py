@@ -1,11 +1,19 @@
 """The noise level of a signal that is not only noise: told from the groups of samples where least else happens.
 
-Edges and texture only add to the spread of a signal. So of many small groups of neighbouring samples, those with the
-least spread show the noise alone; and how far the least of many noisy spreads lies below the noise is known.
+Edges and texture only add to the spread of a signal, so noise is looked for where they are weakest. There is little
+detail where coarse means are even; and how uneven these are says nothing of the noise in the finest detail, for the two
+are different parts of the signal. So the groups of neighbouring samples that are chosen by the one show the noise, and
+no less than that, in the other [1]_.
+
+References
+----------
+.. [1] X. Liu, M. Tanaka, M. Okutomi, "Single-image noise level estimation for blind denoising", IEEE Trans. Image
+   Processing 22(12), 2013, doi:10.1109/TIP.2013.2283400: weak texture, found by turns with the noise.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from statistics import NormalDist
 from typing import TYPE_CHECKING
 
@@ -21,10 +29,6 @@ if TYPE_CHECKING:
 _NEARLY_WHOLE = 0.2
 _ENOUGH_SHARE, _ENOUGH_GROUPS = 0.02, 20
 
-# In a picture as most are, some groups are busy with edges or texture, so a low quantile of all is a third higher a one
-# of the others. In plain pictures the noise comes out a little too small by it, in rich ones too large.
-_BUSY = 1 / 3
-
 # A group without any spread holds no noise. Where so many do, there is none; fewer are plain areas that were painted
 # after the noise came in, masked, or overexposed.
 _PLAIN = 0.5
@@ -35,67 +39,168 @@ _TELLING = (0.05, 0.6)
 # What has a larger spread, of full scale 1, and stands at a limit is line art and no noise.
 _LOUDEST = 1 / 3
 
+# What is left of the noise's variance at least, where it is divided by; less, and next to nothing can be told.
+_LEAST_LEFT = 1e-3
 
-def weakest_level(
-    energy: NDArray[np.float64],
-    freedom: float,
-    low: NDArray[np.float64],
-    high: NDArray[np.float64],
-    mean: NDArray[np.float64],
-    free: float,
-) -> float:
-    """Estimate the standard deviation of noise from groups of samples of one channel.
+# Less variance than any stored colour can show.
+_LEAST_VARIANCE = 1e-20
+
+# A low quantile of the energies rather than their mean: of the even groups, some still hold an edge or a speck.
+_QUANTILE = 0.3
+
+# The noise tells which groups are even, and these tell the noise. The first guess, and what is believed at most, is a
+# still lower quantile of all: where hardly a group is even, some still hold little else than noise by chance.
+_FIRST_QUANTILE = 0.02
+_TURNS = 3
+
+
+@dataclass(frozen=True)
+class Kind:
+    """What is true of groups of white noise of variance 1, and how many are needed.
+
+    Attributes
+    ----------
+    freedom : float
+        Degrees of freedom of a group's energy: that of M independent residuals has M.
+    unevenness, spread : float
+        Mean of the groups' unevenness, and its standard deviation as a share of that.
+    share, least : float, int
+        Groups that are taken for even at least: of all, and in number.
+    """
+
+    freedom: float
+    unevenness: float
+    spread: float
+    share: float
+    least: int
+
+
+@dataclass(frozen=True)
+class Groups:
+    """M groups of neighbouring samples with N channels: arrays of float64, shape (N, M).
+
+    Attributes
+    ----------
+    energy : ndarray
+        Mean square, in each group, of residuals that have the variance of the noise where there is nothing else.
+    unevenness : ndarray
+        Variance, in each group, of local means of colours.
+    low, high : ndarray
+        Share of each group's samples that stand at 0, and at 1.
+    mean : ndarray
+        Mean colour.
+    """
+
+    energy: NDArray[np.float64]
+    unevenness: NDArray[np.float64]
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
+    mean: NDArray[np.float64]
+
+    @property
+    def left(self) -> NDArray[np.float64]:
+        """What is left of the variance of noise that was cut off at the limits."""
+        return np.maximum(variance_of_clipped(self.low) * variance_of_clipped(self.high), _LEAST_LEFT)
+
+
+def weakest_levels(groups: Groups, kind: Kind) -> NDArray[np.float64]:
+    """Estimate the standard deviation of noise per channel.
 
     Parameters
     ----------
-    energy : ndarray of float64, shape (M,)
-        Mean square, in each group, of residuals that have the variance of the noise where there is nothing else.
-    freedom : float
-        Degrees of freedom of that mean: M independent residuals have M.
-    low, high : ndarray of float64, shape (M,)
-        Share of each group's samples that stand at 0, and at 1.
-    mean : ndarray of float64, shape (M,)
-        Mean colour of each group.
-    free : float
-        Share of the groups that are taken to be free of edges and texture.
+    groups : Groups
+        Of neighbouring samples.
+    kind : Kind
+        What they are of white noise.
 
     Returns
     -------
-    float
-        In the unit of the residuals; 0 without groups.
+    ndarray of float64, shape (N,)
+        In the unit of the residuals; 0 where there are no groups.
 
     Notes
     -----
-    A low quantile of the energies is compared with that of the chi-square distribution. Groups with many samples at a
-    limit are left out, for there noise was cut off. Where nearly all are such, the noise of each is that of a normal
-    variable censored at the limit with the group's mean and share; see `clipping`.
+    A low quantile of the energies of even groups is compared with that of the chi-square distribution. Groups with many
+    samples at a limit are left out, for there noise was cut off. Where nearly all are such, the noise of each is that
+    of a normal variable censored at the limit with the group's mean and share, see `clipping`; texture makes that
+    larger than the residuals do, so the lesser of both is believed.
     """
-    if np.count_nonzero(energy) <= _PLAIN * len(energy):
-        return 0.0
-    near = low + high <= _NEARLY_WHOLE
-    uncut = energy[near] / (variance_of_clipped(low[near]) * variance_of_clipped(high[near]))
-    if len(uncut) >= max(_ENOUGH_GROUPS, _ENOUGH_SHARE * len(energy)):
-        return _quantile_level(uncut, freedom, free)
-    told = []
+    told = {}
+    for channel in range(len(groups.energy)):
+        if np.count_nonzero(groups.energy[channel]) > _PLAIN * groups.energy.shape[1]:
+            usable, energies = _telling(groups, channel)
+            if usable.any():
+                told[channel] = usable, energies
+    most = {channel: _least_level(*told[channel], kind.freedom, _FIRST_QUANTILE) for channel in told}
+    variance = most.copy()
+    for _ in range(_TURNS):
+        detail, certain = _detail(groups, {channel: told[channel][0] for channel in told}, variance, kind)
+        for channel, (usable, energies) in told.items():
+            even = usable.copy()
+            even[usable] = _even(detail[usable], certain[usable], kind)
+            level = _least_level(even, energies, kind.freedom, _QUANTILE)
+            variance[channel] = min(level, most[channel])
+    sigma = np.zeros(len(groups.energy))
+    sigma[list(variance)] = np.sqrt(list(variance.values()))
+    return sigma
+
+
+def _telling(groups: Groups, channel: int) -> tuple[NDArray[np.bool_], list[NDArray[np.float64]]]:
+    """Choose the groups that tell of a channel's noise; return them, and what all groups say of its variance."""
+    low, high, mean = groups.low[channel], groups.high[channel], groups.mean[channel]
+    energy = groups.energy[channel] / groups.left[channel]
+    whole = (low + high <= _NEARLY_WHOLE) & (energy > 0)
+    if np.count_nonzero(whole) >= max(_ENOUGH_GROUPS, _ENOUGH_SHARE * len(energy)):
+        return whole, [energy]
+    censored = np.zeros(len(energy))
     for share, other, gap in ((low, high, mean), (high, low, 1 - mean)):
         # With samples at both limits there is an edge.
-        telling = (share > _TELLING[0]) & (share < _TELLING[1]) & (other < _TELLING[0])
-        sigma = sigma_of_clipped(gap[telling], share[telling])
-        told.append(sigma[sigma < _LOUDEST] ** 2)
-    censored = np.concatenate(told)
-    # Such an estimate is as good as that of as many samples, and a group has fewer degrees of freedom than samples.
-    enough = len(censored) >= _ENOUGH_GROUPS or not len(uncut)
-    return _quantile_level(censored if enough else uncut, freedom, free)
+        cut = (share > _TELLING[0]) & (share < _TELLING[1]) & (other < _TELLING[0]) & (energy > 0)
+        censored[cut] = sigma_of_clipped(gap[cut], share[cut]) ** 2
+    telling = (censored > 0) & (censored < _LOUDEST**2)
+    if np.count_nonzero(telling) >= _ENOUGH_GROUPS or not whole.any():
+        return telling, [censored, energy]
+    return whole, [energy]
 
 
-def _quantile_level(energy: NDArray[np.float64], freedom: float, free: float) -> float:
-    energy = energy[energy > 0]
-    if not len(energy):
-        return 0.0
+def _detail(
+    groups: Groups, usable: dict[int, NDArray[np.bool_]], variance: dict[int, float], kind: Kind
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Compare the unevenness of groups with that of noise alone, as a mean over the channels that tell of a group.
+
+    Channels share their texture, and not their noise.
+
+    Returns
+    -------
+    detail, certain : ndarray of float64, shape (M,)
+        That ratio, and of how many channels it is the mean.
+    """
+    total, certain = np.zeros(groups.energy.shape[1]), np.zeros(groups.energy.shape[1])
+    left = groups.left
+    for channel, known in usable.items():
+        noise = kind.unevenness * max(variance[channel], _LEAST_VARIANCE)
+        total[known] += groups.unevenness[channel, known] / (left[channel, known] * noise)
+        certain += known
+    return total / np.maximum(certain, 1), certain
+
+
+def _even(detail: NDArray[np.float64], certain: NDArray[np.float64], kind: Kind) -> NDArray[np.bool_]:
+    """Choose the groups as even as noise alone leaves them, but not too few."""
+    excess = detail / (1 + kind.spread / np.sqrt(certain))
+    wanted = max(kind.least, int(kind.share * len(detail)), int(np.count_nonzero(excess <= 1)))
+    even = np.zeros(len(detail), bool)
+    even[np.argsort(excess, kind="stable")[:wanted]] = True
+    return even
+
+
+def _least_level(
+    groups: NDArray[np.bool_], energies: list[NDArray[np.float64]], freedom: float, share: float
+) -> float:
+    """Return the least variance that some groups' energies tell by their quantile."""
     # Of few groups none may be free; the median stays closer to the noise than the least.
-    share = max(free, min(0.5, 2 / len(energy)))
-    idle = share * (1 + _BUSY * (1 - share))
-    return float(np.sqrt(np.quantile(energy, share) / chi_square_quantile(freedom, idle)))
+    share = max(share, min(0.5, 2 / np.count_nonzero(groups)))
+    least = min(float(np.quantile(energy[groups], share)) for energy in energies)
+    return least / chi_square_quantile(freedom, share)
 
 
 def chi_square_quantile(freedom: float, share: float) -> float:

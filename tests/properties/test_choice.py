@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 import beltrami_cli
-from beltrami_cli.flow import trial_mesh
+from beltrami_cli.flow import risk, trial_mesh
 from beltrami_cli.flow.iteration import BeltramiFlow
-from beltrami_cli.flow.noise import estimate_sigma_on_grid
 from beltrami_cli.flow.parameters import TUNABLE, KernelParameters
-from beltrami_cli.flow.risk import RiskEstimate, Step
+from beltrami_cli.flow.risk import Risk, RiskEstimate, Step
+from beltrami_cli.flow.schedule import Grid, Search
 from beltrami_cli.mesh.surface import SampledSurface
 from oracles import surfaces
 
@@ -58,8 +58,13 @@ class Blur:
         return state.reshape(-1, state.shape[-1])
 
 
-def test_the_estimated_error_is_the_true_one():
-    """Over many draws of noise and signs, the mean difference is within four of its standard errors."""
+@pytest.mark.parametrize(("epsilon", "bias"), [(0.05, 0.0), (risk._EPSILON, 0.03)])
+def test_the_estimated_error_is_the_true_one(monkeypatch, epsilon, bias):
+    """Over many draws of noise and signs, the mean difference is within four of its standard errors.
+
+    A perturbation as large as is used, which makes estimates steady, may add 3 per cent of the noise's variance.
+    """
+    monkeypatch.setattr(risk, "_EPSILON", epsilon)
     clean = painting(48)
     step = Step(beta=1.4 / SIGMA, t=2.4, regularised=False)
     differences = []
@@ -70,7 +75,7 @@ def test_the_estimated_error_is_the_true_one():
         true = np.mean((state.plain - clean) ** 2)
         differences.append(estimate.of(state).value - true)
     error = np.std(differences, ddof=1) / np.sqrt(len(differences))
-    assert abs(np.mean(differences)) < 4 * error
+    assert abs(np.mean(differences)) < 4 * error + bias * SIGMA**2
     assert error < 0.02 * SIGMA**2  # or the test could not fail
 
 
@@ -83,9 +88,9 @@ def test_the_estimate_knows_its_own_error():
         trial = Blur(noisy(clean, seed=seed).astype(np.float64), seed + 1000)
         estimate = RiskEstimate(trial, np.full(3, SIGMA))
         state = estimate.step(estimate.start, step)
-        risk = estimate.of(state)
-        values.append(risk.value - np.mean((state.plain - clean) ** 2))
-        told.append(risk.error)
+        found = estimate.of(state)
+        values.append(found.value - np.mean((state.plain - clean) ** 2))
+        told.append(found.error)
     assert 0.5 < np.mean(told) / np.std(values, ddof=1) < 2
 
 
@@ -128,6 +133,33 @@ def test_the_choice_is_near_the_best_on_a_mesh():
         for plain in (1, 2, 3)
     )  # fmt: skip
     assert reached > best - 0.7
+
+
+class Valleys:
+    """An estimate of errors that falls towards two places among contrasts and growths, the deeper one far away."""
+
+    def __init__(self, deeper):
+        self.start = (0.0, 1.0, 0)
+        self._deeper = deeper
+
+    def step(self, state, step):
+        beta, _, done = state
+        return (step.beta, 1.0, 1) if done == 0 else (beta, step.beta / beta, done + 1)
+
+    def of(self, state):
+        beta, growth, done = state
+        if done < 2:
+            return Risk(1.0, 0.1, 0.0)
+        near, far = abs(np.log2(beta / 2.8)) + 4 * (growth > 2), abs(np.log2(beta / 0.7)) + 4 * (growth < 2)
+        return Risk(min(0.1 + 0.02 * near, self._deeper + 0.02 * far), 0.01, 0.0)
+
+
+@pytest.mark.parametrize(("deeper", "beta"), [(0.05, 0.7), (0.2, 2.8)])
+def test_the_search_finds_the_deeper_of_two_valleys(deeper, beta):
+    """One descent alone would end in the valley next to its start."""
+    grid = Grid((0.7, 1.4, 2.8), (1.5, 3.0), (8.0,), (0,), 2, 10, ((1, 0, 0, 0), (1, 1, 0, 0)))
+    best = Search(Valleys(deeper), grid, noise=1.0).run()
+    assert best.beta == beta
 
 
 def test_the_choice_does_not_depend_on_threads_or_repetition():
@@ -208,58 +240,10 @@ def test_strength_smooths_less_or_more():
         assert change["gentle", fast] < change["strong", fast]
 
 
-def test_colours_without_noise_stay():
-    clean = (np.rint(painting() * 255) / 255).astype(np.float32)
-    assert psnr(beltrami_cli.smooth_image(clean, space="data").colours, clean) > 45
-    positions, faces = surfaces.icosphere(4)
-    colours = np.rint(255 * (0.5 + 0.3 * np.sign(np.sin(4 * positions)))) / 255
-    assert psnr(beltrami_cli.smooth(positions, faces, colours, space="data").colours, colours) > 45
-
-
-@pytest.mark.parametrize("level", [0.5, 0.97, 0.03])
-@pytest.mark.parametrize("sigma", [5, 20])
-def test_noise_is_found_near_the_limits_too(level, sigma):
-    """On half white or half black images, where samples of the other half tell."""
-    clean = np.full((128, 128), level)
-    clean[:, 64:] = 0.5
-    stored = np.rint(255 * np.clip(noisy(clean, sigma / 255), 0, 1)) / np.float32(255)
-    (found,) = 255 * estimate_sigma_on_grid(stored[None].astype(np.float32), np.ones(clean.shape, bool))
-    assert found == pytest.approx(sigma, rel=0.06)
-
-
-def test_noise_is_found_where_all_is_cut_off():
-    """On white everywhere, half of the noise is gone; the share and the mean of the rest tell it."""
-    stored = np.rint(255 * np.clip(noisy(np.ones((128, 128)), 30 / 255), 0, 1)) / np.float32(255)
-    (found,) = 255 * estimate_sigma_on_grid(stored[None].astype(np.float32), np.ones(stored.shape, bool))
-    assert found == pytest.approx(30, rel=0.15)
-
-
-def test_texture_is_not_taken_for_noise():
-    """Stripes two texels wide cover two thirds of the image; the noise is that of the rest.
-
-    The tenth least of all tiles is the third least of those without stripes, which is 1.15 times as much.
-    """
-    clean = np.full((128, 128), 0.5)
-    clean[:, :84] += 0.1 * (np.add.outer(np.arange(128), np.arange(84)) // 2 % 2)
-    image = noisy(clean, 5 / 255)
-    (found,) = 255 * estimate_sigma_on_grid(image[None], np.ones(clean.shape, bool))
-    assert found == pytest.approx(5, rel=0.2)
-
-
 def test_parameters_tell_what_is_open():
     assert CHOSEN.is_open
     assert not KernelParameters().is_open
     assert not dataclasses.replace(CHOSEN, beta=0.0).is_open
-
-
-def test_line_art_and_flat_paint_have_no_noise():
-    """Colours at 0 and 1 with sharp or antialiased borders, and areas that are plain but for a few borders."""
-    y, x = np.mgrid[:96, :96] / 96
-    letters = np.clip(8 * np.sin(40 * x) * np.sin(30 * y + 9 * x) + 0.5, 0, 1)
-    checks = (np.floor(12 * x) + np.floor(12 * y)) % 2
-    everywhere = np.ones((96, 96), bool)
-    planes = np.stack([letters, checks, np.where(x + y > 0.8, 0.4, 1.0)]).astype(np.float32)
-    assert (estimate_sigma_on_grid(planes, everywhere) < 0.5 / 255).all()
 
 
 def test_the_fixed_rule_chooses_where_the_noise_of_neighbours_is_not_independent():

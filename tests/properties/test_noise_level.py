@@ -1,0 +1,131 @@
+"""The estimated noise is the noise: on surfaces rich in texture and edges, near the limits, and where there is none."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter
+
+import beltrami_cli
+from beltrami_cli.flow.noise import estimate_sigma, estimate_sigma_on_grid
+from oracles import surfaces
+
+
+def noisy(clean, sigma, seed=5):
+    return (clean + sigma * np.random.default_rng(seed).standard_normal(clean.shape)).astype(np.float32)
+
+
+def stored(colours):
+    """Return colours as an 8-bit file keeps them."""
+    return (np.rint(np.clip(colours, 0, 1) * 255) / 255).astype(np.float32)
+
+
+def on_grid(image):
+    """Estimate the noise of an image of shape (R, C, N), in units of 1/255."""
+    planes = np.ascontiguousarray(np.moveaxis(image, 2, 0), np.float32)
+    return 255 * estimate_sigma_on_grid(planes, np.ones(image.shape[:2], bool))
+
+
+def on_mesh(colours, faces):
+    """Estimate the noise of vertices, in units of 1/255."""
+    sides = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
+    return 255 * estimate_sigma(colours, np.unique(sides, axis=0).astype(np.int32))
+
+
+def grain(size, seed=0):
+    """Return a texture without a plain place: grain of two texels' width whose contrast changes from place to place."""
+    random = np.random.default_rng(seed)
+    fine = gaussian_filter(random.standard_normal((size, size)), 0.85, mode="wrap")
+    broad = gaussian_filter(random.standard_normal((size, size)), 12, mode="wrap")
+    contrast = 0.08 * np.exp(0.7 * broad / broad.std())
+    image = 0.5 + np.clip(contrast * fine / fine.std(), -0.4, 0.4)
+    return image[:, :, None] * [1.0, 0.9, 0.8]
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+def test_white_noise_is_told_exactly(channels):
+    """On average over seeds, within two per cent: biases of choosing even groups, and of quantiles, are that small."""
+    positions, faces = surfaces.icosphere(4)
+    plain, ball = np.full((128, 128, channels), 0.5), np.full((len(positions), channels), 0.5)
+    seeds = range(8)
+    assert np.mean([on_grid(noisy(plain, 0.04, seed)) for seed in seeds]) == pytest.approx(10.2, rel=0.02)
+    assert np.mean([on_mesh(noisy(ball, 0.04, seed), faces) for seed in seeds]) == pytest.approx(
+        10.2, rel=0.02
+    )
+
+
+@pytest.mark.parametrize(("sigma", "tolerance"), [(5, 0.1), (10, 0.06), (20, 0.06)])
+def test_rich_texture_is_not_taken_for_noise(sigma, tolerance):
+    """Grain adds to the finest detail everywhere, but least where coarse means are even."""
+    clean = grain(192)
+    found = np.mean([on_grid(stored(noisy(clean, sigma / 255, seed))) for seed in range(3)])
+    assert found == pytest.approx(sigma, rel=tolerance)
+
+
+def test_texture_is_not_taken_for_noise():
+    """Stripes two texels wide cover two thirds of the image; the noise is that of the rest."""
+    clean = np.full((128, 128, 1), 0.5)
+    clean[:, :84, 0] += 0.1 * (np.add.outer(np.arange(128), np.arange(84)) // 2 % 2)
+    assert on_grid(noisy(clean, 5 / 255)) == pytest.approx(5, rel=0.06)
+
+
+@pytest.mark.parametrize("sigma", [5, 20])
+@pytest.mark.parametrize(("waves", "tolerance"), [(5, 0.03), (9, 0.35)])
+def test_edges_of_a_coarse_mesh_are_not_taken_for_noise(sigma, waves, tolerance):
+    """On 2,562 vertices with hard edges, in half of the neighbourhoods of two rings or in nearly all."""
+    positions, faces = surfaces.icosphere(4)
+    clean = 0.5 + 0.25 * np.sign(np.sin(waves * positions))
+    found = np.mean([on_mesh(stored(noisy(clean, sigma / 255, seed)), faces) for seed in range(4)])
+    assert found == pytest.approx(sigma, rel=tolerance)
+
+
+@pytest.mark.parametrize("level", [0.5, 0.97, 0.03])
+@pytest.mark.parametrize("sigma", [5, 20])
+def test_noise_is_found_near_the_limits_too(level, sigma):
+    """On half white or half black images, where samples of the other half tell."""
+    clean = np.full((128, 128, 1), level)
+    clean[:, 64:] = 0.5
+    assert on_grid(stored(noisy(clean, sigma / 255))) == pytest.approx(sigma, rel=0.06)
+
+
+def test_noise_is_found_where_all_is_cut_off():
+    """On white everywhere, half of the noise is gone; the share and the mean of the rest tell it."""
+    assert on_grid(stored(noisy(np.ones((128, 128, 1)), 30 / 255))) == pytest.approx(30, rel=0.15)
+
+
+def test_dark_texture_that_touches_black_is_not_taken_for_cut_off_noise():
+    """Nowhere more than a few texels without a sample at 0, as in the blue of wood; and no noise at all."""
+    dark = np.clip(0.05 * grain(192) / 0.5 - 0.045, 0, 1)
+    assert np.mean(dark == 0) > 0.2
+    assert (on_grid(stored(dark)) < 1.5).all()
+
+
+def test_line_art_and_flat_paint_have_no_noise():
+    """Colours at 0 and 1 with sharp or antialiased borders, and areas that are plain but for a few borders."""
+    y, x = np.mgrid[:96, :96] / 96
+    letters = np.clip(8 * np.sin(40 * x) * np.sin(30 * y + 9 * x) + 0.5, 0, 1)
+    checks = (np.floor(12 * x) + np.floor(12 * y)) % 2
+    image = np.stack([letters, checks, np.where(x + y > 0.8, 0.4, 1.0)], axis=2)
+    assert (on_grid(image) < 0.5).all()
+
+
+def test_colours_without_noise_stay():
+    y, x = np.mgrid[:96, :96] / 96
+    disc = (x - 0.45) ** 2 + (y - 0.5) ** 2 < 0.08
+    stripes = (x + y) % 0.4 < 0.2
+    layers = [np.where(disc, 0.7, 0.35 + 0.1 * x), np.where(stripes, 0.3, 0.6), 0.3 + 0.4 * y]
+    clean = stored(np.stack(layers, axis=2))
+    assert psnr(beltrami_cli.smooth_image(clean, space="data").colours, clean) > 45
+    positions, faces = surfaces.icosphere(4)
+    colours = stored(0.5 + 0.3 * np.sign(np.sin(4 * positions)))
+    assert psnr(beltrami_cli.smooth(positions, faces, colours, space="data").colours, colours) > 45
+
+
+def test_a_rich_texture_without_noise_stays():
+    clean = stored(0.5 + 0.6 * (grain(128) - 0.5))
+    assert psnr(beltrami_cli.smooth_image(clean, space="data").colours, clean) > 45
+
+
+def psnr(result, clean):
+    difference = np.mean((np.asarray(result, float) - clean) ** 2)
+    return np.inf if difference == 0 else -10 * np.log10(difference)
