@@ -17,6 +17,7 @@ from beltrami_cli.flow.mesh_metric import MeshMetric
 from beltrami_cli.flow.one_kernel import SampledKernel, kernel_values
 from beltrami_cli.flow.pieces.mesh import MeshFields, cut_mesh
 from beltrami_cli.flow.pieces.splitting import wanted_split
+from beltrami_cli.flow.risk import wanted_probes
 from beltrami_cli.flow.spacing import local_spacing
 from beltrami_cli.flow.trial_mesh import MeshTrial, SampleFields, choose_patches, random_signs
 from beltrami_cli.mesh.areas import vertex_areas
@@ -172,7 +173,8 @@ class BeltramiFlow:
         parameters = dataclasses.replace(self.parameters, free=())
         if is_noisy(self.sigma) and len(edges):
             sample = choose_patches(self._colours, edges)
-            signs = random_signs(self._colours, edges)
+            probes = wanted_probes(int(np.count_nonzero(sample.counting)))
+            signs = random_signs(self._colours, edges, probes)
             fields = SampleFields(self._positions, self._colours, signs, self._scales, self._weights)
             trial = MeshTrial(sample, fields, faces, self._manifold, self._metric, parameters)
             parameters, self.choice = choose(

@@ -31,6 +31,9 @@ if TYPE_CHECKING:
 # on painted and photographed samples, half or twice as much chooses worse.
 _EPSILON = 0.3
 
+# Of few samples the divergence is uncertain by one perturbation: so many samples, or so many perturbations, are enough.
+_ENOUGH_SAMPLES, _MOST_PROBES = 12_000, 3
+
 # The share of samples at a limit is averaged by a Gaussian on the surface: so many iterations of such a time step.
 _MARK_STEPS, _MARK_TIME = 2, 2.4
 
@@ -59,7 +62,7 @@ class Trial(Protocol):
 
     @property
     def signs(self) -> NDArray[np.float32]:
-        """A state of independent signs, 1 or -1; equal where two entries are one sample."""
+        """States of independent signs, 1 or -1, one after the other; equal where two entries are one sample."""
 
     def step(self, state: NDArray[np.float32], step: Step) -> NDArray[np.float32]:
         """Return the state after an iteration."""
@@ -93,10 +96,15 @@ class Risk:
 
 @dataclass(frozen=True)
 class State:
-    """Colours after some iterations, and what the perturbed ones became."""
+    """Colours after some iterations, and what the perturbed ones became, for each state of signs."""
 
     plain: NDArray[np.float32]
-    perturbed: NDArray[np.float32]
+    perturbed: tuple[NDArray[np.float32], ...]
+
+
+def wanted_probes(samples: int) -> int:
+    """Return by how many states of signs the divergence on so many samples should be told."""
+    return min(_MOST_PROBES, -(-_ENOUGH_SAMPLES // max(1, samples)))
 
 
 class RiskEstimate:
@@ -115,13 +123,13 @@ class RiskEstimate:
         self._epsilon = _EPSILON * float(np.sqrt(np.square(sigma).mean()))
         self._noisy = trial.scored(trial.start)
         self._variance = np.square(sigma) * self._left_by_clipping()
-        self._signs = trial.scored(trial.signs)
+        self._signs = [trial.scored(signs) for signs in trial.signs]
 
     @property
     def start(self) -> State:
         """The state before any iteration."""
         start = self._trial.start
-        return State(start, start + np.float32(self._epsilon) * self._trial.signs)
+        return State(start, tuple(start + np.float32(self._epsilon) * signs for signs in self._trial.signs))
 
     def _left_by_clipping(self) -> NDArray[np.float64] | float:
         """Tell which part of the noise's variance was not cut off at 0 and at full scale, sample by sample.
@@ -145,12 +153,16 @@ class RiskEstimate:
 
     def step(self, state: State, step: Step) -> State:
         """Return the state after an iteration."""
-        return State(self._trial.step(state.plain, step), self._trial.step(state.perturbed, step))
+        perturbed = tuple(self._trial.step(colours, step) for colours in state.perturbed)
+        return State(self._trial.step(state.plain, step), perturbed)
 
     def of(self, state: State) -> Risk:
         """Estimate the error of a state."""
         smoothed = self._trial.scored(state.plain).astype(np.float64)
-        answer = self._signs * (self._trial.scored(state.perturbed) - smoothed) / self._epsilon
+        answer = np.zeros_like(smoothed)
+        for signs, colours in zip(self._signs, state.perturbed, strict=True):
+            answer += signs * (self._trial.scored(colours) - smoothed)
+        answer /= len(self._signs) * self._epsilon
         misfit = np.square(smoothed - self._noisy) - self._variance
         divergence = 2 * self._variance * answer
         each = (misfit + divergence).mean(axis=1)

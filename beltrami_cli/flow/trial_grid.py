@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from beltrami_cli.flow.risk import wanted_probes
 from beltrami_cli.mesh.atlas import EMPTY, HALO, OWNED, refresh_halo
 
 if TYPE_CHECKING:
@@ -78,10 +79,12 @@ class GridTrial:
             self._metric = metric.cut_out(self._atlas, cells)
             self._scored = np.flatnonzero(core & (self._atlas.kind == OWNED))
         self.samples = len(self._scored)
-        signs = np.random.default_rng(_SEED).integers(0, 2, self.start.shape, np.int8) * 2 - 1
+        shape = (wanted_probes(self.samples), *self.start.shape)
+        signs = np.random.default_rng(_SEED).integers(0, 2, shape, np.int8) * 2 - 1
         self.signs = signs.astype(np.float32)
-        self.signs[:, self._atlas.kind == EMPTY] = 0
-        refresh_halo(self.signs, self._atlas)
+        self.signs[..., self._atlas.kind == EMPTY] = 0
+        for planes in self.signs:
+            refresh_halo(planes, self._atlas)
 
     def step(self, state: NDArray[np.float32], step: Step) -> NDArray[np.float32]:
         """Return the planes after an iteration."""

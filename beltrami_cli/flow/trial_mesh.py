@@ -52,7 +52,7 @@ class Patches:
 
 @dataclass(frozen=True)
 class SampleFields:
-    """What is known at each of S samples: rows of positions, noisy colours, signs, scales and weights (or None)."""
+    """What is known at each of S samples: positions, noisy colours, P signs (P, S, N), scales and weights (or None)."""
 
     positions: NDArray[np.float64]
     colours: NDArray[np.float32]
@@ -65,7 +65,7 @@ class SampleFields:
         return SampleFields(
             self.positions[samples],
             self.colours[samples],
-            self.signs[samples],
+            self.signs[:, samples],
             None if self.scales is None else self.scales[samples],
             None if self.weights is None else self.weights[samples],
         )
@@ -140,7 +140,7 @@ class MeshTrial:
         return state[self._counting]
 
 
-def random_signs(colours: NDArray[np.float32], edges: NDArray[np.int32]) -> NDArray[np.float32]:
+def random_signs(colours: NDArray[np.float32], edges: NDArray[np.int32], count: int) -> NDArray[np.float32]:
     """Return signs that look random but depend only on the colours around each sample.
 
     So what is chosen by them is the same for a mesh that was turned, or whose vertices or channels come in another
@@ -152,15 +152,19 @@ def random_signs(colours: NDArray[np.float32], edges: NDArray[np.int32]) -> NDAr
         Noisy colours.
     edges : ndarray of int32, shape (E, 2)
         Distinct edges.
+    count : int
+        How many signs each colour gets, at most 64.
 
     Returns
     -------
-    ndarray of float32, shape (S, N)
+    ndarray of float32, shape (count, S, N)
         1 or -1.
     """
-    around, signs = _hashes(colours, edges), np.empty(colours.shape, np.float32)
-    for own, column in zip(_bits(colours), signs.T, strict=True):
-        column[:] = np.where(_mixed(around + _mixed(own)) & np.uint64(1), 1, -1)
+    around, signs = _hashes(colours, edges), np.empty((count, *colours.shape), np.float32)
+    for channel, own in enumerate(_bits(colours)):
+        bits = _mixed(around + _mixed(own))
+        for probe in range(count):
+            signs[probe, :, channel] = np.where(bits >> np.uint64(probe) & np.uint64(1), 1, -1)
     return signs
 
 

@@ -40,9 +40,9 @@ def psnr(result, clean):
 class Blur:
     """A trial whose iterations average over the four neighbours on a torus, weighed by likeness: smooth, not linear."""
 
-    def __init__(self, colours, seed):
+    def __init__(self, colours, seed, probes=1):
         self.start = colours
-        self.signs = np.random.default_rng(seed).choice(np.float32([-1, 1]), colours.shape)
+        self.signs = np.random.default_rng(seed).choice(np.float32([-1, 1]), (probes, *colours.shape))
 
     def step(self, state, step):
         total, weights = state.copy(), np.ones_like(state)
@@ -92,6 +92,31 @@ def test_the_estimate_knows_its_own_error():
         values.append(found.value - np.mean((state.plain - clean) ** 2))
         told.append(found.error)
     assert 0.5 < np.mean(told) / np.std(values, ddof=1) < 2
+
+
+def test_more_perturbations_tell_the_divergence_more_exactly():
+    """Four make half the spread; of twenty draws it is known within a third."""
+    clean = painting(24)
+    image = noisy(clean).astype(np.float64)
+    step = Step(beta=1.4 / SIGMA, t=2.4, regularised=False)
+    spread = {}
+    for probes in (1, 4):
+        estimates = (RiskEstimate(Blur(image, seed, probes), np.full(3, SIGMA)) for seed in range(20))
+        found = [estimate.of(estimate.step(estimate.start, step)).divergence for estimate in estimates]
+        spread[probes] = np.std(found, ddof=1)
+    assert 1.3 < spread[1] / spread[4] < 3
+
+
+def test_signs_of_a_mesh_are_independent():
+    """Between perturbations, channels and neighbours; correlations of 7,686 signs are below 0.05."""
+    positions, faces = surfaces.icosphere(4)
+    colours = noisy(np.full(positions.shape, 0.5))
+    edges = np.unique(np.sort(faces[:, [0, 1]], axis=1), axis=0).astype(np.int32)
+    first, second, third = trial_mesh.random_signs(colours, edges, 3)
+    for one, other in ((first, second), (first, third), (second, third)):
+        assert abs(np.mean(one * other)) < 0.05
+    assert abs(np.mean(first[:, 0] * first[:, 1])) < 0.1
+    assert abs(np.mean(first[edges[:, 0]] * first[edges[:, 1]])) < 0.05
 
 
 @pytest.mark.parametrize("sigma", [0.02, 0.08])
