@@ -47,6 +47,8 @@ def child(target: str, at: int, number: int) -> None:
         return 0
 
     command._run = job
+    if number != signal.SIGKILL:
+        signal.signal(number, signal.SIG_DFL)  # who started the tests may not want to hear it, as with nohup
     ending = Ending(at, number)
     sys.addaudithook(ending)
     code = 1
