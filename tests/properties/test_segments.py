@@ -115,7 +115,7 @@ def graph_distances(embedded, faces, extra):
     count = len(embedded)
     if not links:
         return np.where(np.eye(count, dtype=bool), 0, np.inf)
-    places, ends = np.array(points), np.array(sorted(set(links)), np.int32)
+    places, ends = np.array(points), np.array(sorted(set(links)))
     # A graph takes a weight of 0 for no link.
     lengths = np.maximum(np.linalg.norm(places[ends[:, 0]] - places[ends[:, 1]], axis=1), 1e-12)
     graph = coo_array((lengths, ends.T), shape=(len(points),) * 2).tocsr()
@@ -147,6 +147,23 @@ def test_kernels_of_any_size_are_those_of_single_marches(t, most):
     # Two samples whose distances are the same to the last bit may change places at the cut.
     np.testing.assert_allclose(ours, plain_sums(manifold, colours, t, max_samples=most), atol=1e-5)
     assert (truncated > 0) == (most < 1000)
+
+
+def test_a_vertex_that_all_others_are_neighbours_of_is_like_any():
+    """More segments come from it than places can be counted with sixteen bits."""
+    count = 40_000
+    angle = 2 * np.pi * np.arange(count) / count
+    rim = np.arange(1, count + 1)
+    positions = np.vstack([[0, 0, 0], np.column_stack([np.cos(angle), np.sin(angle), np.zeros(count)])])
+    faces = np.column_stack([np.zeros(count, int), rim, np.roll(rim, -1)])
+    colours = np.random.default_rng(0).random((count + 1, 1)).astype(np.float32)
+    manifold = segment_manifold(positions, faces, colours, 0.0)
+    ours, samples, truncated = apply_kernel(manifold, colours, 0.1, max_samples=50)
+    assert (samples, truncated) == (50 * (count + 1), count + 1)
+    for vertex in (0, 1, count // 2):
+        held, away = manifold.distances(vertex, sqrt(-0.4 * log(0.01)), 50)
+        kernel = np.exp(-(away.astype(float) ** 2) / 0.4)
+        np.testing.assert_allclose(ours[vertex], kernel @ colours[held] / kernel.sum(), atol=1e-5)
 
 
 @pytest.fixture(scope="module")

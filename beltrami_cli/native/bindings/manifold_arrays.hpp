@@ -14,12 +14,12 @@
 
 namespace beltrami::bindings {
 
-inline auto give_edges(const triangulated::Topology& topology) {
-  const auto count = topology.edges.size();
+inline auto give_edges(const std::vector<std::array<triangulated::Index, 2>>& edges) {
+  const auto count = edges.size();
   std::unique_ptr<triangulated::Index[]> copy(new triangulated::Index[2 * count]);
   for (std::size_t i = 0; i < count; ++i) {
-    copy[2 * i] = topology.edges[i][0];
-    copy[2 * i + 1] = topology.edges[i][1];
+    copy[2 * i] = edges[i][0];
+    copy[2 * i + 1] = edges[i][1];
   }
   return give<triangulated::Index, nb::shape<-1, 2>>(std::move(copy), {count, 2});
 }

@@ -43,10 +43,10 @@ class SegmentManifold {
     return give_reached(kernel_->distances(source, radius, max_samples));
   }
 
-  auto edges() const { return give_edges(kernel_->topology()); }
+  auto edges() const { return give_edges(kernel_->edges()); }
 
  private:
-  Index count() const { return kernel_->topology().vertex_count; }
+  Index count() const { return kernel_->vertex_count(); }
 
   std::optional<SegmentKernel> kernel_;
 };

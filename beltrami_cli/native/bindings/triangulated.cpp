@@ -53,7 +53,7 @@ class TriangulatedManifold {
     return give_reached(marching.march(source, radius, max_samples));
   }
 
-  auto edges() const { return give_edges(topology_); }
+  auto edges() const { return give_edges(topology_.edges); }
 
   std::int64_t obtuse_corners() const { return stencils_.obtuse_corners; }
   std::size_t split_corners() const { return stencils_.splits.size(); }

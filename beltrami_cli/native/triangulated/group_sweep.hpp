@@ -1,6 +1,7 @@
 // The kernels of one group, side by side in the lanes; compiled once for each instruction set from the same source.
 #pragma once
 
+#include <array>
 #include <cstddef>
 #include <cstdint>
 #include <optional>
@@ -10,11 +11,9 @@
 #include "triangulated/metric.hpp"
 #include "triangulated/segments.hpp"
 #include "triangulated/short_time_kernel.hpp"
+#include "triangulated/vertex_groups.hpp"
 
 namespace beltrami::triangulated {
-
-// Where the kernels of a group reach more vertices than this, their distances do not fit the caches.
-constexpr std::size_t largest_region = 16384;
 
 struct GroupJob {
   const Segments* segments;
@@ -26,13 +25,17 @@ struct GroupJob {
 
 // Scratch memory of one thread, grown on first use and kept.
 struct GroupScratch {
+  // One number for each source; a register's worth, which must not lie in two lines of the cache.
+  struct alignas(64) Row {
+    std::array<float, group_size> lane;
+  };
   explicit GroupScratch(std::size_t vertex_count) : place(vertex_count, 0) {}
-  std::vector<std::uint16_t> place;   // [vertex]: 1 + its place in the region, 0 outside
-  std::vector<Index> region;          // [place]: the vertices that any of the kernels reaches, as they are found
-  std::vector<float> lanes;           // [place]: 16 distances, later kernel values
-  std::vector<std::uint32_t> changed; // [place]: whether any distance has fallen and was not passed on
-  std::vector<float> least;           // [place]: the least of its distances
-  std::vector<std::uint32_t> held;    // the places that a kernel holds
+  std::vector<std::uint16_t> place;    // [vertex]: 1 + its place in the region, 0 outside
+  std::vector<Index> region;           // [place]: the vertices that any of the kernels reaches, as they are found
+  std::vector<Row> rows;               // [place]: distances, later kernel values
+  std::vector<float> least;            // [place]: the least of its distances
+  std::vector<std::uint32_t> changed;  // [place]: whether any distance has fallen and was not passed on
+  std::vector<std::uint32_t> held;     // the places that a kernel holds
 };
 
 // Writes the smoothed colours of up to 16 sources. Nothing is written, or told, if they reach too many vertices.

@@ -29,25 +29,24 @@ void add(KernelStatistics& total, const KernelStatistics& more) {
 }  // namespace
 
 SegmentKernel::SegmentKernel(std::span<const Index> face_corners, Index vertex_count)
-    : topology_(make_topology(face_corners, vertex_count, Links::left_out)), segments_(make_segments(topology_)) {}
+    : lengths_(make_topology(face_corners, vertex_count, Links::left_out)) {}
 
 void SegmentKernel::update_metric(Rows<double> positions, Rows<float> colours, double beta, const float* scales,
                                   unsigned threads) {
-  const bool moved = measure_edges(metric_, topology_, positions, colours, beta, scales, threads);
-  if (moved || groups_.members.empty()) groups_ = make_groups(positions, segments_, threads);
-  update_lengths(segments_, metric_, topology_, metric_.squared, threads);
+  if (lengths_.update(positions, colours, beta, scales, threads) || groups_.members.empty())
+    groups_ = make_groups(positions, lengths_.segments(), threads);
 }
 
 KernelStatistics SegmentKernel::smooth(Rows<float> colours, const float* weights, const KernelParameters& parameters,
                                        float* smoothed, unsigned threads, const Poll& poll) {
   const SweepGroup sweep = choose_sweep();
-  const GroupJob job{&segments_, colours, weights, parameters, smoothed};
+  const GroupJob job{&lengths_.segments(), colours, weights, parameters, smoothed};
   const auto useful = static_cast<unsigned>(std::clamp<std::size_t>(threads, 1, groups_.count() / groups_per_chunk + 1));
   std::vector<std::unique_ptr<Worker>> workers(useful);
   parallel_chunks(
       groups_.count(), groups_per_chunk, useful,
       [&](std::size_t begin, std::size_t end, unsigned index) {
-        if (!workers[index]) workers[index] = std::make_unique<Worker>(segments_);
+        if (!workers[index]) workers[index] = std::make_unique<Worker>(lengths_.segments());
         Worker& worker = *workers[index];
         for (std::size_t group = begin; group < end; ++group) {
           const auto sources = groups_.sources(group);
@@ -55,7 +54,7 @@ KernelStatistics SegmentKernel::smooth(Rows<float> colours, const float* weights
             add(worker.statistics, *done);
             continue;
           }
-          if (!worker.marching) worker.marching = std::make_unique<SegmentMarch>(segments_);
+          if (!worker.marching) worker.marching = std::make_unique<SegmentMarch>(lengths_.segments());
           march_group(sources, colours, weights, parameters, smoothed, *worker.marching, worker.statistics);
         }
       },
@@ -79,7 +78,7 @@ void SegmentKernel::march_group(std::span<const Index> sources, Rows<float> colo
 }
 
 std::vector<Reached> SegmentKernel::distances(Index source, float radius, std::size_t max_count) const {
-  SegmentMarch marching(segments_);
+  SegmentMarch marching(lengths_.segments());
   const auto reached = marching.march({&source, 1}, radius, max_count);
   return {reached.begin(), reached.end()};
 }

@@ -18,7 +18,8 @@ class SegmentKernel {
  public:
   SegmentKernel(std::span<const Index> face_corners, Index vertex_count);
 
-  const Topology& topology() const { return topology_; }
+  Index vertex_count() const { return lengths_.segments().vertex_count(); }
+  const std::vector<std::array<Index, 2>>& edges() const { return lengths_.edges(); }
 
   // Renews all lengths; groups and regions only if positions or scales have changed. As squared_edge_lengths().
   void update_metric(Rows<double> positions, Rows<float> colours, double beta, const float* scales, unsigned threads);
@@ -36,9 +37,7 @@ class SegmentKernel {
                    const KernelParameters& parameters, float* smoothed, SegmentMarch& marching,
                    KernelStatistics& statistics) const;
 
-  Topology topology_;
-  Segments segments_;
-  EdgeMetric metric_;
+  SegmentLengths lengths_;
   VertexGroups groups_;
 };
 

@@ -1,6 +1,5 @@
 #include "triangulated/segments.hpp"
 
-#include <limits>
 #include <numeric>
 #include <stdexcept>
 
@@ -11,52 +10,65 @@ Index apex(const Topology& topology, Corner corner) {
   return topology.faces[static_cast<std::size_t>(corner / 3)][static_cast<std::size_t>(corner % 3)];
 }
 
-// Calls visit(a, b, id) for every segment, in the order of ids.
-template <class Visit>
-void for_each_segment(const Topology& topology, Visit visit) {
-  const auto edge_count = static_cast<std::uint32_t>(topology.edges.size());
-  for (std::uint32_t edge = 0; edge < edge_count; ++edge) visit(topology.edges[edge][0], topology.edges[edge][1], edge);
+// Calls over_edge(a, b, edge), across_edge(a, b, corner at a, corner at b), round_corner(a, b, corner) for every segment.
+template <class OverEdge, class AcrossEdge, class RoundCorner>
+void for_each_segment(const Topology& topology, OverEdge over_edge, AcrossEdge across_edge, RoundCorner round_corner) {
+  for (std::size_t edge = 0; edge < topology.edges.size(); ++edge)
+    over_edge(topology.edges[edge][0], topology.edges[edge][1], edge);
   const auto corner_count = static_cast<Corner>(topology.twins.size());
   const auto twin_of = [&](Corner corner) { return topology.twins[static_cast<std::size_t>(corner)]; };
-  for (Corner corner = 0; corner < corner_count; ++corner) {
-    if (twin_of(corner) <= corner) continue;
-    const Index edge = topology.face_edges[static_cast<std::size_t>(corner / 3)][static_cast<std::size_t>(corner % 3)];
-    visit(apex(topology, corner), apex(topology, twin_of(corner)), edge_count + static_cast<std::uint32_t>(edge));
-  }
+  for (Corner corner = 0; corner < corner_count; ++corner)
+    if (const Corner twin = twin_of(corner); twin > corner)
+      across_edge(apex(topology, corner), apex(topology, twin), corner, twin);
   for (Corner corner = 0; corner < corner_count; ++corner) {
     const Corner face = corner - corner % 3;
     const Corner one = twin_of(face + (corner + 1) % 3), other = twin_of(face + (corner + 2) % 3);
     if (one == none || other == none) continue;
     const Index a = apex(topology, one), b = apex(topology, other);
-    if (a != b) visit(a, b, 2 * edge_count + static_cast<std::uint32_t>(corner));
+    if (a != b) round_corner(a, b, corner);
   }
+}
+
+// Where the list of each vertex begins, and their whole length.
+std::vector<std::uint32_t> make_offsets(const Topology& topology) {
+  std::vector<std::uint32_t> offsets(static_cast<std::size_t>(topology.vertex_count) + 1, 0);
+  std::uint64_t count = 0;
+  const auto add = [&](Index a, Index b, auto...) {
+    ++offsets[static_cast<std::size_t>(a)];
+    ++offsets[static_cast<std::size_t>(b)];
+    count += 2;
+  };
+  for_each_segment(topology, add, add, add);
+  if (count >= no_place) throw std::length_error("the mesh has more segments than 32-bit numbers can count");
+  std::exclusive_scan(offsets.begin(), offsets.end(), offsets.begin(), std::uint32_t{0});
+  return offsets;
 }
 
 }  // namespace
 
-Segments make_segments(const Topology& topology) {
+Segments make_segments(const Topology& topology, const TrianglePlanes& planes) {
   Segments segments;
-  segments.offsets.assign(static_cast<std::size_t>(topology.vertex_count) + 1, 0);
-  std::uint64_t count = 0;
-  for_each_segment(topology, [&](Index a, Index b, std::uint32_t) {
-    ++segments.offsets[static_cast<std::size_t>(a)];
-    ++segments.offsets[static_cast<std::size_t>(b)];
-    count += 2;
-  });
-  if (count >= std::numeric_limits<std::uint32_t>::max())
-    throw std::length_error("the mesh has more segments than 32-bit numbers can count");
-  std::exclusive_scan(segments.offsets.begin(), segments.offsets.end(), segments.offsets.begin(), std::uint32_t{0});
-  const auto spare = static_cast<std::uint32_t>(count);
-  segments.targets.resize(count);
-  segments.lengths.assign(count + spare_lengths, no_segment);
-  segments.places.assign(2 * topology.edges.size() + topology.twins.size(), {spare, spare});
+  segments.offsets = make_offsets(topology);
+  segments.targets.assign(segments.offsets.back() + spare_lengths, 0);
+  segments.lengths.assign(segments.targets.size(), no_segment);
+  segments.over_edges.resize(topology.edges.size());
+  segments.across_edges.assign(3 * planes.stride, no_place);
+  segments.round_corners.assign(3 * planes.stride, {no_place, no_place});
   auto cursor = segments.offsets;
-  for_each_segment(topology, [&](Index a, Index b, std::uint32_t id) {
-    const std::uint32_t from_a = cursor[static_cast<std::size_t>(a)]++, from_b = cursor[static_cast<std::size_t>(b)]++;
-    segments.targets[from_a] = b;
-    segments.targets[from_b] = a;
-    segments.places[id] = {from_a, from_b};
-  });
+  const auto list = [&](Index a, Index b) {
+    const std::array places{cursor[static_cast<std::size_t>(a)]++, cursor[static_cast<std::size_t>(b)]++};
+    segments.targets[places[0]] = b;
+    segments.targets[places[1]] = a;
+    return places;
+  };
+  for_each_segment(
+      topology, [&](Index a, Index b, std::size_t edge) { segments.over_edges[edge] = list(a, b); },
+      [&](Index a, Index b, Corner at_a, Corner at_b) {
+        const auto [from_a, from_b] = list(a, b);
+        segments.across_edges[planes.at(at_a)] = from_a;
+        segments.across_edges[planes.at(at_b)] = from_b;
+      },
+      [&](Index a, Index b, Corner corner) { segments.round_corners[planes.at(corner)] = list(a, b); });
   return segments;
 }
 

@@ -9,34 +9,38 @@
 #include <array>
 #include <cstddef>
 #include <cstdint>
+#include <limits>
 #include <vector>
 
 #include "triangulated/topology.hpp"
+#include "triangulated/triangle_planes.hpp"
 
 namespace beltrami::triangulated {
 
 // Larger than any length; adding lengths to it cannot overflow.
 constexpr float no_segment = 1e30F;
 
-// As many lengths as the widest register holds may be read from any place on.
+// As many as the widest register holds may be read from any place in the lists.
 constexpr std::size_t spare_lengths = 16;
 
-// Segment ids: [0, E) the edges, [E, 2 E) across the edge, [2 E, 2 E + 3 F) around the corner, over both its edges.
+// A place in the lists, for what is no segment.
+constexpr std::uint32_t no_place = std::numeric_limits<std::uint32_t>::max();
+
 // Both directions of every segment stand in lists, grouped by the vertex that it comes from.
 struct Segments {
   std::vector<std::uint32_t> offsets;  // [vertex], one more at the end
-  std::vector<Index> targets;          // [place in the lists]
-  std::vector<float> lengths;          // [place in the lists]: no_segment where the straight line leaves the strip; and
-                                       // `spare_lengths` more
-  std::vector<std::array<std::uint32_t, 2>> places;  // [id]: both directions; the first spare one for what is no segment
+  std::vector<Index> targets;          // [place in the lists], and some more
+  std::vector<float> lengths;          // the same; no_segment where the straight line leaves the strip
+
+  // Where segments stand in the lists.
+  std::vector<std::array<std::uint32_t, 2>> over_edges;  // [edge]: from its lower and from its higher vertex
+  std::vector<std::uint32_t> across_edges;               // [corner in planes]: from it, across the edge that it faces
+  std::vector<std::array<std::uint32_t, 2>> round_corners;  // [corner in planes]: around it, over both its edges
 
   Index vertex_count() const { return static_cast<Index>(offsets.size() - 1); }
-  void set_length(std::size_t id, float length) {
-    for (const std::uint32_t place : places[id]) lengths[place] = length;
-  }
 };
 
 // All segments that a metric may make straight; no lengths yet. Throws std::length_error if the mesh is too large.
-Segments make_segments(const Topology& topology);
+Segments make_segments(const Topology& topology, const TrianglePlanes& planes);
 
 }  // namespace beltrami::triangulated
