@@ -18,10 +18,10 @@ void count_repeats(std::size_t rows, std::size_t columns, const HaloCells& halo,
       const std::ptrdiff_t row = halo.cells[i] / width, column = halo.cells[i] % width;
       std::ptrdiff_t found = 0;
       for (std::ptrdiff_t y = std::max<std::ptrdiff_t>(0, row - reach); y <= std::min(height - 1, row + reach); ++y) {
-        const std::int64_t end = y * width + std::min(width - 1, column + reach);
+        const std::int64_t rightmost = y * width + std::min(width - 1, column + reach);
         const std::int64_t* cell =
             std::lower_bound(halo.cells, last, y * width + std::max<std::ptrdiff_t>(0, column - reach));
-        for (; cell != last && *cell <= end; ++cell) {
+        for (; cell != last && *cell <= rightmost; ++cell) {
           const auto j = cell - halo.cells;
           found += halo.sources[j] == halo.sources[i] && halo.seams[j] == halo.seams[i];
         }
