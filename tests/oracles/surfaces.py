@@ -30,6 +30,12 @@ def lattice(rows, columns, spacing=1.0):
     return spacing * points, grid_faces(rows, columns)
 
 
+def graded(flat, power):
+    """Draw a plane together towards the lines through its middle, where edges become ever shorter."""
+    away = flat - (flat.min(axis=0) + flat.max(axis=0)) / 2
+    return np.sign(away) * np.abs(away / max(1e-300, np.abs(away).max())) ** power
+
+
 def rolled_cylinder(flat, radius):
     """Return plane points (x, y, 0) rolled about an axis along y: distances on the surface stay."""
     x, y, _ = np.asarray(flat, float).T

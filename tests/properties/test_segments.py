@@ -149,6 +149,25 @@ def test_kernels_of_any_size_are_those_of_single_marches(t, most):
     assert (truncated > 0) == (most < 1000)
 
 
+@pytest.mark.parametrize("unit", [1.0, None], ids=["mean spacing", "local spacing"])
+def test_kernels_where_lengths_of_edges_vary_strongly_are_those_of_single_marches(unit):
+    flat, faces = surfaces.lattice(40, 40)
+    positions = surfaces.graded(flat, 8)
+    colours = np.random.default_rng(0).random((len(positions), 2)).astype(np.float32)
+    sides = np.linalg.norm(positions[faces] - positions[np.roll(faces, 1, axis=1)], axis=2)
+    positions = positions / sides.mean()
+    manifold, scales = segment_manifold(positions, faces, colours, 1.0), None
+    if unit is None:
+        sums, counts = np.zeros(len(positions)), np.zeros(len(positions))
+        np.add.at(sums, faces, sides[:, :1] / sides.mean())
+        np.add.at(counts, faces, 1)
+        scales = (counts / sums).astype(np.float32)
+        manifold.update_metric(positions, colours, 1.0, scales, 1)
+    ours, samples, _ = apply_kernel(manifold, colours, 0.7)
+    assert samples > 10 * len(positions)
+    np.testing.assert_allclose(ours, plain_sums(manifold, colours, 0.7), atol=1e-5)
+
+
 def test_a_vertex_that_all_others_are_neighbours_of_is_like_any():
     """More segments come from it than places can be counted with sixteen bits."""
     count = 40_000

@@ -83,3 +83,14 @@ def test_kernels_cost_about_the_same_wherever_neighbours_lie_in_space():
     uneven, held = cost_of_a_sample(positions, faces, colours, 10.0)
     assert held > 100
     assert uneven < 5 * even
+
+
+def test_kernels_cost_about_the_same_where_lengths_of_edges_vary_strongly():
+    """Sixteen neighbours there reach thousands of vertices; one by one, they cost twenty times as much."""
+    flat, faces = surfaces.lattice(60, 60)
+    colours = np.random.default_rng(1).random((len(flat), 3)).astype(np.float32)
+    even, _ = cost_of_a_sample(flat, faces, colours, 3.0)
+    graded = surfaces.graded(flat, 8)
+    uneven, held = cost_of_a_sample(graded / surfaces.mean_edge_length(graded, faces), faces, colours, 3.0)
+    assert held > 500
+    assert uneven < 5 * even
