@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -17,8 +16,10 @@ from beltrami_cli.flow.mesh_metric import MeshMetric
 from beltrami_cli.flow.one_kernel import SampledKernel, kernel_values
 from beltrami_cli.flow.pieces.mesh import MeshFields, cut_mesh
 from beltrami_cli.flow.pieces.splitting import wanted_split
+from beltrami_cli.flow.progress import shifted
+from beltrami_cli.flow.result import FlowResult
 from beltrami_cli.flow.risk import wanted_probes
-from beltrami_cli.flow.spacing import local_spacing
+from beltrami_cli.flow.spacing import edges_in_space, local_spacing, mean_side
 from beltrami_cli.flow.trial_mesh import MeshTrial, SampleFields, choose_patches, random_signs
 from beltrami_cli.mesh.areas import vertex_areas
 
@@ -34,40 +35,6 @@ if TYPE_CHECKING:
 
 # How far, in edges, kernels of pieces are first expected to reach for each sample spacing.
 _EDGES_PER_SPACING = 2.0
-
-
-@dataclass(frozen=True)
-class FlowResult:
-    """Smoothed samples, and how they came about.
-
-    Attributes
-    ----------
-    colours : ndarray of float32, shape (S, N)
-        Colours of the samples, in the order given.
-    spacing : float
-        Mean sample spacing, in the surface's own unit of length; 0 where samples have no neighbours.
-    beta : float
-        As used, in units of length per unit of colour.
-    sigma : ndarray of float64, shape (N,)
-        Estimated noise of the input.
-    samples_per_kernel : float
-        Mean over samples and iterations; 0 without iterations.
-    truncated : int
-        Kernels that `max_samples` cut short, over all iterations.
-    positions : ndarray of float64, shape (S, 3), or None
-        New positions, if they were smoothed.
-    choice : Choice or None
-        Parameters that were chosen from the data, if any were.
-    """
-
-    colours: NDArray[np.float32]
-    spacing: float
-    beta: float
-    sigma: NDArray[np.float64]
-    samples_per_kernel: float
-    truncated: int
-    positions: NDArray[np.float64] | None = None
-    choice: Choice | None = None
 
 
 class BeltramiFlow:
@@ -123,11 +90,11 @@ class BeltramiFlow:
         rank[self._order] = np.arange(len(rank), dtype=rank.dtype)
         self._positions = surface.positions[self._order]
         self._colours = surface.colours[self._order]
-        length = _mean_length(surface) if parameters.units == "world" else 1.0
+        length = mean_side(surface.positions, surface.faces) if parameters.units == "world" else 1.0
         solver = SegmentManifold if parameters.is_along_segments(length) else TriangulatedManifold
         self._manifold: SegmentManifold | TriangulatedManifold = solver(rank[surface.all_faces], len(rank))
         # The walls of hard edges join samples at one place: they say nothing about spacing or noise.
-        edges, lengths = _edges_in_space(self._manifold.edges(), self._positions)
+        edges, lengths = edges_in_space(self._manifold.edges(), self._positions)
         self.mean_edge_length = float(lengths.mean()) if len(lengths) else 0.0
         spacing = local_spacing(len(rank), edges, lengths)
         self._scales: NDArray[np.float32] | None = None
@@ -313,28 +280,3 @@ class BeltramiFlow:
         sources = np.linspace(0, len(self._order) - 1, min(kernels, len(self._order)), dtype=int)
         limits = (self.parameters.radius, self.parameters.max_samples)
         return float(np.mean([len(self._manifold.distances(int(s), *limits)[0]) for s in sources]))
-
-
-def shifted(
-    progress: Callable[[int, int], None] | None, before: int, total: int
-) -> Callable[[int], None] | None:
-    """Make the progress of one iteration count on from those before it."""
-    return None if progress is None else lambda done: progress(before + done, total)
-
-
-def _mean_length(surface: SampledSurface) -> float:
-    """Return the mean length of the sides of all faces; 1 without faces."""
-    corners = surface.positions[surface.faces]
-    sides = corners - np.roll(corners, 1, axis=1)
-    return float(np.sqrt((sides**2).sum(axis=2)).mean()) if len(corners) else 1.0
-
-
-def _edges_in_space(
-    edges: NDArray[np.int32], positions: NDArray[np.float64]
-) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
-    """Return the edges that have a length in space, and their lengths."""
-    squared = np.zeros(len(edges))
-    for axis in range(positions.shape[1]):
-        squared += (positions[edges[:, 0], axis] - positions[edges[:, 1], axis]) ** 2
-    long = squared > 0
-    return edges[long], np.sqrt(squared[long])

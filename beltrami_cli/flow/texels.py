@@ -12,11 +12,12 @@ from beltrami_cli.flow.canvas_choice import choose_on_canvas
 from beltrami_cli.flow.cell_fields import CellFields, halo_repeats, local_scales
 from beltrami_cli.flow.clipping import ClippedChannels, find_clipped
 from beltrami_cli.flow.grid_metric import GridMetric
-from beltrami_cli.flow.iteration import FlowResult, shifted
 from beltrami_cli.flow.noise import estimate_sigma_on_grid
 from beltrami_cli.flow.one_kernel import SampledKernel, kernel_on_grid
 from beltrami_cli.flow.pieces.grid import cut_grid
 from beltrami_cli.flow.pieces.splitting import wanted_split
+from beltrami_cli.flow.progress import shifted
+from beltrami_cli.flow.result import FlowResult
 from beltrami_cli.flow.seams import find_colour_jumps, halo_beyond
 from beltrami_cli.mesh import large_arrays
 from beltrami_cli.mesh.atlas import (

@@ -11,7 +11,7 @@ from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.flow.colour_space import from_space, to_space
 from beltrami_cli.flow.geometry import GeometryParameters
 from beltrami_cli.flow.guidance import Guide
-from beltrami_cli.flow.iteration import BeltramiFlow, FlowResult
+from beltrami_cli.flow.iteration import BeltramiFlow
 from beltrami_cli.sampling.vertices import VertexSampling, sample_vertices
 
 if TYPE_CHECKING:
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from beltrami_cli.flow.choice import Choice
+    from beltrami_cli.flow.result import FlowResult
     from beltrami_cli.mesh.painted import PaintedVertices
     from beltrami_cli.mesh.surface import SampledSurface
     from beltrami_cli.pipeline.settings.smooth import SmoothSettings
