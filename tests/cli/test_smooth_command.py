@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import pty
+import re
 import shutil
 import signal
 import stat
@@ -143,6 +144,7 @@ def test_a_dry_run_reports_and_writes_nothing(tmp_path):
     report = tmp_path / "report.json"
     run = beltrami("smooth", NOISY, tmp_path / "out.ply", "--dry-run", "--report", report)
     assert run.returncode == 0
+    assert re.search(rb"peak memory: [1-9][0-9.]*M\n", run.stderr)
     assert [path.name for path in tmp_path.iterdir()] == ["report.json"]
     assert json.loads(report.read_text())["written"] == []
 

@@ -95,8 +95,11 @@ def from_float(
     ndarray, shape (..., C)
         In the type of ``picture.pixels``; where that is float32 for half floats, the numbers are halves.
     """
+    kinds = set(picture.kinds)
+    if len(kinds) == 1:
+        return np.where(changed, as_stored(values, picture.stored), pixels)
     result = pixels.copy()
-    for kind in sorted(set(picture.kinds)):
+    for kind in sorted(kinds):
         here = np.broadcast_to(changed & np.array([other == kind for other in picture.kinds]), pixels.shape)
         result[here] = as_stored(values[here], kind)
     return result
@@ -120,5 +123,8 @@ def as_stored(values: NDArray[np.float32], kind: str) -> NDArray[Any]:
     if kind == "float16":
         largest = np.finfo(np.float16).max
         return np.clip(values, -largest, largest).astype(np.float16).astype(np.float32)
-    whole: NDArray[np.float64] = np.rint(np.clip(values, 0, 1).astype(np.float64) * np.iinfo(kind).max)
-    return np.nan_to_num(whole, copy=False).astype(kind)
+    whole = np.clip(values, 0, 1).astype(np.float64)
+    whole *= np.iinfo(kind).max
+    np.rint(whole, out=whole)
+    whole[np.isnan(whole)] = 0
+    return whole.astype(kind)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -97,7 +97,13 @@ class TexelColours:
 
     def working(self, picture: Picture, texels: NDArray[np.int64]) -> NDArray[np.float32]:
         """Return the colours of some texels (row * width + column) of a picture in the working space."""
-        pixels = full_scale_one(picture.pixels.reshape(-1, picture.pixels.shape[2])[texels])
+        return self._working(
+            picture, np.take(picture.pixels.reshape(-1, picture.pixels.shape[2]), texels, axis=0)
+        )
+
+    def _working(self, picture: Picture, stored: NDArray[Any]) -> NDArray[np.float32]:
+        """Return the colours of some pixels of a picture, shape (K, C), in the working space."""
+        pixels = full_scale_one(stored)
         working = to_space(self._widened(picture, pixels), picture.encoding, self.space)
         if len(self._kept) < self._width:
             working = working[:, self._kept]
@@ -136,11 +142,14 @@ class TexelColours:
         return colour + ([picture.alpha] if self._alpha and picture.alpha is not None else [])
 
     def changed(
-        self, picture: Picture, texels: NDArray[np.int64], samples: NDArray[np.float32]
+        self, picture: Picture, stored: NDArray[Any], samples: NDArray[np.float32]
     ) -> NDArray[np.bool_]:
-        """Tell for which texels of a picture some samples differ in a channel that is written."""
-        written = self._written()
-        return np.asarray(np.any(self.working(picture, texels)[:, written] != samples[:, written], axis=1))
+        """Tell for which pixels of a picture, shape (K, C), samples differ in a channel that is written."""
+        working = self._working(picture, stored)
+        different = np.zeros(len(stored), bool)
+        for channel in self._written():
+            different |= working[:, channel] != samples[:, channel]
+        return different
 
     def _written(self) -> list[int]:
         """Return which channels of the samples are written."""
@@ -151,7 +160,7 @@ class TexelColours:
         self,
         values: NDArray[np.float32],
         index: int,
-        texels: NDArray[np.int64],
+        texels: NDArray[np.int64] | slice,
         samples: NDArray[np.float32],
     ) -> None:
         """Put samples' colours into a picture's values, in place.
@@ -162,7 +171,7 @@ class TexelColours:
             The picture's channels at some or all of its texels, full scale 1.
         index : int
             Which picture.
-        texels : ndarray of int64, shape (K,)
+        texels : ndarray of int64, shape (K,), or slice
             Which of these change, counted from the first.
         samples : ndarray of float32, shape (K, N)
             Their new colours in the working space.

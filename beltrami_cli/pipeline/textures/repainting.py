@@ -110,15 +110,16 @@ def _paint(
     table, changes = pixels.reshape(-1, pixels.shape[2]), []
     for block in large_arrays.blocks(len(texels), _BLOCK):
         inside, here = smoothed.of_texture(texels[block], index)
-        after = samples[block][inside]
-        moved = colours.changed(picture, here, after)
-        count, here, after = len(here), here[moved], after[moved]
-        old = full_scale_one(table[here])
+        after, stored = samples[block][inside], np.take(table, here, axis=0)
+        moved = colours.changed(picture, stored, after)
+        if not moved.all():
+            here, after, stored = here[moved], after[moved], stored[moved]
+        old = full_scale_one(stored)
         new = old.copy()
-        colours.write(new, index, np.arange(len(here)), after)
-        table[here] = from_float(picture, table[here], new, new != old)
+        colours.write(new, index, slice(None), after)
+        table[here] = from_float(picture, stored, new, new != old)
         # Texels that did not change count, too.
-        changes.append(dataclasses.replace(Change.between(old, new), count=count * table.shape[1]))
+        changes.append(dataclasses.replace(Change.between(old, new), count=len(moved) * table.shape[1]))
     return Change.joined(changes)
 
 
