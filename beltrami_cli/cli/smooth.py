@@ -231,10 +231,8 @@ def _tell_choice(messages: Messages, choice: dict[str, Any] | None) -> None:
         return
     chosen = ", ".join(f"{name} {value:.3g}" for name, value in choice["chosen"].items())
     if choice["psnr"] is None:
-        messages.detail(
-            f"chosen: {chosen}; by the fixed rule of --fast: the noise of neighbouring samples is not independent, as "
-            "in JPEG pictures, so errors cannot be estimated"
-        )
+        why = ": the noise of neighbouring samples is not independent, as in JPEG pictures; errors cannot be estimated"
+        messages.detail(f"chosen: {chosen}; by the fixed rule of --fast{why if choice['correlated'] else ''}")
         return
     messages.detail(
         f"chosen: {chosen}; estimated PSNR {choice['psnr']:.1f} +- {choice['error']:.1f} dB, {choice['gain']:+.1f} dB "

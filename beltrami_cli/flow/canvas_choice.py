@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.flow.canvas import apply_kernel
-from beltrami_cli.flow.choice import ON_GRIDS, Choice, choose, choose_by_rule, is_noisy
+from beltrami_cli.flow.choice import ON_GRIDS, Choice, choose, is_noisy
 from beltrami_cli.flow.correlation import is_correlated_on_grid
 from beltrami_cli.flow.regularisation import guide_radius
+from beltrami_cli.flow.rule import RULE_ON_GRIDS, choose_by_rule
 from beltrami_cli.flow.trial_grid import GridTrial
 from beltrami_cli.mesh.atlas import OWNED, refresh_halo
 
@@ -63,8 +64,12 @@ def choose_on_canvas(
             parameters = dataclasses.replace(parameters, iterations=0)
         return parameters, None
     rows = _some_rows(len(atlas.kind))
-    if is_correlated_on_grid(planes[:, rows], atlas.kind[rows] == OWNED):
-        return choose_by_rule(canvas.metric.beta, wanted)
+    correlated = not wanted.fast and is_correlated_on_grid(planes[:, rows], atlas.kind[rows] == OWNED)
+    if wanted.fast or correlated:
+        metric = canvas.metric
+        return choose_by_rule(
+            metric.counting, unit, metric.beta, wanted, RULE_ON_GRIDS, correlated=correlated
+        )
 
     def iterate(
         atlas: Atlas, cells: CellFields, metric: tuple[NDArray[np.float32], float], planes: NDArray[np.float32],

@@ -70,8 +70,7 @@ class Choice:
         The parameters that were free, with their values.
     psnr : float or None
         Estimated PSNR of the result, against the colours without noise; before averages of clipped noise are restored.
-        None: errors cannot be estimated, since the noise of neighbouring samples is not independent, and a fixed rule
-        chose.
+        None: a fixed rule chose.
     error : float or None
         Its standard error in dB, if the estimate of the noise is right.
     gain : float or None
@@ -80,6 +79,8 @@ class Choice:
         Schedules that were compared.
     samples : int
         Samples of the surface that they were compared on.
+    correlated : bool
+        Whether the noise of neighbouring samples is not independent, so that errors cannot be estimated.
     """
 
     chosen: dict[str, float]
@@ -88,6 +89,7 @@ class Choice:
     gain: float | None = None
     candidates: int = 0
     samples: int = 0
+    correlated: bool = False
 
 
 def choose(
@@ -149,13 +151,6 @@ def choose(
     chosen: dict[str, Any] = {name: values[name] for name in parameters.free}
     choice = Choice(chosen, *_decibels(risk, noise), len(search.tried), samples)
     return dataclasses.replace(parameters, **chosen, free=()), choice
-
-
-def choose_by_rule(beta: float, parameters: KernelParameters) -> tuple[KernelParameters, Choice]:
-    """Keep the default for what is free, and the `beta` that the noise gives by rule, in units of length."""
-    values = {**dataclasses.asdict(parameters), "beta": beta}
-    chosen: dict[str, float] = {name: values[name] for name in parameters.free}
-    return dataclasses.replace(parameters, free=()), Choice(chosen)
 
 
 def is_noisy(sigma: NDArray[np.float64]) -> bool:

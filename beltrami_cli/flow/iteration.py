@@ -19,6 +19,7 @@ from beltrami_cli.flow.pieces.splitting import wanted_split
 from beltrami_cli.flow.progress import shifted
 from beltrami_cli.flow.result import FlowResult
 from beltrami_cli.flow.risk import wanted_probes
+from beltrami_cli.flow.rule import RULE_ON_MESHES, choose_by_rule
 from beltrami_cli.flow.spacing import edges_in_space, local_spacing, mean_side
 from beltrami_cli.flow.trial_mesh import MeshTrial, SampleFields, choose_patches, random_signs
 from beltrami_cli.mesh.areas import vertex_areas
@@ -137,8 +138,12 @@ class BeltramiFlow:
 
     def _choose(self, faces: NDArray[np.int32], edges: NDArray[np.int32], unit: float) -> None:
         """Choose the free parameters, and tell the metric of them."""
-        parameters = dataclasses.replace(self.parameters, free=())
-        if is_noisy(self.sigma) and len(edges):
+        parameters, metric = dataclasses.replace(self.parameters, free=()), self._metric
+        if is_noisy(self.sigma) and self.parameters.fast:
+            parameters, self.choice = choose_by_rule(
+                metric.counting, unit, metric.beta, self.parameters, RULE_ON_MESHES
+            )
+        elif is_noisy(self.sigma) and len(edges):
             sample = choose_patches(self._colours, edges)
             probes = wanted_probes(int(np.count_nonzero(sample.counting)))
             signs = random_signs(self._colours, edges, probes)

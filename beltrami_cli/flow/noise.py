@@ -199,10 +199,16 @@ def choose_beta(sigma: NDArray[np.float64], contrast: float = _BETA_SIGMA) -> fl
     float
         Sample spacings per unit of colour. Without noise it is large, so that colours stay as they are.
     """
-    # A channel without noise, such as constant alpha, says nothing of how far noise carries in the others.
+    return contrast / max(overall_noise(sigma), float(_QUANTISATION))
+
+
+def overall_noise(sigma: NDArray[np.float64]) -> float:
+    """Return the root mean square of the noise of channels; 0 without any.
+
+    A channel without noise, such as constant alpha, says nothing of how far noise carries in the others.
+    """
     noisy = sigma[sigma > 0.1 * sigma.max()] if len(sigma) else sigma
-    overall = float(np.sqrt(np.mean(np.square(noisy)))) if len(noisy) else 0.0
-    return contrast / max(overall, float(_QUANTISATION))
+    return float(np.sqrt(np.mean(np.square(noisy)))) if len(noisy) else 0.0
 
 
 def beta_of(parameters: KernelParameters, sigma: NDArray[np.float64], unit: float) -> float:

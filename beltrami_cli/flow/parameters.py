@@ -85,6 +85,8 @@ class KernelParameters:
         Those of iterations, t, beta, beta_growth and metric_steps that are chosen from the data, by their estimated
         error, see `choose`; the others are kept. The values given here are used where there is no noise to tell
         by. A `beta` of 0 leaves nothing to choose, nor do 0 iterations.
+    fast : bool
+        Whether what is free follows a fixed rule for the noise, and is not chosen by the estimated error.
     strength : {"gentle", "normal", "strong"}
         Whether what is chosen smooths less or more than what is estimated to be best. It moves a `beta` of None, too.
 
@@ -110,6 +112,7 @@ class KernelParameters:
     clipping: Clipping = "restore"
     solver: Solver = "auto"
     free: tuple[Tunable, ...] = ()
+    fast: bool = False
     strength: Strength = "normal"
 
     def __post_init__(self) -> None:
@@ -172,7 +175,9 @@ class KernelParameters:
         return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def parameters_with(values: Mapping[str, Any], *, choose: bool = True) -> KernelParameters:
+def parameters_with(
+    values: Mapping[str, Any], *, choose: bool = True, fast: bool = False
+) -> KernelParameters:
     """Make parameters of which some are given, and leave those that are not to be chosen.
 
     Parameters
@@ -181,6 +186,8 @@ def parameters_with(values: Mapping[str, Any], *, choose: bool = True) -> Kernel
         Names and values; None for a parameter that is not given.
     choose : bool
         Whether those of `TUNABLE` that are not given are chosen from the data; else they have their defaults.
+    fast : bool
+        Whether that is by a fixed rule for the noise.
 
     Returns
     -------
@@ -193,7 +200,7 @@ def parameters_with(values: Mapping[str, Any], *, choose: bool = True) -> Kernel
     """
     given = {name: value for name, value in values.items() if value is not None}
     free = tuple(name for name in TUNABLE if name not in given) if choose else ()
-    return KernelParameters(**given, free=free)
+    return KernelParameters(**given, free=free, fast=fast)
 
 
 def _require(holds: bool, name: str, value: object, allowed: str) -> None:

@@ -164,7 +164,7 @@ def smooth_image(
             "clipping": clipping,
             "strength": strength,
         },
-        choose=not fast,
+        fast=fast,
     )
     if space not in get_args(Space):
         raise UsageError(f"space is {space}, but must be {', '.join(get_args(Space))}")

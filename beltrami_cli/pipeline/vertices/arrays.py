@@ -179,7 +179,7 @@ def smooth(
             "solver": solver,
             "strength": strength,
         },
-        choose=not fast,
+        fast=fast,
     )
     painted = _painted(positions, faces, colours, encoding)
     if len(painted.channels) != 3 and space == "oklab":
