@@ -40,7 +40,9 @@ bool SegmentLengths::have_changed(Rows<double> positions, const float* scales) {
   const auto count = static_cast<std::size_t>(segments().vertex_count());
   const std::span now(positions.data, count * positions.width);
   const std::span scales_now(scales, scales == nullptr ? 0 : count);
-  if (std::ranges::equal(now, positions_) && std::ranges::equal(scales_now, scales_)) return false;
+  if (std::equal(now.begin(), now.end(), positions_.begin(), positions_.end()) &&
+      std::equal(scales_now.begin(), scales_now.end(), scales_.begin(), scales_.end()))
+    return false;
   positions_.assign(now.begin(), now.end());
   scales_.assign(scales_now.begin(), scales_now.end());
   return true;
