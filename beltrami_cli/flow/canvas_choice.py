@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 # Cells on which parameters are tried, as a share of all, so that trying takes no longer than smoothing: some sixty
 # iterations are tried, each twice. Fewer than so many cells tell too little, and take about a second.
 _SHARE_TRIED = 1 / 25
-_LEAST_TRIED = 25_000
+_LEAST_TRIED = 40_000
 # More tell nothing new: of so many the risk is known to some hundredths of a dB.
 _MOST_TRIED = 500_000
 
