@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from beltrami_cli.mesh import large_arrays
 from beltrami_cli.mesh.atlas import OWNED
 
 if TYPE_CHECKING:
@@ -19,6 +20,8 @@ _ERRORS = 4.0
 _OF_NOISE = 0.3
 # ... and more than JPEG blocks and rounding leave between two charts of one continuous painting.
 _LEAST = 4 / 255
+# Cells taken at a time that lie all over the canvas.
+_SCATTERED = 1 << 16
 # Steps over a seam from which its energy can be told.
 _FEWEST = 8
 
@@ -102,10 +105,13 @@ def halo_beyond(atlas: Atlas, different: NDArray[np.bool_]) -> NDArray[np.bool_]
 
 def _charts_at(atlas: Atlas, cells: Indices) -> NDArray[np.int32]:
     """Return the charts of some cells; -1: not owned."""
-    if not len(atlas.owned_cells):
-        return np.full(len(cells), -1, np.int32)
-    rank = np.minimum(np.searchsorted(atlas.owned_cells, cells), len(atlas.owned_cells) - 1)
-    return np.where(atlas.owned_cells[rank] == cells, atlas.chart_of[rank], np.int32(-1))
+    charts = np.full(len(cells), -1, np.int32)
+    for block in large_arrays.blocks(len(cells) if len(atlas.owned_cells) else 0, _SCATTERED):
+        wanted = cells[block]
+        rank = np.minimum(np.searchsorted(atlas.owned_cells, wanted), len(atlas.owned_cells) - 1)
+        owned = atlas.owned_cells[rank] == wanted
+        charts[block][owned] = atlas.chart_of[rank[owned]]
+    return charts
 
 
 def _sides_of_seams(atlas: Atlas, reached: NDArray[np.int32]) -> NDArray[np.int32]:
@@ -128,13 +134,17 @@ def _steps_over_seams(
     seams: list[NDArray[np.int32]] = []
     over: list[NDArray[np.float32]] = []
     before: list[NDArray[np.float32]] = []
-    cells = atlas.halo_cells[atlas.halo_seams >= 0]
-    halo_seams = atlas.halo_seams[atlas.halo_seams >= 0]
-    for step in (1, -1, columns, -columns):
-        inner, second = cells - step, cells - 2 * step
-        valid = (second >= 0) & (second < rows * columns) & (inner >= 0) & (inner < rows * columns)
-        valid[valid] &= (flat_kind[inner[valid]] == OWNED) & (flat_kind[second[valid]] == OWNED)
-        seams.append(halo_seams[valid])
-        over.append((flat[:, cells[valid]] - flat[:, inner[valid]]).T)
-        before.append((flat[:, inner[valid]] - flat[:, second[valid]]).T)
+    of_seams = np.flatnonzero(atlas.halo_seams >= 0)
+    for block in large_arrays.blocks(len(of_seams), _SCATTERED):
+        cells, halo_seams = atlas.halo_cells[of_seams[block]], atlas.halo_seams[of_seams[block]]
+        for step in (1, -1, columns, -columns):
+            inner, second = cells - step, cells - 2 * step
+            valid = (second >= 0) & (second < rows * columns) & (inner >= 0) & (inner < rows * columns)
+            valid[valid] &= (flat_kind[inner[valid]] == OWNED) & (flat_kind[second[valid]] == OWNED)
+            seams.append(halo_seams[valid])
+            over.append((flat[:, cells[valid]] - flat[:, inner[valid]]).T)
+            before.append((flat[:, inner[valid]] - flat[:, second[valid]]).T)
+    if not seams:
+        nothing = np.zeros((0, len(planes)), np.float32)
+        return np.zeros(0, np.int32), nothing, nothing
     return np.concatenate(seams), np.concatenate(over), np.concatenate(before)

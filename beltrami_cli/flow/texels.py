@@ -42,6 +42,9 @@ if TYPE_CHECKING:
 # Rows of a canvas that are gone through together.
 _ROWS = 64
 
+# Cells of the gutter, which lie all over the canvas, that are taken together.
+_GUTTER_CELLS = 1 << 16
+
 
 class TexelFlow:
     """The image manifold of an atlas, ready to be smoothed.
@@ -105,8 +108,9 @@ class TexelFlow:
         self.jumps = int(np.count_nonzero(different))
         if self.jumps:
             beyond = halo_beyond(atlas, different)
-            self._planes.reshape(len(self._planes), -1)[:, atlas.halo_cells[beyond]] = 0
             atlas = without_halo(atlas, beyond)
+            for rows in large_arrays.blocks(len(atlas.kind), _ROWS):
+                self._planes[:, rows][:, atlas.kind[rows] == EMPTY] = 0
         self.atlas = atlas
         scale = local_scales(atlas, parameters.window)
         self.spacing = _mean_spacing(atlas, scale)
@@ -226,7 +230,11 @@ class TexelFlow:
     def gutter_colours(self) -> NDArray[np.float32]:
         """Return the colours that the atlas's gutter cells have now, shape (G, N)."""
         refresh_halo(self._planes, self.atlas, interpolated=True)
-        return np.ascontiguousarray(self._planes.reshape(len(self._planes), -1)[:, self.atlas.gutter_cells].T)
+        flat, cells = self._planes.reshape(len(self._planes), -1), self.atlas.gutter_cells
+        colours = np.zeros((len(cells), len(flat)), np.float32)
+        for block in large_arrays.blocks(len(cells), _GUTTER_CELLS):
+            colours[block] = flat[:, cells[block]].T
+        return colours
 
 
 def _mean_spacing(atlas: Atlas, scale: NDArray[np.float32]) -> float:

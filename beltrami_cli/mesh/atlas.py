@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 
 EMPTY, OWNED, HALO = 0, 1, 2
 
+# Cells taken at a time that lie all over the canvas.
+_SCATTERED = 1 << 16
+
 
 @dataclass(frozen=True)
 class Atlas:
@@ -163,10 +166,12 @@ def refresh_halo(planes: NDArray[np.float32], atlas: Atlas, *, interpolated: boo
         and beside an edge it is a colour that neither side has, over which kernels find their way across.
     """
     for plane in planes.reshape(len(planes), -1):
-        if interpolated:
-            plane[atlas.halo_cells] = np.einsum("ht,ht->h", plane[atlas.halo_taps], atlas.halo_weights)
-        else:
-            plane[atlas.halo_cells] = plane[atlas.halo_nearest]
+        for block in large_arrays.blocks(len(atlas.halo_cells), _SCATTERED):
+            cells = atlas.halo_cells[block]
+            if interpolated:
+                plane[cells] = np.einsum("ht,ht->h", plane[atlas.halo_taps[block]], atlas.halo_weights[block])
+            else:
+                plane[cells] = plane[atlas.halo_nearest[block]]
 
 
 def without_halo(atlas: Atlas, dropped: NDArray[np.bool_]) -> Atlas:
