@@ -265,7 +265,8 @@ allow_outside = click.option(
 )  # fmt: skip
 max_memory = click.option(
     "--max-memory", callback=_size, metavar="SIZE",
-    help="Refuse INPUT if it or the work on it takes more memory, such as 500M or 4G.  [default: what the machine has]",
+    help="Take no more memory, such as 500M or 4G: smooth keeps textures that need more in files meanwhile, and all "
+    "else that does is refused.  [default: what the machine has]",
 )  # fmt: skip
 quiet = click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
 verbose = click.option(

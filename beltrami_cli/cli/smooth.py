@@ -12,6 +12,7 @@ import click
 from beltrami_cli.cli import options
 from beltrami_cli.cli.console import Messages
 from beltrami_cli.errors import OutputError, UsageError
+from beltrami_cli.pipeline.memory import show_size
 
 if TYPE_CHECKING:
     from beltrami_cli.formats.access import Access
@@ -195,6 +196,8 @@ def _tell(messages: Messages, report: SmoothReport, *, dry_run: bool) -> None:
     _warn(messages, report)
     for stage, seconds in report.stages.items():
         messages.detail(f"{stage:>14}: {seconds['wall']:.2f} s, {seconds['cpu']:.2f} s CPU")
+    if report.peak_memory is not None:
+        (messages.say if dry_run else messages.detail)(f"{'peak memory':>14}: {show_size(report.peak_memory)}")
     free = cast("list[str]", report.parameters["free"])
     for key in ("iterations", "t", "threshold", "metric_scale", "metric_steps", "space"):
         messages.detail(f"{key:>14}: {'chosen from the data' if key in free else report.parameters[key]}")
