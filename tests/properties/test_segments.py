@@ -115,7 +115,7 @@ def graph_distances(embedded, faces, extra):
     count = len(embedded)
     if not links:
         return np.where(np.eye(count, dtype=bool), 0, np.inf)
-    places, ends = np.array(points), np.array(sorted(set(links)))
+    places, ends = np.array(points), np.array(sorted(set(links)), np.int32)
     # A graph takes a weight of 0 for no link.
     lengths = np.maximum(np.linalg.norm(places[ends[:, 0]] - places[ends[:, 1]], axis=1), 1e-12)
     graph = coo_array((lengths, ends.T), shape=(len(points),) * 2).tocsr()
