@@ -73,7 +73,7 @@ def local_scales(atlas: Atlas, window: int) -> NDArray[np.float32]:
     scales = large_arrays.zeros(atlas.kind.shape, np.float32)
     for band in large_arrays.blocks(rows, _ROWS):
         first = max(0, band.start - reach)
-        lengths = np.ascontiguousarray(atlas.squared_lengths[:, first : band.stop + reach])
+        lengths = np.ascontiguousarray(atlas.squared_lengths[:2, first : band.stop + reach])  # along the axes
         scales[band] = local_scale(lengths, reach)[band.start - first : band.stop - first]
     return scales
 

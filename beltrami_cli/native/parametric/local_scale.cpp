@@ -32,19 +32,22 @@ Sum edges_at(const float* squared_lengths, std::size_t cells, std::size_t cell) 
 void local_scale(std::size_t rows, std::size_t columns, const float* squared_lengths, int window_radius, float* scale) {
   const auto reach = static_cast<std::size_t>(window_radius);
   const std::size_t cells = rows * columns;
-  // Sums over the window's rows, one a column, move down with the window; those over its columns along the row.
-  std::vector<Sum> down(columns);
+  // Sums over the window's rows, one a column, move down with the window; those over its columns along the row. The rows
+  // in the window are kept, since logarithms take most of the time.
+  const std::size_t held = 2 * reach + 1;
+  std::vector<Sum> down(columns), kept(held * columns);
   const auto move = [&](std::size_t row, double sign) {
+    Sum* edges = kept.data() + row % held * columns;
     for (std::size_t column = 0; column < columns; ++column) {
-      const Sum edges = edges_at(squared_lengths, cells, row * columns + column);
-      down[column].logarithm += sign * edges.logarithm;
-      down[column].count += sign * edges.count;
+      if (sign > 0) edges[column] = edges_at(squared_lengths, cells, row * columns + column);
+      down[column].logarithm += sign * edges[column].logarithm;
+      down[column].count += sign * edges[column].count;
     }
   };
   for (std::size_t row = 0; row < std::min(reach, rows); ++row) move(row, 1);
   for (std::size_t row = 0; row < rows; ++row) {
-    if (row + reach < rows) move(row + reach, 1);
     if (row > reach) move(row - reach - 1, -1);
+    if (row + reach < rows) move(row + reach, 1);
     Sum window;
     const auto add = [&](std::size_t column, double sign) {
       window.logarithm += sign * down[column].logarithm;
