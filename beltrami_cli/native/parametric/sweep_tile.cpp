@@ -28,7 +28,7 @@ Totals weigh(const TileJob& job, const Layout& layout, const float* shares, std:
   const float reach = std::min(job.parameters->radius, longest_radius);
   Totals totals{splat(1), splat(1)};
   for (const Target& target : job.program->outward) {
-    float* slot = window + static_cast<std::size_t>(target.slot) * lane_count;
+    float* slot = window + static_cast<std::size_t>(target.slot) * centre_count;
     const Lanes phi = load(slot);
     const Mask within = phi <= reach;
     const Lanes distance = select(within, phi, Lanes{});
@@ -47,7 +47,7 @@ void sum_up(const TileJob& job, const Layout& layout, const float* window, const
   std::array<Lanes, channels> sum{}, here;
   for (std::size_t channel = 0; channel < channels; ++channel) here[channel] = load(colours + channel * layout.size);
   for (const Target& target : job.program->outward) {
-    const Lanes kernel = load(window + static_cast<std::size_t>(target.slot) * lane_count);
+    const Lanes kernel = load(window + static_cast<std::size_t>(target.slot) * centre_count);
     const float* there = colours + layout.at(target.offset);
     for (std::size_t channel = 0; channel < channels; ++channel)
       sum[channel] += kernel * (load(there + channel * layout.size) - here[channel]);
@@ -64,25 +64,31 @@ void sum_up_all(const TileJob& job, const Layout& layout, const float* window, c
     sum_up<1>(job, layout, window, colours + channel * layout.size, sums + channel * lane_count);
 }
 
-// Writes the owned ones of `count` centres, which are those from `cell` on in the grid; returns their samples.
-std::int64_t write_owned(const TileJob& job, const Totals& totals, const float* sums, std::size_t cell,
-                         std::size_t count) {
+// Writes the averages of those centres that are owned, which are `count` from `cell` on in the grid and begin at
+// `colours` in the tile; returns their samples.
+std::int64_t write_owned(const TileJob& job, const Layout& layout, const Totals& totals, const float* colours,
+                         const float* sums, std::size_t cell, std::size_t count) {
   const Grid& grid = *job.grid;
-  std::int64_t samples = 0;
-  for (std::size_t l = 0; l < count; ++l) {
-    if (grid.kind[cell + l] != owned) continue;
-    samples += static_cast<std::int64_t>(totals.held[l]);
-    for (std::size_t channel = 0; channel < job.colours.channels; ++channel) {
-      const std::size_t place = channel * grid.cells() + cell + l;
-      job.smoothed[place] = job.colours.data[place] + sums[channel * lane_count + l] / totals.kernel[l];
+  const std::uint8_t* kind = grid.kind + cell;
+  const bool whole = count == lane_count && std::all_of(kind, kind + count, [](std::uint8_t k) { return k == owned; });
+  for (std::size_t channel = 0; channel < job.colours.channels; ++channel) {
+    const Lanes mean = load(colours + channel * layout.size) + load(sums + channel * lane_count) / totals.kernel;
+    float* smoothed = job.smoothed + channel * grid.cells() + cell;
+    if (whole) {
+      store(smoothed, mean);
+    } else {
+      for (std::size_t l = 0; l < count; ++l)
+        if (kind[l] == owned) smoothed[l] = mean[l];
     }
   }
+  std::int64_t samples = 0;
+  for (std::size_t l = 0; l < count; ++l) samples += kind[l] == owned ? static_cast<std::int64_t>(totals.held[l]) : 0;
   return samples;
 }
 
 // Writes the distances from the first centre.
 void write_window(const float* window, int slots, float* distances) {
-  for (int slot = 0; slot < slots; ++slot) distances[slot] = window[static_cast<std::size_t>(slot) * lane_count];
+  for (int slot = 0; slot < slots; ++slot) distances[slot] = window[static_cast<std::size_t>(slot) * centre_count];
 }
 
 bool any_owned(const std::uint8_t* kind, std::size_t count) {
@@ -98,7 +104,7 @@ std::int64_t sweep_tile(const TileJob& job, const Tile& tile, TileScratch& scrat
   // Besides the colours, what is blocked, the scale and the shares.
   const std::size_t colour_planes = job.metric.channels + job.colours.channels + 3;
   scratch.planes.resize((plane_count + colour_planes) * layout.size);
-  scratch.window.resize(static_cast<std::size_t>(side * side) * lane_count);
+  scratch.window.resize(static_cast<std::size_t>(side * side) * centre_count);
   scratch.sums.resize(job.colours.channels * lane_count);
   float* squared = scratch.planes.data();
   float* lengths = squared + direction_count * layout.size;
@@ -111,9 +117,11 @@ std::int64_t sweep_tile(const TileJob& job, const Tile& tile, TileScratch& scrat
   float* scale = grid.scale != nullptr ? blocked + layout.size : nullptr;
   if (scale != nullptr) copy_plane(grid, grid.scale, tile, layout, 1, scale);
   float* shares = grid.repeats != nullptr ? blocked + 2 * layout.size : nullptr;
-  if (shares != nullptr)
+  if (shares != nullptr) {
     copy_plane(grid, grid.repeats, tile, layout, 1, shares,
                [](std::uint8_t repeats) { return 1 / static_cast<float>(repeats); });
+    if (std::all_of(shares, shares + layout.size, [](float share) { return share == 1; })) shares = nullptr;
+  }
   measure_edges(job, tile, layout, metric, scale, blocked, squared, lengths);
   for (std::size_t i = 0; i < stencil_classes.size(); ++i)
     make_class(layout, squared, stencil_classes[i], coefficients + 3 * i * layout.size);
@@ -122,23 +130,26 @@ std::int64_t sweep_tile(const TileJob& job, const Tile& tile, TileScratch& scrat
   const Course mending(job.parameters->repairs > 0 ? job.program->repair : std::vector<Target>(), layout);
   std::int64_t samples = 0;
   float* window = scratch.window.data();
-  const auto origin = static_cast<std::size_t>(side * side / 2) * lane_count;
+  const auto origin = static_cast<std::size_t>(side * side / 2) * centre_count;
   for (std::size_t y = 0; y < tile.rows; ++y)
-    for (std::size_t x = 0; x < tile.columns; x += lane_count) {
+    for (std::size_t x = 0; x < tile.columns; x += centre_count) {
       const std::size_t cell = (tile.row + y) * grid.columns + tile.column + x;
-      const std::size_t count = std::min(lane_count, tile.columns - x);
+      const std::size_t count = std::min(centre_count, tile.columns - x);
       if (!any_owned(grid.kind + cell, count)) continue;
       const std::size_t centre = (y + layout.border) * layout.columns + layout.border + x;
       std::fill(scratch.window.begin(), scratch.window.end(), unreached);
-      std::fill(window + origin, window + origin + lane_count, 0.0F);
+      std::fill(window + origin, window + origin + centre_count, 0.0F);
       outward.run(lengths + centre, coefficients + centre, window);
       for (int repair = 0; repair < job.parameters->repairs; ++repair)
         mending.run(lengths + centre, coefficients + centre, window);
       if (job.distances != nullptr) write_window(window, side * side, job.distances);
-      const Totals totals = shares != nullptr ? weigh<true>(job, layout, shares, centre, window)
-                                              : weigh<false>(job, layout, shares, centre, window);
-      sum_up_all(job, layout, window, colours + centre, scratch.sums.data());
-      samples += write_owned(job, totals, scratch.sums.data(), cell, count);
+      for (std::size_t lane = 0; lane < count; lane += lane_count) {
+        const Totals totals = shares != nullptr ? weigh<true>(job, layout, shares, centre + lane, window + lane)
+                                                : weigh<false>(job, layout, shares, centre + lane, window + lane);
+        sum_up_all(job, layout, window + lane, colours + centre + lane, scratch.sums.data());
+        samples += write_owned(job, layout, totals, colours + centre + lane, scratch.sums.data(), cell + lane,
+                               std::min(lane_count, count - lane));
+      }
     }
   return samples;
 }

@@ -2,6 +2,7 @@
 // For the translation units of sweep_tile.cpp: whatever is here is compiled for one instruction set.
 #pragma once
 
+#include <array>
 #include <cstddef>
 #include <vector>
 
@@ -16,7 +17,7 @@ namespace beltrami::parametric::BELTRAMI_VARIANT {
 class Course {
  public:
   Course(const std::vector<Target>& targets, const Layout& layout) {
-    const auto place = [](int slot) { return slot * static_cast<std::ptrdiff_t>(lane_count); };
+    const auto place = [](int slot) { return slot * static_cast<std::ptrdiff_t>(centre_count); };
     const auto plane = [&](std::size_t index) { return static_cast<std::ptrdiff_t>(index * layout.size); };
     for (const Target& target : targets) {
       for (const EdgeStep& edge : target.edges)
@@ -35,21 +36,17 @@ class Course {
     const Edge* edge = edges_.data();
     const Triangle* triangle = triangles_.data();
     for (const Stop& stop : stops_) {
-      Lanes best = load(window + stop.slot);
+      std::array<Lanes, register_count> best;
+      for (std::size_t r = 0; r < register_count; ++r) best[r] = load(window + stop.slot + r * lane_count);
       for (const Edge* end = edges_.data() + stop.edges; edge != end; ++edge)
-        best = smaller(load(window + edge->from) + load(lengths + edge->length), best);
-      for (const Triangle* end = triangles_.data() + stop.triangles; triangle != end; ++triangle) {
-        const float* k_plane = coefficients + triangle->coefficients;
-        const Lanes axis = load(window + triangle->axis);
-        const Lanes u = load(window + triangle->diagonal) - axis;
-        const Lanes k = load(k_plane), nu = load(k_plane + n_) * u;
-        const Lanes radicand = load(k_plane + height_) - nu * u;
-        const Lanes s = square_root(larger(radicand, Lanes{}));
-        const Lanes through = axis + k * u + s;
-        const Mask from_within = (k * s > nu) & (k * s - s < nu);
-        best = select(from_within, smaller(through, best), best);
-      }
-      store(window + stop.slot, best);
+        for (std::size_t r = 0; r < register_count; ++r) {
+          const std::size_t lane = r * lane_count;
+          best[r] = smaller(load(window + edge->from + lane) + load(lengths + edge->length + lane), best[r]);
+        }
+      for (const Triangle* end = triangles_.data() + stop.triangles; triangle != end; ++triangle)
+        for (std::size_t r = 0; r < register_count; ++r)
+          best[r] = through(*triangle, coefficients + r * lane_count, window + r * lane_count, best[r]);
+      for (std::size_t r = 0; r < register_count; ++r) store(window + stop.slot + r * lane_count, best[r]);
     }
   }
 
@@ -64,6 +61,19 @@ class Course {
     std::ptrdiff_t slot;
     std::size_t edges, triangles;  // up to which
   };
+
+  // The distance through a triangle, or the best so far if the way does not come out of it or is longer.
+  Lanes through(const Triangle& triangle, const float* coefficients, const float* window, Lanes best) const {
+    const float* k_plane = coefficients + triangle.coefficients;
+    const Lanes axis = load(window + triangle.axis);
+    const Lanes u = load(window + triangle.diagonal) - axis;
+    const Lanes k = load(k_plane), nu = load(k_plane + n_) * u;
+    const Lanes radicand = load(k_plane + height_) - nu * u;
+    const Lanes s = square_root(larger(radicand, Lanes{}));
+    const Mask from_within = (k * s > nu) & (k * s - s < nu);
+    return select(from_within, smaller(axis + k * u + s, best), best);
+  }
+
   std::vector<Edge> edges_;
   std::vector<Triangle> triangles_;
   std::vector<Stop> stops_;

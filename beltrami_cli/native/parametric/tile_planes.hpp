@@ -18,12 +18,15 @@ namespace beltrami::parametric::BELTRAMI_VARIANT {
 constexpr std::size_t coefficient_planes = 3 * stencil_classes.size();
 constexpr std::size_t plane_count = 2 * direction_count + coefficient_planes;
 
+// Two registers of centres go through the same operations by turns, so that neither waits for its square roots.
+constexpr std::size_t register_count = 2, centre_count = register_count * lane_count;
+
 struct Layout {
   Layout(const Tile& tile, int window_radius)
       : border(static_cast<std::size_t>(window_radius) + 1),
         rows(tile.rows + 2 * border),
-        // Whole blocks of lanes, and room for the loads of the last one.
-        columns(((tile.columns + lane_count - 1) / lane_count) * lane_count + 2 * border),
+        // Whole blocks of centres, and room for the loads of the last lanes.
+        columns(((tile.columns + centre_count - 1) / centre_count) * centre_count + 2 * border),
         size(rows * columns + lane_count) {}
   std::size_t border, rows, columns, size;
   std::ptrdiff_t at(Offset offset) const { return offset.y * static_cast<std::ptrdiff_t>(columns) + offset.x; }
