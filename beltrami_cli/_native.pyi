@@ -33,7 +33,7 @@ def build_atlas(
     grids: NDArray[np.int32],
     margin: int,
     threads: int,
-    zeros: Callable[[int], NDArray[np.uint8]],
+    empty: Callable[[int], NDArray[np.uint8]],
     progress: Callable[[int], None] | None,
 ) -> AtlasArrays: ...
 def nearest_marked(marked: NDArray[np.bool_], reach: int, threads: int) -> NDArray[np.int64]: ...

@@ -197,7 +197,9 @@ def _tell(messages: Messages, report: SmoothReport, *, dry_run: bool) -> None:
     for stage, seconds in report.stages.items():
         messages.detail(f"{stage:>14}: {seconds['wall']:.2f} s, {seconds['cpu']:.2f} s CPU")
     if report.peak_memory is not None:
-        (messages.say if dry_run else messages.detail)(f"{'peak memory':>14}: {show_size(report.peak_memory)}")
+        (messages.say if dry_run else messages.detail)(
+            f"{'peak memory':>14}: {show_size(report.peak_memory)}"
+        )
     free = cast("list[str]", report.parameters["free"])
     for key in ("iterations", "t", "threshold", "metric_scale", "metric_steps", "space"):
         messages.detail(f"{key:>14}: {'chosen from the data' if key in free else report.parameters[key]}")

@@ -70,7 +70,7 @@ def local_scales(atlas: Atlas, window: int) -> NDArray[np.float32]:
     from beltrami_cli._native import local_scale
 
     rows, reach = atlas.kind.shape[0], window // 2
-    scales = large_arrays.zeros(atlas.kind.shape, np.float32)
+    scales = large_arrays.empty(atlas.kind.shape, np.float32)
     for band in large_arrays.blocks(rows, _ROWS):
         first = max(0, band.start - reach)
         lengths = np.ascontiguousarray(atlas.squared_lengths[:2, first : band.stop + reach])  # along the axes

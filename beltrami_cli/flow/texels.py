@@ -199,7 +199,7 @@ class TexelFlow:
     def _marks(self, clipped: ClippedChannels) -> NDArray[np.float32]:
         """Return the planes to average beside the colours: the marks of samples that were cut off."""
         kind = self.atlas.kind
-        marks = large_arrays.zeros((len(clipped.clipped), *kind.shape), np.float32)
+        marks = large_arrays.empty((len(clipped.clipped), *kind.shape), np.float32)
         for rows in large_arrays.blocks(len(kind), _ROWS):
             marks[:, rows] = np.where(
                 kind[rows] == EMPTY, np.float32(0), clipped.marks(self._planes[:, rows])

@@ -142,7 +142,7 @@ def painted(atlas: Atlas, colours: NDArray[np.float32]) -> NDArray[np.float32]:
 
 def owned_colours(planes: NDArray[np.float32], atlas: Atlas) -> NDArray[np.float32]:
     """Return the colours of the owned cells, shape (T, N), from planes of shape (N, R, C)."""
-    colours = large_arrays.zeros((len(atlas.owned_cells), len(planes)), np.float32)
+    colours = large_arrays.empty((len(atlas.owned_cells), len(planes)), np.float32)
     flat = planes.reshape(len(planes), -1)
     for block in large_arrays.blocks(len(atlas.owned_cells)):
         cells = atlas.owned_cells[block].astype(np.intp)

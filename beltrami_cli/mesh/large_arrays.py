@@ -59,16 +59,33 @@ def zeros(shape: int | Sequence[int], dtype: DTypeLike) -> NDArray[Any]:
     ProcessingError
         If there is no room for it on the disk where it belongs.
     """
+    found = _on_disk(shape, dtype)
+    return np.zeros(shape, dtype) if found is None else found
+
+
+def empty(shape: int | Sequence[int], dtype: DTypeLike) -> NDArray[Any]:
+    """Return an array whose values mean nothing yet, like `numpy.empty`.
+
+    Raises
+    ------
+    ProcessingError
+        As `zeros`.
+    """
+    found = _on_disk(shape, dtype)
+    return np.empty(shape, dtype) if found is None else found
+
+
+def _on_disk(shape: int | Sequence[int], dtype: DTypeLike) -> NDArray[Any] | None:
+    """Return an array of zeros in a file, if it belongs there."""
     disk = _DISK.get()
     shape = (shape,) if isinstance(shape, int) else tuple(shape)
     size = math.prod(shape) * np.dtype(dtype).itemsize
     if disk is None or size < _LEAST:
-        return np.zeros(shape, dtype)
+        return None
     try:
         with tempfile.TemporaryFile(dir=disk.folder) as file:
-            if hasattr(
-                os, "posix_fallocate"
-            ):  # else a full disk would end the program when a page is written
+            # Else a full disk would end the program when a page is written.
+            if hasattr(os, "posix_fallocate"):
                 os.posix_fallocate(file.fileno(), 0, size)
             else:
                 file.truncate(size)
@@ -84,7 +101,7 @@ def zeros(shape: int | Sequence[int], dtype: DTypeLike) -> NDArray[Any]:
 
 def copy_of(array: NDArray[Any]) -> NDArray[Any]:
     """Return a copy of an array, made block by block."""
-    copy = zeros(array.shape, array.dtype)
+    copy = empty(array.shape, array.dtype)
     source, target = array.reshape(-1), copy.reshape(-1)
     for block in blocks(len(source)):
         target[block] = source[block]

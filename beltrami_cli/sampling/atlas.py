@@ -69,7 +69,7 @@ def build_atlas(
             grids,
             margin,
             threads,
-            lambda size: large_arrays.zeros(size, np.uint8),
+            lambda size: large_arrays.empty(size, np.uint8),
             lambda _: large_arrays.leave_memory(),
         )
     except ValueError as error:  # what the core's length errors become

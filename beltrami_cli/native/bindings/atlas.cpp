@@ -28,11 +28,11 @@ auto rows_of_four(const Array<T>& array) {
   return view<T, nb::shape<-1, 4>>(array, {array.size / 4, 4});
 }
 
-// Memory of arrays that Python makes: `zeros` is called with a number of bytes.
-atlas::Allocate allocate_by(const nb::object& zeros) {
-  return [&zeros](std::size_t bytes) -> atlas::Memory {
+// Memory of arrays that Python makes: `empty` is called with a number of bytes.
+atlas::Allocate allocate_by(const nb::object& empty) {
+  return [&empty](std::size_t bytes) -> atlas::Memory {
     const nb::gil_scoped_acquire lock;
-    auto array = nb::cast<nb::ndarray<std::uint8_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>>(zeros(bytes));
+    auto array = nb::cast<nb::ndarray<std::uint8_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>>(empty(bytes));
     void* data = array.data();
     return {data, [array = std::move(array)](void*) mutable {
               const nb::gil_scoped_acquire released;
@@ -81,7 +81,7 @@ nb::dict to_dict(const atlas::Atlas& made) {
 nb::dict build_atlas(const Matrix<double>& positions, const Matrix<Index>& faces,
                      const nb::ndarray<const double, nb::shape<-1, 3, 2>, nb::c_contig, nb::device::cpu>& uv,
                      const Vector<Index>& texture_of, const Matrix<Index>& grids, std::int64_t margin,
-                     unsigned threads, const nb::object& zeros, const nb::object& progress) {
+                     unsigned threads, const nb::object& empty, const nb::object& progress) {
   if (positions.shape(1) != 3 || faces.shape(1) != 3) throw nb::value_error("three coordinates, three corners");
   if (uv.shape(0) != faces.shape(0) || texture_of.shape(0) != faces.shape(0))
     throw nb::value_error("one row a face is needed");
@@ -91,7 +91,7 @@ nb::dict build_atlas(const Matrix<double>& positions, const Matrix<Index>& faces
   PythonPoll poll(progress);
   try {
     const nb::gil_scoped_release unlock;
-    made = atlas::make_atlas(surface, margin, threads, allocate_by(zeros), poll.poll());
+    made = atlas::make_atlas(surface, margin, threads, allocate_by(empty), poll.poll());
   } catch (const Cancelled&) {
     poll.rethrow();
     throw;
@@ -115,7 +115,7 @@ auto nearest_marked(const Matrix<bool>& marked, std::int64_t reach, unsigned thr
 void bind_atlas(nb::module_& module) {
   using namespace nb::literals;
   module.def("build_atlas", &build_atlas, "positions"_a, "faces"_a, "uv"_a, "texture_of"_a, "grids"_a, "margin"_a,
-             "threads"_a, "zeros"_a, "progress"_a.none());
+             "threads"_a, "empty"_a, "progress"_a.none());
   module.def("nearest_marked", &nearest_marked, "marked"_a, "reach"_a, "threads"_a);
 }
 

@@ -89,7 +89,7 @@ class TexelColours:
 
     def samples(self, atlas: Atlas) -> NDArray[np.float32]:
         """Return the colours of the owned cells in the working space, shape (T, N)."""
-        table = large_arrays.zeros((len(atlas.owned_texels), len(self.names)), np.float32)
+        table = large_arrays.empty((len(atlas.owned_texels), len(self.names)), np.float32)
         for block in large_arrays.blocks(len(table)):
             for index, inside, texels in atlas.texels_by_texture(atlas.owned_texels[block]):
                 table[block][inside] = self.working(self._pictures[index], texels)
