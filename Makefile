@@ -85,6 +85,7 @@ bench:
 run-bench: $(VENV)/.installed-bench
 	$(BIN)/python tests/benchmarks/bench_triangulated.py
 	$(BIN)/python tests/benchmarks/bench_large_meshes.py
+	$(BIN)/python tests/benchmarks/bench_scaling.py --most 1000000
 	$(BIN)/python tests/benchmarks/bench_textures.py
 	$(BIN)/python tests/benchmarks/bench_geometry.py
 
