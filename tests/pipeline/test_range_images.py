@@ -92,9 +92,10 @@ def colours_on_grid(path):
 def test_a_range_image_is_smoothed_like_the_image_at_its_positions(data, tmp_path):
     source, target = tmp_path / "a.ply", tmp_path / "b.ply"
     source.write_bytes(data)
-    report = smooth_file(source, target, SmoothSettings(KernelParameters(beta=9)))
+    kernel = {"iterations": 5, "t": 2.4, "beta": 9, "beta_growth": 2.0, "metric_steps": 2}
+    report = smooth_file(source, target, SmoothSettings(KernelParameters(**kernel)))
     places, colours, measured = scene()
-    expected = smooth_image(colours, positions=places, valid=measured, beta=9, fast=True).colours
+    expected = smooth_image(colours, positions=places, valid=measured, **kernel).colours
     rounded = np.rint(255 * expected) / 255
     assert (
         np.abs(colours_on_grid(target) - rounded)[measured].max() < 1.5 / 255

@@ -6,9 +6,11 @@ import dataclasses
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 
 import beltrami_cli
 from beltrami_cli.flow import risk, trial_mesh
+from beltrami_cli.flow.correlation import is_correlated_on_grid
 from beltrami_cli.flow.iteration import BeltramiFlow
 from beltrami_cli.flow.parameters import TUNABLE, KernelParameters
 from beltrami_cli.flow.risk import Risk, RiskEstimate, Step
@@ -274,3 +276,13 @@ def test_the_fixed_rule_chooses_where_the_noise_of_neighbours_is_not_independent
         assert (result.choice.psnr is not None) == chosen
         assert (result.choice.candidates > 0) == chosen
         assert result.choice.correlated != chosen
+
+
+@pytest.mark.parametrize(("grain", "contrast", "mean"), [(1.5, 0.05, 0.05), (3.0, 0.1, 0.1)])
+def test_rich_dark_texture_is_not_taken_for_noise_of_neighbours_in_common(grain, contrast, mean):
+    """Noise that was cut off at 0 makes differences of channels smaller, too."""
+    random = np.random.default_rng(0)
+    texture = np.stack([gaussian_filter(random.standard_normal((256, 256)), grain) for _ in range(3)])
+    clean = (mean + contrast / texture.std() * texture).clip(0, 1)
+    stored = np.rint(255 * (clean + 5 / 255 * random.standard_normal(clean.shape)).clip(0, 1)) / 255
+    assert not is_correlated_on_grid(stored.astype(np.float32), np.ones((256, 256), bool))
