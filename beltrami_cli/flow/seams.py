@@ -20,8 +20,6 @@ _ERRORS = 4.0
 _OF_NOISE = 0.3
 # ... and more than JPEG blocks and rounding leave between two charts of one continuous painting.
 _LEAST = 4 / 255
-# Cells taken at a time that lie all over the canvas.
-_SCATTERED = 1 << 16
 # Steps over a seam from which its energy can be told.
 _FEWEST = 8
 
@@ -106,7 +104,7 @@ def halo_beyond(atlas: Atlas, different: NDArray[np.bool_]) -> NDArray[np.bool_]
 def _charts_at(atlas: Atlas, cells: Indices) -> NDArray[np.int32]:
     """Return the charts of some cells; -1: not owned."""
     charts = np.full(len(cells), -1, np.int32)
-    for block in large_arrays.blocks(len(cells) if len(atlas.owned_cells) else 0, _SCATTERED):
+    for block in large_arrays.blocks(len(cells) if len(atlas.owned_cells) else 0, large_arrays.SCATTERED):
         wanted = cells[block]
         rank = np.minimum(np.searchsorted(atlas.owned_cells, wanted), len(atlas.owned_cells) - 1)
         owned = atlas.owned_cells[rank] == wanted
@@ -135,7 +133,7 @@ def _steps_over_seams(
     over: list[NDArray[np.float32]] = []
     before: list[NDArray[np.float32]] = []
     of_seams = np.flatnonzero(atlas.halo_seams >= 0)
-    for block in large_arrays.blocks(len(of_seams), _SCATTERED):
+    for block in large_arrays.blocks(len(of_seams), large_arrays.SCATTERED):
         cells, halo_seams = atlas.halo_cells[of_seams[block]], atlas.halo_seams[of_seams[block]]
         for step in (1, -1, columns, -columns):
             inner, second = cells - step, cells - 2 * step

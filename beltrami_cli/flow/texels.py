@@ -42,9 +42,6 @@ if TYPE_CHECKING:
 # Rows of a canvas that are gone through together.
 _ROWS = 64
 
-# Cells of the gutter, which lie all over the canvas, that are taken together.
-_GUTTER_CELLS = 1 << 16
-
 
 class TexelFlow:
     """The image manifold of an atlas, ready to be smoothed.
@@ -232,7 +229,7 @@ class TexelFlow:
         refresh_halo(self._planes, self.atlas, interpolated=True)
         flat, cells = self._planes.reshape(len(self._planes), -1), self.atlas.gutter_cells
         colours = np.zeros((len(cells), len(flat)), np.float32)
-        for block in large_arrays.blocks(len(cells), _GUTTER_CELLS):
+        for block in large_arrays.blocks(len(cells), large_arrays.SCATTERED):
             colours[block] = flat[:, cells[block]].T
         return colours
 

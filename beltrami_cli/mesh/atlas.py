@@ -21,9 +21,6 @@ if TYPE_CHECKING:
 
 EMPTY, OWNED, HALO = 0, 1, 2
 
-# Cells taken at a time that lie all over the canvas.
-_SCATTERED = 1 << 16
-
 
 @dataclass(frozen=True)
 class Atlas:
@@ -95,25 +92,28 @@ class Atlas:
         nearest = self.halo_weights.argmax(axis=1)
         return np.take_along_axis(self.halo_taps, nearest[:, None], axis=1)[:, 0]
 
-    def texels_by_texture(self, texels: Indices) -> Iterator[tuple[int, NDArray[np.bool_] | slice, Indices]]:
-        """Go through the textures that some texels are of.
-
-        Yields
-        ------
-        index : int
-            Of the texture.
-        inside : ndarray of bool, shape (K,), or slice
-            Which of the texels; a slice of all, if they are of one texture.
-        own : ndarray of int, shape (number of these,)
-            The same, counted from the first texel of the texture.
-        """
-        yield from texels_by_texture(self.texture_offsets, texels)
-
 
 def texels_by_texture(
     offsets: NDArray[np.int64], texels: Indices
 ) -> Iterator[tuple[int, NDArray[np.bool_] | slice, Indices]]:
-    """As `Atlas.texels_by_texture`, for textures whose texels begin at some offsets."""
+    """Go through the textures that some texels are of.
+
+    Parameters
+    ----------
+    offsets : ndarray of int64, shape (number of textures + 1,)
+        As in `Atlas`.
+    texels : ndarray of int, shape (K,)
+        As the offsets number them.
+
+    Yields
+    ------
+    index : int
+        Of the texture.
+    inside : ndarray of bool, shape (K,), or slice
+        Which of the texels; a slice of all, if they are of one texture.
+    own : ndarray of int, shape (number of these,)
+        The same, counted from the first texel of the texture.
+    """
     if not len(texels):
         return
     first = int(np.searchsorted(offsets, texels.min(), "right")) - 1
@@ -166,7 +166,7 @@ def refresh_halo(planes: NDArray[np.float32], atlas: Atlas, *, interpolated: boo
         and beside an edge it is a colour that neither side has, over which kernels find their way across.
     """
     for plane in planes.reshape(len(planes), -1):
-        for block in large_arrays.blocks(len(atlas.halo_cells), _SCATTERED):
+        for block in large_arrays.blocks(len(atlas.halo_cells), large_arrays.SCATTERED):
             cells = atlas.halo_cells[block]
             if interpolated:
                 plane[cells] = np.einsum("ht,ht->h", plane[atlas.halo_taps[block]], atlas.halo_weights[block])

@@ -29,6 +29,9 @@ if TYPE_CHECKING:
 BLOCK = 1 << 20
 """Samples that passes over all of them take at a time."""
 
+SCATTERED = 1 << 16
+"""The same of samples that lie all over the arrays, each on a page of its own."""
+
 _LEAST = 1 << 24  # bytes; smaller arrays stay in memory
 
 

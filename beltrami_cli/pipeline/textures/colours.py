@@ -10,6 +10,7 @@ from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.colour_space import from_space, to_space
 from beltrami_cli.formats.image.picture import full_scale_one
 from beltrami_cli.mesh import large_arrays
+from beltrami_cli.mesh.atlas import texels_by_texture
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -91,7 +92,7 @@ class TexelColours:
         """Return the colours of the owned cells in the working space, shape (T, N)."""
         table = large_arrays.empty((len(atlas.owned_texels), len(self.names)), np.float32)
         for block in large_arrays.blocks(len(table)):
-            for index, inside, texels in atlas.texels_by_texture(atlas.owned_texels[block]):
+            for index, inside, texels in texels_by_texture(atlas.texture_offsets, atlas.owned_texels[block]):
                 table[block][inside] = self.working(self._pictures[index], texels)
         return table
 
@@ -118,7 +119,7 @@ class TexelColours:
         if not any(self._can_hide(index, texture) for index, texture in enumerate(textures)):
             return hidden
         for block in large_arrays.blocks(len(hidden)):
-            for index, inside, texels in atlas.texels_by_texture(atlas.owned_texels[block]):
+            for index, inside, texels in texels_by_texture(atlas.texture_offsets, atlas.owned_texels[block]):
                 hidden[block][inside] = self.hidden(index, textures[index], texels)
         return hidden
 
