@@ -69,7 +69,7 @@ def smooth_file(scene, threads):
     with tempfile.TemporaryDirectory() as folder:
         source, target, report = (Path(folder) / name for name in ("noisy.ply", "smooth.ply", "report.json"))
         scenes.write_ply(source, scene)
-        command = [sys.executable, "-P", "-m", "beltrami_cli", "smooth", source, target]
+        command = [*scenes.SMOOTH, source, target]
         command += ["--threads", str(threads), "--quiet", "--report", report]
         subprocess.run(command, check=True, cwd=scenes.ROOT)
         return json.loads(report.read_text())

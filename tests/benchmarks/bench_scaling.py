@@ -72,18 +72,7 @@ def smooth(source, folder):
         "import os, resource, sys; code = os.spawnv(os.P_WAIT, sys.argv[1], sys.argv[1:]); "
         "used = resource.getrusage(resource.RUSAGE_CHILDREN); print(used.ru_utime + used.ru_stime); sys.exit(code)"
     )
-    command = [
-        sys.executable,
-        "-c",
-        measured,
-        sys.executable,
-        "-P",
-        "-m",
-        "beltrami_cli",
-        "smooth",
-        source,
-        target,
-    ]
+    command = [sys.executable, "-c", measured, *scenes.SMOOTH, source, target]
     command += [*SETTINGS, "--threads", "1", "--quiet", "--report", report]
     run = subprocess.run(command, check=True, cwd=scenes.ROOT, capture_output=True, text=True)
     told = json.loads(report.read_text())

@@ -178,19 +178,7 @@ def million_rows(options):
     with tempfile.TemporaryDirectory() as folder:
         source, target, report = (Path(folder) / name for name in ("noisy.ply", "smooth.ply", "report.json"))
         scenes.write_ply(source, torus)
-        command = [
-            sys.executable,
-            "-P",
-            "-m",
-            "beltrami_cli",
-            "smooth",
-            source,
-            target,
-            "-n",
-            "10",
-            "-t",
-            "0.7",
-        ]
+        command = [*scenes.SMOOTH, source, target, "-n", "10", "-t", "0.7"]
         command += ["--beta", str(BETA), "--quiet", "--report", report]
         subprocess.run(command, check=True, cwd=scenes.ROOT)
         told = json.loads(report.read_text())

@@ -15,6 +15,9 @@ from oracles import surfaces  # noqa: E402
 
 SIGMA = 20 / 255
 
+# The command as it is in the checkout, whatever else is installed, run in `ROOT`.
+SMOOTH = [sys.executable, "-P", "-m", "beltrami_cli", "smooth"]
+
 
 @dataclass(frozen=True)
 class Scene:

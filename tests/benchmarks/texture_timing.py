@@ -15,7 +15,7 @@ import texture_peers
 import texture_scene
 from bench_triangulated import Row
 from peers import PeerError
-from scene import ROOT, SIGMA
+from scene import ROOT, SIGMA, SMOOTH
 
 import beltrami_cli
 from beltrami_cli.formats.image import read_image
@@ -124,7 +124,7 @@ def growth_row(what, least, run):
 def whole_job(source, folder):
     """Smooth the textures of a model in a process of its own; return its peak memory, covered texels and seconds."""
     target, report = Path(folder) / f"smooth{source.suffix}", Path(folder) / "report.json"
-    command = [sys.executable, "-P", "-m", "beltrami_cli", "smooth", source, target, "-n", "2", "--overwrite"]
+    command = [*SMOOTH, source, target, "-n", "2", "--overwrite"]
     command += ["--on", "texture", "--quiet", "--beta", str(1.4 / SIGMA), "--report", report]
     start = time.perf_counter()
     subprocess.run(command, check=True, cwd=ROOT)
