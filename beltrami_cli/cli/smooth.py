@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import json
-import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from beltrami_cli.cli import options
 from beltrami_cli.cli.console import Messages
+from beltrami_cli.cli.outcome import tell, tell_unchanged
 from beltrami_cli.errors import OutputError, UsageError
-from beltrami_cli.pipeline.memory import show_size
 
 if TYPE_CHECKING:
     from beltrami_cli.formats.access import Access
@@ -125,9 +124,9 @@ def command(
     if report_file is not None:
         _write_report(report_file, report)
     if not settings.kernel.iterations:
-        _tell_unchanged(messages, report, unwrapped=unwrap is not None, dry_run=dry_run)
+        tell_unchanged(messages, report, unwrapped=unwrap is not None, dry_run=dry_run)
         return
-    _tell(messages, report, dry_run=dry_run)
+    tell(messages, report, dry_run=dry_run)
 
 
 def _open_report(path: str, source: str, target: str, overwrite: bool) -> Output:
@@ -173,95 +172,3 @@ def _write_report(output: Output, report: SmoothReport) -> None:
             "choose another name",
         )
     output.write(Written(main=[(json.dumps(asdict(report), indent=2) + "\n").encode()]))
-
-
-def _warn(messages: Messages, report: SmoothReport) -> None:
-    for warning in report.warnings:
-        named = warning.startswith(report.input)  # as what is said of images is
-        messages.warn(warning if named else f"{report.input}: {warning}")
-
-
-def _tell_unchanged(messages: Messages, report: SmoothReport, *, unwrapped: bool, dry_run: bool) -> None:
-    _warn(messages, report)
-    same = Path(report.input).suffix.lower() == f".{report.format}" and not unwrapped
-    what = "would be" if dry_run else "is"
-    messages.say(
-        f"{report.output}: no iterations, so the file {what} copied unchanged"
-        if same
-        else f"{report.output}: no iterations, so the colours are unchanged"
-    )
-
-
-def _tell(messages: Messages, report: SmoothReport, *, dry_run: bool) -> None:
-    _warn(messages, report)
-    for stage, seconds in report.stages.items():
-        messages.detail(f"{stage:>14}: {seconds['wall']:.2f} s, {seconds['cpu']:.2f} s CPU")
-    if report.peak_memory is not None:
-        (messages.say if dry_run else messages.detail)(
-            f"{'peak memory':>14}: {show_size(report.peak_memory)}"
-        )
-    free = cast("list[str]", report.parameters["free"])
-    for key in ("iterations", "t", "threshold", "metric_scale", "metric_steps", "space"):
-        messages.detail(f"{key:>14}: {'chosen from the data' if key in free else report.parameters[key]}")
-    name = f"{report.output}: {'not written (dry run), ' if dry_run else ''}"
-    if report.vertices is not None:
-        done, counts = report.vertices, report.vertices.counts
-        what = f"{counts['vertices']} {'points' if 'outliers' in counts else 'vertices'}"
-        messages.say(name + _summary(what, done.noise, done.beta, counts["samples_per_kernel"], done.change))
-        _tell_guides(messages, done.guides)
-        _tell_choice(messages, done.choice)
-        if done.geometry is not None:
-            messages.say(name + _geometry(done.geometry, done.spacing))
-    if report.image is not None:
-        done_image, facts = report.image, report.image.image
-        size = f"{facts['width']} x {facts['height']} pixels"
-        what = size + (f" with {facts['holes']} holes" if facts["holes"] else "")
-        samples = done_image.samples_per_kernel
-        messages.say(name + _summary(what, done_image.noise, done_image.beta, samples, done_image.change))
-        _tell_guides(messages, done_image.guides)
-        _tell_choice(messages, done_image.choice)
-    for slot in report.textures:
-        textures = f"{len(slot.textures)} {slot.slot} texture{'s' if len(slot.textures) > 1 else ''}"
-        what = f"{textures}, {slot.counts['covered']} texels in {slot.counts['charts']} charts"
-        messages.say(name + _summary(what, slot.noise, slot.beta, slot.samples_per_kernel, slot.change))
-        _tell_guides(messages, slot.guides)
-        _tell_choice(messages, slot.choice)
-        if slot.counts["jumps"]:
-            jumps = f"{slot.counts['jumps']} of {slot.counts['seams']} seams"
-            messages.detail(f"{jumps} are real colour edges and were not smoothed over")
-
-
-def _tell_choice(messages: Messages, choice: dict[str, Any] | None) -> None:
-    if choice is None:
-        return
-    chosen = ", ".join(f"{name} {value:.3g}" for name, value in choice["chosen"].items())
-    if choice["psnr"] is None:
-        why = ": the noise of neighbouring samples is not independent, as in JPEG pictures; errors cannot be estimated"
-        messages.detail(f"chosen: {chosen}; by the fixed rule of --fast{why if choice['correlated'] else ''}")
-        return
-    messages.detail(
-        f"chosen: {chosen}; estimated PSNR {choice['psnr']:.1f} +- {choice['error']:.1f} dB, {choice['gain']:+.1f} dB "
-        f"against the input; the best of {choice['candidates']} on {choice['samples']} samples"
-    )
-
-
-def _tell_guides(messages: Messages, guides: dict[str, float]) -> None:
-    for guide, beta in guides.items():
-        messages.detail(f"guide {guide}: beta {beta:.3g}")
-
-
-def _geometry(geometry: dict[str, float], spacing: float) -> str:
-    share = geometry["mean_move"] / spacing if spacing else 0.0
-    return (
-        f"positions too, noise of the normals {math.degrees(geometry['normal_noise']):.1f} degrees, normal beta "
-        f"{geometry['normal_beta']:.3g}, mean move {geometry['mean_move']:.3g} ({share:.2f} sample spacings)"
-    )
-
-
-def _summary(
-    what: str, noise: dict[str, float], beta: float, samples: float, change: dict[str, float]
-) -> str:
-    return (
-        f"{what}, noise {255 * max(noise.values(), default=0):.1f}/255, beta {beta:.3g}, "
-        f"{samples:.0f} samples a kernel, mean change {255 * change['mean']:.1f}/255"
-    )

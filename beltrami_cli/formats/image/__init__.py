@@ -1,7 +1,7 @@
 """Images: every pixel through OpenImageIO, every byte of metadata carried over."""
 
 from beltrami_cli.formats.image.conversion import is_exact, losses
-from beltrami_cli.formats.image.picture import Picture, from_float, to_float
+from beltrami_cli.formats.image.picture import Picture, from_float, is_unchanged, to_float
 from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.formats.image.recognition import (
     WRITABLE,
@@ -22,6 +22,7 @@ __all__ = [
     "from_float",
     "is_exact",
     "is_image",
+    "is_unchanged",
     "label_of",
     "losses",
     "read_image",

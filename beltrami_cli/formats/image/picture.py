@@ -7,10 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from beltrami_cli.mesh.large_arrays import blocks
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from beltrami_cli.mesh.painted import Encoding
+
+_ROWS = 64  # compared at a time
 
 
 @dataclass(frozen=True)
@@ -103,6 +107,12 @@ def from_float(
         here = np.broadcast_to(changed & np.array([other == kind for other in picture.kinds]), pixels.shape)
         result[here] = as_stored(values[here], kind)
     return result
+
+
+def is_unchanged(picture: Picture, pixels: NDArray[Any]) -> bool:
+    """Tell whether pixels, shape (H, W, C), are all as in the picture."""
+    # Some rows at a time: most differ in the first ones, and a whole table of booleans is large.
+    return all(np.array_equal(pixels[rows], picture.pixels[rows]) for rows in blocks(len(pixels), _ROWS))
 
 
 def full_scale_one(pixels: NDArray[Any]) -> NDArray[np.float32]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from beltrami_cli.errors import UsageError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
@@ -14,6 +14,7 @@ from beltrami_cli.formats.image import (
     format_of,
     format_of_suffix,
     is_exact,
+    is_unchanged,
     label_of,
     losses,
     write_image,
@@ -24,6 +25,9 @@ from beltrami_cli.pipeline.smooth.report import ImageReport, SmoothReport, descr
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from numpy.typing import NDArray
+
+    from beltrami_cli.formats.image import Picture
     from beltrami_cli.pipeline.images.prepare import PreparedImage
     from beltrami_cli.pipeline.settings.smooth import SmoothSettings
     from beltrami_cli.pipeline.smooth.stopwatch import Stopwatch
@@ -115,28 +119,33 @@ def _smoothed(
         flow = prepared.flow(settings)
         result = flow.run(None if progress is None else lambda done, total: progress("image", done, total))
         owned, guides = flow.atlas.owned_texels, flow.guide_betas
+        iterations = flow.parameters.iterations
         del flow  # canvases as large as the pixels that are made now
     with watch.stage("write"):
         pixels, change = prepared.colours.repainted(owned, result.colours)
-        image = write_image(
-            prepared.picture,
-            pixels,
-            suffix=suffix,
-            jpeg_quality=settings.textures.jpeg_quality,
-            small=settings.textures.small,
-            as_data=settings.space == "data",
-        )
+        new = _encoded(prepared.picture, pixels, suffix, settings)
     report = ImageReport(
         image=prepared.facts(),
         pitch=result.spacing,
         beta=result.beta,
+        iterations=iterations,
         noise=prepared.colours.named(result.sigma),
         samples_per_kernel=round(result.samples_per_kernel, 2),
         guides=guides,
         change=change.summary(),
         choice=describe_choice(result.choice),
     )
-    return Written([image.data], notices=_notices(prepared, suffix)), report
+    return Written([new], notices=_notices(prepared, suffix)), report
+
+
+def _encoded(picture: Picture, pixels: NDArray[Any], suffix: str | None, settings: SmoothSettings) -> bytes:
+    if suffix is None and is_unchanged(picture, pixels):
+        return picture.source
+    textures, as_data = settings.textures, settings.space == "data"
+    quality, small = textures.jpeg_quality, textures.small
+    return write_image(
+        picture, pixels, suffix=suffix, jpeg_quality=quality, small=small, as_data=as_data
+    ).data
 
 
 def _notices(prepared: PreparedImage, suffix: str | None) -> tuple[str, ...]:

@@ -165,6 +165,7 @@ def smooth_range(
         0,
         result.samples_per_kernel,
         0,
+        flow.parameters.iterations,
         flow.guide_betas,
         choice=result.choice,
     )

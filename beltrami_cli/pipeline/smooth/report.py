@@ -68,6 +68,8 @@ class VertexReport:
         Mean sample spacing, in the file's own unit of length.
     beta : float
         As used.
+    iterations : int
+        How many were run: none if there is no noise, and no number was asked for.
     noise : dict of str to float
         Estimated standard deviation per channel, full scale 1, in the working space.
     change : dict of str to float
@@ -86,6 +88,7 @@ class VertexReport:
     counts: dict[str, float]
     spacing: float
     beta: float
+    iterations: int
     noise: dict[str, float]
     change: dict[str, float]
     guides: dict[str, float]
@@ -106,6 +109,8 @@ class ImageReport:
         Mean distance of neighbouring pixels on the surface, in its own unit of length.
     beta : float
         As used.
+    iterations : int
+        How many were run: none if there is no noise, and no number was asked for.
     noise : dict of str to float
         Estimated standard deviation per channel, full scale 1, in the working space.
     samples_per_kernel : float
@@ -121,6 +126,7 @@ class ImageReport:
     image: dict[str, object]
     pitch: float
     beta: float
+    iterations: int
     noise: dict[str, float]
     samples_per_kernel: float
     guides: dict[str, float]
@@ -261,6 +267,7 @@ def _vertex_report(document: Document, result: SmoothResult) -> VertexReport:
         },
         spacing=result.spacing,
         beta=result.beta,
+        iterations=result.iterations,
         noise=result.noise,
         change=Change.between(painted.colours, result.colours).summary(),
         guides=result.guide_betas,

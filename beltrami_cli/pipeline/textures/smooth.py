@@ -7,8 +7,9 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
-from beltrami_cli.formats.image import check_writable, losses, write_image
+from beltrami_cli.formats.image import check_writable, is_unchanged, losses, write_image
 from beltrami_cli.mesh import large_arrays
+from beltrami_cli.mesh.textured import ImageFile
 from beltrami_cli.pipeline.smooth.report import Change, describe_choice
 from beltrami_cli.pipeline.textures.colours import COLOUR_SLOTS
 from beltrami_cli.pipeline.textures.description import atlas_counts, describe_textures
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.document import Document
     from beltrami_cli.formats.image import Picture
     from beltrami_cli.mesh.atlas import Atlas
-    from beltrami_cli.mesh.textured import ImageFile, Slot, TexturedSurface
+    from beltrami_cli.mesh.textured import Slot, TexturedSurface
     from beltrami_cli.pipeline.settings.smooth import SmoothSettings, TextureSettings
 
 
@@ -49,6 +50,8 @@ class SlotReport:
         Mean distance of neighbouring texels on the surface, in the model's own unit of length.
     beta : float
         As used.
+    iterations : int
+        As for `VertexReport`.
     noise : dict of str to float
         Estimated standard deviation per channel, full scale 1, in the working space.
     samples_per_kernel : float
@@ -66,6 +69,7 @@ class SlotReport:
     counts: dict[str, int]
     pitch: float
     beta: float
+    iterations: int
     noise: dict[str, float]
     samples_per_kernel: float
     guides: dict[str, float] = field(default_factory=dict)
@@ -129,6 +133,7 @@ def smooth_slot(
         counts={**atlas_counts(prepared.atlas), "jumps": flow.jumps},
         pitch=result.spacing,
         beta=result.beta,
+        iterations=flow.parameters.iterations,
         noise=prepared.colours.named(result.sigma),
         samples_per_kernel=round(result.samples_per_kernel, 2),
         guides=flow.guide_betas,
@@ -143,11 +148,12 @@ def smooth_slot(
         flow.gutter_colours(),
     )
     pictures, colours, textures = prepared.pictures, prepared.colours, prepared.surface.textures
+    gutter = settings.textures.gutter if report.iterations else None  # what is not smoothed stays as it is
     del prepared, flow  # canvases as large as the pictures that are made now
     images: dict[tuple[Slot, str], ImageFile] = {}
     changes, shared = [], shared or SharedImages()
     for index, (texture, picture) in enumerate(zip(textures, pictures, strict=True)):
-        pixels, change = repaint(picture, index, colours, smoothed, settings.textures.gutter)
+        pixels, change = repaint(picture, index, colours, smoothed, gutter)
         changes.append(change)
         large_arrays.leave_memory()
         pixels, slots = shared.join(slot, texture.key, pixels, colours.columns(index))
@@ -161,6 +167,8 @@ def smooth_slot(
 
 
 def _encode(picture: Picture, pixels: NDArray[Any], slot: Slot, wanted: TextureSettings) -> ImageFile:
+    if wanted.image_suffix is None and is_unchanged(picture, pixels):
+        return ImageFile(picture.source, picture.suffix)
     return write_image(
         picture,
         pixels,

@@ -64,6 +64,8 @@ class SmoothResult:
         Mean number of samples that a kernel held.
     truncated : int
         Kernels that `max_samples` cut short, over all iterations.
+    iterations : int
+        How many were run.
     guide_betas : dict of str to float
         As used for each guide, in units of length per unit of the guide.
     positions : ndarray of float64, shape (V, 3), or None
@@ -85,6 +87,7 @@ class SmoothResult:
     hard_edge_samples: int
     samples_per_kernel: float
     truncated: int
+    iterations: int
     guide_betas: dict[str, float] = field(default_factory=dict)
     positions: NDArray[np.float64] | None = None
     normal_noise: float | None = None
@@ -223,6 +226,7 @@ def smooth_painted(
         len(before) - sampling.places,
         result.samples_per_kernel,
         result.truncated,
+        flow.parameters.iterations,
         flow.guide_betas,
         None if result.positions is None else result.positions[sampling.sample_of],
         None if moving is None else moving.sigma,

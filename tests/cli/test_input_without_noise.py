@@ -1,0 +1,66 @@
+"""What has no noise is left as it is, to the last byte, and that is said."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import OpenImageIO
+import pytest
+
+from cli.commands import SAMPLES, beltrami
+
+
+def jpeg_of_two_colours(path):
+    pixels = np.full((64, 64, 3), 60, np.uint8)
+    pixels[:, 32:] = 200
+    spec = OpenImageIO.ImageSpec(64, 64, 3, "uint8")
+    spec.attribute("compression", "jpeg:80")
+    file = OpenImageIO.ImageOutput.create(str(path))
+    assert file.open(str(path), spec)
+    assert file.write_image(pixels)
+    assert file.close()
+
+
+@pytest.fixture
+def square(tmp_path):
+    """Make a square that shows the middle of a JPEG picture, whose edges a gutter would change."""
+    folder = tmp_path / "source"
+    folder.mkdir()
+    jpeg_of_two_colours(folder / "square.jpg")
+    (folder / "square.mtl").write_text("newmtl paint\nmap_Kd square.jpg\n")
+    (folder / "square.obj").write_text(
+        "mtllib square.mtl\nusemtl paint\nv 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"
+        "vt .3 .3\nvt .7 .3\nvt .7 .7\nvt .3 .7\nf 1/1 2/2 3/3 4/4\n"
+    )
+    return folder / "square.obj"
+
+
+def test_a_jpeg_texture_is_not_encoded_anew(square, tmp_path):
+    result = tmp_path / "result" / "square.obj"
+    result.parent.mkdir()
+    run = beltrami("smooth", square, result)
+    assert run.returncode == 0, run.stderr
+    assert b"left as they are" in run.stderr
+    for name in ("square.obj", "square.mtl", "square.jpg"):
+        assert (result.parent / name).read_bytes() == (square.parent / name).read_bytes()
+
+
+@pytest.mark.parametrize("name", ["head-clean.ply", "head-tex-clean.glb", "head-tex-clean.png"])
+def test_a_clean_file_comes_out_as_it_was_and_the_report_says_why(name, tmp_path):
+    result, report = tmp_path / name, tmp_path / "report.json"
+    run = beltrami("smooth", SAMPLES / name, result, "--report", report)
+    assert run.returncode == 0, run.stderr
+    assert b"left as they are" in run.stderr
+    assert result.read_bytes() == (SAMPLES / name).read_bytes()
+    told = json.loads(report.read_text())
+    done = told["vertices"] or told["image"] or told["textures"][0]
+    assert done["iterations"] == 0
+
+
+def test_iterations_that_are_asked_for_are_run_all_the_same(square, tmp_path):
+    result, report = tmp_path / "result.obj", tmp_path / "report.json"
+    run = beltrami("smooth", square, result, "-n", 2, "-t", 1, "--beta", 0, "--report", report)
+    assert run.returncode == 0, run.stderr
+    assert json.loads(report.read_text())["textures"][0]["iterations"] == 2
+    assert (tmp_path / "square.jpg").read_bytes() != (square.parent / "square.jpg").read_bytes()
