@@ -112,7 +112,7 @@ def unwrap(
         raise InputError(
             name,
             f"it has {len(faces)} triangles, and unwrapping more than {most_faces} takes long: about "
-            f"{_seconds(len(faces)) / 60:.0f} minutes, growing faster than their number",
+            f"{_shown(_seconds(len(faces)))}, growing faster than their number",
             f"simplify it, or allow it with --max-unwrap-faces {len(faces)}",
         )
     used, row_of = np.unique(faces, return_inverse=True)
@@ -188,6 +188,10 @@ def _collapse_others(
 
 def _seconds(faces: int) -> float:
     return float(_SECONDS * (faces / _FACES) ** _GROWTH)
+
+
+def _shown(seconds: float) -> str:
+    return f"{seconds / 60:.0f} minutes" if seconds >= 90 else f"{max(1.0, seconds):.0f} s"
 
 
 def _ask_worker(

@@ -165,6 +165,8 @@ def test_globs_choose_textures_by_material_and_by_name(arguments, tmp_path):
     assert (tmp_path / dough).read_bytes() == (SAMPLES / dough).read_bytes()
     refused = beltrami("smooth", TORUS, tmp_path / "none.gltf", arguments[0], "nothing*")
     assert refused.returncode == 2
+    assert icing in refused.stderr.decode()
+    assert ("in the materials dough, icing" in refused.stderr.decode()) == (arguments[0] == "--material")
 
 
 def test_world_units_are_those_of_the_file(square, tmp_path):

@@ -113,9 +113,8 @@ def _to_texture(
     made = texture_from_vertices(document, settings, progress)
     height, width, _ = made.pixels.shape
     charts = "" if made.charts is None else f" in {made.charts} charts"
-    summary = (
-        f"{len(made.faces)} triangles{charts}, a {8 * made.pixels.itemsize}-bit texture of {width} x {height}"
-    )
+    kind_of_texture = "an 8-bit" if made.pixels.itemsize == 1 else "a 16-bit"
+    summary = f"{len(made.faces)} triangles{charts}, {kind_of_texture} texture of {width} x {height}"
     return write_textured(made.mesh(made.encoded()), kind, stem), summary, made.notices
 
 

@@ -116,8 +116,13 @@ def _with_chosen_textures(
 
     kept = tuple(slot for slot in slots if choose_textures(document.textured(slot), wanted).textures)
     if not kept:
-        names = {texture.name for slot in slots for texture in document.textured(slot).textures}
-        raise UsageError(f"{document.name}: no texture fits the globs; there are {', '.join(sorted(names))}")
+        textures = [texture for slot in slots for texture in document.textured(slot).textures]
+        names = ", ".join(sorted({texture.name for texture in textures}))
+        materials = ", ".join(sorted({name for texture in textures for name in texture.materials}))
+        raise UsageError(
+            f"{document.name}: no texture fits the globs; there are {names}"
+            + (f", in the materials {materials}" if wanted.materials else "")
+        )
     return kept
 
 

@@ -124,7 +124,8 @@ def smooth_file(
         if output is not None:
             output.write(written)
     files = [] if output is None else [target, *written.sidecars]
-    warnings = [*document.notices, *work.notices, *notices, *written.notices]
+    # Several slots say the same of one surface.
+    warnings = list(dict.fromkeys([*document.notices, *work.notices, *notices, *written.notices]))
     return make_report(
         source, target, target_format, document, settings, vertices, slots, watch, files, warnings
     )
