@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from beltrami_cli.errors import UsageError
+from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.document import Written
@@ -175,7 +175,11 @@ def _tried(
     with tempfile.TemporaryDirectory(prefix="beltrami-") as folder:
         result = str(Path(folder) / f"result{_suffix(source, access)}")
         smooth_file(source, result, settings, access=access)
-        figures = {} if reference is None else _figures(os.fspath(reference), result, settings, access)
+        try:
+            figures = {} if reference is None else _figures(os.fspath(reference), result, settings, access)
+        except InputError as error:  # The user knows of no result: it is unlike the reference as the source is.
+            name = source if error.name == result else error.name
+            raise InputError(name, error.cause, error.remedy) from error
         trial = Trial(parameters, figures)
         view = open_view(result, looks, access)
     return trial, draw_panels([view], [trial.label], looks)[0]
