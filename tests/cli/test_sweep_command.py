@@ -12,6 +12,7 @@ from cli.commands import SAMPLES, beltrami
 
 pytest.importorskip("embreex")
 NOISY, CLEAN = (SAMPLES / f"nonmanifold-{kind}.ply" for kind in ("noisy", "clean"))
+KNOT = SAMPLES / "knot-clean.ply"
 
 
 def test_a_page_has_all_combinations_with_the_figures_of_smooth_and_compare(tmp_path):
@@ -54,7 +55,7 @@ def test_a_picture_begins_the_trials_in_a_row_of_their_own(tmp_path):
         ((NOISY, "a.png", "--beta", "-3"), 2, b"beta is -3"),
         ((NOISY, "a.txt"), 2, b"no image format"),
         ((NOISY, "a.png", "-n", ",".join(map(str, range(300)))), 2, b"too many"),
-        ((NOISY, "a.png", "-n", "1", "--reference", SAMPLES / "knot-clean.ply", "--size", "32"), 3, NOISY.name.encode()),
+        ((NOISY, "a.png", "-n", "1", "--reference", KNOT, "--size", "32"), 3, NOISY.name.encode()),
     ],
 )
 def test_what_cannot_be_swept_is_said_and_nothing_written(arguments, code, said, tmp_path):

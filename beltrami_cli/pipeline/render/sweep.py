@@ -177,7 +177,8 @@ def _tried(
         smooth_file(source, result, settings, access=access)
         try:
             figures = {} if reference is None else _figures(os.fspath(reference), result, settings, access)
-        except InputError as error:  # The user knows of no result: it is unlike the reference as the source is.
+        except InputError as error:
+            # The user knows of no result: it is unlike the reference as the source is.
             name = source if error.name == result else error.name
             raise InputError(name, error.cause, error.remedy) from error
         trial = Trial(parameters, figures)
