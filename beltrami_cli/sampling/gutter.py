@@ -26,6 +26,7 @@ def fill_gutter(
     known: NDArray[np.bool_] | None = None,
     threads: int = 1,
     channels: Sequence[int] | None = None,
+    opacity: NDArray[np.float32] | None = None,
 ) -> None:
     """Give texels beside charts, in place, the colour of the nearest covered texel.
 
@@ -45,6 +46,8 @@ def fill_gutter(
         The result does not depend on it.
     channels : sequence of int, optional
         Which channels change; without it all.
+    opacity : ndarray of float32, shape (H, W), optional
+        What is multiplied into the colours, which are given that of the texel that they go to. Not 0 where covered.
     """
     reach = sum(covered.shape) if width is None else width
     for band in large_arrays.blocks(len(covered), max(_ROWS, reach)):
@@ -60,5 +63,14 @@ def fill_gutter(
         nearest = nearest_marked(near, reach, threads)[band.start - first :][: len(target)]
         target &= nearest >= 0
         rows, columns = np.divmod(nearest[target], covered.shape[1])
+        share = None if opacity is None else opacity[band][target] / opacity[first + rows, columns]
         for channel in range(pixels.shape[2]) if channels is None else channels:
-            pixels[band, :, channel][target] = pixels[first + rows, columns, channel]
+            found = pixels[first + rows, columns, channel]
+            pixels[band, :, channel][target] = found if share is None else _scaled(found, share)
+
+
+def _scaled(colours: NDArray[Any], share: NDArray[np.float32]) -> NDArray[Any]:
+    scaled = colours * share
+    if colours.dtype.kind != "f":
+        scaled = np.minimum(np.rint(scaled), np.iinfo(colours.dtype).max)
+    return scaled.astype(colours.dtype)

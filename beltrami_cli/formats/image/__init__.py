@@ -1,7 +1,7 @@
 """Images: every pixel through OpenImageIO, every byte of metadata carried over."""
 
 from beltrami_cli.formats.image.conversion import is_exact, losses
-from beltrami_cli.formats.image.picture import Picture, from_float, is_unchanged, to_float
+from beltrami_cli.formats.image.picture import Picture, from_float, is_unchanged, to_float, without_alpha
 from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.formats.image.recognition import (
     WRITABLE,
@@ -28,5 +28,6 @@ __all__ = [
     "read_image",
     "suffix_for",
     "to_float",
+    "without_alpha",
     "write_image",
 ]

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from beltrami_cli.formats.image.metadata import is_lossless_webp
-from beltrami_cli.formats.image.picture import as_stored, full_scale_one
+from beltrami_cli.formats.image.picture import as_stored, full_scale_one, without_alpha
 from beltrami_cli.formats.image.recognition import FORMATS, format_of_suffix
 from beltrami_cli.mesh.transfer import linear_to_srgb, srgb_to_linear
 
@@ -92,11 +92,9 @@ def converted(
     """
     stored = _type_in(_finest(picture, known), known)
     kept = _kept_channels(picture, known)
-    values = full_scale_one(pixels[:, :, kept])
+    values = without_alpha(picture, full_scale_one(pixels))[:, :, kept]
     colour = [kept.index(channel) for channel in picture.colour]
     alpha = kept.index(picture.alpha) if picture.alpha in kept else None
-    if picture.alpha is not None and _is_associated(picture):
-        values[:, :, colour] = _divided(values[:, :, colour], pixels[:, :, picture.alpha])
     if not as_data and picture.encoding == "linear" and stored.startswith("uint"):
         values[:, :, colour] = linear_to_srgb(np.maximum(values[:, :, colour], 0))
     if not as_data and picture.encoding == "srgb" and stored.startswith("float"):
@@ -139,19 +137,6 @@ def _kept_channels(picture: Picture, known: str) -> list[int]:
 def _needs_three(picture: Picture, known: str) -> bool:
     """Tell whether grey must become red, green and blue."""
     return len(_kept_channels(picture, known)) not in FORMATS[known].channels and len(picture.colour) == 1
-
-
-def _is_associated(picture: Picture) -> bool:
-    if picture.format == "tiff":
-        return not picture.spec.get_int_attribute("oiio:UnassociatedAlpha")
-    return picture.format == "openexr"
-
-
-def _divided(colours: NDArray[np.float32], alpha: NDArray[Any]) -> NDArray[np.float32]:
-    """Return colours without the alpha that is multiplied into them; under an alpha of 0 as they are."""
-    whole = full_scale_one(alpha)[:, :, None]
-    divided: NDArray[np.float32] = np.divide(colours, whole, out=colours.copy(), where=whole > 0)
-    return divided
 
 
 def _spec(picture: Picture, shape: tuple[int, ...], names: list[str], stored: str) -> Any:

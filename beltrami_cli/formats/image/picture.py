@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from beltrami_cli.mesh.painted import Encoding
 
 _ROWS = 64  # compared at a time
+_LEAST_OPACITY = 1 / 1024  # that colours are divided by
+_LEAST_STEPS = 16  # of opacity, for colours of 4 bits
 
 
 @dataclass(frozen=True)
@@ -76,6 +78,39 @@ def to_float(picture: Picture) -> NDArray[np.float32]:
         Integers divided by their largest; floats as they are, which may leave [0, 1].
     """
     return full_scale_one(picture.pixels)
+
+
+def is_associated(picture: Picture) -> bool:
+    """Tell whether alpha is multiplied into the stored colours, as it is in EXR files and may be in TIFF files."""
+    if picture.alpha is None or picture.format not in ("openexr", "tiff"):
+        return False
+    return not (picture.format == "tiff" and picture.spec.get_int_attribute("oiio:UnassociatedAlpha"))
+
+
+def without_alpha(picture: Picture, values: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return channels of full scale 1, shape (..., C), with no alpha multiplied into their colours.
+
+    Where hardly anything can be seen there is nothing to divide by, and colours stay as they are.
+    """
+    if not is_associated(picture):
+        return values
+    straight = values.copy()
+    opacity = values[..., picture.alpha]
+    for channel in picture.colour:
+        np.divide(values[..., channel], opacity, out=straight[..., channel], where=opacity >= _LEAST_OPACITY)
+    return straight
+
+
+def lends_colour(picture: Picture, opacity: NDArray[Any]) -> NDArray[np.bool_]:
+    """Tell by their opacity, as stored, which pixels have a colour: not those that cannot be seen.
+
+    Where alpha is multiplied into integers, a few steps of opacity leave as few steps of colour, which says little.
+    """
+    if not is_associated(picture):
+        return np.asarray(opacity != 0)
+    steps = np.inf if opacity.dtype.kind == "f" else np.iinfo(opacity.dtype).max
+    share = full_scale_one(opacity)
+    return np.asarray((share >= max(_LEAST_OPACITY, _LEAST_STEPS / steps)) & np.isfinite(share))
 
 
 def from_float(

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.image import read_image, to_float, write_image
+from beltrami_cli.formats.image import read_image, to_float, without_alpha, write_image
 from beltrami_cli.formats.image.fresh import fresh_picture
 from beltrami_cli.mesh.polygons import triangulate
 from beltrami_cli.mesh.textured import Texture, TexturedSurface
@@ -146,7 +146,7 @@ def texture_from_textures(document: Document, wanted: BakeSettings, progress: Pr
     channels = 4 if any(picture.alpha is not None for picture in pictures) else 3
     images = []
     for picture in pictures:
-        values = to_float(picture)
+        values = without_alpha(picture, to_float(picture))
         colour = values[..., [*picture.colour] * (3 // len(picture.colour))]
         alpha = np.ones_like(values[..., :1]) if picture.alpha is None else values[..., [picture.alpha]]
         images.append(np.concatenate([colour, alpha], axis=2))

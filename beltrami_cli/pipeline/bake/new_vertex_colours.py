@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli.formats.image import read_image, to_float
+from beltrami_cli.formats.image import read_image, to_float, without_alpha
 from beltrami_cli.mesh.painted import MeshContents
 from beltrami_cli.mesh.textured_mesh import distinct_corners
 from beltrami_cli.mesh.transfer import linear_to_srgb
@@ -86,7 +86,7 @@ def _seen(
     common = _encoding(pictures)
     for index, picture in enumerate(pictures):
         mine = texture_of == index
-        image, wrap = to_float(picture), surface.textures[index].wrap
+        image, wrap = without_alpha(picture, to_float(picture)), surface.textures[index].wrap
         alpha = [] if picture.alpha is None else [picture.alpha]
         channels = [*picture.colour] * (3 // len(picture.colour)) + alpha
         found = look_up(image, uv[mine], wrap, picture.alpha)[:, channels]

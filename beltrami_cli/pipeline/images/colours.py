@@ -8,7 +8,7 @@ import numpy as np
 
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.colour_space import from_space, to_space
-from beltrami_cli.formats.image.picture import as_stored, full_scale_one
+from beltrami_cli.formats.image.picture import as_stored, full_scale_one, is_associated, lends_colour
 from beltrami_cli.pipeline.smooth.report import Change
 
 if TYPE_CHECKING:
@@ -77,6 +77,8 @@ class ImageColours:
         if counting.keys() != chosen.keys():
             self.metric_channels = [self.names.index(name) for name in counting]
         self._coloured = [channel in picture.colour for channel in self.channels]
+        # Colours that are averaged along with alpha are weighted by it as they should be.
+        self._is_divided = is_associated(picture) and not opacity and self._space != "data"
         self.others = tuple(
             name for name, channel in chosen.items() if channel not in (*picture.colour, picture.alpha)
         )
@@ -97,13 +99,12 @@ class ImageColours:
         picture = self._picture
         if picture.alpha is None or picture.alpha in self.channels:
             return np.ones(picture.pixels.shape[:2], bool)
-        return np.asarray(picture.pixels[..., picture.alpha] != 0)
+        return lends_colour(picture, picture.pixels[..., picture.alpha])
 
     def samples(self, pixels: NDArray[np.int64]) -> NDArray[np.float32]:
         """Return the colours of some pixels (row * width + column) in the working space, shape (T, N)."""
-        return self._working(
-            full_scale_one(self._table(self._picture.pixels)[pixels[:, None], self.channels])
-        )
+        table = self._table(self._picture.pixels)
+        return self._working(full_scale_one(table[pixels[:, None], self.channels]), self._opacity(pixels))
 
     def repainted(
         self, pixels: NDArray[np.int64], samples: NDArray[np.float32]
@@ -131,7 +132,7 @@ class ImageColours:
         for first in range(0, len(pixels), _BLOCK):
             block = pixels[first : first + _BLOCK]
             before = full_scale_one(table[block[:, None], self.channels])
-            after = self._stored(before, samples[first : first + _BLOCK])
+            after = self._stored(before, samples[first : first + _BLOCK], self._opacity(block))
             for column, channel in written:
                 moved = after[:, column] != before[:, column]
                 kind = self._picture.kinds[channel]
@@ -143,21 +144,33 @@ class ImageColours:
     def _table(self, pixels: NDArray[Any]) -> NDArray[Any]:
         return pixels.reshape(-1, pixels.shape[2])
 
-    def _working(self, stored: NDArray[np.float32]) -> NDArray[np.float32]:
+    def _opacity(self, pixels: NDArray[np.int64]) -> NDArray[np.float32]:
+        """Return what is multiplied into the colours of some pixels, shape (T, 1)."""
+        if not self._is_divided:
+            return np.ones((1, 1), np.float32)
+        return full_scale_one(self._table(self._picture.pixels)[pixels, self._picture.alpha, None])
+
+    def _working(self, stored: NDArray[np.float32], opacity: NDArray[np.float32]) -> NDArray[np.float32]:
         """Bring numbers of full scale 1 to the working space."""
         if any(self._coloured):
+            if self._is_divided:
+                stored[:, self._coloured] /= opacity
             converted = to_space(stored[:, self._coloured], self._picture.encoding, self._space)
             stored[:, self._coloured] = converted
         return stored
 
-    def _stored(self, before: NDArray[np.float32], samples: NDArray[np.float32]) -> NDArray[np.float32]:
+    def _stored(
+        self, before: NDArray[np.float32], samples: NDArray[np.float32], opacity: NDArray[np.float32]
+    ) -> NDArray[np.float32]:
         """Bring samples back from the working space; what did not change there comes back as it was."""
-        moved = self._working(before.copy()) != samples
+        moved = self._working(before.copy(), opacity) != samples
         back = samples.copy()
         if any(self._coloured):
             back[:, self._coloured] = from_space(
                 samples[:, self._coloured], self._picture.encoding, self._space
             )
+            if self._is_divided:
+                back[:, self._coloured] *= opacity
             if self._space == "oklab":  # which mixes the channels
                 moved[:, self._coloured] = moved[:, self._coloured].any(axis=1, keepdims=True)
         return np.where(moved, back, before)

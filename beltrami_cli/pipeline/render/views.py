@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.image import Picture, read_image, to_float
+from beltrami_cli.formats.image import Picture, read_image, to_float, without_alpha
 from beltrami_cli.formats.image.recognition import is_image
 from beltrami_cli.formats.source import read_source
 from beltrami_cli.mesh.areas import triangle_areas
@@ -80,7 +80,7 @@ def sheet_of(picture: Picture, *, is_data: bool = False) -> NDArray[np.float32]:
     is_data : bool
         Whether the numbers are no colours, and are shown as if they were display values.
     """
-    values = to_float(picture)
+    values = to_float(picture) if is_data else without_alpha(picture, to_float(picture))
     channels = picture.colour if len(picture.colour) == 3 else picture.colour[:1] * 3
     colours = values[..., channels]
     seen = np.isfinite(colours).all(axis=2, keepdims=True)

@@ -8,7 +8,7 @@ import numpy as np
 
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.colour_space import from_space, to_space
-from beltrami_cli.formats.image.picture import full_scale_one
+from beltrami_cli.formats.image.picture import full_scale_one, is_associated, lends_colour, without_alpha
 from beltrami_cli.mesh import large_arrays
 from beltrami_cli.mesh.atlas import texels_by_texture
 
@@ -104,7 +104,7 @@ class TexelColours:
 
     def _working(self, picture: Picture, stored: NDArray[Any]) -> NDArray[np.float32]:
         """Return the colours of some pixels of a picture, shape (K, C), in the working space."""
-        pixels = full_scale_one(stored)
+        pixels = self._straight(picture, full_scale_one(stored))
         working = to_space(self._widened(picture, pixels), picture.encoding, self.space)
         if len(self._kept) < self._width:
             working = working[:, self._kept]
@@ -129,7 +129,7 @@ class TexelColours:
         if not self._can_hide(index, texture):
             return np.zeros(len(texels), bool)
         table = picture.pixels.reshape(-1, picture.pixels.shape[2])
-        return np.asarray(table[texels, picture.alpha] == 0)
+        return ~lends_colour(picture, table[texels, picture.alpha])
 
     def _can_hide(self, index: int, texture: Texture) -> bool:
         return self._hides and self._pictures[index].alpha is not None and texture.alpha_hides
@@ -179,7 +179,7 @@ class TexelColours:
         """
         picture = self._pictures[index]
         table = values.reshape(-1, values.shape[-1])
-        whole = self._widened(picture, table[texels])
+        whole = self._widened(picture, self._straight(picture, table[texels]))
         working = to_space(whole, picture.encoding, self.space)
         working = working.copy()
         working[:, self._changing] = samples[:, [self._kept.index(i) for i in self._changing]]
@@ -188,6 +188,8 @@ class TexelColours:
             stored = _renormalised(stored)
         if picture.stored in ("uint8", "uint16"):
             stored = np.clip(stored, 0, 1)
+        if self._is_divided(picture):
+            stored *= table[texels, picture.alpha, None]
         if len(picture.colour) == 1:
             table[texels, picture.colour[0]] = stored.mean(axis=1)
         else:
@@ -195,6 +197,19 @@ class TexelColours:
                 table[texels, picture.colour[i]] = stored[:, i]
         if self._alpha and picture.alpha is not None:
             table[texels, picture.alpha] = samples[:, -1]
+
+    def opacity(self, picture: Picture) -> NDArray[np.float32] | None:
+        """Return what is multiplied into a picture's colours, but not into samples, shape (H, W); None: nothing."""
+        if not self._is_divided(picture):
+            return None
+        return full_scale_one(picture.pixels[..., picture.alpha])
+
+    def _is_divided(self, picture: Picture) -> bool:
+        # Colours that are averaged along with alpha are weighted by it as they should be.
+        return self._hides and self.space != "data" and is_associated(picture)
+
+    def _straight(self, picture: Picture, pixels: NDArray[np.float32]) -> NDArray[np.float32]:
+        return without_alpha(picture, pixels) if self._is_divided(picture) else pixels
 
     def _widened(self, picture: Picture, pixels: NDArray[np.float32]) -> NDArray[np.float32]:
         every = tuple(range(pixels.shape[1]))

@@ -93,7 +93,10 @@ def repaint(
         chosen, values = smoothed.gutter_texels[inside][near], smoothed.gutter_colours[inside][near]
         _paint(pixels, picture, index, colours, smoothed, chosen, values)
         known.reshape(-1)[texels[near]] = True
-        fill_gutter(pixels, covered, None, gutter, known, channels=colours.columns(index))
+        opacity = colours.opacity(picture)
+        fill_gutter(
+            pixels, covered, None, gutter, known, channels=colours.columns(index), opacity=opacity
+        )
     return pixels, change
 
 
