@@ -104,9 +104,9 @@ def test_kernels_that_are_too_large_for_groups_have_the_bits_of_the_whole_too():
     assert np.array_equal(parts.colours, whole.colours)
 
 
-@pytest.mark.parametrize("solver", ["segments", "fast-marching"])
-def test_pieces_that_are_too_narrow_are_found_out_and_cut_anew(solver, monkeypatch):
-    parameters = KernelParameters(**{**FIXED, "solver": solver})
+@pytest.mark.parametrize("name", ["segments", "marching", "areas", "cut short"])
+def test_pieces_that_are_too_narrow_are_found_out_and_cut_anew(name, monkeypatch):
+    parameters = KernelParameters(**{**FIXED, **ON_MESHES[name]})
     whole = BeltramiFlow(SURFACE, parameters).run()
     monkeypatch.setattr(iteration, "_EDGES_PER_SPACING", 0.5)  # the first guess is four edges
     runner = Sent()

@@ -28,9 +28,6 @@ _BLOCK = 4096
 _KNOWN_FOR_SEGMENTS = 4
 _KNOWN_FOR_MARCHING = 52
 
-# What the core finds groups' regions for goes a little beyond the radius.
-_BEYOND = 1.002
-
 # A kernel value that does not vanish in float32, nor in an average over many samples.
 _FAINTEST = 1e-20
 
@@ -112,7 +109,6 @@ class MeshPiece:
         self._parameters, self._along_segments = fields.parameters, fields.along_segments
         self.threads = fields.parameters.threads
         self._manifold: SegmentManifold | TriangulatedManifold | None = None
-        self._is_wide = True
 
     def _at(self, places: NDArray[np.int64], rows: NDArray[Any], filling: float = 0) -> NDArray[Any]:
         spread = np.full((self._count, *rows.shape[1:]), filling, rows.dtype)
@@ -126,7 +122,7 @@ class MeshPiece:
         self, own: NDArray[np.float32], borrowed: NDArray[np.float32], iteration: int, threads: int
     ) -> Advance:
         """As for `Piece`."""
-        manifold = self._ready(threads)
+        manifold = self._ready()
         values = np.zeros((self._count, own.shape[1]), np.float32)
         values[self._first : self._first + len(own)] = own
         values[self._borrowed_places] = borrowed
@@ -147,27 +143,24 @@ class MeshPiece:
         mine = smoothed[self._first : self._first + len(own)]
         if marks_ride_along:
             is_exact, mine = not mine[:, -1].any(), mine[:, :-1]
-        else:
-            is_exact = not self._reaches_unknown(manifold, parameters.radius, parameters.max_samples, threads)
+        # Along segments, what kernels reached before they were cut short tells in which order the rest is summed up.
+        cut_short = self._along_segments and truncated > 0
+        if cut_short or not marks_ride_along:
+            most = _UNLIMITED if cut_short else parameters.max_samples
+            is_exact = not self._reaches_unknown(manifold, parameters.radius, most, threads)
         # The core counts for all samples; of those around about the same holds as of those that are owned.
         share = len(own) / max(1, self._count - self._gap)
-        is_exact = is_exact and self._is_wide
         return Advance(
             np.ascontiguousarray(mine), (held - self._gap) * share, round(truncated * share), is_exact
         )
 
-    def _ready(self, threads: int) -> SegmentManifold | TriangulatedManifold:
-        """Return the manifold; when it is made, see whether the regions of its groups are as on the whole surface."""
+    def _ready(self) -> SegmentManifold | TriangulatedManifold:
+        """Return the manifold, made where it is needed."""
         if self._manifold is None:
             from beltrami_cli._native import SegmentManifold, TriangulatedManifold
 
             solver = SegmentManifold if self._along_segments else TriangulatedManifold
             self._manifold = solver(self._faces, self._count)
-            if self._along_segments:
-                nothing = np.zeros((self._count, 0), np.float32)
-                self._manifold.update_metric(self._positions, nothing, 0.0, self._scales, threads)
-                reach = _BEYOND * self._parameters.radius
-                self._is_wide = not self._reaches_unknown(self._manifold, reach, _UNLIMITED, threads)
         return self._manifold
 
     def _reaches_unknown(
