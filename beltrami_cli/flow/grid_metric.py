@@ -131,7 +131,11 @@ class GridMetric:
 
     def _smoothing(self, atlas: Atlas) -> GridGaussian:
         return GridGaussian(
-            atlas.kind != EMPTY, self._parameters.metric_scale, walls=self._walls, atlas=atlas
+            atlas.kind != EMPTY,
+            self._parameters.metric_scale,
+            walls=self._walls,
+            atlas=atlas,
+            threads=self._parameters.thread_count,
         )
 
     def _regularised(

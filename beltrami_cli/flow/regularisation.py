@@ -102,6 +102,8 @@ class GridGaussian:
         along the column as far as cells are filled. Textures, whose charts keep their distance, do without.
     atlas : Atlas, optional
         The canvas, across whose cuts no colour is lent.
+    threads : int
+        Results do not depend on it.
 
     Attributes
     ----------
@@ -110,8 +112,15 @@ class GridGaussian:
     """
 
     def __init__(
-        self, filled: NDArray[np.bool_], scale: float, *, walls: bool = False, atlas: Atlas | None = None
+        self,
+        filled: NDArray[np.bool_],
+        scale: float,
+        *,
+        walls: bool = False,
+        atlas: Atlas | None = None,
+        threads: int = 1,
     ) -> None:
+        self._threads = threads
         self._taps = _gaussian_taps(scale)
         self._open = filled if walls else None
         self.gain = float(np.sum(self._taps**2))
@@ -123,13 +132,11 @@ class GridGaussian:
 
         Of rows that are not all, those within the Gaussian's reach of the first and last are not right.
         """
-        smoothed = np.empty_like(planes)
         count, columns = planes.shape[1:]
-        is_open = None if self._open is None else self._open[first : first + count]
+        smoothed = self._convolve(planes, None if self._open is None else self._open[first : first + count])
         here = slice(*np.searchsorted(self._partial, [first * columns, (first + count) * columns]))
         partial = self._partial[here] - first * columns
         for plane, result in zip(planes, smoothed, strict=True):
-            self._convolve(plane, is_open, result)
             result.reshape(-1)[partial] /= self._part[here]
             if self._cut_means is not None:
                 self._cut_means.apply(plane, result, first)
@@ -141,30 +148,26 @@ class GridGaussian:
         Most cells have all, with weights of 1 together but for rounding.
         """
         reach = len(self._taps) // 2
+        enough = 1 - self._taps[0] ** 2 / 2  # the lightest neighbour is in a corner
         cells, totals = [np.zeros(0, np.int32)], [np.zeros(0, np.float32)]
         for first in range(0, len(filled), _ROWS):  # whole planes would be as large as what they save
             above = min(first, reach)
             band = filled[first - above : first + _ROWS + reach]
-            total = np.empty(band.shape, np.float32)
-            self._convolve(band.astype(np.float32), None if self._open is None else band, total)
+            total = self._convolve(band[None].astype(np.float32), None if self._open is None else band)[0]
             total = total[above : above + _ROWS]
-            lacking = np.flatnonzero((total < 1 - 1e-6) & filled[first : first + _ROWS])
+            lacking = np.flatnonzero((total < enough) & filled[first : first + _ROWS])
             cells.append((lacking + first * filled.shape[1]).astype(np.int32))
             totals.append(total.reshape(-1)[lacking])
         return np.concatenate(cells), np.concatenate(totals)
 
-    def _convolve(
-        self, plane: NDArray[np.float32], filled: NDArray[np.bool_] | None, result: NDArray[np.float32]
-    ) -> None:
-        """Convolve a plane, up to walls if it is told what is filled, and write the result."""
-        if filled is not None:
-            along = _convolve_up_to_walls(plane, filled, self._taps)
-            result[...] = _convolve_up_to_walls(along.T, filled.T, self._taps).T
-            return
-        from scipy.ndimage import correlate1d
+    def _convolve(self, planes: NDArray[np.float32], filled: NDArray[np.bool_] | None) -> NDArray[np.float32]:
+        """Convolve planes, up to walls if it is told what is filled."""
+        if filled is None:
+            from beltrami_cli._native import convolve
 
-        along = correlate1d(plane, self._taps, 0, mode="constant")
-        correlate1d(along, self._taps, 1, mode="constant", output=result)
+            return convolve(planes, self._taps, self._threads)
+        along = [_convolve_up_to_walls(plane, filled, self._taps) for plane in planes]
+        return np.stack([_convolve_up_to_walls(plane.T, filled.T, self._taps).T for plane in along])
 
 
 def _convolve_up_to_walls(

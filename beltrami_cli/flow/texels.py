@@ -9,6 +9,7 @@ import numpy as np
 from beltrami_cli.flow.bands import Bands
 from beltrami_cli.flow.canvas import Canvas
 from beltrami_cli.flow.canvas_choice import choose_on_canvas
+from beltrami_cli.flow.canvas_colours import owned_colours, painted
 from beltrami_cli.flow.cell_fields import CellFields, halo_repeats, local_scales
 from beltrami_cli.flow.clipping import ClippedChannels, find_clipped
 from beltrami_cli.flow.grid_metric import GridMetric
@@ -20,14 +21,7 @@ from beltrami_cli.flow.progress import shifted
 from beltrami_cli.flow.result import FlowResult
 from beltrami_cli.flow.seams import find_colour_jumps, halo_beyond
 from beltrami_cli.mesh import large_arrays
-from beltrami_cli.mesh.atlas import (
-    EMPTY,
-    OWNED,
-    owned_colours,
-    painted,
-    refresh_halo,
-    without_halo,
-)
+from beltrami_cli.mesh.atlas import EMPTY, OWNED, refresh_halo, without_halo
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -96,7 +90,7 @@ class TexelFlow:
         unit: float | None = None,
     ) -> None:
         self.parameters = parameters
-        self._planes = painted(atlas, colours)
+        self._planes = painted(atlas, colours, parameters.thread_count)
         self.sigma = estimate_sigma_on_grid(self._planes, atlas.kind == OWNED)
         different = np.zeros(max(1, atlas.seams), bool)
         # Where colours do not count as distance, a jump of theirs is no edge.
@@ -150,7 +144,7 @@ class TexelFlow:
                 self._clipped.restore(self._planes[:, rows], marks[:, rows])
         kernels = max(1, parameters.iterations * len(self.atlas.owned_cells))
         return FlowResult(
-            owned_colours(self._planes, self.atlas),
+            owned_colours(self._planes, self.atlas, parameters.thread_count),
             self.spacing,
             self.beta,
             self.sigma,
@@ -182,7 +176,9 @@ class TexelFlow:
             return 0
         canvas = self._canvas()
         flat = [plane.reshape(-1) for stack in stacks for plane in stack]
-        values = np.concatenate([owned_colours(stack, atlas) for stack in stacks], axis=1)
+        values = np.concatenate(
+            [owned_colours(stack, atlas, parameters.thread_count) for stack in stacks], axis=1
+        )
         done = split.run(lambda count, _: cut_grid(canvas, count), 0, values, parameters.iterations, progress)
         for plane, channel in zip(flat, done.values.T, strict=True):
             plane[atlas.owned_cells] = channel

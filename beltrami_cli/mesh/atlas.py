@@ -128,29 +128,6 @@ def texels_by_texture(
             yield index, inside, texels[inside] - begin
 
 
-def painted(atlas: Atlas, colours: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Put the colours of owned cells, shape (T, N), on the canvas, shape (N, R, C), halo included; 0 elsewhere."""
-    planes = large_arrays.zeros((colours.shape[1], *atlas.kind.shape), np.float32)
-    flat = planes.reshape(len(planes), -1)
-    for block in large_arrays.blocks(len(atlas.owned_cells)):
-        cells = atlas.owned_cells[block].astype(np.intp)
-        for plane, channel in zip(flat, colours[block].T, strict=True):
-            plane[cells] = channel
-    refresh_halo(planes, atlas)
-    return planes
-
-
-def owned_colours(planes: NDArray[np.float32], atlas: Atlas) -> NDArray[np.float32]:
-    """Return the colours of the owned cells, shape (T, N), from planes of shape (N, R, C)."""
-    colours = large_arrays.empty((len(atlas.owned_cells), len(planes)), np.float32)
-    flat = planes.reshape(len(planes), -1)
-    for block in large_arrays.blocks(len(atlas.owned_cells)):
-        cells = atlas.owned_cells[block].astype(np.intp)
-        for channel, plane in zip(colours[block].T, flat, strict=True):
-            channel[:] = plane[cells]
-    return colours
-
-
 def refresh_halo(planes: NDArray[np.float32], atlas: Atlas, *, interpolated: bool = False) -> None:
     """Give the halo cells of all planes, in place, the values of the owned cells that they stand for.
 

@@ -2,6 +2,7 @@
 #include <nanobind/nanobind.h>
 
 #include "bindings/atlas.hpp"
+#include "bindings/canvas.hpp"
 #include "bindings/parametric.hpp"
 #include "bindings/points.hpp"
 #include "bindings/segments.hpp"
@@ -11,6 +12,7 @@ NB_MODULE(_native, module) {
   beltrami::bindings::bind_triangulated(module);
   beltrami::bindings::bind_segments(module);
   beltrami::bindings::bind_parametric(module);
+  beltrami::bindings::bind_canvas(module);
   beltrami::bindings::bind_atlas(module);
   beltrami::bindings::bind_points(module);
 }

@@ -17,13 +17,15 @@ struct Sum {
 // Edges of the two axes that start at a cell.
 Sum edges_at(const float* squared_lengths, std::size_t cells, std::size_t cell) {
   Sum sum;
+  double product = 1;  // which a double holds, of two: one logarithm for both
   for (const Direction axis : {right, below}) {
     const float length = squared_lengths[axis * cells + cell];
     if (std::isfinite(length) && length > 0) {
-      sum.logarithm += static_cast<double>(std::log(length));
+      product *= static_cast<double>(length);
       sum.count += 1;
     }
   }
+  if (sum.count > 0) sum.logarithm = std::log(product);
   return sum;
 }
 
@@ -59,7 +61,7 @@ void local_scale(std::size_t rows, std::size_t columns, const float* squared_len
       if (column > reach) add(column - reach - 1, -1);
       // Counts are whole, so they come out exactly.
       scale[row * columns + column] =
-          window.count > 0.5 ? static_cast<float>(std::exp(-window.logarithm / window.count)) : 1;
+          window.count > 0.5 ? std::exp(static_cast<float>(-window.logarithm / window.count)) : 1;
     }
   }
 }

@@ -128,6 +128,16 @@ def _paint(
 
 def within(covered: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
     """Tell which texels lie at most `reach` rows and columns from a covered one."""
-    from scipy.ndimage import maximum_filter
-
-    return np.asarray(maximum_filter(covered, 2 * reach + 1, mode="constant"), bool)
+    near, known = covered, 0
+    while known < reach:
+        # What is within so many, together with itself moved to all sides as far as no gap is left in between.
+        step = min(2 * known + 1, reach - known)
+        for axis in (0, 1):
+            ahead, behind = [slice(None), slice(None)], [slice(None), slice(None)]
+            ahead[axis], behind[axis] = slice(step, None), slice(None, -step)
+            grown = near.copy()
+            grown[*ahead] |= near[*behind]
+            grown[*behind] |= near[*ahead]
+            near = grown
+        known += step
+    return near

@@ -1,0 +1,51 @@
+"""Colours of samples, put on the canvas of an atlas and taken from there."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from beltrami_cli.mesh import large_arrays
+from beltrami_cli.mesh.atlas import refresh_halo
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from beltrami_cli.mesh.atlas import Atlas
+
+
+def painted(atlas: Atlas, colours: NDArray[np.float32], threads: int) -> NDArray[np.float32]:
+    """Put the colours of owned cells on the canvas.
+
+    Parameters
+    ----------
+    atlas : Atlas
+        The canvas.
+    colours : ndarray of float32, shape (T, N)
+        A row an owned cell.
+    threads : int
+        The result does not depend on it.
+
+    Returns
+    -------
+    ndarray of float32, shape (N, R, C)
+        Halo included; 0 elsewhere.
+    """
+    from beltrami_cli._native import put_colours
+
+    planes = large_arrays.zeros((colours.shape[1], *atlas.kind.shape), np.float32)
+    for block in large_arrays.blocks(len(atlas.owned_cells)):
+        put_colours(planes, atlas.owned_cells[block], colours[block], threads)
+    refresh_halo(planes, atlas)
+    return planes
+
+
+def owned_colours(planes: NDArray[np.float32], atlas: Atlas, threads: int) -> NDArray[np.float32]:
+    """Return the colours of the owned cells, shape (T, N), from planes of shape (N, R, C)."""
+    from beltrami_cli._native import take_colours
+
+    colours = large_arrays.empty((len(atlas.owned_cells), len(planes)), np.float32)
+    for block in large_arrays.blocks(len(atlas.owned_cells)):
+        take_colours(planes, atlas.owned_cells[block], colours[block], threads)
+    return colours

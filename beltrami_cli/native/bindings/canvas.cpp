@@ -1,0 +1,82 @@
+// Colours on a canvas, for Python: put there, taken from there, and smoothed for the metric.
+#include "bindings/canvas.hpp"
+
+#include <cstdint>
+
+#include "bindings/arrays.hpp"
+#include "parametric/gaussian_means.hpp"
+
+namespace beltrami::bindings {
+namespace {
+
+using Stack = nb::ndarray<const float, nb::ndim<3>, nb::c_contig, nb::device::cpu>;
+using OpenStack = nb::ndarray<float, nb::ndim<3>, nb::c_contig, nb::device::cpu>;
+using OpenMatrix = nb::ndarray<float, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
+
+// So few rows that they and what they are spread over stay in the cache from plane to plane.
+constexpr std::size_t rows_at_once = 1 << 13;
+
+// Calls move(value of a plane's cell, value of a row) for every channel of every row, plane by plane.
+template <class Index, class Planes, class Colours, class Move>
+void move_colours(const Planes& planes, const Vector<Index>& cells, const Colours& colours, unsigned threads,
+                  const Move& move) {
+  const std::size_t size = planes.shape(1) * planes.shape(2), channels = planes.shape(0);
+  if (colours.shape(0) != cells.size() || colours.shape(1) != channels)
+    throw nb::value_error("a row a cell, and a colour a plane, are needed");
+  auto* plane_data = planes.data();
+  auto* colour_data = colours.data();
+  const Index* cell_data = cells.data();
+  bool outside = false;
+  {
+    const nb::gil_scoped_release unlock;
+    for (std::size_t row = 0; row < cells.size(); ++row)
+      outside |= cell_data[row] < 0 || static_cast<std::size_t>(cell_data[row]) >= size;
+    if (!outside)
+      parallel_chunks(cells.size(), rows_at_once, threads, [&](std::size_t begin, std::size_t end, unsigned) {
+        for (std::size_t channel = 0; channel < channels; ++channel)
+          for (std::size_t row = begin; row < end; ++row)
+            move(plane_data[channel * size + static_cast<std::size_t>(cell_data[row])], colour_data[row * channels + channel]);
+      });
+  }
+  if (outside) throw nb::index_error("a cell lies outside the canvas");
+}
+
+// No cell may be named twice.
+template <class Index>
+void put_colours(const OpenStack& planes, const Vector<Index>& cells, const Matrix<float>& colours, unsigned threads) {
+  move_colours(planes, cells, colours, threads, [](float& on_plane, float in_row) { on_plane = in_row; });
+}
+
+template <class Index>
+void take_colours(const Stack& planes, const Vector<Index>& cells, const OpenMatrix& colours, unsigned threads) {
+  move_colours(planes, cells, colours, threads, [](float on_plane, float& in_row) { in_row = on_plane; });
+}
+
+auto convolve_planes(const Stack& planes, const Vector<float>& taps, unsigned threads) {
+  if (taps.size() % 2 == 0) throw nb::value_error("an odd number of taps is needed");
+  std::unique_ptr<float[]> result(new float[planes.size()]);
+  {
+    const nb::gil_scoped_release unlock;
+    parametric::convolve(planes.data(), planes.shape(0), planes.shape(1), planes.shape(2), {taps.data(), taps.size()},
+                         result.get(), threads);
+  }
+  return give<float, nb::ndim<3>>(std::move(result), {planes.shape(0), planes.shape(1), planes.shape(2)});
+}
+
+template <class Index>
+void bind_moves(nb::module_& module) {
+  using namespace nb::literals;
+  module.def("put_colours", &put_colours<Index>, "planes"_a.noconvert(), "cells"_a.noconvert(), "colours"_a, "threads"_a);
+  module.def("take_colours", &take_colours<Index>, "planes"_a, "cells"_a.noconvert(), "colours"_a.noconvert(), "threads"_a);
+}
+
+}  // namespace
+
+void bind_canvas(nb::module_& module) {
+  using namespace nb::literals;
+  bind_moves<std::int32_t>(module);
+  bind_moves<std::int64_t>(module);
+  module.def("convolve", &convolve_planes, "planes"_a, "taps"_a, "threads"_a);
+}
+
+}  // namespace beltrami::bindings
