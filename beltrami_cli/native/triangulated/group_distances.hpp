@@ -58,37 +58,33 @@ class GroupDistances {
     make_room(group_size);
     for (std::size_t lane = 0; lane < sources.size(); ++lane) {
       add(sources[lane]);
-      scratch_.rows[lane].lane[lane] = 0;
-      scratch_.least[lane] = 0;
-      scratch_.changed[lane] = 1;
+      RegionPlace& source = scratch_.region[lane];
+      source.lane[lane] = 0;
+      source.least = 0;
+      source.changed = 1;
     }
     for (std::size_t place = size_; place-- > 0;) pass_on(place);
     for (bool any = true; any;) {
       any = false;
       for (std::size_t place = 0; place < size_; ++place) any |= pass_on(place);
     }
-    for (std::size_t place = 0; place < size_; ++place) scratch_.place[static_cast<std::size_t>(scratch_.region[place])] = 0;
+    for (std::size_t place = 0; place < size_; ++place) scratch_.place[static_cast<std::size_t>(scratch_.region[place].vertex)] = 0;
     return fits_;
   }
 
  private:
   void make_room(std::size_t size) {
     if (scratch_.region.size() >= size) return;
-    size = std::max(size, 2 * scratch_.region.size());
-    scratch_.region.resize(size);
-    scratch_.rows.resize(size);
-    scratch_.least.resize(size);
-    scratch_.changed.resize(size);
+    scratch_.region.resize(std::max(size, 2 * scratch_.region.size()));
   }
 
   // Gives a vertex a place.
   std::uint32_t add(Index vertex) {
-    const std::size_t place = size_++;
-    scratch_.region[place] = vertex;
-    scratch_.least[place] = beyond_;
-    scratch_.changed[place] = 0;
-    for (std::size_t part = 0; part < group_size; part += lane_count)
-      store(scratch_.rows[place].lane.data() + part, splat(beyond_));
+    RegionPlace& place = scratch_.region[size_++];
+    place.vertex = vertex;
+    place.least = beyond_;
+    place.changed = 0;
+    for (std::size_t part = 0; part < group_size; part += lane_count) store(place.lane.data() + part, splat(beyond_));
     prefetch(vertex);
     return scratch_.place[static_cast<std::size_t>(vertex)] = static_cast<std::uint16_t>(size_);
   }
@@ -105,21 +101,19 @@ class GroupDistances {
   }
 
   bool pass_on(std::size_t place) {
-    if (std::exchange(scratch_.changed[place], 0U) == 0 || !fits_) return false;
-    const std::uint32_t* offset = segments_.offsets.data() + scratch_.region[place];
+    if (std::exchange(scratch_.region[place].changed, 0U) == 0 || !fits_) return false;
+    const std::uint32_t* offset = segments_.offsets.data() + scratch_.region[place].vertex;
     const std::uint32_t begin = offset[0], end = offset[1];
     fits_ = size_ + (end - begin) <= largest_region;
     if (!fits_) return false;
     make_room(size_ + (end - begin));
     // Kept at hand: what is stored might change these pointers, for all that the compiler knows.
-    GroupScratch::Row* const rows = scratch_.rows.data();
-    float* const leasts = scratch_.least.data();
-    std::uint32_t* const changed = scratch_.changed.data();
+    RegionPlace* const region = scratch_.region.data();
     const std::uint16_t* const places = scratch_.place.data();
     std::array<Lanes, parts> here;
-    for (std::size_t part = 0; part < parts; ++part) here[part] = load(rows[place].lane.data() + part * lane_count);
+    for (std::size_t part = 0; part < parts; ++part) here[part] = load(region[place].lane.data() + part * lane_count);
     // A longer segment leads out of all kernels; rounding must not make that of one that does not.
-    const float least = leasts[place], limit = (beyond_ - least) * 1.000001F;
+    const float least = region[place].least, limit = (beyond_ - least) * 1.000001F;
     for (std::uint32_t first = begin; first < end; first += 64) {
       const float* lengths = segments_.lengths.data() + first;
       const Index* targets = segments_.targets.data() + first;
@@ -127,17 +121,18 @@ class GroupDistances {
         const int i = std::countr_zero(within);
         const Index target = targets[i];
         const float length = lengths[i];
-        std::size_t to = places[target];
-        if (to == 0) to = add(target);
-        float* distances = rows[--to].lane.data();
+        std::size_t number = places[target];
+        if (number == 0) number = add(target);
+        RegionPlace& to = region[number - 1];
         std::uint32_t nearer = 0;
         for (std::size_t part = 0; part < parts; ++part) {
-          const Lanes before = load(distances + part * lane_count), through = here[part] + length;
+          float* distances = to.lane.data() + part * lane_count;
+          const Lanes before = load(distances), through = here[part] + length;
           nearer |= where_smaller(through, before);
-          store(distances + part * lane_count, smaller(through, before));
+          store(distances, smaller(through, before));
         }
-        leasts[to] = std::min(leasts[to], least + length);
-        changed[to] |= nearer;
+        to.least = std::min(to.least, least + length);
+        to.changed |= nearer;
       }
     }
     return true;

@@ -23,15 +23,18 @@ class GroupAverage {
     find_kernels();
     // Several channels at once, since each sum waits for its last addition.
     std::size_t channel = 0;
-      for (; channel + 3 <= job_.colours.width; channel += 3) average<3>(channel);
+    for (; channel + 3 <= job_.colours.width; channel += 3) average<3>(channel);
     for (; channel < job_.colours.width; ++channel) average<1>(channel);
     return statistics;
   }
 
  private:
-  using Numbers = GroupScratch::Row;
+  struct alignas(64) Numbers {
+    std::array<float, group_size> lane;
+  };
 
-  float* row(std::size_t place) { return scratch_.rows[place].lane.data(); }
+  float* row(std::size_t place) { return scratch_.region[place].lane.data(); }
+  Index vertex(std::size_t place) const { return scratch_.region[place].vertex; }
 
   // Lists the places that any kernel holds.
   KernelStatistics find_held() {
@@ -69,11 +72,11 @@ class GroupAverage {
     std::vector<std::pair<float, Index>> order;
     for (const std::uint32_t place : scratch_.held)
       if (row(place)[lane] < beyond_)
-        order.emplace_back(scratch_.region[place] == sources_[lane] ? -1 : row(place)[lane], scratch_.region[place]);
+        order.emplace_back(vertex(place) == sources_[lane] ? -1 : row(place)[lane], vertex(place));
     const auto last = order.begin() + static_cast<std::ptrdiff_t>(job_.parameters.max_samples);
     std::nth_element(order.begin(), last, order.end());
     for (const std::uint32_t place : scratch_.held)
-      if (scratch_.region[place] != sources_[lane] && !(std::pair(row(place)[lane], scratch_.region[place]) < *last))
+      if (vertex(place) != sources_[lane] && !(std::pair(row(place)[lane], vertex(place)) < *last))
         row(place)[lane] = beyond_;
   }
 
@@ -86,7 +89,7 @@ class GroupAverage {
         float* values = row(place) + part * lane_count;
         const Lanes distance = load(values);
         Lanes kernel = select(distance < splat(beyond_), exponential(distance * distance * factor), Lanes{});
-        if (job_.weights != nullptr) kernel = kernel * job_.weights[scratch_.region[place]];
+        if (job_.weights != nullptr) kernel = kernel * job_.weights[vertex(place)];
         store(values, kernel);
         sums[part] += kernel;
       }
@@ -106,7 +109,7 @@ class GroupAverage {
       std::array<Lanes, channels> sums{}, centre;
       for (std::size_t c = 0; c < channels; ++c) centre[c] = load(centres[c].lane.data() + part);
       for (const std::uint32_t place : scratch_.held) {
-        const float* colours = job_.colours[scratch_.region[place]] + first;
+        const float* colours = job_.colours[vertex(place)] + first;
         const Lanes kernel = load(row(place) + part);
         for (std::size_t c = 0; c < channels; ++c) {
           low[c] = std::min(low[c], colours[c]);

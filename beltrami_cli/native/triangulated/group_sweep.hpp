@@ -23,19 +23,20 @@ struct GroupJob {
   float* smoothed;
 };
 
+// A vertex that any of a group's kernels reaches.
+struct alignas(64) RegionPlace {
+  std::array<float, group_size> lane;  // its distance from each source, later the value of each kernel there
+  float least;                         // the least of the distances
+  std::uint32_t changed;               // whether any of them has fallen and was not passed on
+  Index vertex;
+};
+
 // Scratch memory of one thread, grown on first use and kept.
 struct GroupScratch {
-  // One number for each source; a register's worth, which must not lie in two lines of the cache.
-  struct alignas(64) Row {
-    std::array<float, group_size> lane;
-  };
   explicit GroupScratch(std::size_t vertex_count) : place(vertex_count, 0) {}
-  std::vector<std::uint16_t> place;    // [vertex]: 1 + its place in the region, 0 outside
-  std::vector<Index> region;           // [place]: the vertices that any of the kernels reaches, as they are found
-  std::vector<Row> rows;               // [place]: distances, later kernel values
-  std::vector<float> least;            // [place]: the least of its distances
-  std::vector<std::uint32_t> changed;  // [place]: whether any distance has fallen and was not passed on
-  std::vector<std::uint32_t> held;     // the places that a kernel holds
+  std::vector<std::uint16_t> place;  // [vertex]: 1 + its place in the region, 0 outside
+  std::vector<RegionPlace> region;   // in the order in which they are found
+  std::vector<std::uint32_t> held;   // the places that a kernel holds
 };
 
 // Writes the smoothed colours of up to 16 sources. Nothing is written, or told, if they reach too many vertices.
