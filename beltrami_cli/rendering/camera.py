@@ -15,6 +15,7 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+_SMALLEST = 1e-13  # of how far away from the origin a model lies: what does not get lost in rounding
 _MARGIN = 0.92  # of the shorter side of a view that a model fills
 
 # Rows: what is to the right, up and towards the eye in a view from the front, by the axis that points up.
@@ -105,6 +106,12 @@ def orientation(azimuth: float, elevation: float, up: str = "y") -> NDArray[np.f
     return np.asarray(over @ around @ np.array(_FRONT[up], float))
 
 
+def size_between(low: NDArray[np.float64], high: NDArray[np.float64]) -> float:
+    """Return the longest side of a bounding box, or what counts as that where all lies at one place."""
+    farthest = float(np.abs([low, high]).max())
+    return max(float((high - low).max()), _SMALLEST * farthest, float(np.finfo(float).tiny))
+
+
 def fitted(
     positions: NDArray[np.float64], rotation: NDArray[np.float64], field: float, aspect: float
 ) -> Camera:
@@ -123,7 +130,7 @@ def fitted(
     """
     seen = positions @ rotation.T
     low, high = seen.min(axis=0), seen.max(axis=0)
-    size = max(float((high - low).max()), np.finfo(float).tiny)
+    size = size_between(low, high)
     shape = np.array([aspect, 1.0]) / min(aspect, 1.0)
     middle = (low + high) / 2
     if field <= 0:

@@ -16,6 +16,7 @@ SAMPLES = 3  # places along a side of each pixel
 _NEIGHBOURS = 4  # on a square grid, all at one distance
 _SHARE = 0.75  # of the distance to the last of them: a little more than half the diagonal of the grid
 _LARGEST = 3.0  # times the median radius
+_LONE = 0.02  # radius in widths of the view of a place without neighbours
 _SMALLEST = 0.75  # radius in places, below which points would fall between them
 
 
@@ -55,6 +56,7 @@ class CloudView:
         share = np.array([window[2] - window[0], window[3] - window[1]])
         at = (places - window[:2]) / share * (width, height)
         radii = self._radii / camera.breadth(depths) / share[0] * width
+        radii[self._radii == 0] = _LONE * width
         radii = np.maximum(radii, _SMALLEST)
         near = (depths > 0) & (at > -radii[:, None]).all(axis=1)
         near &= (at < np.array([width, height]) + radii[:, None]).all(axis=1)
@@ -94,10 +96,13 @@ def _painted(
 
 
 def disc_radii(positions: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the radius of each disc: as far as some of the nearest other places, so that a surface has no holes."""
+    """Return the radius of each disc: as far as some of the nearest other places, so that a surface has no holes.
+
+    A single place has none, and a radius of 0.
+    """
     places, which = np.unique(positions, axis=0, return_inverse=True)
     if len(places) < 2:
-        return np.ones(len(positions))
+        return np.zeros(len(positions))
     found: NDArray[np.float64] = np.asarray(
         cKDTree(places).query(places, k=min(_NEIGHBOURS + 1, len(places)))[0]
     )

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from beltrami_cli.errors import ProcessingError
+from beltrami_cli.rendering.camera import size_between
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -45,7 +46,7 @@ class Tracer:
         low, high = positions.min(axis=0), positions.max(axis=0)
         # Embree computes in single precision: around the middle and of unit size, large coordinates lose no digits.
         self._middle = (low + high) / 2
-        self.size = max(float((high - low).max()), np.finfo(float).tiny)
+        self.size = size_between(low, high)
         self._scene = scenes.EmbreeScene(robust=True)
         vertices = np.ascontiguousarray(self._normalised(positions))
         self._mesh = meshes.TriangleMesh(self._scene, vertices, np.ascontiguousarray(faces, np.int32))

@@ -8,6 +8,9 @@ import pytest
 from beltrami_cli.mesh.areas import triangle_areas
 from beltrami_cli.mesh.textured import Texture, TexturedSurface
 from beltrami_cli.mesh.transfer import linear_to_srgb
+from beltrami_cli.pipeline.render.file import draw_views
+from beltrami_cli.pipeline.render.views import within_reach
+from beltrami_cli.pipeline.settings.render import RenderSettings
 from beltrami_cli.rendering.camera import WHOLE, fitted, orientation
 from beltrami_cli.rendering.cloud_view import CloudView
 from beltrami_cli.rendering.details import richest_window
@@ -207,3 +210,29 @@ def test_the_richest_window_is_where_the_contrast_is():
     view[..., :3] *= view[..., 3:]
     left, upper, right, lower = np.array(richest_window(view, 0.2)) * [100, 80, 100, 80]
     assert not (left < 76 and right > 60 and upper < 46 and lower > 30)
+
+
+@pytest.mark.parametrize("scale", [1e-198, 1e198, 1e300])
+@pytest.mark.parametrize("with_faces", [True, False])
+def test_models_of_any_size_look_alike(scale, with_faces):
+    power = 2.0 ** round(np.log2(scale))  # so that no coordinate is rounded in another way
+    looks = RenderSettings(size=(48, 48), lit=True)
+    pictures = []
+    for factor in (1.0, power):
+        positions, faces = surfaces.icosphere(2)
+        places = within_reach(positions * factor)
+        grey = np.repeat(np.linspace(0, 1, len(positions))[:, None], 3, axis=1)
+        view = SurfaceView(places, faces, VertexPaint(faces, grey)) if with_faces else CloudView(places, grey)
+        pictures.append(draw_views([view], [""], looks))
+    assert np.ptp(pictures[0]) > 200
+    assert np.array_equal(pictures[0], pictures[1])
+
+
+@pytest.mark.parametrize("place", [0.0, 5.0, 1e198])
+@pytest.mark.parametrize("field", [0.0, 30.0])
+def test_a_single_point_is_seen_in_the_middle(place, field):
+    view = CloudView(np.full((3, 3), place), np.zeros((3, 3)))
+    looks = RenderSettings(size=(51, 51), fov=field)
+    picture = draw_views([view], [""], looks)
+    assert picture[25, 25].max() == 0
+    assert (picture == 255).mean() > 0.9

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from beltrami_cli.pipeline.settings.render import RenderSettings
 
 Drawable = SurfaceView | CloudView | ImageView
+_FAR = 128  # powers of two, beyond which a model is brought nearer; its fourth powers then stay within 2^256
 _RGB = ("red", "green", "blue")
 
 
@@ -95,16 +96,30 @@ def _textured(document: Document, slot: Slot) -> SurfaceView:
     surface = document.textured(slot)
     pictures = [read_image(texture.data, texture.name) for texture in surface.textures]
     sheets = [sheet_of(picture, is_data=slot not in COLOUR_SLOTS) for picture in pictures]
-    areas = triangle_areas(surface.positions, surface.faces)
-    return SurfaceView(surface.positions, surface.faces, TexturePaint(surface, sheets, areas))
+    positions = within_reach(surface.positions)
+    areas = triangle_areas(positions, surface.faces)
+    return SurfaceView(positions, surface.faces, TexturePaint(surface, sheets, areas))
 
 
 def _painted(painted: PaintedVertices) -> SurfaceView | CloudView:
     light = light_of(painted)
     finite = np.isfinite(painted.positions).all(axis=1)
+    positions = within_reach(painted.positions)
     if len(painted.faces):
-        return SurfaceView(painted.positions, painted.faces, VertexPaint(painted.faces, light))
-    return CloudView(painted.positions[finite], light[finite])
+        return SurfaceView(positions, painted.faces, VertexPaint(painted.faces, light))
+    return CloudView(positions[finite], light[finite])
+
+
+def within_reach(positions: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return positions times a power of two where squares of areas would leave the range of numbers.
+
+    Others are returned as they are. A picture shows no difference, and models that are alike are scaled alike.
+    """
+    largest = np.max(np.abs(positions), where=np.isfinite(positions), initial=0.0)
+    exponent = np.frexp(largest)[1]
+    if abs(exponent) < _FAR:
+        return positions
+    return np.asarray(np.ldexp(positions, -_FAR * round(exponent / _FAR)), np.float64)
 
 
 def light_of(painted: PaintedVertices) -> NDArray[np.float64]:
