@@ -9,6 +9,7 @@ import click
 
 from beltrami_cli.cli import options
 from beltrami_cli.cli.console import printable
+from beltrami_cli.cli.outcome import choice_in_words
 
 EPILOG = """\b
 Examples:
@@ -35,29 +36,69 @@ def command(source: str, as_json: bool, verbose: int, **smoothing: Any) -> None:
     if as_json:
         click.echo(json.dumps(facts, indent=2))
         return
+    slots: Any = facts.get("textures", [])
+    planned: list[Any] = [facts.get("smooth"), *(slot["smooth"] for slot in slots)]
+    for smooth in planned:
+        if smooth and settings.kernel.iterations:
+            smooth["choice"] = _choice(smooth)
     for section, content in facts.items():
         for part in content if isinstance(content, list) and section == "textures" else [content]:
-            if part:
-                click.echo("\n".join(map(printable, [section, *_lines(part)])))
+            _tell(section, part)
 
 
-def _lines(content: Any) -> list[str]:
-    if isinstance(content, dict):
-        width = max(map(len, content))
-        return [
-            f"  {label:<{width}}  {text}"
-            for key, value in content.items()
-            for label, text in _rows(key, value)
-        ]
-    return [f"  {_show(entry)}" for entry in content]
+def _tell(section: str, part: Any) -> None:
+    """Print a section, and what smoothing would do to textures as one of its own."""
+    if not part:
+        return
+    nested = part.get("smooth") if isinstance(part, dict) else None
+    if nested is not None:
+        part = {key: value for key, value in part.items() if key != "smooth"}
+    click.echo("\n".join(map(printable, [section, *_lines(part, section)])))
+    if nested is not None:
+        _tell("smooth", nested)
+
+
+def _lines(content: Any, section: str) -> list[str]:
+    if not isinstance(content, dict):
+        return [f"  {_show(entry)}" for entry in content]
+    if section == "noise":
+        content = {channel: _noise(value) for channel, value in content.items()}
+    rows = [row for key, value in content.items() if value not in (None, []) for row in _rows(key, value)]
+    width = max((len(label) for label, _ in rows), default=0)
+    return [f"  {label:<{width}}  {text}" for label, text in rows]
+
+
+def _choice(smooth: dict[str, Any]) -> str | None:
+    """Say what would be chosen, and by what; None: all is given."""
+    if "choice" in smooth:
+        return choice_in_words(smooth["choice"])
+    return None if smooth["iterations"] else "nothing to smooth: the noise is no more than rounding makes"
 
 
 def _rows(key: str, value: Any) -> list[tuple[str, str]]:
     """Return what stands on the lines of a value: one, or as many as there are records in a list."""
     label = key.replace("_", " ")
     if isinstance(value, list) and value and all(isinstance(entry, dict) for entry in value):
-        return [(label if number == 0 else "", _show(entry)) for number, entry in enumerate(value)]
+        shown = [_image(entry) if key == "images" else _show(entry) for entry in value]
+        return [(label if number == 0 else "", text) for number, text in enumerate(shown)]
+    if key == "noise" and isinstance(value, dict):
+        value = {channel: _noise(share) for channel, share in value.items()}
     return [(label, _show(value))]
+
+
+def _image(facts: dict[str, Any]) -> str:
+    """Tell all of a texture on a line."""
+    facts = dict(facts)
+    name, width, height = (facts.pop(key) for key in ("name", "width", "height"))
+    kind, stored, channels = (facts.pop(key) for key in ("format", "stored", "channels"))
+    told = [f"covered {100 * facts.pop('covered'):.0f} %"]
+    told += [f"{key} {text}" for key, value in facts.items() for _, text in _rows(key, value)]
+    return f"{name}: {width} x {height} {kind}, {stored} {' '.join(channels)}; {', '.join(told)}"
+
+
+def _noise(share: float) -> str:
+    """Write noise as `beltrami noise` takes it."""
+    return f"{255 * share:.1f}/255"
 
 
 def _show(value: Any) -> str:

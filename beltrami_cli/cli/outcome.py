@@ -83,19 +83,18 @@ def _tell_done(messages: Messages, what: str, done: Done, samples: float) -> Non
     )
     for guide, beta in done.guides.items():
         messages.detail(f"guide {guide}: beta {beta:.3g}")
-    _tell_choice(messages, done.choice)
+    if done.choice is not None:
+        messages.detail(f"chosen: {choice_in_words(done.choice)}")
 
 
-def _tell_choice(messages: Messages, choice: dict[str, Any] | None) -> None:
-    if choice is None:
-        return
+def choice_in_words(choice: dict[str, Any]) -> str:
+    """Return what was chosen, by what estimate, and how sure that is."""
     chosen = ", ".join(f"{name} {value:.3g}" for name, value in choice["chosen"].items())
     if choice["psnr"] is None:
         why = ": the noise of neighbouring samples is not independent, as in JPEG pictures; errors cannot be estimated"
-        messages.detail(f"chosen: {chosen}; by the fixed rule of --fast{why if choice['correlated'] else ''}")
-        return
-    messages.detail(
-        f"chosen: {chosen}; estimated PSNR {choice['psnr']:.1f} +- {choice['error']:.1f} dB, {choice['gain']:+.1f} dB "
+        return f"{chosen}; by the fixed rule of --fast{why if choice['correlated'] else ''}"
+    return (
+        f"{chosen}; estimated PSNR {choice['psnr']:.1f} +- {choice['error']:.1f} dB, {choice['gain']:+.1f} dB "
         f"against the input; the best of {choice['candidates']} on {choice['samples']} samples"
     )
 

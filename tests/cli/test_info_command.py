@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 
 import pytest
@@ -55,6 +56,19 @@ def test_what_is_told_for_people_has_the_same_sections():
     for section in ("file", "colours", "surface", "noise", "smooth"):
         assert f"\n{section}\n" in f"\n{run.stdout.decode()}"
     assert run.stderr == b""
+
+
+def test_what_is_told_for_people_of_textures_says_what_would_be_chosen_and_how_sure_that_is():
+    noisy = beltrami("info", SAMPLES / "torus-two-noisy.gltf").stdout.decode()
+    # Noise as `beltrami noise --sigma` takes it.
+    (icing,) = re.findall(
+        r"icing.png: 512 x 136 png, uint8 R G B; covered \d+ %.* noise red ([\d.]+)/255", noisy
+    )
+    assert 15 < float(icing) < 27
+    assert re.search(r"\n  choice +iterations \d.*estimated PSNR [\d.]+ \+- [\d.]+ dB", noisy)
+    clean = beltrami("info", SAMPLES / "head-tex-clean.glb").stdout.decode()
+    assert "nothing to smooth" in clean
+    assert "None" not in clean
 
 
 def test_a_file_without_colours_is_refused(tmp_path):
