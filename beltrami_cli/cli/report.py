@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from beltrami_cli.cli import options
+from beltrami_cli.cli import options, painting
 from beltrami_cli.cli.console import Messages
 
 if TYPE_CHECKING:
@@ -36,9 +36,9 @@ network. The models are drawn with WebGL by three.js (MIT licence, in the packag
     metavar="FILE.json",
     help="Also show the parameters, from what `beltrami smooth --report` wrote.",
 )
-@options.on
-@options.slots
-@options.space
+@painting.on
+@painting.slots
+@painting.space
 @options.reading
 @options.overwrite
 @options.quiet
@@ -67,7 +67,7 @@ def command(
     from beltrami_cli.pipeline.report.file import report_file
     from beltrami_cli.pipeline.settings.smooth import DEFAULTS
 
-    chosen = tuple(name.strip() for name in slots.split(","))
+    chosen = options.names_in(slots, "--slots")
     settings = replace(DEFAULTS, on=on, space=space, textures=replace(DEFAULTS.textures, slots=chosen))
     with options.reading_from(reading, before) as access:
         told = report_file(

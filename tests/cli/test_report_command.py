@@ -172,3 +172,8 @@ def test_what_cannot_be_shown_is_said_and_nothing_written(tmp_path):
         assert run.returncode == code, run.stderr
         assert run.stderr.count(b"\n") == 1
         assert not page.exists()
+
+
+def test_help_does_not_promise_to_smooth():
+    run = beltrami("report", "--help")
+    assert b"Smooth the" not in run.stdout
