@@ -96,7 +96,10 @@ def command(
     for trial in done:
         messages.detail(trial.label)
     best = best_of(done)
-    messages.say(f"{target}: {len(done)} trials" + ("" if best is None else f", best {done[best].label}"))
+    messages.say(
+        f"{target}: {len(done)} trial{'s' if len(done) != 1 else ''}"
+        + ("" if best is None else f", best {done[best].label}")
+    )
 
 
 def _trials(given: dict[str, Any]) -> tuple[list[tuple[dict[str, float], SmoothSettings]], int]:
