@@ -113,6 +113,29 @@ inline Lanes larger(Lanes a, Lanes b) {
 #endif
 }
 
+// The least of all lanes.
+inline float least_lane(Lanes value) {
+#if defined(__SSE__)
+#if defined(__AVX512F__)
+  const auto all = reinterpret_cast<__m512>(value);
+  const __m256 eight = _mm256_min_ps(_mm512_maskz_extractf32x8_ps(0xff, all, 0), _mm512_maskz_extractf32x8_ps(0xff, all, 1));
+#elif defined(__AVX__)
+  const auto eight = reinterpret_cast<__m256>(value);
+#endif
+#if defined(__AVX__)
+  __m128 four = _mm_min_ps(_mm256_castps256_ps128(eight), _mm256_extractf128_ps(eight, 1));
+#else
+  auto four = reinterpret_cast<__m128>(value);
+#endif
+  four = _mm_min_ps(four, _mm_movehl_ps(four, four));
+  return _mm_cvtss_f32(_mm_min_ss(four, _mm_shuffle_ps(four, four, 1)));
+#else
+  float least = value[0];
+  for (std::size_t i = 1; i < lane_count; ++i) least = value[i] < least ? value[i] : least;
+  return least;
+#endif
+}
+
 inline Lanes square_root(Lanes value) {
 #if defined(__AVX512F__)
   return reinterpret_cast<Lanes>(_mm512_maskz_sqrt_ps(0xffff, reinterpret_cast<__m512>(value)));

@@ -54,16 +54,14 @@ class GroupDistances {
 
   // Passes changes on, vertex by vertex, until there are none: then every distance is that of the shortest path, whatever
   // the order, as sums along a path are rounded in the same way for all. Returns whether there was room.
-  bool find(std::span<const Index> sources) {
+  bool find(const VertexGroup& group) {
     make_room(group_size);
-    for (std::size_t lane = 0; lane < sources.size(); ++lane) {
-      add(sources[lane]);
-      RegionPlace& source = scratch_.region[lane];
-      source.lane[lane] = 0;
-      source.least = 0;
-      source.changed = 1;
+    for (std::size_t lane = 0; lane < group.sources.size(); ++lane) {
+      add(group.sources[lane]);
+      scratch_.region[lane].lane[lane] = 0;
     }
-    for (std::size_t place = size_; place-- > 0;) pass_on(place);
+    // What the sources are from each other comes first, or else they would all be passed on twice.
+    for (const InnerSegment& segment : group.inner) join(segment);
     for (bool any = true; any;) {
       any = false;
       for (std::size_t place = 0; place < size_; ++place) any |= pass_on(place);
@@ -82,9 +80,10 @@ class GroupDistances {
   std::uint32_t add(Index vertex) {
     RegionPlace& place = scratch_.region[size_++];
     place.vertex = vertex;
-    place.least = beyond_;
-    place.changed = 0;
-    for (std::size_t part = 0; part < group_size; part += lane_count) store(place.lane.data() + part, splat(beyond_));
+    for (std::size_t part = 0; part < group_size; part += lane_count) {
+      store(place.lane.data() + part, splat(beyond_));
+      store(place.passed.data() + part, splat(beyond_));
+    }
     prefetch(vertex);
     return scratch_.place[static_cast<std::size_t>(vertex)] = static_cast<std::uint16_t>(size_);
   }
@@ -100,9 +99,33 @@ class GroupDistances {
 #endif
   }
 
+  // Passes on distances between two sources, both ways.
+  void join(const InnerSegment& segment) {
+    const float length = segments_.lengths[segment.place];
+    float* one = scratch_.region[segment.from].lane.data();
+    float* other = scratch_.region[segment.to].lane.data();
+    for (std::size_t part = 0; part < group_size; part += lane_count) {
+      const Lanes at_one = load(one + part), at_other = load(other + part);
+      store(one + part, smaller(at_other + length, at_one));
+      store(other + part, smaller(at_one + length, at_other));
+    }
+  }
+
   bool pass_on(std::size_t place) {
-    if (std::exchange(scratch_.region[place].changed, 0U) == 0 || !fits_) return false;
-    const std::uint32_t* offset = segments_.offsets.data() + scratch_.region[place].vertex;
+    RegionPlace& from = scratch_.region[place];
+    std::array<Lanes, parts> here;
+    Lanes fallen{};
+    std::uint32_t nearer = 0;
+    for (std::size_t part = 0; part < parts; ++part) {
+      here[part] = load(from.lane.data() + part * lane_count);
+      const Lanes passed = load(from.passed.data() + part * lane_count);
+      nearer |= where_smaller(here[part], passed);
+      const Lanes lower = select(here[part] < passed, here[part], splat(beyond_));
+      fallen = part == 0 ? lower : smaller(fallen, lower);
+    }
+    if (nearer == 0 || !fits_) return false;
+    for (std::size_t part = 0; part < parts; ++part) store(from.passed.data() + part * lane_count, here[part]);
+    const std::uint32_t* offset = segments_.offsets.data() + from.vertex;
     const std::uint32_t begin = offset[0], end = offset[1];
     fits_ = size_ + (end - begin) <= largest_region;
     if (!fits_) return false;
@@ -110,10 +133,9 @@ class GroupDistances {
     // Kept at hand: what is stored might change these pointers, for all that the compiler knows.
     RegionPlace* const region = scratch_.region.data();
     const std::uint16_t* const places = scratch_.place.data();
-    std::array<Lanes, parts> here;
-    for (std::size_t part = 0; part < parts; ++part) here[part] = load(region[place].lane.data() + part * lane_count);
-    // A longer segment leads out of all kernels; rounding must not make that of one that does not.
-    const float least = region[place].least, limit = (beyond_ - least) * 1.000001F;
+    // A longer segment leads out of all kernels in which the distance has fallen; rounding must not make that of one that
+    // does not.
+    const float limit = (beyond_ - least_lane(fallen)) * 1.000001F;
     for (std::uint32_t first = begin; first < end; first += 64) {
       const float* lengths = segments_.lengths.data() + first;
       const Index* targets = segments_.targets.data() + first;
@@ -123,16 +145,9 @@ class GroupDistances {
         const float length = lengths[i];
         std::size_t number = places[target];
         if (number == 0) number = add(target);
-        RegionPlace& to = region[number - 1];
-        std::uint32_t nearer = 0;
-        for (std::size_t part = 0; part < parts; ++part) {
-          float* distances = to.lane.data() + part * lane_count;
-          const Lanes before = load(distances), through = here[part] + length;
-          nearer |= where_smaller(through, before);
-          store(distances, smaller(through, before));
-        }
-        to.least = std::min(to.least, least + length);
-        to.changed |= nearer;
+        float* distances = region[number - 1].lane.data();
+        for (std::size_t part = 0; part < group_size; part += lane_count)
+          store(distances + part, smaller(here[part / lane_count] + length, load(distances + part)));
       }
     }
     return true;

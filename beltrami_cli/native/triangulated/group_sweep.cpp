@@ -139,10 +139,10 @@ class GroupAverage {
 
 }  // namespace
 
-std::optional<KernelStatistics> sweep_group(const GroupJob& job, std::span<const Index> sources, GroupScratch& scratch) {
+std::optional<KernelStatistics> sweep_group(const GroupJob& job, const VertexGroup& group, GroupScratch& scratch) {
   GroupDistances distances(*job.segments, job.parameters.radius, scratch);
-  if (!distances.find(sources)) return std::nullopt;
-  return GroupAverage(job, sources, scratch, distances).run();
+  if (!distances.find(group)) return std::nullopt;
+  return GroupAverage(job, group.sources, scratch, distances).run();
 }
 
 }  // namespace beltrami::triangulated::BELTRAMI_VARIANT

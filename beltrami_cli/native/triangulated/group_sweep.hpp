@@ -5,7 +5,6 @@
 #include <cstddef>
 #include <cstdint>
 #include <optional>
-#include <span>
 #include <vector>
 
 #include "triangulated/metric.hpp"
@@ -25,9 +24,8 @@ struct GroupJob {
 
 // A vertex that any of a group's kernels reaches.
 struct alignas(64) RegionPlace {
-  std::array<float, group_size> lane;  // its distance from each source, later the value of each kernel there
-  float least;                         // the least of the distances
-  std::uint32_t changed;               // whether any of them has fallen and was not passed on
+  std::array<float, group_size> lane;    // its distance from each source, later the value of each kernel there
+  std::array<float, group_size> passed;  // the distances as they were passed on to other vertices last
   Index vertex;
 };
 
@@ -40,18 +38,18 @@ struct GroupScratch {
 };
 
 // Writes the smoothed colours of up to 16 sources. Nothing is written, or told, if they reach too many vertices.
-using SweepGroup = std::optional<KernelStatistics> (*)(const GroupJob& job, std::span<const Index> sources,
+using SweepGroup = std::optional<KernelStatistics> (*)(const GroupJob& job, const VertexGroup& group,
                                                        GroupScratch& scratch);
 
 namespace baseline {
-std::optional<KernelStatistics> sweep_group(const GroupJob& job, std::span<const Index> sources, GroupScratch& scratch);
+std::optional<KernelStatistics> sweep_group(const GroupJob& job, const VertexGroup& group, GroupScratch& scratch);
 }
 #ifdef BELTRAMI_X86_VARIANTS
 namespace x86_64_v3 {
-std::optional<KernelStatistics> sweep_group(const GroupJob& job, std::span<const Index> sources, GroupScratch& scratch);
+std::optional<KernelStatistics> sweep_group(const GroupJob& job, const VertexGroup& group, GroupScratch& scratch);
 }
 namespace x86_64_v4 {
-std::optional<KernelStatistics> sweep_group(const GroupJob& job, std::span<const Index> sources, GroupScratch& scratch);
+std::optional<KernelStatistics> sweep_group(const GroupJob& job, const VertexGroup& group, GroupScratch& scratch);
 }
 #endif
 

@@ -49,13 +49,13 @@ KernelStatistics SegmentKernel::smooth(Rows<float> colours, const float* weights
         if (!workers[index]) workers[index] = std::make_unique<Worker>(lengths_.segments());
         Worker& worker = *workers[index];
         for (std::size_t group = begin; group < end; ++group) {
-          const auto sources = groups_.sources(group);
-          if (const auto done = sweep(job, sources, worker.scratch)) {
+          const VertexGroup members = groups_.group(group);
+          if (const auto done = sweep(job, members, worker.scratch)) {
             add(worker.statistics, *done);
             continue;
           }
           if (!worker.marching) worker.marching = std::make_unique<SegmentMarch>(lengths_.segments());
-          march_group(sources, colours, weights, parameters, smoothed, *worker.marching, worker.statistics);
+          march_group(members.sources, colours, weights, parameters, smoothed, *worker.marching, worker.statistics);
         }
       },
       poll ? Poll([&](std::size_t done) { return poll(std::min(done * group_size, groups_.members.size())); }) : Poll());

@@ -103,11 +103,46 @@ class Block {
   std::size_t first_, size_;
 };
 
+// Calls visit(segment) for the segments between members of a group, given the number of each vertex among all members.
+template <class Visit>
+void for_each_inner(const Segments& segments, std::span<const Index> members, const std::vector<std::uint32_t>& numbers,
+                    std::size_t group, const Visit& visit) {
+  for (std::size_t i = group * group_size; i < std::min((group + 1) * group_size, members.size()); ++i) {
+    const auto from = static_cast<std::size_t>(members[i]);
+    for (std::uint32_t place = segments.offsets[from]; place < segments.offsets[from + 1]; ++place) {
+      const std::uint32_t to = numbers[static_cast<std::size_t>(segments.targets[place])];
+      if (to > i && to / group_size == group)
+        visit({place, static_cast<std::uint16_t>(i % group_size), static_cast<std::uint16_t>(to % group_size)});
+    }
+  }
+}
+
+void list_inner_segments(VertexGroups& groups, const Segments& segments, unsigned threads) {
+  std::vector<std::uint32_t> numbers(groups.members.size());  // [vertex]: its place among the members
+  for (std::size_t i = 0; i < numbers.size(); ++i) numbers[static_cast<std::size_t>(groups.members[i])] = static_cast<std::uint32_t>(i);
+  groups.inner_offsets.assign(groups.count() + 1, 0);
+  const auto for_each_group = [&](const auto& body) {
+    parallel_chunks(groups.count(), groups_per_block, threads, [&](std::size_t begin, std::size_t end, unsigned) {
+      for (std::size_t group = begin; group < end; ++group) body(group);
+    });
+  };
+  for_each_group([&](std::size_t group) {
+    for_each_inner(segments, groups.members, numbers, group, [&](const InnerSegment&) { ++groups.inner_offsets[group + 1]; });
+  });
+  std::partial_sum(groups.inner_offsets.begin(), groups.inner_offsets.end(), groups.inner_offsets.begin());
+  groups.inner.resize(groups.inner_offsets.back());
+  for_each_group([&](std::size_t group) {
+    InnerSegment* next = groups.inner.data() + groups.inner_offsets[group];
+    for_each_inner(segments, groups.members, numbers, group, [&](const InnerSegment& segment) { *next++ = segment; });
+  });
+}
+
 }  // namespace
 
-std::span<const Index> VertexGroups::sources(std::size_t group) const {
-  const std::size_t begin = group * group_size;
-  return {members.data() + begin, std::min(group_size, members.size() - begin)};
+VertexGroup VertexGroups::group(std::size_t number) const {
+  const std::size_t begin = number * group_size, first = inner_offsets[number];
+  return {{members.data() + begin, std::min(group_size, members.size() - begin)},
+          {inner.data() + first, inner_offsets[number + 1] - first}};
 }
 
 VertexGroups make_groups(Rows<double> positions, const Segments& segments, unsigned threads) {
@@ -126,6 +161,7 @@ VertexGroups make_groups(Rows<double> positions, const Segments& segments, unsig
                     const auto gathered = block.gather();
                     if (block.count_inside(gathered) > inside) std::copy(gathered.begin(), gathered.end(), members.begin());
                   });
+  list_inner_segments(groups, segments, threads);
   return groups;
 }
 

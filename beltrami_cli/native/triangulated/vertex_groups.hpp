@@ -13,11 +13,24 @@ namespace beltrami::triangulated {
 
 constexpr std::size_t group_size = 16;
 
+// A segment between two vertices of a group; it is as long in both directions.
+struct InnerSegment {
+  std::uint32_t place;     // in the lists of segments
+  std::uint16_t from, to;  // numbers in the group
+};
+
+struct VertexGroup {
+  std::span<const Index> sources;
+  std::span<const InnerSegment> inner;
+};
+
 struct VertexGroups {
-  std::vector<Index> members;  // of all groups in turn: group g owns [16 g, 16 g + 16), the last what is left
+  std::vector<Index> members;                // of all groups in turn: group g owns [16 g, 16 g + 16), the last what is left
+  std::vector<InnerSegment> inner;           // of all groups in turn
+  std::vector<std::uint32_t> inner_offsets;  // [group], one more at the end
 
   std::size_t count() const { return (members.size() + group_size - 1) / group_size; }
-  std::span<const Index> sources(std::size_t group) const;
+  VertexGroup group(std::size_t number) const;
 };
 
 // Cuts the vertices into groups, within blocks that follow each other in memory: by bisecting space, or, where neighbours
