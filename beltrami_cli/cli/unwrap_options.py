@@ -29,7 +29,7 @@ keep_uv = click.option(
 )
 unwrap = click.option(
     "--unwrap", is_flag=True,
-    help="Lay the mesh out on a new texture, put its colours there, and smooth them: for meshes without texture "
+    help="Lay the mesh out on a new texture, and put its smoothed colours there: for meshes without texture "
     "coordinates, or with hopeless ones. OUTPUT is then a new file with the triangles and the texture.",
 )  # fmt: skip
 max_unwrap_faces = click.option(

@@ -20,7 +20,7 @@ from beltrami_cli.sampling.lookup import look_up
 from beltrami_cli.sampling.unwrap import unwrap
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
     from numpy.typing import NDArray
 
@@ -129,8 +129,15 @@ def texture_from_vertices(
     return NewTexture(contents.positions, faces, uv, space_of, pixels, charts, notices)
 
 
-def texture_from_textures(document: Document, wanted: BakeSettings, progress: Progress = None) -> NewTexture:
+def texture_from_textures(
+    document: Document,
+    wanted: BakeSettings,
+    progress: Progress = None,
+    smoothed: Mapping[str, ImageFile] | None = None,
+) -> NewTexture:
     """Move all base colour textures to one new atlas.
+
+    `smoothed`, by the keys of the textures, stand in for those of the document where they are given.
 
     Raises
     ------
@@ -140,9 +147,15 @@ def texture_from_textures(document: Document, wanted: BakeSettings, progress: Pr
         If it cannot be unwrapped.
     """
     old = document.textured("baseColor")
-    pictures = [read_image(texture.data, texture.name) for texture in old.textures]
+    new = [(smoothed or {}).get(texture.key) for texture in old.textures]
+    pictures = [
+        read_image(texture.data if file is None else file.data, texture.name)
+        for texture, file in zip(old.textures, new, strict=True)
+    ]
     sizes = np.array([picture.pixels.shape[1::-1] for picture in pictures])
-    made = _unwrapped(document, old.positions, old.faces, old.space_of, _texels(old, sizes), wanted, progress)
+    made = _unwrapped(
+        document, old.positions, old.faces, old.space_of, texels_of(old, sizes), wanted, progress
+    )
     channels = 4 if any(picture.alpha is not None for picture in pictures) else 3
     images = []
     for picture in pictures:
@@ -242,7 +255,7 @@ def _left_behind(contents: MeshContents) -> list[str]:
     return notices
 
 
-def _texels(surface: TexturedSurface, sizes: NDArray[np.int64]) -> float:
+def texels_of(surface: TexturedSurface, sizes: NDArray[np.int64]) -> float:
     """Return how many texels the textured triangles have together."""
     painted = surface.texture_of >= 0
     corners = surface.uv[painted] * sizes[surface.texture_of[painted]][:, None]

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from beltrami_cli.errors import UsageError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
-from beltrami_cli.pipeline.bake.new_texture import texture_from_textures, texture_from_vertices
+from beltrami_cli.formats.image.measuring import measure_image
+from beltrami_cli.pipeline.bake.new_texture import texels_of, texture_from_textures, texture_from_vertices
 from beltrami_cli.pipeline.documents.conversion import names_beside, write_textured
 from beltrami_cli.pipeline.documents.opening import open_input
 from beltrami_cli.pipeline.documents.room import require_room_for_textures
@@ -25,7 +29,7 @@ if TYPE_CHECKING:
 
     from beltrami_cli.flow.guidance import Guide
     from beltrami_cli.formats.document import Document
-    from beltrami_cli.mesh.textured import ImageFile
+    from beltrami_cli.mesh.textured import ImageFile, TexturedSurface
     from beltrami_cli.pipeline.bake.new_texture import NewTexture
     from beltrami_cli.pipeline.settings.bake import BakeSettings
     from beltrami_cli.pipeline.settings.smooth import SmoothSettings
@@ -130,13 +134,27 @@ def _is_textured(document: Document, settings: SmoothSettings) -> bool:
 def _smooth_in_texture(
     document: Document, settings: SmoothSettings, wanted: BakeSettings, watch: Stopwatch, progress: Progress
 ) -> _Done:
+    """Smooth the textures, then make the new one; afterwards, where the old ones are no place to do so.
+
+    A new texture shows theirs between texels, which spreads noise over several and makes it look like a pattern.
+    """
+    iterations, first = settings.kernel.iterations, None
+    if iterations and _has_room(document.textured("baseColor")):
+        with watch.stage("smooth"):
+            first = smooth_slot(
+                document.textured("baseColor"), "baseColor", _in_passing(settings),
+                _labelled(progress, "baseColor textures"), document,
+            )  # fmt: skip
+    old = {} if first is None else {key: image for (_, key), image in first.images.items()}
     with watch.stage("unwrap"):
-        made = texture_from_textures(document, wanted, progress)
+        made = texture_from_textures(document, wanted, progress, old)
     notices = list(made.notices)
     if document.has_vertex_colours():
         notices.append("Vertex colours are not in the new file; --on vertices takes them, not the texture.")
-    if settings.kernel.iterations == 0:
-        return _Done(made, made.encoded(), notices)
+    if first is not None or not iterations:
+        told = () if first is None else first.notices
+        image = _encoded(made, settings)
+        return _Done(made, image, [*notices, *told], slots=[] if first is None else [first.report])
     with watch.stage("smooth"):
         result = smooth_slot(made.surface(), "baseColor", settings, _labelled(progress, "the new texture"))
     (image,) = result.images.values()
@@ -163,9 +181,26 @@ def _smooth_on_vertices(
     with watch.stage("unwrap"):
         colours = None if smoothed is None else smoothed.colours
         made = texture_from_vertices(document, wanted, progress, colours)
+    return _Done(made, _encoded(made, settings), list(made.notices), vertices=smoothed)
+
+
+def _has_room(surface: TexturedSurface) -> bool:
+    """Tell whether textures have a texel for each triangle; in palettes triangles are points, and share few colours."""
+    sizes = [measure_image(texture.data) for texture in surface.textures]
+    sides = np.array([(0, 0) if size is None else (size.width, size.height) for size in sizes], np.int64)
+    return texels_of(surface, sides.reshape(-1, 2)) >= int(np.count_nonzero(surface.texture_of >= 0))
+
+
+def _in_passing(settings: SmoothSettings) -> SmoothSettings:
+    """Return settings for textures that are written for the way only: in a format that loses nothing."""
+    return dataclasses.replace(
+        settings, textures=dataclasses.replace(settings.textures, image_suffix=".tif", small=False)
+    )
+
+
+def _encoded(made: NewTexture, settings: SmoothSettings) -> ImageFile:
     textures = settings.textures
-    image = made.encoded(textures.image_suffix, textures.jpeg_quality, small=textures.small)
-    return _Done(made, image, list(made.notices), vertices=smoothed)
+    return made.encoded(textures.image_suffix, textures.jpeg_quality, small=textures.small)
 
 
 def _labelled(progress: Progress, label: str) -> Callable[[int, int], None] | None:
