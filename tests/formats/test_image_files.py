@@ -148,6 +148,15 @@ def test_palettes_become_colours_and_take_their_chunks_with_them() -> None:
     assert [kind for kind, _ in png_chunks(written)] == [b"IHDR", b"tEXt", b"IDAT", b"IEND"]
 
 
+@pytest.mark.parametrize("progressive", [0, 1])
+def test_jpeg_stays_progressive_or_not(progressive: int) -> None:
+    pixels = np.linspace(0, 255, 32 * 32 * 3).reshape(32, 32, 3).astype(np.uint8)
+    source = encode(pixels, "jpeg", compression="jpeg:80", jpeg__progressive=progressive)
+    assert (b"\xff\xc2" in source) == bool(progressive)
+    picture = read_image(source, "a.jpg")
+    assert (b"\xff\xc2" in write_image(picture, 255 - picture.pixels).data) == bool(progressive)
+
+
 @pytest.mark.parametrize("subsampling", ["4:4:4", "4:2:2", "4:2:0", "4:1:1"])
 def test_jpeg_keeps_subsampling_and_metadata(subsampling: str) -> None:
     smooth = np.linspace(20, 220, 48 * 64 * 3).reshape(48, 64, 3).astype(np.uint8)

@@ -24,6 +24,7 @@ _WEBP_ALPHA, _WEBP_ANIMATION = 0x10, 0x02
 _WEBP_PIXELS = (b"ALPH", b"VP8 ", b"VP8L")
 _COMMENT, _ADOBE, _START_OF_SCAN = 0xFE, 0xEE, 0xDA
 _FRAMES = (*range(0xC0, 0xC4), *range(0xC5, 0xC8), *range(0xC9, 0xCC), *range(0xCD, 0xD0))
+_PROGRESSIVE = (0xC2, 0xC6, 0xCA, 0xCE)  # frames
 _MOST_BITS_OF_A_PALETTE = 8
 _PLAIN_MARKERS = (0x01, *range(0xD0, 0xD9))  # markers without a segment
 
@@ -86,6 +87,11 @@ def is_lossless_webp(data: bytes) -> bool:
 def is_cmyk_jpeg(data: bytes) -> bool:
     """Tell whether a JPEG file has four components."""
     return any(marker in _FRAMES and segment[9:10] == b"\x04" for marker, segment in _jpeg_segments(data))
+
+
+def is_progressive_jpeg(data: bytes) -> bool:
+    """Tell whether a JPEG file is made of scans that become finer."""
+    return any(marker in _PROGRESSIVE for marker, _ in _jpeg_segments(data))
 
 
 def _png_chunks(data: bytes) -> Iterator[tuple[bytes, bytes]]:

@@ -8,7 +8,12 @@ import numpy as np
 
 from beltrami_cli.errors import ProcessingError, UsageError
 from beltrami_cli.formats.image.conversion import converted
-from beltrami_cli.formats.image.metadata import carry_over, is_lossless_webp, without_additions
+from beltrami_cli.formats.image.metadata import (
+    carry_over,
+    is_lossless_webp,
+    is_progressive_jpeg,
+    without_additions,
+)
 from beltrami_cli.formats.image.recognition import FORMATS, WRITABLE, format_of_suffix, label_of
 from beltrami_cli.formats.image.scratch import scratch_file
 from beltrami_cli.mesh.textured import ImageFile
@@ -120,6 +125,8 @@ def _bare_spec(picture: Picture) -> Any:
     spec.attribute("oiio:UnassociatedAlpha", 1)
     subsampling = picture.spec.get_string_attribute("jpeg:subsampling")
     spec.attribute("jpeg:subsampling", subsampling or "4:4:4")
+    if picture.format == "jpeg" and is_progressive_jpeg(picture.source):
+        spec.attribute("jpeg:progressive", 1)
     return spec
 
 
