@@ -91,11 +91,11 @@ def choice_in_words(choice: dict[str, Any]) -> str:
     """Return what was chosen, by what estimate, and how sure that is."""
     chosen = ", ".join(f"{name} {value:.3g}" for name, value in choice["chosen"].items())
     if choice["psnr"] is None:
-        why = ": the noise of neighbouring samples is not independent, as in JPEG pictures; errors cannot be estimated"
-        return f"{chosen}; by the fixed rule of --fast{why if choice['correlated'] else ''}"
+        return f"{chosen}; by the fixed rule of --fast"
+    shared = "; neighbours share noise, as in JPEG pictures" if choice["correlated"] else ""
     return (
         f"{chosen}; estimated PSNR {choice['psnr']:.1f} +- {choice['error']:.1f} dB, {choice['gain']:+.1f} dB "
-        f"against the input; the best of {choice['candidates']} on {choice['samples']} samples"
+        f"against the input; the best of {choice['candidates']} on {choice['samples']} samples{shared}"
     )
 
 

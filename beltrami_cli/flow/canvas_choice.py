@@ -5,17 +5,15 @@ from __future__ import annotations
 import dataclasses
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from beltrami_cli.flow.canvas import apply_kernel
 from beltrami_cli.flow.choice import ON_GRIDS, Choice, choose, is_noisy
-from beltrami_cli.flow.correlation import is_correlated_on_grid
 from beltrami_cli.flow.regularisation import guide_radius
 from beltrami_cli.flow.rule import RULE_ON_GRIDS, choose_by_rule
 from beltrami_cli.flow.trial_grid import GridTrial
-from beltrami_cli.mesh.atlas import OWNED, refresh_halo
+from beltrami_cli.mesh.atlas import refresh_halo
 
 if TYPE_CHECKING:
+    import numpy as np
     from numpy.typing import NDArray
 
     from beltrami_cli.flow.canvas import Canvas
@@ -30,12 +28,13 @@ _LEAST_TRIED = 40_000
 # More tell nothing new: of so many the risk is known to some hundredths of a dB.
 _MOST_TRIED = 500_000
 
-# Rows in which correlated noise is looked for, in so many bands.
-_ROWS, _BANDS = 64, 32
-
 
 def choose_on_canvas(
-    canvas: Canvas, planes: NDArray[np.float32], sigma: NDArray[np.float64], unit: float
+    canvas: Canvas,
+    planes: NDArray[np.float32],
+    sigma: NDArray[np.float64],
+    unit: float,
+    octaves: NDArray[np.float64] | None,
 ) -> tuple[KernelParameters, Choice | None]:
     """Choose the free parameters; without noise they stay as they are, and nothing is smoothed.
 
@@ -49,6 +48,8 @@ def choose_on_canvas(
         Estimated noise per channel.
     unit : float
         The texel pitch in units of length.
+    octaves : ndarray of float64, shape (L, N, N), or None
+        The noise that neighbouring cells have in common, see `noise_in_common`; None: it is independent.
 
     Returns
     -------
@@ -63,13 +64,8 @@ def choose_on_canvas(
         if "iterations" in wanted.free:
             parameters = dataclasses.replace(parameters, iterations=0)
         return parameters, None
-    rows = _some_rows(len(atlas.kind))
-    correlated = not wanted.fast and is_correlated_on_grid(planes[:, rows], atlas.kind[rows] == OWNED)
-    if wanted.fast or correlated:
-        metric = canvas.metric
-        return choose_by_rule(
-            metric.counting, unit, metric.beta, wanted, RULE_ON_GRIDS, correlated=correlated
-        )
+    if wanted.fast:
+        return choose_by_rule(canvas.metric.counting, unit, canvas.metric.beta, wanted, RULE_ON_GRIDS)
 
     def iterate(
         atlas: Atlas, cells: CellFields, metric: tuple[NDArray[np.float32], float], planes: NDArray[np.float32],
@@ -84,15 +80,8 @@ def choose_on_canvas(
 
     budget = min(max(_LEAST_TRIED, int(len(atlas.owned_cells) * _SHARE_TRIED)), _MOST_TRIED)
     reach = wanted.window // 2 + guide_radius(wanted.metric_scale)
-    trial = GridTrial(atlas, planes, canvas.cells, canvas.metric, iterate, budget, reach)
-    return choose(
+    trial = GridTrial(atlas, planes, canvas.cells, canvas.metric, iterate, budget, reach, octaves)
+    parameters, choice = choose(
         trial, trial.samples, sigma, canvas.metric.counting, unit, canvas.metric.beta, wanted, ON_GRIDS
     )
-
-
-def _some_rows(count: int) -> slice | NDArray[np.intp]:
-    """Choose bands of rows, evenly spread; all rows if there are not many."""
-    if count <= _ROWS * _BANDS:
-        return slice(None)
-    first = np.linspace(0, count - _ROWS, _BANDS).astype(int)
-    return (first[:, None] + np.arange(_ROWS)).reshape(-1)
+    return parameters, dataclasses.replace(choice, correlated=octaves is not None)

@@ -80,7 +80,7 @@ class Choice:
     samples : int
         Samples of the surface that they were compared on.
     correlated : bool
-        Whether the noise of neighbouring samples is not independent, so that errors cannot be estimated.
+        Whether neighbouring samples have noise in common, which was allowed for.
     """
 
     chosen: dict[str, float]

@@ -1,77 +1,243 @@
-"""Whether the noise of neighbouring samples is independent, which estimates of errors take for granted."""
+"""Noise that neighbouring cells have in common, which estimates of errors must know of: what JPEG leaves of noise.
+
+JPEG takes colours apart into their mean and into differences of channels, and stores these in coarser steps, and often
+for 2 x 2 pixels together. Noise falls into the steps, more of it the finer its detail is; so the noise that is left is
+told by the differences of channels at lower and lower resolution, where it is what it was.
+"""
 
 from __future__ import annotations
 
-from itertools import combinations
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from beltrami_cli.flow.noise import estimate_sigma_on_grid
+from beltrami_cli.flow.octaves import sigma_of_octaves
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# How much larger noise may come out at half the resolution: on painted, baked and photographed textures at most 1.6
-# times for independent noise of 2 to 40 of 255; more than 2.5 times for what JPEG leaves, by subsampling chroma or by
-# steps that are coarser than the noise. Of steps that are finer nothing is found.
-_MOST = 2.0
+# The mean of three channels and two differences, of unit length and square to each other.
+_OPPONENTS = np.array([[1, 1, 1], [1, 0, -1], [1, -2, 1]]) / np.sqrt([[3], [2], [6]])
 
-# Less is enough where differences of channels have less noise, by the second factor, than there is between channels of
-# independent noise: of that they have at most 1.2 times less (1.4 times, but not much more at half the resolution).
-_SUSPICIOUS, _MISSING = 1.4, 1.25
+# Octaves that are told apart; in the last, and what is coarser, noise is what it was.
+_OCTAVES = 4
 
-# Of more channels, which are no colours, so many are looked at.
-_CHANNELS = 3
+# How much larger noise of differences may come out at half the resolution: on painted, baked and photographed textures
+# at most 1.6 times for independent noise of 2 to 40 of 255; more than twice for what JPEG leaves. Less there may be
+# texture, and more than in the mean of channels, whose steps are finer.
+_MOST, _LEAST = 1.7, 1.25 / 255
+
+# Noise of differences at a quarter of the resolution is what that of the mean is at half; what is more is texture.
+_TEXTURE = 1.5
+
+# The same as `_MOST` at a quarter, for pictures whose colour is stored for 2 x 2 pixels: these have less than half of
+# the noise of the mean there, and textures have more.
+_MOST_QUARTER, _COLOURLESS = 3.0, 2.0
+
+# How much more noise the mean and the differences may have than the channels, whose noise is theirs if it is
+# independent: on the same textures at most 1.2 times.
+_MISSING = 1.25
+
+# In differences, noise is believed to be so many times larger from one octave to the next; more is texture.
+_TRUSTED = 3.0
+
+# Steps keep some noise as a few large details, that a low quantile does not see: half of the next octave at least.
+_KEPT = 0.5
+
+# The mean is stored in the finest steps; these add to its noise up to so many times what was there before.
+_ADDED = 1.25
 
 # Share of the cells that tell enough alone, away from 0 and full scale.
 _ENOUGH_INSIDE = 0.2
 
-# Noise that is smaller is lost in the steps of an 8-bit file.
-_LEAST = 0.5 / 255
+# Rows of a band, a multiple of the cells that the coarsest details span; and cells that are looked at in all.
+_BAND, _CELLS = 256, 2_000_000
+
+# Of fewer cells, and of fewer a side, coarse octaves tell nothing: texture may look like noise.
+_ENOUGH, _SMALLEST = 50_000, 64
+
+# Squares a side of a tile; of the tiles this share, but no fewer than so many, are taken to hold nothing but noise.
+_TILE, _SHARE, _FEWEST = 4, 0.1, 20
+
+# A tile with less variance in any of them was plain, or has lost all its noise.
+_PLAIN = 1e-9
 
 
-def is_correlated_on_grid(planes: NDArray[np.float32], filled: NDArray[np.bool_]) -> bool:
-    """Tell whether neighbouring cells of a grid have noise in common.
-
-    Means of 2 x 2 cells have half the noise of single cells if that is independent. Differences of channels are looked
-    at, for these hold few edges and little texture, and it is there that pictures are compressed most; all of them,
-    because edges in some differences look like such noise. Rich texture does in all of them, but it does not make the
-    finest differences of channels smaller than the channels' own noise.
+def estimate_noise_on_grid(
+    planes: NDArray[np.float32], filled: NDArray[np.bool_]
+) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
+    """Estimate the standard deviation of noise on a grid, per channel, whether it is independent or not.
 
     Parameters
     ----------
     planes : ndarray of float32, shape (N, R, C)
-        Colours; of a single channel nothing is told.
+        Colours.
     filled : ndarray of bool, shape (R, C)
         Which cells to look at.
 
     Returns
     -------
-    bool
+    sigma : ndarray of float64, shape (N,)
+        In units of `planes`; 0 where nothing tells.
+    octaves : ndarray of float64, shape (L, N, N), or None
+        As of `noise_in_common`.
     """
-    planes = planes[:_CHANNELS]
+    sigma = estimate_sigma_on_grid(planes, filled)
+    octaves = noise_in_common(planes, filled, sigma)
+    return (sigma if octaves is None else sigma_of_octaves(octaves)), octaves
+
+
+def noise_in_common(
+    planes: NDArray[np.float32], filled: NDArray[np.bool_], sigma: NDArray[np.float64]
+) -> NDArray[np.float64] | None:
+    """Tell the noise that neighbouring cells of a grid have in common.
+
+    Parameters
+    ----------
+    planes : ndarray of float32, shape (N, R, C)
+        Colours, the first three channels of which are colours in [0, 1].
+    filled : ndarray of bool, shape (R, C)
+        Which cells to look at.
+    sigma : ndarray of float64, shape (N,)
+        Noise of the channels, as `estimate_sigma_on_grid` tells it.
+
+    Returns
+    -------
+    ndarray of float64, shape (L, N, N), or None
+        Covariances, octave by octave, see `octaves.draw_octaves`; None if the noise is independent, or where fewer than
+        three channels or few cells tell nothing of that.
+    """
+    if len(planes) < len(_OPPONENTS) or np.count_nonzero(filled) < _ENOUGH or min(filled.shape) < _SMALLEST:
+        return None
+    rows = _some_rows(*filled.shape)
+    colours, filled = planes[: len(_OPPONENTS), rows], filled[rows]
     # Where noise was cut off there is less of it, in differences and in means of some cells each in its own way.
-    inside = filled & ((planes > 0) & (planes < 1)).all(axis=0)
+    inside = filled & ((colours > 0) & (colours < 1)).all(axis=0)
     if np.count_nonzero(inside) > _ENOUGH_INSIDE * np.count_nonzero(filled):
         filled = inside
-    sigma = estimate_sigma_on_grid(planes, filled)
-    pairs = list(combinations(range(len(sigma)), 2))
-    return bool(pairs) and all(
-        _is_correlated(
-            (1 + planes[one] - planes[other]) / 2, filled, float(np.hypot(*sigma[[one, other]])) / 2
-        )
-        for one, other in pairs
+    opponents = np.tensordot(_OPPONENTS.astype(np.float32), colours, 1)
+    octaves = [(opponents, filled)]
+    while len(octaves) < _OCTAVES:
+        octaves.append(_halved(*octaves[-1]))
+    least = np.array([2**level * _least_sigma(*octave) for level, octave in enumerate(octaves)])
+    if not _is_in_common(least, sigma[: len(_OPPONENTS)]):
+        return None
+    mean = np.array([2**level * _mean_sigma(*octave) for level, octave in enumerate(octaves[:-1])])
+    return _covariances(*_levels(least, mean), sigma)
+
+
+def _is_in_common(least: NDArray[np.float64], sigma: NDArray[np.float64]) -> bool:
+    """Tell so from the finest octaves of the mean and the differences, and from the channels."""
+    fine, half, quarter = least[:3, 1:]
+    brightness = least[1, 0]
+    grows = np.all(half > _MOST * fine) and _LEAST < _root_mean_square(half) < brightness
+    coarse = _root_mean_square(quarter)
+    grows &= coarse < _TEXTURE * brightness
+    colourless = np.all(quarter > _MOST_QUARTER * fine) and _LEAST < coarse < brightness / _COLOURLESS
+    missing = _root_mean_square(least[0]) > _MISSING * max(_root_mean_square(sigma), _LEAST)
+    return bool(grows or colourless or missing)
+
+
+def _levels(
+    least: NDArray[np.float64], mean: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Put together what is told of the noise, octave by octave: of the mean of channels, and of their differences.
+
+    Low quantiles of even tiles tell too little where details are few and large; means of these tell too much where
+    there is texture. So the means are believed as far as noise can go: what it is in the coarsest octave of
+    differences, which lost least and holds the least texture, and in the mean of channels not much more.
+    """
+    brightness, difference = least[:, 0], np.sqrt(np.mean(np.square(least[:, 1:]), axis=1))
+    own = np.sqrt(np.mean(np.square(mean[:, 1:]), axis=1))
+    before, last = difference[-2:]
+    most = min(max(before, min(last, _TRUSTED * before)), _ADDED * brightness[1])
+    differences = np.append(np.minimum(np.maximum(difference[:-1], own), most), most)
+    finest = min(max(brightness[0], mean[0, 0]), _ADDED * max(brightness[0], most))
+    limit = max(finest, _ADDED * most)
+    others = np.minimum(np.maximum(brightness[1:-1], mean[1:, 0]), limit)
+    levels = np.stack([[finest, *others, limit], differences])
+    for level in reversed(range(_OCTAVES - 1)):
+        levels[:, level] = np.maximum(levels[:, level], _KEPT * levels[:, level + 1])
+    return levels[0], levels[1]
+
+
+def _covariances(
+    brightness: NDArray[np.float64], differences: NDArray[np.float64], sigma: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the covariances of all channels; those that are no colours have independent noise."""
+    count = len(_OPPONENTS)
+    octaves = np.tile(np.diag(np.square(sigma)), (_OCTAVES, 1, 1))
+    along = np.full((count, count), 1 / count)
+    across = np.eye(count) - along
+    octaves[:, :count, :count] = np.multiply.outer(brightness**2, along)
+    octaves[:, :count, :count] += np.multiply.outer(differences**2, across)
+    return octaves
+
+
+def _least_sigma(opponents: NDArray[np.float32], filled: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Tell the noise by diagonal details, whatever the limits of the channels do to it."""
+    scale = np.float32(1 / np.sqrt(len(_OPPONENTS)))  # keeps them in [0, 1]
+    middle = np.array([0.0, 0.5, 0.5], np.float32)[:, None, None]
+    return estimate_sigma_on_grid(scale * opponents + middle, filled) / float(scale)
+
+
+def _mean_sigma(opponents: NDArray[np.float32], filled: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Tell the noise by the mean of all details in the tiles where means are most even; infinite without tiles."""
+    corners = _corners(opponents)
+    whole = _all_filled(filled)
+    mean = corners.mean(axis=0)
+    details = (np.square(corners - mean).sum(axis=0) / 3).astype(np.float32)
+    count = _sums(whole)
+    enough = count == _TILE**2
+    energy, square, level = (
+        np.stack([_sums(np.where(whole, plane, 0))[enough] / count[enough] for plane in of])
+        for of in (details, mean**2, mean)
     )
+    uneven = (square - level**2).sum(axis=0)
+    noisy = np.flatnonzero(energy.min(axis=0, initial=np.inf) > _PLAIN)
+    if not len(noisy):
+        return np.full(len(opponents), np.inf)
+    chosen = max(_FEWEST, int(_SHARE * len(noisy)))
+    even = noisy[np.argsort(uneven[noisy], kind="stable")[:chosen]]
+    return np.asarray(np.sqrt(energy[:, even].mean(axis=1)), np.float64)
 
 
-def _is_correlated(plane: NDArray[np.float32], filled: NDArray[np.bool_], independent: float) -> bool:
-    """Tell so for half the difference of two channels, and the noise that it has if theirs is independent."""
+def _corners(planes: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the four corners of squares of 2 x 2 cells, side by side, shape (4, N, R // 2, C // 2)."""
+    rows, columns = (size // 2 * 2 for size in planes.shape[1:])
+    return np.stack([planes[:, i:rows:2, j:columns:2] for i in (0, 1) for j in (0, 1)])
+
+
+def _halved(
+    planes: NDArray[np.float32], filled: NDArray[np.bool_]
+) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """Return the means of squares of 2 x 2 cells, and which of them are filled."""
+    return _corners(planes).mean(axis=0), _all_filled(filled)
+
+
+def _all_filled(filled: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Tell which squares of 2 x 2 cells are filled."""
     rows, columns = (size // 2 * 2 for size in filled.shape)
-    shape = (rows // 2, 2, columns // 2, 2)
-    blocks = np.asarray(filled[:rows, :columns].reshape(shape).all(axis=(1, 3)))
-    means = plane[:rows, :columns].reshape(shape).mean(axis=(1, 3))
-    fine = estimate_sigma_on_grid(plane[None], filled)[0]
-    coarse = 2 * estimate_sigma_on_grid(means[None], blocks)[0]
-    most = _SUSPICIOUS if independent > _MISSING * fine else _MOST
-    return bool(coarse > max(most * fine, _LEAST))
+    squares = filled[:rows, :columns].reshape(rows // 2, 2, columns // 2, 2)
+    return np.asarray(squares.all(axis=(1, 3)))
+
+
+def _sums(values: NDArray[np.float32] | NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Sum over tiles; what is left over at the borders is left out."""
+    rows, columns = (size // _TILE for size in values.shape)
+    whole = values[: rows * _TILE, : columns * _TILE].reshape(rows, _TILE, columns, _TILE)
+    return np.asarray(whole.sum(axis=(1, 3), dtype=np.float64))
+
+
+def _root_mean_square(values: NDArray[np.float64]) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def _some_rows(count: int, columns: int) -> slice | NDArray[np.intp]:
+    """Choose bands of rows, evenly spread, with about so many cells; all rows if there are no more."""
+    bands = max(1, _CELLS // (_BAND * max(1, columns)))
+    if count <= _BAND * bands:
+        return slice(None)
+    first = np.linspace(0, count - _BAND, bands).astype(int)
+    return (first[:, None] + np.arange(_BAND)).reshape(-1)

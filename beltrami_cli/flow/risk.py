@@ -5,7 +5,8 @@ Stein's unbiased risk estimate: for y = x + noise of variance sigma^2, and any s
     E |f(y) - x|^2 = E |f(y) - y|^2 - sigma^2 + 2 sigma^2 div f(y)        (mean over samples)
 
 and the divergence is the answer to a small random perturbation, div f(y) = E b . (f(y + eps b) - f(y)) / eps with
-independent signs b [1]_.
+independent signs b [1]_. Where samples and channels have noise in common, of covariance C, sigma^2 div f is the trace
+of C times the derivative of f, and that is the same mean with perturbations b of covariance C.
 
 References
 ----------
@@ -33,6 +34,9 @@ _EPSILON = 0.3
 
 # Of few samples the divergence is uncertain by one perturbation: so many samples, or so many perturbations, are enough.
 _ENOUGH_SAMPLES, _MOST_PROBES = 12_000, 3
+
+# Less power than a channel that has any noise gives its perturbation.
+_LEAST_POWER = 1e-12
 
 # The share of samples at a limit is averaged by a Gaussian on the surface: so many iterations of such a time step.
 _MARK_STEPS, _MARK_TIME = 2, 2.4
@@ -62,7 +66,10 @@ class Trial(Protocol):
 
     @property
     def signs(self) -> NDArray[np.float32]:
-        """States of independent signs, 1 or -1, one after the other; equal where two entries are one sample."""
+        """States of perturbations, one after the other; equal where two entries are one sample.
+
+        Independent signs, 1 or -1; or, where noise is not independent, what is like it and has a mean square of 1.
+        """
 
     def step(self, state: NDArray[np.float32], step: Step) -> NDArray[np.float32]:
         """Return the state after an iteration."""
@@ -124,6 +131,9 @@ class RiskEstimate:
         self._noisy = trial.scored(trial.start)
         self._variance = np.square(sigma) * self._left_by_clipping()
         self._signs = [trial.scored(signs) for signs in trial.signs]
+        # Of signs 1; perturbations like the noise have its size, channel by channel, and so need no weights.
+        power = np.mean([np.mean(np.square(signs), axis=0) for signs in self._signs], axis=0)
+        self._answering = self._variance / np.maximum(power, _LEAST_POWER)
 
     @property
     def start(self) -> State:
@@ -164,7 +174,7 @@ class RiskEstimate:
             answer += signs * (self._trial.scored(colours) - smoothed)
         answer /= len(self._signs) * self._epsilon
         misfit = np.square(smoothed - self._noisy) - self._variance
-        divergence = 2 * self._variance * answer
+        divergence = 2 * self._answering * answer
         each = (misfit + divergence).mean(axis=1)
         parts = np.array([part.mean() for part in np.array_split(each, _PARTS) if len(part)])
         error = float(parts.std(ddof=1) / np.sqrt(len(parts))) if len(parts) > 1 else float("inf")

@@ -21,11 +21,6 @@ if TYPE_CHECKING:
 _SLIGHT = 5 / 255
 
 
-# JPEG takes most noise from the finest detail, by which noise is told: what is left is more, and smoothing by as much
-# more gains 0.3 to 2 dB on pictures of qualities from 80 to 92. What little is told may be fine grain of the picture.
-_UNDERTOLD, _GRAIN = 1.5, 2 / 255
-
-
 @dataclass(frozen=True)
 class Rule:
     """What to run with where nothing is chosen by the error.
@@ -72,8 +67,6 @@ def choose_by_rule(
     beta: float,
     parameters: KernelParameters,
     rule: Rule,
-    *,
-    correlated: bool = False,
 ) -> tuple[KernelParameters, Choice]:
     """Set what is free by a rule.
 
@@ -89,8 +82,6 @@ def choose_by_rule(
         Those that are not free are kept; strength moves a free beta.
     rule : Rule
         For the kind of sampling.
-    correlated : bool
-        Whether the reason is that the noise of neighbouring samples is not independent.
 
     Returns
     -------
@@ -99,8 +90,6 @@ def choose_by_rule(
     choice : Choice
     """
     noise = overall_noise(counting)
-    if correlated and noise > _GRAIN:
-        counting, noise = _UNDERTOLD * counting, _UNDERTOLD * noise
     if "beta" in parameters.free and len(counting):
         beta = choose_beta(counting, rule.contrast) * unit / float(np.sqrt(SMOOTHNESS[parameters.strength]))
     values: dict[str, Any] = {
@@ -111,4 +100,4 @@ def choose_by_rule(
         "metric_steps": rule.guided,
     }
     chosen: dict[str, Any] = {name: values[name] for name in parameters.free}
-    return dataclasses.replace(parameters, **chosen, free=()), Choice(chosen, correlated=correlated)
+    return dataclasses.replace(parameters, **chosen, free=()), Choice(chosen)

@@ -12,8 +12,8 @@ from beltrami_cli.flow.canvas_choice import choose_on_canvas
 from beltrami_cli.flow.canvas_colours import owned_colours, painted
 from beltrami_cli.flow.cell_fields import CellFields, halo_repeats, local_scales
 from beltrami_cli.flow.clipping import ClippedChannels, find_clipped
+from beltrami_cli.flow.correlation import estimate_noise_on_grid
 from beltrami_cli.flow.grid_metric import GridMetric
-from beltrami_cli.flow.noise import estimate_sigma_on_grid
 from beltrami_cli.flow.one_kernel import SampledKernel, kernel_on_grid
 from beltrami_cli.flow.pieces.grid import cut_grid
 from beltrami_cli.flow.pieces.splitting import wanted_split
@@ -91,7 +91,7 @@ class TexelFlow:
     ) -> None:
         self.parameters = parameters
         self._planes = painted(atlas, colours, parameters.thread_count)
-        self.sigma = estimate_sigma_on_grid(self._planes, atlas.kind == OWNED)
+        self.sigma, octaves = estimate_noise_on_grid(self._planes, atlas.kind == OWNED)
         different = np.zeros(max(1, atlas.seams), bool)
         # Where colours do not count as distance, a jump of theirs is no edge.
         if parameters.beta != 0 and (metric_channels is None or len(metric_channels)):
@@ -113,7 +113,9 @@ class TexelFlow:
         self._metric = GridMetric(atlas, self.sigma, unit, parameters, guides, metric_channels, walls=walls)
         self.choice: Choice | None = None
         if parameters.is_open:
-            parameters, self.choice = choose_on_canvas(self._canvas(), self._planes, self.sigma, unit)
+            parameters, self.choice = choose_on_canvas(
+                self._canvas(), self._planes, self.sigma, unit, octaves
+            )
             self.parameters = parameters
             self._metric.use(parameters)
         self.beta, self.guide_betas = self._metric.beta, self._metric.guide_betas

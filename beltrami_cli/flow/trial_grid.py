@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from beltrami_cli.flow.octaves import draw_octaves, sigma_of_octaves
 from beltrami_cli.flow.risk import wanted_probes
 from beltrami_cli.mesh.atlas import EMPTY, HALO, OWNED, refresh_halo
 
@@ -49,6 +50,8 @@ class GridTrial:
         About how many cells to look at; a canvas with no more owned cells is taken whole.
     reach : int
         How far a cell's result in one iteration depends on others, in cells along rows and columns.
+    octaves : ndarray of float64, shape (L, N, N), optional
+        The noise that neighbouring cells have in common; without it, it is independent.
 
     Attributes
     ----------
@@ -65,6 +68,7 @@ class GridTrial:
         iterate: Callable[..., NDArray[np.float32]],
         budget: int,
         reach: int,
+        octaves: NDArray[np.float64] | None = None,
     ) -> None:
         self._iterate = iterate
         if len(atlas.owned_cells) <= budget:
@@ -79,9 +83,7 @@ class GridTrial:
             self._metric = metric.cut_out(self._atlas, cells)
             self._scored = np.flatnonzero(core & (self._atlas.kind == OWNED))
         self.samples = len(self._scored)
-        shape = (wanted_probes(self.samples), *self.start.shape)
-        signs = np.random.default_rng(_SEED).integers(0, 2, shape, np.int8) * 2 - 1
-        self.signs = signs.astype(np.float32)
+        self.signs = _perturbations(wanted_probes(self.samples), self.start.shape, octaves)
         self.signs[..., self._atlas.kind == EMPTY] = 0
         for planes in self.signs:
             refresh_halo(planes, self._atlas)
@@ -94,6 +96,17 @@ class GridTrial:
     def scored(self, state: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the colours of the cells that count, shape (samples, N)."""
         return state.reshape(len(state), -1)[:, self._scored].T
+
+
+def _perturbations(
+    count: int, shape: tuple[int, ...], octaves: NDArray[np.float64] | None
+) -> NDArray[np.float32]:
+    """Return random planes like the noise: signs, or what neighbours and channels have in common as they do."""
+    random = np.random.default_rng(_SEED)
+    if octaves is None:
+        return (random.integers(0, 2, (count, *shape), np.int8) * 2 - 1).astype(np.float32)
+    size = np.float32(np.sqrt(np.mean(np.square(sigma_of_octaves(octaves)))))
+    return np.stack([draw_octaves(octaves, (shape[1], shape[2]), random) / size for _ in range(count)])
 
 
 def _blocks(atlas: Atlas, budget: int, reach: int) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:

@@ -6,11 +6,9 @@ import dataclasses
 
 import numpy as np
 import pytest
-from scipy.ndimage import gaussian_filter
 
 import beltrami_cli
 from beltrami_cli.flow import risk, trial_mesh
-from beltrami_cli.flow.correlation import is_correlated_on_grid
 from beltrami_cli.flow.iteration import BeltramiFlow
 from beltrami_cli.flow.parameters import TUNABLE, KernelParameters
 from beltrami_cli.flow.risk import Risk, RiskEstimate, Step
@@ -263,26 +261,3 @@ def test_parameters_tell_what_is_open():
     assert CHOSEN.is_open
     assert not KernelParameters().is_open
     assert not dataclasses.replace(CHOSEN, beta=0.0).is_open
-
-
-def test_the_fixed_rule_chooses_where_the_noise_of_neighbours_is_not_independent():
-    """Chroma that is stored for 2 x 2 pixels together, as in most JPEG pictures."""
-    white = noisy(painting(128))
-    luma = white.mean(axis=2, keepdims=True)
-    chroma = (white - luma).reshape(64, 2, 64, 2, 3).mean(axis=(1, 3)).repeat(2, axis=0).repeat(2, axis=1)
-    for image, chosen in ((white, True), (luma + chroma, False)):
-        image = (np.rint(np.clip(image, 0, 1) * 255) / 255).astype(np.float32)
-        result = beltrami_cli.smooth_image(image, space="data")
-        assert (result.choice.psnr is not None) == chosen
-        assert (result.choice.candidates > 0) == chosen
-        assert result.choice.correlated != chosen
-
-
-@pytest.mark.parametrize(("grain", "contrast", "mean"), [(1.5, 0.05, 0.05), (3.0, 0.1, 0.1)])
-def test_rich_dark_texture_is_not_taken_for_noise_of_neighbours_in_common(grain, contrast, mean):
-    """Noise that was cut off at 0 makes differences of channels smaller, too."""
-    random = np.random.default_rng(0)
-    texture = np.stack([gaussian_filter(random.standard_normal((256, 256)), grain) for _ in range(3)])
-    clean = (mean + contrast / texture.std() * texture).clip(0, 1)
-    stored = np.rint(255 * (clean + 5 / 255 * random.standard_normal(clean.shape)).clip(0, 1)) / 255
-    assert not is_correlated_on_grid(stored.astype(np.float32), np.ones((256, 256), bool))

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import beltrami_cli
-from beltrami_cli.flow.parameters import TUNABLE, KernelParameters
-from beltrami_cli.flow.rule import RULE_ON_GRIDS, RULE_ON_MESHES, choose_by_rule
+from beltrami_cli.flow.parameters import TUNABLE
+from beltrami_cli.flow.rule import RULE_ON_GRIDS, RULE_ON_MESHES
 from oracles import surfaces
 
 
@@ -63,15 +63,3 @@ def test_the_fixed_rule_is_not_far_from_the_choice(sigma):
     ]
     for (fast, slow), true in ((flat, clean), (round_, on_ball)):
         assert psnr(fast.colours, true) > psnr(slow.colours, true) - 3
-
-
-def test_noise_that_jpeg_left_is_smoothed_more():
-    """It is told by the finest detail, of which JPEG takes most; little of it may be grain of the picture."""
-    unit, free = 1.0, KernelParameters(free=TUNABLE)
-    for noise, factor in ((20 / 255, 1.5), (1 / 255, 1.0)):
-        sigma = np.full(3, noise)
-        white, jpeg = (
-            choose_by_rule(sigma, unit, 1.0, free, RULE_ON_GRIDS, correlated=correlated)[0]
-            for correlated in (False, True)
-        )
-        assert white.beta / jpeg.beta == pytest.approx(factor)

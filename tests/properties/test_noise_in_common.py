@@ -1,0 +1,191 @@
+"""Noise that neighbouring cells have in common: found in what JPEG left, drawn as told, and errors right with it."""
+
+from __future__ import annotations
+
+import numpy as np
+import OpenImageIO
+import pytest
+from scipy.ndimage import gaussian_filter
+
+import beltrami_cli
+from beltrami_cli.flow.correlation import noise_in_common
+from beltrami_cli.flow.noise import estimate_sigma_on_grid
+from beltrami_cli.flow.octaves import draw_octaves, sigma_of_octaves
+from beltrami_cli.flow.risk import RiskEstimate, Step
+from formats.image_files import encode
+
+LUMA = np.full((3, 3), 1 / 3)
+SHARED = np.array([LUMA + share * (np.eye(3) - LUMA) for share in (0.1, 0.3, 0.8, 1.0)])
+
+
+def painting(size=96):
+    """Return an image of a disc, stripes and slopes, a bit soft, in [0.25, 0.75]: noise is hardly cut off."""
+    y, x = np.mgrid[:size, :size] / size
+    disc = (x - 0.45) ** 2 + (y - 0.5) ** 2 < 0.08
+    stripes = (x + y) % 0.4 < 0.2
+    layers = [np.where(disc, 0.7, 0.35 + 0.1 * x), np.where(stripes, 0.3, 0.6), 0.3 + 0.4 * y]
+    return gaussian_filter(np.stack(layers, axis=2), (1, 1, 0))
+
+
+def stored(clean, sigma, seed=5):
+    """Return an image with noise of `sigma` of 255, in 8 bit."""
+    noisy = 255 * clean + sigma * np.random.default_rng(seed).standard_normal(clean.shape)
+    return np.rint(noisy.clip(0, 255)).astype(np.uint8)
+
+
+def jpeg(pixels, quality, subsampling, tmp_path):
+    """Return what JPEG makes of pixels, in [0, 1]."""
+    path = tmp_path / "a.jpg"
+    path.write_bytes(encode(pixels, "jpeg", compression=f"jpeg:{quality}", jpeg__subsampling=subsampling))
+    return OpenImageIO.ImageBuf(str(path)).get_pixels("float")
+
+
+def found(image):
+    """Return the octaves of an image of shape (R, C, N), and its noise if that is independent."""
+    planes = np.ascontiguousarray(np.moveaxis(image, 2, 0), np.float32)
+    filled = np.ones(planes.shape[1:], bool)
+    sigma = estimate_sigma_on_grid(planes, filled)
+    return noise_in_common(planes, filled, sigma), sigma
+
+
+def psnr(result, clean):
+    return -10 * np.log10(np.mean((np.asarray(result, float) - clean) ** 2))
+
+
+def details(noise):
+    """Return the three details of squares of 2 x 2 cells, of unit noise if that is independent; and the means."""
+    a, b, c, d = (noise[:, i::2, j::2] for i in (0, 1) for j in (0, 1))
+    return np.stack([a - b + c - d, a + b - c - d, a - b - c + d], axis=1) / 2, (a + b + c + d) / 4
+
+
+def test_drawn_noise_has_the_covariances_that_were_told():
+    """In every octave, to four standard errors: of 16,384 and more coefficients, a covariance is known to 1 %."""
+    noise = draw_octaves(SHARED, (512, 512), np.random.default_rng(0))
+    assert noise.var(axis=(1, 2)) == pytest.approx(sigma_of_octaves(SHARED) ** 2, rel=0.04)
+    for level, told in enumerate(SHARED[:3]):
+        fine, noise = details(noise)
+        drawn = np.cov(2**level * fine.reshape(3, -1))
+        assert np.abs(drawn - told).max() < 0.04
+
+
+def test_equal_octaves_are_independent_noise():
+    """Correlations of a quarter of a million cells with their neighbours are below 0.01."""
+    octaves = np.tile(np.diag([1.0, 4.0]), (3, 1, 1))
+    assert sigma_of_octaves(octaves) == pytest.approx([1, 2])
+    one, other = draw_octaves(octaves, (500, 501), np.random.default_rng(1))
+    assert abs(np.mean(one * other)) < 0.02
+    for values in (one, other / 2):
+        assert abs(np.mean(values[1:] * values[:-1])) < 0.01
+        assert abs(np.mean(values[:, 2:] * values[:, :-2])) < 0.01
+
+
+class Blur:
+    """A trial whose iterations average over the four neighbours on a torus, weighed by likeness in all channels."""
+
+    def __init__(self, colours, signs):
+        self.start, self.signs = colours, signs
+
+    def step(self, state, step):
+        total, weights = state.copy(), np.ones(state.shape[1:])
+        for axis in (1, 2):
+            for way in (1, -1):
+                other = np.roll(state, way, axis)
+                weight = np.exp(-(step.beta**2) * ((other - state) ** 2).sum(axis=0) / (4 * step.t))
+                total += weight * other
+                weights += weight
+        return total / weights
+
+    def scored(self, state):
+        return state.reshape(len(state), -1).T
+
+
+def test_the_estimated_error_is_the_true_one_where_neighbours_share_noise():
+    """Over many draws within four standard errors and 3 per cent of the noise; by independent signs it is far off."""
+    clean, sigma = np.moveaxis(painting(64), 2, 0), 0.06
+    octaves = sigma**2 * SHARED
+    own = sigma_of_octaves(octaves)
+    step = Step(beta=1 / sigma, t=2.4, regularised=False)
+    differences = {"like": [], "unlike": []}
+    for seed in range(30):
+        random = np.random.default_rng(seed)
+        noisy = clean + draw_octaves(octaves, clean.shape[1:], random)
+        like = draw_octaves(octaves, clean.shape[1:], random) / np.sqrt(np.mean(own**2))
+        for name, signs in (("like", like), ("unlike", random.choice([-1.0, 1.0], clean.shape))):
+            estimate = RiskEstimate(Blur(noisy, signs[None]), own)
+            state = estimate.step(estimate.step(estimate.start, step), step)
+            true = np.mean((state.plain - clean) ** 2)
+            differences[name].append((estimate.of(state).value - true) / np.mean(own**2))
+    error = np.std(differences["like"], ddof=1) / np.sqrt(30)
+    assert abs(np.mean(differences["like"])) < 4 * error + 0.03
+    assert error < 0.02  # or the test could not fail
+    assert np.mean(differences["unlike"]) < -0.07
+
+
+@pytest.mark.parametrize("sigma", [2, 5, 20])
+def test_independent_noise_is_not_taken_for_noise_in_common(sigma):
+    random = np.random.default_rng(0)
+    grain = np.stack([gaussian_filter(random.standard_normal((256, 256)), 1.5) for _ in range(3)], axis=2)
+    grain /= grain.std()
+    rich, dark = (
+        0.5 + 0.1 * grain.mean(axis=2, keepdims=True) * [1.0, 0.9, 0.8],
+        (0.05 + 0.05 * grain).clip(0, 1),
+    )
+    for clean in (painting(256), rich, dark):
+        assert found(stored(clean, sigma) / 255)[0] is None
+
+
+@pytest.mark.parametrize(("grain", "contrast", "mean"), [(1.5, 0.05, 0.05), (3.0, 0.1, 0.1)])
+def test_rich_dark_texture_is_not_taken_for_noise_in_common(grain, contrast, mean):
+    """Noise that was cut off at 0 makes differences of channels smaller, too."""
+    random = np.random.default_rng(0)
+    texture = np.stack([gaussian_filter(random.standard_normal((256, 256)), grain) for _ in range(3)], axis=2)
+    assert found(stored((mean + contrast / texture.std() * texture).clip(0, 1), 5) / 255)[0] is None
+
+
+def test_less_than_three_channels_tell_nothing():
+    assert found(stored(painting(64), 20)[..., :2] / 255)[0] is None
+
+
+@pytest.mark.parametrize(
+    ("quality", "subsampling", "sigma"), [(80, "4:4:4", 5), (80, "4:4:4", 10), (92, "4:2:0", 20)]
+)
+def test_the_noise_that_jpeg_left_is_found(quality, subsampling, sigma, tmp_path):
+    """Within a third of what JPEG made of a plain picture with that noise; a fourth channel keeps its own."""
+    image = jpeg(stored(painting(512), sigma), quality, subsampling, tmp_path)
+    left = jpeg(stored(np.full((512, 512, 3), 0.5), sigma), quality, subsampling, tmp_path) - 128 / 255
+    alpha = 0.5 + 0.03 * np.random.default_rng(1).standard_normal((512, 512, 1))
+    octaves, sigma = found(np.concatenate([image, alpha], axis=2))
+    assert sigma_of_octaves(octaves)[:3] == pytest.approx(left.std(axis=(0, 1)), rel=1 / 3)
+    assert sigma_of_octaves(octaves)[3] == pytest.approx(sigma[3])
+
+
+@pytest.mark.parametrize("subsampling", ["4:4:4", "4:2:0"])
+def test_jpeg_without_noise_stays(subsampling, tmp_path):
+    image = jpeg(stored(painting(256), 0), 80, subsampling, tmp_path)
+    result = beltrami_cli.smooth_image(image, space="data")
+    assert np.mean(np.square(result.colours - image)) < 10**-4.5
+
+
+@pytest.mark.parametrize(
+    ("quality", "subsampling", "sigma"), [(80, "4:4:4", 5), (80, "4:4:4", 10), (92, "4:2:0", 10)]
+)
+def test_the_choice_is_not_far_from_the_best_on_what_jpeg_left(quality, subsampling, sigma, tmp_path):
+    """Steps are no noise, and make edges ring; a fixed rule for the finest noise loses up to 10 dB."""
+    clean = painting(512)
+    image = jpeg(stored(clean, sigma), quality, subsampling, tmp_path)
+    result = beltrami_cli.smooth_image(image, space="data")
+    assert result.choice.correlated
+    assert result.choice.psnr is not None
+    best = max(
+        psnr(
+            beltrami_cli.smooth_image(
+                image, space="data", iterations=iterations, t=8.0, beta=255 * contrast / sigma, beta_growth=growth,
+                metric_steps=2,
+            ).colours,
+            clean,
+        )
+        for contrast in (0.7, 1.4)
+        for growth in (1.5, 3.0)
+        for iterations in (3, 8)
+    )  # fmt: skip
+    assert psnr(result.colours, clean) > best - 4.0
