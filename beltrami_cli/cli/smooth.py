@@ -27,7 +27,7 @@ Examples:
   beltrami smooth scan.ply clean.ply --fast             by a fixed rule, without choosing
   beltrami smooth scan.ply clean.ply -n 2 -v            two iterations; the rest chosen around it, and told
   beltrami smooth photoscan.obj clean.obj               textures too, across their seams
-  beltrami smooth scan.glb clean.glb --metric-steps 4 -n 6                   rich natural textures
+  beltrami smooth scan.glb clean.glb -n 6 -t 8 --beta 12 --metric-steps 2    parameters by hand
   beltrami smooth scan.ply clean.glb --unwrap           in a new texture, for meshes without one
   beltrami smooth scan.glb clean.ply                    smooth vertex colours and convert
   beltrami smooth photo.jpg clean.png                   an image, on its plane
