@@ -86,7 +86,9 @@ def inspect_file(
     slots = [_describe_slot(document, slot, settings, access) for slot in work.slots]
     if slots:
         facts["textures"] = slots
-    facts["notices"] = [*document.notices, *work.notices]
+    others = [slot for slot in document.slots() if slots and slot not in settings.textures.slots]
+    told = (f"it has textures in other slots, too; --slots {','.join(others)} shows them",) if others else ()
+    facts["notices"] = [*document.notices, *work.notices, *told]
     return facts
 
 

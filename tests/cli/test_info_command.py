@@ -121,6 +121,16 @@ def test_the_mesh_under_textures_is_described():
     assert closed["vertices"] - closed["coincident_vertices"] - closed["edges"] + closed["triangles"] == 2
 
 
+def test_textures_in_other_slots_are_told_of(tmp_path):
+    model = json.loads((SAMPLES / "torus-two-noisy.gltf").read_text())
+    model["materials"][0]["emissiveTexture"] = {"index": 0}
+    for name in ("torus-two-noisy.bin", "torus-two-noisy-icing.png", "torus-two-noisy-dough.png"):
+        shutil.copy(SAMPLES / name, tmp_path)
+    (tmp_path / "both.gltf").write_text(json.dumps(model))
+    assert "--slots emissive shows" in info(tmp_path / "both.gltf", "--fast")["notices"][-1]
+    assert info(tmp_path / "both.gltf", "--fast", "--slots", "baseColor,emissive")["notices"] == []
+
+
 def test_vertex_colours_beside_textures_are_described_and_said_to_stay(tmp_path):
     shutil.copy(SAMPLES / "scan-noisy.jpg", tmp_path)
     corners = "".join(

@@ -58,6 +58,12 @@ def test_a_clean_file_comes_out_as_it_was_and_the_report_says_why(name, tmp_path
     assert done["iterations"] == 0
 
 
+def test_nothing_is_said_to_be_smoothed_where_nothing_is(tmp_path):
+    run = beltrami("smooth", SAMPLES / "tiled-clean.glb", tmp_path / "tiled.glb")
+    assert b"left as they are" in run.stderr
+    assert b"was smoothed" not in run.stderr
+
+
 def test_iterations_that_are_asked_for_are_run_all_the_same(square, tmp_path):
     result, report = tmp_path / "result.obj", tmp_path / "report.json"
     run = beltrami("smooth", square, result, "-n", 2, "-t", 1, "--beta", 0, "--report", report)

@@ -166,6 +166,7 @@ def test_what_cannot_be_shown_is_said_and_nothing_written(tmp_path):
         ((pair[0], SAMPLES / "head-clean.ply", page), 3),
         ((pair[0], SAMPLES / "scan-clean.jpg", page), 3),
         (("-", pair[1], page), 2),
+        ((*pair, tmp_path / "page.txt"), 2),
         ((pair[0], pair[1], pair[1], "--overwrite"), 4),
     ):
         run = beltrami("report", *arguments)

@@ -27,7 +27,7 @@ from beltrami_cli.pipeline.render.file import (
     with_fixed_crops,
 )
 from beltrami_cli.pipeline.render.views import open_view
-from beltrami_cli.pipeline.report.page import asset, page_from, picture_tag, table
+from beltrami_cli.pipeline.report.page import PAGES, asset, page_from, picture_tag, table
 from beltrami_cli.pipeline.settings.level_set import LevelSetSettings
 from beltrami_cli.pipeline.settings.render import MOST_PIXELS, RenderSettings
 from beltrami_cli.pipeline.settings.smooth import DEFAULTS, OUTPUT_FORMATS
@@ -48,7 +48,6 @@ _FIGURES = {
     "ssim": "SSIM",
     "delta_e": "Delta E 2000",
 }
-_PAGES = (".html", ".htm")
 MOST_TRIALS = 200
 
 
@@ -126,7 +125,7 @@ def sweep_file(
     """
     name, path = os.fspath(source), os.fspath(target)
     _check(name, len(trials), looks)
-    is_page = Path(path).suffix.lower() in _PAGES
+    is_page = Path(path).suffix.lower() in PAGES
     suffix = "" if is_page else picture_suffix(path)
     output = Output(path, overwrite=overwrite)
     shown = [] if reference is None else [("reference", os.fspath(reference), DEFAULTS)]

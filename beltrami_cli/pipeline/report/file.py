@@ -27,7 +27,7 @@ from beltrami_cli.pipeline.documents.work import choose_work
 from beltrami_cli.pipeline.render.views import sheet_of
 from beltrami_cli.pipeline.report.charts import histogram, seam_map, swipe
 from beltrami_cli.pipeline.report.model import ModelPacker, bounding_box
-from beltrami_cli.pipeline.report.page import asset, page_from, table
+from beltrami_cli.pipeline.report.page import PAGES, asset, page_from, table
 from beltrami_cli.pipeline.settings.smooth import DEFAULTS, SmoothSettings
 from beltrami_cli.pipeline.textures.colours import COLOUR_SLOTS
 from beltrami_cli.pipeline.writing.output import Output
@@ -100,6 +100,8 @@ def report_file(
         raise UsageError("BEFORE and AFTER must be files and not pipes")
     if path != "-" and Path(path).resolve() in {Path(name).resolve() for name in names}:
         raise OutputError(path, "it is one of the files to be shown", "name a page as the last argument")
+    if path != "-" and Path(path).suffix.lower() not in PAGES:
+        raise UsageError(f"{path}: the report is a page; end its name in {' or '.join(PAGES)}")
     output = Output(path, overwrite=overwrite, is_text=True)
     told = "" if parameters is None else _parameters(os.fspath(parameters), access)
     data = read_source(names[0], access), read_source(names[1], access)

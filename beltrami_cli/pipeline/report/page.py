@@ -17,6 +17,9 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+PAGES = (".html", ".htm")
+"""Extensions of pages."""
+
 
 def page_from(template: str, **parts: str) -> bytes:
     """Fill in a template.

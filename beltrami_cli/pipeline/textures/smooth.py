@@ -139,7 +139,8 @@ def smooth_slot(
         guides=flow.guide_betas,
         choice=describe_choice(result.choice),
     )
-    notices = list(atlas_notices(prepared.atlas))
+    is_covered = len(prepared.atlas.owned_texels) > 0
+    notices = list(atlas_notices(prepared.atlas)) if report.iterations or not is_covered else []
     smoothed = SmoothedTexels(
         prepared.atlas.texture_offsets,
         prepared.atlas.owned_texels,
