@@ -53,14 +53,9 @@ class MeshGaussian:
 
     def smooth(self, colours: NDArray[np.float32]) -> NDArray[np.float32]:
         """Smooth colours of shape (count, N)."""
-        low, high = self._edges.T
-        smoothed = np.empty_like(colours)
-        for channel in range(colours.shape[1]):
-            values = colours[:, channel]
-            total = values + np.bincount(low, self._weights * values[high], self._count)
-            total += np.bincount(high, self._weights * values[low], self._count)
-            smoothed[:, channel] = total / self._total
-        return smoothed
+        from beltrami_cli._native import neighbour_means
+
+        return neighbour_means(colours, self._edges, self._weights, self._total)
 
     def piece(self, rank: NDArray[np.int32], samples: NDArray[np.int64], count: int) -> MeshGaussian:
         """Return the same means for a piece of the surface: right where it holds all neighbours, to the last bit.

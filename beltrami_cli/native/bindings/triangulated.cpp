@@ -6,6 +6,7 @@
 #include "bindings/manifold_arrays.hpp"
 #include "triangulated/fast_marching.hpp"
 #include "triangulated/morton_order.hpp"
+#include "triangulated/neighbour_means.hpp"
 #include "triangulated/short_time_kernel.hpp"
 #include "triangulated/stencils.hpp"
 #include "triangulated/topology.hpp"
@@ -78,11 +79,29 @@ auto vertex_order_of(const Matrix<double>& positions, const Matrix<Index>& faces
   return give_order(vertex_order(rows_of(positions), {faces.data(), faces.size()}, static_cast<Index>(positions.shape(0))));
 }
 
+// See neighbour_means; a row a vertex.
+auto neighbour_means_of(const Matrix<float>& values, const Matrix<Index>& edges, const Vector<float>& weights,
+                        const Vector<double>& totals) {
+  const std::size_t count = totals.size(), width = values.shape(1);
+  require_rows(values.shape(0), static_cast<Index>(count));
+  if (edges.shape(1) != 2 || edges.shape(0) != weights.size()) throw nb::value_error("each edge needs two ends and a weight");
+  for (std::size_t i = 0; i < edges.size(); ++i)
+    if (edges.data()[i] < 0 || static_cast<std::size_t>(edges.data()[i]) >= count) throw nb::index_error("an edge has no such vertex");
+  std::unique_ptr<float[]> means(new float[count * width]);
+  {
+    const nb::gil_scoped_release unlock;
+    neighbour_means(rows_of(values), {reinterpret_cast<const std::array<Index, 2>*>(edges.data()), edges.shape(0)},
+                    weights.data(), {totals.data(), count}, means.get());
+  }
+  return give<float, nb::ndim<2>>(std::move(means), {count, width});
+}
+
 }  // namespace
 
 void bind_triangulated(nb::module_& module) {
   using namespace nb::literals;
   module.def("morton_order", &morton_order_of, "positions"_a);
+  module.def("neighbour_means", &neighbour_means_of, "values"_a, "edges"_a, "weights"_a, "totals"_a);
   module.def("vertex_order", &vertex_order_of, "positions"_a, "faces"_a);
   nb::class_<TriangulatedManifold>(module, "TriangulatedManifold")
       .def(nb::init<const Matrix<Index>&, Index>(), "faces"_a, "vertex_count"_a)

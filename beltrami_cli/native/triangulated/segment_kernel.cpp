@@ -11,8 +11,9 @@
 namespace beltrami::triangulated {
 namespace {
 
-// About a millisecond of work: small enough to share out evenly, large enough that sharing costs nothing.
-constexpr std::size_t groups_per_chunk = 64;
+// About a tenth of a millisecond of work: small enough to share out a small mesh evenly, large enough that sharing costs
+// nothing.
+constexpr std::size_t groups_per_chunk = 16;
 
 struct Worker {
   Worker(const Segments& segments) : scratch(static_cast<std::size_t>(segments.vertex_count())) {}

@@ -14,9 +14,10 @@ from beltrami_cli.pipeline.compare.paired_colours import PairedColours, SeamStep
 from beltrami_cli.pipeline.compare.structural_similarity import structural_similarity
 from beltrami_cli.pipeline.compare.vertices import require_same_triangles
 from beltrami_cli.pipeline.documents.room import require_room
+from beltrami_cli.pipeline.textures.choosing import choose_textures
 from beltrami_cli.pipeline.textures.colours import TexelColours
 from beltrami_cli.pipeline.textures.places import near_seams, seam_steps, texel_areas
-from beltrami_cli.pipeline.textures.prepare import choose_textures, prepare_slot
+from beltrami_cli.pipeline.textures.prepare import prepare_slot
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

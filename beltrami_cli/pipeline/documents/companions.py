@@ -136,7 +136,7 @@ def _names(
     target: str,
 ) -> dict[str, bool]:
     """Find the files that would be written beside the output, by writing the old images anew; True: it is new."""
-    from beltrami_cli.pipeline.textures.prepare import choose_textures
+    from beltrami_cli.pipeline.textures.choosing import choose_textures
 
     suffix = settings.textures.image_suffix
     images = {

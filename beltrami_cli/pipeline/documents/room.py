@@ -117,7 +117,7 @@ def _is_too_much(images: Iterable[tuple[str, bytes]], memory: int) -> bool:
 
 
 def _chosen(document: Document, slot: Slot, wanted: TextureSettings) -> Iterator[tuple[str, bytes]]:
-    from beltrami_cli.pipeline.textures.prepare import choose_textures
+    from beltrami_cli.pipeline.textures.choosing import choose_textures
 
     for texture in choose_textures(document.textured(slot), wanted).textures:
         yield texture.name, texture.data

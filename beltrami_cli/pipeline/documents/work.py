@@ -112,7 +112,7 @@ def _with_chosen_textures(
     wanted = settings.textures
     if not (wanted.names or wanted.materials):
         return slots
-    from beltrami_cli.pipeline.textures.prepare import choose_textures
+    from beltrami_cli.pipeline.textures.choosing import choose_textures
 
     kept = tuple(slot for slot in slots if choose_textures(document.textured(slot), wanted).textures)
     if not kept:

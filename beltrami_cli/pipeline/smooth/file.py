@@ -161,7 +161,7 @@ def _smooth_slots(
     reports: list[SlotReport] = []
     notices: list[str] = []
     if work.slots:
-        from beltrami_cli.pipeline.textures.prepare import choose_textures
+        from beltrami_cli.pipeline.textures.choosing import choose_textures
         from beltrami_cli.pipeline.textures.shared import SharedImages
         from beltrami_cli.pipeline.textures.smooth import smooth_slot
 

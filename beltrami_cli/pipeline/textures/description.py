@@ -10,7 +10,8 @@ import numpy as np
 from beltrami_cli.flow.texels import TexelFlow
 from beltrami_cli.mesh.atlas import without_owned
 from beltrami_cli.mesh.topology import count_topology
-from beltrami_cli.pipeline.textures.prepare import build_slot_atlas, only_textures
+from beltrami_cli.pipeline.textures.choosing import only_textures
+from beltrami_cli.pipeline.textures.prepare import build_slot_atlas
 from beltrami_cli.sampling.grouping import group_equal_rows
 
 if TYPE_CHECKING:

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass
-from fnmatch import fnmatch
 from typing import TYPE_CHECKING
-
-import numpy as np
 
 from beltrami_cli.flow.regularisation import guide_radius
 from beltrami_cli.flow.texels import TexelFlow
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.image import read_image
 from beltrami_cli.mesh.atlas import without_owned
+from beltrami_cli.pipeline.textures.choosing import choose_textures
 from beltrami_cli.pipeline.textures.colours import TexelColours
 from beltrami_cli.pipeline.textures.guides import GuidedTexels
 from beltrami_cli.sampling.atlas import build_atlas
@@ -26,8 +23,8 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.document import Document
     from beltrami_cli.formats.image import Picture
     from beltrami_cli.mesh.atlas import Atlas
-    from beltrami_cli.mesh.textured import Slot, Texture, TexturedSurface
-    from beltrami_cli.pipeline.settings.smooth import SmoothSettings, TextureSettings
+    from beltrami_cli.mesh.textured import Slot, TexturedSurface
+    from beltrami_cli.pipeline.settings.smooth import SmoothSettings
 
 
 @dataclass(frozen=True)
@@ -112,27 +109,3 @@ def build_slot_atlas(
     margin = kernel.window // 2 + (guide_radius(kernel.metric_scale) if kernel.metric_steps else 0)
     sizes = [(picture.pixels.shape[1], picture.pixels.shape[0]) for picture in pictures]
     return build_atlas(surface, sizes, margin, kernel.thread_count)
-
-
-def choose_textures(surface: TexturedSurface, wanted: TextureSettings) -> TexturedSurface:
-    """Keep the textures that the globs choose, which may be none."""
-
-    def fits(texture: Texture) -> bool:
-        by_name = not wanted.names or any(fnmatch(texture.name, glob) for glob in wanted.names)
-        by_material = not wanted.materials or any(
-            fnmatch(material, glob) for material in texture.materials for glob in wanted.materials
-        )
-        return by_name and by_material
-
-    return only_textures(surface, [i for i, texture in enumerate(surface.textures) if fits(texture)])
-
-
-def only_textures(surface: TexturedSurface, kept: list[int]) -> TexturedSurface:
-    """Keep the textures of these indices; triangles of the others have none."""
-    new_index = np.full(len(surface.textures) + 1, -1, np.int32)
-    new_index[kept] = np.arange(len(kept), dtype=np.int32)
-    return dataclasses.replace(
-        surface,
-        textures=tuple(surface.textures[index] for index in kept),
-        texture_of=new_index[surface.texture_of],
-    )

@@ -94,9 +94,7 @@ def repaint(
         _paint(pixels, picture, index, colours, smoothed, chosen, values)
         known.reshape(-1)[texels[near]] = True
         opacity = colours.opacity(picture)
-        fill_gutter(
-            pixels, covered, None, gutter, known, channels=colours.columns(index), opacity=opacity
-        )
+        fill_gutter(pixels, covered, None, gutter, known, channels=colours.columns(index), opacity=opacity)
     return pixels, change
 
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import secrets
 import shutil
 import signal
 import stat
@@ -58,7 +57,7 @@ def check_writable(folder: Path) -> None:
 
 def temporary_beside(path: Path) -> Path:
     """Return a name that nobody has, beside a file."""
-    return path.with_name(f".{path.name[:200]}.{secrets.token_hex(6)}.tmp")
+    return path.with_name(f".{path.name[:200]}.{os.urandom(6).hex()}.tmp")
 
 
 @contextlib.contextmanager
