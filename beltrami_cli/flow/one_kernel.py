@@ -7,8 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli.flow.canvas import scheme_of
-
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -86,6 +84,7 @@ def kernel_on_grid(
     SampledKernel
     """
     from beltrami_cli._native import grid_distances
+    from beltrami_cli.flow.canvas import scheme_of
 
     columns, reach = atlas.kind.shape[1], parameters.window // 2
     row, column = divmod(cell, columns)

@@ -9,8 +9,6 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from beltrami_cli.flow.pieces.exchange import collect, plan_loans
-
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
@@ -71,6 +69,8 @@ class InTurn:
         progress: Callable[[int, int], None] | None,
     ) -> Joined:
         """As for `Runner`."""
+        from beltrami_cli.flow.pieces.exchange import collect, plan_loans
+
         loans = plan_loans(pieces, len(values))
         own = [values[piece.owned] for piece in pieces]
         samples, truncated = 0.0, 0
