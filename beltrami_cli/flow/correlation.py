@@ -1,4 +1,4 @@
-"""Noise that neighbouring cells have in common, which estimates of errors must know of: what JPEG leaves of noise.
+"""Noise that neighbouring cells have in common, which estimates of errors must know of: as JPEG or scaling leaves it.
 
 JPEG takes colours apart into their mean and into differences of channels, and stores these in coarser steps, and often
 for 2 x 2 pixels together. Noise falls into the steps, more of it the finer its detail is; so the noise that is left is
@@ -28,8 +28,9 @@ _OCTAVES = 4
 # texture, and more than in the mean of channels, whose steps are finer.
 _MOST, _LEAST = 1.7, 1.25 / 255
 
-# Noise of differences at a quarter of the resolution is what that of the mean is at half; what is more is texture.
-_TEXTURE = 1.5
+# Noise of differences at a quarter of the resolution is what that of the mean is at half; what is more is texture. Of
+# pictures that were enlarged, noise grows in both, but less and less; texture does not.
+_TEXTURE, _SCALED = 1.5, 2.0
 
 # The same as `_MOST` at a quarter, for pictures whose colour is stored for 2 x 2 pixels: these have less than half of
 # the noise of the mean there, and textures have more.
@@ -55,7 +56,7 @@ _ENOUGH_INSIDE = 0.2
 _BAND, _CELLS = 256, 2_000_000
 
 # Of fewer cells, and of fewer a side, coarse octaves tell nothing: texture may look like noise.
-_ENOUGH, _SMALLEST = 50_000, 64
+_ENOUGH, _SMALLEST = 40_000, 64
 
 # Squares a side of a tile; of the tiles this share, but no fewer than so many, are taken to hold nothing but noise.
 _TILE, _SHARE, _FEWEST = 4, 0.1, 20
@@ -131,9 +132,9 @@ def _is_in_common(least: NDArray[np.float64], sigma: NDArray[np.float64]) -> boo
     """Tell so from the finest octaves of the mean and the differences, and from the channels."""
     fine, half, quarter = least[:3, 1:]
     brightness = least[1, 0]
-    grows = np.all(half > _MOST * fine) and _LEAST < _root_mean_square(half) < brightness
-    coarse = _root_mean_square(quarter)
-    grows &= coarse < _TEXTURE * brightness
+    middle, coarse = _root_mean_square(half), _root_mean_square(quarter)
+    grows = np.all(half > _MOST * fine) and middle > _LEAST
+    grows &= coarse < _SCALED * middle or (middle < brightness and coarse < _TEXTURE * brightness)
     colourless = np.all(quarter > _MOST_QUARTER * fine) and _LEAST < coarse < brightness / _COLOURLESS
     missing = _root_mean_square(least[0]) > _MISSING * max(_root_mean_square(sigma), _LEAST)
     return bool(grows or colourless or missing)
@@ -151,7 +152,7 @@ def _levels(
     brightness, difference = least[:, 0], np.sqrt(np.mean(np.square(least[:, 1:]), axis=1))
     own = np.sqrt(np.mean(np.square(mean[:, 1:]), axis=1))
     before, last = difference[-2:]
-    most = min(max(before, min(last, _TRUSTED * before)), _ADDED * brightness[1])
+    most = min(max(before, min(last, _TRUSTED * before)), _ADDED * max(brightness[1], before))
     differences = np.append(np.minimum(np.maximum(difference[:-1], own), most), most)
     finest = min(max(brightness[0], mean[0, 0]), _ADDED * max(brightness[0], most))
     limit = max(finest, _ADDED * most)

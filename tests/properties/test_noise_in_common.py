@@ -159,6 +159,20 @@ def test_the_noise_that_jpeg_left_is_found(quality, subsampling, sigma, tmp_path
     assert sigma_of_octaves(octaves)[3] == pytest.approx(sigma[3])
 
 
+@pytest.mark.parametrize("factor", [1.3, 2.0])
+def test_the_noise_of_an_enlarged_picture_is_found(factor):
+    """Within a third, though its finest detail has next to none."""
+    size, sigma = 512, 10 / 255
+    noise = sigma * np.random.default_rng(5).standard_normal((int(size / factor) + 2,) * 2 + (3,))
+    at = np.arange(size) / factor
+    low, part = at.astype(int), (at % 1)[:, None, None]
+    rows = noise[low] * (1 - part) + noise[low + 1] * part
+    enlarged = rows[:, low] * (1 - part[:, 0]) + rows[:, low + 1] * part[:, 0]
+    octaves, least = found(stored(painting(size) + enlarged, 0) / 255)
+    assert sigma_of_octaves(octaves) == pytest.approx(enlarged.std(axis=(0, 1)), rel=1 / 3)
+    assert (least < 0.7 * enlarged.std()).all()  # or nothing had to be found
+
+
 @pytest.mark.parametrize("subsampling", ["4:4:4", "4:2:0"])
 def test_jpeg_without_noise_stays(subsampling, tmp_path):
     image = jpeg(stored(painting(256), 0), 80, subsampling, tmp_path)
