@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 # iterations are tried, each twice. Fewer than so many cells tell too little, and take about a second.
 _SHARE_TRIED = 1 / 25
 _LEAST_TRIED = 40_000
-# More tell nothing new: of so many the risk is known to some hundredths of a dB.
-_MOST_TRIED = 500_000
+# More tell nothing new: of so many the risk is known to a tenth of a dB or better.
+_MOST_TRIED = 200_000
 
 
 def choose_on_canvas(

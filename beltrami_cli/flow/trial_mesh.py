@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 # are tried, each twice. Fewer than so many samples tell too little, and take some tenths of a second.
 _SHARE_TRIED = 1 / 20
 _LEAST_TRIED = 4_000
+# More tell nothing new.
+_MOST_TRIED = 200_000
 
 # Rings of a patch whose results count, and rings around these that only lend their colours.
 _CORE, _RIM = 7, 3
@@ -185,7 +187,7 @@ def choose_patches(colours: NDArray[np.float32], edges: NDArray[np.int32]) -> Pa
     count = len(colours)
     joined = np.bincount(edges.ravel(), minlength=count) > 0
     connected = np.count_nonzero(joined)
-    budget = max(_LEAST_TRIED, int(connected * _SHARE_TRIED))
+    budget = min(max(_LEAST_TRIED, int(connected * _SHARE_TRIED)), _MOST_TRIED)
     if connected <= _WHOLE * budget:  # patches with their rims would take nearly all
         return Patches(np.flatnonzero(joined), np.ones(connected, bool))
     rank = np.where(joined, _hashes(colours, edges), np.iinfo(np.uint64).max)
