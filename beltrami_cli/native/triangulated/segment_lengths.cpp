@@ -10,7 +10,7 @@
 namespace beltrami::triangulated {
 namespace {
 
-constexpr std::size_t items_per_chunk = 16384;
+constexpr std::size_t items_per_chunk = 4096;
 
 void measure_in_space(LengthTables& tables, Rows<double> positions, const float* scales, std::size_t begin, std::size_t end) {
   for (std::size_t i = begin; i < end; ++i) {
