@@ -19,8 +19,7 @@ class GroupAverage {
       : job_(job), sources_(sources), scratch_(scratch), size_(distances.size()), beyond_(distances.beyond()) {}
 
   KernelStatistics run() {
-    const KernelStatistics statistics = find_held();
-    find_kernels();
+    const KernelStatistics statistics = find_kernels();
     // Several channels at once, since each sum waits for its last addition.
     std::size_t channel = 0;
     for (; channel + 3 <= job_.colours.width; channel += 3) average<3>(channel);
@@ -33,27 +32,11 @@ class GroupAverage {
     std::array<float, group_size> lane;
   };
 
-  float* row(std::size_t place) { return scratch_.region[place].lane.data(); }
-  Index vertex(std::size_t place) const { return scratch_.region[place].vertex; }
+  std::span<RegionPlace> region() { return {scratch_.region.data(), size_}; }
 
-  // Lists the places that any kernel holds.
-  KernelStatistics find_held() {
-    Numbers counts;
-    std::array<Lanes, parts> held{};
-    scratch_.held.resize(size_);
-    std::size_t end = 0;
-    for (std::size_t place = 0; place < size_; ++place) {
-      std::uint32_t within = 0;
-      for (std::size_t part = 0; part < parts; ++part) {
-        const Lanes distance = load(row(place) + part * lane_count);
-        within |= where_smaller(distance, splat(beyond_));
-        held[part] += select(distance < splat(beyond_), splat(1), Lanes{});
-      }
-      scratch_.held[end] = static_cast<std::uint32_t>(place);
-      end += within != 0;
-    }
-    scratch_.held.resize(end);
-    for (std::size_t part = 0; part < parts; ++part) store(counts.lane.data() + part * lane_count, held[part]);
+  // Computes the kernels, and again for those that hold too many samples once these are taken away.
+  KernelStatistics find_kernels() {
+    Numbers counts = evaluate();
     KernelStatistics statistics;
     const auto most = static_cast<float>(job_.parameters.max_samples);
     for (std::size_t lane = 0; lane < sources_.size(); ++lane) {
@@ -64,69 +47,79 @@ class GroupAverage {
       }
       statistics.samples += static_cast<std::int64_t>(counts.lane[lane]);
     }
+    if (statistics.truncated > 0) evaluate();
     return statistics;
+  }
+
+  // Puts kernel values, K = exp(-d^2 / 4 t), in the place of distances, which are left among those passed on; sums the
+  // values up, and counts the samples of each kernel.
+  Numbers evaluate() {
+    const float factor = -1 / (4 * job_.parameters.time_step);
+    std::array<Lanes, parts> sums{}, held{};
+    for (RegionPlace& place : region())
+      for (std::size_t part = 0; part < parts; ++part) {
+        const Lanes distance = load(place.passed.data() + part * lane_count);
+        const auto within = distance < splat(beyond_);
+        Lanes kernel = select(within, exponential(distance * distance * factor), Lanes{});
+        if (job_.weights != nullptr) kernel = kernel * job_.weights[place.vertex];
+        store(place.lane.data() + part * lane_count, kernel);
+        sums[part] += kernel;
+        held[part] += select(within, splat(1), Lanes{});
+      }
+    Numbers counts;
+    for (std::size_t part = 0; part < parts; ++part) {
+      store(totals_.lane.data() + part * lane_count, sums[part]);
+      store(counts.lane.data() + part * lane_count, held[part]);
+    }
+    return counts;
   }
 
   // Leaves max_samples of a lane's samples, the source and those nearest to it.
   void cut_short(std::size_t lane) {
+    const auto rank = [&](const RegionPlace& place) {
+      return std::pair(place.vertex == sources_[lane] ? -1 : place.passed[lane], place.vertex);
+    };
     std::vector<std::pair<float, Index>> order;
-    for (const std::uint32_t place : scratch_.held)
-      if (row(place)[lane] < beyond_)
-        order.emplace_back(vertex(place) == sources_[lane] ? -1 : row(place)[lane], vertex(place));
+    for (const RegionPlace& place : region())
+      if (place.passed[lane] < beyond_) order.push_back(rank(place));
     const auto last = order.begin() + static_cast<std::ptrdiff_t>(job_.parameters.max_samples);
     std::nth_element(order.begin(), last, order.end());
-    for (const std::uint32_t place : scratch_.held)
-      if (vertex(place) != sources_[lane] && !(std::pair(row(place)[lane], vertex(place)) < *last))
-        row(place)[lane] = beyond_;
-  }
-
-  // Turns distances into kernel values, K = exp(-d^2 / 4 t), and sums these up.
-  void find_kernels() {
-    const float factor = -1 / (4 * job_.parameters.time_step);
-    std::array<Lanes, parts> sums{};
-    for (const std::uint32_t place : scratch_.held)
-      for (std::size_t part = 0; part < parts; ++part) {
-        float* values = row(place) + part * lane_count;
-        const Lanes distance = load(values);
-        Lanes kernel = select(distance < splat(beyond_), exponential(distance * distance * factor), Lanes{});
-        if (job_.weights != nullptr) kernel = kernel * job_.weights[vertex(place)];
-        store(values, kernel);
-        sums[part] += kernel;
-      }
-    for (std::size_t part = 0; part < parts; ++part) store(totals_.lane.data() + part * lane_count, sums[part]);
+    for (RegionPlace& place : region())
+      if (!(rank(place) < *last)) place.passed[lane] = beyond_;
   }
 
   // Averages differences from the sources, so that a constant is a fixed point to the last bit.
   template <std::size_t channels>
   void average(std::size_t first) {
-    std::array<Numbers, channels> centres{}, changes;
+    std::array<Numbers, channels> centres{}, averages;
     std::array<float, channels> low, high;
     for (std::size_t c = 0; c < channels; ++c) {
       for (std::size_t lane = 0; lane < sources_.size(); ++lane) centres[c].lane[lane] = job_.colours[sources_[lane]][first + c];
       low[c] = high[c] = centres[c].lane[0];
     }
+    for (const RegionPlace& place : region())
+      for (std::size_t c = 0; c < channels; ++c) {
+        low[c] = std::min(low[c], job_.colours[place.vertex][first + c]);
+        high[c] = std::max(high[c], job_.colours[place.vertex][first + c]);
+      }
     for (std::size_t part = 0; part < group_size; part += lane_count) {
       std::array<Lanes, channels> sums{}, centre;
       for (std::size_t c = 0; c < channels; ++c) centre[c] = load(centres[c].lane.data() + part);
-      for (const std::uint32_t place : scratch_.held) {
-        const float* colours = job_.colours[vertex(place)] + first;
-        const Lanes kernel = load(row(place) + part);
-        for (std::size_t c = 0; c < channels; ++c) {
-          low[c] = std::min(low[c], colours[c]);
-          high[c] = std::max(high[c], colours[c]);
-          sums[c] += kernel * (splat(colours[c]) - centre[c]);
-        }
+      for (const RegionPlace& place : region()) {
+        const float* colours = job_.colours[place.vertex] + first;
+        const Lanes kernel = load(place.lane.data() + part);
+        for (std::size_t c = 0; c < channels; ++c) sums[c] += kernel * (splat(colours[c]) - centre[c]);
       }
-      for (std::size_t c = 0; c < channels; ++c) store(changes[c].lane.data() + part, sums[c]);
-    }
-    for (std::size_t lane = 0; lane < sources_.size(); ++lane) {
-      float* smoothed = job_.smoothed + static_cast<std::size_t>(sources_[lane]) * job_.colours.width + first;
+      const Lanes total = load(totals_.lane.data() + part);
       for (std::size_t c = 0; c < channels; ++c) {
-        const float change = totals_.lane[lane] > 0 ? changes[c].lane[lane] / totals_.lane[lane] : 0;
+        const Lanes average = centre[c] + select(total > splat(0), sums[c] / total, Lanes{});
         // Rounding must not take a colour out of the range of those that it is an average of.
-        smoothed[c] = std::clamp(centres[c].lane[lane] + change, low[c], high[c]);
+        store(averages[c].lane.data() + part, smaller(larger(average, splat(low[c])), splat(high[c])));
       }
     }
+    for (std::size_t lane = 0; lane < sources_.size(); ++lane)
+      for (std::size_t c = 0; c < channels; ++c)
+        job_.smoothed[static_cast<std::size_t>(sources_[lane]) * job_.colours.width + first + c] = averages[c].lane[lane];
   }
 
   const GroupJob& job_;

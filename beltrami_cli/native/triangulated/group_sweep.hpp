@@ -25,7 +25,7 @@ struct GroupJob {
 // A vertex that any of a group's kernels reaches.
 struct alignas(64) RegionPlace {
   std::array<float, group_size> lane;    // its distance from each source, later the value of each kernel there
-  std::array<float, group_size> passed;  // the distances as they were passed on to other vertices last
+  std::array<float, group_size> passed;  // the distances as they were passed on to other vertices last: in the end, all
   Index vertex;
 };
 
@@ -34,7 +34,6 @@ struct GroupScratch {
   explicit GroupScratch(std::size_t vertex_count) : place(vertex_count, 0) {}
   std::vector<std::uint16_t> place;  // [vertex]: 1 + its place in the region, 0 outside
   std::vector<RegionPlace> region;   // in the order in which they are found
-  std::vector<std::uint32_t> held;   // the places that a kernel holds
 };
 
 // Writes the smoothed colours of up to 16 sources. Nothing is written, or told, if they reach too many vertices.
