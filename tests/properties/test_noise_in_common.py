@@ -8,6 +8,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 import beltrami_cli
+from beltrami_cli.flow import correlation
 from beltrami_cli.flow.correlation import noise_in_common
 from beltrami_cli.flow.noise import estimate_sigma_on_grid
 from beltrami_cli.flow.octaves import draw_octaves, sigma_of_octaves
@@ -38,6 +39,16 @@ def jpeg(pixels, quality, subsampling, tmp_path):
     path = tmp_path / "a.jpg"
     path.write_bytes(encode(pixels, "jpeg", compression=f"jpeg:{quality}", jpeg__subsampling=subsampling))
     return OpenImageIO.ImageBuf(str(path)).get_pixels("float")
+
+
+def enlarged(shape, factor, sigma):
+    """Return noise of a picture that was enlarged, between four pixels each, shape (*shape, 3)."""
+    noise = sigma * np.random.default_rng(5).standard_normal((*(int(size / factor) + 2 for size in shape), 3))
+    for axis, size in enumerate(shape):
+        at = np.arange(size) / factor
+        low, part = at.astype(int), np.expand_dims(at % 1, (1 - axis, 2))
+        noise = np.take(noise, low, axis) * (1 - part) + np.take(noise, low + 1, axis) * part
+    return noise
 
 
 def found(image):
@@ -162,15 +173,20 @@ def test_the_noise_that_jpeg_left_is_found(quality, subsampling, sigma, tmp_path
 @pytest.mark.parametrize("factor", [1.3, 2.0])
 def test_the_noise_of_an_enlarged_picture_is_found(factor):
     """Within a third, though its finest detail has next to none."""
-    size, sigma = 512, 10 / 255
-    noise = sigma * np.random.default_rng(5).standard_normal((int(size / factor) + 2,) * 2 + (3,))
-    at = np.arange(size) / factor
-    low, part = at.astype(int), (at % 1)[:, None, None]
-    rows = noise[low] * (1 - part) + noise[low + 1] * part
-    enlarged = rows[:, low] * (1 - part[:, 0]) + rows[:, low + 1] * part[:, 0]
-    octaves, least = found(stored(painting(size) + enlarged, 0) / 255)
-    assert sigma_of_octaves(octaves) == pytest.approx(enlarged.std(axis=(0, 1)), rel=1 / 3)
-    assert (least < 0.7 * enlarged.std()).all()  # or nothing had to be found
+    noise = enlarged((512, 512), factor, 10 / 255)
+    octaves, least = found(stored(painting(512) + noise, 0) / 255)
+    assert sigma_of_octaves(octaves) == pytest.approx(noise.std(axis=(0, 1)), rel=1 / 3)
+    assert (least < 0.7 * noise.std()).all()  # or nothing had to be found
+
+
+def test_of_a_large_picture_bands_tell_the_noise(monkeypatch):
+    """About as all of it does, though they are an eighth."""
+    noise = enlarged((2048, 512), 1.5, 10 / 255)
+    octaves = []
+    for cells in (2048 * 512, 2 * 128 * 512):
+        monkeypatch.setattr(correlation, "_CELLS", cells)
+        octaves.append(found(0.5 + noise)[0])
+    assert sigma_of_octaves(octaves[1]) == pytest.approx(sigma_of_octaves(octaves[0]), rel=0.1)
 
 
 @pytest.mark.parametrize("subsampling", ["4:4:4", "4:2:0"])
