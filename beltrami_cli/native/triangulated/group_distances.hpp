@@ -66,20 +66,22 @@ class GroupDistances {
       any = false;
       for (std::size_t place = 0; place < size_; ++place) any |= pass_on(place);
     }
-    for (std::size_t place = 0; place < size_; ++place) scratch_.place[static_cast<std::size_t>(scratch_.region[place].vertex)] = 0;
+    for (std::size_t place = 0; place < size_; ++place) scratch_.place[static_cast<std::size_t>(scratch_.vertices[place])] = 0;
     return fits_;
   }
 
  private:
   void make_room(std::size_t size) {
     if (scratch_.region.size() >= size) return;
-    scratch_.region.resize(std::max(size, 2 * scratch_.region.size()));
+    size = std::max(size, 2 * scratch_.region.size());
+    scratch_.region.resize(size);
+    scratch_.vertices.resize(size);
   }
 
   // Gives a vertex a place.
   std::uint32_t add(Index vertex) {
+    scratch_.vertices[size_] = vertex;
     RegionPlace& place = scratch_.region[size_++];
-    place.vertex = vertex;
     for (std::size_t part = 0; part < group_size; part += lane_count) {
       store(place.lane.data() + part, splat(beyond_));
       store(place.passed.data() + part, splat(beyond_));
@@ -125,7 +127,7 @@ class GroupDistances {
     }
     if (nearer == 0 || !fits_) return false;
     for (std::size_t part = 0; part < parts; ++part) store(from.passed.data() + part * lane_count, here[part]);
-    const std::uint32_t* offset = segments_.offsets.data() + from.vertex;
+    const std::uint32_t* offset = segments_.offsets.data() + scratch_.vertices[place];
     const std::uint32_t begin = offset[0], end = offset[1];
     fits_ = size_ + (end - begin) <= largest_region;
     if (!fits_) return false;

@@ -33,6 +33,8 @@ class GroupAverage {
   };
 
   std::span<RegionPlace> region() { return {scratch_.region.data(), size_}; }
+  // Of the places of the region.
+  std::span<const Index> vertices() const { return {scratch_.vertices.data(), size_}; }
 
   // Computes the kernels, and again for those that hold too many samples once these are taken away.
   KernelStatistics find_kernels() {
@@ -56,12 +58,13 @@ class GroupAverage {
   Numbers evaluate() {
     const float factor = -1 / (4 * job_.parameters.time_step);
     std::array<Lanes, parts> sums{}, held{};
-    for (RegionPlace& place : region())
+    for (std::size_t i = 0; i < size_; ++i)
       for (std::size_t part = 0; part < parts; ++part) {
+        RegionPlace& place = region()[i];
         const Lanes distance = load(place.passed.data() + part * lane_count);
         const auto within = distance < splat(beyond_);
         Lanes kernel = select(within, exponential(distance * distance * factor), Lanes{});
-        if (job_.weights != nullptr) kernel = kernel * job_.weights[place.vertex];
+        if (job_.weights != nullptr) kernel = kernel * job_.weights[vertices()[i]];
         store(place.lane.data() + part * lane_count, kernel);
         sums[part] += kernel;
         held[part] += select(within, splat(1), Lanes{});
@@ -76,16 +79,16 @@ class GroupAverage {
 
   // Leaves max_samples of a lane's samples, the source and those nearest to it.
   void cut_short(std::size_t lane) {
-    const auto rank = [&](const RegionPlace& place) {
-      return std::pair(place.vertex == sources_[lane] ? -1 : place.passed[lane], place.vertex);
+    const auto rank = [&](std::size_t i) {
+      return std::pair(vertices()[i] == sources_[lane] ? -1 : region()[i].passed[lane], vertices()[i]);
     };
     std::vector<std::pair<float, Index>> order;
-    for (const RegionPlace& place : region())
-      if (place.passed[lane] < beyond_) order.push_back(rank(place));
+    for (std::size_t i = 0; i < size_; ++i)
+      if (region()[i].passed[lane] < beyond_) order.push_back(rank(i));
     const auto last = order.begin() + static_cast<std::ptrdiff_t>(job_.parameters.max_samples);
     std::nth_element(order.begin(), last, order.end());
-    for (RegionPlace& place : region())
-      if (!(rank(place) < *last)) place.passed[lane] = beyond_;
+    for (std::size_t i = 0; i < size_; ++i)
+      if (!(rank(i) < *last)) region()[i].passed[lane] = beyond_;
   }
 
   // Averages differences from the sources, so that a constant is a fixed point to the last bit.
@@ -97,17 +100,17 @@ class GroupAverage {
       for (std::size_t lane = 0; lane < sources_.size(); ++lane) centres[c].lane[lane] = job_.colours[sources_[lane]][first + c];
       low[c] = high[c] = centres[c].lane[0];
     }
-    for (const RegionPlace& place : region())
+    for (const Index vertex : vertices())
       for (std::size_t c = 0; c < channels; ++c) {
-        low[c] = std::min(low[c], job_.colours[place.vertex][first + c]);
-        high[c] = std::max(high[c], job_.colours[place.vertex][first + c]);
+        low[c] = std::min(low[c], job_.colours[vertex][first + c]);
+        high[c] = std::max(high[c], job_.colours[vertex][first + c]);
       }
     for (std::size_t part = 0; part < group_size; part += lane_count) {
       std::array<Lanes, channels> sums{}, centre;
       for (std::size_t c = 0; c < channels; ++c) centre[c] = load(centres[c].lane.data() + part);
-      for (const RegionPlace& place : region()) {
-        const float* colours = job_.colours[place.vertex] + first;
-        const Lanes kernel = load(place.lane.data() + part);
+      for (std::size_t i = 0; i < size_; ++i) {
+        const float* colours = job_.colours[vertices()[i]] + first;
+        const Lanes kernel = load(region()[i].lane.data() + part);
         for (std::size_t c = 0; c < channels; ++c) sums[c] += kernel * (splat(colours[c]) - centre[c]);
       }
       const Lanes total = load(totals_.lane.data() + part);

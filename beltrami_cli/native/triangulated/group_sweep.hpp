@@ -22,11 +22,10 @@ struct GroupJob {
   float* smoothed;
 };
 
-// A vertex that any of a group's kernels reaches.
+// What is known of a vertex that any of a group's kernels reaches.
 struct alignas(64) RegionPlace {
   std::array<float, group_size> lane;    // its distance from each source, later the value of each kernel there
   std::array<float, group_size> passed;  // the distances as they were passed on to other vertices last: in the end, all
-  Index vertex;
 };
 
 // Scratch memory of one thread, grown on first use and kept.
@@ -34,6 +33,7 @@ struct GroupScratch {
   explicit GroupScratch(std::size_t vertex_count) : place(vertex_count, 0) {}
   std::vector<std::uint16_t> place;  // [vertex]: 1 + its place in the region, 0 outside
   std::vector<RegionPlace> region;   // in the order in which they are found
+  std::vector<Index> vertices;       // [place]
 };
 
 // Writes the smoothed colours of up to 16 sources. Nothing is written, or told, if they reach too many vertices.
