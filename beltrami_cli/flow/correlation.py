@@ -53,7 +53,7 @@ _ADDED = 1.25
 _ENOUGH_INSIDE = 0.2
 
 # Rows of a band, a multiple of the cells that the coarsest details span; and cells that are looked at in all.
-_BAND, _CELLS = 128, 2_000_000
+_BAND, _CELLS = 128, 200_000
 
 # Of fewer cells, and of fewer a side, coarse octaves tell nothing: texture may look like noise.
 _ENOUGH, _SMALLEST = 40_000, 64
