@@ -230,6 +230,12 @@ def test_nothing_compared_is_no_success(tmp_path):
         compare_files(unseen, unseen, Limits(min_psnr=30))
 
 
+@pytest.mark.parametrize("limit", [{"max_delta_e": -1.0}, {"min_ssim": 1.5}, {"min_psnr": float("nan")}])
+def test_a_limit_that_nothing_keeps_is_refused(limit):
+    with pytest.raises(UsageError, match=next(iter(limit))):
+        Limits(**limit)
+
+
 def test_a_limit_that_cannot_be_told_is_said(tmp_path):
     one = picture(tmp_path / "a.png", np.full((20, 20, 3), 9, np.uint8))
     told = compare_files(one, one, Limits(max_seam_jump=0.0))

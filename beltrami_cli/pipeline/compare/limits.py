@@ -30,7 +30,7 @@ class Limits:
     Raises
     ------
     UsageError
-        If a limit is no finite number.
+        If a limit is no finite number, or cannot be kept.
     """
 
     min_psnr: float | None = None
@@ -42,6 +42,10 @@ class Limits:
         for name, value in vars(self).items():
             if value is not None and not math.isfinite(value):
                 raise UsageError(f"{name} is {value}, but must be a finite number")
+        if self.max_delta_e is not None and self.max_delta_e < 0:
+            raise UsageError(f"max_delta_e is {self.max_delta_e}, but no difference is below 0")
+        if self.min_ssim is not None and self.min_ssim > 1:
+            raise UsageError(f"min_ssim is {self.min_ssim}, but no similarity is above 1")
 
 
 @dataclass(frozen=True)
