@@ -54,6 +54,19 @@ def test_white_noise_is_told_exactly(channels):
     )
 
 
+def test_the_noise_of_a_large_mesh_is_told_by_parts_of_it():
+    """Rows of a grid follow each other, so blocks of rows are strips of it; the painting is steps and slopes."""
+    rows, columns = 500, 400
+    y, x = np.mgrid[:rows, :columns]
+    clean = 0.3 + 0.2 * (x // 100 % 2) + 0.2 * y / rows
+    corner = (y[:-1, :-1] * columns + x[:-1, :-1]).ravel()
+    low, high = [corner, corner + 1, corner + columns], [corner + 1, corner + columns + 1, corner + columns]
+    faces = np.concatenate([np.stack(low, axis=1), np.stack(high, axis=1)])
+    colours = noisy(np.repeat(clean.reshape(-1, 1), 3, axis=1), 0.04)
+    # The share of neighbourhoods that say so much of it leaves a per cent or two, as on small meshes.
+    assert on_mesh(colours, faces) == pytest.approx(10.2, rel=0.03)
+
+
 @pytest.mark.parametrize(("sigma", "tolerance"), [(5, 0.1), (10, 0.06), (20, 0.06)])
 def test_rich_texture_is_not_taken_for_noise(sigma, tolerance):
     """Grain adds to the finest detail everywhere, but least where coarse means are even."""
