@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 _SHARE_TRIED = 1 / 25
 _LEAST_TRIED = 40_000
 # More tell nothing new: of so many the risk is known to a tenth of a dB or better.
-_MOST_TRIED = 200_000
+_MOST_TRIED = 100_000
 
 
 def choose_on_canvas(

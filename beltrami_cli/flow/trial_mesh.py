@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 _SHARE_TRIED = 1 / 20
 _LEAST_TRIED = 4_000
 # More tell nothing new.
-_MOST_TRIED = 200_000
+_MOST_TRIED = 40_000
 
 # Rings of a patch whose results count, and rings around these that only lend their colours.
 _CORE, _RIM = 7, 3
