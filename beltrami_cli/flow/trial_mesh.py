@@ -129,7 +129,9 @@ class MeshTrial:
 
     def step(self, state: NDArray[np.float32], step: Step) -> NDArray[np.float32]:
         """Return the colours after an iteration."""
-        own, fields = dataclasses.replace(self._parameters, t=step.t), self._fields
+        own, fields = self._parameters, self._fields
+        if step.t != own.t:
+            own = dataclasses.replace(own, t=step.t)
         metric, beta = self._metric.join(state, step.beta, regularised=step.regularised)
         self._manifold.update_metric(fields.positions, metric, beta, fields.scales, own.thread_count)
         smoothed, _, _ = self._manifold.smooth(
@@ -139,7 +141,7 @@ class MeshTrial:
 
     def scored(self, state: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the colours of the samples that count, shape (samples, N)."""
-        return state[self._counting]
+        return state if self.samples == len(state) else state[self._counting]
 
 
 def random_signs(colours: NDArray[np.float32], edges: NDArray[np.int32], count: int) -> NDArray[np.float32]:
@@ -194,9 +196,11 @@ def choose_patches(colours: NDArray[np.float32], edges: NDArray[np.int32]) -> Pa
     reached = np.zeros(count, bool)
     reached[np.argsort(rank, kind="stable")[: max(1, budget // _PATCH)]] = True
     counting = reached & joined
+    low, high = np.ascontiguousarray(edges.T)
     for ring in range(_CORE + _RIM):
-        touched = reached[edges]
-        reached[edges[touched.any(axis=1)]] = True
+        leads_out = reached[low] != reached[high]
+        reached[low[leads_out]] = True
+        reached[high[leads_out]] = True
         if ring == _CORE - 1:
             counting = reached.copy()
     samples = np.flatnonzero(reached)
