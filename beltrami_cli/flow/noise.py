@@ -164,7 +164,7 @@ def estimate_sigma_on_grid(planes: NDArray[np.float32], filled: NDArray[np.bool_
     near, far = slice(None, -1), slice(1, None)
     whole = filled[rows]
     squares = whole[:, near, near] & whole[:, near, far] & whole[:, far, near] & whole[:, far, far]
-    count = _tiles(squares)
+    count = _tiles(squares, squares)
     enough = count >= min(_FULL_TILE, float(count.max(initial=1)))
     if not enough.any():
         return np.zeros(len(planes))
@@ -176,7 +176,7 @@ def estimate_sigma_on_grid(planes: NDArray[np.float32], filled: NDArray[np.bool_
         means = sum(corners) / 4 - band.mean()  # small numbers, whose squares lose no digits
         own = corners[0]
         energy, even, level, low, high, mean = (
-            _tiles(np.where(squares, of, 0))[enough] / count[enough]
+            _tiles(of, squares)[enough] / count[enough]
             for of in (detail**2, means**2, means, own <= 0, own >= 1, own)
         )
         found.append((energy, np.maximum(even - level**2, 0), low, high, mean))
@@ -193,12 +193,14 @@ def _bands(filled: NDArray[np.bool_]) -> NDArray[np.intp]:
     return rows
 
 
-def _tiles(values: NDArray[Any]) -> NDArray[np.float64]:
-    """Sum over the tiles of bands of squares, shape (bands, _TILE, columns)."""
+def _tiles(values: NDArray[Any], squares: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Sum over the squares of tiles, in bands of shape (bands, _TILE, columns)."""
     starts = np.arange(0, max(1, values.shape[2]), _TILE)
     if not values.size:
         return np.zeros((len(values), 0))
-    along = values.sum(axis=1, dtype=np.float64)
+    if not values.any():  # as of what was cut off, mostly
+        return np.zeros((len(values), len(starts)))
+    along = np.where(squares, values, 0).sum(axis=1, dtype=np.float64)
     total: NDArray[np.float64] = np.add.reduceat(along, starts, axis=1)
     return total
 

@@ -74,7 +74,7 @@ class Output:
                 raise OutputError(
                     self.target,
                     f"{name} cannot be written beside it",
-                    "choose a file as OUTPUT, or --format glb",
+                    "choose a file as OUTPUT, or --format glb (of OBJ and PLY with --unwrap)",
                 )
             path = PurePosixPath(name)
             if (
