@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from beltrami_cli.flow.canvas_colours import painted
 from beltrami_cli.flow.guidance import choose_guide_beta, join_channels
 from beltrami_cli.flow.noise import beta_of, estimate_sigma_on_grid
 from beltrami_cli.flow.regularisation import GridGaussian
 from beltrami_cli.flow.seams import find_colour_jumps, halo_beyond
-from beltrami_cli.mesh.atlas import EMPTY, OWNED, refresh_halo
+from beltrami_cli.mesh.atlas import EMPTY, OWNED
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -149,9 +150,7 @@ class GridMetric:
     def _take(self, guide: Guide) -> tuple[NDArray[np.float32], float]:
         """Return the planes and the beta that a guide adds to the metric, and note the beta."""
         atlas, owned = self._atlas, self._atlas.kind == OWNED
-        planes = np.zeros((guide.values.shape[1], *atlas.kind.shape), np.float32)
-        planes.reshape(len(planes), -1)[:, atlas.owned_cells] = guide.values.T
-        refresh_halo(planes, atlas)
+        planes = painted(atlas, guide.values, self._parameters.thread_count)
         if guide.in_chart_frame:
             _end_at_seams(planes, atlas, self._parameters.thread_count)
         beta = guide.beta

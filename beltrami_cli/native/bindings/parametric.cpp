@@ -91,6 +91,7 @@ auto grid_distances(const Cells& kind, const Stack& squared_lengths, const std::
 // What makes local units of squared lengths, see local_scale.
 auto local_scale_of(const Stack& squared_lengths, int window_radius) {
   const std::size_t rows = squared_lengths.shape(1), columns = squared_lengths.shape(2);
+  if (squared_lengths.shape(0) < 2) throw nb::value_error("the lengths along both axes are needed");
   std::unique_ptr<float[]> scale(new float[rows * columns]);
   {
     const nb::gil_scoped_release unlock;

@@ -7,13 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from beltrami_cli.flow.canvas_colours import painted
 from beltrami_cli.formats.image import check_writable, from_float, losses, to_float, write_image
-from beltrami_cli.mesh.atlas import refresh_halo
 from beltrami_cli.pipeline.noise.image import lossy_notice
 from beltrami_cli.pipeline.noise.kinds import add_noise, bounds
 from beltrami_cli.pipeline.textures.colours import COLOUR_SLOTS
+from beltrami_cli.pipeline.textures.places import within
 from beltrami_cli.pipeline.textures.prepare import prepare_slot
-from beltrami_cli.pipeline.textures.repainting import SmoothedTexels, within
+from beltrami_cli.pipeline.textures.repainting import SmoothedTexels
 from beltrami_cli.sampling.gutter import fill_gutter
 
 if TYPE_CHECKING:
@@ -98,9 +99,7 @@ def _on_surface(
     number = np.empty(len(atlas.owned_texels), np.int64)
     number[np.argsort(atlas.owned_texels)] = np.arange(len(number))
     added = add_noise(before, number, noise, stream, _in_grey(prepared)) - before
-    planes = np.zeros((added.shape[1], *atlas.kind.shape), np.float32)
-    planes.reshape(len(planes), -1)[:, atlas.owned_cells] = added.T
-    refresh_halo(planes, atlas)
+    planes = painted(atlas, added, threads=1)
     beyond = np.ascontiguousarray(planes.reshape(len(planes), -1)[:, atlas.gutter_cells].T)
     return SmoothedTexels(atlas.texture_offsets, atlas.owned_texels, added, atlas.gutter_texels, beyond)
 

@@ -21,14 +21,28 @@ _EXTRAPOLATION = np.array([13, 4, -5]) / 12
 
 def near_seams(atlas: Atlas) -> NDArray[np.bool_]:
     """Tell which owned cells are within 4 texels of a seam, shape (T,)."""
-    from scipy.ndimage import maximum_filter
-
     beside = np.zeros(atlas.kind.shape, bool)
     for inner, *_ in _lines(atlas, 1):
         beside.reshape(-1)[inner] = True
     # Charts are further apart on the canvas than this reaches.
-    near = maximum_filter(beside, 2 * _NEAR - 1, mode="constant")
-    return np.asarray(near.reshape(-1)[atlas.owned_cells], bool)
+    return within(beside, _NEAR - 1).reshape(-1)[atlas.owned_cells]
+
+
+def within(covered: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
+    """Tell which texels of a texture, or cells of a canvas, lie at most `reach` rows and columns from a covered one."""
+    near, known = covered, 0
+    while known < reach:
+        # What is within so many, together with itself moved to all sides as far as no gap is left in between.
+        step = min(2 * known + 1, reach - known)
+        for axis in (0, 1):
+            ahead, behind = [slice(None), slice(None)], [slice(None), slice(None)]
+            ahead[axis], behind[axis] = slice(step, None), slice(None, -step)
+            grown = near.copy()
+            grown[*ahead] |= near[*behind]
+            grown[*behind] |= near[*ahead]
+            near = grown
+        known += step
+    return near
 
 
 def seam_steps(atlas: Atlas, colours: NDArray[np.float32]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:

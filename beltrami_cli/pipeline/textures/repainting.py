@@ -13,6 +13,7 @@ from beltrami_cli.formats.image.picture import full_scale_one
 from beltrami_cli.mesh import large_arrays
 from beltrami_cli.mesh.atlas import texels_by_texture
 from beltrami_cli.pipeline.smooth.report import Change
+from beltrami_cli.pipeline.textures.places import within
 from beltrami_cli.sampling.gutter import fill_gutter
 
 if TYPE_CHECKING:
@@ -122,20 +123,3 @@ def _paint(
         # Texels that did not change count, too.
         changes.append(dataclasses.replace(Change.between(old, new), count=len(moved) * table.shape[1]))
     return Change.joined(changes)
-
-
-def within(covered: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
-    """Tell which texels lie at most `reach` rows and columns from a covered one."""
-    near, known = covered, 0
-    while known < reach:
-        # What is within so many, together with itself moved to all sides as far as no gap is left in between.
-        step = min(2 * known + 1, reach - known)
-        for axis in (0, 1):
-            ahead, behind = [slice(None), slice(None)], [slice(None), slice(None)]
-            ahead[axis], behind[axis] = slice(step, None), slice(None, -step)
-            grown = near.copy()
-            grown[*ahead] |= near[*behind]
-            grown[*behind] |= near[*ahead]
-            near = grown
-        known += step
-    return near
