@@ -16,9 +16,10 @@ import pytest
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.formats.source import open_document
 from beltrami_cli.pipeline.compare.files import compare_files
-from beltrami_cli.pipeline.compare.limits import Limits
+from beltrami_cli.pipeline.compare.limits import Limits, judge
 from beltrami_cli.pipeline.noise.file import noise_file
 from beltrami_cli.pipeline.settings.noise import NoiseSettings
+from beltrami_cli.pipeline.settings.smooth import SmoothSettings
 from cli.commands import COMMAND, SAMPLES, beltrami
 from formats.image_files import encode
 from formats.volume_files import sphere_file
@@ -45,10 +46,16 @@ def psnr_of(offset):
 
 
 @pytest.mark.parametrize(
-    "name", ["head-clean.ply", "torus-two-clean.gltf", "sphere-exr-clean.obj", "head-tex-clean.png"]
+    ("name", "similarity"),
+    [
+        ("head-clean.ply", None),
+        ("torus-two-clean.gltf", 1),
+        ("sphere-exr-clean.obj", 1),
+        ("head-tex-clean.png", 1),
+    ],
 )
-def test_a_file_is_equal_to_itself(name):
-    limits = Limits(min_psnr=200, min_ssim=1, max_delta_e=0, max_seam_jump=0)
+def test_a_file_is_equal_to_itself(name, similarity):
+    limits = Limits(min_psnr=200, min_ssim=similarity, max_delta_e=0, max_seam_jump=0)
     comparison = compare_files(SAMPLES / name, SAMPLES / name, limits)
     assert comparison.passed
     for told in (*comparison.parts, comparison.overall):
@@ -236,11 +243,62 @@ def test_a_limit_that_nothing_keeps_is_refused(limit):
         Limits(**limit)
 
 
-def test_a_limit_that_cannot_be_told_is_said(tmp_path):
+@pytest.mark.parametrize(
+    ("limit", "settings"),
+    [
+        ({"min_ssim": 0.5}, SmoothSettings()),
+        ({"max_delta_e": 50.0}, SmoothSettings(space="data")),
+        ({"max_delta_e": 50.0}, SmoothSettings(channels=("red", "green"))),
+    ],
+)
+def test_a_limit_that_cannot_be_measured_is_no_success(limit, settings):
+    """Vertices have no windows of pixels; numbers that are no colours, or two channels of some, have no Delta E."""
+    ball = SAMPLES / "head-clean.ply"
+    with pytest.raises(
+        InputError, match=f"--{next(iter(limit)).replace('_', '-')} cannot be tested"
+    ) as caught:
+        compare_files(ball, ball, Limits(**limit), settings)
+    assert str(ball) in str(caught.value)
+    assert "leave that limit out" in str(caught.value)
+
+
+def test_a_limit_must_be_measured_for_every_part(tmp_path):
+    """A small texture beside a large one has no window of 11 x 11; no map is drawn then, and nothing is printed."""
+    for folder in ("one", "other"):
+        (tmp_path / folder).mkdir()
+        lines = ["mtllib m.mtl", "v 0 0 0", "v 1 0 0", "v 0 1 0", "v 2 0 0", "v 3 0 0", "v 2 1 0"]
+        lines += ["vt 0 0", "vt 1 0", "vt 0 1"]
+        lines += ["usemtl large", "f 1/1 2/2 3/3", "usemtl small", "f 4/1 5/2 6/3"]
+        (tmp_path / folder / "m.obj").write_text("\n".join(lines) + "\n")
+        (tmp_path / folder / "m.mtl").write_text("newmtl large\nmap_Kd a.png\nnewmtl small\nmap_Kd b.png\n")
+        picture(tmp_path / folder / "a.png", np.full((64, 64, 3), 9, np.uint8))
+        picture(tmp_path / folder / "b.png", np.full((6, 6, 3), 9, np.uint8))
+    files = tmp_path / "one" / "m.obj", tmp_path / "other" / "m.obj"
+    drawn = tmp_path / "map.png"
+    run = beltrami("compare", *files, "--min-ssim", 0.9, "--map", drawn, "--json")
+    assert run.returncode == 3
+    assert run.stdout == b""
+    assert len(run.stderr.splitlines()) == 1
+    assert b"b.png: --min-ssim" in run.stderr
+    assert not drawn.exists()
+    assert beltrami("compare", *files, "--min-ssim", 0.9, "--texture", "a.png", "-q").returncode == 0
+
+
+def test_where_no_seam_is_nothing_jumps_and_a_seam_that_cannot_be_measured_is_no_success(tmp_path):
     one = picture(tmp_path / "a.png", np.full((20, 20, 3), 9, np.uint8))
     told = compare_files(one, one, Limits(max_seam_jump=0.0))
     assert told.passed
-    assert "--max-seam-jump is not tested" in told.notices[0]
+    assert "--max-seam-jump is kept" in told.notices[0]
+    part = {"name": "narrow", "samples": 4, "near_seams": {"samples": 4}, "seam_jump": None}
+    with pytest.raises(InputError, match="--max-seam-jump cannot be tested"):
+        judge([part], Limits(max_seam_jump=1.0), "t.obj")
+
+
+def test_a_surface_without_area_has_no_samples_by_area(tmp_path):
+    path = tmp_path / "line.obj"
+    path.write_text("v 0 0 0 1 0 0\nv 1 0 0 0 1 0\nv 2 0 0 0 0 1\nf 1 2 3\n")
+    with pytest.raises(InputError, match="no area"):
+        compare_files(path, path, Limits(min_psnr=99), weights="area")
 
 
 def test_the_makefile_of_the_page_passes_good_results_and_fails_on_bad_ones(tmp_path):

@@ -124,7 +124,7 @@ def compare_files(
     UsageError
         If settings contradict each other or the files.
     InputError
-        If a file cannot be read, or the two are not alike in anything but colours.
+        If a file cannot be read, the two are not alike in anything but colours, or a limit cannot be measured.
     OutputError
         If the map cannot be written.
     """
@@ -137,14 +137,9 @@ def compare_files(
         require_map(target)
         output = Output(target, overwrite=overwrite)
     paired = _pair(names, settings, weights, access)
-    if not sum(len(pair.reference) for pair in paired.parts):
-        raise InputError(
-            _shown(names[0]),
-            "nothing of it can be compared: no texel that the surface covers, or no pixel, can be seen",
-            "choose something else with --on, --slots or --mask",
-        )
+    _require_samples(paired.parts, _shown(names[0]))
     parts = [{"name": pair.name, "kind": pair.kind, **figures([pair])} for pair in paired.parts]
-    verdicts, untold = judge(parts, limits)
+    verdicts, untested = judge(parts, limits, _shown(names[1]))
     scale = None
     if output is not None and target is not None:
         written, scale = paired.map(target)
@@ -158,8 +153,31 @@ def compare_files(
         verdicts,
         all(verdict.kept for verdict in verdicts),
         scale,
-        [*paired.notices, *untold],
+        [*paired.notices, *_left_out(paired.parts), *untested],
     )
+
+
+def _require_samples(parts: list[PairedColours], name: str) -> None:
+    """Raise InputError if nothing can be compared, or what counts by its area has none."""
+    if not sum(len(pair.reference) for pair in parts):
+        raise InputError(
+            name,
+            "nothing of it can be compared: no texel that the surface covers, or no pixel, can be seen",
+            "choose something else with --on, --slots or --mask",
+        )
+    for pair in parts:
+        if len(pair.weights) and not pair.weights.sum() > 0:
+            cause = f"{pair.name}: the surface has no area that samples could stand for"
+            raise InputError(name, cause, "use --weights uniform")
+
+
+def _left_out(parts: list[PairedColours]) -> list[str]:
+    """Say of which parts nothing is compared."""
+    return [
+        f"{pair.name} is not compared, because no texel of it is both covered by the surface and visible"
+        for pair in parts
+        if not len(pair.reference)
+    ]
 
 
 def _pair(names: tuple[str, str], settings: SmoothSettings, weights: Weights, access: Access) -> _Paired:

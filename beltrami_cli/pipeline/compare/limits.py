@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from beltrami_cli.errors import UsageError
+from beltrami_cli.errors import InputError, UsageError
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -73,51 +73,61 @@ class Verdict:
     kept: bool
 
 
-def judge(parts: Iterable[Mapping[str, Any]], limits: Limits) -> tuple[list[Verdict], list[str]]:
+def judge(parts: Iterable[Mapping[str, Any]], limits: Limits, test: str) -> tuple[list[Verdict], list[str]]:
     """Hold the figures of each part to the limits.
 
     Parameters
     ----------
     parts : iterable of mapping
-        Figures as `figures` gives them, with "name".
+        Figures as `figures` gives them, with "name". What has no samples is held to nothing.
     limits : Limits
         What to keep to.
+    test : str
+        The file that is judged, for messages.
 
     Returns
     -------
     verdicts : list of Verdict
-        One for each limit and part that it can be told for.
+        One for each limit and part; none for steps over seams where there is no seam.
     notices : list of str
-        Limits that can be told for no part.
+        What is kept because there is nothing that could break it, one sentence each.
+
+    Raises
+    ------
+    InputError
+        If a limit cannot be measured for a part: what nobody can check must not pass.
     """
-    parts = list(parts)
+    held = [part for part in parts if part["samples"]]
     verdicts: list[Verdict] = []
-    notices: list[str] = []
     for limit, allowed in vars(limits).items():
         if allowed is None:
             continue
-        told = [(part["name"], _measured(part, limit)) for part in parts if _can_tell(part, limit)]
-        for name, measured in told:
+        for part in held:
+            if limit == "max_seam_jump" and part["near_seams"] is None:
+                continue  # nothing can jump
+            if not _can_tell(part, limit):
+                option = f"--{limit.replace('_', '-')}"
+                raise InputError(test, f"{part['name']}: {option} {_WITHOUT[limit]}", _REMEDY)
+            measured = _measured(part, limit)
             kept = measured is None or (
                 measured >= allowed if limit.startswith("min") else measured <= allowed
             )
-            verdicts.append(Verdict(limit, name, allowed, measured, kept))
-        if not told:
-            notices.append(f"--{limit.replace('_', '-')} is not tested, because there is {_WITHOUT[limit]}")
-    return verdicts, notices
+            verdicts.append(Verdict(limit, part["name"], allowed, measured, kept))
+    seamless = limits.max_seam_jump is not None and all(part["near_seams"] is None for part in held)
+    return verdicts, ["--max-seam-jump is kept, because there is no seam"] if seamless else []
 
 
 _WITHOUT = {
-    "min_psnr": "nothing to compare",
-    "min_ssim": "no image, or no window of 11 x 11 pixels in one that the surface covers",
-    "max_delta_e": "no colour but data",
-    "max_seam_jump": "no seam",
+    "min_ssim": "cannot be tested without a picture in which a window of 11 x 11 pixels counts",
+    "max_delta_e": "cannot be tested where the numbers are not grey, or red, green and blue, in sRGB or linear light",
+    "max_seam_jump": "cannot be tested where no chart has three texels in a row on either side of a seam",
 }
+_REMEDY = "leave that limit out, or choose what has it with --on, --slots, --texture, --channels or --space"
 
 
 def _can_tell(part: Mapping[str, Any], limit: str) -> bool:
     if limit == "min_psnr":
-        return bool(part["samples"])
+        return True
     return (
         part[{"min_ssim": "ssim", "max_delta_e": "delta_e", "max_seam_jump": "seam_jump"}[limit]] is not None
     )
