@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import struct
 import zlib
 from typing import TYPE_CHECKING
@@ -9,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import OpenImageIO
 import pytest
+from PIL import Image
 
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.formats.image import check_writable, from_float, losses, read_image, to_float, write_image
@@ -110,6 +112,72 @@ def test_a_palette_is_told_of() -> None:
     source = b"\x89PNG\r\n\x1a\n" + b"".join(png_chunk(*chunk) for chunk in chunks)
     assert "palette" in read_image(source, "x.png").notices[0]
     assert not read_image(encode(noise("uint8", 3), "png"), "x.png").notices
+
+
+def saved(picture: Image.Image, **options: str) -> bytes:
+    buffer = io.BytesIO()
+    picture.save(buffer, "TIFF", **options)
+    return buffer.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("mode", "options", "told"),
+    [
+        ("YCbCr", {}, ["(YCbCr), which become red, green and blue"]),
+        (
+            "RGB",
+            {"compression": "jpeg"},
+            ["compressed by jpeg; what is written as TIFF is compressed by zip"],
+        ),
+        ("YCbCr", {"compression": "jpeg"}, ["(YCbCr)", "compressed by jpeg"]),
+        (
+            "1",
+            {"compression": "group4"},
+            ["has 1-bit samples, which become 8-bit ones", "compressed by ccittfax4"],
+        ),
+        ("RGB", {"compression": "tiff_lzw"}, []),
+        ("RGB", {"compression": "packbits"}, []),
+        ("RGB", {"compression": "tiff_adobe_deflate"}, []),
+        ("RGBA", {}, []),
+        ("I;16", {}, []),
+    ],
+)
+def test_what_a_tiff_stores_otherwise_is_told_once(
+    mode: str, options: dict[str, str], told: list[str]
+) -> None:
+    """What nothing is told of comes back as it was."""
+    across, down = np.meshgrid(np.arange(48), np.arange(32))
+    slope = np.stack([5 * across, 7 * down, 80 + across + down], axis=2).astype(np.uint8)
+    picture = (
+        Image.fromarray(slope[..., 0].astype(np.uint16))
+        if mode == "I;16"
+        else Image.fromarray(slope).convert(mode)
+    )
+    image = read_image(saved(picture, **options), "x.tif")
+    assert len(image.notices) == len(told)
+    assert all(words in notice for words, notice in zip(told, image.notices, strict=True))
+    if mode == "YCbCr":
+        assert np.abs(image.pixels.astype(int) - slope).max() <= (12 if options else 3)
+    again = read_image(write_image(image, image.pixels).data, "x.tif")
+    np.testing.assert_array_equal(again.pixels, image.pixels)
+    assert not again.notices
+    if not told:
+        for attribute in ("compression", "tiff:PhotometricInterpretation"):
+            assert again.spec.getattribute(attribute) == image.spec.getattribute(attribute)
+
+
+def test_lightness_and_hues_are_refused() -> None:
+    """OpenImageIO reads the white of CIELAB as (255, 252, 222)."""
+    with pytest.raises(InputError, match=r"x\.tif: its colours are CIELAB; convert it to RGB"):
+        read_image(saved(Image.fromarray(noise("uint8", 3), "LAB")), "x.tif")
+
+
+def test_grey_of_few_bits_is_told_of() -> None:
+    buffer = io.BytesIO()
+    Image.fromarray(noise("uint8", 1)[..., 0]).convert("1").save(buffer, "PNG")
+    assert read_image(buffer.getvalue(), "x.png").notices == (
+        "x.png has 1-bit samples, which become 8-bit ones.",
+    )
 
 
 def test_channels_of_several_types_are_each_rounded_to_their_own() -> None:

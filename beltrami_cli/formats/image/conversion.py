@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 _BITS = {"uint8": 8, "uint16": 16, "float16": 16, "float32": 32}
 _OIIO_TYPES = {"uint8": "uint8", "uint16": "uint16", "float16": "half", "float32": "float"}
 _INEXACT = ("jpeg", "webp", "hdr")
-_LOSSY = ("jpeg", "b44", "b44a", "dwaa", "dwab", "pxr24")  # compressions of TIFF and EXR
+_LOSSY = ("b44", "b44a", "dwaa", "dwab", "pxr24")  # compressions of EXR; TIFF is written without any
 _TECHNICAL = (
     "oiio:", "jpeg:", "png:", "webp:", "tiff:", "openexr:", "targa:", "bmp:", "ICCProfile:", "jpegxl:", "pnm:", "dpx:",
     "rla:", "gif:", "psd:",

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.image.metadata import has_palette, is_animated, is_cmyk_jpeg
+from beltrami_cli.formats.image.changes import changes
+from beltrami_cli.formats.image.metadata import is_cmyk_jpeg
 from beltrami_cli.formats.image.picture import Picture
 from beltrami_cli.formats.image.recognition import READABLE, format_of, label_of, suffix_for
 from beltrami_cli.formats.image.scratch import scratch_file
@@ -20,8 +21,6 @@ if TYPE_CHECKING:
 
 _LARGEST = 1 << 28  # pixels: 16384 x 16384, the largest texture that graphics cards take
 _MOST_CHANNELS = 64
-_COLOURED = 3  # channels
-_PALETTE_IN_TIFF = 3  # its photometric interpretation
 _MOST_MEGABYTES = 8192  # of decoded pixels
 _STORED = {"uint8": "uint8", "uint16": "uint16", "half": "float16", "float": "float32"}
 _EXPORT = "export it as RGB or grey with 8 or 16 bits, or as floats"
@@ -47,7 +46,7 @@ def read_image(data: bytes, name: str, *, finite: bool = True) -> Picture:
     ------
     InputError
         If it is of no known format, damaged or cut off, of no size or too large, of a type of sample that is not
-        supported, in the inks of print (CMYK), or has values that are not finite and must not.
+        supported, in the inks of print (CMYK) or in CIELAB, or has values that are not finite and must not.
     """
     import OpenImageIO
 
@@ -74,7 +73,7 @@ def read_image(data: bytes, name: str, *, finite: bool = True) -> Picture:
             error = file.geterror()
             if pixels is None or error:
                 raise _damaged(name, known, error, path)
-            notices = _left_out(file, spec, data, known, name)
+            notices = changes(file, spec, data, known, name)
         finally:
             file.close()
             file.geterror()
@@ -90,22 +89,6 @@ def read_image(data: bytes, name: str, *, finite: bool = True) -> Picture:
                 name, f"{unfit} of its values are not finite numbers", "repair or export it anew"
             )
     return _picture(data, name, known, spec, pixels, notices)
-
-
-def _left_out(file: Any, spec: Any, data: bytes, known: str, name: str) -> tuple[str, ...]:
-    """Say what of the file is neither read nor kept."""
-    notices = []
-    if known == "psd":  # whose first image is all its layers together
-        notices.append(f"{name} is taken as it is shown, its layers together.")
-    elif is_animated(data, known) or file.seek_subimage(1, 0):
-        notices.append(f"{name} holds several images, of which only the first is read and kept.")
-    if file.seek_subimage(0, 1):
-        notices.append(f"{name} holds smaller copies of itself (mip levels), which are left out.")
-    in_tiff = spec.get_int_attribute("tiff:PhotometricInterpretation") == _PALETTE_IN_TIFF
-    # In a palette of greys alone OpenImageIO sees grey, and so writes it.
-    if spec.nchannels >= _COLOURED and (in_tiff or has_palette(data, known)):
-        notices.append(f"{name} has a palette, which becomes full colours.")
-    return tuple(notices)
 
 
 def _check(spec: Any, opened: str, known: str, name: str) -> None:
@@ -124,8 +107,11 @@ def _check(spec: Any, opened: str, known: str, name: str) -> None:
     kinds = {str(kind) for kind in (spec.channelformats or (spec.format,))}
     if not kinds <= _STORED.keys() or (len(kinds) > 1 and not kinds <= {"half", "float"}):
         raise InputError(name, f"its samples are {' and '.join(sorted(kinds))}", _EXPORT)
-    if "CMYK" in spec.get_string_attribute("tiff:ColorSpace").upper():
+    colour_space = spec.get_string_attribute("tiff:ColorSpace")
+    if "CMYK" in colour_space.upper():
         raise InputError(name, "its colours are the inks of print (CMYK)", "convert it to RGB")
+    if colour_space.endswith("LAB"):  # OpenImageIO makes a yellow of its white, and 8 bits of 16
+        raise InputError(name, f"its colours are {colour_space}", "convert it to RGB")
 
 
 def _picture(

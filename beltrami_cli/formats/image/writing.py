@@ -164,8 +164,6 @@ def _set_options(spec: Any, known: str, compression: str, quality: int, *, small
             spec.attribute("compression", "jpegxl:100")
         case "tiff":
             spec.attribute("tiff:half", 1)
-            if spec.get_string_attribute("compression") == "jpeg":
-                spec.attribute("compression", f"jpeg:{quality}")
     if known in ("tiff", "openexr") and not spec.get_string_attribute("DateTime"):
         # Otherwise it would be the time of writing, and two runs would differ.
         spec.attribute("DateTime", "")
