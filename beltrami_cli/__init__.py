@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from beltrami_cli.flow.parameters import KernelParameters
     from beltrami_cli.pipeline.images.arrays import ImageResult
     from beltrami_cli.pipeline.images.smooth import smooth_image
-    from beltrami_cli.pipeline.inspect import inspect_file
+    from beltrami_cli.pipeline.inspect.file import inspect_file
     from beltrami_cli.pipeline.settings.image import ImageSettings
     from beltrami_cli.pipeline.settings.smooth import SmoothSettings, TextureSettings
     from beltrami_cli.pipeline.smooth.file import smooth_file
@@ -36,7 +36,7 @@ _HOME_OF = {
     "SmoothSettings": "pipeline.settings.smooth",
     "TextureSettings": "pipeline.settings.smooth",
     "UsageError": "errors",
-    "inspect_file": "pipeline.inspect",
+    "inspect_file": "pipeline.inspect.file",
     "smooth": "pipeline.vertices.arrays",
     "smooth_file": "pipeline.smooth.file",
     "smooth_image": "pipeline.images.smooth",

@@ -8,18 +8,15 @@ References
 
 from __future__ import annotations
 
-import subprocess
-import sys
-import tempfile
-import time
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from beltrami_cli.errors import InputError, ProcessingError
 from beltrami_cli.mesh.areas import triangle_areas
 from beltrami_cli.sampling.grouping import group_equal_rows
+from beltrami_cli.sampling.unwrap_process import ask_worker, expected_seconds, shown
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -30,12 +27,6 @@ _SIDES = [
     *(part * 2**k for k in range(6, 11) for part in (4, 5, 6, 7)),
     8192,
 ]  # 256, 320, 384, 448, 512, 640 ...
-_WORKER = "beltrami_cli.sampling.unwrap_worker"
-_POLL = 0.1  # seconds between looks at whether it is done or the user wants to stop
-# Measured: 16 thousand triangles take 7 s, 82 thousand 109 s.
-_SECONDS, _FACES, _GROWTH = 160.0, 100_000, 1.7
-_PATIENCE = 10  # times as long as expected; beyond that it hangs
-_LEAST_PATIENCE = 120.0
 _FLAT = 1e-6  # of the squared longest edge: what counts as a triangle without area, for single precision
 
 
@@ -112,7 +103,7 @@ def unwrap(
         raise InputError(
             name,
             f"it has {len(faces)} triangles, and unwrapping more than {most_faces} takes long: about "
-            f"{_shown(_seconds(len(faces)))}, growing faster than their number",
+            f"{shown(expected_seconds(len(faces)))}, growing faster than their number",
             f"simplify it, or allow it with --max-unwrap-faces {len(faces)}",
         )
     used, row_of = np.unique(faces, return_inverse=True)
@@ -130,7 +121,7 @@ def unwrap(
         "sizes": sizes,
         "texels": texels,
     }
-    corners, inner, charts = _ask_worker(job, padding, progress)
+    corners, inner, charts = ask_worker(job, padding, progress)
     size = inner + 2 * padding
     largest = corners.reshape(-1, 2).max(axis=0)
     if not np.isfinite(corners).all():
@@ -184,73 +175,3 @@ def _collapse_others(
     corners = faces[others]
     chosen = np.take_along_axis(corners, known[corners].argmax(axis=1)[:, None], axis=1)
     uv[others] = place[chosen]
-
-
-def _seconds(faces: int) -> float:
-    return float(_SECONDS * (faces / _FACES) ** _GROWTH)
-
-
-def _shown(seconds: float) -> str:
-    return f"{seconds / 60:.0f} minutes" if seconds >= 90 else f"{max(1.0, seconds):.0f} s"
-
-
-def _ask_worker(
-    arrays: dict[str, Any], padding: int, progress: Callable[[int, int], None] | None
-) -> tuple[NDArray[np.float64], int, int]:
-    """Return places of corners in texels, the side that was chosen (without the margin), and the number of charts."""
-    expected = _seconds(len(arrays["faces"]))
-    patience = max(_LEAST_PATIENCE, _PATIENCE * expected)
-    # Files without a name, which are gone with the last process that has them open; pipes would fill up and stall.
-    with (
-        tempfile.TemporaryFile() as job,
-        tempfile.TemporaryFile() as answer,
-        tempfile.TemporaryFile() as said,
-    ):
-        np.savez(job, numbers=[padding, int(patience) + 10], **arrays)
-        job.seek(0)
-        # Without -P a file in the folder where the user happens to be could stand in for a module. In a session of
-        # its own the process does not see Ctrl-C, which is for this one.
-        worker = subprocess.Popen(
-            [sys.executable, "-P", "-m", _WORKER],
-            stdin=job,
-            stdout=answer,
-            stderr=said,
-            start_new_session=True,
-        )
-        try:
-            _wait(worker, patience, expected, progress)
-        finally:
-            worker.kill()
-            worker.wait()
-        said.seek(0)
-        answer.seek(0)
-        if worker.returncode:
-            reason = said.read().decode(errors="replace").strip().splitlines()
-            cause = reason[-1] if reason else f"it ended with code {worker.returncode}"
-            raise ProcessingError(f"xatlas could not unwrap the mesh ({cause}); repair or simplify it")
-        with np.load(answer, allow_pickle=False) as made:
-            return made["corners"], int(made["size"]), int(made["charts"])
-
-
-def _wait(
-    worker: subprocess.Popen[bytes],
-    patience: float,
-    expected: float,
-    progress: Callable[[int, int], None] | None,
-) -> None:
-    start = time.monotonic()
-    total = max(1, int(10 * expected))
-    while True:
-        try:
-            worker.wait(_POLL)
-        except subprocess.TimeoutExpired:
-            gone = time.monotonic() - start
-            if gone > patience:
-                cause = f"unwrapping did not end within {patience:.0f} s, though {expected:.0f} s are usual"
-                raise ProcessingError(f"{cause}; repair or simplify the mesh") from None
-            if progress is not None:
-                progress(min(int(10 * gone), total), total)
-        else:
-            if progress is not None:
-                progress(total, total)
-            return

@@ -9,7 +9,7 @@ import pytest
 import beltrami_cli
 from beltrami_cli.errors import InputError
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.pipeline.inspect import inspect_file
+from beltrami_cli.pipeline.inspect.file import inspect_file
 from beltrami_cli.pipeline.kernel.file import kernel_file
 from beltrami_cli.pipeline.settings.image import ImageSettings
 from beltrami_cli.pipeline.settings.smooth import SmoothSettings

@@ -8,7 +8,7 @@ import pytest
 from beltrami_cli.mesh.areas import triangle_areas
 from beltrami_cli.mesh.textured import Texture, TexturedSurface
 from beltrami_cli.mesh.transfer import linear_to_srgb
-from beltrami_cli.pipeline.render.file import draw_views
+from beltrami_cli.pipeline.render.drawing import draw_views
 from beltrami_cli.pipeline.render.views import within_reach
 from beltrami_cli.pipeline.settings.render import RenderSettings
 from beltrami_cli.rendering.camera import WHOLE, fitted, orientation

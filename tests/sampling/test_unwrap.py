@@ -12,8 +12,7 @@ import pytest
 
 from beltrami_cli.errors import InputError, ProcessingError
 from beltrami_cli.mesh.areas import triangle_areas
-from beltrami_cli.sampling import unwrap as unwrapping
-from beltrami_cli.sampling import unwrap_worker
+from beltrami_cli.sampling import unwrap_process, unwrap_worker
 from beltrami_cli.sampling.unwrap import unwrap
 from oracles import surfaces
 
@@ -212,15 +211,15 @@ def test_a_process_that_hangs_is_given_up(monkeypatch, tmp_path):
     before = children()
     (tmp_path / "endless.py").write_text("while True: pass")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    monkeypatch.setattr(unwrapping, "_LEAST_PATIENCE", 0.2)
-    monkeypatch.setattr(unwrapping, "_WORKER", "endless")
+    monkeypatch.setattr(unwrap_process, "_LEAST_PATIENCE", 0.2)
+    monkeypatch.setattr(unwrap_process, "_WORKER", "endless")
     with pytest.raises(ProcessingError, match="did not end within"):
         unwrapped(np.eye(3), [[0, 1, 2]])
     assert children() == before
 
 
 def test_what_the_process_dies_of_is_told_in_one_line(monkeypatch):
-    monkeypatch.setattr(unwrapping, "_WORKER", "beltrami_cli.no_such_module")
+    monkeypatch.setattr(unwrap_process, "_WORKER", "beltrami_cli.no_such_module")
     with pytest.raises(
         ProcessingError, match=r"^xatlas could not unwrap the mesh \(.*no_such_module.*\)"
     ) as caught:

@@ -108,7 +108,7 @@ def _to_texture(
     settings: BakeSettings,
     progress: Callable[[str, int, int], None] | None,
 ) -> tuple[Written, str, tuple[str, ...]]:
-    from beltrami_cli.pipeline.bake.new_texture import texture_from_vertices
+    from beltrami_cli.pipeline.bake.from_vertices import texture_from_vertices
 
     made = texture_from_vertices(document, settings, progress)
     height, width, _ = made.pixels.shape

@@ -20,7 +20,9 @@ from beltrami_cli.formats.image import (
     write_image,
 )
 from beltrami_cli.pipeline.images.prepare import prepare_image, refuse_options_of_meshes
-from beltrami_cli.pipeline.smooth.report import ImageReport, SmoothReport, describe_choice, make_image_report
+from beltrami_cli.pipeline.settings.description import describe_choice
+from beltrami_cli.pipeline.smooth.report import ImageReport, SmoothReport
+from beltrami_cli.pipeline.smooth.reporting import make_image_report
 
 if TYPE_CHECKING:
     from collections.abc import Callable

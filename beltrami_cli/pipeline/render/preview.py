@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 from beltrami_cli.errors import OutputError, UsageError
 from beltrami_cli.formats.access import read_regular
 from beltrami_cli.formats.image.recognition import is_image
-from beltrami_cli.pipeline.render.file import draw_views, encoded, picture_suffix
+from beltrami_cli.pipeline.render.drawing import draw_views
+from beltrami_cli.pipeline.render.file import encoded, picture_suffix
 from beltrami_cli.pipeline.render.views import open_view
 from beltrami_cli.pipeline.settings.render import Crop, RenderSettings
 from beltrami_cli.pipeline.writing.output import Output

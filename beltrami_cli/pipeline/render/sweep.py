@@ -19,13 +19,8 @@ from beltrami_cli.formats.image.recognition import FORMATS, format_of_suffix
 from beltrami_cli.formats.source import read_source
 from beltrami_cli.formats.volume import is_volume
 from beltrami_cli.pipeline.compare.files import compare_files
-from beltrami_cli.pipeline.render.file import (
-    background_of,
-    draw_panels,
-    encoded,
-    picture_suffix,
-    with_fixed_crops,
-)
+from beltrami_cli.pipeline.render.drawing import background_of, draw_panels, with_fixed_crops
+from beltrami_cli.pipeline.render.file import encoded, picture_suffix
 from beltrami_cli.pipeline.render.views import open_view
 from beltrami_cli.pipeline.report.page import PAGES, asset, page_from, picture_tag, table
 from beltrami_cli.pipeline.settings.level_set import LevelSetSettings

@@ -15,7 +15,7 @@ from beltrami_cli.pipeline.documents.opening import document_from, refuse_option
 from beltrami_cli.pipeline.documents.room import room_for_smoothing
 from beltrami_cli.pipeline.documents.work import Work, choose_format, choose_work, require_scale
 from beltrami_cli.pipeline.settings.smooth import DEFAULTS, SmoothSettings
-from beltrami_cli.pipeline.smooth.report import SmoothReport, make_report
+from beltrami_cli.pipeline.smooth.reporting import make_report
 from beltrami_cli.pipeline.smooth.stopwatch import Stopwatch
 from beltrami_cli.pipeline.vertices.guides import vertex_guides
 from beltrami_cli.pipeline.vertices.moved import moved_vertices, require_geometry
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.document import Document
     from beltrami_cli.mesh.textured import ImageFile, Slot
     from beltrami_cli.pipeline.settings.bake import BakeSettings
+    from beltrami_cli.pipeline.smooth.report import SmoothReport
     from beltrami_cli.pipeline.textures.smooth import SlotReport
 
 

@@ -12,12 +12,13 @@ import numpy as np
 from beltrami_cli.errors import UsageError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.image.measuring import measure_image
-from beltrami_cli.pipeline.bake.new_texture import texels_of, texture_from_textures, texture_from_vertices
+from beltrami_cli.pipeline.bake.from_textures import texels_of, texture_from_textures
+from beltrami_cli.pipeline.bake.from_vertices import texture_from_vertices
 from beltrami_cli.pipeline.documents.conversion import names_beside, write_textured
 from beltrami_cli.pipeline.documents.opening import open_input
 from beltrami_cli.pipeline.documents.room import require_room_for_textures
 from beltrami_cli.pipeline.documents.work import Work, choose_format, require_scale
-from beltrami_cli.pipeline.smooth.report import SmoothReport, make_report
+from beltrami_cli.pipeline.smooth.reporting import make_report
 from beltrami_cli.pipeline.smooth.stopwatch import Stopwatch
 from beltrami_cli.pipeline.textures.smooth import smooth_slot
 from beltrami_cli.pipeline.vertices.guides import vertex_guides
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
     from beltrami_cli.pipeline.bake.new_texture import NewTexture
     from beltrami_cli.pipeline.settings.bake import BakeSettings
     from beltrami_cli.pipeline.settings.smooth import SmoothSettings
+    from beltrami_cli.pipeline.smooth.report import SmoothReport
     from beltrami_cli.pipeline.textures.smooth import SlotReport
     from beltrami_cli.pipeline.vertices.smooth import SmoothResult
 

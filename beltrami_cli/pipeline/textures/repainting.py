@@ -12,7 +12,7 @@ from beltrami_cli.formats.image import from_float
 from beltrami_cli.formats.image.picture import full_scale_one
 from beltrami_cli.mesh import large_arrays
 from beltrami_cli.mesh.atlas import texels_by_texture
-from beltrami_cli.pipeline.smooth.report import Change
+from beltrami_cli.pipeline.change import Change
 from beltrami_cli.pipeline.textures.places import within
 from beltrami_cli.sampling.gutter import fill_gutter
 

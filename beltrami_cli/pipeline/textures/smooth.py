@@ -10,7 +10,8 @@ from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.image import check_writable, is_unchanged, losses, write_image
 from beltrami_cli.mesh import large_arrays
 from beltrami_cli.mesh.textured import ImageFile
-from beltrami_cli.pipeline.smooth.report import Change, describe_choice
+from beltrami_cli.pipeline.change import Change
+from beltrami_cli.pipeline.settings.description import describe_choice
 from beltrami_cli.pipeline.textures.colours import COLOUR_SLOTS
 from beltrami_cli.pipeline.textures.description import atlas_counts, describe_textures
 from beltrami_cli.pipeline.textures.prepare import prepare_slot

@@ -1,0 +1,1 @@
+"""What is coloured in a file, and what smoothing would do with it."""
