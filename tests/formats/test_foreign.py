@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import io
 import re
 import struct
-import zipfile
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,7 +14,6 @@ from hypothesis import strategies as st
 
 from beltrami_cli.errors import InputError, UnpaintedError
 from beltrami_cli.formats.access import Access
-from beltrami_cli.formats.foreign import ForeignDocument
 from beltrami_cli.formats.foreign.painting import PaintedPolygons, colours_of_vertices
 from beltrami_cli.formats.source import recognise
 from beltrami_cli.mesh.transfer import linear_to_srgb
@@ -25,27 +22,7 @@ from beltrami_cli.pipeline.smooth.file import smooth_file
 if TYPE_CHECKING:
     from pathlib import Path
 
-SQUARE = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], float)
-LEVELS = np.array([[255, 0, 0], [0, 128, 0], [0, 0, 64], [10, 20, 30]], np.uint8)
-FACES = [[0, 1, 2], [0, 2, 3]]
-
-
-def opened(data: bytes, name: str, memory: int | None = None) -> ForeignDocument:
-    document = recognise(data, name, None, Access(memory=memory))
-    assert isinstance(document, ForeignDocument)
-    return document
-
-
-def coff(style: str, prefix: str = "C", extra: str = "") -> bytes:
-    rows = []
-    for place, level in zip(SQUARE.tolist(), LEVELS.tolist(), strict=True):
-        numbers = (
-            [repr(value / 255) for value in level] if style == "float" else [str(value) for value in level]
-        )
-        rows.append(
-            " ".join([*map(str, place), *extra.split(), *numbers, *(["1"] if style == "float" else ["255"])])
-        )
-    return f"{prefix}OFF\n# a comment\n4 2 0\n{chr(10).join(rows)}\n3 0 1 2\n3 0 2 3\n".encode()
+from formats.foreign_files import FACES, LEVELS, OBJECT, SQUARE, coff, model, opened, stl, threemf
 
 
 @pytest.mark.parametrize("style", ["float", "integer"])
@@ -96,13 +73,6 @@ def test_damaged_off_files_are_refused(data: bytes, message: str) -> None:
         opened(data, "x.off").painted()
 
 
-def stl(colours: list[int], header: bytes = b"") -> bytes:
-    body = b""
-    for face, colour in zip(FACES, colours, strict=True):
-        body += struct.pack("<12fH", 0, 0, 1, *SQUARE[face].ravel(), colour)
-    return header.ljust(80, b"\0") + struct.pack("<I", len(FACES)) + body
-
-
 def test_stl_colours_of_both_customs() -> None:
     red, green = (
         31 << 10 | 1 << 15,
@@ -135,206 +105,6 @@ def test_stl_without_colours_or_damaged_is_refused() -> None:
         opened(bytes(bad), "x.stl").painted()
 
 
-CORE = "http://schemas.microsoft.com/3dmanufacturing/core/2015/02"
-MATERIAL = "http://schemas.microsoft.com/3dmanufacturing/material/2015/02"
-PRODUCTION = "http://schemas.microsoft.com/3dmanufacturing/production/2015/06"
-VERTICES = "".join(f'<vertex x="{x}" y="{y}" z="{z}"/>' for x, y, z in SQUARE.tolist())
-PALETTE = "".join(f'<m:color color="#{bytes(level).hex().upper()}"/>' for level in LEVELS)
-OBJECT = (
-    f'<m:colorgroup id="9">{PALETTE}</m:colorgroup><object id="1" pid="9" pindex="3"><mesh>'
-    f"<vertices>{VERTICES}</vertices>"
-    '<triangles><triangle v1="0" v2="1" v3="2" p1="0" p2="1" p3="2"/>'
-    '<triangle v1="0" v2="2" v3="3" pid="9" p1="0" p2="2" p3="3"/></triangles></mesh></object>'
-)
-
-
-def model(resources: str, build: str = '<item objectid="1"/>') -> str:
-    return (
-        f'<?xml version="1.0"?><model xmlns="{CORE}" xmlns:m="{MATERIAL}" xmlns:p="{PRODUCTION}">'
-        f"<resources>{resources}</resources><build>{build}</build></model>"
-    )
-
-
-def threemf(text: str, **others: str) -> bytes:
-    packed = io.BytesIO()
-    with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
-        kind = "http://schemas.microsoft.com/3dmanufacturing/2013/01/3dmodel"
-        relation = f'<Relationship Type="{kind}" Target="/3D/3dmodel.model"/>'
-        archive.writestr("_rels/.rels", f"<Relationships>{relation}</Relationships>")
-        archive.writestr("3D/3dmodel.model", text)
-        for name, content in others.items():
-            archive.writestr(f"3D/{name}.model", content)
-    return packed.getvalue()
-
-
-def test_3mf_colours_of_corners() -> None:
-    document = opened(threemf(model(OBJECT)), "x.3mf")
-    painted = document.painted()
-    np.testing.assert_array_equal(painted.positions, SQUARE)
-    np.testing.assert_array_equal(painted.faces, FACES)
-    np.testing.assert_allclose(painted.colours, LEVELS / 255, atol=1e-7)
-    assert painted.stored == "uint8"
-
-
-def test_3mf_materials_parts_transforms_and_other_files() -> None:
-    flat = (
-        '<basematerials id="5"><base name="a" displaycolor="#FF0000"/><base name="b" displaycolor="#00FF0080"/>'
-        "</basematerials>"
-        f'<object id="2" pid="5" pindex="1"><mesh><vertices>{VERTICES}</vertices><triangles>'
-        '<triangle v1="0" v2="1" v3="2"/></triangles></mesh></object>'
-    )
-    parts = (
-        f'{OBJECT}<object id="3"><components><component objectid="1" transform="1 0 0 0 1 0 0 0 1 0 0 5"/>'
-        '<component objectid="2" p:path="/3D/b.model"/></components></object>'
-    )
-    build = '<item objectid="3" transform="2 0 0 0 2 0 0 0 2 0 0 1"/>'
-    document = opened(threemf(model(parts, build), b=model(flat)), "x.3mf")
-    contents = document.contents()
-    np.testing.assert_array_equal(contents.positions[:4], SQUARE * 2 + [0, 0, 11])
-    np.testing.assert_array_equal(contents.positions[4:], SQUARE * 2 + [0, 0, 1])
-    np.testing.assert_array_equal(contents.colours[4:7], [[0, 1, 0]] * 3)
-    assert contents.alpha is not None
-    np.testing.assert_allclose(contents.alpha, [1, 1, 1, 1, 128 / 255, 128 / 255, 128 / 255, 1], atol=1e-6)
-    mesh = trimesh.load_scene(
-        io.BytesIO(threemf(model(OBJECT, '<item objectid="1" transform="2 0 0 0 2 0 0 0 2 0 3 1"/>'))),
-        file_type="3mf",
-    )
-    ours = opened(
-        threemf(model(OBJECT, '<item objectid="1" transform="2 0 0 0 2 0 0 0 2 0 3 1"/>')), "x.3mf"
-    ).painted()
-    np.testing.assert_allclose(mesh.to_mesh().vertices[mesh.to_mesh().faces], ours.positions[ours.faces])
-
-
-def doubling(depth: int) -> str:
-    parts = ""
-    for number in range(2, depth):
-        part = f'<component objectid="{number - 1}"/>'
-        parts += f'<object id="{number}"><components>{part}{part}</components></object>'
-    return model(OBJECT + parts, f'<item objectid="{depth - 1}"/>')
-
-
-def bomb() -> bytes:
-    packed = io.BytesIO()
-    with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
-        archive.writestr("3D/3dmodel.model", bytes(1 << 28))
-    return packed.getvalue()
-
-
-LAUGHS = '<!DOCTYPE model [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;&a;">]>' + model(OBJECT)
-
-
-@pytest.mark.parametrize(
-    ("data", "message"),
-    [
-        (b"PK\x03\x04 junk", "the archive is damaged"),
-        (threemf("no xml"), "is no XML"),
-        (threemf(LAUGHS), "a document type is not allowed"),
-        (threemf(model(OBJECT.replace('v1="0"', 'v1="zero"'))), "is damaged (invalid literal"),
-        (threemf(model(OBJECT.replace('v1="0"', ""))), "is damaged ('v1')"),
-        (threemf(model(OBJECT.replace('v3="2"', 'v3="4"'))), "none of the 4"),
-        (threemf(model(OBJECT.replace('x="1.0"', 'x="inf"'))), "is not finite"),
-        (threemf(model(OBJECT.replace("#FF0000", "#F00"))), "is no colour"),
-        (threemf(model(OBJECT, '<item objectid="7"/>')), "there is no object '7'"),
-        (threemf(model(OBJECT, '<item objectid="1" transform="1 2"/>')), "a transform has 2 numbers"),
-        (
-            threemf(model('<object id="1"><components><component objectid="1"/></components></object>')),
-            "too many parts",
-        ),
-        (threemf(doubling(31)), "too many parts within parts"),
-        (threemf(model(OBJECT, "")), "there are no polygons"),
-        (threemf(model(OBJECT.replace("p1", "q1").replace("pindex", "q"), "")), "there are no polygons"),
-        (bomb(), "bytes, more than the"),
-    ],
-)
-def test_damaged_3mf_files_are_refused(data: bytes, message: str) -> None:
-    with pytest.raises(InputError) as caught:
-        opened(data, "x.3mf", 1 << 30).painted()
-    assert message in str(caught.value)
-
-
-def source(key: str, values: str, axes: str) -> str:
-    params = "".join(f'<param name="{axis}" type="float"/>' for axis in axes)
-    accessor = f'<accessor source="#{key}a" count="4" stride="3">{params}</accessor>'
-    array = f'<float_array id="{key}a" count="12">{values}</float_array>'
-    return f'<source id="{key}">{array}<technique_common>{accessor}</technique_common></source>'
-
-
-DAE = "\n".join(
-    [
-        '<?xml version="1.0"?><COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">',
-        '<asset><unit meter="1"/><up_axis>Y_UP</up_axis></asset><library_geometries><geometry id="g"><mesh>',
-        source("p", "0 0 0 1 0 0 1 1 0 0 1 0", "XYZ"),
-        source("c", "1 0 0 0 0.5 0 0 0 0.25 0.1 0.2 0.3", "RGB"),
-        '<vertices id="v"><input semantic="POSITION" source="#p"/></vertices><triangles count="2">',
-        '<input semantic="VERTEX" source="#v" offset="0"/><input semantic="COLOR" source="#c" offset="1"/>',
-        "<p>0 0 1 1 2 2 0 0 2 2 3 3</p></triangles></mesh></geometry></library_geometries>",
-        '<library_visual_scenes><visual_scene id="s"><node><translate>0 0 7</translate>',
-        '<instance_geometry url="#g"/></node></visual_scene></library_visual_scenes>',
-        '<scene><instance_visual_scene url="#s"/></scene></COLLADA>',
-    ]
-)
-
-
-def test_dae_colours_in_their_place(tmp_path: Path) -> None:
-    pytest.importorskip("collada", reason="pycollada is not installed: run the tests by `make test`")
-    painted = opened(DAE.encode(), "x.dae").painted()
-    np.testing.assert_array_equal(painted.positions[painted.faces], SQUARE[FACES] + [0, 0, 7])
-    seen = {
-        tuple(p[:2]): c for p, c in zip(painted.positions.tolist(), painted.colours.tolist(), strict=True)
-    }
-    np.testing.assert_allclose(seen[1, 0], [0, 0.5, 0])
-    np.testing.assert_allclose(seen[0, 1], [0.1, 0.2, 0.3])
-    packed = io.BytesIO()
-    with zipfile.ZipFile(packed, "w") as archive:
-        archive.writestr("model.dae", DAE)
-    again = opened(packed.getvalue(), "x.zae").painted()
-    np.testing.assert_array_equal(again.colours, painted.colours)
-    with pytest.raises(InputError, match="document type"):
-        opened(b"<!DOCTYPE COLLADA []>" + DAE.encode(), "x.dae").painted()
-    with pytest.raises(InputError, match="it is damaged"):
-        opened(DAE[:-1].encode(), "x.dae").painted()
-
-
-SKIN = "\n".join(
-    [
-        '<library_controllers><controller id="k"><skin source="#g">',
-        "<bind_shape_matrix>1 0 0 0 0 1 0 0 0 0 1 3 0 0 0 1</bind_shape_matrix>",
-        '<source id="j"><Name_array id="ja" count="1">Bone</Name_array><technique_common>',
-        '<accessor source="#ja" count="1"><param name="JOINT" type="name"/></accessor></technique_common></source>',
-        '<source id="b"><float_array id="ba" count="16">1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1</float_array>',
-        '<technique_common><accessor source="#ba" count="1" stride="16">',
-        '<param name="TRANSFORM" type="float4x4"/></accessor></technique_common></source>',
-        '<source id="w"><float_array id="wa" count="1">1</float_array><technique_common>',
-        '<accessor source="#wa" count="1"><param name="WEIGHT" type="float"/></accessor></technique_common></source>',
-        '<joints><input semantic="JOINT" source="#j"/><input semantic="INV_BIND_MATRIX" source="#b"/></joints>',
-        '<vertex_weights count="4"><input semantic="JOINT" source="#j" offset="0"/>',
-        '<input semantic="WEIGHT" source="#w" offset="1"/><vcount>1 1 1 1</vcount>',
-        "<v>0 0 0 0 0 0 0 0</v></vertex_weights>",
-        "</skin></controller></library_controllers>",
-    ]
-)
-
-
-def test_dae_polygons_with_a_skin_are_where_they_were_bound() -> None:
-    pytest.importorskip("collada", reason="pycollada is not installed: run the tests by `make test`")
-    skinned = DAE.replace('<instance_geometry url="#g"/>', '<instance_controller url="#k"/>')
-    skinned = skinned.replace("<library_visual_scenes>", f"{SKIN}<library_visual_scenes>")
-    document = opened(skinned.encode(), "x.dae")
-    painted = document.painted()
-    np.testing.assert_array_equal(painted.positions[painted.faces], SQUARE[FACES] + [0, 0, 3])
-    assert "skins" in document.contents().left_out
-
-
-def test_dae_polygons_that_cannot_be_read_are_told_of() -> None:
-    pytest.importorskip("collada", reason="pycollada is not installed: run the tests by `make test`")
-    with pytest.raises(InputError, match="it is damaged, or not understood"):
-        opened(DAE.replace("1 1 0 0 1 0<", "1,1 0 0 1 0<").encode(), "x.dae").painted()
-    broken = '<node><instance_geometry url="#gone"/></node></visual_scene>'
-    document = opened(DAE.replace("</visual_scene>", broken).encode(), "x.dae")
-    assert len(document.painted().faces) == 2
-    assert "what could not be read" in document.contents().left_out
-
-
 def test_off_with_its_counts_right_behind_the_mark() -> None:
     assert (
         len(
@@ -346,16 +116,6 @@ def test_off_with_its_counts_right_behind_the_mark() -> None:
     )
     with pytest.raises(InputError, match="no known format"):
         opened(b"OFFSET 3 1 0", "x.off")
-
-
-XAML = '<GeometryModel3D xmlns="http://schemas.microsoft.com/winfx/2006/xaml/presentation">junk'
-
-
-def test_what_trimesh_does_not_understand_is_one_line() -> None:
-    pytest.importorskip("lxml", reason="lxml is not installed: run the tests by `make test`")
-    with pytest.raises(InputError, match="damaged, or not understood") as caught:
-        opened(XAML.encode(), "x.xaml").painted()
-    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize("suffix", ["ply", "glb", "obj"])

@@ -12,61 +12,19 @@ from hypothesis import strategies as st
 from beltrami_cli.errors import OutputError
 from beltrami_cli.formats.source import open_document
 from beltrami_cli.mesh.textured import ImageFile
-from formats.gltf_files import JPEG, PNG, SLOT_PATHS, WEBP, Textured, data_uri, joined, picture, unpacked
-
-HEADS = {".png": PNG, ".jpg": JPEG, ".webp": WEBP}
-MEDIA = {".png": "image/png", ".jpg": "image/jpeg", ".webp": "image/webp"}
-SQUARE = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0]], "<f4")
-
-
-def new_image(number, suffix=".png", size=70):
-    return ImageFile(picture(1000 + number, HEADS[suffix], size), suffix)
-
-
-def save(written, name, folder):
-    """Write what a patch returned; return the path of the main file."""
-    for sidecar, data in written.sidecars.items():
-        (folder / sidecar).parent.mkdir(parents=True, exist_ok=True)
-        (folder / sidecar).write_bytes(bytes(data))
-    (folder / name).write_bytes(joined(written))
-    return folder / name
-
-
-def copied(document, source, folder):
-    for name in document.references():
-        (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        (folder / name).write_bytes((source.parent / name).read_bytes())
-
-
-def shown(path):
-    """Return the bytes that every textureInfo of a file shows, by material and slot, the plain way."""
-    files = {file.relative_to(path.parent).as_posix(): file.read_bytes() for file in path.parent.rglob("*.*")}
-    tree, buffers = unpacked(path.read_bytes(), files)
-    found = {}
-    for number, material in enumerate(tree.get("materials", [])):
-        for slot, keys in SLOT_PATHS.items():
-            info = material
-            for key in keys:
-                info = info.get(key, {})
-            if info:
-                found[number, slot] = image_of(tree, buffers, files, tree["textures"][info["index"]])
-    return found
-
-
-def image_of(tree, buffers, files, texture):
-    webp = texture.get("extensions", {}).get("EXT_texture_webp", {})
-    return image_bytes(tree, buffers, files, webp.get("source", texture.get("source")))
-
-
-def image_bytes(tree, buffers, files, index):
-    image = tree["images"][index]
-    if "bufferView" in image:
-        view = tree["bufferViews"][image["bufferView"]]
-        start = view.get("byteOffset", 0)
-        return buffers[view["buffer"]][start : start + view["byteLength"]]
-    if image["uri"].startswith("data:"):
-        return unpacked(json.dumps({"buffers": [{"uri": image["uri"], "byteLength": 1}]}).encode())[1][0]
-    return files[image["uri"].replace("%20", " ")]
+from formats.gltf_files import SLOT_PATHS, WEBP, Textured, data_uri, joined, picture, unpacked
+from formats.gltf_images import (
+    HEADS,
+    MEDIA,
+    SQUARE,
+    check_rest,
+    copied,
+    image_of,
+    new_image,
+    save,
+    shown,
+    with_images,
+)
 
 
 @st.composite
@@ -127,35 +85,6 @@ def test_only_the_asked_images_of_the_asked_slots_change(tmp_path_factory, model
                 assert now.textures[later].data == then_data, face
 
 
-def check_rest(source, path):
-    """What is neither an image nor a texture is the same, and every other view holds the same bytes."""
-    trees = []
-    for file in (source, path):
-        files = {f.relative_to(file.parent).as_posix(): f.read_bytes() for f in file.parent.rglob("*.*")}
-        trees.append(unpacked(file.read_bytes(), files))
-    (old, old_buffers), (new, new_buffers) = trees
-    pictures = {image.get("bufferView") for image in old["images"]}
-    assert all(view["byteOffset"] % 4 == 0 for view in new["bufferViews"][len(old["bufferViews"]) :])
-    for index, view in enumerate(old["bufferViews"]):
-        if index not in pictures:
-            assert new["bufferViews"][index] == view
-            span = slice(view["byteOffset"], view["byteOffset"] + view["byteLength"])
-            assert new_buffers[0][span] == old_buffers[0][span]
-    for tree in (old, new):
-        for material in tree["materials"]:
-            strip_indices(material)
-        for key in ("images", "textures", "bufferViews", "buffers", "extensionsUsed", "extensionsRequired"):
-            tree.pop(key, None)
-    assert new == old
-
-
-def strip_indices(value):
-    for child in value.values() if isinstance(value, dict) else ():
-        if isinstance(child, dict):
-            child.pop("index", None)
-            strip_indices(child)
-
-
 @settings(max_examples=30, deadline=None)
 @given(model=models(), form=st.sampled_from(("glb", "gltf", "data")), same=st.booleans())
 def test_nothing_new_gives_back_the_same_bytes(tmp_path_factory, model, form, same):
@@ -169,125 +98,6 @@ def test_nothing_new_gives_back_the_same_bytes(tmp_path_factory, model, form, sa
     written = document.patch(None, "out", moved=False, images=images if same else {})
     assert joined(written) == source.read_bytes()
     assert not written.sidecars
-
-
-def with_images(folder, count, form="glb", place="view"):
-    model = Textured(place)
-    for number in range(count):
-        texture = model.texture(model.image(picture(number, size=300), f"{number}.png"))
-        model.triangles(SQUARE, SQUARE[:, :2], model.material(baseColor=texture), translation=[number, 0, 0])
-    return model.written_to(folder, form)
-
-
-@pytest.mark.parametrize("form", ["glb", "gltf", "data"])
-@pytest.mark.parametrize("every", [True, False])
-def test_repeated_patches_do_not_grow_the_file_without_bound(tmp_path, form, every):
-    source, rng, runs, largest = with_images(tmp_path, 3, form), np.random.default_rng(5), 40, 400
-    start = open_document(str(source)).buffers.lengths[0]
-    path = source
-    for run in range(runs):
-        document = open_document(str(path))
-        textures = document.textured("baseColor").textures
-        chosen = textures if every else [textures[run % 3]]
-        images = {
-            ("baseColor", texture.key): new_image(rng.integers(1 << 30), size=int(rng.integers(50, largest)))
-            for texture in chosen
-        }
-        folder = tmp_path / str(run)
-        folder.mkdir()
-        copied(document, path, folder)
-        path = save(document.patch(None, "m", moved=True, images=images), "m" + source.suffix, folder)
-        after = open_document(str(path))
-        got = {texture.key: texture.data for texture in after.textured("baseColor").textures}
-        assert all(got[key] == file.data for (_, key), file in images.items())
-        if every:
-            sizes = sum(-(-len(file.data) // 4) * 4 for file in images.values())
-            assert after.buffers.lengths[0] <= start + sizes + 8
-    assert after.buffers.lengths[0] < start + 3 * 5 * largest
-    assert len(after.root.entries("images")) == 3
-    assert len(after.root.entries("bufferViews")) == len(
-        open_document(str(source)).root.entries("bufferViews")
-    )
-
-
-def test_an_image_at_the_end_is_cut_and_written_over(tmp_path):
-    model = Textured()
-    model.triangles(SQUARE, SQUARE[:, :2], 0)
-    model.material(baseColor=model.texture(model.image(picture(1, size=500))))
-    source = model.written_to(tmp_path)
-    patch = open_document(str(source)).patch
-    smaller = joined(patch(None, "o", moved=True, images={("baseColor", "image 0"): new_image(1, size=100)}))
-    assert 390 <= source.stat().st_size - len(smaller) <= 410
-    same = joined(patch(None, "o", moved=True, images={("baseColor", "image 0"): new_image(1, size=500)}))
-    size = int.from_bytes(same[12:16], "little")
-    assert same[: 20 + size] == source.read_bytes()[: 20 + size]
-
-
-@pytest.mark.parametrize("reader", ["part of it", "all of it", "right behind it"])
-def test_bytes_that_something_else_reads_stay_where_they_are(tmp_path, reader):
-    model = Textured()
-    image = model.image(picture(1, size=80))
-    index = model.tree["images"][image]["bufferView"]
-    model.triangles(SQUARE, SQUARE[:, :2], model.material(baseColor=model.texture(image)))
-    if reader == "part of it":
-        view = dict(model.tree["bufferViews"][index])
-        model.tree["bufferViews"].append(view | {"byteOffset": view["byteOffset"] + 8, "byteLength": 40})
-    elif reader == "all of it":
-        model.accessor(np.zeros((10, 1), "<u1"), index)
-    else:
-        model.tree["images"][image]["bufferView"] = model.view(picture(1, size=80))
-        model.view(b"tiny")
-    path = model.written_to(tmp_path)
-    wanted = {("baseColor", "image 0"): new_image(2, size=60)}
-    patched = save(open_document(str(path)).patch(None, "o", moved=False, images=wanted), "o.glb", tmp_path)
-    check_rest(path, patched)
-    assert shown(patched) == {(0, "baseColor"): wanted["baseColor", "image 0"].data}
-    if reader == "all of it":
-        (_, old), (tree, new) = unpacked(path.read_bytes()), unpacked(patched.read_bytes())
-        start = model.tree["bufferViews"][index]["byteOffset"]
-        assert new[0][start : start + 88] == old[0][start : start + 88]
-        assert tree["images"][0]["bufferView"] != index
-
-
-def test_images_that_grow_and_shrink_by_turns_keep_their_room(tmp_path):
-    path, lengths = with_images(tmp_path, 2), []
-    for run in range(12):
-        document = open_document(str(path))
-        images = {("baseColor", f"image {run % 2}"): new_image(run, size=(300, 350)[run // 2 % 2])}
-        path = save(document.patch(None, "m", moved=False, images=images), "m.glb", tmp_path)
-        lengths.append(open_document(str(path)).buffers.lengths[0])
-    assert max(lengths[8:]) <= max(lengths[4:8]) <= lengths[0] + 2 * 370
-
-
-def test_an_image_that_lights_the_scene_is_kept_for_it(tmp_path):
-    model = Textured()
-    model.triangles(SQUARE, SQUARE[:, :2], 0)
-    model.material(baseColor=model.texture(model.image(picture(1))))
-    model.tree["extensions"] = {"EXT_lights_image_based": {"lights": [{"specularImages": [[0, 0]]}]}}
-    path = model.written_to(tmp_path)
-    wanted = {("baseColor", "image 0"): new_image(2)}
-    patched = save(open_document(str(path)).patch(None, "o", moved=False, images=wanted), "o.glb", tmp_path)
-    tree, buffers = unpacked(patched.read_bytes())
-    assert image_bytes(tree, buffers, {}, 0) == picture(1)
-    assert shown(patched) == {(0, "baseColor"): new_image(2).data}
-
-
-def test_images_that_share_bytes_all_stay_in_use(tmp_path):
-    """Some exporters describe the same image once for every texture."""
-    model = Textured()
-    view = model.view(picture(1))
-    model.tree["images"] += [{"bufferView": view, "mimeType": "image/png"} for _ in range(3)]
-    for number in range(3):
-        model.triangles(SQUARE + number, SQUARE[:, :2], model.material(baseColor=model.texture(number)))
-    source = model.written_to(tmp_path)
-    document = open_document(str(source))
-    (texture,) = document.textured("baseColor").textures
-    written = document.patch(None, "out", moved=False, images={("baseColor", texture.key): new_image(1)})
-    (old, _), (new, _) = unpacked(source.read_bytes()), unpacked(joined(written))
-    assert [old[key] for key in ("images", "textures", "materials")] == [
-        new[key] for key in ("images", "textures", "materials")
-    ]
-    assert set(shown(save(written, "out.glb", tmp_path)).values()) == {new_image(1).data}
 
 
 def test_a_slot_apart_gets_a_texture_and_an_image_of_its_own(tmp_path):

@@ -1,0 +1,101 @@
+"""Images to put into glTF files, and what a viewer would find in the result."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+
+from beltrami_cli.mesh.textured import ImageFile
+from formats.gltf_files import JPEG, PNG, SLOT_PATHS, WEBP, Textured, joined, picture, unpacked
+
+HEADS = {".png": PNG, ".jpg": JPEG, ".webp": WEBP}
+MEDIA = {".png": "image/png", ".jpg": "image/jpeg", ".webp": "image/webp"}
+SQUARE = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0]], "<f4")
+
+
+def new_image(number, suffix=".png", size=70):
+    return ImageFile(picture(1000 + number, HEADS[suffix], size), suffix)
+
+
+def save(written, name, folder):
+    """Write what a patch returned; return the path of the main file."""
+    for sidecar, data in written.sidecars.items():
+        (folder / sidecar).parent.mkdir(parents=True, exist_ok=True)
+        (folder / sidecar).write_bytes(bytes(data))
+    (folder / name).write_bytes(joined(written))
+    return folder / name
+
+
+def copied(document, source, folder):
+    for name in document.references():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes((source.parent / name).read_bytes())
+
+
+def shown(path):
+    """Return the bytes that every textureInfo of a file shows, by material and slot, the plain way."""
+    files = {file.relative_to(path.parent).as_posix(): file.read_bytes() for file in path.parent.rglob("*.*")}
+    tree, buffers = unpacked(path.read_bytes(), files)
+    found = {}
+    for number, material in enumerate(tree.get("materials", [])):
+        for slot, keys in SLOT_PATHS.items():
+            info = material
+            for key in keys:
+                info = info.get(key, {})
+            if info:
+                found[number, slot] = image_of(tree, buffers, files, tree["textures"][info["index"]])
+    return found
+
+
+def image_of(tree, buffers, files, texture):
+    webp = texture.get("extensions", {}).get("EXT_texture_webp", {})
+    return image_bytes(tree, buffers, files, webp.get("source", texture.get("source")))
+
+
+def image_bytes(tree, buffers, files, index):
+    image = tree["images"][index]
+    if "bufferView" in image:
+        view = tree["bufferViews"][image["bufferView"]]
+        start = view.get("byteOffset", 0)
+        return buffers[view["buffer"]][start : start + view["byteLength"]]
+    if image["uri"].startswith("data:"):
+        return unpacked(json.dumps({"buffers": [{"uri": image["uri"], "byteLength": 1}]}).encode())[1][0]
+    return files[image["uri"].replace("%20", " ")]
+
+
+def check_rest(source, path):
+    """What is neither an image nor a texture is the same, and every other view holds the same bytes."""
+    trees = []
+    for file in (source, path):
+        files = {f.relative_to(file.parent).as_posix(): f.read_bytes() for f in file.parent.rglob("*.*")}
+        trees.append(unpacked(file.read_bytes(), files))
+    (old, old_buffers), (new, new_buffers) = trees
+    pictures = {image.get("bufferView") for image in old["images"]}
+    assert all(view["byteOffset"] % 4 == 0 for view in new["bufferViews"][len(old["bufferViews"]) :])
+    for index, view in enumerate(old["bufferViews"]):
+        if index not in pictures:
+            assert new["bufferViews"][index] == view
+            span = slice(view["byteOffset"], view["byteOffset"] + view["byteLength"])
+            assert new_buffers[0][span] == old_buffers[0][span]
+    for tree in (old, new):
+        for material in tree["materials"]:
+            strip_indices(material)
+        for key in ("images", "textures", "bufferViews", "buffers", "extensionsUsed", "extensionsRequired"):
+            tree.pop(key, None)
+    assert new == old
+
+
+def strip_indices(value):
+    for child in value.values() if isinstance(value, dict) else ():
+        if isinstance(child, dict):
+            child.pop("index", None)
+            strip_indices(child)
+
+
+def with_images(folder, count, form="glb", place="view"):
+    model = Textured(place)
+    for number in range(count):
+        texture = model.texture(model.image(picture(number, size=300), f"{number}.png"))
+        model.triangles(SQUARE, SQUARE[:, :2], model.material(baseColor=texture), translation=[number, 0, 0])
+    return model.written_to(folder, form)

@@ -1,0 +1,110 @@
+"""What is read by trimesh and pycollada: COLLADA and XAML."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from beltrami_cli.errors import InputError
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+from formats.foreign_files import FACES, SQUARE, opened
+
+
+def source(key: str, values: str, axes: str) -> str:
+    params = "".join(f'<param name="{axis}" type="float"/>' for axis in axes)
+    accessor = f'<accessor source="#{key}a" count="4" stride="3">{params}</accessor>'
+    array = f'<float_array id="{key}a" count="12">{values}</float_array>'
+    return f'<source id="{key}">{array}<technique_common>{accessor}</technique_common></source>'
+
+
+DAE = "\n".join(
+    [
+        '<?xml version="1.0"?><COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">',
+        '<asset><unit meter="1"/><up_axis>Y_UP</up_axis></asset><library_geometries><geometry id="g"><mesh>',
+        source("p", "0 0 0 1 0 0 1 1 0 0 1 0", "XYZ"),
+        source("c", "1 0 0 0 0.5 0 0 0 0.25 0.1 0.2 0.3", "RGB"),
+        '<vertices id="v"><input semantic="POSITION" source="#p"/></vertices><triangles count="2">',
+        '<input semantic="VERTEX" source="#v" offset="0"/><input semantic="COLOR" source="#c" offset="1"/>',
+        "<p>0 0 1 1 2 2 0 0 2 2 3 3</p></triangles></mesh></geometry></library_geometries>",
+        '<library_visual_scenes><visual_scene id="s"><node><translate>0 0 7</translate>',
+        '<instance_geometry url="#g"/></node></visual_scene></library_visual_scenes>',
+        '<scene><instance_visual_scene url="#s"/></scene></COLLADA>',
+    ]
+)
+
+
+def test_dae_colours_in_their_place(tmp_path: Path) -> None:
+    pytest.importorskip("collada", reason="pycollada is not installed: run the tests by `make test`")
+    painted = opened(DAE.encode(), "x.dae").painted()
+    np.testing.assert_array_equal(painted.positions[painted.faces], SQUARE[FACES] + [0, 0, 7])
+    seen = {
+        tuple(p[:2]): c for p, c in zip(painted.positions.tolist(), painted.colours.tolist(), strict=True)
+    }
+    np.testing.assert_allclose(seen[1, 0], [0, 0.5, 0])
+    np.testing.assert_allclose(seen[0, 1], [0.1, 0.2, 0.3])
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w") as archive:
+        archive.writestr("model.dae", DAE)
+    again = opened(packed.getvalue(), "x.zae").painted()
+    np.testing.assert_array_equal(again.colours, painted.colours)
+    with pytest.raises(InputError, match="document type"):
+        opened(b"<!DOCTYPE COLLADA []>" + DAE.encode(), "x.dae").painted()
+    with pytest.raises(InputError, match="it is damaged"):
+        opened(DAE[:-1].encode(), "x.dae").painted()
+
+
+SKIN = "\n".join(
+    [
+        '<library_controllers><controller id="k"><skin source="#g">',
+        "<bind_shape_matrix>1 0 0 0 0 1 0 0 0 0 1 3 0 0 0 1</bind_shape_matrix>",
+        '<source id="j"><Name_array id="ja" count="1">Bone</Name_array><technique_common>',
+        '<accessor source="#ja" count="1"><param name="JOINT" type="name"/></accessor></technique_common></source>',
+        '<source id="b"><float_array id="ba" count="16">1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1</float_array>',
+        '<technique_common><accessor source="#ba" count="1" stride="16">',
+        '<param name="TRANSFORM" type="float4x4"/></accessor></technique_common></source>',
+        '<source id="w"><float_array id="wa" count="1">1</float_array><technique_common>',
+        '<accessor source="#wa" count="1"><param name="WEIGHT" type="float"/></accessor></technique_common></source>',
+        '<joints><input semantic="JOINT" source="#j"/><input semantic="INV_BIND_MATRIX" source="#b"/></joints>',
+        '<vertex_weights count="4"><input semantic="JOINT" source="#j" offset="0"/>',
+        '<input semantic="WEIGHT" source="#w" offset="1"/><vcount>1 1 1 1</vcount>',
+        "<v>0 0 0 0 0 0 0 0</v></vertex_weights>",
+        "</skin></controller></library_controllers>",
+    ]
+)
+
+
+def test_dae_polygons_with_a_skin_are_where_they_were_bound() -> None:
+    pytest.importorskip("collada", reason="pycollada is not installed: run the tests by `make test`")
+    skinned = DAE.replace('<instance_geometry url="#g"/>', '<instance_controller url="#k"/>')
+    skinned = skinned.replace("<library_visual_scenes>", f"{SKIN}<library_visual_scenes>")
+    document = opened(skinned.encode(), "x.dae")
+    painted = document.painted()
+    np.testing.assert_array_equal(painted.positions[painted.faces], SQUARE[FACES] + [0, 0, 3])
+    assert "skins" in document.contents().left_out
+
+
+def test_dae_polygons_that_cannot_be_read_are_told_of() -> None:
+    pytest.importorskip("collada", reason="pycollada is not installed: run the tests by `make test`")
+    with pytest.raises(InputError, match="it is damaged, or not understood"):
+        opened(DAE.replace("1 1 0 0 1 0<", "1,1 0 0 1 0<").encode(), "x.dae").painted()
+    broken = '<node><instance_geometry url="#gone"/></node></visual_scene>'
+    document = opened(DAE.replace("</visual_scene>", broken).encode(), "x.dae")
+    assert len(document.painted().faces) == 2
+    assert "what could not be read" in document.contents().left_out
+
+
+XAML = '<GeometryModel3D xmlns="http://schemas.microsoft.com/winfx/2006/xaml/presentation">junk'
+
+
+def test_what_trimesh_does_not_understand_is_one_line() -> None:
+    pytest.importorskip("lxml", reason="lxml is not installed: run the tests by `make test`")
+    with pytest.raises(InputError, match="damaged, or not understood") as caught:
+        opened(XAML.encode(), "x.xaml").painted()
+    assert "\n" not in str(caught.value)
