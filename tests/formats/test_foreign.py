@@ -18,11 +18,10 @@ from beltrami_cli.formats.foreign.painting import PaintedPolygons, colours_of_ve
 from beltrami_cli.formats.source import recognise
 from beltrami_cli.mesh.transfer import linear_to_srgb
 from beltrami_cli.pipeline.smooth.file import smooth_file
+from formats.foreign_files import FACES, LEVELS, OBJECT, SQUARE, coff, model, opened, stl, threemf
 
 if TYPE_CHECKING:
     from pathlib import Path
-
-from formats.foreign_files import FACES, LEVELS, OBJECT, SQUARE, coff, model, opened, stl, threemf
 
 
 @pytest.mark.parametrize("style", ["float", "integer"])

@@ -10,11 +10,10 @@ import numpy as np
 import pytest
 
 from beltrami_cli.errors import InputError
+from formats.foreign_files import FACES, SQUARE, opened
 
 if TYPE_CHECKING:
     from pathlib import Path
-
-from formats.foreign_files import FACES, SQUARE, opened
 
 
 def source(key: str, values: str, axes: str) -> str:
