@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli.flow.noise import estimate_sigma_on_grid
+from beltrami_cli.flow.grid_noise import estimate_sigma_on_grid
 from beltrami_cli.flow.octaves import sigma_of_octaves
 
 if TYPE_CHECKING:

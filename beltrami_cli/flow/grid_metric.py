@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.flow.canvas_colours import painted
+from beltrami_cli.flow.grid_noise import estimate_sigma_on_grid
 from beltrami_cli.flow.guidance import choose_guide_beta, join_channels
-from beltrami_cli.flow.noise import beta_of, estimate_sigma_on_grid
+from beltrami_cli.flow.noise import beta_of
 from beltrami_cli.flow.regularisation import GridGaussian
 from beltrami_cli.flow.seams import find_colour_jumps, halo_beyond
 from beltrami_cli.mesh.atlas import EMPTY, OWNED

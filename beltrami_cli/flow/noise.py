@@ -19,30 +19,17 @@ if TYPE_CHECKING:
 # One level of an 8-bit file, spread evenly, has the deviation 1 / (255 sqrt(12)). Below that no noise can be told.
 _QUANTISATION = 1 / (255 * np.sqrt(12))
 
-# So many squares make three thousand tiles, the tenth least of which is steady.
-_ENOUGH_SQUARES = 200_000
-
 # Samples of a mesh, in blocks that follow each other, of which noise is told as well as of more.
 _BLOCK, _BLOCKS = 4096, 32
 
-# Squares a side of a tile, and the least that it must hold: half of them, or as many as the fullest tile.
-_TILE = 8
-_FULL_TILE = _TILE**2 / 2
-
-# Coefficients of overlapping squares are correlated, by -1/2 beside and 1/4 across: the sum of the squared correlations
-# is how many of them count as one degree of freedom. The means of the squares are as uneven as that on white noise.
-_HAAR_OVERLAP = 2.25
-_UNEVEN_TILES, _SPREAD_OF_TILES = 0.237, 0.253
-
-# The same of a sample, its neighbours and theirs, on a triangle mesh of degree six.
+# Means of the squares of residuals over a sample, its neighbours and theirs, on white noise on a triangle mesh of degree
+# six: how many independent ones they are worth, and how uneven they are.
 _FREEDOM_AROUND = 10.8
 _UNEVEN_AROUND, _SPREAD_AROUND = 0.0348, 0.675
 
-# Share of the tiles, and of the neighbourhoods on a mesh, that are taken to be free of edges and texture, and how many
-# at least. On painted, baked and photographed textures with noise of 5 to 40 of 255, estimates hardly differ between
-# shares of 0.05 and 0.2. Neighbourhoods overlap, so of them many say little more than few; and on coarse meshes there
-# are edges nearly everywhere.
-_TILES_SHARE, _TILES_LEAST = 0.1, 20
+# Share of the neighbourhoods that are taken to be free of edges and texture, and how many at least. They overlap, so
+# many say little more than few; and on coarse meshes there are edges nearly everywhere. On painted, baked and
+# photographed textures with noise of 5 to 40 of 255, estimates hardly differ between shares of 0.05 and 0.2.
 _AROUND_SHARE, _AROUND_LEAST = 0.05, 300
 
 _NEIGHBOURS = 3  # fewer: a border or a stray edge, whose mean leans to one side
@@ -135,74 +122,6 @@ def residuals(values: NDArray[np.float32], edges: NDArray[np.int32]) -> Iterator
         total = np.bincount(edges[:, 0], channel[edges[:, 1]], count)
         total += np.bincount(edges[:, 1], channel[edges[:, 0]], count)
         yield (channel[inside] - total[inside] / degree[inside]) * scale
-
-
-def estimate_sigma_on_grid(planes: NDArray[np.float32], filled: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Estimate the standard deviation of independent noise on a grid, per channel.
-
-    The diagonal Haar coefficients (a - b - c + d) / 2 of all 2 x 2 squares keep the noise and lose constants and
-    slopes [1]_; `weakest_levels` takes them from the tiles of 8 x 8 squares where means of squares are even.
-
-    Parameters
-    ----------
-    planes : ndarray of float32, shape (N, R, C)
-        Colours.
-    filled : ndarray of bool, shape (R, C)
-        Which cells to look at.
-
-    Returns
-    -------
-    ndarray of float64, shape (N,)
-        In units of `planes`; 0 where no square is filled.
-
-    References
-    ----------
-    .. [1] D. Donoho, I. Johnstone, "Ideal spatial adaptation by wavelet shrinkage", Biometrika 81 (1994),
-       doi:10.1093/biomet/81.3.425
-    """
-    rows = _bands(filled)
-    near, far = slice(None, -1), slice(1, None)
-    whole = filled[rows]
-    squares = whole[:, near, near] & whole[:, near, far] & whole[:, far, near] & whole[:, far, far]
-    count = _tiles(squares, squares)
-    enough = count >= min(_FULL_TILE, float(count.max(initial=1)))
-    if not enough.any():
-        return np.zeros(len(planes))
-    found = []
-    for plane in planes:
-        band = plane[rows].astype(np.float64)
-        corners = [band[:, i, j] for i in (near, far) for j in (near, far)]
-        detail = (corners[0] - corners[1] - corners[2] + corners[3]) / 2
-        means = sum(corners) / 4 - band.mean()  # small numbers, whose squares lose no digits
-        own = corners[0]
-        energy, even, level, low, high, mean = (
-            _tiles(of, squares)[enough] / count[enough]
-            for of in (detail**2, means**2, means, own <= 0, own >= 1, own)
-        )
-        found.append((energy, np.maximum(even - level**2, 0), low, high, mean))
-    freedom = float(count[enough].mean()) / _HAAR_OVERLAP
-    kind = Kind(freedom, _UNEVEN_TILES, _SPREAD_OF_TILES, _TILES_SHARE, _TILES_LEAST)
-    return weakest_levels(Groups(*np.array(found).swapaxes(0, 1)), kind)
-
-
-def _bands(filled: NDArray[np.bool_]) -> NDArray[np.intp]:
-    """Choose bands of rows, evenly spread, that hold enough filled cells; shape (bands, rows of a tile + 1)."""
-    step = max(1, int(np.count_nonzero(filled)) // _ENOUGH_SQUARES)
-    first = np.arange(0, max(1, len(filled) - 1), _TILE * step)
-    rows: NDArray[np.intp] = np.minimum(first[:, None] + np.arange(_TILE + 1), len(filled) - 1)
-    return rows
-
-
-def _tiles(values: NDArray[Any], squares: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Sum over the squares of tiles, in bands of shape (bands, _TILE, columns)."""
-    starts = np.arange(0, max(1, values.shape[2]), _TILE)
-    if not values.size:
-        return np.zeros((len(values), 0))
-    if not values.any():  # as of what was cut off, mostly
-        return np.zeros((len(values), len(starts)))
-    along = np.where(squares, values, 0).sum(axis=1, dtype=np.float64)
-    total: NDArray[np.float64] = np.add.reduceat(along, starts, axis=1)
-    return total
 
 
 def choose_beta(sigma: NDArray[np.float64], contrast: float = _BETA_SIGMA) -> float:

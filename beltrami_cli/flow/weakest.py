@@ -188,8 +188,11 @@ def _even(detail: NDArray[np.float64], certain: NDArray[np.float64], kind: Kind)
     """Choose the groups as even as noise alone leaves them, but not too few."""
     excess = detail / (1 + kind.spread / np.sqrt(certain))
     wanted = max(kind.least, int(kind.share * len(detail)), int(np.count_nonzero(excess <= 1)))
-    even = np.zeros(len(detail), bool)
-    even[np.argsort(excess, kind="stable")[:wanted]] = True
+    if wanted >= len(excess):
+        return np.ones(len(excess), bool)
+    most = np.partition(excess, wanted - 1)[wanted - 1]
+    even: NDArray[np.bool_] = excess < most
+    even[np.flatnonzero(excess == most)[: wanted - np.count_nonzero(even)]] = True  # of equal ones the first
     return even
 
 

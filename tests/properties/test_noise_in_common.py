@@ -10,7 +10,7 @@ from scipy.ndimage import gaussian_filter
 import beltrami_cli
 from beltrami_cli.flow import correlation
 from beltrami_cli.flow.correlation import noise_in_common
-from beltrami_cli.flow.noise import estimate_sigma_on_grid
+from beltrami_cli.flow.grid_noise import estimate_sigma_on_grid
 from beltrami_cli.flow.octaves import draw_octaves, sigma_of_octaves
 from beltrami_cli.flow.risk import RiskEstimate, Step
 from formats.image_files import encode

@@ -7,7 +7,9 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 import beltrami_cli
-from beltrami_cli.flow.noise import estimate_sigma, estimate_sigma_on_grid
+from beltrami_cli._native import measure_haar_tiles
+from beltrami_cli.flow.grid_noise import estimate_sigma_on_grid
+from beltrami_cli.flow.noise import estimate_sigma
 from oracles import surfaces
 
 
@@ -142,3 +144,47 @@ def test_a_rich_texture_without_noise_stays():
 def psnr(result, clean):
     difference = np.mean((np.asarray(result, float) - clean) ** 2)
     return np.inf if difference == 0 else -10 * np.log10(difference)
+
+
+@pytest.mark.parametrize("size", [63, 65, 100])
+def test_rows_at_the_end_of_an_image_count_like_others(size):
+    """Tiles there hold fewer squares; when these were made up to eight rows, the noise of small images was halved."""
+    plain = np.full((size, size, 3), 0.5)
+    found = np.mean([on_grid(noisy(plain, 0.04, seed)) for seed in range(8)])
+    assert found == pytest.approx(10.2, rel=0.02)
+
+
+def tile_of(values, filled, row, column):
+    """Return a tile's measures by their definition, one square at a time."""
+    found = []
+    for y in range(row, min(row + 8, len(filled) - 1)):
+        for x in range(column, min(column + 8, filled.shape[1] - 1)):
+            if filled[y : y + 2, x : x + 2].all():
+                (a, b), (c, d) = values[y : y + 2, x : x + 2].astype(float)
+                found.append(((a - b - c + d) / 2, (a + b + c + d) / 4, a))
+    if not found:
+        return 0, np.zeros(5)
+    detail, mean, first = np.array(found).T
+    return len(found), [
+        np.mean(detail**2),
+        mean.var(),
+        np.mean(first <= 0),
+        np.mean(first >= 1),
+        first.mean(),
+    ]
+
+
+def test_tiles_are_measured_as_they_are_defined():
+    random = np.random.default_rng(3)
+    planes = np.clip(0.5 + random.standard_normal((2, 29, 37)), 0, 1).astype(np.float32)
+    filled = random.random((29, 37)) < 0.9
+    filled[:9, :10] = False
+    first_rows = np.array([0, 8, 24])
+    planes[:, ~filled] = np.nan  # what is not filled is not looked at
+    counts, measures = measure_haar_tiles(planes, filled, first_rows)
+    for band, row in enumerate(first_rows):
+        for tile, column in enumerate(range(0, 37, 8)):
+            for plane, values in enumerate(planes):
+                count, expected = tile_of(values, filled, row, column)
+                assert counts[band, tile] == count
+                np.testing.assert_allclose(measures[:, plane, band, tile], expected, rtol=1e-12, atol=1e-15)
