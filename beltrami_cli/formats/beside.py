@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import posixpath
 import re
 import stat
+import unicodedata
 from pathlib import PurePosixPath
 from typing import TYPE_CHECKING
 
@@ -18,7 +20,13 @@ if TYPE_CHECKING:
 _SCHEME = re.compile(r"[a-z][a-z0-9+.-]*:", re.IGNORECASE)  # a URL, or the letter of a drive
 _NETWORK = re.compile(r"[a-z][a-z0-9+.-]+:|//", re.IGNORECASE)
 _HERE = PurePosixPath()
+_MISSING, _TILES = "is missing", "stands for a set of tiles (UDIM), which are not read"
+_REMEDIES = {
+    _MISSING: "keep the model's files together, under the names that it has for them",
+    _TILES: "give each tile a material and a name of its own",
+}
 
+LEFT_ALONE = ", and is left alone."  # behind the reason why a file is not read
 LEFT_OUTSIDE = "lies outside the model's folder; the output names it as the input does, and it is not copied."
 
 
@@ -40,6 +48,7 @@ class Beside:
     def __init__(self, folder: Path | None, access: Access = EVERYTHING_INSIDE) -> None:
         self._folder = None if folder is None else folder.resolve()
         self._known: dict[tuple[str, PurePosixPath], str | UnfitReferenceError] = {}
+        self._spellings: dict[Path, dict[str, str]] = {}
         self.access = access
 
     def find(self, name: str, within: PurePosixPath = _HERE) -> str | None:
@@ -90,7 +99,9 @@ class Beside:
             is_file = stat.S_ISREG((self._folder / path).stat().st_mode)
             there = (self._folder / path).resolve()
         except (FileNotFoundError, NotADirectoryError):
-            raise UnfitReferenceError("is missing") from None
+            alike = None if is_outside(path) else self._spelled_alike(path)
+            hint = f" (there is '{alike}', but capitals and accents count)" if alike else ""
+            raise UnfitReferenceError(f"{_MISSING}{hint}") from None
         except (OSError, ValueError, RuntimeError):  # Names that no file can have: too long, or with a NUL.
             raise UnfitReferenceError("cannot be the name of a file") from None
         if not self.access.outside and not there.is_relative_to(self._folder):
@@ -101,11 +112,36 @@ class Beside:
             return there.relative_to(self._folder).as_posix()
         return path
 
+    def _spelled_alike(self, path: str) -> str | None:
+        """Return a file that has a path in other capitals, or with accents coded in another way."""
+        assert self._folder is not None
+        found = PurePosixPath()
+        for part in PurePosixPath(path).parts:
+            name = self._names_in(self._folder / found).get(_plain(part))
+            if name is None:
+                return None
+            found /= name
+        return found.as_posix()
+
+    def _names_in(self, folder: Path) -> dict[str, str]:
+        """Return the names in a folder of the model's, by what they are without capitals."""
+        if folder not in self._spellings:
+            names: list[str] = []
+            if self._folder is not None and folder.resolve().is_relative_to(self._folder):
+                with contextlib.suppress(OSError):
+                    names = [entry.name for entry in folder.iterdir()]
+            self._spellings[folder] = {_plain(name): name for name in names}
+        return self._spellings[folder]
+
     def read(self, path: str, most: int = -1) -> bytes:
         """Return the content of a file that was located, or its first bytes; OSError if it cannot be read."""
         if self._folder is None:
             raise FileNotFoundError(path)
         return read_regular(self._folder / path, self.access, most)
+
+
+def _plain(name: str) -> str:
+    return unicodedata.normalize("NFC", name).casefold()
 
 
 def meant_path(name: str, within: PurePosixPath = _HERE, *, outside: bool) -> str:
@@ -128,12 +164,19 @@ def meant_path(name: str, within: PurePosixPath = _HERE, *, outside: bool) -> st
         raise UnfitReferenceError("is empty")
     if _NETWORK.match(plain) or (_SCHEME.match(plain) and not outside):
         raise UnfitReferenceError("is not a relative path; only files beside the model are read")
+    if "<UDIM>" in name or "<UVTILE>" in name:
+        raise UnfitReferenceError(_TILES)
     path = within / plain
     if any(part.startswith(".") and part != ".." for part in path.parts):
         raise UnfitReferenceError("is a hidden file, which is not read")
     if not outside and (path.is_absolute() or ".." in path.parts):
         raise UnfitReferenceError("leaves the model's folder; only files inside it are read")
     return posixpath.normpath(path) if outside else str(path)
+
+
+def remedy_for(reason: str) -> str:
+    """Return what can be done where a file is not read for a reason, "" if that is no matter of its name."""
+    return next((remedy for known, remedy in _REMEDIES.items() if known in reason), "")
 
 
 def is_outside(path: str) -> bool:

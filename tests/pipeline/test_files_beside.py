@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from beltrami_cli.errors import OutputError
+from beltrami_cli.errors import InputError, OutputError
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.image import read_image
 from beltrami_cli.formats.source import open_document
@@ -41,6 +41,40 @@ def contents(folder):
 def texture(path):
     (found,) = open_document(str(path)).textured("baseColor").textures
     return found
+
+
+@pytest.mark.parametrize(
+    ("named", "there"),
+    [("SKIN.png", "skin.png"), ("skins/Skin.png", "Skins/skin.PNG"), ("h\u00e4ute.png", "ha\u0308ute.png")],
+)
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_name_in_other_capitals_or_accents_is_pointed_out(kind, named, there, tmp_path):
+    path = write_model(tmp_path, kind, named)
+    (tmp_path / there).parent.mkdir(exist_ok=True)
+    (tmp_path / there).write_bytes(PICTURE)
+    if (tmp_path / named).exists():
+        pytest.skip("this file system takes them for one name")
+    with pytest.raises(InputError, match="is missing") as caught:
+        smooth_file(path, tmp_path / f"o.{kind}")
+    assert f"(there is '{there}', but capitals and accents count); keep the model's files" in str(
+        caught.value
+    )
+
+
+def test_names_beyond_a_link_are_not_given_away(tmp_path):
+    (tmp_path / "secret").mkdir()
+    (tmp_path / "secret" / "skin.png").write_bytes(PICTURE)
+    path = write_model(tmp_path / "in", "obj", "linked/SKIN.png")
+    (tmp_path / "in" / "linked").symlink_to(tmp_path / "secret")
+    with pytest.raises(InputError) as caught:
+        smooth_file(path, tmp_path / "o.obj")
+    assert "skin.png" not in str(caught.value)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_tiles_are_not_called_missing(kind, tmp_path):
+    with pytest.raises(InputError, match=r"\(UDIM\), which are not read; give each tile"):
+        smooth_file(write_model(tmp_path, kind, "skin.<UDIM>.png"), tmp_path / f"o.{kind}")
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Literal
 
-from beltrami_cli.formats.beside import UnfitReferenceError
+from beltrami_cli.formats.beside import UnfitReferenceError, remedy_for
 from beltrami_cli.formats.gltf.files import is_data, read, relative_name
 
 if TYPE_CHECKING:
@@ -96,8 +96,7 @@ class Buffers:
             try:
                 data: Bytes = read(uri, self._beside)
             except UnfitReferenceError as error:
-                remedy = "keep the model's files together" if self.source(index) == "file" else ""
-                raise entry.fault("uri", str(error), remedy) from None
+                raise entry.fault("uri", str(error), remedy_for(str(error))) from None
         elif self.source(index) == "chunk":
             data = self._container.binary or b""
         else:

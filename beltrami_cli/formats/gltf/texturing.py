@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.errors import InputError
+from beltrami_cli.formats.beside import remedy_for
 from beltrami_cli.formats.gltf.materials import looks, paintings
 from beltrami_cli.formats.gltf.primitives import (
     attribute_accessor,
@@ -61,7 +62,8 @@ def gather_textured(
             gathering.take(primitive, placement)
     if not len(shown):
         bare = f"a {slot} texture, but no texture coordinates for it" if gathering.counts["bare"] else ""
-        raise InputError(root.name, shown.excuse() or f"it has {bare or f'no {slot} texture'}")
+        cause = shown.excuse() or f"it has {bare or f'no {slot} texture'}"
+        raise InputError(root.name, cause, remedy_for(cause))
     return gathering.surface(), shown.notices() + _notices(gathering.counts, slot)
 
 

@@ -9,7 +9,7 @@ from pathlib import PurePosixPath
 from typing import TYPE_CHECKING
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.beside import LEFT_OUTSIDE, Beside, UnfitReferenceError, is_outside
+from beltrami_cli.formats.beside import LEFT_ALONE, LEFT_OUTSIDE, Beside, UnfitReferenceError, is_outside
 from beltrami_cli.formats.obj.libraries import SLOTS, Map, read_maps
 
 if TYPE_CHECKING:
@@ -150,10 +150,10 @@ class Materials:
         try:
             data = self._beside.read(path, _LARGEST + 1)
         except OSError as error:
-            self.notices.append(f"'{path}' cannot be read ({error.strerror}), and is left alone.")
+            self.notices.append(f"'{path}' cannot be read ({error.strerror}){LEFT_ALONE}")
             data = b""
         if len(data) > _LARGEST:
-            self.notices.append(f"'{path}' has more than {_LARGEST} bytes, and is left alone.")
+            self.notices.append(f"'{path}' has more than {_LARGEST} bytes{LEFT_ALONE}")
             data = b""
         materials, maps = read_maps(data)
         within = PurePosixPath(path).parent
@@ -165,7 +165,7 @@ class Materials:
         try:
             path = self._beside.locate(name, within)
         except UnfitReferenceError as error:
-            self._tell(name, f"{error}, and is left alone.")
+            self._tell(name, str(error), LEFT_ALONE)
             return None
         if is_outside(path):
             self._tell(name, LEFT_OUTSIDE)
@@ -174,13 +174,13 @@ class Materials:
             self.paths.append(path)
         return path
 
-    def _tell(self, name: str, reason: str) -> None:
+    def _tell(self, name: str, reason: str, behind: str = "") -> None:
         """Give notice of a file, once; of a million files, of the first few."""
         if name in self._reasons:
             return
         self._reasons[name] = reason
         if len(self._reasons) <= _MOST_NOTICES:
-            self.notices.append(f"'{name}' {reason}")
+            self.notices.append(f"'{name}' {reason}{behind}")
         elif len(self._reasons) == _MOST_NOTICES + 1:
             self.notices.append("Further files are missing as well.")
 

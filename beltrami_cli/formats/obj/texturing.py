@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.errors import InputError
+from beltrami_cli.formats.beside import remedy_for
 from beltrami_cli.mesh.polygons import triangulate_corners
 from beltrami_cli.mesh.textured import Texture, TexturedSurface
 
@@ -143,7 +144,7 @@ def gather_textured(
     bare = (coordinates.corners[cut] < 0).any(axis=1)
     texture_of = np.where(bare, -1, palette.texture_of[material_of])
     if not (texture_of >= 0).any():
-        raise InputError(name, palette.excuse())
+        raise InputError(name, *palette.excuse())
     uv = np.append(coordinates.values, [[0.0, 0.0]], axis=0)[coordinates.corners[cut]]
     uv = uv * palette.scale[material_of][:, None, :] + palette.offset[material_of][:, None, :]
     uv[:, :, 1] = 1 - uv[:, :, 1]
@@ -198,14 +199,15 @@ class _Palette:
             for path, p in self._painted.items()
         )
 
-    def excuse(self) -> str:
-        """Return why no texture of the slot can be shown."""
+    def excuse(self) -> tuple[str, str]:
+        """Return why no texture of the slot can be shown, and what can be done about it."""
         if self._painted:
-            return f"it has a {self.slot} texture, but no texture coordinates for it"
+            return f"it has a {self.slot} texture, but no texture coordinates for it", "export it with them"
         if self._missing:
             name = next(iter(self._missing))
-            return f"its {self.slot} texture '{name}' {self._materials.reason(name)}"
-        return f"it has no {self.slot} texture"
+            reason = self._materials.reason(name)
+            return f"its {self.slot} texture '{name}' {reason}", remedy_for(reason)
+        return f"it has no {self.slot} texture", ""
 
     def notices(self) -> list[str]:
         """Return what the user should know."""

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.beside import LEFT_OUTSIDE, UnfitReferenceError, is_outside
+from beltrami_cli.formats.beside import LEFT_ALONE, LEFT_OUTSIDE, UnfitReferenceError, is_outside, remedy_for
 from beltrami_cli.formats.ply.paint import finite_columns
 from beltrami_cli.mesh.polygons import triangulate_corners
 from beltrami_cli.mesh.textured import Texture, TexturedSurface
@@ -65,7 +65,7 @@ def read_comments(header: bytes, beside: Beside) -> list[TextureComment]:
             path: str | None = beside.locate(name)
             reason = LEFT_OUTSIDE if is_outside(beside.locate(name)) else ""
         except UnfitReferenceError as error:
-            path, reason = None, f"{error}, and is left alone."
+            path, reason = None, f"{error}{LEFT_ALONE}"
         found.append(TextureComment(name, path, *match.span(1), reason))
     return found
 
@@ -128,8 +128,9 @@ def gather_textured(
     texture_of = np.where(bare, -1, of_number[numbers])[polygon]
     if not (texture_of >= 0).any():
         missing = [f"'{c.name}' {c.reason}" for c in comments if c.path is None]
-        cause = next(iter([*missing, *unreadable]), "no face shows one").rstrip(".")
-        raise InputError(name, f"it has no texture that can be shown: {cause}")
+        cause = next(iter([*missing, *unreadable]), "no face shows one")
+        cause = f"it has no texture that can be shown: {cause.removesuffix(LEFT_ALONE)}"
+        raise InputError(name, cause, remedy_for(cause))
     uv = values[cut] * [1, -1] + [0, 1]
     surface = TexturedSurface(positions, corners[cut], uv, texture_of.astype(np.int32), textures)
     return surface, notices
@@ -167,7 +168,7 @@ def _load(
             try:
                 data = beside.read(comment.path)
             except OSError as error:
-                unreadable.append(f"'{comment.name}' cannot be read ({error.strerror}), and is left alone.")
+                unreadable.append(f"'{comment.name}' cannot be read ({error.strerror}){LEFT_ALONE}")
                 continue
             texture = Texture(comment.path, comment.path.rpartition("/")[2], data)
             textures[comment.path] = len(textures), texture

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from beltrami_cli.errors import InputError, UnpaintedError, UsageError
+from beltrami_cli.formats.beside import LEFT_ALONE, remedy_for
 from beltrami_cli.mesh.scale import check_scale
 from beltrami_cli.pipeline.settings.smooth import OUTPUT_FORMATS
 
@@ -101,8 +102,9 @@ def _nothing_to_smooth(document: Document, present: Sequence[Slot]) -> InputErro
         return UnpaintedError(
             document.name, f"{cause}, but textures in the slots {', '.join(present)}", remedy
         )
-    reason = document.notices[0].rstrip(".") if document.notices else why
-    return UnpaintedError(document.name, cause + (f" ({reason})" if reason else ""))
+    reason = document.notices[0] if document.notices else why
+    reason = reason.removesuffix(LEFT_ALONE).rstrip(".")
+    return UnpaintedError(document.name, cause + (f" ({reason})" if reason else ""), remedy_for(reason))
 
 
 def _with_chosen_textures(
