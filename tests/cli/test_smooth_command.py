@@ -79,6 +79,30 @@ def test_an_existing_output_is_kept_unless_overwriting_is_asked_for(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["out.ply"]
 
 
+@pytest.mark.parametrize(
+    ("target", "words"),
+    [
+        ("out/there.ply", b"out/there.ply: exists already; choose another name, or --overwrite"),
+        ("out", b"out: is a folder; name a file"),
+        ("none/x.ply", b"none/x.ply: the folder none does not exist; make it first"),
+        ("out/there.ply/x.ply", b"out/there.ply/x.ply: out/there.ply is no folder; choose another place"),
+        ("out/" + 300 * "x" + ".ply", b".ply: no file can be called so (File name too long)"),
+    ],
+)
+def test_an_output_that_cannot_be_is_named_as_the_user_named_it(target, words, tmp_path):
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "there.ply").write_bytes(b"kept")
+    run = subprocess.run(
+        [*COMMAND, "smooth", str(SAMPLES / "knot-noisy.ply"), target],
+        cwd=tmp_path, capture_output=True, timeout=60, check=False,
+    )  # fmt: skip
+    assert run.returncode == 4
+    assert run.stderr.startswith(b"beltrami: " + target[:20].encode())
+    assert words in run.stderr
+    assert len(run.stderr.splitlines()) == 1
+    assert (tmp_path / "out" / "there.ply").read_bytes() == b"kept"
+
+
 def test_a_file_may_be_smoothed_in_place_when_overwriting_is_asked_for(tmp_path):
     scan, result = tmp_path / "scan.ply", tmp_path / "out.ply"
     shutil.copy(NOISY, scan)

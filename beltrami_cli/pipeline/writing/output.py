@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import stat
 import sys
@@ -49,7 +50,7 @@ class Output:
                 )
         elif not self.is_device:
             self._check_file(self.path)
-            _check_folder(self.path.parent, target)
+            self._check_folder()
 
     @property
     def folder(self) -> Path | None:
@@ -112,10 +113,37 @@ class Output:
             ) from error
 
     def _check_file(self, path: Path) -> None:
-        if path.is_dir():
-            raise OutputError(str(path), "is a folder", "name a file")
-        if path.exists() and not self.overwrite:
-            raise OutputError(str(path), "exists already", "choose another name, or --overwrite")
+        name = self._named(path)
+        try:
+            is_folder, exists = path.is_dir(), path.exists()
+        except OSError as error:
+            raise OutputError(
+                name, f"no file can be called so ({error.strerror})", "choose another name"
+            ) from error
+        if is_folder:
+            raise OutputError(name, "is a folder", "name a file")
+        if exists and not self.overwrite:
+            raise OutputError(name, "exists already", "choose another name, or --overwrite")
+
+    def _check_folder(self) -> None:
+        folder = self._named(self.path.parent)
+        try:
+            if not self.path.parent.exists():
+                raise OutputError(self.target, f"the folder {folder} does not exist", "make it first")
+            if not self.path.parent.is_dir():
+                raise OutputError(self.target, f"{folder} is no folder", "choose another place")
+            check_writable(self.path.parent)
+        except OSError as error:
+            cause = f"the folder {folder} cannot be written to ({error.strerror})"
+            raise OutputError(self.target, cause, "choose another folder") from error
+
+    def _named(self, path: Path) -> str:
+        """Return a file of the output as the user would name it; behind a link, where it is."""
+        target = Path(self.target)
+        with contextlib.suppress(OSError):  # such as names that are too long
+            if target.is_symlink():
+                return str(path)
+        return str(target.parent / path.relative_to(self.path.parent))
 
 
 def _is_special(path: Path) -> bool:
@@ -124,14 +152,3 @@ def _is_special(path: Path) -> bool:
     except OSError:
         return False
     return not (stat.S_ISREG(mode) or stat.S_ISDIR(mode))
-
-
-def _check_folder(folder: Path, target: str) -> None:
-    try:
-        if not folder.is_dir():
-            raise OutputError(target, f"the folder {folder} does not exist", "make it first")
-        check_writable(folder)
-    except OSError as error:
-        raise OutputError(
-            target, f"the folder {folder} cannot be written to ({error.strerror})", "choose another folder"
-        ) from error
