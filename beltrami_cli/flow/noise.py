@@ -22,7 +22,7 @@ _QUANTISATION = 1 / (255 * np.sqrt(12))
 # Samples of a mesh, in blocks that follow each other, of which noise is told as well as of more.
 _BLOCK, _BLOCKS = 4096, 32
 
-# Means of the squares of residuals over a sample, its neighbours and theirs, on white noise on a triangle mesh of degree
+# Means of squared residuals over a sample, its neighbours and theirs, on white noise on a triangle mesh of degree
 # six: how many independent ones they are worth, and how uneven they are.
 _FREEDOM_AROUND = 10.8
 _UNEVEN_AROUND, _SPREAD_AROUND = 0.0348, 0.675

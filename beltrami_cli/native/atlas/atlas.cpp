@@ -9,6 +9,7 @@
 #include "atlas/cells.hpp"
 #include "atlas/charts.hpp"
 #include "atlas/layout.hpp"
+#include "atlas/lengths.hpp"
 #include "atlas/near_borders.hpp"
 #include "atlas/ownership.hpp"
 #include "atlas/windows.hpp"
@@ -20,8 +21,6 @@ namespace {
 // Small charts make small bands; so many at once are worth handing to a thread.
 constexpr std::size_t bands_per_chunk = 8;
 constexpr std::size_t cells_per_chunk = 1 << 20;
-
-float squared_length(Point3 a, Point3 b) { return static_cast<float>(dot(a - b, a - b)); }
 
 class Builder {
  public:
@@ -35,7 +34,8 @@ class Builder {
     cuts_.resize(bands_.bands.size());
     parallel_chunks(bands_.bands.size(), bands_per_chunk, threads_, [&](std::size_t begin, std::size_t end, unsigned) {
       Cells cells(plan_);
-      for (std::size_t band = begin; band < end; ++band) build_band(cells, band);
+      Lengths lengths({atlas_.squared_lengths.data(), atlas_.kind.size, static_cast<std::size_t>(atlas_.columns)});
+      for (std::size_t band = begin; band < end; ++band) build_band(cells, lengths, band);
     }, poll_);
     list_cells();
     parallel_chunks(bands_.bands.size(), bands_per_chunk, threads_, [&](std::size_t begin, std::size_t end, unsigned) {
@@ -71,7 +71,7 @@ class Builder {
     return static_cast<std::size_t>((rectangle.row + row) * atlas_.columns + rectangle.column);
   }
 
-  void build_band(Cells& cells, std::size_t index) {
+  void build_band(Cells& cells, Lengths& lengths, std::size_t index) {
     const Band& band = bands_.bands[index];
     cells.make(band, bands_.borders_of(index), bands_.faces_of(index));
     for (std::int64_t row = band.top; row < band.bottom; ++row) {
@@ -80,42 +80,18 @@ class Builder {
       const std::size_t start = row_start(band, row);
       for (std::size_t x = 0; x < width; ++x)  // what is empty may be a cell of another rectangle
         if (cells.kind(local + x) != Kind::empty) atlas_.kind[start + x] = static_cast<std::uint8_t>(cells.kind(local + x));
-      measure_row(cells, local, row - band.top + 1 < cells.height(), start, cuts_[index]);
+      lengths.measure(cells, local, row - band.top + 1 < cells.height(), start, cuts_[index]);
     }
     halo_[index].assign(cells.halo.begin(), cells.halo.end());
     gutter_[index].assign(cells.gutter.begin(), cells.gutter.end());
   }
 
-  void measure_row(const Cells& cells, std::size_t local, bool has_below, std::size_t start,
-                   std::vector<Index>& cuts) {
-    const auto width = static_cast<std::size_t>(cells.width()), columns = static_cast<std::size_t>(atlas_.columns);
-    const std::size_t plane = atlas_.kind.size, below = local + width;
-    for (std::size_t x = 0; x < width; ++x) {
-      if (cells.kind(local + x) == Kind::empty) continue;
-      const auto measure = [&](std::size_t which, std::size_t neighbour, std::size_t step) {
-        if (cells.kind(neighbour) == Kind::empty) return;
-        if (!cells.are_joined(local + x, neighbour)) {
-          for (const std::size_t cell : {start + x, start + x + step}) cuts.push_back(static_cast<Index>(cell));
-          return;
-        }
-        atlas_.squared_lengths[which * plane + start + x] =
-            squared_length(cells.position(local + x), cells.position(neighbour));
-      };
-      if (x + 1 < width) measure(0, local + x + 1, 1);
-      if (!has_below) continue;
-      measure(1, below + x, columns);
-      if (x + 1 < width) measure(2, below + x + 1, columns + 1);
-      if (x > 0) measure(3, below + x - 1, columns - 1);
-    }
-  }
-
   void list_cells() {
     std::size_t owned = 0, halo = 0;
-    for (std::size_t cell = 0; cell < atlas_.kind.size; ++cell) {
-      rest_at(cell);
-      owned += atlas_.kind[cell] == 1 ? 1 : 0;
-      halo += atlas_.kind[cell] == 2 ? 1 : 0;
-    }
+    for_each_chunk([&](const std::uint8_t* begin, const std::uint8_t* end) {
+      owned += static_cast<std::size_t>(std::count(begin, end, 1));
+      halo += static_cast<std::size_t>(std::count(begin, end, 2));
+    });
     atlas_.owned_cells = Array<Index>(owned, allocate_);
     atlas_.owned_texels = Array<Index>(owned, allocate_);
     atlas_.chart_of = Array<Index>(owned, allocate_);
@@ -123,17 +99,22 @@ class Builder {
     atlas_.halo_taps = Array<Index>(4 * halo, allocate_);
     atlas_.halo_weights = Array<float>(4 * halo, allocate_);
     atlas_.halo_seams = Array<Index>(halo, allocate_);
-    owned = halo = 0;
-    for (std::size_t cell = 0; cell < atlas_.kind.size; ++cell) {
-      rest_at(cell);
-      if (atlas_.kind[cell] == 1) atlas_.owned_cells[owned++] = static_cast<Index>(cell);
-      if (atlas_.kind[cell] == 2) atlas_.halo_cells[halo++] = static_cast<Index>(cell);
-    }
+    Index *next_owned = atlas_.owned_cells.data(), *next_halo = atlas_.halo_cells.data();
+    for_each_chunk([&](const std::uint8_t* begin, const std::uint8_t* end) {
+      for (const std::uint8_t* kind = begin; kind < end; ++kind) {
+        if (*kind == 1) *next_owned++ = static_cast<Index>(kind - atlas_.kind.data());
+        if (*kind == 2) *next_halo++ = static_cast<Index>(kind - atlas_.kind.data());
+      }
+    });
   }
 
-  // Lets the caller in every now and then.
-  void rest_at(std::size_t cell) const {
-    if (cell % (4 * cells_per_chunk) == 0 && poll_ && !poll_(0)) throw Cancelled();
+  // Calls visit(begin, end) for the kinds of many cells at a time, and lets the caller in in between.
+  template <class Visit>
+  void for_each_chunk(const Visit& visit) const {
+    for (std::size_t cell = 0; cell < atlas_.kind.size; cell += 4 * cells_per_chunk) {
+      if (poll_ && !poll_(0)) throw Cancelled();
+      visit(atlas_.kind.data() + cell, atlas_.kind.data() + std::min(cell + 4 * cells_per_chunk, atlas_.kind.size));
+    }
   }
 
   static std::size_t rank(const Array<Index>& cells, std::size_t cell) {
@@ -146,27 +127,28 @@ class Builder {
     const Rectangle& rectangle = rectangle_of(band);
     const Window& window = plan_.windows.windows[static_cast<std::size_t>(rectangle.window)];
     const Texture& grid = plan_.mesh.surface->textures[static_cast<std::size_t>(window.texture)];
+    std::vector<std::int32_t> columns(static_cast<std::size_t>(rectangle.width));
+    list_columns(window, grid, rectangle.x, columns);
     auto next_halo = halo_[index].begin();
+    const Index* owners = plan_.ownership.window.data();
+    Index *texels = atlas_.owned_texels.data(), *charts = atlas_.chart_of.data();
     for (std::int64_t row = band.top; row < band.bottom; ++row) {
       const std::size_t start = row_start(band, row);
       std::size_t owned = rank(atlas_.owned_cells, start), halo = rank(atlas_.halo_cells, start);
       const std::int64_t y = rectangle.y + row;
       const bool inside = y >= window.y && y < window.y + grid.height;
       const std::int64_t texel_row = grid.texel(0, wrapped(y, grid.height, grid.wrap_y));
-      for (std::int64_t i = 0; i < rectangle.width; ++i) {
-        const std::size_t cell = start + static_cast<std::size_t>(i);
-        const std::int64_t x = rectangle.x + i;
-        if (atlas_.kind[cell] == 1) {
-          const std::int64_t texel = texel_row + wrapped(x, grid.width, grid.wrap_x);
-          const bool ours = inside && x >= window.x && x < window.x + grid.width &&
-                            plan_.ownership.window[static_cast<std::size_t>(texel)] == rectangle.window;
-          if (ours) {
-            atlas_.owned_texels[owned] = static_cast<Index>(texel);
-            atlas_.chart_of[owned] = window.chart;
+      const std::uint8_t* kind = atlas_.kind.data() + start;
+      for (std::size_t i = 0; i < columns.size(); ++i) {
+        if (kind[i] == 1) {
+          // It may be a cell of another rectangle.
+          if (inside && columns[i] != none && owners[texel_row + columns[i]] == rectangle.window) {
+            texels[owned] = static_cast<Index>(texel_row + columns[i]);
+            charts[owned] = window.chart;
           }
           ++owned;
-        } else if (atlas_.kind[cell] == 2) {
-          if (next_halo != halo_[index].end() && static_cast<std::size_t>(next_halo->cell) == cell) {
+        } else if (kind[i] == 2) {
+          if (next_halo != halo_[index].end() && static_cast<std::size_t>(next_halo->cell) == start + i) {
             std::copy(next_halo->taps.begin(), next_halo->taps.end(), &atlas_.halo_taps[0] + 4 * halo);
             std::copy(next_halo->weights.begin(), next_halo->weights.end(), &atlas_.halo_weights[0] + 4 * halo);
             atlas_.halo_seams[halo] = (next_halo++)->seam;

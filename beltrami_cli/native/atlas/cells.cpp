@@ -11,9 +11,6 @@ namespace {
 // A face that is thinner than so many texels holds few of them, and cannot tell alone how far apart they are.
 constexpr double thin = 2;
 
-// Bits of a cell: whether its texel is near an open edge, and near any border.
-constexpr std::uint8_t near_open = 1, near_any = 2;
-
 // Marks what is within `margin` columns of a mark.
 void widen(const std::uint8_t* marks, std::int64_t width, std::int64_t margin, std::uint8_t* widened) {
   std::int64_t marked = 0;
@@ -50,13 +47,17 @@ void Cells::make(const Band& band, std::span<const Index> borders, std::span<con
   const auto* owned = owned_.data() + plan_.margin * block_.width;
   std::size_t cell = 0;
   for (std::int64_t y = block_.y; y < block_.y + block_.height; ++y)
-    for (std::int64_t x = block_.x; x < block_.x + block_.width; ++x, ++cell) {
-      const Point2 place{static_cast<double>(x), static_cast<double>(y)};
+    for (std::int64_t i = 0; i < block_.width;) {
       if (owned[cell] != 0) {
-        make_owned(cell, place);
-      } else if (covering_[cell] != none || nearest_[cell].border != none) {
-        make_halo(cell, place, cell < own_cells);
+        const std::int64_t begin = i;
+        for (; i < block_.width && owned[cell] != 0; ++i) ++cell;
+        make_owned(y, begin, i);
+        continue;
       }
+      if (covering_[cell] != none || nearest_[cell].border != none)
+        make_halo(cell, {static_cast<double>(block_.x + i), static_cast<double>(y)}, cell < own_cells);
+      ++cell;
+      ++i;
     }
 }
 
@@ -68,7 +69,7 @@ void Cells::enter(const Band& band) {
   block_ = {rectangle_->x, rectangle_->y + band.top, rectangle_->width, rows};
   const auto cells = static_cast<std::size_t>(block_.width * block_.height);
   kinds_.assign(cells, Kind::empty);
-  positions_.resize(cells);
+  for (auto& coordinates : positions_) coordinates.resize(cells);
   faces_.resize(cells);
   nearness_.resize(cells);
   ways_.clear();
@@ -78,11 +79,7 @@ void Cells::enter(const Band& band) {
 
 void Cells::find_owned() {
   columns_.resize(static_cast<std::size_t>(block_.width));
-  for (std::int64_t i = 0; i < block_.width; ++i) {
-    const std::int64_t x = block_.x + i;
-    const bool inside = x >= window_->x && x < window_->x + grid_->width;
-    columns_[static_cast<std::size_t>(i)] = inside ? wrapped(x, grid_->width, grid_->wrap_x) : none;
-  }
+  list_columns(*window_, *grid_, block_.x, columns_);
   owned_.assign(static_cast<std::size_t>((block_.height + 2 * plan_.margin) * block_.width), 0);
   auto* mark = owned_.data();
   for (std::int64_t y = block_.y - plan_.margin; y < block_.y + block_.height + plan_.margin; ++y) {
@@ -91,8 +88,8 @@ void Cells::find_owned() {
       continue;
     }
     const Index* row = plan_.ownership.window.data() + grid_->texel(0, wrapped(y, grid_->height, grid_->wrap_y));
-    for (const std::int32_t column : columns_)
-      *mark++ = column != none && row[column] == rectangle_->window ? 1 : 0;
+    const Index window = rectangle_->window;
+    for (const std::int32_t column : columns_) *mark++ = column != none && row[column] == window ? 1 : 0;
   }
 }
 
@@ -103,14 +100,15 @@ void Cells::find_wanted() {
   std::vector<std::int32_t> marked(width, 0);
   wanted_.resize(width * height);
   for (std::size_t row = 0; row < height + 2 * margin; ++row) {
-    widen(owned_.data() + row * width, block_.width, plan_.margin, wide.data() + row * width);
-    for (std::size_t x = 0; x < width; ++x) marked[x] += wide[row * width + x];
+    std::uint8_t* last = wide.data() + row * width;
+    widen(owned_.data() + row * width, block_.width, plan_.margin, last);
+    for (std::size_t x = 0; x < width; ++x) marked[x] += last[x];
     if (row < 2 * margin) continue;
     const std::size_t middle = row - 2 * margin;  // of the rows summed; rows of the block start `margin` later
-    for (std::size_t x = 0; x < width; ++x) {
-      wanted_[middle * width + x] = marked[x] > 0 && owned_[(middle + margin) * width + x] == 0 ? 1 : 0;
-      marked[x] -= wide[middle * width + x];
-    }
+    const std::uint8_t *first = wide.data() + middle * width, *owned = owned_.data() + (middle + margin) * width;
+    std::uint8_t* wanted = wanted_.data() + middle * width;
+    for (std::size_t x = 0; x < width; ++x) wanted[x] = marked[x] > 0 && owned[x] == 0 ? 1 : 0;
+    for (std::size_t x = 0; x < width; ++x) marked[x] -= first[x];
   }
 }
 
@@ -128,15 +126,51 @@ void Cells::find_covered(std::span<const Index> faces) {
          });
 }
 
-void Cells::make_owned(std::size_t cell, Point2 place) {
-  const auto row = static_cast<std::int64_t>(place.y), column = static_cast<std::int64_t>(place.x) - block_.x;
-  const auto texel = grid_->texel(columns_[static_cast<std::size_t>(column)], wrapped(row, grid_->height, grid_->wrap_y));
-  faces_[cell] = plan_.ownership.face[static_cast<std::size_t>(texel)];
-  nearness_[cell] = plan_.near_borders.is_near_any(texel) ? near_any : 0;
-  if (plan_.near_borders.is_near_open(texel)) nearness_[cell] |= near_open;
-  map_.use(plan_.mesh, faces_[cell]);
-  positions_[cell] = map_.inside(place);
-  kinds_[cell] = Kind::owned;
+// A run of owned cells, in columns [begin, end) of the block.
+void Cells::make_owned(std::int64_t y, std::int64_t begin, std::int64_t end) {
+  const std::int64_t row = grid_->texel(0, wrapped(y, grid_->height, grid_->wrap_y));
+  const auto first = static_cast<std::size_t>((y - block_.y) * block_.width);
+  const std::int32_t* columns = columns_.data();
+  const Index* owners = plan_.ownership.face.data() + row;
+  for (std::int64_t i = begin; i < end; ++i) faces_[first + static_cast<std::size_t>(i)] = owners[columns[i]];
+  std::fill_n(kinds_.begin() + static_cast<std::ptrdiff_t>(first) + begin, end - begin, Kind::owned);
+  std::uint8_t* nearness = nearness_.data() + first;
+  for (std::int64_t i = begin; i < end; ++i) nearness[i] = plan_.near_borders.nearness(row + columns[i]);
+  for (auto cell = first + static_cast<std::size_t>(begin); cell < first + static_cast<std::size_t>(end);) {
+    const Index face = faces_[cell];
+    const std::size_t start = cell;
+    while (cell < first + static_cast<std::size_t>(end) && faces_[cell] == face) ++cell;
+    place_on(face, start, cell);
+  }
+}
+
+// Cells [begin, end) of a row, which lie in a face.
+void Cells::place_on(Index face, std::size_t begin, std::size_t end) {
+  map_.use(plan_.mesh, face);
+  const FaceMap map = map_;  // which no position that is written can change
+  const Point2 place = place_of(begin);
+  double *x = positions_[0].data() + begin, *y = positions_[1].data() + begin, *z = positions_[2].data() + begin;
+  const auto count = static_cast<std::int32_t>(end - begin);
+  const auto at = [&](std::int32_t i) { return Point2{place.x + i, place.y}; };
+  const auto place_all = [&](const auto& position_at) {
+    for (std::int32_t i = 0; i < count; ++i) {
+      const Point3 position = position_at(at(i));
+      x[i] = position.x;
+      y[i] = position.y;
+      z[i] = position.z;
+    }
+  };
+  // Between two places in a face are others.
+  if (map.holds(at(0)) && map.holds(at(count - 1)))
+    place_all([&](Point2 p) { return map.extended(p); });
+  else
+    place_all([&](Point2 p) { return map.inside(p); });
+}
+
+void Cells::put(std::size_t cell, Point3 position) {
+  positions_[0][cell] = position.x;
+  positions_[1][cell] = position.y;
+  positions_[2][cell] = position.z;
 }
 
 void Cells::make_halo(std::size_t cell, Point2 place, bool record) {
@@ -154,7 +188,7 @@ void Cells::make_halo(std::size_t cell, Point2 place, bool record) {
   }
   if (!sample) return;
   kinds_[cell] = Kind::halo;
-  positions_[cell] = sample->position;
+  put(cell, sample->position);
   nearness_[cell] = sample->near_open ? near_open | near_any : near_any;
   if (!record) return;
   const std::int64_t at = canvas_cell(place);

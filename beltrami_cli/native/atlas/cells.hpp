@@ -1,6 +1,7 @@
 // The cells of one band: what they are, where they lie on the surface, and what stands behind those of the halo.
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <span>
 #include <vector>
@@ -41,7 +42,11 @@ class Cells {
   std::int64_t width() const { return block_.width; }
   std::int64_t height() const { return block_.height; }
   Kind kind(std::size_t cell) const { return kinds_[cell]; }
-  Point3 position(std::size_t cell) const { return positions_[cell]; }
+  Point3 position(std::size_t cell) const { return {positions_[0][cell], positions_[1][cell], positions_[2][cell]}; }
+  // The same for all cells; where nearness is 0, the surface goes on to all neighbours that are not empty.
+  const Kind* kinds() const { return kinds_.data(); }
+  const double* coordinates(std::size_t axis) const { return positions_[axis].data(); }
+  const std::uint8_t* nearness() const { return nearness_.data(); }
   // Whether the surface goes on between two neighbouring cells, neither empty.
   bool are_joined(std::size_t cell, std::size_t other) const {
     return nearness_[cell] == 0 || nearness_[other] == 0 || is_on(cell, other);
@@ -56,7 +61,8 @@ class Cells {
   void find_owned();
   void find_wanted();
   void find_covered(std::span<const Index> faces);
-  void make_owned(std::size_t cell, Point2 place);
+  void make_owned(std::int64_t y, std::int64_t begin, std::int64_t end);
+  void place_on(Index face, std::size_t begin, std::size_t end);
   void make_halo(std::size_t cell, Point2 place, bool record);
   std::optional<Sample> continue_chart(std::size_t cell, Point2 place);
   Plane plane_at(Edge edge, Point2 place) const;
@@ -66,6 +72,7 @@ class Cells {
   Point3 owned_position(std::int64_t x, std::int64_t y) const;
   void record_gutter(std::size_t cell, Point2 place, std::int64_t at);
   std::int64_t canvas_cell(Point2 place) const;
+  void put(std::size_t cell, Point3 position);
   bool is_on(std::size_t cell, std::size_t other) const;
   Point2 place_of(std::size_t cell) const;
 
@@ -81,11 +88,11 @@ class Cells {
   std::vector<std::uint8_t> wanted_;    // whether the cell, not owned, is near an owned one
   std::vector<Index> covering_;         // the face of the chart that covers a wanted cell
   std::vector<Kind> kinds_;
-  std::vector<Point3> positions_;
+  std::array<std::vector<double>, 3> positions_;  // [axis]
   std::vector<Index> faces_;            // the chart's face at a cell; outside the chart -1 - number of its way,
                                         // if an open edge may be near
   std::vector<Way> ways_;
-  std::vector<std::uint8_t> nearness_;  // to where charts end, see cells.cpp; 0: far
+  std::vector<std::uint8_t> nearness_;  // to where charts end, see NearBorders
   Connections connections_;
   NearestBorders nearest_;
   FaceMap map_;

@@ -27,7 +27,14 @@ class FaceMap {
   // In the plane of the face, inside it or not.
   Point3 extended(Point2 place) const {
     const Point2 offset = place - origin_;
-    return base_ + cross(offset, second_) * scale_ * along_first_ + cross(first_, offset) * scale_ * along_second_;
+    return base_ + (cross(offset, second_) * scale_) * along_first_ + (cross(first_, offset) * scale_) * along_second_;
+  }
+
+  // Whether a place lies in the face, so that `inside` and `extended` are the same, bit for bit.
+  bool holds(Point2 place) const {
+    const Point2 offset = place - origin_;
+    const double u = cross(offset, second_) * scale_, v = cross(first_, offset) * scale_;
+    return u >= 0 && v >= 0 && u + v <= 1;
   }
 
   // On the face, for a place that lies in it but for rounding (which slivers magnify).
@@ -35,11 +42,9 @@ class FaceMap {
     const Point2 offset = place - origin_;
     double u = std::clamp(cross(offset, second_) * scale_, 0.0, 1.0);
     double v = std::clamp(cross(first_, offset) * scale_, 0.0, 1.0);
-    if (u + v > 1) {
-      const double sum = u + v;
-      u /= sum;
-      v /= sum;
-    }
+    const double beyond = std::max(u + v, 1.0);
+    u /= beyond;
+    v /= beyond;
     return base_ + u * along_first_ + v * along_second_;
   }
 

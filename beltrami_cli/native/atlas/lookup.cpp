@@ -76,7 +76,7 @@ class Lookup {
 
   bool is_joined(std::int64_t texel, double x, double y) const {
     const Index owner = plan_.ownership.face[static_cast<std::size_t>(texel)];
-    if (owner == face_ || !plan_.near_borders.is_near_any(texel)) return true;
+    if (owner == face_ || plan_.near_borders.nearness(texel) == 0) return true;
     const Index there = is_owned_here(texel, x, y) ? owner : none;
     return Connections(plan_.mesh, plan_.charts).inside(face_, place_, there, {x, y});
   }

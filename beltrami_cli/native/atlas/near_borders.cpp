@@ -42,8 +42,9 @@ NearBorders::NearBorders(const Mesh& mesh, const Charts& charts) {
   for (const Border& border : charts.borders) {
     const auto face = static_cast<std::size_t>(border.edge / 3), k = static_cast<std::size_t>(border.edge % 3);
     const Point2 a = mesh.texels[face][k], b = mesh.texels[face][next(k)];
-    mark(any_, mesh.grid(face), a, b, reach_of_any);
-    if (border.seam != none) continue;
+    const bool is_open = border.seam == none;
+    mark(any_, mesh.grid(face), a, b, is_open ? reach_of_open : reach_of_any);
+    if (!is_open) continue;
     if (open_.empty()) open_.assign(texels, false);
     mark(open_, mesh.grid(face), a, b, reach_of_open);
   }

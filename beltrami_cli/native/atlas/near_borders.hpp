@@ -9,13 +9,19 @@
 
 namespace beltrami::atlas {
 
+// Bits of a texel: it is within two texels of an open edge; within one texel of any border, or near an open edge.
+constexpr std::uint8_t near_open = 1, near_any = 2;
+
 class NearBorders {
  public:
   NearBorders(const Mesh& mesh, const Charts& charts);
 
-  // Within two texels of an open edge, or within one texel of any border.
   bool is_near_open(std::int64_t texel) const { return !open_.empty() && open_[static_cast<std::size_t>(texel)]; }
-  bool is_near_any(std::int64_t texel) const { return any_[static_cast<std::size_t>(texel)]; }
+  // The bits of a texel; 0 far from where charts end.
+  std::uint8_t nearness(std::int64_t texel) const {
+    if (!any_[static_cast<std::size_t>(texel)]) return 0;
+    return is_near_open(texel) ? near_open | near_any : near_any;
+  }
 
  private:
   std::vector<bool> open_, any_;  // [texel]; open_ is empty if no edge is open

@@ -67,14 +67,34 @@ class Painter {
   void claim_run(std::size_t index, Index face, std::int64_t y, std::int64_t begin, std::int64_t end) {
     const Window& window = windows_.windows[index];
     const Texture& grid = grid_of(window);
-    const std::int64_t row = grid.texel(0, wrapped(y, grid.height, grid.wrap_y));
+    const auto row = static_cast<std::size_t>(grid.texel(0, wrapped(y, grid.height, grid.wrap_y)));
     rest(end - begin);
     std::int32_t column = wrapped(begin, grid.width, grid.wrap_x);
-    const std::int32_t step = grid.wrap_x == Wrap::mirror && unwrapped(0, window.x, grid.width, grid.wrap_x) != window.x ? -1 : 1;
+    const bool backwards = grid.wrap_x == Wrap::mirror && unwrapped(0, window.x, grid.width, grid.wrap_x) != window.x;
+    const auto count = static_cast<std::size_t>(end - begin);
+    const std::size_t first = row + static_cast<std::size_t>(column) - (backwards ? count - 1 : 0);
+    const bool goes_round = !backwards && static_cast<std::int64_t>(column) + (end - begin) > grid.width;
+    if (!goes_round && claim_whole(index, face, first, count)) {
+      result_.extents[index].add(begin, y);
+      result_.extents[index].add(end - 1, y);
+      return;
+    }
+    const std::int32_t step = backwards ? -1 : 1;
     for (std::int64_t x = begin; x < end; ++x, column += step) {
       if (column == grid.width) column = 0;
-      claim(index, face, static_cast<std::size_t>(row + column), x, y);
+      claim(index, face, row + static_cast<std::size_t>(column), x, y);
     }
+  }
+
+  // Claims texels that follow each other, as long as nobody owns any of them.
+  bool claim_whole(std::size_t index, Index face, std::size_t first, std::size_t count) {
+    Index* const owners = result_.window.data() + first;
+    if (std::any_of(owners, owners + count, [](Index owner) { return owner != none; })) return false;
+    std::fill(owners, owners + count, static_cast<Index>(index));
+    Index* const faces = result_.face.data() + first;
+    std::fill(faces, faces + count, face);
+    covered_in_[static_cast<std::size_t>(windows_.windows[index].texture)] += static_cast<std::int64_t>(count);
+    return true;
   }
 
   // Lets the caller in every now and then.

@@ -180,6 +180,13 @@ class Maker {
 
 }  // namespace
 
+void list_columns(const Window& window, const Texture& grid, std::int64_t x, std::span<std::int32_t> columns) {
+  for (std::int32_t& column : columns) {
+    column = x >= window.x && x < window.x + grid.width ? wrapped(x, grid.width, grid.wrap_x) : none;
+    ++x;
+  }
+}
+
 Windows make_windows(const Mesh& mesh, const Charts& charts) { return Maker(mesh, charts).make(); }
 
 }  // namespace beltrami::atlas

@@ -5,6 +5,7 @@
 #pragma once
 
 #include <cstdint>
+#include <span>
 #include <vector>
 
 #include "atlas/charts.hpp"
@@ -23,6 +24,9 @@ struct Windows {
   std::vector<Window> windows;  // those that shall own texels first come first: large charts before small ones
   std::vector<Index> faces;
 };
+
+// The texel columns at places [x, x + columns.size()) of the texture's plane; none outside the window.
+void list_columns(const Window& window, const Texture& grid, std::int64_t x, std::span<std::int32_t> columns);
 
 Windows make_windows(const Mesh& mesh, const Charts& charts);
 
