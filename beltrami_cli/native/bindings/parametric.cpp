@@ -88,14 +88,14 @@ auto grid_distances(const Cells& kind, const Stack& squared_lengths, const std::
   return give<float, nb::ndim<2>>(std::move(distances), {side, side});
 }
 
-// What makes local units of squared lengths, see local_scale.
-auto local_scale_of(const Stack& squared_lengths, int window_radius) {
-  const std::size_t rows = squared_lengths.shape(1), columns = squared_lengths.shape(2);
-  if (squared_lengths.shape(0) < 2) throw nb::value_error("the lengths along both axes are needed");
+// What makes local units of squared lengths to the right and below, see local_scale.
+auto local_scale_of(const Plane& right, const Plane& below, int window_radius) {
+  const std::size_t rows = right.shape(0), columns = right.shape(1);
+  if (below.shape(0) != rows || below.shape(1) != columns) throw nb::value_error("both planes must have one shape");
   std::unique_ptr<float[]> scale(new float[rows * columns]);
   {
     const nb::gil_scoped_release unlock;
-    local_scale(rows, columns, squared_lengths.data(), window_radius, scale.get());
+    local_scale(rows, columns, right.data(), below.data(), window_radius, scale.get());
   }
   return give<float, nb::ndim<2>>(std::move(scale), {rows, columns});
 }
@@ -125,7 +125,7 @@ void bind_parametric(nb::module_& module) {
   module.def("grid_distances", &grid_distances, "kind"_a, "squared_lengths"_a, "scale"_a.none(), "metric"_a, "beta"_a, "radius"_a,
              "window_radius"_a, "scheme"_a, "repairs"_a, "cell"_a);
   module.def("halo_repeats", &halo_repeats, "rows"_a, "columns"_a, "cells"_a, "sources"_a, "seams"_a, "reach"_a, "threads"_a);
-  module.def("local_scale", &local_scale_of, "squared_lengths"_a, "window_radius"_a);
+  module.def("local_scale", &local_scale_of, "right"_a, "below"_a, "window_radius"_a);
   module.def("sweep_instruction_set", &sweep_instruction_set);
 }
 

@@ -7,8 +7,8 @@ namespace beltrami::parametric {
 
 // For every cell 1 / (mean squared length of the edges to the right and below) over a square window about it; 1 where
 // the window holds no edge with a length. The mean is geometric: the few long edges over a slit, or short ones in a
-// fold, do not move it far. squared_lengths: planes of rows * columns, see Grid; only the first two are
-// read. scale: rows * columns.
-void local_scale(std::size_t rows, std::size_t columns, const float* squared_lengths, int window_radius, float* scale);
+// fold, do not move it far. right, below, scale: rows * columns; infinite, or 0, where there is no edge.
+void local_scale(std::size_t rows, std::size_t columns, const float* right, const float* below, int window_radius,
+                 float* scale);
 
 }  // namespace beltrami::parametric

@@ -29,7 +29,7 @@ struct Canvas {
     for (auto& cell : kind) cell = static_cast<std::uint8_t>(random() % 8 < 6 ? owned : random() % 2 ? halo : empty);
     for (float& length : lengths) length = random() % 9 == 0 ? std::numeric_limits<float>::infinity() : 0.1F + static_cast<float>(random() % 30) / 10.0F;
     for (float& colour : colours) colour = static_cast<float>(random() % 256) / 255.0F;
-    local_scale(rows, columns, lengths.data(), 3, scale.data());
+    local_scale(rows, columns, lengths.data(), lengths.data() + cells, 3, scale.data());
     for (std::size_t i = 0; i < cells; ++i) CHECK(scale[i] > 0 && std::isfinite(scale[i]));
     grid = {rows, columns, kind.data(), lengths.data(), random() % 2 ? scale.data() : nullptr};
   }
