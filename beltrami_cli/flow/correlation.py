@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 # The mean of three channels and two differences, of unit length and square to each other.
 _OPPONENTS = np.array([[1, 1, 1], [1, 0, -1], [1, -2, 1]]) / np.sqrt([[3], [2], [6]])
 
+# What brings them into [0, 1], so that limits of the channels are not taken for theirs.
+_SCALE, _MIDDLE = 1 / np.sqrt(3), np.array([0, 0.5, 0.5])
+
 # Octaves that are told apart; in the last, and what is coarser, noise is what it was.
 _OCTAVES = 4
 
@@ -117,14 +120,18 @@ def noise_in_common(
     inside = filled & ((colours > 0) & (colours < 1)).all(axis=0)
     if np.count_nonzero(inside) > _ENOUGH_INSIDE * np.count_nonzero(filled):
         filled = inside
-    opponents = np.tensordot(_OPPONENTS.astype(np.float32), colours, 1)
+    opponents = np.tensordot((_SCALE * _OPPONENTS).astype(np.float32), colours, 1)
+    opponents += _MIDDLE.astype(np.float32)[:, None, None]
     octaves = [(opponents, filled)]
     while len(octaves) < _OCTAVES:
         octaves.append(_halved(*octaves[-1]))
-    least = np.array([2**level * _least_sigma(*octave) for level, octave in enumerate(octaves)])
+    least = (
+        np.array([2**level * estimate_sigma_on_grid(*octave) for level, octave in enumerate(octaves)])
+        / _SCALE
+    )
     if not _is_in_common(least, sigma[: len(_OPPONENTS)]):
         return None
-    mean = np.array([2**level * _mean_sigma(*octave) for level, octave in enumerate(octaves[:-1])])
+    mean = np.array([2**level * _mean_sigma(*octave) for level, octave in enumerate(octaves[:-1])]) / _SCALE
     return _covariances(*_levels(least, mean), sigma)
 
 
@@ -176,13 +183,6 @@ def _covariances(
     return octaves
 
 
-def _least_sigma(opponents: NDArray[np.float32], filled: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Tell the noise by diagonal details, whatever the limits of the channels do to it."""
-    scale = np.float32(1 / np.sqrt(len(_OPPONENTS)))  # keeps them in [0, 1]
-    middle = np.array([0.0, 0.5, 0.5], np.float32)[:, None, None]
-    return estimate_sigma_on_grid(scale * opponents + middle, filled) / float(scale)
-
-
 def _mean_sigma(opponents: NDArray[np.float32], filled: NDArray[np.bool_]) -> NDArray[np.float64]:
     """Tell the noise by the mean of all details in the tiles where means are most even; infinite without tiles."""
     corners = _corners(opponents)
@@ -220,8 +220,9 @@ def _halved(
 def _all_filled(filled: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Tell which squares of 2 x 2 cells are filled."""
     rows, columns = (size // 2 * 2 for size in filled.shape)
-    squares = filled[:rows, :columns].reshape(rows // 2, 2, columns // 2, 2)
-    return np.asarray(squares.all(axis=(1, 3)))
+    above, below = filled[:rows:2, :columns], filled[1:rows:2, :columns]
+    both = above & below
+    return np.asarray(both[:, ::2] & both[:, 1::2])
 
 
 def _sums(values: NDArray[np.float32] | NDArray[np.bool_]) -> NDArray[np.float64]:
