@@ -20,7 +20,7 @@ from beltrami_cli.flow.result import FlowResult
 from beltrami_cli.flow.risk import wanted_probes
 from beltrami_cli.flow.rule import RULE_ON_MESHES, choose_by_rule
 from beltrami_cli.flow.spacing import edges_in_space, local_spacing, mean_side
-from beltrami_cli.flow.trial_mesh import MeshTrial, SampleFields, choose_patches, random_signs
+from beltrami_cli.flow.trial_mesh import MeshTrial, SampleFields, choose_patches, fingerprints, random_signs
 from beltrami_cli.mesh.areas import vertex_areas
 
 if TYPE_CHECKING:
@@ -143,9 +143,10 @@ class BeltramiFlow:
                 metric.counting, unit, metric.beta, self.parameters, RULE_ON_MESHES
             )
         elif is_noisy(self.sigma) and len(edges):
-            sample = choose_patches(self._colours, edges)
+            around = fingerprints(self._colours, edges)
+            sample = choose_patches(around, edges)
             probes = wanted_probes(int(np.count_nonzero(sample.counting)))
-            signs = random_signs(self._colours, edges, probes)
+            signs = random_signs(self._colours, around, probes)
             fields = SampleFields(self._positions, self._colours, signs, self._scales, self._weights)
             trial = MeshTrial(sample, fields, faces, self._manifold, self._metric, parameters)
             parameters, self.choice = choose(

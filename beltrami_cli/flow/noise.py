@@ -90,10 +90,10 @@ def _some_samples(
         return colours, edges
     first = np.linspace(0, len(colours) - _BLOCK, _BLOCKS).astype(np.intp)
     chosen = (first[:, None] + np.arange(_BLOCK)).ravel()
-    rank = np.full(len(colours), -1, np.int32)
-    rank[chosen] = np.arange(len(chosen), dtype=np.int32)
-    ends = rank[edges]
-    return colours[chosen], ends[(ends >= 0).all(axis=1)]
+    is_chosen = np.zeros(len(colours), bool)
+    is_chosen[chosen] = True
+    rank = np.cumsum(is_chosen, dtype=np.int32) - 1
+    return colours[chosen], rank[edges[is_chosen[edges[:, 0]] & is_chosen[edges[:, 1]]]]
 
 
 def _around(values: NDArray[Any], edges: NDArray[np.int32]) -> NDArray[np.float64]:

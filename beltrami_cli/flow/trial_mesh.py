@@ -144,11 +144,8 @@ class MeshTrial:
         return state if self.samples == len(state) else state[self._counting]
 
 
-def random_signs(colours: NDArray[np.float32], edges: NDArray[np.int32], count: int) -> NDArray[np.float32]:
-    """Return signs that look random but depend only on the colours around each sample.
-
-    So what is chosen by them is the same for a mesh that was turned, or whose vertices or channels come in another
-    order.
+def fingerprints(colours: NDArray[np.float32], edges: NDArray[np.int32]) -> NDArray[np.uint64]:
+    """Hash each sample's colours with those of its neighbours, and theirs.
 
     Parameters
     ----------
@@ -156,59 +153,11 @@ def random_signs(colours: NDArray[np.float32], edges: NDArray[np.int32], count: 
         Noisy colours.
     edges : ndarray of int32, shape (E, 2)
         Distinct edges.
-    count : int
-        How many signs each colour gets, at most 64.
 
     Returns
     -------
-    ndarray of float32, shape (count, S, N)
-        1 or -1.
+    ndarray of uint64, shape (S,)
     """
-    around, signs = _hashes(colours, edges), np.empty((count, *colours.shape), np.float32)
-    for channel, own in enumerate(_bits(colours)):
-        bits = _mixed(around + _mixed(own))
-        for probe in range(count):
-            signs[probe, :, channel] = np.where(bits >> np.uint64(probe) & np.uint64(1), 1, -1)
-    return signs
-
-
-def choose_patches(colours: NDArray[np.float32], edges: NDArray[np.int32]) -> Patches:
-    """Choose patches spread at random over a surface, by the colours and not by the order of samples.
-
-    Parameters
-    ----------
-    colours : ndarray of float32, shape (S, N)
-        Noisy colours.
-    edges : ndarray of int32, shape (E, 2)
-        Distinct edges; samples without any are left out.
-
-    Returns
-    -------
-    Patches
-    """
-    count = len(colours)
-    joined = np.bincount(edges.ravel(), minlength=count) > 0
-    connected = np.count_nonzero(joined)
-    budget = min(max(_LEAST_TRIED, int(connected * _SHARE_TRIED)), _MOST_TRIED)
-    if connected <= _WHOLE * budget:  # patches with their rims would take nearly all
-        return Patches(np.flatnonzero(joined), np.ones(connected, bool))
-    rank = np.where(joined, _hashes(colours, edges), np.iinfo(np.uint64).max)
-    reached = np.zeros(count, bool)
-    reached[np.argsort(rank, kind="stable")[: max(1, budget // _PATCH)]] = True
-    counting = reached & joined
-    low, high = np.ascontiguousarray(edges.T)
-    for ring in range(_CORE + _RIM):
-        leads_out = reached[low] != reached[high]
-        reached[low[leads_out]] = True
-        reached[high[leads_out]] = True
-        if ring == _CORE - 1:
-            counting = reached.copy()
-    samples = np.flatnonzero(reached)
-    return Patches(samples, counting[samples])
-
-
-def _hashes(colours: NDArray[np.float32], edges: NDArray[np.int32]) -> NDArray[np.uint64]:
-    """Hash each sample's colours with those of its neighbours, and theirs."""
     hashes = np.zeros(len(colours), np.uint64)
     # A sum does not depend on the order of channels, nor on that of neighbours.
     for own in _bits(colours):
@@ -219,6 +168,69 @@ def _hashes(colours: NDArray[np.float32], edges: NDArray[np.int32]) -> NDArray[n
         np.add.at(beside, edges[:, 1], hashes[edges[:, 0]])
         hashes = _mixed(_mixed(hashes) + beside)
     return hashes
+
+
+def random_signs(colours: NDArray[np.float32], around: NDArray[np.uint64], count: int) -> NDArray[np.float32]:
+    """Return signs that look random but depend only on the colours around each sample.
+
+    So what is chosen by them is the same for a mesh that was turned, or whose vertices or channels come in another
+    order.
+
+    Parameters
+    ----------
+    colours : ndarray of float32, shape (S, N)
+        Noisy colours.
+    around : ndarray of uint64, shape (S,)
+        Their `fingerprints`.
+    count : int
+        How many signs each colour gets, at most 64.
+
+    Returns
+    -------
+    ndarray of float32, shape (count, S, N)
+        1 or -1.
+    """
+    signs = np.empty((count, *colours.shape), np.float32)
+    for channel, own in enumerate(_bits(colours)):
+        bits = _mixed(around + _mixed(own))
+        for probe in range(count):
+            signs[probe, :, channel] = np.where(bits >> np.uint64(probe) & np.uint64(1), 1, -1)
+    return signs
+
+
+def choose_patches(around: NDArray[np.uint64], edges: NDArray[np.int32]) -> Patches:
+    """Choose patches spread at random over a surface, by the colours and not by the order of samples.
+
+    Parameters
+    ----------
+    around : ndarray of uint64, shape (S,)
+        `fingerprints` of the samples.
+    edges : ndarray of int32, shape (E, 2)
+        Distinct edges; samples without any are left out.
+
+    Returns
+    -------
+    Patches
+    """
+    count = len(around)
+    joined = np.bincount(edges.ravel(), minlength=count) > 0
+    connected = np.count_nonzero(joined)
+    budget = min(max(_LEAST_TRIED, int(connected * _SHARE_TRIED)), _MOST_TRIED)
+    if connected <= _WHOLE * budget:  # patches with their rims would take nearly all
+        return Patches(np.flatnonzero(joined), np.ones(connected, bool))
+    rank = np.where(joined, around, np.iinfo(np.uint64).max)
+    patches = max(1, budget // _PATCH)
+    reached = (rank <= np.partition(rank, patches - 1)[patches - 1]) & joined
+    counting = reached
+    low, high = np.ascontiguousarray(edges.T)
+    for ring in range(_CORE + _RIM):
+        leads_out = reached[low] != reached[high]
+        reached[low[leads_out]] = True
+        reached[high[leads_out]] = True
+        if ring == _CORE - 1:
+            counting = reached.copy()
+    samples = np.flatnonzero(reached)
+    return Patches(samples, counting[samples])
 
 
 def _bits(colours: NDArray[np.float32]) -> NDArray[np.uint64]:

@@ -112,7 +112,7 @@ def test_signs_of_a_mesh_are_independent():
     positions, faces = surfaces.icosphere(4)
     colours = noisy(np.full(positions.shape, 0.5))
     edges = np.unique(np.sort(faces[:, [0, 1]], axis=1), axis=0).astype(np.int32)
-    first, second, third = trial_mesh.random_signs(colours, edges, 3)
+    first, second, third = trial_mesh.random_signs(colours, trial_mesh.fingerprints(colours, edges), 3)
     for one, other in ((first, second), (first, third), (second, third)):
         assert abs(np.mean(one * other)) < 0.05
     assert abs(np.mean(first[:, 0] * first[:, 1])) < 0.1
