@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from beltrami_cli.cli import options
-from beltrami_cli.cli.console import Messages
+from beltrami_cli.cli.console import Messages, counted
 from beltrami_cli.pipeline.settings.bake import BakeSettings
 
 if TYPE_CHECKING:
@@ -75,4 +75,5 @@ def command(
         messages.warn(f"{report.input}: {warning}")
     for path in report.written[1:]:
         messages.detail(f"beside it: {path}")
-    messages.say(f"{report.output}: {report.summary}")
+    made = ", ".join(counted(number, noun) for noun, number in report.counts.items())
+    messages.say(f"{report.output}: {made}" + (f", {report.texture}" if report.texture else ""))

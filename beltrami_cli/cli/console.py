@@ -19,6 +19,12 @@ printable = one_line
 """Text that moves no cursor and fits any terminal."""
 
 
+def counted(number: int, noun: str) -> str:
+    """Return a number of things in words."""
+    plural = f"{noun[:-2]}ices" if noun.endswith("vertex") else f"{noun}s"
+    return f"{number} {noun if number == 1 else plural}"
+
+
 class Messages:
     """What is told to the user, by how much they want to hear.
 

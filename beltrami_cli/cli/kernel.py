@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, cast
 
 import click
 
 from beltrami_cli.cli import options
-from beltrami_cli.cli.console import Messages
+from beltrami_cli.cli.console import Messages, counted
 
 EPILOG = """\b
 Examples:
@@ -84,8 +84,8 @@ def command(
             access=access,
         )
     messages.say(
-        f"{target}: kernel of the {facts['at']}, {facts['samples']} samples up to {facts['furthest']:.3g} of "
-        f"{facts['radius']:.3g} away ({facts['unit_of_length']}), beta {facts['beta']:.3g}"
+        f"{target}: kernel of the {facts['at']}, {counted(cast('int', facts['samples']), 'sample')} up to "
+        f"{facts['furthest']:.3g} of {facts['radius']:.3g} away ({facts['unit_of_length']}), beta {facts['beta']:.3g}"
     )
     if facts.get("cut_short"):
         messages.warn(

@@ -8,7 +8,7 @@ import click
 
 from beltrami_cli.cli import options
 from beltrami_cli.cli.amounts import sure_amount
-from beltrami_cli.cli.console import Messages
+from beltrami_cli.cli.console import Messages, counted
 from beltrami_cli.cli.painting import choosing, painting_from, writing
 from beltrami_cli.pipeline.settings.noise import Kind, NoiseSettings
 
@@ -86,8 +86,8 @@ def command(
         messages.warn(warning)
     for added in report.added:
         messages.say(
-            f"{target}: {added.what}, {added.samples} samples, {kind} noise of {255 * sigma:.4g}/255, root mean "
-            f"square change {255 * added.rms:.1f}/255, seed {seed}"
+            f"{target}: {added.what}, {counted(added.samples, 'sample')}, {kind} noise of {255 * sigma:.4g}/255, "
+            f"root mean square change {255 * added.rms:.1f}/255, seed {seed}"
         )
     if not report.added:
         messages.say(f"{target}: no noise, so the colours are unchanged")

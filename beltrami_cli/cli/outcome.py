@@ -6,6 +6,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
+from beltrami_cli.cli.console import counted
 from beltrami_cli.pipeline.memory import show_size
 
 if TYPE_CHECKING:
@@ -38,22 +39,22 @@ def tell(messages: Messages, report: SmoothReport, *, dry_run: bool) -> None:
     name = f"{report.output}: {'not written (dry run), ' if dry_run else ''}"
     if report.vertices is not None:
         done = report.vertices
-        what = _counted(int(done.counts["vertices"]), "point" if "outliers" in done.counts else "vertex")
+        what = counted(int(done.counts["vertices"]), "point" if "outliers" in done.counts else "vertex")
         _tell_done(messages, name + what, done, done.counts["samples_per_kernel"])
         if done.geometry is not None:
             messages.say(name + _geometry(done.geometry, done.spacing))
     if report.image is not None:
         facts = report.image.image
-        holes = f" with {_counted(cast('int', facts['holes']), 'hole')}" if facts["holes"] else ""
+        holes = f" with {counted(cast('int', facts['holes']), 'hole')}" if facts["holes"] else ""
         what = f"{facts['width']} x {facts['height']} pixels{holes}"
         _tell_done(messages, name + what, report.image, report.image.samples_per_kernel)
     for slot in report.textures:
-        textures = _counted(len(slot.textures), f"{slot.slot} texture")
-        charts = _counted(slot.counts["charts"], "chart")
-        what = f"{textures}, {_counted(slot.counts['covered'], 'texel')} in {charts}"
+        textures = counted(len(slot.textures), f"{slot.slot} texture")
+        charts = counted(slot.counts["charts"], "chart")
+        what = f"{textures}, {counted(slot.counts['covered'], 'texel')} in {charts}"
         _tell_done(messages, name + what, slot, slot.samples_per_kernel)
         if slot.counts["jumps"]:
-            jumps = f"{slot.counts['jumps']} of {_counted(slot.counts['seams'], 'seam')}"
+            jumps = f"{slot.counts['jumps']} of {counted(slot.counts['seams'], 'seam')}"
             messages.detail(f"{jumps} are real colour edges and were not smoothed over")
 
 
@@ -105,8 +106,3 @@ def _geometry(geometry: dict[str, float], spacing: float) -> str:
         f"positions too, noise of the normals {math.degrees(geometry['normal_noise']):.1f} degrees, normal beta "
         f"{geometry['normal_beta']:.3g}, mean move {geometry['mean_move']:.3g} ({share:.2f} sample spacings)"
     )
-
-
-def _counted(number: int, noun: str) -> str:
-    plural = "vertices" if noun == "vertex" else f"{noun}s"
-    return f"{number} {noun if number == 1 else plural}"

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from beltrami_cli.cli import options, painting
-from beltrami_cli.cli.console import Messages
+from beltrami_cli.cli.console import Messages, counted
 
 if TYPE_CHECKING:
     from beltrami_cli.flow.parameters import Space
@@ -74,4 +74,4 @@ def command(
             before, after, target, settings, parameters=parameters, overwrite=overwrite, access=access
         )
     psnr = "nothing differs" if told["psnr"] is None else f"{told['psnr']:.2f} dB from one to the other"
-    messages.say(f"{target}: {told['samples']} samples, {psnr}")
+    messages.say(f"{target}: {counted(told['samples'], 'sample')}, {psnr}")

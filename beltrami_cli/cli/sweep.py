@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from beltrami_cli.cli import options
-from beltrami_cli.cli.console import Messages
+from beltrami_cli.cli.console import Messages, counted
 from beltrami_cli.cli.rendering import LOOKS, looking, render_settings_from
 from beltrami_cli.flow.parameters import TUNABLE
 from beltrami_cli.pipeline.settings.smooth import DEFAULTS
@@ -97,8 +97,7 @@ def command(
         messages.detail(trial.label)
     best = best_of(done)
     messages.say(
-        f"{target}: {len(done)} trial{'s' if len(done) != 1 else ''}"
-        + ("" if best is None else f", best {done[best].label}")
+        f"{target}: {counted(len(done), 'trial')}" + ("" if best is None else f", best {done[best].label}")
     )
 
 

@@ -231,6 +231,21 @@ def test_what_cannot_be_done_is_said_in_one_line_and_nothing_is_written(
     assert sorted(tmp_path.iterdir()) == before
 
 
+def test_what_was_made_is_counted_in_words(tmp_path):
+    one = painted_file(tmp_path / "one.ply", np.eye(3), np.array([[0, 1, 2]]), np.eye(3))
+    run = beltrami("bake", one, tmp_path / "o.obj", "--to", "texture")
+    assert b"o.obj: 1 triangle, 1 chart, an 8-bit texture of" in run.stderr
+    run = beltrami("bake", tmp_path / "o.obj", tmp_path / "b.ply", "--to", "vertices")
+    assert b"b.ply: 3 coloured vertices, 1 triangle\n" in run.stderr
+
+
+def test_files_that_belong_together_do_not_go_to_a_pipe(sphere):
+    run = beltrami("bake", sphere, "-", "--to", "texture")
+    assert run.returncode == 4
+    assert run.stdout == b""
+    assert run.stderr.startswith(b"beltrami: <stdout>: there is no folder for the files that belong beside it; ")
+
+
 def test_points_without_triangles_are_refused(tmp_path):
     source = painted_file(tmp_path / "points.ply", np.eye(3), np.zeros((0, 3), int), np.eye(3))
     run = beltrami("bake", source, tmp_path / "out.glb", "--to", "texture")

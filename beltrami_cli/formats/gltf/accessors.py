@@ -152,7 +152,7 @@ class Accessors:
         accessor, stored = self[index], self.stored(index)
         if accessor.component.kind == "f" and not np.isfinite(stored).all():
             row = int(np.nonzero(~np.isfinite(stored).all(axis=1))[0][0])
-            raise accessor.entry.fault("", f"element {row} is not finite")
+            raise accessor.entry.fault("", f"element {row} is not finite", "repair the file")
         numbers = stored.astype(np.float64)
         if accessor.component.kind != "f" and accessor.normalised:
             numbers = np.maximum(numbers / np.iinfo(stored.dtype).max, -1.0)

@@ -110,7 +110,9 @@ class GltfDocument(Document):
         for block, numbers in zip(self.surface.blocks, stored, strict=True):
             if numbers.dtype.kind == "f" and not np.isfinite(numbers).all():
                 row = int(np.nonzero(~np.isfinite(numbers).all(axis=1))[0][0])
-                raise self.accessors[block.colour].entry.fault("", f"colour {row} is not finite")
+                raise self.accessors[block.colour].entry.fault(
+                    "", f"colour {row} is not finite", "repair the file"
+                )
         return stored
 
     @cached_property

@@ -198,5 +198,7 @@ def finite_columns(vertices: Table, names: tuple[str, ...], what: str, name: str
             values[:, column] = vertices.scalars(known)
     finite = np.isfinite(values).all(axis=1)
     if not finite.all():
-        raise InputError(name, f"the {what} of vertex {int(np.argmin(finite))} is not finite")
+        raise InputError(
+            name, f"the {what} of vertex {int(np.argmin(finite))} is not finite", "repair the file"
+        )
     return values

@@ -195,5 +195,5 @@ def _face_coordinates(
     finite = np.isfinite(values).all(axis=1)
     if not finite.all():
         row = int(np.searchsorted(offsets, int(np.argmin(finite)), side="right")) - 1
-        raise InputError(name, f"a texture coordinate of face {row} is not finite")
+        raise InputError(name, f"a texture coordinate of face {row} is not finite", "repair the file")
     return values, bare

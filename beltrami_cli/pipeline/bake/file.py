@@ -31,8 +31,10 @@ class BakeReport:
     ----------
     input, output, format : str
         Where from, where to, and the format written.
-    summary : str
-        What was made, in words.
+    counts : dict of str to int
+        How many triangles, charts or coloured vertices were made; the keys are their names in the singular.
+    texture : str
+        What kind of texture was made, in words; empty if none was.
     written : list of str
         The files.
     warnings : list of str
@@ -42,7 +44,8 @@ class BakeReport:
     input: str
     output: str
     format: str
-    summary: str
+    counts: dict[str, int]
+    texture: str
     written: list[str]
     warnings: list[str]
 
@@ -92,13 +95,14 @@ def bake_file(
     kind, stem = choose_format(document, target, format), Path(target).stem
     output.check_sidecars(names_beside(kind, stem, ".png" if to == "texture" else None))
     if to == "texture":
-        written, summary, notices = _to_texture(document, kind, stem, settings, progress)
+        written, counts, texture, notices = _to_texture(document, kind, stem, settings, progress)
     else:
         require_room_for_textures(document, ("baseColor",), DEFAULTS.textures, access)
-        written, summary, notices = _to_vertices(document, kind, stem)
+        written, counts, notices = _to_vertices(document, kind, stem)
+        texture = ""
     output.write(written)
     warnings = [*document.notices, *notices, *written.notices]
-    return BakeReport(source, target, kind, summary, [target, *written.sidecars], warnings)
+    return BakeReport(source, target, kind, counts, texture, [target, *written.sidecars], warnings)
 
 
 def _to_texture(
@@ -107,20 +111,22 @@ def _to_texture(
     stem: str,
     settings: BakeSettings,
     progress: Callable[[str, int, int], None] | None,
-) -> tuple[Written, str, tuple[str, ...]]:
+) -> tuple[Written, dict[str, int], str, tuple[str, ...]]:
     from beltrami_cli.pipeline.bake.from_vertices import texture_from_vertices
 
     made = texture_from_vertices(document, settings, progress)
     height, width, _ = made.pixels.shape
-    charts = "" if made.charts is None else f" in {made.charts} charts"
-    kind_of_texture = "an 8-bit" if made.pixels.itemsize == 1 else "a 16-bit"
-    summary = f"{len(made.faces)} triangles{charts}, {kind_of_texture} texture of {width} x {height}"
-    return write_textured(made.mesh(made.encoded()), kind, stem), summary, made.notices
+    counts = {"triangle": len(made.faces), **({} if made.charts is None else {"chart": made.charts})}
+    depth = "an 8-bit" if made.pixels.itemsize == 1 else "a 16-bit"
+    written = write_textured(made.mesh(made.encoded()), kind, stem)
+    return written, counts, f"{depth} texture of {width} x {height}", made.notices
 
 
-def _to_vertices(document: Document, kind: Format, stem: str) -> tuple[Written, str, tuple[str, ...]]:
+def _to_vertices(
+    document: Document, kind: Format, stem: str
+) -> tuple[Written, dict[str, int], tuple[str, ...]]:
     from beltrami_cli.pipeline.bake.new_vertex_colours import vertex_colours_from_textures
 
     contents, notices = vertex_colours_from_textures(document)
-    summary = f"{len(contents.positions)} coloured vertices, {len(contents.offsets) - 1} triangles"
-    return write_contents(contents, kind, stem), summary, notices
+    counts = {"coloured vertex": len(contents.positions), "triangle": len(contents.offsets) - 1}
+    return write_contents(contents, kind, stem), counts, notices

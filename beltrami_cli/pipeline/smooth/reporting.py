@@ -61,11 +61,10 @@ def make_report(
 ) -> SmoothReport:
     """Put together what a job did."""
     if vertices is not None and vertices.cloud is not None and vertices.cloud.outliers:
-        alone = f"{vertices.cloud.outliers} of {len(vertices.colours)} points"
-        warnings = [
-            *warnings,
-            f"{alone} are too far from others, in one line with them, or nowhere, and stay as they are",
-        ]
+        outliers = vertices.cloud.outliers
+        alone = "is left as it is: it is" if outliers == 1 else "are left as they are: they are"
+        where = "too far from others, in one line with them, or nowhere"
+        warnings = [*warnings, f"{outliers} of {len(vertices.colours)} points {alone} {where}"]
     if vertices is not None and vertices.truncated:
         cut = (
             f"{vertices.truncated} kernels were cut short at {settings.kernel.max_samples} samples; "

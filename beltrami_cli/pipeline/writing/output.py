@@ -73,8 +73,8 @@ class Output:
         for name in names:
             if self.folder is None:
                 raise OutputError(
-                    self.target,
-                    f"{name} cannot be written beside it",
+                    "<stdout>" if self.is_stdout else self.target,
+                    "there is no folder for the files that belong beside it",
                     "choose a file as OUTPUT, or --format glb (of OBJ and PLY with --unwrap)",
                 )
             path = PurePosixPath(name)
