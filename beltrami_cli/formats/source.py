@@ -149,6 +149,9 @@ def recognise(data: bytes, name: str, folder: Path | None, access: Access = EVER
         raise InputError(name, "the file is empty", _READABLE)
     if is_image(data, name):
         raise InputError(name, "it is an image, and no model", _READABLE)
+    if not Path(name).suffix:  # standard input among them
+        cause = "the content has no mark of a known format"
+        raise InputError(name, cause, "give OBJ files, and points in .xyz and .pts, by their names")
     raise InputError(name, "the content is of no known format", _READABLE)
 
 

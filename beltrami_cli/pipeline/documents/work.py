@@ -62,13 +62,16 @@ def choose_work(document: Document, settings: SmoothSettings) -> Work:
         missing = "vertex colours" if slots else "textures in the chosen slots"
         raise InputError(document.name, f"it has no {missing}", "use --on auto")
     if not slots:
-        raise _nothing_to_smooth(document, present)
+        raise _nothing_to_smooth(document, present, textures_only=settings.on == "texture")
     slots = _with_chosen_textures(document, slots, settings)
+    absent = [f"it has no {slot} textures" for slot in settings.textures.slots if slot not in present]
     both = settings.on == "both"
-    notices = (
-        ("its vertex colours stay as they are; --on both smooths them too",) if coloured and not both else ()
-    )
-    return Work(vertices=both, slots=slots, notices=notices)
+    stay = coloured and not both
+    notices = [
+        *absent,
+        *(["its vertex colours stay as they are; --on both smooths them too"] if stay else []),
+    ]
+    return Work(vertices=both, slots=slots, notices=tuple(notices))
 
 
 def require_scale(document: Document, work: Work) -> None:
@@ -87,16 +90,19 @@ def require_scale(document: Document, work: Work) -> None:
         check_scale(surface.positions, surface.faces[surface.texture_of >= 0], document.name)
 
 
-def _nothing_to_smooth(document: Document, present: Sequence[Slot]) -> InputError:
-    """Return the error that there are no colours, or that they are damaged."""
+def _nothing_to_smooth(document: Document, present: Sequence[Slot], *, textures_only: bool) -> InputError:
+    """Return the error that there are no colours of the kind that is asked for, or that they are damaged."""
     why = ""
+    if textures_only and not present and document.has_vertex_colours():
+        return UnpaintedError(document.name, "it has no textures, only vertex colours", "use --on vertices")
     try:
         document.painted()
     except UnpaintedError as error:
         why = error.cause
     except InputError as error:
         return error
-    cause = "it has neither vertex colours nor textures to smooth"
+    kinds = "no textures" if textures_only else "neither vertex colours nor textures"
+    cause = f"it has {kinds} to smooth"
     if present:
         remedy = f"add --slots {present[0]}"
         return UnpaintedError(
