@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 
 import numpy as np
@@ -10,6 +11,8 @@ import pytest
 from beltrami_cli.formats.image import read_image
 from beltrami_cli.formats.ply import write_ply
 from beltrami_cli.mesh.painted import MeshContents
+from beltrami_cli.pipeline.compare.paired_colours import PairedColours
+from beltrami_cli.pipeline.report.charts import histogram
 from cli.commands import SAMPLES, beltrami
 from formats.image_files import encode
 
@@ -138,6 +141,26 @@ def test_points_are_drawn_and_images_have_a_swipe_without_models(browser, tmp_pa
     text = page.read_text()
     assert 'id="viewer"' not in text
     assert text.count('class="swipe"') == 1
+
+
+@pytest.mark.parametrize("largest", [5, 40, 70, 130, 200])
+def test_changes_by_whole_numbers_are_counted_evenly(largest):
+    """Each number of 255ths between two bounds occurs once: all bins within them are equally high."""
+    change = np.arange(-largest, largest + 1)[:, None]
+    before = np.where(change < 0, 250, 5)
+    colours = [(values / np.float32(255)).astype(np.float32) for values in (before, before + change)]
+    flat = np.zeros(len(change))
+    drawn = histogram([PairedColours("x", "vertices", *colours, flat.astype(np.int64), flat + 1, None)])
+    (points,) = re.findall(r'<polyline [^>]*points="([^"]*)"', drawn)
+    heights = [float(point.split(",")[1]) for point in points.split()]
+    assert len(set(heights[2:-2])) == 1
+
+
+def test_equal_colours_are_called_equal(tmp_path):
+    page = tmp_path / "page.html"
+    knot = SAMPLES / "knot-clean.ply"
+    assert beltrami("report", knot, knot, page).returncode == 0
+    assert "<td>equal</td>" in page.read_text()
 
 
 def test_figures_and_parameters_are_those_of_the_other_commands(tmp_path):

@@ -36,8 +36,9 @@ def histogram(pairs: Sequence[PairedColours]) -> str:
     ]
     change = 255 * np.concatenate(changes)
     wanted = max(1.0, float(np.percentile(np.abs(change), 99.5))) if change.size else 1.0
-    # Changes of 8-bit colours are whole numbers: each bin holds as many of them.
-    step = -(-2 * wanted // _STEPS) if wanted > _FEW else 2 * wanted / _STEPS
+    # Changes of 8-bit colours are whole numbers: each bin holds as many of them. An odd number of bins of an odd number
+    # of values has none of these on its edges, where rounding would throw it to either side.
+    step = -(-2 * wanted // _STEPS) // 2 * 2 + 1 if wanted > _FEW else 2 * wanted / _STEPS
     bins = 2 * int(wanted // step) + 1
     reach = step * bins / 2
     inside = np.clip(change, -reach, reach)

@@ -221,13 +221,17 @@ def _rows(pairs: list[PairedColours]) -> list[list[str]]:
         change = np.concatenate([np.abs(pair.test - pair.reference).ravel() for pair in chosen])
         rows.append(
             [
-                name, str(told["samples"]), _number(told["psnr"], 2), _number(told["ssim"], 3),
+                name, str(told["samples"]), _psnr(told), _number(told["ssim"], 3),
                 _number(delta_e.get("mean"), 2), _number(delta_e.get("worst"), 1),
                 _number(255 * float(change.mean()) if change.size else None, 2),
                 f"{255 * jump['reference']:.2f} to {255 * jump['test']:.2f}" if jump else "",
             ]
         )  # fmt: skip
     return rows
+
+
+def _psnr(told: dict[str, Any]) -> str:
+    return "equal" if told["samples"] and told["psnr"] is None else _number(told["psnr"], 2)
 
 
 def _number(value: float | None, digits: int) -> str:
