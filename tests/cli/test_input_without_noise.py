@@ -46,6 +46,16 @@ def test_a_jpeg_texture_is_not_encoded_anew(square, tmp_path):
         assert (result.parent / name).read_bytes() == (square.parent / name).read_bytes()
 
 
+@pytest.mark.parametrize("name", ["other.obj", "square.obj"])
+def test_beside_the_source_no_files_pile_up(name, square):
+    before = {path.name: path.read_bytes() for path in square.parent.iterdir()}
+    for _ in range(2):
+        run = beltrami("smooth", square, square.with_name(name), "--overwrite")
+        assert run.returncode == 0, run.stderr
+    after = {path.name: path.read_bytes() for path in square.parent.iterdir()}
+    assert after == before | {name: before["square.obj"]}
+
+
 @pytest.mark.parametrize("name", ["head-clean.ply", "head-tex-clean.glb", "head-tex-clean.png"])
 def test_a_clean_file_comes_out_as_it_was_and_the_report_says_why(name, tmp_path):
     result, report = tmp_path / name, tmp_path / "report.json"

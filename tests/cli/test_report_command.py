@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
+import sys
 
 import numpy as np
 import pytest
@@ -154,6 +156,15 @@ def test_changes_by_whole_numbers_are_counted_evenly(largest):
     (points,) = re.findall(r'<polyline [^>]*points="([^"]*)"', drawn)
     heights = [float(point.split(",")[1]) for point in points.split()]
     assert len(set(heights[2:-2])) == 1
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere names are text")
+def test_a_name_that_is_no_text_is_shown_as_far_as_it_goes(tmp_path):
+    knot = tmp_path / os.fsdecode(b"kn\xfft.ply")
+    shutil.copy(SAMPLES / "knot-clean.ply", knot)
+    run = beltrami("report", knot, knot, tmp_path / "page.html")
+    assert run.returncode == 0, run.stderr
+    assert "kn?t.ply" in (tmp_path / "page.html").read_text(encoding="utf-8")
 
 
 def test_equal_colours_are_called_equal(tmp_path):

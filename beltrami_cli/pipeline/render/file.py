@@ -77,8 +77,8 @@ def render_file(
     return picture.shape[1], picture.shape[0]
 
 
-def picture_suffix(target: str) -> str:
-    """Return the extension that tells the format of a picture, with the dot.
+def picture_suffix(target: str, others: str = "") -> str:
+    """Return the extension that tells the format of a picture, with the dot; `others` is what else could be made.
 
     Raises
     ------
@@ -87,7 +87,7 @@ def picture_suffix(target: str) -> str:
     """
     suffix = ".png" if target == "-" else Path(target).suffix.lower()
     if format_of_suffix(suffix) is None:
-        raise UsageError(f"{target}: its name tells no image format; call it .png")
+        raise UsageError(f"{target}: its name tells no image format; call it .png{others}")
     return suffix
 
 

@@ -121,7 +121,7 @@ def sweep_file(
     name, path = os.fspath(source), os.fspath(target)
     _check(name, len(trials), looks)
     is_page = Path(path).suffix.lower() in PAGES
-    suffix = "" if is_page else picture_suffix(path)
+    suffix = "" if is_page else picture_suffix(path, ", or .html for a page")
     output = Output(path, overwrite=overwrite)
     shown = [] if reference is None else [("reference", os.fspath(reference), DEFAULTS)]
     shown.append(("before", name, trials[0][1]))

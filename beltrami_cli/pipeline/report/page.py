@@ -32,7 +32,8 @@ def page_from(template: str, **parts: str) -> bytes:
         What stands for each ``$name`` in it, as HTML or script.
     """
     text = asset(template)
-    return Template(text).substitute(parts).encode()
+    # Names of files may hold bytes that are no text.
+    return Template(text).substitute(parts).encode(errors="replace")
 
 
 def asset(name: str) -> str:

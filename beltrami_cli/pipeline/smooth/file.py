@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.image.recognition import is_image
 from beltrami_cli.formats.source import read_source
-from beltrami_cli.pipeline.documents.companions import plan_companions
+from beltrami_cli.pipeline.documents.companions import is_moved, plan_companions
 from beltrami_cli.pipeline.documents.conversion import make_files
 from beltrami_cli.pipeline.documents.opening import document_from, refuse_options_of_level_sets
 from beltrami_cli.pipeline.documents.room import room_for_smoothing
@@ -114,6 +114,8 @@ def smooth_file(
         vertices = _smooth_vertices(document, work, settings, progress, access)
         images, slots, notices = _smooth_slots(document, work, settings, progress, access)
     with watch.stage("write"):
+        if not is_moved(source, target):
+            images = _changed(document, images)
         colours = None if vertices is None else vertices.colours
         positions = None if vertices is None else vertices.positions
         places = None if positions is None else moved_vertices(document, positions)
@@ -175,6 +177,17 @@ def _smooth_slots(
         reports.append(result.report)
         notices.extend(result.notices)
     return images, reports, notices
+
+
+def _changed(
+    document: Document, images: dict[tuple[Slot, str], ImageFile]
+) -> dict[tuple[Slot, str], ImageFile]:
+    """Leave out images that are as they were: beside the source, the output names them as the source does."""
+    return {
+        (slot, key): image
+        for (slot, key), image in images.items()
+        if all(image.data != each.data for each in document.textured(slot).textures if each.key == key)
+    }
 
 
 def _labelled(
