@@ -28,6 +28,10 @@ _LEAST_TRIED = 40_000
 # More tell nothing new: of so many the risk is known to a tenth of a dB or better.
 _MOST_TRIED = 100_000
 
+# Noise that was stored in coarse steps is left as a few large details, which kernels keep as if they were edges. The
+# estimate, which is exact for Gaussian noise, does not see that; so smoothness counts more.
+_SPARSE = 1.5
+
 
 def choose_on_canvas(
     canvas: Canvas,
@@ -82,6 +86,7 @@ def choose_on_canvas(
     reach = wanted.window // 2 + guide_radius(wanted.metric_scale)
     trial = GridTrial(atlas, planes, canvas.cells, canvas.metric, iterate, budget, reach, octaves)
     parameters, choice = choose(
-        trial, trial.samples, sigma, canvas.metric.counting, unit, canvas.metric.beta, wanted, ON_GRIDS
-    )
+        trial, trial.samples, sigma, canvas.metric.counting, unit, canvas.metric.beta, wanted, ON_GRIDS,
+        smoothness=1.0 if octaves is None else _SPARSE,
+    )  # fmt: skip
     return parameters, dataclasses.replace(choice, correlated=octaves is not None)

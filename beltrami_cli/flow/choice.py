@@ -102,6 +102,7 @@ def choose(
     parameters: KernelParameters,
     reach: Reach,
     pause: Callable[[], None] | None = None,
+    smoothness: float = 1.0,
 ) -> tuple[KernelParameters, Choice]:
     """Choose the free parameters by the least estimated error.
 
@@ -125,6 +126,8 @@ def choose(
         What to try.
     pause : callable, optional
         Called before every iteration that is tried; may raise to stop.
+    smoothness : float
+        By what factor smoothness counts, besides the strength asked for.
 
     Returns
     -------
@@ -138,7 +141,7 @@ def choose(
     scale = choose_beta(counting, 1.0) * unit if len(counting) else 0.0
     grid = _grid(parameters, reach, scale, beta)
     estimate = RiskEstimate(trial, sigma)
-    search = Search(estimate, grid, noise, SMOOTHNESS[parameters.strength], pause)
+    search = Search(estimate, grid, noise, smoothness * SMOOTHNESS[parameters.strength], pause)
     best = search.run()
     risk = search.tried[best]
     values: dict[str, Any] = {

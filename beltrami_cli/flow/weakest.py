@@ -14,6 +14,7 @@ References
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from statistics import NormalDist
 from typing import TYPE_CHECKING
 
@@ -97,7 +98,7 @@ class Groups:
     high: NDArray[np.float64]
     mean: NDArray[np.float64]
 
-    @property
+    @cached_property
     def left(self) -> NDArray[np.float64]:
         """What is left of the variance of noise that was cut off at the limits."""
         return np.maximum(variance_of_clipped(self.low) * variance_of_clipped(self.high), _LEAST_LEFT)

@@ -197,10 +197,14 @@ def test_jpeg_without_noise_stays(subsampling, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("quality", "subsampling", "sigma"), [(80, "4:4:4", 5), (80, "4:4:4", 10), (92, "4:2:0", 10)]
+    ("quality", "subsampling", "sigma"),
+    [(80, "4:4:4", 5), (80, "4:4:4", 10), (80, "4:2:0", 10), (92, "4:2:0", 10)],
 )
 def test_the_choice_is_not_far_from_the_best_on_what_jpeg_left(quality, subsampling, sigma, tmp_path):
-    """Steps are no noise, and make edges ring; a fixed rule for the finest noise loses up to 10 dB."""
+    """Steps are no noise, and make edges ring; a fixed rule for the finest noise loses up to 10 dB.
+
+    Where noise was left as a few large details the estimate of the error alone loses 4 dB.
+    """
     clean = painting(512)
     image = jpeg(stored(clean, sigma), quality, subsampling, tmp_path)
     result = beltrami_cli.smooth_image(image, space="data")
@@ -218,4 +222,4 @@ def test_the_choice_is_not_far_from_the_best_on_what_jpeg_left(quality, subsampl
         for growth in (1.5, 3.0)
         for iterations in (3, 8)
     )  # fmt: skip
-    assert psnr(result.colours, clean) > best - 4.0
+    assert psnr(result.colours, clean) > best - 2.5
