@@ -28,9 +28,10 @@ _LEAST_TRIED = 40_000
 # More tell nothing new: of so many the risk is known to a tenth of a dB or better.
 _MOST_TRIED = 100_000
 
-# Noise that was stored in coarse steps is left as a few large details, which kernels keep as if they were edges. The
-# estimate, which is exact for Gaussian noise, does not see that; so smoothness counts more.
-_SPARSE = 1.5
+# Of noise in common less is told than there is: by low quantiles, and as if it were Gaussian, though coarse steps leave it
+# as a few large details, which kernels keep as if they were edges. So smoothness counts more. Enlarged pictures gain 0.9 dB
+# by that, and what JPEG left 0.5 dB.
+_IN_COMMON = 1.5
 
 
 def choose_on_canvas(
@@ -87,6 +88,6 @@ def choose_on_canvas(
     trial = GridTrial(atlas, planes, canvas.cells, canvas.metric, iterate, budget, reach, octaves)
     parameters, choice = choose(
         trial, trial.samples, sigma, canvas.metric.counting, unit, canvas.metric.beta, wanted, ON_GRIDS,
-        smoothness=1.0 if octaves is None else _SPARSE,
+        smoothness=1.0 if octaves is None else _IN_COMMON,
     )  # fmt: skip
     return parameters, dataclasses.replace(choice, correlated=octaves is not None)
