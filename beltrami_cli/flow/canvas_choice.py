@@ -28,9 +28,9 @@ _LEAST_TRIED = 40_000
 # More tell nothing new: of so many the risk is known to a tenth of a dB or better.
 _MOST_TRIED = 100_000
 
-# Of noise in common less is told than there is: by low quantiles, and as if it were Gaussian, though coarse steps leave it
-# as a few large details, which kernels keep as if they were edges. So smoothness counts more. Enlarged pictures gain 0.9 dB
-# by that, and what JPEG left 0.5 dB.
+# Of noise in common less is told than there is: by low quantiles, and as if it were Gaussian, though coarse steps leave
+# it as a few large details, which kernels keep as if they were edges. So smoothness counts more. Enlarged pictures gain
+# 0.9 dB by that, and what JPEG left 0.5 dB.
 _IN_COMMON = 1.5
 
 
