@@ -51,6 +51,8 @@ def read_image(data: bytes, name: str, *, finite: bool = True) -> Picture:
     import OpenImageIO
 
     known = format_of(data, name)
+    if not data:
+        raise InputError(name, "the file is empty", "export it anew")
     if known is None:
         raise InputError(name, "the content is of no known image format", READABLE)
     if known == "jpeg" and is_cmyk_jpeg(data):

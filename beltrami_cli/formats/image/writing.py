@@ -33,6 +33,7 @@ _OF_MIP_LEVELS = (
 )
 _LEAST_JPEG_2000 = 32  # what is halved five times; of smaller ones nobody reads what OpenImageIO writes
 _NEEDS_SUFFIX = ("jpeg2000",)  # which OpenImageIO writes in two ways, by the name
+_CHOICES = f"{', '.join(WRITABLE)} as the ending of OUTPUT or, of textures, with --texture-format"
 _TYPES = {"uint8": "uint8", "uint16": "uint16", "float16": "half", "float32": "float"}
 _PNG_FILTER_UP = 0x20  # as libpng numbers them
 
@@ -113,7 +114,7 @@ def check_writable(picture: Picture, suffix: str | None) -> str:
     if known is not None and FORMATS[known].writable:
         return known
     what = label_of(known) if known is not None else suffix
-    raise UsageError(f"{picture.name}: images cannot be written as {what}; choose {', '.join(WRITABLE)}")
+    raise UsageError(f"{picture.name}: images cannot be written as {what}; choose {_CHOICES}")
 
 
 def _bare_spec(picture: Picture) -> Any:

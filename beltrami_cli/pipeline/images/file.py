@@ -137,7 +137,8 @@ def _smoothed(
         change=change.summary(),
         choice=describe_choice(result.choice),
     )
-    return Written([new], notices=_notices(prepared, suffix)), report
+    is_copy = new is prepared.picture.source
+    return Written([new], notices=_notices(prepared, suffix, is_copy=is_copy)), report
 
 
 def _encoded(picture: Picture, pixels: NDArray[Any], suffix: str | None, settings: SmoothSettings) -> bytes:
@@ -150,14 +151,15 @@ def _encoded(picture: Picture, pixels: NDArray[Any], suffix: str | None, setting
     ).data
 
 
-def _notices(prepared: PreparedImage, suffix: str | None) -> tuple[str, ...]:
+def _notices(prepared: PreparedImage, suffix: str | None, *, is_copy: bool) -> tuple[str, ...]:
     picture = prepared.picture
+    told = [notice for notice in prepared.notices if not (is_copy and notice in picture.notices)]
     lost = () if suffix is None else losses(picture, suffix)
     if suffix is None and not prepared.valid.all() and not is_exact(picture):
         lost = (
             f"{picture.name}: {label_of(picture.format)} is not exact, so holes change slightly as well.",
         )
-    return (*prepared.notices, *lost)
+    return (*told, *lost)
 
 
 def other_format(data: bytes, name: str, target: str, chosen: str | None) -> str | None:

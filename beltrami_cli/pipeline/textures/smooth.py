@@ -30,6 +30,10 @@ if TYPE_CHECKING:
     from beltrami_cli.pipeline.settings.smooth import SmoothSettings, TextureSettings
 
 
+_UNCOVERED = "no texel is covered by the surface, so nothing was smoothed; --unwrap makes a new atlas"
+_UNSEEN = (
+    "all texels on the surface have an opacity of 0, so nothing was smoothed; --alpha smooth counts them, too"
+)
 # Per cent of texels with several places; fewer come of rounding at the borders of charts.
 _WORTH_TELLING = 1.0
 
@@ -161,7 +165,8 @@ def smooth_slot(
         pixels, slots = shared.join(slot, texture.key, pixels, colours.columns(index))
         file = _encode(picture, pixels, slot, settings.textures)
         images |= {(each, texture.key): file for each in slots}
-        notices += picture.notices
+        if file.data is not picture.source:
+            notices += picture.notices
         if settings.textures.image_suffix is not None:
             notices += losses(picture, settings.textures.image_suffix)
     report = dataclasses.replace(report, change=Change.joined(changes).summary())
@@ -184,9 +189,7 @@ def _encode(picture: Picture, pixels: NDArray[Any], slot: Slot, wanted: TextureS
 def atlas_notices(atlas: Atlas) -> tuple[str, ...]:
     """Return what the user should know of texels that are covered more than once, or not at all."""
     if not len(atlas.owned_texels):
-        return (
-            "no visible texel is covered by the surface, so nothing was smoothed; --unwrap makes a new atlas",
-        )
+        return (_UNSEEN if atlas.covered else _UNCOVERED,)
     share = 100 * atlas.overlapped / max(1, atlas.covered)
     if share < _WORTH_TELLING:
         return ()
