@@ -71,8 +71,7 @@ def command(
             progress=progress,
             access=access,
         )
-    for warning in report.warnings:
-        messages.warn(f"{report.input}: {warning}")
+    messages.warn_of(report.input, report.warnings)
     for path in report.written[1:]:
         messages.detail(f"beside it: {path}")
     made = ", ".join(counted(number, noun) for noun, number in report.counts.items())

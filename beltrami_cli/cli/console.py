@@ -11,7 +11,7 @@ import click
 from beltrami_cli.errors import one_line
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterable, Iterator
 
     from rich.progress import TaskID
 
@@ -53,6 +53,12 @@ class Messages:
     def warn(self, text: str) -> None:
         """Tell what the user should know."""
         self.say(f"warning: {text}")
+
+    def warn_of(self, name: str, warnings: Iterable[str]) -> None:
+        """Tell what the user should know of a file; what is said of images may start with its name already."""
+        shown = "<stdin>" if name == "-" else name
+        for text in warnings:
+            self.warn(text if text.startswith(shown) else f"{shown}: {text}")
 
     @contextmanager
     def progress(self) -> Iterator[Callable[[str, int, int], None] | None]:

@@ -82,8 +82,7 @@ def command(
         report = noise_file(
             source, target, noise, settings, format=output_format, overwrite=overwrite, access=access
         )
-    for warning in report.warnings:
-        messages.warn(warning)
+    messages.warn_of(source, report.warnings)
     for added in report.added:
         messages.say(
             f"{target}: {added.what}, {counted(added.samples, 'sample')}, {kind} noise of {255 * sigma:.4g}/255, "

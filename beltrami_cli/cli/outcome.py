@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 def tell_unchanged(messages: Messages, report: SmoothReport, *, unwrapped: bool, dry_run: bool) -> None:
     """Say that no iterations were asked for, and the warnings."""
-    _warn(messages, report)
+    messages.warn_of(report.input, report.warnings)
     same = Path(report.input).suffix.lower() == f".{report.format}" and not unwrapped
     what = "would be" if dry_run else "is"
     messages.say(
@@ -31,7 +31,7 @@ def tell_unchanged(messages: Messages, report: SmoothReport, *, unwrapped: bool,
 
 def tell(messages: Messages, report: SmoothReport, *, dry_run: bool) -> None:
     """Say what was done to the colours; in detail also the times, and which parameters were chosen by what."""
-    _warn(messages, report)
+    messages.warn_of(report.input, report.warnings)
     _tell_costs(messages, report, dry_run=dry_run)
     free = cast("list[str]", report.parameters["free"])
     for key in ("iterations", "t", "threshold", "metric_scale", "metric_steps", "space"):
@@ -56,12 +56,6 @@ def tell(messages: Messages, report: SmoothReport, *, dry_run: bool) -> None:
         if slot.counts["jumps"]:
             jumps = f"{slot.counts['jumps']} of {counted(slot.counts['seams'], 'seam')}"
             messages.detail(f"{jumps} are real colour edges and were not smoothed over")
-
-
-def _warn(messages: Messages, report: SmoothReport) -> None:
-    for warning in report.warnings:
-        named = warning.startswith(report.input)  # as what is said of images is
-        messages.warn(warning if named else f"{report.input}: {warning}")
 
 
 def _tell_costs(messages: Messages, report: SmoothReport, *, dry_run: bool) -> None:

@@ -230,3 +230,11 @@ def test_settings_out_of_range_are_refused():
     for wrong in ({"sigma": float("nan")}, {"sigma": 0.1, "kind": "pink"}, {"sigma": 0.1, "seed": -1}):
         with pytest.raises(UsageError):
             NoiseSettings(**wrong)
+
+
+def test_warnings_name_the_file(tmp_path):
+    source = SAMPLES / "knot-clean.ply"
+    run = beltrami("noise", source, tmp_path / "n.glb", "--sigma", 5)
+    assert run.stderr.startswith(f"warning: {source}: ".encode())
+    run = beltrami("noise", "-", tmp_path / "m.glb", "--sigma", 5, stdin=source.read_bytes())
+    assert run.stderr.startswith(b"warning: <stdin>: ")
