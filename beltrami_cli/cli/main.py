@@ -63,6 +63,22 @@ class LazyGroup(click.Group):
         """Import a command."""
         return _command(cmd_name) if cmd_name in COMMANDS else None
 
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Find the command that is meant; where there is none, name those that are like it."""
+        try:
+            return super().resolve_command(ctx, args)
+        except click.UsageError as error:
+            from difflib import get_close_matches
+
+            hint = ""
+            if alike := get_close_matches(args[0], COMMANDS):
+                hint = f" Did you mean {' or '.join(alike)}?"
+            elif "." in args[0]:
+                hint = f" To smooth a file: beltrami smooth {printable(args[0])} OUTPUT"
+            raise click.UsageError(f"{error.message}{hint}", ctx) from None
+
 
 EPILOG = """\b
 Examples:

@@ -285,6 +285,20 @@ def test_the_bar_is_drawn_on_a_terminal_only(tmp_path):
     assert b"%" in shown
 
 
+@pytest.mark.parametrize(
+    ("word", "said"),
+    [
+        ("smoth", b"Did you mean smooth?"),
+        ("scan.ply", b"beltrami smooth scan.ply OUTPUT"),
+        ("frob", b"'frob'.\n"),
+    ],
+)
+def test_a_command_that_is_none_is_answered_with_those_like_it(word, said):
+    run = beltrami(word, "clean.ply")
+    assert run.returncode == 2
+    assert said in run.stderr
+
+
 def test_help_starts_with_click_alone():
     heavy = (
         "import sys; from beltrami_cli.cli.main import group; group.main(['--help'], standalone_mode=False)"
