@@ -243,7 +243,9 @@ def test_files_that_belong_together_do_not_go_to_a_pipe(sphere):
     run = beltrami("bake", sphere, "-", "--to", "texture")
     assert run.returncode == 4
     assert run.stdout == b""
-    assert run.stderr.startswith(b"beltrami: <stdout>: there is no folder for the files that belong beside it; ")
+    assert run.stderr.startswith(
+        b"beltrami: <stdout>: there is no folder for the files that belong beside it; "
+    )
 
 
 def test_points_without_triangles_are_refused(tmp_path):
