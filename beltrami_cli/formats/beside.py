@@ -21,9 +21,11 @@ _SCHEME = re.compile(r"[a-z][a-z0-9+.-]*:", re.IGNORECASE)  # a URL, or the lett
 _NETWORK = re.compile(r"[a-z][a-z0-9+.-]+:|//", re.IGNORECASE)
 _HERE = PurePosixPath()
 _MISSING, _TILES = "is missing", "stands for a set of tiles (UDIM), which are not read"
+_NOWHERE = "is a file beside the model, whose folder is not known"
 _REMEDIES = {
     _MISSING: "keep the model's files together, under the names that it has for them",
     _TILES: "give each tile a material and a name of its own",
+    _NOWHERE: "give the model as a file, not through a pipe",
 }
 
 LEFT_ALONE = ", and is left alone."  # behind the reason why a file is not read
@@ -92,7 +94,7 @@ class Beside:
     def _locate(self, name: str, within: PurePosixPath) -> str:
         path = meant_path(name, within, outside=self.access.outside)
         if self._folder is None:
-            raise UnfitReferenceError("is a file beside the model, whose folder is not known")
+            raise UnfitReferenceError(_NOWHERE)
         if self.access.bring is not None:
             self.access.bring(self._folder / path)
         try:

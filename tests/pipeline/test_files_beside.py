@@ -10,7 +10,7 @@ import pytest
 from beltrami_cli.errors import InputError, OutputError
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.image import read_image
-from beltrami_cli.formats.source import open_document
+from beltrami_cli.formats.source import open_document, recognise
 from beltrami_cli.pipeline.noise.file import noise_file
 from beltrami_cli.pipeline.settings.noise import NoiseSettings
 from beltrami_cli.pipeline.settings.smooth import SmoothSettings, TextureSettings
@@ -69,6 +69,13 @@ def test_names_beyond_a_link_are_not_given_away(tmp_path):
     with pytest.raises(InputError) as caught:
         smooth_file(path, tmp_path / "o.obj")
     assert "skin.png" not in str(caught.value)
+
+
+@pytest.mark.parametrize("kind", ["ply", "gltf"])
+def test_what_comes_through_a_pipe_has_no_files_beside_it(kind, tmp_path):
+    data = write_model(tmp_path, kind, "skin.png").read_bytes()
+    with pytest.raises(InputError, match="whose folder is not known; give the model as a file"):
+        recognise(data, "<stdin>", None).textured("baseColor")
 
 
 @pytest.mark.parametrize("kind", KINDS)
