@@ -2,8 +2,10 @@
 
 #include <algorithm>
 #include <limits>
+#include <span>
 #include <stdexcept>
 #include <tuple>
+#include <vector>
 
 #include "atlas/bands.hpp"
 #include "atlas/cells.hpp"
@@ -22,6 +24,12 @@ namespace {
 constexpr std::size_t bands_per_chunk = 8;
 constexpr std::size_t cells_per_chunk = 1 << 20;
 
+// Owned cells in a row of a rectangle: columns [begin, end).
+struct Run {
+  std::int64_t row;
+  std::size_t begin, end;
+};
+
 class Builder {
  public:
   Builder(const Plan& plan, unsigned threads, const Allocate& allocate, const Poll& poll)
@@ -29,6 +37,7 @@ class Builder {
 
   Atlas build() {
     prepare_canvas();
+    runs_.resize(bands_.bands.size());
     halo_.resize(bands_.bands.size());
     gutter_.resize(bands_.bands.size());
     cuts_.resize(bands_.bands.size());
@@ -78,12 +87,25 @@ class Builder {
       const auto local = static_cast<std::size_t>((row - band.top) * cells.width());
       const auto width = static_cast<std::size_t>(cells.width());
       const std::size_t start = row_start(band, row);
+      const Kind* kinds = cells.kinds() + local;
+      std::uint8_t* kind = atlas_.kind.data() + start;
       for (std::size_t x = 0; x < width; ++x)  // what is empty may be a cell of another rectangle
-        if (cells.kind(local + x) != Kind::empty) atlas_.kind[start + x] = static_cast<std::uint8_t>(cells.kind(local + x));
+        if (kinds[x] != Kind::empty) kind[x] = static_cast<std::uint8_t>(kinds[x]);
+      list_runs({kinds, width}, row, runs_[index]);
       lengths.measure(cells, local, row - band.top + 1 < cells.height(), start, cuts_[index]);
     }
     halo_[index].assign(cells.halo.begin(), cells.halo.end());
     gutter_[index].assign(cells.gutter.begin(), cells.gutter.end());
+  }
+
+  static void list_runs(std::span<const Kind> kinds, std::int64_t row, std::vector<Run>& runs) {
+    for (auto begin = kinds.begin(); begin != kinds.end();) {
+      begin = std::find(begin, kinds.end(), Kind::owned);
+      const auto end = std::find_if(begin, kinds.end(), [](Kind kind) { return kind != Kind::owned; });
+      if (begin != end)
+        runs.push_back({row, static_cast<std::size_t>(begin - kinds.begin()), static_cast<std::size_t>(end - kinds.begin())});
+      begin = end;
+    }
   }
 
   void list_cells() {
@@ -129,34 +151,23 @@ class Builder {
     const Texture& grid = plan_.mesh.surface->textures[static_cast<std::size_t>(window.texture)];
     std::vector<std::int32_t> columns(static_cast<std::size_t>(rectangle.width));
     list_columns(window, grid, rectangle.x, columns);
-    auto next_halo = halo_[index].begin();
-    const Index* owners = plan_.ownership.window.data();
-    Index *texels = atlas_.owned_texels.data(), *charts = atlas_.chart_of.data();
-    for (std::int64_t row = band.top; row < band.bottom; ++row) {
-      const std::size_t start = row_start(band, row);
-      std::size_t owned = rank(atlas_.owned_cells, start), halo = rank(atlas_.halo_cells, start);
-      const std::int64_t y = rectangle.y + row;
-      const bool inside = y >= window.y && y < window.y + grid.height;
-      const std::int64_t texel_row = grid.texel(0, wrapped(y, grid.height, grid.wrap_y));
-      const std::uint8_t* kind = atlas_.kind.data() + start;
-      for (std::size_t i = 0; i < columns.size(); ++i) {
-        if (kind[i] == 1) {
-          // It may be a cell of another rectangle.
-          if (inside && columns[i] != none && owners[texel_row + columns[i]] == rectangle.window) {
-            texels[owned] = static_cast<Index>(texel_row + columns[i]);
-            charts[owned] = window.chart;
-          }
-          ++owned;
-        } else if (kind[i] == 2) {
-          if (next_halo != halo_[index].end() && static_cast<std::size_t>(next_halo->cell) == start + i) {
-            std::copy(next_halo->taps.begin(), next_halo->taps.end(), &atlas_.halo_taps[0] + 4 * halo);
-            std::copy(next_halo->weights.begin(), next_halo->weights.end(), &atlas_.halo_weights[0] + 4 * halo);
-            atlas_.halo_seams[halo] = (next_halo++)->seam;
-          }
-          ++halo;
-        }
+    for (const Run& run : runs_[index]) {
+      const std::int64_t row = grid.texel(0, wrapped(rectangle.y + run.row, grid.height, grid.wrap_y));
+      const std::size_t first = rank(atlas_.owned_cells, row_start(band, run.row) + run.begin);
+      for (std::size_t i = 0; i < run.end - run.begin; ++i) {
+        atlas_.owned_texels[first + i] = static_cast<Index>(row + columns[run.begin + i]);
+        atlas_.chart_of[first + i] = window.chart;
       }
     }
+    std::size_t next = 0;
+    for (const HaloCell& cell : halo_[index]) {
+      if (next >= atlas_.halo_cells.size || atlas_.halo_cells[next] != cell.cell)
+        next = rank(atlas_.halo_cells, static_cast<std::size_t>(cell.cell));
+      std::copy(cell.taps.begin(), cell.taps.end(), &atlas_.halo_taps[0] + 4 * next);
+      std::copy(cell.weights.begin(), cell.weights.end(), &atlas_.halo_weights[0] + 4 * next);
+      atlas_.halo_seams[next++] = cell.seam;
+    }
+    runs_[index] = {};
     halo_[index] = {};
   }
 
@@ -201,6 +212,7 @@ class Builder {
   const Allocate& allocate_;
   const Poll& poll_;
   Bands bands_;
+  std::vector<std::vector<Run>> runs_;           // [band]
   std::vector<std::vector<HaloCell>> halo_;      // [band]
   std::vector<std::vector<GutterCell>> gutter_;  // [band]
   std::vector<std::vector<Index>> cuts_;         // [band]
