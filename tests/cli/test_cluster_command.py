@@ -211,7 +211,8 @@ def test_nothing_is_sent_over_what_is_there(tmp_path):
     memory = fsspec.filesystem("memory")
     memory.pipe_file("/there/in/a.ply", (SAMPLES / "terrain-noisy.ply").read_bytes())
     memory.pipe_file("/there/out/a.ply", b"mine")
-    from beltrami_cli.pipeline.batch.job import Job, do_job
+    from beltrami_cli.pipeline.batch.doing import do_job
+    from beltrami_cli.pipeline.batch.job import Job
     from beltrami_cli.pipeline.settings.smooth import SmoothSettings
 
     job = Job(

@@ -15,7 +15,8 @@ from dataclasses import dataclass
 from multiprocessing.connection import wait
 from typing import TYPE_CHECKING, Any, NoReturn, cast
 
-from beltrami_cli.pipeline.batch.job import Attempt, do_job, failed
+from beltrami_cli.pipeline.batch.doing import do_job
+from beltrami_cli.pipeline.batch.job import Attempt, failed
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

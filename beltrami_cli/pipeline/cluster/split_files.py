@@ -8,7 +8,8 @@ import time
 from typing import TYPE_CHECKING, Any
 
 from beltrami_cli.flow.pieces.splitting import in_pieces
-from beltrami_cli.pipeline.batch.job import Attempt, do_job
+from beltrami_cli.pipeline.batch.doing import do_job
+from beltrami_cli.pipeline.batch.job import Attempt
 from beltrami_cli.pipeline.cluster.pieces import OnCluster
 
 if TYPE_CHECKING:

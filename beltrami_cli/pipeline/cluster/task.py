@@ -7,7 +7,8 @@ import time
 from importlib.metadata import version
 from typing import TYPE_CHECKING
 
-from beltrami_cli.pipeline.batch.job import Attempt, do_job, failed
+from beltrami_cli.pipeline.batch.doing import do_job
+from beltrami_cli.pipeline.batch.job import Attempt, failed
 
 if TYPE_CHECKING:
     from beltrami_cli.pipeline.batch.job import Job
