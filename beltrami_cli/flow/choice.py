@@ -43,6 +43,8 @@ class Reach:
         Iterations in one schedule.
     starts : tuple of (float, float, float, int)
         Where to start: beta times the noise, its growth, the time step, and the number of regularised iterations.
+    every_start : bool
+        Whether the search goes on from every start, see `Grid`.
     """
 
     steps: tuple[float, ...]
@@ -50,6 +52,7 @@ class Reach:
     guided: tuple[int, ...]
     most: int
     starts: tuple[tuple[float, float, float, int], ...]
+    every_start: bool = False
 
 
 # On painted, baked and photographed samples with noise of 5 to 40 of 255, other time steps and growths are hardly
@@ -57,7 +60,10 @@ class Reach:
 # On a grid the window bounds the kernel, and a large time step only makes its weights more even.
 ON_GRIDS = Reach((8.0,), (1.5, 3.0), (0, 1, 2, 3), 10, ((1.4, 1.5, 8.0, 1), (1.4, 3.0, 8.0, 2)))
 # On a mesh the time step alone bounds the kernel, and larger ones take longer than they gain.
-ON_MESHES = Reach((2.4,), (1.3, 2.0), (0, 1, 2), 8, ((1.0, 2.0, 2.4, 1),))
+# The regularised metric takes sharp borders away, and from there a descent ends where noise is left.
+ON_MESHES = Reach(
+    (2.4,), (1.3, 2.0), (0, 1, 2), 8, ((1.0, 2.0, 2.4, 1), (1.4, 1.3, 2.4, 0)), every_start=True
+)
 
 
 @dataclass(frozen=True)
@@ -190,7 +196,7 @@ def _grid(parameters: KernelParameters, reach: Reach, scale: float, by_rule: flo
         )
         for contrast, growth, step, count in reach.starts
     )
-    return Grid(betas, growths, steps, guided, iterations, reach.most, starts)
+    return Grid(betas, growths, steps, guided, iterations, reach.most, starts, reach.every_start)
 
 
 def _nearest(values: tuple[float, ...], wanted: float) -> int:

@@ -14,13 +14,14 @@ from beltrami_cli.flow.clipping import find_clipped
 from beltrami_cli.flow.geometry import GeometryParameters, MovingPositions
 from beltrami_cli.flow.mesh_metric import MeshMetric
 from beltrami_cli.flow.one_kernel import SampledKernel, kernel_values
+from beltrami_cli.flow.patches import choose_patches
 from beltrami_cli.flow.pieces.splitting import wanted_split
 from beltrami_cli.flow.progress import shifted
 from beltrami_cli.flow.result import FlowResult
 from beltrami_cli.flow.risk import wanted_probes
 from beltrami_cli.flow.rule import RULE_ON_MESHES, choose_by_rule
 from beltrami_cli.flow.spacing import edges_in_space, local_spacing, mean_side
-from beltrami_cli.flow.trial_mesh import MeshTrial, SampleFields, choose_patches, fingerprints, random_signs
+from beltrami_cli.flow.trial_mesh import MeshTrial, SampleFields, fingerprints, random_signs
 from beltrami_cli.mesh.areas import vertex_areas
 
 if TYPE_CHECKING:
@@ -144,7 +145,7 @@ class BeltramiFlow:
             )
         elif is_noisy(self.sigma) and len(edges):
             around = fingerprints(self._colours, edges)
-            sample = choose_patches(around, edges)
+            sample = choose_patches(self._colours, around, edges)
             probes = wanted_probes(int(np.count_nonzero(sample.counting)))
             signs = random_signs(self._colours, around, probes)
             fields = SampleFields(self._positions, self._colours, signs, self._scales, self._weights)

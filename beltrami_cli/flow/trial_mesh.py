@@ -14,42 +14,12 @@ if TYPE_CHECKING:
     from beltrami_cli._native import SegmentManifold, TriangulatedManifold
     from beltrami_cli.flow.mesh_metric import MeshMetric
     from beltrami_cli.flow.parameters import KernelParameters
+    from beltrami_cli.flow.patches import Patches
     from beltrami_cli.flow.risk import Step
-
-# Samples to try parameters on, as a share of all, so that trying takes no longer than smoothing: some thirty iterations
-# are tried, each twice. Fewer than so many samples tell too little, and take some tenths of a second.
-_SHARE_TRIED = 1 / 20
-_LEAST_TRIED = 4_000
-# More tell nothing new.
-_MOST_TRIED = 40_000
-
-# Rings of a patch whose results count, and rings around these that only lend their colours.
-_CORE, _RIM = 7, 3
-
-# A patch of so many rings has about so many samples, each ring six more than the last.
-_PATCH = 3 * (_CORE + _RIM) ** 2
-
-_WHOLE = 1.5
 
 # Odd numbers with their bits well mixed, to hash with.
 _MIX = np.uint64(0x9E3779B97F4A7C15)
 _STIR = np.uint64(0xBF58476D1CE4E5B9)
-
-
-@dataclass(frozen=True)
-class Patches:
-    """Samples to try on.
-
-    Attributes
-    ----------
-    samples : ndarray of int64, shape (P,)
-        Their indices, ascending.
-    counting : ndarray of bool, shape (P,)
-        Those whose results count.
-    """
-
-    samples: NDArray[np.int64]
-    counting: NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -196,41 +166,6 @@ def random_signs(colours: NDArray[np.float32], around: NDArray[np.uint64], count
         for probe in range(count):
             signs[probe, :, channel] = np.where(bits >> np.uint64(probe) & np.uint64(1), 1, -1)
     return signs
-
-
-def choose_patches(around: NDArray[np.uint64], edges: NDArray[np.int32]) -> Patches:
-    """Choose patches spread at random over a surface, by the colours and not by the order of samples.
-
-    Parameters
-    ----------
-    around : ndarray of uint64, shape (S,)
-        `fingerprints` of the samples.
-    edges : ndarray of int32, shape (E, 2)
-        Distinct edges; samples without any are left out.
-
-    Returns
-    -------
-    Patches
-    """
-    count = len(around)
-    joined = np.bincount(edges.ravel(), minlength=count) > 0
-    connected = np.count_nonzero(joined)
-    budget = min(max(_LEAST_TRIED, int(connected * _SHARE_TRIED)), _MOST_TRIED)
-    if connected <= _WHOLE * budget:  # patches with their rims would take nearly all
-        return Patches(np.flatnonzero(joined), np.ones(connected, bool))
-    rank = np.where(joined, around, np.iinfo(np.uint64).max)
-    patches = max(1, budget // _PATCH)
-    reached = (rank <= np.partition(rank, patches - 1)[patches - 1]) & joined
-    counting = reached
-    low, high = np.ascontiguousarray(edges.T)
-    for ring in range(_CORE + _RIM):
-        leads_out = reached[low] != reached[high]
-        reached[low[leads_out]] = True
-        reached[high[leads_out]] = True
-        if ring == _CORE - 1:
-            counting = reached.copy()
-    samples = np.flatnonzero(reached)
-    return Patches(samples, counting[samples])
 
 
 def _bits(colours: NDArray[np.float32]) -> NDArray[np.uint64]:

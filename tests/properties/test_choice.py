@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import beltrami_cli
-from beltrami_cli.flow import risk, trial_mesh
+from beltrami_cli.flow import patches, risk, trial_mesh
 from beltrami_cli.flow.iteration import BeltramiFlow
 from beltrami_cli.flow.parameters import TUNABLE, KernelParameters
 from beltrami_cli.flow.risk import Risk, RiskEstimate, Step
@@ -35,6 +35,11 @@ def noisy(clean, sigma=SIGMA, seed=5):
 
 def psnr(result, clean):
     return -10 * np.log10(np.mean((np.asarray(result, float) - clean) ** 2))
+
+
+def edges_of(faces):
+    """Return the distinct edges of a closed mesh, each of which two triangles go along in opposite ways."""
+    return np.unique(np.sort(faces[:, [0, 1]], axis=1), axis=0).astype(np.int32)
 
 
 class Blur:
@@ -111,7 +116,7 @@ def test_signs_of_a_mesh_are_independent():
     """Between perturbations, channels and neighbours; correlations of 7,686 signs are below 0.05."""
     positions, faces = surfaces.icosphere(4)
     colours = noisy(np.full(positions.shape, 0.5))
-    edges = np.unique(np.sort(faces[:, [0, 1]], axis=1), axis=0).astype(np.int32)
+    edges = edges_of(faces)
     first, second, third = trial_mesh.random_signs(colours, trial_mesh.fingerprints(colours, edges), 3)
     for one, other in ((first, second), (first, third), (second, third)):
         assert abs(np.mean(one * other)) < 0.05
@@ -187,6 +192,14 @@ def test_the_search_finds_the_deeper_of_two_valleys(deeper, beta):
     assert best.beta == beta
 
 
+def test_the_search_goes_on_from_every_start_if_it_is_told_to():
+    """A valley that is deeper by less than its start lies above it is found then, and not otherwise."""
+    grid = Grid((0.7, 1.4, 2.8), (1.5, 3.0), (8.0,), (0,), 2, 10, ((1, 0, 0, 0), (1, 1, 0, 0)))
+    every = dataclasses.replace(grid, every_start=True)
+    assert Search(Valleys(0.09), grid, noise=1.0).run().beta == 2.8
+    assert Search(Valleys(0.09), every, noise=1.0).run().beta == 0.7
+
+
 def test_the_choice_does_not_depend_on_threads_or_repetition():
     image = noisy(painting(64))
     first = beltrami_cli.smooth_image(image, space="data", threads=1)
@@ -213,12 +226,41 @@ def test_a_sample_of_a_mesh_is_enough(monkeypatch):
     clean = 0.5 + 0.2 * np.sign(np.sin(5 * positions))
     surface = SampledSurface(positions, faces, np.zeros((0, 3), np.int32), noisy(clean))
     reached = []
-    for budget in (trial_mesh._LEAST_TRIED // 2, trial_mesh._LEAST_TRIED):
-        monkeypatch.setattr(trial_mesh, "_LEAST_TRIED", budget)
+    for budget in (patches._LEAST_TRIED // 2, patches._LEAST_TRIED):
+        monkeypatch.setattr(patches, "_LEAST_TRIED", budget)
         flow = BeltramiFlow(surface, CHOSEN)
-        assert flow.choice.samples < len(positions) / 4
+        assert flow.choice.samples < len(positions) / 2
         reached.append(psnr(flow.run().colours, clean))
     assert reached[0] > reached[1] - 0.3
+
+
+def test_samples_are_enough_on_small_pieces():
+    """Patches end at the borders of pieces; then there are more of them."""
+    count = 2000
+    pairs = np.arange(3 * count, dtype=np.int32).reshape(-1, 3)
+    edges = np.concatenate([pairs[:, :2], pairs[:, 1:], pairs[:, ::2]])
+    colours = np.random.default_rng(1).random((3 * count, 3)).astype(np.float32)
+    whole = np.concatenate([edges + 3 * count * k for k in range(5)])
+    colours = np.concatenate([colours + np.float32(0.01 * k) for k in range(5)])
+    chosen = patches.choose_patches(colours, trial_mesh.fingerprints(colours, whole), whole)
+    wanted = patches._LEAST_TRIED
+    assert 0.7 * wanted < len(chosen.samples) < 1.3 * wanted
+    assert np.all(np.bincount(chosen.samples // 3)[chosen.samples // 3] == 3)
+
+
+def test_samples_hold_their_share_of_rare_detail():
+    """One patch in a dozen is where a twentieth of a surface has all the detail; at random often none is."""
+    positions, faces = surfaces.icosphere(5)
+    rare = positions[:, 2] > 0.9
+    edges = edges_of(faces)
+    for seed in range(8):
+        colours = np.full((len(positions), 3), 0.5)
+        colours[rare] += 0.3 * np.sign(np.sin(40 * positions[rare]))
+        colours = (colours + 0.02 * np.random.default_rng(seed).standard_normal(colours.shape)).astype(
+            np.float32
+        )
+        chosen = patches.choose_patches(colours, trial_mesh.fingerprints(colours, edges), edges)
+        assert 0.4 * rare.mean() < rare[chosen.samples[chosen.counting]].mean() < 1.8 * rare.mean()
 
 
 @pytest.mark.parametrize(
