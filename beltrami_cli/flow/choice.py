@@ -45,6 +45,8 @@ class Reach:
         Where to start: beta times the noise, its growth, the time step, and the number of regularised iterations.
     every_start : bool
         Whether the search goes on from every start, see `Grid`.
+    least_gain : float
+        Of an iteration after which others follow, as a share of the error; see `Grid`.
     """
 
     steps: tuple[float, ...]
@@ -53,6 +55,7 @@ class Reach:
     most: int
     starts: tuple[tuple[float, float, float, int], ...]
     every_start: bool = False
+    least_gain: float = 0.0
 
 
 # On painted, baked and photographed samples with noise of 5 to 40 of 255, other time steps and growths are hardly
@@ -60,9 +63,16 @@ class Reach:
 # On a grid the window bounds the kernel, and a large time step only makes its weights more even.
 ON_GRIDS = Reach((8.0,), (1.5, 3.0), (0, 1, 2, 3), 10, ((1.4, 1.5, 8.0, 1), (1.4, 3.0, 8.0, 2)))
 # On a mesh the time step alone bounds the kernel, and larger ones take longer than they gain.
-# The regularised metric takes sharp borders away, and from there a descent ends where noise is left.
+# The regularised metric takes sharp borders away, and from there a descent ends where noise is left. Iterations that
+# gain less than a fiftieth lead nowhere, while on grids many small gains add up.
 ON_MESHES = Reach(
-    (2.4,), (1.3, 2.0), (0, 1, 2), 8, ((1.0, 2.0, 2.4, 1), (1.4, 1.3, 2.4, 0)), every_start=True
+    (2.4,),
+    (1.3, 2.0),
+    (0, 1, 2),
+    8,
+    ((1.0, 2.0, 2.4, 1), (1.4, 1.3, 2.4, 0)),
+    every_start=True,
+    least_gain=0.02,
 )
 
 
@@ -196,7 +206,9 @@ def _grid(parameters: KernelParameters, reach: Reach, scale: float, by_rule: flo
         )
         for contrast, growth, step, count in reach.starts
     )
-    return Grid(betas, growths, steps, guided, iterations, reach.most, starts, reach.every_start)
+    return Grid(
+        betas, growths, steps, guided, iterations, reach.most, starts, reach.every_start, reach.least_gain
+    )
 
 
 def _nearest(values: tuple[float, ...], wanted: float) -> int:

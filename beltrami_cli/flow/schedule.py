@@ -10,9 +10,6 @@ from beltrami_cli.flow.risk import Risk, RiskEstimate, State, Step
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-# So many iterations in a row that make the estimate worse than it was end a path.
-_PATIENCE = 1
-
 # Improvements by less than this share of the noise's variance are chance: some 0.1 dB of a good result.
 _WORTH_MOVING = 5e-4
 
@@ -62,6 +59,8 @@ class Grid:
         Where in `betas`, `growths`, `steps` and `guided` to start.
     every_start : bool
         Whether the search goes on from every start, and not only from those below the end of another descent.
+    least_gain : float
+        An iteration that makes the estimate better by less than such a share, or worse, ends a path.
     """
 
     betas: tuple[float, ...]
@@ -72,6 +71,7 @@ class Grid:
     most: int
     starts: tuple[tuple[int, int, int, int], ...]
     every_start: bool = False
+    least_gain: float = 0.0
 
     def at(self, place: tuple[int, int, int, int], plain: int = 0) -> Schedule:
         """Return the schedule at some place in the grid."""
@@ -168,11 +168,14 @@ class Search:
             done = schedule.guided + schedule.plain
             if wanted is None or done == wanted:
                 risks.append(self._try(schedule, state))
-            best = risks.index(min(risks)) if risks else 0
-            if done >= (self._grid.most if wanted is None else wanted) or len(risks) > best + _PATIENCE:
-                return risks[best]
+            if done >= (self._grid.most if wanted is None else wanted) or self._ends(risks):
+                return min(risks)
             state = self._step(state, schedule.step(done))
             schedule = replace(schedule, plain=schedule.plain + 1)
+
+    def _ends(self, risks: list[float]) -> bool:
+        """Tell whether the last iteration of a path gained too little to go on."""
+        return len(risks) > 1 and risks[-2] - risks[-1] < self._grid.least_gain * abs(risks[-2])
 
     def _try(self, schedule: Schedule, state: State) -> float:
         self.tried[schedule] = self._estimate.of(state)
