@@ -43,8 +43,6 @@ class Reach:
         Iterations in one schedule.
     starts : tuple of (float, float, float, int)
         Where to start: beta times the noise, its growth, the time step, and the number of regularised iterations.
-    every_start : bool
-        Whether the search goes on from every start, see `Grid`.
     least_gain : float
         Of an iteration after which others follow, as a share of the error; see `Grid`.
     """
@@ -54,7 +52,6 @@ class Reach:
     guided: tuple[int, ...]
     most: int
     starts: tuple[tuple[float, float, float, int], ...]
-    every_start: bool = False
     least_gain: float = 0.0
 
 
@@ -71,7 +68,6 @@ ON_MESHES = Reach(
     (0, 1, 2),
     8,
     ((1.0, 2.0, 2.4, 1), (1.4, 1.3, 2.4, 0)),
-    every_start=True,
     least_gain=0.02,
 )
 
@@ -206,9 +202,7 @@ def _grid(parameters: KernelParameters, reach: Reach, scale: float, by_rule: flo
         )
         for contrast, growth, step, count in reach.starts
     )
-    return Grid(
-        betas, growths, steps, guided, iterations, reach.most, starts, reach.every_start, reach.least_gain
-    )
+    return Grid(betas, growths, steps, guided, iterations, reach.most, starts, reach.least_gain)
 
 
 def _nearest(values: tuple[float, ...], wanted: float) -> int:

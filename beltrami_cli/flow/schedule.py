@@ -57,8 +57,6 @@ class Grid:
         ... but no more than so many.
     starts : tuple of tuple of int
         Where in `betas`, `growths`, `steps` and `guided` to start.
-    every_start : bool
-        Whether the search goes on from every start, and not only from those below the end of another descent.
     least_gain : float
         An iteration that makes the estimate better by less than such a share, or worse, ends a path.
     """
@@ -70,7 +68,6 @@ class Grid:
     iterations: int | None
     most: int
     starts: tuple[tuple[int, int, int, int], ...]
-    every_start: bool = False
     least_gain: float = 0.0
 
     def at(self, place: tuple[int, int, int, int], plain: int = 0) -> Schedule:
@@ -134,8 +131,9 @@ class Search:
             self._try(replace(self._grid.at(self._grid.starts[0]), guided=0), self._estimate.start)
         least = float("inf")
         for start in self._grid.starts:
-            if self._grid.every_start or self._path(start) < least - self._gain:
-                least = min(least, self._descend(start))
+            # Else it lies no lower than where another descent ended.
+            if self._path(start) < least - self._gain:
+                least = self._descend(start)
         # All weights choose from the same schedules, so a larger one never chooses a gentler one.
         return min(self.tried, key=lambda schedule: self.tried[schedule].weighted(self._weight))
 

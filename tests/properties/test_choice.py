@@ -192,12 +192,26 @@ def test_the_search_finds_the_deeper_of_two_valleys(deeper, beta):
     assert best.beta == beta
 
 
-def test_the_search_goes_on_from_every_start_if_it_is_told_to():
-    """A valley that is deeper by less than its start lies above it is found then, and not otherwise."""
-    grid = Grid((0.7, 1.4, 2.8), (1.5, 3.0), (8.0,), (0,), 2, 10, ((1, 0, 0, 0), (1, 1, 0, 0)))
-    every = dataclasses.replace(grid, every_start=True)
-    assert Search(Valleys(0.09), grid, noise=1.0).run().beta == 2.8
-    assert Search(Valleys(0.09), every, noise=1.0).run().beta == 0.7
+class Slope:
+    """An estimate of errors that falls by a hundredth with each iteration; counts these."""
+
+    def __init__(self):
+        self.start, self.steps = 0, 0
+
+    def step(self, state, step):
+        self.steps += 1
+        return state + 1
+
+    def of(self, state):
+        return Risk(0.99**state, 0.01, 0.0)
+
+
+@pytest.mark.parametrize(("least_gain", "iterations", "steps"), [(0.0, 10, 10), (0.02, 1, 1)])
+def test_a_path_ends_where_an_iteration_gains_too_little(least_gain, iterations, steps):
+    grid = Grid((1.0,), (1.0,), (8.0,), (0,), None, 10, ((0, 0, 0, 0),), least_gain)
+    estimate = Slope()
+    assert Search(estimate, grid, noise=1.0).run().plain == iterations
+    assert estimate.steps == steps
 
 
 def test_the_choice_does_not_depend_on_threads_or_repetition():
