@@ -43,6 +43,9 @@ def take_colours(
     planes: NDArray[np.float32], cells: Indices, colours: NDArray[np.float32], threads: int
 ) -> None: ...
 def convolve(planes: NDArray[np.float32], taps: NDArray[np.float32], threads: int) -> NDArray[np.float32]: ...
+
+HAAR_TILE: int
+
 def measure_haar_tiles(
     planes: NDArray[np.float32], filled: NDArray[np.bool_], first_rows: NDArray[np.int64]
 ) -> tuple[NDArray[np.int32], NDArray[np.float64]]: ...

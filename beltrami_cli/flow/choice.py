@@ -62,14 +62,7 @@ ON_GRIDS = Reach((8.0,), (1.5, 3.0), (0, 1, 2, 3), 10, ((1.4, 1.5, 8.0, 1), (1.4
 # On a mesh the time step alone bounds the kernel, and larger ones take longer than they gain.
 # The regularised metric takes sharp borders away, and from there a descent ends where noise is left. Iterations that
 # gain less than a fiftieth lead nowhere, while on grids many small gains add up.
-ON_MESHES = Reach(
-    (2.4,),
-    (1.3, 2.0),
-    (0, 1, 2),
-    8,
-    ((1.0, 2.0, 2.4, 1), (1.4, 1.3, 2.4, 0)),
-    least_gain=0.02,
-)
+ON_MESHES = Reach((2.4,), (1.3, 2.0), (0, 1, 2), 8, ((1.0, 2.0, 2.4, 1), (1.4, 1.3, 2.4, 0)), least_gain=0.02)
 
 
 @dataclass(frozen=True)

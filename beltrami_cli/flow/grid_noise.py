@@ -14,9 +14,8 @@ if TYPE_CHECKING:
 # So many squares make three thousand tiles, the tenth least of which is steady.
 _ENOUGH_SQUARES = 200_000
 
-# Squares a side of a tile, and the least that it must hold: half of them, or as many as the fullest tile.
-_TILE = 8
-_FULL_TILE = _TILE**2 / 2
+# Share of its squares that a tile must hold, or as many as the fullest tile.
+_FULL_TILE = 0.5
 
 # Coefficients of overlapping squares are correlated, by -1/2 beside and 1/4 across: the sum of the squared correlations
 # is how many of them count as one degree of freedom. The means of the squares are as uneven as that on white noise.
@@ -52,12 +51,12 @@ def estimate_sigma_on_grid(planes: NDArray[np.float32], filled: NDArray[np.bool_
     .. [1] D. Donoho, I. Johnstone, "Ideal spatial adaptation by wavelet shrinkage", Biometrika 81 (1994),
        doi:10.1093/biomet/81.3.425
     """
-    from beltrami_cli._native import measure_haar_tiles
+    from beltrami_cli._native import HAAR_TILE, measure_haar_tiles
 
     step = max(1, int(np.count_nonzero(filled)) // _ENOUGH_SQUARES)
-    first_rows = np.arange(0, len(filled) - 1, _TILE * step)
+    first_rows = np.arange(0, len(filled) - 1, HAAR_TILE * step)
     count, measures = measure_haar_tiles(planes, filled, first_rows)
-    enough = count >= min(_FULL_TILE, float(count.max(initial=1)))
+    enough = count >= min(_FULL_TILE * HAAR_TILE**2, float(count.max(initial=1)))
     if not enough.any():
         return np.zeros(len(planes))
     freedom = float(count[enough].mean()) / _HAAR_OVERLAP

@@ -151,13 +151,11 @@ def _set_options(spec: Any, known: str, compression: str, quality: int, *, small
     match known:
         case "png":
             spec.attribute("png:compressionLevel", 9 if small else 1)
-            # Of noise, differences of rows have few repetitions that are worth more than codes by frequency.
-            spec.attribute("compression", "filtered")
+            # Differences of rows repeat little but runs. To look for more gains next to nothing and takes time, as it
+            # does to try all filters on each row.
+            spec.attribute("compression", "filtered" if small else "rle")
             if not small:
-                # To try all filters on each row takes longer than to compress it, and gains 1 %; to look for more than
-                # runs of bytes takes longer too, and of the differences of rows it finds nothing.
                 spec.attribute("png:filter", _PNG_FILTER_UP)
-                spec.attribute("compression", "rle")
         case "jpeg":
             spec.attribute("compression", f"jpeg:{quality}")
         case "webp" if compression == "lossless":

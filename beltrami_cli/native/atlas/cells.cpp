@@ -146,8 +146,7 @@ void Cells::make_owned(std::int64_t y, std::int64_t begin, std::int64_t end) {
 
 // Cells [begin, end) of a row, which lie in a face.
 void Cells::place_on(Index face, std::size_t begin, std::size_t end) {
-  map_.use(plan_.mesh, face);
-  const FaceMap map = map_;  // which no position that is written can change
+  const FaceMap map(plan_.mesh, face);
   const Point2 place = place_of(begin);
   double *x = positions_[0].data() + begin, *y = positions_[1].data() + begin, *z = positions_[2].data() + begin;
   const auto count = static_cast<std::int32_t>(end - begin);
@@ -177,8 +176,7 @@ void Cells::make_halo(std::size_t cell, Point2 place, bool record) {
   std::optional<Sample> sample;
   Index seam = none;
   if (const Index face = covering_[cell]; face != none) {
-    FaceMap map;
-    map.use(plan_.mesh, face);
+    const FaceMap map(plan_.mesh, face);
     faces_[cell] = face;
     sample = stand_in(plan_, face, static_cast<std::int64_t>(place.x), static_cast<std::int64_t>(place.y),
                       map.inside(place));
@@ -240,9 +238,8 @@ Point3 Cells::step_at(std::int64_t x, std::int64_t y, Point2 step) const {
   const std::int64_t first_x = behind ? x - right : x, first_y = behind ? y - down : y;
   if (ahead || behind)
     return (ahead && behind ? 0.5 : 1.0) * (owned_position(last_x, last_y) - owned_position(first_x, first_y));
-  FaceMap map;
   const Point2 place{static_cast<double>(block_.x + x), static_cast<double>(block_.y + y)};
-  map.use(plan_.mesh, owned_face(x, y));
+  const FaceMap map(plan_.mesh, owned_face(x, y));
   return map.extended(place + step) - map.extended(place);
 }
 
@@ -257,8 +254,7 @@ Index Cells::owned_face(std::int64_t x, std::int64_t y) const {
 }
 
 Point3 Cells::owned_position(std::int64_t x, std::int64_t y) const {
-  FaceMap map;
-  map.use(plan_.mesh, owned_face(x, y));
+  const FaceMap map(plan_.mesh, owned_face(x, y));
   return map.inside({static_cast<double>(block_.x + x), static_cast<double>(block_.y + y)});
 }
 

@@ -95,7 +95,6 @@ class Cells {
   std::vector<std::uint8_t> nearness_;  // to where charts end, see NearBorders
   Connections connections_;
   NearestBorders nearest_;
-  FaceMap map_;
 };
 
 // How far from its chart a cell of the halo can be, in texels.

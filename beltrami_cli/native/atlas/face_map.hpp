@@ -9,10 +9,7 @@ namespace beltrami::atlas {
 
 class FaceMap {
  public:
-  // Computes anew only where the face changes.
-  void use(const Mesh& mesh, Index face) {
-    if (face == face_) return;
-    face_ = face;
+  FaceMap(const Mesh& mesh, Index face) {
     const auto f = static_cast<std::size_t>(face);
     origin_ = mesh.texels[f][0];
     first_ = mesh.texels[f][1] - origin_;
@@ -27,7 +24,7 @@ class FaceMap {
   // In the plane of the face, inside it or not.
   Point3 extended(Point2 place) const {
     const Point2 offset = place - origin_;
-    return base_ + (cross(offset, second_) * scale_) * along_first_ + (cross(first_, offset) * scale_) * along_second_;
+    return base_ + cross(offset, second_) * scale_ * along_first_ + cross(first_, offset) * scale_ * along_second_;
   }
 
   // Whether a place lies in the face, so that `inside` and `extended` are the same, bit for bit.
@@ -49,7 +46,6 @@ class FaceMap {
   }
 
  private:
-  Index face_ = none;
   Point2 origin_, first_, second_;
   Point3 base_, along_first_, along_second_;
   double scale_ = 0;

@@ -126,8 +126,7 @@ class Lookup {
 
   // The place of a texel's owner on the surface.
   Point3 owners_position(std::int64_t texel) const {
-    FaceMap map;
-    map.use(plan_.mesh, plan_.ownership.face[static_cast<std::size_t>(texel)]);
+    const FaceMap map(plan_.mesh, plan_.ownership.face[static_cast<std::size_t>(texel)]);
     return map.inside(plan_.owned_place(texel, grid_));
   }
 

@@ -98,6 +98,7 @@ void bind_canvas(nb::module_& module) {
   using namespace nb::literals;
   bind_moves<std::int32_t>(module);
   bind_moves<std::int64_t>(module);
+  module.attr("HAAR_TILE") = parametric::tile_side;
   module.def("measure_haar_tiles", &measure_haar_tiles, "planes"_a, "filled"_a, "first_rows"_a);
   module.def("convolve", &convolve_planes, "planes"_a, "taps"_a, "threads"_a);
 }

@@ -11,6 +11,8 @@
 #include <immintrin.h>
 #endif
 
+#include "parametric/exponential.hpp"
+
 namespace beltrami::parametric::BELTRAMI_VARIANT {
 
 #if defined(__AVX512F__)
@@ -152,20 +154,10 @@ inline Lanes square_root(Lanes value) {
 #endif
 }
 
-// exp(x) for x <= 0: range reduction to [-ln2/2, ln2/2], then a polynomial, relative error below 2e-7.
-// Coefficients: S. Moshier, Cephes expf.
+// exp(x) for x <= 0, with a relative error below 2e-7.
 inline Lanes exponential(Lanes x) {
-  x = larger(x, splat(-87.0F));
-  // Adding and subtracting 1.5 * 2^23 rounds to the nearest integer.
-  const Lanes whole = (x * 1.44269504088896341F + 12582912.0F) - 12582912.0F;
-  const Lanes rest = x - whole * 0.693359375F + whole * 2.12194440e-4F;
-  Lanes p = rest * 1.9875691500e-4F + 1.3981999507e-3F;
-  p = p * rest + 8.3334519073e-3F;
-  p = p * rest + 4.1665795894e-2F;
-  p = p * rest + 1.6666665459e-1F;
-  p = p * rest + 5.0000001201e-1F;
-  p = p * rest * rest + rest + 1.0F;
-  return p * from_bits((to_integers(whole) + 127) << 23);
+  const auto [power, factor] = split_exponential(larger(x, splat(-87.0F)));
+  return factor * from_bits((to_integers(power) + 127) << 23);
 }
 
 }  // namespace beltrami::parametric::BELTRAMI_VARIANT

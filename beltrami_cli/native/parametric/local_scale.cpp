@@ -6,6 +6,8 @@
 #include <cstdint>
 #include <vector>
 
+#include "parametric/exponential.hpp"
+
 namespace beltrami::parametric {
 namespace {
 
@@ -28,19 +30,11 @@ float logarithm(float x) {
   return power * 0.693147180559945F + (f + f * f * (p * f - 0.5F));
 }
 
-// exp(x), in the same way; relative error below 2e-7 where the result is a normal number. Coefficients: Cephes expf.
+// exp(x), with a relative error below 2e-7 where the result is a normal number.
 float exponential(float x) {
   x = x < -87.0F ? -87.0F : x;
-  x = x > 88.0F ? 88.0F : x;
-  const float whole = (x * 1.44269504088896341F + 12582912.0F) - 12582912.0F;  // rounded to the nearest integer
-  const float rest = x - whole * 0.693359375F + whole * 2.12194440e-4F;
-  float p = rest * 1.9875691500e-4F + 1.3981999507e-3F;
-  p = p * rest + 8.3334519073e-3F;
-  p = p * rest + 4.1665795894e-2F;
-  p = p * rest + 1.6666665459e-1F;
-  p = p * rest + 5.0000001201e-1F;
-  p = p * rest * rest + rest + 1.0F;
-  return p * std::bit_cast<float>((static_cast<std::int32_t>(whole) + 127) << 23);
+  const auto [power, factor] = split_exponential(x > 88.0F ? 88.0F : x);
+  return factor * std::bit_cast<float>((static_cast<std::int32_t>(power) + 127) << 23);
 }
 
 // Logarithms of the lengths of edges, and how many edges there are: of the two axes at a cell, or of many such.
