@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import subprocess
-import sys
 import tempfile
 import time
 from typing import TYPE_CHECKING, Any
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from beltrami_cli.errors import ProcessingError
+from beltrami_cli.worker_process import working
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -65,36 +65,15 @@ def ask_worker(
     """
     expected = expected_seconds(len(arrays["faces"]))
     patience = max(_LEAST_PATIENCE, _PATIENCE * expected)
-    # Files without a name, which are gone with the last process that has them open; pipes would fill up and stall.
-    with (
-        tempfile.TemporaryFile() as job,
-        tempfile.TemporaryFile() as answer,
-        tempfile.TemporaryFile() as said,
-    ):
+    with tempfile.TemporaryFile() as job:
         np.savez(job, numbers=[padding, int(patience) + 10], **arrays)
         job.seek(0)
-        # Without -P a file in the folder where the user happens to be could stand in for a module. In a session of
-        # its own the process does not see Ctrl-C, which is for this one.
-        worker = subprocess.Popen(
-            [sys.executable, "-P", "-m", _WORKER],
-            stdin=job,
-            stdout=answer,
-            stderr=said,
-            start_new_session=True,
-        )
-        try:
-            _wait(worker, patience, expected, progress)
-        finally:
-            worker.kill()
-            worker.wait()
-        said.seek(0)
-        answer.seek(0)
-        if worker.returncode:
-            reason = said.read().decode(errors="replace").strip().splitlines()
-            cause = reason[-1] if reason else f"it ended with code {worker.returncode}"
-            raise ProcessingError(f"xatlas could not unwrap the mesh ({cause}); repair or simplify it")
-        with np.load(answer, allow_pickle=False) as made:
-            return made["corners"], int(made["size"]), int(made["charts"])
+        with working(_WORKER, job) as worker:
+            _wait(worker.process, patience, expected, progress)
+            if (cause := worker.failure()) is not None:
+                raise ProcessingError(f"xatlas could not unwrap the mesh ({cause}); repair or simplify it")
+            with np.load(worker.answer, allow_pickle=False) as made:
+                return made["corners"], int(made["size"]), int(made["charts"])
 
 
 def _wait(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import subprocess
-import sys
 import tempfile
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +11,7 @@ import numpy as np
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.foreign.painting import PaintedPolygons
 from beltrami_cli.formats.foreign.worker import MISSING
+from beltrami_cli.worker_process import working
 
 if TYPE_CHECKING:
     from beltrami_cli.formats.access import Access
@@ -42,37 +42,18 @@ def ask_worker(kind: str, data: bytes, name: str, access: Access) -> PaintedPoly
         If the library is missing, does not understand the file, or takes too long or too much memory.
     """
     seconds = _PATIENCE + _PER_MEGABYTE * (len(data) >> 20)
-    with (
-        tempfile.TemporaryFile() as job,
-        tempfile.TemporaryFile() as answer,
-        tempfile.TemporaryFile() as said,
-    ):
+    with tempfile.TemporaryFile() as job:
         job.write(data)
         job.seek(0)
-        arguments = [kind, str(seconds), str(access.memory or 0)]
-        # Without -P a file in the folder where the user happens to be could stand in for a module. In a session of
-        # its own the process does not see Ctrl-C, which is for this one.
-        worker = subprocess.Popen(
-            [sys.executable, "-P", "-m", _MODULE, *arguments],
-            stdin=job,
-            stdout=answer,
-            stderr=said,
-            start_new_session=True,
-        )
-        try:
-            worker.wait(seconds)
-        except subprocess.TimeoutExpired:
-            raise InputError(name, f"it could not be read within {seconds} s", _EXPORT) from None
-        finally:
-            worker.kill()
-            worker.wait()
-        said.seek(0)
-        answer.seek(0)
-        if worker.returncode:
-            lines = said.read().decode(errors="replace").strip().splitlines()
-            cause = lines[-1][:200] if lines else f"its reader ended with code {worker.returncode}"
-            raise InputError(name, cause, _EXTRA if worker.returncode == MISSING else _EXPORT)
-        return _unpacked(answer)
+        with working(_MODULE, job, [kind, str(seconds), str(access.memory or 0)]) as worker:
+            try:
+                worker.process.wait(seconds)
+            except subprocess.TimeoutExpired:
+                raise InputError(name, f"it could not be read within {seconds} s", _EXPORT) from None
+            if (cause := worker.failure()) is not None:
+                missing = worker.process.returncode == MISSING
+                raise InputError(name, cause[:200], _EXTRA if missing else _EXPORT)
+            return _unpacked(worker.answer)
 
 
 def _unpacked(answer: Any) -> PaintedPolygons:
