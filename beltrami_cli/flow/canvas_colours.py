@@ -12,7 +12,7 @@ from beltrami_cli.mesh.atlas import refresh_halo
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from beltrami_cli.mesh.atlas import Atlas
+    from beltrami_cli.mesh.atlas import Atlas, Indices
 
 
 def painted(atlas: Atlas, colours: NDArray[np.float32], threads: int) -> NDArray[np.float32]:
@@ -41,11 +41,11 @@ def painted(atlas: Atlas, colours: NDArray[np.float32], threads: int) -> NDArray
     return planes
 
 
-def owned_colours(planes: NDArray[np.float32], atlas: Atlas, threads: int) -> NDArray[np.float32]:
-    """Return the colours of the owned cells, shape (T, N), from planes of shape (N, R, C)."""
+def colours_at(planes: NDArray[np.float32], cells: Indices, threads: int) -> NDArray[np.float32]:
+    """Return the colours of K cells (flat indices, each once), shape (K, N), from planes of shape (N, R, C)."""
     from beltrami_cli._native import take_colours
 
-    colours = large_arrays.empty((len(atlas.owned_cells), len(planes)), np.float32)
-    for block in large_arrays.blocks(len(atlas.owned_cells)):
-        take_colours(planes, atlas.owned_cells[block], colours[block], threads)
+    colours = large_arrays.empty((len(cells), len(planes)), np.float32)
+    for block in large_arrays.blocks(len(cells)):
+        take_colours(planes, cells[block], colours[block], threads)
     return colours

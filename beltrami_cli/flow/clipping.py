@@ -115,15 +115,14 @@ def find_clipped(colours: NDArray[np.float32], sigma: NDArray[np.float64]) -> Cl
     ClippedChannels or None
         None if no channel was: a channel with values beyond a limit is not cut off there, nor is one without noise.
     """
-    count, channels = colours.shape
-    least, most = np.full(channels, np.inf), np.full(channels, -np.inf)
-    at_0, at_1 = np.zeros(channels), np.zeros(channels)
-    for block in large_arrays.blocks(count):
-        for k, values in enumerate(colours[block].T):
-            least[k], most[k] = min(least[k], values.min()), max(most[k], values.max())
-            at_0[k] += np.count_nonzero(values == 0)
-            at_1[k] += np.count_nonzero(values == 1)
-    worth, noisy = _WORTH_RESTORING * count, np.asarray(sigma) > 0
+    from beltrami_cli._native import find_limits
+
+    found = np.array([find_limits(colours[block]) for block in large_arrays.blocks(len(colours))])
+    if not len(found):
+        return None
+    least, most = found[:, :, 0].min(axis=0), found[:, :, 1].max(axis=0)
+    at_0, at_1 = found[:, :, 2].sum(axis=0), found[:, :, 3].sum(axis=0)
+    worth, noisy = _WORTH_RESTORING * len(colours), np.asarray(sigma) > 0
     low = (noisy & (least == 0) & (at_0 >= worth)).tolist()
     high = (noisy & (most == 1) & (at_1 >= worth)).tolist()
     if not (any(low) or any(high)):

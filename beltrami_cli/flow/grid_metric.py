@@ -178,6 +178,8 @@ def _end_at_seams(planes: NDArray[np.float32], atlas: Atlas, threads: int) -> No
     sigma = estimate_sigma_on_grid(planes, atlas.kind == OWNED)
     beyond = atlas.halo_cells[halo_beyond(atlas, find_colour_jumps(atlas, planes, sigma))]
     if len(beyond):
-        nearest = nearest_marked(atlas.kind == OWNED, max(atlas.kind.shape), threads).reshape(-1)[beyond]
+        wanted = np.zeros(atlas.kind.shape, bool)
+        wanted.reshape(-1)[beyond] = True
+        cells, nearest = nearest_marked(atlas.kind == OWNED, wanted, max(atlas.kind.shape), threads)
         flat = planes.reshape(len(planes), -1)
-        flat[:, beyond] = flat[:, nearest]
+        flat[:, cells] = flat[:, nearest]

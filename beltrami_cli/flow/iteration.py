@@ -17,7 +17,7 @@ from beltrami_cli.flow.one_kernel import SampledKernel, kernel_values
 from beltrami_cli.flow.patches import choose_patches
 from beltrami_cli.flow.pieces.splitting import wanted_split
 from beltrami_cli.flow.progress import shifted
-from beltrami_cli.flow.result import FlowResult
+from beltrami_cli.flow.result import VertexFlowResult
 from beltrami_cli.flow.risk import wanted_probes
 from beltrami_cli.flow.rule import RULE_ON_MESHES, choose_by_rule
 from beltrami_cli.flow.spacing import edges_in_space, local_spacing, mean_side
@@ -159,7 +159,7 @@ class BeltramiFlow:
         self.parameters = parameters
         self._metric.use(parameters)
 
-    def run(self, progress: Callable[[int, int], None] | None = None) -> FlowResult:
+    def run(self, progress: Callable[[int, int], None] | None = None) -> VertexFlowResult:
         """Run all iterations.
 
         Parameters
@@ -169,7 +169,7 @@ class BeltramiFlow:
 
         Returns
         -------
-        FlowResult
+        VertexFlowResult
         """
         parameters, count = self.parameters, len(self._order)
         channels = self._colours.shape[1]
@@ -178,15 +178,15 @@ class BeltramiFlow:
         if self._clipped is not None:
             self._clipped.restore(colours.T[:channels], colours.T[channels:])
         self._colours = colours = np.ascontiguousarray(colours[:, :channels])
-        return FlowResult(
-            self._in_order(colours),
-            self.mean_edge_length,
-            self.beta,
-            self.sigma,
-            samples / max(1, parameters.iterations * count),
-            truncated,
-            None if self.moving is None else self._in_order(self.moving.positions),
-            self.choice,
+        return VertexFlowResult(
+            spacing=self.mean_edge_length,
+            beta=self.beta,
+            sigma=self.sigma,
+            samples_per_kernel=samples / max(1, parameters.iterations * count),
+            choice=self.choice,
+            colours=self._in_order(colours),
+            truncated=truncated,
+            positions=None if self.moving is None else self._in_order(self.moving.positions),
         )
 
     def _iterate(

@@ -14,12 +14,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class FlowResult:
-    """Smoothed samples, and how they came about.
+    """How smoothed samples came about.
 
     Attributes
     ----------
-    colours : ndarray of float32, shape (S, N)
-        Colours of the samples, in the order given.
     spacing : float
         Mean sample spacing, in the surface's own unit of length; 0 where samples have no neighbours.
     beta : float
@@ -28,19 +26,31 @@ class FlowResult:
         Estimated noise of the input.
     samples_per_kernel : float
         Mean over samples and iterations; 0 without iterations.
-    truncated : int
-        Kernels that `max_samples` cut short, over all iterations.
-    positions : ndarray of float64, shape (S, 3), or None
-        New positions, if they were smoothed.
     choice : Choice or None
         Parameters that were chosen from the data, if any were.
     """
 
-    colours: NDArray[np.float32]
     spacing: float
     beta: float
     sigma: NDArray[np.float64]
     samples_per_kernel: float
+    choice: Choice | None
+
+
+@dataclass(frozen=True)
+class VertexFlowResult(FlowResult):
+    """Smoothed vertices, too.
+
+    Attributes
+    ----------
+    colours : ndarray of float32, shape (S, N)
+        Colours of the samples, in the order given.
+    truncated : int
+        Kernels that `max_samples` cut short, over all iterations.
+    positions : ndarray of float64, shape (S, 3), or None
+        New positions, if they were smoothed.
+    """
+
+    colours: NDArray[np.float32]
     truncated: int
-    positions: NDArray[np.float64] | None = None
-    choice: Choice | None = None
+    positions: NDArray[np.float64] | None

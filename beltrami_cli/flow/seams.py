@@ -115,11 +115,16 @@ def _charts_at(atlas: Atlas, cells: Indices) -> NDArray[np.int32]:
 def _sides_of_seams(atlas: Atlas, reached: NDArray[np.int32]) -> NDArray[np.int32]:
     """Find the two charts of each seam, shape (S, 2): of an owned cell, and what the halo cell beside it shows."""
     columns = atlas.kind.shape[1]
-    sides = np.full((max(1, atlas.seams), 2), -1, np.int32)
+    owned = atlas.kind.reshape(-1) == OWNED
+    of_seams = np.flatnonzero(atlas.halo_seams >= 0)
+    cells, seams = atlas.halo_cells[of_seams], atlas.halo_seams[of_seams]
+    beside, halo = np.full((2, max(1, atlas.seams)), -1, cells.dtype)
     for step in (1, -1, columns, -columns):
-        own = _charts_at(atlas, atlas.halo_cells - step)
-        beside = (atlas.halo_seams >= 0) & (own >= 0)
-        sides[atlas.halo_seams[beside]] = np.column_stack([own[beside], reached[beside]])
+        found = owned.take(cells - step, mode="clip")  # the first and the last cell are margin
+        beside[seams[found]], halo[seams[found]] = cells[found] - step, of_seams[found]
+    known = np.flatnonzero(halo >= 0)
+    sides = np.full((len(halo), 2), -1, np.int32)
+    sides[known] = np.column_stack([_charts_at(atlas, beside[known]), reached[halo[known]]])
     return sides
 
 

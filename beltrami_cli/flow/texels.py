@@ -9,7 +9,7 @@ import numpy as np
 from beltrami_cli.flow.bands import Bands
 from beltrami_cli.flow.canvas import Canvas
 from beltrami_cli.flow.canvas_choice import choose_on_canvas
-from beltrami_cli.flow.canvas_colours import owned_colours, painted
+from beltrami_cli.flow.canvas_colours import colours_at, painted
 from beltrami_cli.flow.cell_fields import CellFields, halo_repeats, local_scales
 from beltrami_cli.flow.clipping import ClippedChannels, find_clipped
 from beltrami_cli.flow.correlation import estimate_noise_on_grid
@@ -134,7 +134,7 @@ class TexelFlow:
         Returns
         -------
         FlowResult
-            `colours` are those of the owned cells, shape (T, N).
+            What became of the colours is on the canvas, see `colours`.
         """
         parameters = self.parameters
         if self._clipped is None:
@@ -145,15 +145,7 @@ class TexelFlow:
             for rows in large_arrays.blocks(len(self.atlas.kind), _ROWS):
                 self._clipped.restore(self._planes[:, rows], marks[:, rows])
         kernels = max(1, parameters.iterations * len(self.atlas.owned_cells))
-        return FlowResult(
-            owned_colours(self._planes, self.atlas, parameters.thread_count),
-            self.spacing,
-            self.beta,
-            self.sigma,
-            samples / kernels,
-            0,
-            choice=self.choice,
-        )
+        return FlowResult(self.spacing, self.beta, self.sigma, samples / kernels, self.choice)
 
     def _iterate(
         self, stacks: Sequence[NDArray[np.float32]], progress: Callable[[int, int], None] | None
@@ -179,7 +171,7 @@ class TexelFlow:
         canvas = self._canvas()
         flat = [plane.reshape(-1) for stack in stacks for plane in stack]
         values = np.concatenate(
-            [owned_colours(stack, atlas, parameters.thread_count) for stack in stacks], axis=1
+            [colours_at(stack, atlas.owned_cells, parameters.thread_count) for stack in stacks], axis=1
         )
         done = split.run(lambda count, _: cut_grid(canvas, count), 0, values, parameters.iterations, progress)
         for plane, channel in zip(flat, done.values.T, strict=True):
@@ -206,6 +198,10 @@ class TexelFlow:
     def planes(self) -> NDArray[np.float32]:
         """The colours on the canvas as they are now, shape (N, R, C); 0 where cells are empty."""
         return self._planes
+
+    def colours(self) -> NDArray[np.float32]:
+        """Return the colours of the owned cells as they are now, shape (T, N)."""
+        return colours_at(self._planes, self.atlas.owned_cells, self.parameters.thread_count)
 
     def kernel_at(self, cell: int) -> SampledKernel:
         """Return the kernel that one more iteration, after those that were run, would have at an owned cell.

@@ -58,15 +58,18 @@ def fill_gutter(
             target &= mask[band]
         if not target.any():
             continue
-        first = max(0, band.start - reach)
-        near = np.ascontiguousarray(covered[first : band.stop + reach])
-        nearest = nearest_marked(near, reach, threads)[band.start - first :][: len(target)]
-        target &= nearest >= 0
-        rows, columns = np.divmod(nearest[target], covered.shape[1])
-        share = None if opacity is None else opacity[band][target] / opacity[first + rows, columns]
+        first, last = max(0, band.start - reach), band.stop + reach
+        wanted = np.zeros(covered[first:last].shape, bool)
+        wanted[band.start - first : band.stop - first] = target
+        texels, nearest = nearest_marked(np.ascontiguousarray(covered[first:last]), wanted, reach, threads)
+        table = pixels[first:last].reshape(-1, pixels.shape[2])
+        share = None
+        if opacity is not None:
+            visible = opacity[first:last].reshape(-1)
+            share = visible[texels] / visible[nearest]
         for channel in range(pixels.shape[2]) if channels is None else channels:
-            found = pixels[first + rows, columns, channel]
-            pixels[band, :, channel][target] = found if share is None else _scaled(found, share)
+            found = table[nearest, channel]
+            table[texels, channel] = found if share is None else _scaled(found, share)
 
 
 def _scaled(colours: NDArray[Any], share: NDArray[np.float32]) -> NDArray[Any]:

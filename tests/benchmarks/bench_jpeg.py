@@ -84,7 +84,8 @@ def judge(scene, atlas, quality, subsampling, sigma):
 
     def reached(**parameters):
         flow = TexelFlow(atlas, stored, kernel.KernelParameters(**parameters))
-        return tuning_scene.psnr(flow.run().colours, clean)
+        flow.run()
+        return tuning_scene.psnr(flow.colours(), clean)
 
     best = max(
         reached(iterations=count, t=8.0, beta=255 * contrast / sigma, beta_growth=growth, metric_steps=2)

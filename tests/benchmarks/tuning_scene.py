@@ -187,8 +187,9 @@ class Steps:
 def chosen(scene, noisy, **others):
     """Return the PSNR with parameters chosen from the data, and the flow."""
     flow = scene.flow(noisy, KernelParameters(free=TUNABLE, **others))
-    colours = flow.run().colours
-    return psnr(colours if isinstance(flow, TexelFlow) else colours[flow.rows], scene.clean), flow
+    result = flow.run()
+    colours = flow.colours() if isinstance(flow, TexelFlow) else result.colours[flow.rows]
+    return psnr(colours, scene.clean), flow
 
 
 __all__ = ["Steps", "Texels", "Vertices", "chosen", "psnr", "textures", "vertices"]

@@ -2,9 +2,11 @@
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from scipy import stats
 
-from beltrami_cli import smooth, smooth_image
+from beltrami_cli import _native, smooth, smooth_image
 from beltrami_cli.flow.clipping import find_clipped, sigma_of_clipped, variance_of_clipped
 from beltrami_cli.flow.weakest import chi_square_quantile
 
@@ -119,3 +121,14 @@ def test_tables_are_those_of_the_normal_and_the_chi_square_distribution():
         for share in (0.02, 0.1, 0.3, 0.6):
             exact = stats.chi2.ppf(share, freedom) / freedom
             assert chi_square_quantile(freedom, share) == pytest.approx(exact, rel=0.01)
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 5), st.integers(1, 300))
+@settings(max_examples=100, deadline=None)
+def test_limits_are_those_of_all_rows(seed, channels, count):
+    colours = (
+        np.random.default_rng(seed).choice([0, 0.25, 1, 1.5, -0.5], (count, channels)).astype(np.float32)
+    )
+    for channel, (least, most, at_0, at_1) in zip(colours.T, _native.find_limits(colours), strict=True):
+        assert (least, most) == (channel.min(), channel.max())
+        assert (at_0, at_1) == ((channel == 0).sum(), (channel == 1).sum())

@@ -12,7 +12,7 @@ from beltrami_cli.flow.regularisation import guide_radius
 from beltrami_cli.flow.texels import TexelFlow
 from beltrami_cli.sampling.atlas import build_atlas
 from oracles import surfaces
-from properties.textured_planes import Board
+from properties.textured_planes import Board, smoothed
 
 SIDE = 48
 POSITIONS, FACES = surfaces.plane(SIDE, SIDE)
@@ -135,11 +135,10 @@ def with_guide(surface, image, guide, beta=5.0, in_chart_frame=False):
     atlas = build_atlas(surface, [(image.shape[1], image.shape[0])], margin, 1)
     table, values = (part.reshape(-1, part.shape[2]).astype(np.float32) for part in (image, guide))
     guides = [Guide("guide", values[atlas.owned_texels], beta, in_chart_frame)]
-    smoothed = table.copy()
-    smoothed[atlas.owned_texels] = (
-        TexelFlow(atlas, table[atlas.owned_texels], kernel, guides=guides).run().colours
-    )
-    return smoothed.reshape(image.shape)
+    flow = TexelFlow(atlas, table[atlas.owned_texels], kernel, guides=guides)
+    new = table.copy()
+    new[atlas.owned_texels] = smoothed(flow)
+    return new.reshape(image.shape)
 
 
 TURNED = [(1, 1, 1, False), (0, 0, 2, False), (0, 1, 3, False), (1, 0, 1, False)]

@@ -23,6 +23,7 @@ from beltrami_cli.pipeline.images.grid_flow import grid_flow
 from beltrami_cli.sampling.atlas import build_atlas
 from oracles import surfaces
 from properties.test_slits import SIDE, TEXELS, cut_plane
+from properties.textured_planes import smoothed
 
 
 class Sent:
@@ -166,7 +167,7 @@ def noisy(count):
 def check_grid(make, name):
     """The result and the gutter are those of the whole, and samples are counted exactly."""
     flow = make()
-    whole, gutter = flow.run(), flow.gutter_colours()
+    whole, colours, gutter = flow.run(), flow.colours(), flow.gutter_colours()
     assert flow._clipped is not None or name == "world"
     for count in (1, 2, 5):
         runner = Sent()
@@ -174,7 +175,7 @@ def check_grid(make, name):
             flow = make()
             parts = flow.run()
         assert runner.counts == [count]
-        assert np.array_equal(parts.colours, whole.colours)
+        assert np.array_equal(flow.colours(), colours)
         assert np.array_equal(flow.gutter_colours(), gutter)
         assert parts.samples_per_kernel == whole.samples_per_kernel
 
@@ -183,26 +184,26 @@ def test_a_margin_that_is_one_cell_too_narrow_is_not_enough(monkeypatch):
     """So the test above would see it."""
     parameters = KernelParameters(**{**FIXED, "metric_scale": 1.0, "beta": 1.0})
     valid, values = np.ones((70, 90), bool), noisy(70 * 90)
-    whole = grid_flow(valid, lambda pixels: values[pixels], parameters).run()
+    whole = smoothed(grid_flow(valid, lambda pixels: values[pixels], parameters))
     margin = Canvas.margin.fget
     monkeypatch.setattr(Canvas, "margin", property(lambda canvas: margin(canvas) - 2))
     with in_pieces(4, InTurn(2)):
-        parts = grid_flow(valid, lambda pixels: values[pixels], parameters).run()
-    assert not np.array_equal(parts.colours, whole.colours)
+        parts = smoothed(grid_flow(valid, lambda pixels: values[pixels], parameters))
+    assert not np.array_equal(parts, whole)
 
 
 def test_nothing_to_do_is_nothing_in_pieces_too():
     nothing = KernelParameters(**{**FIXED, "iterations": 0})
     values = noisy(30)
     with in_pieces(3, InTurn(1)):
-        result = grid_flow(np.ones((5, 6), bool), lambda pixels: values[pixels], nothing).run()
+        result = smoothed(grid_flow(np.ones((5, 6), bool), lambda pixels: values[pixels], nothing))
         mesh = BeltramiFlow(SURFACE, nothing).run()
-        empty = grid_flow(
-            np.zeros((5, 6), bool), lambda pixels: values[pixels], KernelParameters(**FIXED)
-        ).run()
-    assert np.array_equal(result.colours, values)
+        empty = smoothed(
+            grid_flow(np.zeros((5, 6), bool), lambda pixels: values[pixels], KernelParameters(**FIXED))
+        )
+    assert np.array_equal(result, values)
     assert np.array_equal(mesh.colours, SURFACE.colours)
-    assert len(empty.colours) == 0
+    assert len(empty) == 0
 
 
 class Share:

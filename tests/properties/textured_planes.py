@@ -84,6 +84,12 @@ class Board:
         return np.stack([x, y], axis=-1)
 
 
+def smoothed(flow):
+    """Run a flow on texels and return their colours."""
+    flow.run()
+    return flow.colours()
+
+
 def smooth_image(surface, image, **parameters):
     """Smooth one image over a surface; texels that nothing covers stay."""
     kernel = KernelParameters(**{"threads": 1, **parameters})
@@ -91,6 +97,6 @@ def smooth_image(surface, image, **parameters):
     atlas = build_atlas(surface, [(image.shape[1], image.shape[0])], margin, 1)
     table = image.reshape(-1, image.shape[2]).astype(np.float32)
     flow = TexelFlow(atlas, table[atlas.owned_texels], kernel)
-    smoothed = table.copy()
-    smoothed[atlas.owned_texels] = flow.run().colours
-    return smoothed.reshape(image.shape), flow
+    new = table.copy()
+    new[atlas.owned_texels] = smoothed(flow)
+    return new.reshape(image.shape), flow

@@ -13,19 +13,20 @@ from beltrami_cli.sampling import gutter
 from beltrami_cli.sampling.gutter import fill_gutter
 
 
-@given(st.integers(0, 2**32 - 1), st.integers(1, 40), st.integers(1, 40), st.floats(0.001, 1))
-@settings(max_examples=150, deadline=None)
-def test_the_nearest_mark_is_the_nearest(seed, height, width, density):
-    marked = np.random.default_rng(seed).random((height, width)) < density
-    nearest = _native.nearest_marked(marked, 80, 2)
-    if not marked.any():
-        assert (nearest == -1).all()
-        return
-    assert marked.ravel()[nearest].all()
-    rows, columns = np.divmod(nearest, width)
-    y, x = np.indices(marked.shape)
-    squared = np.rint(ndimage.distance_transform_edt(~marked) ** 2)
-    assert np.array_equal((rows - y) ** 2 + (columns - x) ** 2, squared)
+@given(
+    st.integers(0, 2**32 - 1), st.integers(1, 40), st.integers(1, 40), st.floats(0.001, 1), st.floats(0.01, 1),
+    st.integers(0, 80),
+)  # fmt: skip
+@settings(max_examples=300, deadline=None)
+def test_the_nearest_mark_is_the_nearest(seed, height, width, density, wish, reach):
+    random = np.random.default_rng(seed)
+    marked, wanted = random.random((height, width)) < density, random.random((height, width)) < wish
+    texels, marks = _native.nearest_marked(marked, wanted, reach, 2)
+    distance = ndimage.distance_transform_edt(~marked) if marked.any() else np.full(marked.shape, np.inf)
+    assert np.array_equal(texels, np.flatnonzero(wanted & (distance <= reach)))
+    assert marked.ravel()[marks].all()
+    (y, x), (rows, columns) = np.divmod(texels, width), np.divmod(marks, width)
+    assert np.array_equal((rows - y) ** 2 + (columns - x) ** 2, np.rint(distance.ravel()[texels] ** 2))
 
 
 def filled_gutter(pixels, *arguments, **options):

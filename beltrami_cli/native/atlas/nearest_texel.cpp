@@ -1,7 +1,7 @@
 #include "atlas/nearest_texel.hpp"
 
 #include <algorithm>
-#include <vector>
+#include <memory>
 
 #include "parallel.hpp"
 
@@ -9,92 +9,119 @@ namespace beltrami::atlas {
 namespace {
 
 constexpr std::size_t rows_per_chunk = 16, columns_per_chunk = 64;
+constexpr std::int32_t none = -1;
 
-// Sets for each texel of some columns the nearest marked row of its column, the upper of two; -1 if there is none.
-void search_columns(const bool* marked, std::int64_t height, std::int64_t width, std::int64_t begin, std::int64_t end,
-                    std::int64_t* nearest) {
-  std::vector<std::int64_t> last(static_cast<std::size_t>(end - begin), -1);
-  const auto at = [&](std::int64_t row, std::int64_t column) -> std::int64_t& { return nearest[row * width + column]; };
-  for (std::int64_t row = 0; row < height; ++row)
-    for (std::int64_t column = begin; column < end; ++column) {
-      auto& above = last[static_cast<std::size_t>(column - begin)];
-      if (marked[row * width + column]) above = row;
-      at(row, column) = above;
+// Sets for each texel of some columns the nearest marked row of its column, the upper of two.
+void search_columns(const bool* marked, std::size_t height, std::size_t width, std::size_t begin, std::size_t end,
+                    std::int32_t* nearest) {
+  std::vector<std::int32_t> last(end - begin, none);
+  for (std::size_t row = 0; row < height; ++row) {
+    const bool* here = marked + row * width + begin;
+    std::int32_t* best = nearest + row * width + begin;
+    for (std::size_t i = 0; i < last.size(); ++i) best[i] = last[i] = here[i] ? static_cast<std::int32_t>(row) : last[i];
+  }
+  last.assign(last.size(), none);
+  for (std::size_t row = height; row-- > 0;) {
+    const bool* here = marked + row * width + begin;
+    std::int32_t* best = nearest + row * width + begin;
+    const auto number = static_cast<std::int32_t>(row);
+    for (std::size_t i = 0; i < last.size(); ++i) {
+      const std::int32_t below = last[i] = here[i] ? number : last[i];
+      const bool nearer = (below != none) & ((best[i] == none) | (below - number < number - best[i]));
+      best[i] = nearer ? below : best[i];
     }
-  last.assign(last.size(), -1);
-  for (std::int64_t row = height - 1; row >= 0; --row)
-    for (std::int64_t column = begin; column < end; ++column) {
-      auto& below = last[static_cast<std::size_t>(column - begin)];
-      if (marked[row * width + column]) below = row;
-      auto& best = at(row, column);
-      if (below >= 0 && (best < 0 || below - row < row - best)) best = below;
-    }
+  }
 }
 
-// The lower envelope of the parabolas (x - column)^2 + height^2 of one row.
+// The lower envelope of the parabolas (x - column)^2 + height^2 over some columns of a row.
 class Envelope {
  public:
-  explicit Envelope(std::int64_t width)
-      : columns_(static_cast<std::size_t>(width)), starts_(columns_.size()), squares_(columns_.size()) {}
-
-  void search(std::int64_t row, std::int64_t width, std::int64_t reach, std::int64_t* nearest) {
-    std::size_t count = 0;
-    for (std::int64_t column = 0; column < width; ++column) {
-      if (nearest[column] < 0) continue;
+  // Takes columns [begin, end), of which `nearest` tells the nearest marked row.
+  void build(std::int64_t row, std::int64_t begin, std::int64_t end, const std::int32_t* nearest) {
+    parts_.clear();
+    for (std::int64_t column = begin; column < end; ++column) {
+      if (nearest[column] == none) continue;
       const std::int64_t square = (nearest[column] - row) * (nearest[column] - row);
-      std::int64_t start = 0;
-      while (count > 0) {
-        start = first_nearer(count - 1, column, square);
-        if (start > starts_[count - 1]) break;
-        --count;
+      std::int64_t start = begin;
+      while (!parts_.empty()) {
+        start = std::max(begin, first_nearer(parts_.back(), column, square));
+        if (start > parts_.back().start) break;
+        parts_.pop_back();
+        start = begin;
       }
-      if (count == 0) start = 0;
-      if (start >= width) continue;
-      columns_[count] = column;
-      squares_[count] = square;
-      starts_[count++] = start;
+      if (start < end) parts_.push_back({column, square, start});
     }
-    if (count == 0) return;
-    rows_.assign(nearest, nearest + width);
-    std::size_t part = 0;
-    for (std::int64_t x = 0; x < width; ++x) {
-      while (part + 1 < count && starts_[part + 1] <= x) ++part;
-      const std::int64_t column = columns_[part], across = column - x;
-      const bool near = across * across + squares_[part] <= reach * reach;
-      nearest[x] = near ? rows_[static_cast<std::size_t>(column)] * width + column : -1;
-    }
+    part_ = 0;
+  }
+
+  // The column of the mark nearest to x, if it is within reach; x only grows from call to call.
+  std::int64_t column_for(std::int64_t x, std::int64_t reach) {
+    if (parts_.empty()) return none;
+    while (part_ + 1 < parts_.size() && parts_[part_ + 1].start <= x) ++part_;
+    const std::int64_t across = parts_[part_].column - x;
+    return across * across + parts_[part_].square <= reach * reach ? parts_[part_].column : none;
   }
 
  private:
+  struct Part {
+    std::int64_t column, square, start;
+  };
+
   // The first x at which a parabola is below an earlier one.
-  std::int64_t first_nearer(std::size_t earlier, std::int64_t column, std::int64_t square) const {
-    const std::int64_t before = columns_[earlier];
-    const std::int64_t sum = column * column - before * before + square - squares_[earlier];
-    const std::int64_t twice = 2 * (column - before);
-    return sum < 0 ? 0 : sum / twice + 1;
+  static std::int64_t first_nearer(const Part& earlier, std::int64_t column, std::int64_t square) {
+    const std::int64_t sum = column * column - earlier.column * earlier.column + square - earlier.square;
+    return sum < 0 ? 0 : sum / (2 * (column - earlier.column)) + 1;
   }
 
-  std::vector<std::int64_t> columns_, starts_, squares_, rows_;
+  std::vector<Part> parts_;
+  std::size_t part_ = 0;
 };
+
+// Appends the wanted texels of a row, and their marks.
+void search_row(const bool* wanted, const std::int32_t* nearest, std::int64_t row, std::int64_t width, std::int64_t reach,
+                Envelope& envelope, NearestMarks& found) {
+  const bool* const end = wanted + width;
+  for (const bool* first = std::find(wanted, end, true); first != end;) {
+    // What is wanted at most so far apart shares an envelope, of all columns that may hold a mark of theirs.
+    const bool* last = first;
+    for (const bool* next = first + 1; next < end && next - last <= 2 * reach; ++next)
+      if (*next) last = next;
+    const std::int64_t begin = first - wanted, stop = last - wanted + 1;
+    envelope.build(row, std::max<std::int64_t>(0, begin - reach), std::min(width, stop + reach), nearest);
+    for (std::int64_t x = begin; x < stop; ++x) {
+      if (!wanted[x]) continue;
+      const std::int64_t column = envelope.column_for(x, reach);
+      if (column == none) continue;
+      found.texels.push_back(row * width + x);
+      found.marks.push_back(nearest[column] * width + column);
+    }
+    first = std::find(last + 1, end, true);
+  }
+}
 
 }  // namespace
 
-std::unique_ptr<std::int64_t[]> nearest_marked(const bool* marked, std::int64_t height, std::int64_t width,
-                                               std::int64_t reach, unsigned threads) {
+NearestMarks nearest_marked(const bool* marked, const bool* wanted, std::int64_t height, std::int64_t width,
+                            std::int64_t reach, unsigned threads) {
   reach = std::min(reach, height + width);  // farther than that is nothing
-  std::unique_ptr<std::int64_t[]> nearest(new std::int64_t[static_cast<std::size_t>(height * width)]);
-  parallel_chunks(static_cast<std::size_t>(width), columns_per_chunk, threads,
-                  [&](std::size_t begin, std::size_t end, unsigned) {
-                    search_columns(marked, height, width, static_cast<std::int64_t>(begin),
-                                   static_cast<std::int64_t>(end), nearest.get());
-                  });
-  parallel_chunks(static_cast<std::size_t>(height), rows_per_chunk, threads,
-                  [&](std::size_t begin, std::size_t end, unsigned) {
-                    Envelope envelope(width);
-                    for (auto row = static_cast<std::int64_t>(begin); row < static_cast<std::int64_t>(end); ++row)
-                      envelope.search(row, width, reach, nearest.get() + row * width);
-                  });
-  return nearest;
+  const auto rows = static_cast<std::size_t>(height), columns = static_cast<std::size_t>(width);
+  std::unique_ptr<std::int32_t[]> nearest(new std::int32_t[rows * columns]);
+  parallel_chunks(columns, columns_per_chunk, threads, [&](std::size_t begin, std::size_t end, unsigned) {
+    search_columns(marked, rows, columns, begin, end, nearest.get());
+  });
+  std::vector<NearestMarks> chunks((rows + rows_per_chunk - 1) / rows_per_chunk);
+  parallel_chunks(rows, rows_per_chunk, threads, [&](std::size_t begin, std::size_t end, unsigned) {
+    Envelope envelope;
+    for (std::size_t row = begin; row < end; ++row)
+      search_row(wanted + row * columns, nearest.get() + row * columns, static_cast<std::int64_t>(row), width, reach,
+                 envelope, chunks[begin / rows_per_chunk]);
+  });
+  NearestMarks all;
+  for (const NearestMarks& chunk : chunks) {
+    all.texels.insert(all.texels.end(), chunk.texels.begin(), chunk.texels.end());
+    all.marks.insert(all.marks.end(), chunk.marks.begin(), chunk.marks.end());
+  }
+  return all;
 }
 
 }  // namespace beltrami::atlas

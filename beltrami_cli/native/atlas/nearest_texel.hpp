@@ -1,17 +1,22 @@
-// The nearest marked texel of each texel of an image.
+// The nearest marked texel of some texels of an image.
 //
 // A. Meijster, J. Roerdink, W. Hesselink, "A general algorithm for computing distance transforms in linear time"
 // (2000): nearest marks along columns first, then the lower envelope of their parabolas along each row.
 #pragma once
 
 #include <cstdint>
-#include <memory>
+#include <vector>
 
 namespace beltrami::atlas {
 
-// Returns row * width + column of the mark at the least Euclidean distance, the leftmost of several, then the upper one;
-// -1 where there is none within `reach`.
-std::unique_ptr<std::int64_t[]> nearest_marked(const bool* marked, std::int64_t height, std::int64_t width,
-                                               std::int64_t reach, unsigned threads);
+// Texels as row * width + column.
+struct NearestMarks {
+  std::vector<std::int64_t> texels, marks;
+};
+
+// Returns the wanted texels, ascending, that have a mark within `reach`, and for each the mark at the least Euclidean
+// distance: the leftmost of several, then the upper one.
+NearestMarks nearest_marked(const bool* marked, const bool* wanted, std::int64_t height, std::int64_t width,
+                            std::int64_t reach, unsigned threads);
 
 }  // namespace beltrami::atlas

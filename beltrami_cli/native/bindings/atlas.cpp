@@ -1,5 +1,11 @@
 #include "bindings/atlas.hpp"
 
+#include <nanobind/stl/tuple.h>
+
+#include <algorithm>
+#include <tuple>
+#include <vector>
+
 #include "atlas/atlas.hpp"
 #include "atlas/nearest_texel.hpp"
 #include "bindings/arrays.hpp"
@@ -99,15 +105,21 @@ nb::dict build_atlas(const Matrix<double>& positions, const Matrix<Index>& faces
   return to_dict(made);
 }
 
-auto nearest_marked(const Matrix<bool>& marked, std::int64_t reach, unsigned threads) {
+auto nearest_marked(const Matrix<bool>& marked, const Matrix<bool>& wanted, std::int64_t reach, unsigned threads) {
   const std::size_t height = marked.shape(0), width = marked.shape(1);
-  std::unique_ptr<std::int64_t[]> nearest;
+  if (wanted.shape(0) != height || wanted.shape(1) != width) throw nb::value_error("both must have one shape");
+  atlas::NearestMarks found;
   {
     const nb::gil_scoped_release unlock;
-    nearest = atlas::nearest_marked(marked.data(), static_cast<std::int64_t>(height), static_cast<std::int64_t>(width),
-                                    reach, threads);
+    found = atlas::nearest_marked(marked.data(), wanted.data(), static_cast<std::int64_t>(height),
+                                  static_cast<std::int64_t>(width), reach, threads);
   }
-  return give<std::int64_t, nb::ndim<2>>(std::move(nearest), {height, width});
+  const auto copy_of = [](const std::vector<std::int64_t>& numbers) {
+    std::unique_ptr<std::int64_t[]> copy(new std::int64_t[numbers.size()]);
+    std::copy(numbers.begin(), numbers.end(), copy.get());
+    return give<std::int64_t, nb::ndim<1>>(std::move(copy), {numbers.size()});
+  };
+  return std::make_tuple(copy_of(found.texels), copy_of(found.marks));
 }
 
 }  // namespace
@@ -116,7 +128,7 @@ void bind_atlas(nb::module_& module) {
   using namespace nb::literals;
   module.def("build_atlas", &build_atlas, "positions"_a, "faces"_a, "uv"_a, "texture_of"_a, "grids"_a, "margin"_a,
              "threads"_a, "empty"_a, "progress"_a.none());
-  module.def("nearest_marked", &nearest_marked, "marked"_a, "reach"_a, "threads"_a);
+  module.def("nearest_marked", &nearest_marked, "marked"_a, "wanted"_a, "reach"_a, "threads"_a);
 }
 
 }  // namespace beltrami::bindings

@@ -3,6 +3,7 @@
 
 #include "bindings/atlas.hpp"
 #include "bindings/canvas.hpp"
+#include "bindings/colours.hpp"
 #include "bindings/parametric.hpp"
 #include "bindings/points.hpp"
 #include "bindings/segments.hpp"
@@ -13,6 +14,7 @@ NB_MODULE(_native, module) {
   beltrami::bindings::bind_segments(module);
   beltrami::bindings::bind_parametric(module);
   beltrami::bindings::bind_canvas(module);
+  beltrami::bindings::bind_colours(module);
   beltrami::bindings::bind_atlas(module);
   beltrami::bindings::bind_points(module);
 }

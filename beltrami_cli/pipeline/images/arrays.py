@@ -128,7 +128,7 @@ class ArrayImage:
         result = flow.run(progress)
         pixels = flow.atlas.owned_texels
         return ImageResult(
-            self._with(pixels, result.colours).reshape(*self.shape, -1),
+            self._with(pixels, flow.colours()).reshape(*self.shape, -1),
             result.beta,
             result.spacing,
             result.sigma,

@@ -8,8 +8,9 @@ import numpy as np
 
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.colour_space import from_space, to_space
-from beltrami_cli.formats.image.picture import as_stored, full_scale_one, is_associated, lends_colour
+from beltrami_cli.formats.image.picture import full_scale_one, is_associated, lends_colour
 from beltrami_cli.pipeline.change import Change
+from beltrami_cli.pipeline.storing import store
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -107,7 +108,7 @@ class ImageColours:
         return self._working(full_scale_one(table[pixels[:, None], self.channels]), self._opacity(pixels))
 
     def repainted(
-        self, pixels: NDArray[np.int64], samples: NDArray[np.float32]
+        self, pixels: NDArray[np.int64], samples: NDArray[np.float32], threads: int
     ) -> tuple[NDArray[Any], Change]:
         """Return the picture's pixels with new colours, and how they changed.
 
@@ -117,6 +118,8 @@ class ImageColours:
             Row * width + column.
         samples : ndarray of float32, shape (T, N)
             Their new colours in the working space.
+        threads : int
+            The result does not depend on it.
 
         Returns
         -------
@@ -127,18 +130,13 @@ class ImageColours:
         """
         result = self._picture.pixels.copy()
         table, changes = self._table(result), []
-        written = [(column, self.channels[column]) for column in map(self.names.index, self.changing)]
-        columns = [channel for _, channel in written]
+        written = [self.names.index(name) for name in self.changing]
+        channels = [self.channels[column] for column in written]
         for first in range(0, len(pixels), _BLOCK):
             block = pixels[first : first + _BLOCK]
             before = full_scale_one(table[block[:, None], self.channels])
             after = self._stored(before, samples[first : first + _BLOCK], self._opacity(block))
-            for column, channel in written:
-                moved = after[:, column] != before[:, column]
-                kind = self._picture.kinds[channel]
-                table[block[moved], channel] = as_stored(after[moved, column], kind)
-            rounded = full_scale_one(table[block[:, None], columns])
-            changes.append(Change.between(before[:, [column for column, _ in written]], rounded))
+            changes.append(store(self._picture, table, block, after[:, written], channels, threads))
         return result, Change.joined(changes)
 
     def _table(self, pixels: NDArray[Any]) -> NDArray[Any]:

@@ -121,10 +121,10 @@ def _smoothed(
         flow = prepared.flow(settings)
         result = flow.run(None if progress is None else lambda done, total: progress("image", done, total))
         owned, guides = flow.atlas.owned_texels, flow.guide_betas
-        iterations = flow.parameters.iterations
+        iterations, colours = flow.parameters.iterations, flow.colours()
         del flow  # canvases as large as the pixels that are made now
     with watch.stage("write"):
-        pixels, change = prepared.colours.repainted(owned, result.colours)
+        pixels, change = prepared.colours.repainted(owned, colours, settings.kernel.thread_count)
         new = _encoded(prepared.picture, pixels, suffix, settings)
     report = ImageReport(
         image=prepared.facts(),

@@ -147,7 +147,7 @@ def smooth_range(
     result = flow.run(progress)
     places = flow.atlas.owned_texels
     changing, written = prepared.channels.changing, prepared.channels.written
-    after = result.colours[:, written]
+    after = flow.colours()[:, written]
     moved = np.any(prepared.working(places, settings)[:, written] != after, axis=1)
     vertices = grid.reshape(-1)[places[moved]]
     colours = painted.colours.copy()

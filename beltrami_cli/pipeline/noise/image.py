@@ -66,7 +66,7 @@ def noisy_image(
     pixels = np.flatnonzero(valid)
     before = colours.samples(pixels)
     after = add_noise(before, np.arange(len(pixels)), noise)
-    repainted, _ = colours.repainted(pixels, after)
+    repainted, _ = colours.repainted(pixels, after, threads=1)
     image = write_image(
         picture,
         repainted,

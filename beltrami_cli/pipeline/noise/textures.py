@@ -87,7 +87,7 @@ def noisy_slot(
         notices += lossy_notice(picture, suffix, "--texture-format png keeps all")
     if not len(added.texels):
         notices.append("no visible texel is covered by the surface, so its textures stay as they are")
-    return NoisyTextures(images, added.colours, tuple(notices))
+    return NoisyTextures(images, added.colours(slice(None)), tuple(notices))
 
 
 def _on_surface(
@@ -101,7 +101,9 @@ def _on_surface(
     added = add_noise(before, number, noise, stream, _in_grey(prepared)) - before
     planes = painted(atlas, added, threads=1)
     beyond = np.ascontiguousarray(planes.reshape(len(planes), -1)[:, atlas.gutter_cells].T)
-    return SmoothedTexels(atlas.texture_offsets, atlas.owned_texels, added, atlas.gutter_texels, beyond)
+    return SmoothedTexels(
+        atlas.texture_offsets, atlas.owned_texels, added.__getitem__, atlas.gutter_texels, beyond
+    )
 
 
 def _in_grey(prepared: PreparedSlot) -> NDArray[np.bool_]:
@@ -124,9 +126,9 @@ def _repainted(
     picture, colours = prepared.pictures[index], prepared.colours
     old = to_float(picture)
     inside, texels = added.of_texture(added.texels, index)
-    change = np.zeros((*old.shape[:2], added.colours.shape[1]), np.float32)
+    change = np.zeros((*old.shape[:2], added.gutter_colours.shape[1]), np.float32)
     table = change.reshape(-1, change.shape[2])
-    table[texels] = added.colours[inside]
+    table[texels] = added.colours(slice(None))[inside]
     if gutter is not None:
         covered, known = np.zeros(old.shape[:2], bool), np.zeros(old.shape[:2], bool)
         covered.reshape(-1)[texels] = True

@@ -142,6 +142,17 @@ class TexelColours:
         )
         return colour + ([picture.alpha] if self._alpha and picture.alpha is not None else [])
 
+    def are_converted(self, index: int) -> bool:
+        """Tell whether samples of a picture are other numbers than those that it stores."""
+        picture = self._pictures[index]
+        is_plain = self.space in ("data", picture.encoding) and len(picture.colour) == self._width
+        return not is_plain or self._is_normal or self._is_divided(picture)
+
+    def written(self, index: int, samples: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Choose what is stored of samples that are not converted, in the order of `columns`."""
+        chosen = self._written()[: len(self.columns(index))]
+        return samples if chosen == list(range(samples.shape[1])) else samples[:, chosen]
+
     def changed(
         self, picture: Picture, stored: NDArray[Any], samples: NDArray[np.float32]
     ) -> NDArray[np.bool_]:

@@ -84,7 +84,10 @@ def describe_surface(surface: TexturedSurface) -> dict[str, object]:
 
 def describe_textures(prepared: PreparedSlot) -> list[dict[str, object]]:
     """Return facts about each texture, in JSON types."""
-    covered = np.histogram(prepared.atlas.owned_texels, prepared.atlas.texture_offsets)[0]
+    atlas = prepared.atlas
+    covered = [len(atlas.owned_texels)]
+    if len(prepared.pictures) > 1:
+        covered = np.histogram(atlas.owned_texels, atlas.texture_offsets)[0].tolist()
     return [
         {
             "name": texture.name,

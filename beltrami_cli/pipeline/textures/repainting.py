@@ -8,22 +8,24 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from beltrami_cli.formats.image import from_float
 from beltrami_cli.formats.image.picture import full_scale_one
 from beltrami_cli.mesh import large_arrays
 from beltrami_cli.mesh.atlas import texels_by_texture
 from beltrami_cli.pipeline.change import Change
+from beltrami_cli.pipeline.storing import store
 from beltrami_cli.pipeline.textures.places import within
 from beltrami_cli.sampling.gutter import fill_gutter
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
     from beltrami_cli.formats.image import Picture
     from beltrami_cli.mesh.atlas import Indices
     from beltrami_cli.pipeline.textures.colours import TexelColours
 
-_BLOCK = 1 << 18  # texels painted at a time, which bounds the memory for them in floats
+_BLOCK = 1 << 16  # texels painted at a time, which bounds the memory for them in floats
 
 
 @dataclass(frozen=True)
@@ -36,8 +38,8 @@ class SmoothedTexels:
         Texels of texture i are numbered from its offset, row by row.
     texels : ndarray of int64, shape (T,)
         The covered texels.
-    colours : ndarray of float32, shape (T, N)
-        Their colours, in the working space.
+    colours : callable
+        Gives the colours of some of them (a slice), shape (K, N), in the working space.
     gutter_texels : ndarray of int64, shape (G,)
         Texels just beyond charts.
     gutter_colours : ndarray of float32, shape (G, N)
@@ -46,7 +48,7 @@ class SmoothedTexels:
 
     texture_offsets: NDArray[np.int64]
     texels: NDArray[np.int64]
-    colours: NDArray[np.float32]
+    colours: Callable[[slice], NDArray[np.float32]]
     gutter_texels: NDArray[np.int64]
     gutter_colours: NDArray[np.float32]
 
@@ -59,7 +61,12 @@ class SmoothedTexels:
 
 
 def repaint(
-    picture: Picture, index: int, colours: TexelColours, smoothed: SmoothedTexels, gutter: int | None
+    picture: Picture,
+    index: int,
+    colours: TexelColours,
+    smoothed: SmoothedTexels,
+    gutter: int | None,
+    threads: int,
 ) -> tuple[NDArray[Any], Change]:
     """Return a picture's new pixels, and how its covered texels changed.
 
@@ -75,16 +82,18 @@ def repaint(
         New colours of covered texels and of the gutter.
     gutter : int or None
         Texels beyond the charts that are refilled; None: none.
+    threads : int
+        The result does not depend on it.
 
     Returns
     -------
     pixels : ndarray, shape (H, W, C)
         In the picture's type. Texels that did not change keep their exact values.
     change : Change
-        Of the covered texels.
+        Of the covered texels, in the channels that change.
     """
     pixels = large_arrays.copy_of(picture.pixels)
-    change = _paint(pixels, picture, index, colours, smoothed, smoothed.texels, smoothed.colours)
+    change = _paint(pixels, picture, index, colours, smoothed, smoothed.texels, smoothed.colours, threads)
     if gutter is not None:
         covered, known = np.zeros(pixels.shape[:2], bool), np.zeros(pixels.shape[:2], bool)
         for block in large_arrays.blocks(len(smoothed.texels)):
@@ -92,10 +101,10 @@ def repaint(
         inside, texels = smoothed.of_texture(smoothed.gutter_texels, index)
         near = within(covered, gutter).reshape(-1)[texels]
         chosen, values = smoothed.gutter_texels[inside][near], smoothed.gutter_colours[inside][near]
-        _paint(pixels, picture, index, colours, smoothed, chosen, values)
+        _paint(pixels, picture, index, colours, smoothed, chosen, values.__getitem__, threads)
         known.reshape(-1)[texels[near]] = True
         opacity = colours.opacity(picture)
-        fill_gutter(pixels, covered, None, gutter, known, channels=colours.columns(index), opacity=opacity)
+        fill_gutter(pixels, covered, None, gutter, known, threads, colours.columns(index), opacity)
     return pixels, change
 
 
@@ -106,20 +115,26 @@ def _paint(
     colours: TexelColours,
     smoothed: SmoothedTexels,
     texels: NDArray[np.int64],
-    samples: NDArray[np.float32],
+    samples: Callable[[slice], NDArray[np.float32]],
+    threads: int,
 ) -> Change:
     """Put the samples that are of a picture into pixels like its own, in place, and return how these change."""
     table, changes = pixels.reshape(-1, pixels.shape[2]), []
+    channels = colours.columns(index)
     for block in large_arrays.blocks(len(texels), _BLOCK):
         inside, here = smoothed.of_texture(texels[block], index)
-        after, stored = samples[block][inside], np.take(table, here, axis=0)
-        moved = colours.changed(picture, stored, after)
-        if not moved.all():
-            here, after, stored = here[moved], after[moved], stored[moved]
-        old = full_scale_one(stored)
-        new = old.copy()
-        colours.write(new, index, slice(None), after)
-        table[here] = from_float(picture, stored, new, new != old)
-        # Texels that did not change count, too.
-        changes.append(dataclasses.replace(Change.between(old, new), count=len(moved) * table.shape[1]))
+        after = samples(block)[inside]
+        count = len(here) * len(channels)  # Texels that did not change count, too.
+        if colours.are_converted(index):
+            stored = np.take(table, here, axis=0)
+            moved = colours.changed(picture, stored, after)
+            if not moved.all():
+                here, after, stored = here[moved], after[moved], stored[moved]
+            whole = full_scale_one(stored)
+            colours.write(whole, index, slice(None), after)
+            values = whole[:, channels]
+        else:
+            values = colours.written(index, after)
+        change = store(picture, table, here, values, channels, threads)
+        changes.append(dataclasses.replace(change, count=count))
     return Change.joined(changes)

@@ -6,6 +6,7 @@ import dataclasses
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+from beltrami_cli.flow.canvas_colours import colours_at
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.image import check_writable, is_unchanged, losses, write_image
 from beltrami_cli.mesh import large_arrays
@@ -21,11 +22,12 @@ from beltrami_cli.pipeline.textures.shared import SharedImages
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    import numpy as np
     from numpy.typing import NDArray
 
     from beltrami_cli.formats.document import Document
     from beltrami_cli.formats.image import Picture
-    from beltrami_cli.mesh.atlas import Atlas
+    from beltrami_cli.mesh.atlas import Atlas, Indices
     from beltrami_cli.mesh.textured import Slot, TexturedSurface
     from beltrami_cli.pipeline.settings.smooth import SmoothSettings, TextureSettings
 
@@ -64,7 +66,8 @@ class SlotReport:
     guides : dict of str to float
         The beta used for each guide, by its name.
     change : dict of str to float
-        Mean, root mean square and largest change of a covered texel's value, full scale 1, as stored.
+        Mean, root mean square and largest change of a covered texel's value, in the channels that change, full scale 1,
+        as stored.
     choice : dict or None
         As for `VertexReport`.
     """
@@ -149,17 +152,17 @@ def smooth_slot(
     smoothed = SmoothedTexels(
         prepared.atlas.texture_offsets,
         prepared.atlas.owned_texels,
-        result.colours,
+        _colours_of(flow.planes, flow.atlas.owned_cells, settings.kernel.thread_count),
         flow.atlas.gutter_texels,
         flow.gutter_colours(),
     )
     pictures, colours, textures = prepared.pictures, prepared.colours, prepared.surface.textures
     gutter = settings.textures.gutter if report.iterations else None  # what is not smoothed stays as it is
-    del prepared, flow  # canvases as large as the pictures that are made now
+    del prepared, flow  # and all on the canvas but the colours, before pictures as large are made
     images: dict[tuple[Slot, str], ImageFile] = {}
     changes, shared = [], shared or SharedImages()
     for index, (texture, picture) in enumerate(zip(textures, pictures, strict=True)):
-        pixels, change = repaint(picture, index, colours, smoothed, gutter)
+        pixels, change = repaint(picture, index, colours, smoothed, gutter, settings.kernel.thread_count)
         changes.append(change)
         large_arrays.leave_memory()
         pixels, slots = shared.join(slot, texture.key, pixels, colours.columns(index))
@@ -171,6 +174,12 @@ def smooth_slot(
             notices += losses(picture, settings.textures.image_suffix)
     report = dataclasses.replace(report, change=Change.joined(changes).summary())
     return SlotResult(images, report, tuple(notices))
+
+
+def _colours_of(
+    planes: NDArray[np.float32], cells: Indices, threads: int
+) -> Callable[[slice], NDArray[np.float32]]:
+    return lambda block: colours_at(planes, cells[block], threads)
 
 
 def _encode(picture: Picture, pixels: NDArray[Any], slot: Slot, wanted: TextureSettings) -> ImageFile:

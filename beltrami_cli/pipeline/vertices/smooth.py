@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from beltrami_cli.flow.choice import Choice
-    from beltrami_cli.flow.result import FlowResult
+    from beltrami_cli.flow.result import VertexFlowResult
     from beltrami_cli.mesh.painted import PaintedVertices
     from beltrami_cli.mesh.surface import SampledSurface
     from beltrami_cli.pipeline.settings.smooth import SmoothSettings
@@ -257,7 +257,7 @@ def _to_vertices(
     channels: ChosenChannels,
     samples: NDArray[np.float32],
     sampling: VertexSampling,
-    flow: FlowResult,
+    flow: VertexFlowResult,
 ) -> NDArray[np.float32]:
     before, written = painted.colours[:, channels.changing], channels.written
     back = from_space(flow.colours[:, written], painted.encoding, settings.space)
