@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 _EPSILON = 0.3
 
 # Of few samples the divergence is uncertain by one perturbation: so many samples, or so many perturbations, are enough.
-_ENOUGH_SAMPLES, _MOST_PROBES = 5_500, 4
+_ENOUGH_SAMPLES, _MOST_PROBES = 5_000, 4
 
 # Less power than a channel that has any noise gives its perturbation.
 _LEAST_POWER = 1e-12

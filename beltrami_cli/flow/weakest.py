@@ -203,8 +203,16 @@ def _least_level(
     """Return the least variance that some groups' energies tell by their quantile."""
     # Of few groups none may be free; the median stays closer to the noise than the least.
     share = max(share, min(0.5, 2 / np.count_nonzero(groups)))
-    least = min(float(np.quantile(energy[groups], share)) for energy in energies)
-    return least / chi_square_quantile(freedom, share)
+    return min(_quantile(energy[groups], share) for energy in energies) / chi_square_quantile(freedom, share)
+
+
+def _quantile(values: NDArray[np.float64], share: float) -> float:
+    """Return what NumPy's function does, which imports masked arrays, at a tenth of what a small mesh costs in all."""
+    place = share * (len(values) - 1)
+    below = int(place)
+    above = min(below + 1, len(values) - 1)
+    ordered = np.partition(values, [below, above])
+    return float(ordered[below] + (place - below) * (ordered[above] - ordered[below]))
 
 
 def chi_square_quantile(freedom: float, share: float) -> float:

@@ -10,7 +10,6 @@ import contextlib
 import math
 import mmap
 import os
-import tempfile
 import weakref
 from contextvars import ContextVar
 from dataclasses import dataclass, field
@@ -85,6 +84,8 @@ def _on_disk(shape: int | Sequence[int], dtype: DTypeLike) -> NDArray[Any] | Non
     size = math.prod(shape) * np.dtype(dtype).itemsize
     if disk is None or size < _LEAST:
         return None
+    import tempfile
+
     try:
         with tempfile.TemporaryFile(dir=disk.folder) as file:
             # Else a full disk would end the program when a page is written.

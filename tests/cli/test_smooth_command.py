@@ -299,6 +299,17 @@ def test_a_command_that_is_none_is_answered_with_those_like_it(word, said):
     assert said in run.stderr
 
 
+def test_smoothing_a_small_mesh_loads_nothing_that_it_does_not_need(tmp_path):
+    """Each of these takes as long to be imported as some iterations on five thousand vertices."""
+    heavy = {"numpy.ma", "scipy", "OpenImageIO", "rich", "trimesh", "tempfile"}
+    arguments = ["smooth", str(SAMPLES / "knot-noisy.ply"), str(tmp_path / "clean.ply")]
+    run = f"import sys; from beltrami_cli.cli.main import group; group.main({arguments!r}, standalone_mode=False)"
+    check = f"{run}; found = {heavy!r} & set(sys.modules); assert not found, found"
+    ended = subprocess.run([sys.executable, "-P", "-c", check], capture_output=True, check=False)
+    assert ended.returncode == 0, ended.stderr
+    assert (tmp_path / "clean.ply").exists()
+
+
 def test_help_starts_with_click_alone():
     heavy = (
         "import sys; from beltrami_cli.cli.main import group; group.main(['--help'], standalone_mode=False)"

@@ -10,6 +10,7 @@ import beltrami_cli
 from beltrami_cli._native import measure_haar_tiles
 from beltrami_cli.flow.grid_noise import estimate_sigma_on_grid
 from beltrami_cli.flow.noise import estimate_sigma
+from beltrami_cli.flow.weakest import _quantile
 from oracles import surfaces
 
 
@@ -188,3 +189,11 @@ def test_tiles_are_measured_as_they_are_defined():
                 count, expected = tile_of(values, filled, row, column)
                 assert counts[band, tile] == count
                 np.testing.assert_allclose(measures[:, plane, band, tile], expected, rtol=1e-12, atol=1e-15)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 20, 1001])
+def test_quantiles_are_those_of_numpy(count):
+    values = np.random.default_rng(count).standard_normal(count) ** 2
+    for share in (0.0, 0.1, 0.37, 0.5, 1.0):
+        # The same line between the same two values, rounded once more or less.
+        assert _quantile(values, share) == pytest.approx(np.quantile(values, share), rel=1e-15)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import tempfile
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -46,6 +45,8 @@ def scratch_file(data: bytes = b"", suffix: str = "") -> Iterator[Path]:
         finally:
             os.close(descriptor)
     else:
+        import tempfile
+
         with tempfile.TemporaryDirectory(prefix="beltrami-") as folder:
             path = Path(folder) / f"image{suffix}"
             _fill(path, data)

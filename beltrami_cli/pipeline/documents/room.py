@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -99,9 +98,14 @@ def room_for_smoothing(
     if access.memory is not None:
         for slot in slots:
             on_disk |= _is_too_much(_chosen(document, slot, wanted), access.memory)
-    folder = Path(tempfile.gettempdir()) if target is None else Path(target).absolute().parent
-    with kept_on_disk(folder) if on_disk else contextlib.nullcontext():
+    with kept_on_disk(_folder_beside(target)) if on_disk else contextlib.nullcontext():
         yield on_disk
+
+
+def _folder_beside(target: str | None) -> Path:
+    import tempfile
+
+    return Path(tempfile.gettempdir()) if target is None else Path(target).absolute().parent
 
 
 def _is_too_much(images: Iterable[tuple[str, bytes]], memory: int) -> bool:
