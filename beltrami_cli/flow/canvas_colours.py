@@ -10,20 +10,35 @@ from beltrami_cli.mesh import large_arrays
 from beltrami_cli.mesh.atlas import refresh_halo
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
     from beltrami_cli.mesh.atlas import Atlas, Indices
 
 
+# Cells whose colours are put on the canvas at a time: so few that they are still in the cache.
+_BLOCK = 1 << 16
+
+
 def painted(atlas: Atlas, colours: NDArray[np.float32], threads: int) -> NDArray[np.float32]:
+    """Put the colours of the owned cells, shape (T, N), on the canvas; see `painted_by`."""
+    return painted_by(atlas, colours.shape[1], colours.__getitem__, threads)
+
+
+def painted_by(
+    atlas: Atlas, channels: int, colours_of: Callable[[slice], NDArray[np.float32]], threads: int
+) -> NDArray[np.float32]:
     """Put the colours of owned cells on the canvas.
 
     Parameters
     ----------
     atlas : Atlas
         The canvas.
-    colours : ndarray of float32, shape (T, N)
-        A row an owned cell.
+    channels : int
+        How many each has.
+    colours_of : callable
+        Gives the colours of some of the T owned cells, shape (K, N).
     threads : int
         The result does not depend on it.
 
@@ -34,9 +49,9 @@ def painted(atlas: Atlas, colours: NDArray[np.float32], threads: int) -> NDArray
     """
     from beltrami_cli._native import put_colours
 
-    planes = large_arrays.zeros((colours.shape[1], *atlas.kind.shape), np.float32)
-    for block in large_arrays.blocks(len(atlas.owned_cells)):
-        put_colours(planes, atlas.owned_cells[block], colours[block], threads)
+    planes = large_arrays.zeros((channels, *atlas.kind.shape), np.float32)
+    for block in large_arrays.blocks(len(atlas.owned_cells), _BLOCK):
+        put_colours(planes, atlas.owned_cells[block], colours_of(block), threads)
     refresh_halo(planes, atlas)
     return planes
 

@@ -117,12 +117,49 @@ def find_clipped(colours: NDArray[np.float32], sigma: NDArray[np.float64]) -> Cl
     """
     from beltrami_cli._native import find_limits
 
-    found = np.array([find_limits(colours[block]) for block in large_arrays.blocks(len(colours))])
-    if not len(found):
+    found = [find_limits(colours[block]) for block in large_arrays.blocks(len(colours))]
+    return _clipped(found, len(colours), sigma)
+
+
+def find_clipped_on_canvas(
+    planes: NDArray[np.float32], filled: int, sigma: NDArray[np.float64]
+) -> ClippedChannels | None:
+    """Do so for colours on a canvas.
+
+    Parameters
+    ----------
+    planes : ndarray of float32, shape (N, R, C)
+        Noisy colours, halo included; 0 where cells are empty.
+    filled : int
+        Cells that are not.
+    sigma : ndarray of float64, shape (N,)
+        Estimated standard deviation of their noise.
+
+    Returns
+    -------
+    ClippedChannels or None
+        As `find_clipped`.
+    """
+    from beltrami_cli._native import find_limits
+
+    rows = max(1, large_arrays.BLOCK // max(1, planes.shape[2]))
+    found = [
+        [find_limits(plane[block].reshape(-1, 1))[0] for plane in planes]
+        for block in large_arrays.blocks(planes.shape[1], rows)
+    ]
+    return _clipped(found, filled, sigma, empty=planes[0].size - filled)
+
+
+def _clipped(
+    found: list[list[tuple[float, float, int, int]]], count: int, sigma: NDArray[np.float64], empty: int = 0
+) -> ClippedChannels | None:
+    """Judge by the least and largest values, and by how many are 0 and 1, part by part, channel by channel."""
+    if not count:
         return None
-    least, most = found[:, :, 0].min(axis=0), found[:, :, 1].max(axis=0)
-    at_0, at_1 = found[:, :, 2].sum(axis=0), found[:, :, 3].sum(axis=0)
-    worth, noisy = _WORTH_RESTORING * len(colours), np.asarray(sigma) > 0
+    parts = np.array(found)
+    least, most = parts[:, :, 0].min(axis=0), parts[:, :, 1].max(axis=0)
+    at_0, at_1 = parts[:, :, 2].sum(axis=0) - empty, parts[:, :, 3].sum(axis=0)
+    worth, noisy = _WORTH_RESTORING * count, np.asarray(sigma) > 0
     low = (noisy & (least == 0) & (at_0 >= worth)).tolist()
     high = (noisy & (most == 1) & (at_1 >= worth)).tolist()
     if not (any(low) or any(high)):

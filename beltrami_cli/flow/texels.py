@@ -9,9 +9,9 @@ import numpy as np
 from beltrami_cli.flow.bands import Bands
 from beltrami_cli.flow.canvas import Canvas
 from beltrami_cli.flow.canvas_choice import choose_on_canvas
-from beltrami_cli.flow.canvas_colours import colours_at, painted
+from beltrami_cli.flow.canvas_colours import colours_at
 from beltrami_cli.flow.cell_fields import CellFields, halo_repeats, local_scales
-from beltrami_cli.flow.clipping import ClippedChannels, find_clipped
+from beltrami_cli.flow.clipping import ClippedChannels, find_clipped_on_canvas
 from beltrami_cli.flow.correlation import estimate_noise_on_grid
 from beltrami_cli.flow.grid_metric import GridMetric
 from beltrami_cli.flow.one_kernel import SampledKernel, kernel_on_grid
@@ -44,8 +44,8 @@ class TexelFlow:
     ----------
     atlas : Atlas
         Canvas with margins of at least half the window, and of the guide's reach besides.
-    colours : ndarray of float32, shape (T, N)
-        Colours of the owned cells, in the working space.
+    planes : ndarray of float32, shape (N, R, C)
+        Colours on the canvas, in the working space, as `painted` puts them there. They are changed in place.
     parameters : KernelParameters
         What to run with.
     walls : bool
@@ -81,7 +81,7 @@ class TexelFlow:
     def __init__(
         self,
         atlas: Atlas,
-        colours: NDArray[np.float32],
+        planes: NDArray[np.float32],
         parameters: KernelParameters,
         *,
         walls: bool = False,
@@ -90,7 +90,7 @@ class TexelFlow:
         unit: float | None = None,
     ) -> None:
         self.parameters = parameters
-        self._planes = painted(atlas, colours, parameters.thread_count)
+        self._planes = planes
         self.sigma, octaves = estimate_noise_on_grid(self._planes, atlas.kind == OWNED)
         different = np.zeros(max(1, atlas.seams), bool)
         # Where colours do not count as distance, a jump of theirs is no edge.
@@ -121,7 +121,7 @@ class TexelFlow:
         self.beta, self.guide_betas = self._metric.beta, self._metric.guide_betas
         self._clipped = None
         if parameters.clipping == "restore" and self.beta > 0 and parameters.iterations:
-            self._clipped = find_clipped(colours, self.sigma)
+            self._clipped = find_clipped_on_canvas(planes, int(np.count_nonzero(atlas.kind)), self.sigma)
 
     def run(self, progress: Callable[[int, int], None] | None = None) -> FlowResult:
         """Run all iterations.

@@ -20,6 +20,7 @@ import tuning_scene
 from bench_textures import scenes
 
 import beltrami_cli.flow.parameters as kernel
+from beltrami_cli.flow.canvas_colours import painted
 from beltrami_cli.flow.texels import TexelFlow
 from beltrami_cli.formats.source import open_document
 from beltrami_cli.sampling.atlas import build_atlas
@@ -83,7 +84,7 @@ def judge(scene, atlas, quality, subsampling, sigma):
     stored = texels([jpeg(image, quality, SUBSAMPLINGS[subsampling]) for image in noisy], atlas)
 
     def reached(**parameters):
-        flow = TexelFlow(atlas, stored, kernel.KernelParameters(**parameters))
+        flow = TexelFlow(atlas, painted(atlas, stored, threads=1), kernel.KernelParameters(**parameters))
         flow.run()
         return tuning_scene.psnr(flow.colours(), clean)
 

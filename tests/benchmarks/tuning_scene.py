@@ -13,6 +13,7 @@ import texture_files
 from scene import ROOT
 
 from beltrami_cli.flow.canvas import apply_kernel
+from beltrami_cli.flow.canvas_colours import painted
 from beltrami_cli.flow.iteration import BeltramiFlow
 from beltrami_cli.flow.parameters import TUNABLE, KernelParameters
 from beltrami_cli.flow.texels import TexelFlow
@@ -50,7 +51,7 @@ class Texels:
 
     def flow(self, noisy, parameters):
         """Return the flow."""
-        return TexelFlow(self.atlas, noisy, parameters)
+        return TexelFlow(self.atlas, painted(self.atlas, noisy, threads=1), parameters)
 
     def noisy(self, sigma):
         """Return colours with noise."""

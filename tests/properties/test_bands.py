@@ -11,12 +11,11 @@ from beltrami_cli.flow import bands
 from beltrami_cli.flow.canvas import Canvas
 from beltrami_cli.flow.guidance import Guide
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.flow.texels import TexelFlow
 from beltrami_cli.pipeline.images.grid_flow import grid_flow
 from beltrami_cli.sampling.atlas import build_atlas
 from properties.test_pieces import FIXED, ON_GRIDS, noisy
 from properties.test_slits import SIDE, TEXELS, cut_plane
-from properties.textured_planes import smoothed
+from properties.textured_planes import smoothed, texel_flow
 
 THREE_ITERATIONS = {**FIXED, "iterations": 3, "metric_steps": 2}
 
@@ -42,7 +41,7 @@ def textured_flow(parameters):
     atlas = build_atlas(cut_plane("aslant", True), [(size, size)], parameters.window // 2 + 3, 1)
     colours = noisy(len(atlas.owned_cells))
     guide = Guide("guide", colours[::-1, :1].copy(), 1.5)
-    return TexelFlow(atlas, colours, parameters, guides=[guide], metric_channels=[0, 2])
+    return texel_flow(atlas, colours, parameters, guides=[guide], metric_channels=[0, 2])
 
 
 def image_flow(parameters):

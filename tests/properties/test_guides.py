@@ -9,10 +9,9 @@ import beltrami_cli
 from beltrami_cli.flow.guidance import Guide, choose_guide_beta
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.regularisation import guide_radius
-from beltrami_cli.flow.texels import TexelFlow
 from beltrami_cli.sampling.atlas import build_atlas
 from oracles import surfaces
-from properties.textured_planes import Board, smoothed
+from properties.textured_planes import Board, smoothed, texel_flow
 
 SIDE = 48
 POSITIONS, FACES = surfaces.plane(SIDE, SIDE)
@@ -135,7 +134,7 @@ def with_guide(surface, image, guide, beta=5.0, in_chart_frame=False):
     atlas = build_atlas(surface, [(image.shape[1], image.shape[0])], margin, 1)
     table, values = (part.reshape(-1, part.shape[2]).astype(np.float32) for part in (image, guide))
     guides = [Guide("guide", values[atlas.owned_texels], beta, in_chart_frame)]
-    flow = TexelFlow(atlas, table[atlas.owned_texels], kernel, guides=guides)
+    flow = texel_flow(atlas, table[atlas.owned_texels], kernel, guides=guides)
     new = table.copy()
     new[atlas.owned_texels] = smoothed(flow)
     return new.reshape(image.shape)

@@ -17,13 +17,12 @@ from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.pieces.exchange import collect, plan_loans
 from beltrami_cli.flow.pieces.rings import Neighbours
 from beltrami_cli.flow.pieces.splitting import InTurn, in_pieces
-from beltrami_cli.flow.texels import TexelFlow
 from beltrami_cli.mesh.surface import SampledSurface
 from beltrami_cli.pipeline.images.grid_flow import grid_flow
 from beltrami_cli.sampling.atlas import build_atlas
 from oracles import surfaces
 from properties.test_slits import SIDE, TEXELS, cut_plane
-from properties.textured_planes import smoothed
+from properties.textured_planes import smoothed, texel_flow
 
 
 class Sent:
@@ -146,7 +145,7 @@ def test_a_texture_with_seams_and_slits_in_pieces_has_the_bits_of_the_whole(name
     parameters = KernelParameters(**{**FIXED, **ON_GRIDS[name]})
     size = SIDE * TEXELS + 2
     atlas = build_atlas(cut_plane("aslant", True), [(size, size)], parameters.window // 2 + 3, 1)
-    check_grid(lambda: TexelFlow(atlas, noisy(len(atlas.owned_cells)), parameters), name)
+    check_grid(lambda: texel_flow(atlas, noisy(len(atlas.owned_cells)), parameters), name)
 
 
 @pytest.mark.parametrize("name", ON_GRIDS)

@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 
+from beltrami_cli.flow.canvas_colours import painted
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.regularisation import guide_radius
 from beltrami_cli.flow.texels import TexelFlow
@@ -84,6 +85,11 @@ class Board:
         return np.stack([x, y], axis=-1)
 
 
+def texel_flow(atlas, colours, parameters, **others):
+    """Return the flow on texels with some colours, shape (T, N)."""
+    return TexelFlow(atlas, painted(atlas, colours, threads=1), parameters, **others)
+
+
 def smoothed(flow):
     """Run a flow on texels and return their colours."""
     flow.run()
@@ -96,7 +102,7 @@ def smooth_image(surface, image, **parameters):
     margin = kernel.window // 2 + (guide_radius(kernel.metric_scale) if kernel.metric_steps else 0)
     atlas = build_atlas(surface, [(image.shape[1], image.shape[0])], margin, 1)
     table = image.reshape(-1, image.shape[2]).astype(np.float32)
-    flow = TexelFlow(atlas, table[atlas.owned_texels], kernel)
+    flow = texel_flow(atlas, table[atlas.owned_texels], kernel)
     new = table.copy()
     new[atlas.owned_texels] = smoothed(flow)
     return new.reshape(image.shape), flow

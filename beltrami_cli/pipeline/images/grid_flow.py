@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
+from beltrami_cli.flow.canvas_colours import painted
 from beltrami_cli.flow.regularisation import guide_radius
 from beltrami_cli.flow.texels import TexelFlow
 from beltrami_cli.sampling.grid import grid_atlas
@@ -71,7 +72,7 @@ def grid_flow(
     del positions  # as large as all that follows
     return TexelFlow(
         atlas,
-        colours_of(atlas.owned_texels),
+        painted(atlas, colours_of(atlas.owned_texels), kernel.thread_count),
         kernel,
         walls=atlas.covered < valid.size,
         guides=[guide.at(atlas.owned_texels) for guide in guides],

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from beltrami_cli.errors import UsageError
+from beltrami_cli.flow.canvas_colours import painted_by
 from beltrami_cli.flow.colour_space import from_space, to_space
 from beltrami_cli.formats.image.picture import full_scale_one, is_associated, lends_colour, without_alpha
 from beltrami_cli.mesh import large_arrays
@@ -92,8 +93,18 @@ class TexelColours:
         """Return the colours of the owned cells in the working space, shape (T, N)."""
         table = large_arrays.empty((len(atlas.owned_texels), len(self.names)), np.float32)
         for block in large_arrays.blocks(len(table)):
-            for index, inside, texels in texels_by_texture(atlas.texture_offsets, atlas.owned_texels[block]):
-                table[block][inside] = self.working(self._pictures[index], texels)
+            table[block] = self._of_block(atlas, block)
+        return table
+
+    def on_canvas(self, atlas: Atlas, threads: int) -> NDArray[np.float32]:
+        """Return the colours of the owned cells, and of what continues them, on the canvas, shape (N, R, C)."""
+        return painted_by(atlas, len(self.names), lambda block: self._of_block(atlas, block), threads)
+
+    def _of_block(self, atlas: Atlas, block: slice) -> NDArray[np.float32]:
+        texels = atlas.owned_texels[block]
+        table = np.empty((len(texels), len(self.names)), np.float32)
+        for index, inside, own in texels_by_texture(atlas.texture_offsets, texels):
+            table[inside] = self.working(self._pictures[index], own)
         return table
 
     def working(self, picture: Picture, texels: NDArray[np.int64]) -> NDArray[np.float32]:

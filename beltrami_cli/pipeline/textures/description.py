@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from beltrami_cli.flow.canvas_colours import painted
 from beltrami_cli.flow.texels import TexelFlow
 from beltrami_cli.mesh.atlas import without_owned
 from beltrami_cli.mesh.topology import count_topology
@@ -65,7 +66,8 @@ def _alone(prepared: PreparedSlot, index: int, settings: SmoothSettings) -> Texe
     if hidden.any():
         atlas = without_owned(atlas, hidden)
     colours = prepared.colours.working(picture, atlas.owned_texels)
-    return TexelFlow(atlas, colours, dataclasses.replace(settings.kernel, free=()))
+    planes = painted(atlas, colours, settings.kernel.thread_count)
+    return TexelFlow(atlas, planes, dataclasses.replace(settings.kernel, free=()))
 
 
 def describe_surface(surface: TexturedSurface) -> dict[str, object]:

@@ -55,7 +55,7 @@ class PreparedSlot:
         """Make the flow on these samples."""
         return TexelFlow(
             self.atlas,
-            self.colours.samples(self.atlas),
+            self.colours.on_canvas(self.atlas, settings.kernel.thread_count),
             settings.kernel,
             guides=self.guides,
             metric_channels=self.colours.metric_channels,
