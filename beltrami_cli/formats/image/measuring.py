@@ -7,6 +7,10 @@ from dataclasses import dataclass
 from beltrami_cli.formats.image.scratch import scratch_file
 
 
+# PNG and JPEG files tell their size before their pixels, mostly in so many bytes; so not all of them are copied.
+_SIZE_FIRST, _HEAD = (b"\x89PNG", b"\xff\xd8\xff"), 1 << 16
+
+
 @dataclass(frozen=True)
 class ImageSize:
     """Pixels and their bytes: width, height, channels, and the bytes of one sample."""
@@ -35,6 +39,12 @@ def measure_image(data: bytes) -> ImageSize | None:
     data : bytes
         The file.
     """
+    head = data[:_HEAD] if data.startswith(_SIZE_FIRST) else data
+    size = _measured(head)
+    return _measured(data) if size is None and len(head) < len(data) else size
+
+
+def _measured(data: bytes) -> ImageSize | None:
     import OpenImageIO
 
     with scratch_file(data) as path:
