@@ -11,7 +11,9 @@ from formats.image_files import LOSSLESS, encode, noise, png_chunk, png_chunks
 _BYTES = {"uint8": 1, "uint16": 2, "half": 2, "float": 4}
 
 
-@pytest.mark.parametrize(("known", "kind", "channels"), [*LOSSLESS, ("jpeg", "uint8", 3), ("jpeg", "uint8", 1)])
+@pytest.mark.parametrize(
+    ("known", "kind", "channels"), [*LOSSLESS, ("jpeg", "uint8", 3), ("jpeg", "uint8", 1)]
+)
 def test_the_size_is_that_of_the_pixels(known: str, kind: str, channels: int) -> None:
     small, large = noise(kind, channels), noise(kind, channels, 300, 400)
     for pixels in (small, large):

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 from beltrami_cli.formats.image.scratch import scratch_file
 
-
 # PNG and JPEG files tell their size before their pixels, mostly in so many bytes; so not all of them are copied.
 _SIZE_FIRST, _HEAD = (b"\x89PNG", b"\xff\xd8\xff"), 1 << 16
 

@@ -56,7 +56,7 @@ def without_additions(encoded: bytes, known: str) -> bytes:
     if known != "png":
         return encoded
     kept = (chunk for kind, chunk in _png_chunks(encoded) if kind not in _OF_THE_ENCODER)
-    return encoded[:_PNG_START] + b"".join(kept)
+    return b"".join([encoded[:_PNG_START], *kept])
 
 
 def is_animated(data: bytes, known: str) -> bool:
@@ -94,22 +94,22 @@ def is_progressive_jpeg(data: bytes) -> bool:
     return any(marker in _PROGRESSIVE for marker, _ in _jpeg_segments(data))
 
 
-def _png_chunks(data: bytes) -> Iterator[tuple[bytes, bytes]]:
-    """Give the type and the whole bytes of every complete chunk."""
-    at = _PNG_START
+def _png_chunks(data: bytes) -> Iterator[tuple[bytes, memoryview]]:
+    """Give the type and the whole bytes of every complete chunk, which are not copied."""
+    at, view = _PNG_START, memoryview(data)
     while at + 12 <= len(data):
         end = at + 12 + int.from_bytes(data[at : at + 4])
         if end > len(data):
             return
-        yield data[at + 4 : at + 8], data[at:end]
+        yield data[at + 4 : at + 8], view[at:end]
         at = end
 
 
 def _carry_png(source: bytes, encoded: bytes) -> bytes:
     same_samples = source[24:26] == encoded[24:26]  # bit depth and type of colour
     unwanted = _ANIMATION if same_samples else (*_ANIMATION, *_OF_SAMPLES)
-    before: list[bytes] = []
-    behind: list[bytes] = []
+    before: list[memoryview] = []
+    behind: list[memoryview] = []
     chunks = before
     for kind, chunk in _png_chunks(source):
         if kind == b"IDAT":
@@ -120,7 +120,7 @@ def _carry_png(source: bytes, encoded: bytes) -> bytes:
     header = [chunk for kind, chunk in critical if kind == b"IHDR"]
     body = [chunk for kind, chunk in critical if kind not in (b"IHDR", b"IEND")]
     end = [chunk for kind, chunk in critical if kind == b"IEND"]
-    return encoded[:_PNG_START] + b"".join([*header, *before, *body, *behind, *end])
+    return b"".join([encoded[:_PNG_START], *header, *before, *body, *behind, *end])
 
 
 def _jpeg_segments(data: bytes) -> Iterator[tuple[int, bytes]]:

@@ -141,8 +141,8 @@ def _names(
     suffix = settings.textures.image_suffix
     images = {
         (slot, texture.key): ImageFile(
-            # Other bytes: what is equal is not written anew.
-            texture.data + b"\n",
+            # Other bytes, since what is equal is not written anew; each its own.
+            f"new {texture.key}".encode(),
             suffix or suffix_for(texture.data, texture.name) or ".png",
         )
         for slot in work.slots
