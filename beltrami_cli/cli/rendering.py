@@ -61,7 +61,7 @@ lit = click.option(
 )  # fmt: skip
 background = click.option(
     "--background", default=DEFAULT_RENDER.background, show_default=True, metavar="COLOUR",
-    help="white, grey, black, #rrggbb, or transparent.",
+    help="white, grey, black, #rrggbb, or transparent; auto: white, or grey behind what is white.",
 )  # fmt: skip
 crops = click.option(
     "--crop", "crops", callback=_crops, multiple=True, metavar="X,Y[,SIDE]|auto[,SIDE]",

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -16,7 +18,7 @@ from beltrami_cli.rendering.cloud_view import CloudView
 from beltrami_cli.rendering.details import richest_window
 from beltrami_cli.rendering.image_view import ImageView
 from beltrami_cli.rendering.paint import TexturePaint, VertexPaint
-from beltrami_cli.rendering.sheet import Background, Panel, arranged, displayed
+from beltrami_cli.rendering.sheet import Background, Panel, arranged, background_behind, displayed
 from beltrami_cli.rendering.surface_view import AMBIENT, LAMP, SurfaceView
 from oracles import surfaces
 
@@ -236,3 +238,18 @@ def test_a_single_point_is_seen_in_the_middle(place, field):
     picture = draw_views([view], [""], looks)
     assert picture[25, 25].max() == 0
     assert (picture == 255).mean() > 0.9
+
+
+def test_what_would_be_lost_on_white_is_shown_on_grey():
+    settings = RenderSettings(size=(64, 64))
+    grey, white = [128] * 3, [255] * 3
+
+    def behind(view, **looks):
+        return draw_views([view], [""], dataclasses.replace(settings, **looks))[0, 0].tolist()
+
+    bright, dim = sphere()[0], sphere(0.8)[0]
+    assert behind(bright) == grey
+    assert behind(dim) == white
+    assert behind(bright, background="white") == white
+    # A picture that fills its view has no outline that could be lost, however white it is.
+    assert background_behind([np.ones((8, 8, 4), np.float32)]) == Background()

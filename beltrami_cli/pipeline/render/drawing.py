@@ -10,7 +10,7 @@ import numpy as np
 from beltrami_cli.rendering.camera import Window, fitted, orientation
 from beltrami_cli.rendering.details import richest_window
 from beltrami_cli.rendering.image_view import ImageView
-from beltrami_cli.rendering.sheet import Background, Panel, arranged, detail_size
+from beltrami_cli.rendering.sheet import Background, Panel, arranged, background_behind, detail_size
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -55,7 +55,7 @@ def draw_views(
     if settings.stacked and settings.turntable:  # the turns of a model below each other
         panels = [panel for turn in range(turns) for panel in panels[turn::turns]]
     columns = turns if settings.turntable else len(views)
-    return arranged(panels, _columns(columns, len(views), settings), background_of(settings))
+    return arranged(panels, _columns(columns, len(views), settings), background_of(settings, panels))
 
 
 def draw_panels(
@@ -107,8 +107,10 @@ def with_fixed_crops(view: Drawable, settings: RenderSettings) -> RenderSettings
     return dataclasses.replace(settings, crops=tuple(crops))
 
 
-def background_of(settings: RenderSettings) -> Background:
+def background_of(settings: RenderSettings, panels: Sequence[Panel]) -> Background:
     """Return what is behind models."""
+    if settings.background == "auto":
+        return background_behind([panel.view for panel in panels])
     colour = settings.background_colour()
     return Background(opacity=0.0) if colour is None else Background(colour)
 

@@ -143,7 +143,7 @@ def sweep_file(
     else:
         empty = [None] * (-len(shown) % columns)  # trials begin in a row of their own
         placed = [*panels[: len(shown)], *empty, *panels[len(shown) :]]
-        output.write(encoded(arranged(placed, columns, background_of(looks)), path, suffix))
+        output.write(encoded(arranged(placed, columns, background_of(looks, panels)), path, suffix))
     return done
 
 
@@ -220,9 +220,9 @@ def best_of(trials: Sequence[Trial]) -> int | None:
 def _page(name: str, trials: Sequence[Trial], panels: Sequence[Panel], looks: RenderSettings) -> bytes:
     best = best_of(trials)
     first = len(panels) - len(trials)
-    drawn = []
+    drawn, background = [], background_of(looks, panels)
     for number, panel in enumerate(panels):
-        picture = arranged([dataclasses.replace(panel, label="")], 1, background_of(looks))
+        picture = arranged([dataclasses.replace(panel, label="")], 1, background)
         mark = ' class="best"' if best is not None and number == first + best else ""
         caption = html.escape(panel.label)
         drawn.append(

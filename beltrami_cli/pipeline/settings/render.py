@@ -82,7 +82,7 @@ class RenderSettings:
     lit : bool
         Whether a lamp shows the shape; otherwise colours are as they are.
     background : str
-        ``white``, ``grey``, ``black``, ``#rrggbb`` or ``transparent``.
+        ``white``, ``grey``, ``black``, ``#rrggbb`` or ``transparent``; ``auto``: white, or grey behind what is white.
     slot : str or None
         Which textures are shown; None: base colour, or vertex colours where there is none.
     on : {"auto", "vertices", "texture"}
@@ -109,7 +109,7 @@ class RenderSettings:
     fov: float = 30.0
     zoom: float = 1.0
     lit: bool = False
-    background: str = "white"
+    background: str = "auto"
     slot: str = "baseColor"
     on: Literal["auto", "vertices", "texture"] = "auto"
     turntable: int = 0
@@ -135,12 +135,12 @@ class RenderSettings:
         self.background_colour()
 
     def background_colour(self) -> tuple[float, float, float] | None:
-        """Return the background as display values, 0 to 1; None: transparent."""
-        if self.background == "transparent":
+        """Return the background as display values, 0 to 1; None: transparent, or what suits the models."""
+        if self.background in ("auto", "transparent"):
             return None
         digits = re.fullmatch(r"#([0-9a-fA-F]{6})", BACKGROUNDS.get(self.background, self.background))
         if digits is None:
-            names = ", ".join((*BACKGROUNDS, "transparent"))
+            names = ", ".join(("auto", *BACKGROUNDS, "transparent"))
             raise UsageError(f"background is {self.background}, but must be {names} or #rrggbb")
         red, green, blue = bytes.fromhex(digits[1])
         return red / 255, green / 255, blue / 255
