@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from beltrami_cli.pipeline.smooth.file import smooth_file
     from beltrami_cli.pipeline.smooth.report import SmoothReport
     from beltrami_cli.pipeline.vertices.arrays import smooth
-    from beltrami_cli.pipeline.vertices.smooth import SmoothResult
+    from beltrami_cli.pipeline.vertices.result import SmoothResult
 
 _HOME_OF = {
     "BeltramiError": "errors",

@@ -12,9 +12,9 @@ from beltrami_cli.flow.colour_space import to_space
 from beltrami_cli.mesh.areas import vertex_areas
 from beltrami_cli.pipeline.compare.paired_colours import PairedColours, SeamSteps, differences
 from beltrami_cli.pipeline.noise.vertices import coloured_vertices, places_of
+from beltrami_cli.pipeline.vertices.channels import choose_channels
 from beltrami_cli.pipeline.vertices.level_set import LevelSetDocument
 from beltrami_cli.pipeline.vertices.point_cloud import with_surface
-from beltrami_cli.pipeline.vertices.smooth import choose_channels
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

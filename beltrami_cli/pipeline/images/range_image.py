@@ -12,7 +12,8 @@ from beltrami_cli.flow.colour_space import from_space, to_space
 from beltrami_cli.flow.guidance import Guide
 from beltrami_cli.pipeline.images.grid_flow import grid_flow
 from beltrami_cli.pipeline.settings.smooth import DEFAULTS
-from beltrami_cli.pipeline.vertices.smooth import ChosenChannels, SmoothResult, choose_channels
+from beltrami_cli.pipeline.vertices.channels import ChosenChannels, choose_channels
+from beltrami_cli.pipeline.vertices.result import SmoothResult
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from beltrami_cli.mesh.painted import PaintedVertices
     from beltrami_cli.mesh.surface import SampledSurface
     from beltrami_cli.pipeline.settings.smooth import SmoothSettings
-    from beltrami_cli.pipeline.vertices.smooth import PreparedVertices
+    from beltrami_cli.pipeline.vertices.prepare import PreparedVertices
     from beltrami_cli.sampling.vertices import VertexSampling
 
 # Enough for a mean within a few per cent, and a matter of milliseconds.
@@ -28,7 +28,7 @@ def describe_vertices(document: Document, settings: SmoothSettings, access: Acce
     """Describe the vertex colours of a mesh or of points, and what smoothing would do to them."""
     from beltrami_cli.pipeline.vertices.guides import vertex_guides
     from beltrami_cli.pipeline.vertices.point_cloud import with_surface
-    from beltrami_cli.pipeline.vertices.smooth import prepare
+    from beltrami_cli.pipeline.vertices.prepare import prepare
 
     painted = with_surface(document.painted(), settings)
     prepared = prepare(painted, settings, vertex_guides(document, settings, access))

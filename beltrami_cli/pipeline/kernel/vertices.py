@@ -11,7 +11,7 @@ from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.pipeline.kernel.study import KernelStudy, MeshView, Shown, describe, table
 from beltrami_cli.pipeline.vertices.guides import vertex_guides
 from beltrami_cli.pipeline.vertices.point_cloud import with_surface
-from beltrami_cli.pipeline.vertices.smooth import prepare
+from beltrami_cli.pipeline.vertices.prepare import prepare
 
 if TYPE_CHECKING:
     from collections.abc import Callable

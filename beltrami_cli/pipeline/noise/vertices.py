@@ -8,8 +8,8 @@ import numpy as np
 
 from beltrami_cli.flow.colour_space import from_space, to_space
 from beltrami_cli.pipeline.noise.kinds import add_noise
+from beltrami_cli.pipeline.vertices.channels import choose_channels
 from beltrami_cli.pipeline.vertices.level_set import LevelSetDocument
-from beltrami_cli.pipeline.vertices.smooth import choose_channels
 from beltrami_cli.sampling.grouping import group_equal_rows
 
 if TYPE_CHECKING:

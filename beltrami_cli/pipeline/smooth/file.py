@@ -20,7 +20,7 @@ from beltrami_cli.pipeline.smooth.stopwatch import Stopwatch
 from beltrami_cli.pipeline.vertices.guides import vertex_guides
 from beltrami_cli.pipeline.vertices.moved import moved_vertices, require_geometry
 from beltrami_cli.pipeline.vertices.point_cloud import smooth_cloud
-from beltrami_cli.pipeline.vertices.smooth import SmoothResult, smooth_painted
+from beltrami_cli.pipeline.vertices.smooth import smooth_painted
 from beltrami_cli.pipeline.writing.output import Output
 
 if TYPE_CHECKING:
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from beltrami_cli.pipeline.settings.bake import BakeSettings
     from beltrami_cli.pipeline.smooth.report import SmoothReport
     from beltrami_cli.pipeline.textures.smooth import SlotReport
+    from beltrami_cli.pipeline.vertices.result import SmoothResult
 
 
 def smooth_file(

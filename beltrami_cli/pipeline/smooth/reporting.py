@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from beltrami_cli.pipeline.smooth.report import ImageReport
     from beltrami_cli.pipeline.smooth.stopwatch import Stopwatch
     from beltrami_cli.pipeline.textures.smooth import SlotReport
-    from beltrami_cli.pipeline.vertices.smooth import SmoothResult
+    from beltrami_cli.pipeline.vertices.result import SmoothResult
 
 
 def make_image_report(

@@ -22,7 +22,8 @@ from beltrami_cli.pipeline.smooth.reporting import make_report
 from beltrami_cli.pipeline.smooth.stopwatch import Stopwatch
 from beltrami_cli.pipeline.textures.smooth import smooth_slot
 from beltrami_cli.pipeline.vertices.guides import vertex_guides
-from beltrami_cli.pipeline.vertices.smooth import require_surface, smooth_painted
+from beltrami_cli.pipeline.vertices.prepare import require_surface
+from beltrami_cli.pipeline.vertices.smooth import smooth_painted
 from beltrami_cli.pipeline.writing.output import Output
 
 if TYPE_CHECKING:
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
     from beltrami_cli.pipeline.settings.smooth import SmoothSettings
     from beltrami_cli.pipeline.smooth.report import SmoothReport
     from beltrami_cli.pipeline.textures.smooth import SlotReport
-    from beltrami_cli.pipeline.vertices.smooth import SmoothResult
+    from beltrami_cli.pipeline.vertices.result import SmoothResult
 
     Progress = Callable[[str, int, int], None] | None
 

@@ -21,7 +21,7 @@ from beltrami_cli.mesh.validation import (
 from beltrami_cli.pipeline.settings.embedding import EmbeddingSettings
 from beltrami_cli.pipeline.settings.smooth import DEFAULTS, SmoothSettings
 from beltrami_cli.pipeline.vertices.point_cloud import smooth_cloud
-from beltrami_cli.pipeline.vertices.smooth import SmoothResult, smooth_painted
+from beltrami_cli.pipeline.vertices.smooth import smooth_painted
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
     from beltrami_cli.flow.parameters import Clipping, Solver, Space, Strength, Units, Weights
+    from beltrami_cli.pipeline.vertices.result import SmoothResult
 
 
 def smooth(

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.errors import UsageError
-from beltrami_cli.pipeline.vertices.smooth import CloudCounts, SmoothResult, smooth_painted
+from beltrami_cli.pipeline.vertices.result import CloudCounts, SmoothResult
+from beltrami_cli.pipeline.vertices.smooth import smooth_painted
 from beltrami_cli.sampling.points import faces_of_points
 
 if TYPE_CHECKING:
