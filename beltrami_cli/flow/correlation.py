@@ -120,7 +120,8 @@ def noise_in_common(
     inside = filled & ((colours > 0) & (colours < 1)).all(axis=0)
     if np.count_nonzero(inside) > _ENOUGH_INSIDE * np.count_nonzero(filled):
         filled = inside
-    opponents = np.tensordot((_SCALE * _OPPONENTS).astype(np.float32), colours, 1)
+    # By BLAS it would start threads, which spin for as long as an iteration takes.
+    opponents = np.einsum("ij,jrc->irc", (_SCALE * _OPPONENTS).astype(np.float32), colours)
     opponents += _MIDDLE.astype(np.float32)[:, None, None]
     octaves = [(opponents, filled)]
     while len(octaves) < _OCTAVES:

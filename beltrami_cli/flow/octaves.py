@@ -82,4 +82,6 @@ def _mixed(
     values, vectors = np.linalg.eigh(covariance)
     root = (vectors * np.sqrt(np.maximum(values, 0))) @ vectors.T
     signs = (random.integers(0, 2, (len(root), *shape), np.int8) * 2 - 1).astype(np.float32)
-    return np.tensordot(root.astype(np.float32), signs, 1)
+    # Not by BLAS, whose threads spin on.
+    mixed: NDArray[np.float32] = np.einsum("ij,jrc->irc", root.astype(np.float32), signs)
+    return mixed
