@@ -20,27 +20,43 @@ def nearest(value, most):
 @given(
     st.sampled_from([np.uint8, np.uint16]),
     st.sampled_from([np.int32, np.int64]),
-    st.lists(st.floats(-0.5, 1.5, width=32) | st.sampled_from([0.5, 0.1, np.inf, -np.inf]), max_size=40),
+    st.sampled_from([[3, 0], [0, 1, 2, 3], [0, 1, 3, 2]]),
+    st.lists(st.floats(-0.5, 1.5, width=32) | st.sampled_from([0.5, 0.1, np.inf, -np.inf]), max_size=80),
+    st.booleans(),
     st.integers(1, 3),
 )
 @settings(max_examples=200, deadline=None)
-def test_each_number_is_rounded_once_and_nothing_else_changes(kind, index, numbers, threads):
-    most = int(np.iinfo(kind).max)
-    values = np.array(numbers[: len(numbers) // 2 * 2], np.float32).reshape(-1, 2)
+def test_each_number_is_rounded_once_and_nothing_else_changes(
+    kind, index, channels, numbers, in_runs, threads
+):
+    most, width = int(np.iinfo(kind).max), len(channels)
+    values = np.array(numbers[: len(numbers) // width * width], np.float32).reshape(-1, width)
     random = np.random.default_rng(len(numbers))
     table = random.integers(0, most + 1, (50, 4)).astype(kind)
     pixels = random.permutation(50)[: len(values)].astype(index)
+    if in_runs:
+        pixels.sort()
     expected = table.astype(int)
     for pixel, row in zip(pixels, values, strict=True):
-        expected[pixel, [3, 0]] = [nearest(value, most) for value in row]
+        expected[pixel, channels] = [nearest(value, most) for value in row]
     step = np.abs(expected - table)
-    found = store_integers(table, pixels, values, [3, 0], threads)
+    found = store_integers(table, pixels, values, channels, threads)
     assert np.array_equal(table, expected)
     # Sums of integers are exact, so only their quotients are rounded.
     scale = np.array([most, most**2, most])
     assert found == pytest.approx(
         np.array([step.sum(), np.square(step).sum(), step.max()]) / scale, rel=1e-15
     )
+
+
+def test_the_largest_changes_of_many_numbers_in_one_run_are_summed_exactly():
+    for kind in (np.uint8, np.uint16):
+        most = int(np.iinfo(kind).max)
+        table, pixels = np.full((100_000, 3), most, kind), np.arange(100_000)
+        total, squares, largest = store_integers(
+            table, pixels, np.zeros((100_000, 3), np.float32), [0, 1, 2], 2
+        )
+        assert (total, squares, largest) == (300_000, 300_000, 1)
 
 
 def test_every_stored_number_comes_back():
