@@ -10,15 +10,20 @@ from beltrami_cli.pipeline.textures.places import within
 
 @pytest.mark.parametrize("kind", [np.int32, np.int64])
 @pytest.mark.parametrize("threads", [1, 4])
-def test_colours_come_back_from_the_cells_they_were_put_in(kind, threads):
+@pytest.mark.parametrize("channels", [2, 3])
+@pytest.mark.parametrize("ordered", [True, False])
+def test_colours_come_back_from_the_cells_they_were_put_in(kind, threads, channels, ordered):
     random = np.random.default_rng(2)
-    planes = np.full((2, 300, 200), -1, np.float32)
-    cells = np.sort(random.permutation(60_000)[:25_000]).astype(kind)
-    colours = random.random((len(cells), 2), np.float32)
+    planes = np.full((channels, 300, 200), -1, np.float32)
+    holes = random.permutation(60_000)[:1_000]  # so there are runs of some sixty cells
+    cells = np.delete(np.arange(60_000), holes).astype(kind)
+    if not ordered:
+        cells = random.permutation(cells)
+    colours = random.random((len(cells), channels), np.float32)
     put_colours(planes, cells, colours, threads)
-    expected = np.full((2, 60_000), -1, np.float32)
+    expected = np.full((channels, 60_000), -1, np.float32)
     expected[:, cells] = colours.T
-    np.testing.assert_array_equal(planes.reshape(2, -1), expected)
+    np.testing.assert_array_equal(planes.reshape(channels, -1), expected)
     back = np.empty_like(colours)
     take_colours(planes, cells, back, threads)
     np.testing.assert_array_equal(back, colours)

@@ -6,6 +6,7 @@
 #include <cstdint>
 
 #include "bindings/arrays.hpp"
+#include "colours/moving.hpp"
 #include "parametric/gaussian_means.hpp"
 #include "parametric/haar_tiles.hpp"
 
@@ -17,43 +18,36 @@ using Filled = nb::ndarray<const bool, nb::ndim<2>, nb::c_contig, nb::device::cp
 using OpenStack = nb::ndarray<float, nb::ndim<3>, nb::c_contig, nb::device::cpu>;
 using OpenMatrix = nb::ndarray<float, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
 
-// So few rows that they and what they are spread over stay in the cache from plane to plane.
-constexpr std::size_t rows_at_once = 1 << 13;
-
-// Calls move(value of a plane's cell, value of a row) for every channel of every row, plane by plane.
-template <class Index, class Planes, class Colours, class Move>
-void move_colours(const Planes& planes, const Vector<Index>& cells, const Colours& colours, unsigned threads,
-                  const Move& move) {
-  const std::size_t size = planes.shape(1) * planes.shape(2), channels = planes.shape(0);
-  if (colours.shape(0) != cells.size() || colours.shape(1) != channels)
+// Throws if there is not a row a cell, or a cell lies outside.
+template <class Index, class Planes, class Rows>
+void check(const Planes& planes, const Vector<Index>& cells, const Rows& rows) {
+  if (rows.shape(0) != cells.size() || rows.shape(1) != planes.shape(0))
     throw nb::value_error("a row a cell, and a colour a plane, are needed");
-  auto* plane_data = planes.data();
-  auto* colour_data = colours.data();
-  const Index* cell_data = cells.data();
+  const std::size_t size = planes.shape(1) * planes.shape(2);
   bool outside = false;
-  {
-    const nb::gil_scoped_release unlock;
-    for (std::size_t row = 0; row < cells.size(); ++row)
-      outside |= cell_data[row] < 0 || static_cast<std::size_t>(cell_data[row]) >= size;
-    if (!outside)
-      parallel_chunks(cells.size(), rows_at_once, threads, [&](std::size_t begin, std::size_t end, unsigned) {
-        for (std::size_t channel = 0; channel < channels; ++channel)
-          for (std::size_t row = begin; row < end; ++row)
-            move(plane_data[channel * size + static_cast<std::size_t>(cell_data[row])], colour_data[row * channels + channel]);
-      });
-  }
+  for (std::size_t i = 0; i < cells.size(); ++i)
+    outside |= cells.data()[i] < 0 || static_cast<std::size_t>(cells.data()[i]) >= size;
   if (outside) throw nb::index_error("a cell lies outside the canvas");
+}
+
+template <class Value, class Planes>
+colours::Planes<Value> planes_of(const Planes& planes) {
+  return {planes.data(), planes.shape(1) * planes.shape(2), planes.shape(0)};
 }
 
 // No cell may be named twice.
 template <class Index>
-void put_colours(const OpenStack& planes, const Vector<Index>& cells, const Matrix<float>& colours, unsigned threads) {
-  move_colours(planes, cells, colours, threads, [](float& on_plane, float in_row) { on_plane = in_row; });
+void put_colours(const OpenStack& planes, const Vector<Index>& cells, const Matrix<float>& rows, unsigned threads) {
+  check(planes, cells, rows);
+  const nb::gil_scoped_release unlock;
+  colours::put<Index>(planes_of<float>(planes), {cells.data(), cells.size()}, rows.data(), threads);
 }
 
 template <class Index>
-void take_colours(const Stack& planes, const Vector<Index>& cells, const OpenMatrix& colours, unsigned threads) {
-  move_colours(planes, cells, colours, threads, [](float on_plane, float& in_row) { in_row = on_plane; });
+void take_colours(const Stack& planes, const Vector<Index>& cells, const OpenMatrix& rows, unsigned threads) {
+  check(planes, cells, rows);
+  const nb::gil_scoped_release unlock;
+  colours::take<Index>(planes_of<const float>(planes), {cells.data(), cells.size()}, rows.data(), threads);
 }
 
 auto convolve_planes(const Stack& planes, const Vector<float>& taps, unsigned threads) {
