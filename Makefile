@@ -96,6 +96,7 @@ sanitize: $(VENV)/.installed-test
 	build/sanitize/core_tests
 	build/sanitize/segment_tests
 	build/sanitize/atlas_tests
+	build/sanitize/colours_tests
 	build/sanitize/parametric_tests
 	build/sanitize/points_tests
 
