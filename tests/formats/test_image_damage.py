@@ -124,3 +124,15 @@ def test_of_an_animation_the_first_image_is_taken_and_said_so() -> None:
     assert picture.pixels.shape[:2] == (8, 8)
     assert "moving.webp holds several images" in picture.notices[0]
     assert not read_image(sample("webp"), "still.webp").notices
+
+
+def test_a_compression_that_is_not_built_in_is_no_damage() -> None:
+    data = bytearray(sample("tiff"))
+    first = int.from_bytes(data[4:8], "little")
+    for entry in range(int.from_bytes(data[first : first + 2], "little")):
+        at = first + 2 + 12 * entry
+        if int.from_bytes(data[at : at + 2], "little") == 259:  # Compression
+            data[at + 8 : at + 10] = (34712).to_bytes(2, "little")  # JPEG 2000, which libtiff never decodes
+    told = r"does not read how the TIF image is compressed .* save it without compression"
+    with pytest.raises(InputError, match=told):
+        read_image(bytes(data), "x.tif")

@@ -23,6 +23,7 @@ _LARGEST = 1 << 28  # pixels: 16384 x 16384, the largest texture that graphics c
 _MOST_CHANNELS = 64
 _MOST_MEGABYTES = 8192  # of decoded pixels
 _STORED = {"uint8": "uint8", "uint16": "uint16", "half": "float16", "float": "float32"}
+_NOT_BUILT_IN = ("support is not configured", "is not implemented")  # of a compression, as libtiff says
 _EXPORT = "export it as RGB or grey with 8 or 16 bits, or as floats"
 
 
@@ -156,6 +157,11 @@ def _colour_channels(channels: tuple[str, ...], alpha: int | None) -> tuple[int,
 def _damaged(name: str, known: str, error: str, path: Path) -> InputError:
     lines = [line.strip() for line in error.replace(str(path), "it").splitlines() if line.strip()]
     shown = "".join(c if c.isprintable() else "?" for c in lines[0][:150]) if lines else "no reason given"
+    if any(word in shown for word in _NOT_BUILT_IN):
+        cause = (
+            f"this build of OpenImageIO does not read how the {label_of(known)} image is compressed ({shown})"
+        )
+        return InputError(name, cause, "save it without compression, or with another one")
     return InputError(
         name,
         f"the {label_of(known)} image is damaged or cut off ({shown})",
