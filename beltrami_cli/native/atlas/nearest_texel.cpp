@@ -9,27 +9,32 @@ namespace beltrami::atlas {
 namespace {
 
 constexpr std::size_t rows_per_chunk = 16, columns_per_chunk = 64;
-constexpr std::int32_t none = -1;
+constexpr std::int64_t none = -1;
 
-// Sets for each texel of some columns the nearest marked row of its column, the upper of two.
-void search_columns(const bool* marked, std::size_t height, std::size_t width, std::size_t begin, std::size_t end,
+// Farther than any row: what stands for the nearest marked row of a column without one.
+constexpr std::int32_t far = 1 << 30;
+
+// Sets for each texel of some columns the nearest marked row of its column, the upper of two. Loops over arrays, so that
+// columns are gone through side by side.
+void search_columns(const unsigned char* marked, std::size_t height, std::size_t width, std::size_t begin, std::size_t end,
                     std::int32_t* nearest) {
-  std::vector<std::int32_t> last(end - begin, none);
+  const std::size_t count = end - begin;
+  std::vector<std::int32_t> rows(count, -far);
+  std::int32_t* const last = rows.data();
   for (std::size_t row = 0; row < height; ++row) {
-    const bool* here = marked + row * width + begin;
-    std::int32_t* best = nearest + row * width + begin;
-    for (std::size_t i = 0; i < last.size(); ++i) best[i] = last[i] = here[i] ? static_cast<std::int32_t>(row) : last[i];
-  }
-  last.assign(last.size(), none);
-  for (std::size_t row = height; row-- > 0;) {
-    const bool* here = marked + row * width + begin;
-    std::int32_t* best = nearest + row * width + begin;
+    const unsigned char* const here = marked + row * width + begin;
+    std::int32_t* const best = nearest + row * width + begin;
     const auto number = static_cast<std::int32_t>(row);
-    for (std::size_t i = 0; i < last.size(); ++i) {
-      const std::int32_t below = last[i] = here[i] ? number : last[i];
-      const bool nearer = (below != none) & ((best[i] == none) | (below - number < number - best[i]));
-      best[i] = nearer ? below : best[i];
-    }
+    for (std::size_t i = 0; i < count; ++i) last[i] = here[i] != 0 ? number : last[i];
+    std::copy(last, last + count, best);
+  }
+  rows.assign(count, far);
+  for (std::size_t row = height; row-- > 0;) {
+    const unsigned char* const here = marked + row * width + begin;
+    std::int32_t* const best = nearest + row * width + begin;
+    const auto number = static_cast<std::int32_t>(row);
+    for (std::size_t i = 0; i < count; ++i) last[i] = here[i] != 0 ? number : last[i];
+    for (std::size_t i = 0; i < count; ++i) best[i] = last[i] - number < number - best[i] ? last[i] : best[i];
   }
 }
 
@@ -40,7 +45,7 @@ class Envelope {
   void build(std::int64_t row, std::int64_t begin, std::int64_t end, const std::int32_t* nearest) {
     parts_.clear();
     for (std::int64_t column = begin; column < end; ++column) {
-      if (nearest[column] == none) continue;
+      if (nearest[column] == far || nearest[column] == -far) continue;
       const std::int64_t square = (nearest[column] - row) * (nearest[column] - row);
       std::int64_t start = begin;
       while (!parts_.empty()) {
@@ -105,9 +110,11 @@ NearestMarks nearest_marked(const bool* marked, const bool* wanted, std::int64_t
                             std::int64_t reach, unsigned threads) {
   reach = std::min(reach, height + width);  // farther than that is nothing
   const auto rows = static_cast<std::size_t>(height), columns = static_cast<std::size_t>(width);
+  // Compilers lay loops over bytes side by side, but not over truths.
+  const auto* const bytes = reinterpret_cast<const unsigned char*>(marked);
   std::unique_ptr<std::int32_t[]> nearest(new std::int32_t[rows * columns]);
   parallel_chunks(columns, columns_per_chunk, threads, [&](std::size_t begin, std::size_t end, unsigned) {
-    search_columns(marked, rows, columns, begin, end, nearest.get());
+    search_columns(bytes, rows, columns, begin, end, nearest.get());
   });
   std::vector<NearestMarks> chunks((rows + rows_per_chunk - 1) / rows_per_chunk);
   parallel_chunks(rows, rows_per_chunk, threads, [&](std::size_t begin, std::size_t end, unsigned) {
