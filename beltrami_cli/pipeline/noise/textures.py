@@ -14,7 +14,7 @@ from beltrami_cli.pipeline.noise.kinds import add_noise, bounds
 from beltrami_cli.pipeline.textures.colours import COLOUR_SLOTS
 from beltrami_cli.pipeline.textures.places import within
 from beltrami_cli.pipeline.textures.prepare import prepare_slot
-from beltrami_cli.pipeline.textures.repainting import SmoothedTexels
+from beltrami_cli.pipeline.textures.repainting import SmoothedTexels, rows_of
 from beltrami_cli.sampling.gutter import fill_gutter
 
 if TYPE_CHECKING:
@@ -87,7 +87,7 @@ def noisy_slot(
         notices += lossy_notice(picture, suffix, "--texture-format png keeps all")
     if not len(added.texels):
         notices.append("no visible texel is covered by the surface, so its textures stay as they are")
-    return NoisyTextures(images, added.colours(slice(None)), tuple(notices))
+    return NoisyTextures(images, added.colours(slice(None), slice(None)), tuple(notices))
 
 
 def _on_surface(
@@ -102,7 +102,7 @@ def _on_surface(
     planes = painted(atlas, added, threads=1)
     beyond = np.ascontiguousarray(planes.reshape(len(planes), -1)[:, atlas.gutter_cells].T)
     return SmoothedTexels(
-        atlas.texture_offsets, atlas.owned_texels, added.__getitem__, atlas.gutter_texels, beyond
+        atlas.texture_offsets, atlas.owned_texels, rows_of(added), atlas.gutter_texels, beyond
     )
 
 
@@ -128,7 +128,7 @@ def _repainted(
     inside, texels = added.of_texture(added.texels, index)
     change = np.zeros((*old.shape[:2], added.gutter_colours.shape[1]), np.float32)
     table = change.reshape(-1, change.shape[2])
-    table[texels] = added.colours(slice(None))[inside]
+    table[texels] = added.colours(slice(None), inside)
     if gutter is not None:
         covered, known = np.zeros(old.shape[:2], bool), np.zeros(old.shape[:2], bool)
         covered.reshape(-1)[texels] = True

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
 from beltrami_cli.formats.image.picture import full_scale_one
 from beltrami_cli.mesh import large_arrays
-from beltrami_cli.mesh.atlas import texels_by_texture
 from beltrami_cli.pipeline.change import Change
 from beltrami_cli.pipeline.storing import store
 from beltrami_cli.pipeline.textures.places import within
@@ -25,7 +24,14 @@ if TYPE_CHECKING:
     from beltrami_cli.mesh.atlas import Indices
     from beltrami_cli.pipeline.textures.colours import TexelColours
 
+    ColoursOf: TypeAlias = Callable[[slice, NDArray[np.bool_] | slice], NDArray[np.float32]]
+
 _BLOCK = 1 << 16  # texels painted at a time, which bounds the memory for them in floats
+
+
+def rows_of(table: NDArray[np.float32]) -> ColoursOf:
+    """Return what gives the rows of a table, as `SmoothedTexels` wants it."""
+    return lambda block, inside: table[block][inside]
 
 
 @dataclass(frozen=True)
@@ -39,7 +45,7 @@ class SmoothedTexels:
     texels : ndarray of int64, shape (T,)
         The covered texels.
     colours : callable
-        Gives the colours of some of them (a slice), shape (K, N), in the working space.
+        Gives the colours of some of them, shape (K, N), in the working space: which of a slice of all.
     gutter_texels : ndarray of int64, shape (G,)
         Texels just beyond charts.
     gutter_colours : ndarray of float32, shape (G, N)
@@ -48,16 +54,17 @@ class SmoothedTexels:
 
     texture_offsets: NDArray[np.int64]
     texels: NDArray[np.int64]
-    colours: Callable[[slice], NDArray[np.float32]]
+    colours: ColoursOf
     gutter_texels: NDArray[np.int64]
     gutter_colours: NDArray[np.float32]
 
     def of_texture(self, texels: Indices, index: int) -> tuple[NDArray[np.bool_] | slice, Indices]:
         """Choose the texels of one texture, and number them from its first."""
-        for found, inside, own in texels_by_texture(self.texture_offsets, texels):
-            if found == index:
-                return inside, own
-        return np.zeros(len(texels), bool), texels[:0]
+        if len(self.texture_offsets) == 2:  # there is no other
+            return slice(None), texels
+        begin, end = self.texture_offsets[index : index + 2].tolist()
+        inside = (texels >= begin) & (texels < end)
+        return inside, texels[inside] - begin
 
 
 def repaint(
@@ -101,7 +108,7 @@ def repaint(
         inside, texels = smoothed.of_texture(smoothed.gutter_texels, index)
         near = within(covered, gutter).reshape(-1)[texels]
         chosen, values = smoothed.gutter_texels[inside][near], smoothed.gutter_colours[inside][near]
-        _paint(pixels, picture, index, colours, smoothed, chosen, values.__getitem__, threads)
+        _paint(pixels, picture, index, colours, smoothed, chosen, rows_of(values), threads)
         known.reshape(-1)[texels[near]] = True
         opacity = colours.opacity(picture)
         fill_gutter(pixels, covered, None, gutter, known, threads, colours.columns(index), opacity)
@@ -115,7 +122,7 @@ def _paint(
     colours: TexelColours,
     smoothed: SmoothedTexels,
     texels: NDArray[np.int64],
-    samples: Callable[[slice], NDArray[np.float32]],
+    samples: ColoursOf,
     threads: int,
 ) -> Change:
     """Put the samples that are of a picture into pixels like its own, in place, and return how these change."""
@@ -123,7 +130,9 @@ def _paint(
     channels = colours.columns(index)
     for block in large_arrays.blocks(len(texels), _BLOCK):
         inside, here = smoothed.of_texture(texels[block], index)
-        after = samples(block)[inside]
+        if not len(here):
+            continue
+        after = samples(block, inside)
         count = len(here) * len(channels)  # Texels that did not change count, too.
         if colours.are_converted(index):
             stored = np.take(table, here, axis=0)

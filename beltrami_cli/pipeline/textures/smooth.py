@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from beltrami_cli.mesh.atlas import Atlas, Indices
     from beltrami_cli.mesh.textured import Slot, TexturedSurface
     from beltrami_cli.pipeline.settings.smooth import SmoothSettings, TextureSettings
+    from beltrami_cli.pipeline.textures.repainting import ColoursOf
 
 
 _UNCOVERED = "no texel is covered by the surface, so nothing was smoothed; --unwrap makes a new atlas"
@@ -176,10 +177,8 @@ def smooth_slot(
     return SlotResult(images, report, tuple(notices))
 
 
-def _colours_of(
-    planes: NDArray[np.float32], cells: Indices, threads: int
-) -> Callable[[slice], NDArray[np.float32]]:
-    return lambda block: colours_at(planes, cells[block], threads)
+def _colours_of(planes: NDArray[np.float32], cells: Indices, threads: int) -> ColoursOf:
+    return lambda block, inside: colours_at(planes, cells[block][inside], threads)
 
 
 def _encode(picture: Picture, pixels: NDArray[Any], slot: Slot, wanted: TextureSettings) -> ImageFile:
