@@ -108,10 +108,15 @@ def _around(values: NDArray[Any], edges: NDArray[np.int32]) -> NDArray[np.float6
 
 def _and_beside(values: NDArray[np.float64], edges: NDArray[np.int32]) -> NDArray[np.float64]:
     """Sum over each sample and its neighbours."""
+    return np.asarray(values + _beside(values, edges), np.float64)
+
+
+def _beside(values: NDArray[np.float64], edges: NDArray[np.int32]) -> NDArray[np.float64]:
+    """Sum over the neighbours of each sample."""
     one, other = edges[:, 0], edges[:, 1]
     count = len(values)
-    beside = np.bincount(one, values[other], count) + np.bincount(other, values[one], count)
-    return np.asarray(values + beside, np.float64)
+    total = np.bincount(one, values[other], count) + np.bincount(other, values[one], count)
+    return np.asarray(total, np.float64)
 
 
 def residuals(values: NDArray[np.float32], edges: NDArray[np.int32]) -> Iterator[NDArray[np.float64]]:
@@ -122,9 +127,7 @@ def residuals(values: NDArray[np.float32], edges: NDArray[np.int32]) -> Iterator
     scale = np.sqrt(degree[inside] / (degree[inside] + 1.0))
     for column in values.T:
         channel = column.astype(np.float64)
-        total = np.bincount(edges[:, 0], channel[edges[:, 1]], count)
-        total += np.bincount(edges[:, 1], channel[edges[:, 0]], count)
-        yield (channel[inside] - total[inside] / degree[inside]) * scale
+        yield (channel[inside] - _beside(channel, edges)[inside] / degree[inside]) * scale
 
 
 def detail_around(colours: NDArray[np.float32], edges: NDArray[np.int32]) -> NDArray[np.float64]:

@@ -13,8 +13,9 @@ import pytest
 from PIL import Image
 
 from beltrami_cli.errors import InputError, UsageError
-from beltrami_cli.formats.image import check_writable, from_float, losses, read_image, to_float, write_image
+from beltrami_cli.formats.image import check_writable, losses, read_image, to_float, write_image
 from formats.image_files import RARER_SUFFIXES, encode, noise, png_chunk
+from formats.repainting import repainted
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -39,7 +40,7 @@ def test_rarer_formats_come_back_value_for_value(known: str, kind: str, channels
     np.testing.assert_array_equal(picture.pixels, pixels)
     changed = np.zeros(pixels.shape, bool)
     changed[1:3] = True
-    new = from_float(picture, picture.pixels, 0.5 * to_float(picture), changed)
+    new = repainted(picture, 0.5 * to_float(picture), changed)
     again = read_image(write_image(picture, new).data, "y" + RARER_SUFFIXES[known])
     np.testing.assert_array_equal(again.pixels, new)
     assert again.stored == picture.stored
@@ -184,7 +185,7 @@ def test_channels_of_several_types_are_each_rounded_to_their_own() -> None:
     types = ["half"] * 4 + ["float"]
     picture = read_image(encode(noise("float", 5), "openexr", "float", types), "x.exr")
     third = np.full(picture.pixels.shape, 1 / 3, np.float32)
-    pixels = from_float(picture, picture.pixels, third, np.ones_like(third, bool))
+    pixels = repainted(picture, third, np.ones_like(third, bool))
     again = read_image(write_image(picture, pixels).data, "x.exr").pixels
     assert (again[..., :4] == np.float32(np.float16(1 / 3))).all()
     assert (again[..., 4] == np.float32(1 / 3)).all()

@@ -18,7 +18,7 @@ from beltrami_cli.rendering.cloud_view import CloudView
 from beltrami_cli.rendering.details import richest_window
 from beltrami_cli.rendering.image_view import ImageView
 from beltrami_cli.rendering.paint import TexturePaint, VertexPaint
-from beltrami_cli.rendering.sheet import Background, Panel, arranged, background_behind, displayed
+from beltrami_cli.rendering.sheet import Background, Panel, arranged, displayed, is_lost_on_white
 from beltrami_cli.rendering.surface_view import AMBIENT, LAMP, SurfaceView
 from oracles import surfaces
 
@@ -252,4 +252,4 @@ def test_what_would_be_lost_on_white_is_shown_on_grey():
     assert behind(dim) == white
     assert behind(bright, background="white") == white
     # A picture that fills its view has no outline that could be lost, however white it is.
-    assert background_behind([np.ones((8, 8, 4), np.float32)]) == Background()
+    assert not is_lost_on_white([np.ones((8, 8, 4), np.float32)])

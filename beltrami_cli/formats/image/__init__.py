@@ -1,7 +1,7 @@
 """Images: every pixel through OpenImageIO, every byte of metadata carried over."""
 
 from beltrami_cli.formats.image.conversion import is_exact, losses
-from beltrami_cli.formats.image.picture import Picture, from_float, is_unchanged, to_float, without_alpha
+from beltrami_cli.formats.image.picture import Picture, is_unchanged, to_float, without_alpha
 from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.formats.image.recognition import (
     WRITABLE,
@@ -19,7 +19,6 @@ __all__ = [
     "check_writable",
     "format_of",
     "format_of_suffix",
-    "from_float",
     "is_exact",
     "is_image",
     "is_unchanged",

@@ -113,37 +113,6 @@ def lends_colour(picture: Picture, opacity: NDArray[Any]) -> NDArray[np.bool_]:
     return np.asarray((share >= max(_LEAST_OPACITY, _LEAST_STEPS / steps)) & np.isfinite(share))
 
 
-def from_float(
-    picture: Picture, pixels: NDArray[Any], values: NDArray[np.float32], changed: NDArray[np.bool_]
-) -> NDArray[Any]:
-    """Return some of a picture's pixels with values changed, each rounded once.
-
-    Parameters
-    ----------
-    picture : Picture
-        What the pixels are of.
-    pixels : ndarray, shape (..., C)
-        Some of them, or all.
-    values : ndarray of float32, shape (..., C)
-        New values, full scale 1. Beyond the range of the stored type they are clipped.
-    changed : ndarray of bool, can be broadcast to (..., C)
-        Which entries become the new values; all others keep what they are.
-
-    Returns
-    -------
-    ndarray, shape (..., C)
-        In the type of ``picture.pixels``; where that is float32 for half floats, the numbers are halves.
-    """
-    kinds = set(picture.kinds)
-    if len(kinds) == 1:
-        return np.where(changed, as_stored(values, picture.stored), pixels)
-    result = pixels.copy()
-    for kind in sorted(kinds):
-        here = np.broadcast_to(changed & np.array([other == kind for other in picture.kinds]), pixels.shape)
-        result[here] = as_stored(values[here], kind)
-    return result
-
-
 def is_unchanged(picture: Picture, pixels: NDArray[Any]) -> bool:
     """Tell whether pixels, shape (H, W, C), are all as in the picture."""
     # Some rows at a time: most differ in the first ones, and a whole table of booleans is large.

@@ -8,13 +8,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from beltrami_cli.flow.canvas_colours import painted
-from beltrami_cli.formats.image import check_writable, from_float, losses, to_float, write_image
+from beltrami_cli.formats.image import check_writable, losses, write_image
 from beltrami_cli.pipeline.noise.image import lossy_notice
 from beltrami_cli.pipeline.noise.kinds import add_noise, bounds
 from beltrami_cli.pipeline.textures.colours import COLOUR_SLOTS
-from beltrami_cli.pipeline.textures.places import within
 from beltrami_cli.pipeline.textures.prepare import prepare_slot
-from beltrami_cli.pipeline.textures.repainting import SmoothedTexels, rows_of
+from beltrami_cli.pipeline.textures.repainting import SmoothedTexels, paint, rows_of
 from beltrami_cli.sampling.gutter import fill_gutter
 
 if TYPE_CHECKING:
@@ -124,21 +123,17 @@ def _repainted(
 ) -> NDArray[Any]:
     """Return a picture's pixels with noise."""
     picture, colours = prepared.pictures[index], prepared.colours
-    old = to_float(picture)
+    pixels, shape = picture.pixels.copy(), picture.pixels.shape[:2]
     inside, texels = added.of_texture(added.texels, index)
-    change = np.zeros((*old.shape[:2], added.gutter_colours.shape[1]), np.float32)
+    change = np.zeros((*shape, added.gutter_colours.shape[1]), np.float32)
     table = change.reshape(-1, change.shape[2])
     table[texels] = added.colours(slice(None), inside)
     if gutter is not None:
-        covered, known = np.zeros(old.shape[:2], bool), np.zeros(old.shape[:2], bool)
-        covered.reshape(-1)[texels] = True
-        beside, gutter_texels = added.of_texture(added.gutter_texels, index)
-        near = within(covered, gutter).reshape(-1)[gutter_texels]
-        table[gutter_texels[near]] = added.gutter_colours[beside][near]
-        known.reshape(-1)[gutter_texels[near]] = True
+        covered, known, rows = added.near_charts(index, shape, gutter)
+        table[added.of_texture(added.gutter_texels[rows], index)[1]] = added.gutter_colours[rows]
         fill_gutter(change, covered, None, gutter, known)
     moved = np.flatnonzero(table.any(axis=1))
-    new = old.copy()
     noisy = (colours.working(picture, moved) + table[moved]).clip(*limits)
-    colours.write(new, index, moved, noisy)
-    return from_float(picture, picture.pixels, new, new != old)
+    there = moved + added.texture_offsets[index]
+    paint(pixels, picture, index, colours, added, there, rows_of(noisy), threads=1)
+    return pixels

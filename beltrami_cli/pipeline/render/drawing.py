@@ -10,7 +10,7 @@ import numpy as np
 from beltrami_cli.rendering.camera import Window, fitted, orientation
 from beltrami_cli.rendering.details import richest_window
 from beltrami_cli.rendering.image_view import ImageView
-from beltrami_cli.rendering.sheet import Background, Panel, arranged, background_behind, detail_size
+from beltrami_cli.rendering.sheet import Background, Panel, arranged, detail_size, is_lost_on_white
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -110,7 +110,8 @@ def with_fixed_crops(view: Drawable, settings: RenderSettings) -> RenderSettings
 def background_of(settings: RenderSettings, panels: Sequence[Panel]) -> Background:
     """Return what is behind models."""
     if settings.background == "auto":
-        return background_behind([panel.view for panel in panels])
+        lost = is_lost_on_white([panel.view for panel in panels])
+        settings = dataclasses.replace(settings, background="grey" if lost else "white")
     colour = settings.background_colour()
     return Background(opacity=0.0) if colour is None else Background(colour)
 

@@ -66,6 +66,26 @@ class SmoothedTexels:
         inside = (texels >= begin) & (texels < end)
         return inside, texels[inside] - begin
 
+    def near_charts(
+        self, index: int, shape: tuple[int, ...], gutter: int
+    ) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.int64]]:
+        """Find what is covered of a texture of a shape, and which texels of its gutter are near that.
+
+        Returns
+        -------
+        covered, near : ndarray of bool, shape (H, W)
+            Texels that are covered, and those of the gutter at most `gutter` rows and columns from one.
+        rows : ndarray of int64, shape (K,)
+            The same texels of the gutter, as rows of `gutter_texels`.
+        """
+        covered, near = np.zeros(shape, bool), np.zeros(shape, bool)
+        for block in large_arrays.blocks(len(self.texels)):
+            covered.reshape(-1)[self.of_texture(self.texels[block], index)[1]] = True
+        inside, texels = self.of_texture(self.gutter_texels, index)
+        chosen = within(covered, gutter).reshape(-1)[texels]
+        near.reshape(-1)[texels[chosen]] = True
+        return covered, near, np.arange(len(self.gutter_texels))[inside][chosen]
+
 
 def repaint(
     picture: Picture,
@@ -100,22 +120,17 @@ def repaint(
         Of the covered texels, in the channels that change.
     """
     pixels = large_arrays.copy_of(picture.pixels)
-    change = _paint(pixels, picture, index, colours, smoothed, smoothed.texels, smoothed.colours, threads)
+    change = paint(pixels, picture, index, colours, smoothed, smoothed.texels, smoothed.colours, threads)
     if gutter is not None:
-        covered, known = np.zeros(pixels.shape[:2], bool), np.zeros(pixels.shape[:2], bool)
-        for block in large_arrays.blocks(len(smoothed.texels)):
-            covered.reshape(-1)[smoothed.of_texture(smoothed.texels[block], index)[1]] = True
-        inside, texels = smoothed.of_texture(smoothed.gutter_texels, index)
-        near = within(covered, gutter).reshape(-1)[texels]
-        chosen, values = smoothed.gutter_texels[inside][near], smoothed.gutter_colours[inside][near]
-        _paint(pixels, picture, index, colours, smoothed, chosen, rows_of(values), threads)
-        known.reshape(-1)[texels[near]] = True
+        covered, known, rows = smoothed.near_charts(index, pixels.shape[:2], gutter)
+        chosen, values = smoothed.gutter_texels[rows], smoothed.gutter_colours[rows]
+        paint(pixels, picture, index, colours, smoothed, chosen, rows_of(values), threads)
         opacity = colours.opacity(picture)
         fill_gutter(pixels, covered, None, gutter, known, threads, colours.columns(index), opacity)
     return pixels, change
 
 
-def _paint(
+def paint(
     pixels: NDArray[Any],
     picture: Picture,
     index: int,
