@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.flow.canvas import apply_kernel
-from beltrami_cli.mesh import large_arrays
-from beltrami_cli.mesh.atlas import HALO, OWNED, refresh_halo
+from beltrami_cli.surface import large_arrays
+from beltrami_cli.surface.atlas import HALO, OWNED, refresh_halo
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from beltrami_cli.flow.cell_fields import CellFields
     from beltrami_cli.flow.grid_metric import GridMetric
     from beltrami_cli.flow.parameters import KernelParameters
-    from beltrami_cli.mesh.atlas import Atlas
+    from beltrami_cli.surface.atlas import Atlas
 
 # The paper's scheme looks for the support of an obtuse quadrant so many cells away.
 _FURTHEST_SUPPORT = 10

@@ -10,7 +10,7 @@ from beltrami_cli.flow.choice import ON_GRIDS, Choice, choose, is_noisy
 from beltrami_cli.flow.regularisation import guide_radius
 from beltrami_cli.flow.rule import RULE_ON_GRIDS, choose_by_rule
 from beltrami_cli.flow.trial_grid import GridTrial
-from beltrami_cli.mesh.atlas import refresh_halo
+from beltrami_cli.surface.atlas import refresh_halo
 
 if TYPE_CHECKING:
     import numpy as np
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from beltrami_cli.flow.canvas import Canvas
     from beltrami_cli.flow.cell_fields import CellFields
     from beltrami_cli.flow.parameters import KernelParameters
-    from beltrami_cli.mesh.atlas import Atlas
+    from beltrami_cli.surface.atlas import Atlas
 
 # Cells on which parameters are tried, as a share of all, so that trying takes no longer than smoothing: some sixty
 # iterations are tried, each twice. Fewer than so many cells tell too little, and take about a second.

@@ -6,15 +6,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli.mesh import large_arrays
-from beltrami_cli.mesh.atlas import refresh_halo
+from beltrami_cli.surface import large_arrays
+from beltrami_cli.surface.atlas import refresh_halo
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from numpy.typing import NDArray
 
-    from beltrami_cli.mesh.atlas import Atlas, Indices
+    from beltrami_cli.surface.atlas import Atlas, Indices
 
 
 # Cells whose colours are put on the canvas at a time: so few that they are still in the cache.

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli.mesh import large_arrays
+from beltrami_cli.surface import large_arrays
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from beltrami_cli.mesh.atlas import Atlas
+    from beltrami_cli.surface.atlas import Atlas
 
 # Rows and columns about a halo cell in which others are looked for that show the same texel: those of a chart that is
 # up to seven times as fine as what it is continued by.

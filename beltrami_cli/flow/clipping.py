@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli.mesh import large_arrays
+from beltrami_cli.surface import large_arrays
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

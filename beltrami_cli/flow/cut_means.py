@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli.mesh.atlas import EMPTY
+from beltrami_cli.surface.atlas import EMPTY
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from numpy.typing import NDArray
 
-    from beltrami_cli.mesh.atlas import Atlas
+    from beltrami_cli.surface.atlas import Atlas
 
 # Row and column of the neighbours whose lengths an atlas keeps: right, below, below right, below left.
 _STEPS = ((0, 1), (1, 0), (1, 1), (1, -1))

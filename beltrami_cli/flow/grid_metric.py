@@ -13,7 +13,7 @@ from beltrami_cli.flow.guidance import choose_guide_beta, join_channels
 from beltrami_cli.flow.noise import beta_of
 from beltrami_cli.flow.regularisation import GridGaussian
 from beltrami_cli.flow.seams import find_colour_jumps, halo_beyond
-from beltrami_cli.mesh.atlas import EMPTY, OWNED
+from beltrami_cli.surface.atlas import EMPTY, OWNED
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from beltrami_cli.flow.guidance import Guide
     from beltrami_cli.flow.parameters import KernelParameters
-    from beltrami_cli.mesh.atlas import Atlas
+    from beltrami_cli.surface.atlas import Atlas
 
 # The median of so many steps is within 0.3 % of that of all.
 _ENOUGH_STEPS = 200_000

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
     from beltrami_cli.flow.cell_fields import CellFields
     from beltrami_cli.flow.parameters import KernelParameters
-    from beltrami_cli.mesh.atlas import Atlas
+    from beltrami_cli.surface.atlas import Atlas
 
 # The paper's scheme takes supports up to ten cells away, and the metric from the cells beside them.
 _BEYOND_WINDOW = 12

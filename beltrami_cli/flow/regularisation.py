@@ -16,7 +16,7 @@ from beltrami_cli.flow.cut_means import CutMeans
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from beltrami_cli.mesh.atlas import Atlas
+    from beltrami_cli.surface.atlas import Atlas
 
 _ROWS = 256  # of a grid that are looked at together
 

@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli.mesh import large_arrays
-from beltrami_cli.mesh.atlas import OWNED
+from beltrami_cli.surface import large_arrays
+from beltrami_cli.surface.atlas import OWNED
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from beltrami_cli.mesh.atlas import Atlas, Indices
+    from beltrami_cli.surface.atlas import Atlas, Indices
 
 # A jump counts if it is this many standard errors of the mean over the seam ...
 _ERRORS = 4.0

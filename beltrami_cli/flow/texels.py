@@ -20,8 +20,8 @@ from beltrami_cli.flow.pieces.splitting import wanted_split
 from beltrami_cli.flow.progress import shifted
 from beltrami_cli.flow.result import FlowResult
 from beltrami_cli.flow.seams import find_colour_jumps, halo_beyond
-from beltrami_cli.mesh import large_arrays
-from beltrami_cli.mesh.atlas import EMPTY, OWNED, refresh_halo, without_halo
+from beltrami_cli.surface import large_arrays
+from beltrami_cli.surface.atlas import EMPTY, OWNED, refresh_halo, without_halo
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from beltrami_cli.flow.choice import Choice
     from beltrami_cli.flow.guidance import Guide
     from beltrami_cli.flow.parameters import KernelParameters
-    from beltrami_cli.mesh.atlas import Atlas
+    from beltrami_cli.surface.atlas import Atlas
 
 # Rows of a canvas that are gone through together.
 _ROWS = 64

@@ -9,7 +9,7 @@ import numpy as np
 
 from beltrami_cli.flow.octaves import draw_octaves, sigma_of_octaves
 from beltrami_cli.flow.risk import wanted_probes
-from beltrami_cli.mesh.atlas import EMPTY, HALO, OWNED, refresh_halo
+from beltrami_cli.surface.atlas import EMPTY, HALO, OWNED, refresh_halo
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from beltrami_cli.flow.cell_fields import CellFields
     from beltrami_cli.flow.grid_metric import GridMetric
     from beltrami_cli.flow.risk import Step
-    from beltrami_cli.mesh.atlas import Atlas, Indices
+    from beltrami_cli.surface.atlas import Atlas, Indices
 
 # Cells a side of the core of a block, whose result counts.
 _CORE = 64

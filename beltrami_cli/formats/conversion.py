@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli.mesh.transfer import linear_to_srgb
+from beltrami_cli.surface.transfer import linear_to_srgb
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from beltrami_cli.mesh.painted import MeshContents
+    from beltrami_cli.surface.painted import MeshContents
 
 
 def display_colours(contents: MeshContents) -> tuple[NDArray[np.float32], list[str]]:

@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from beltrami_cli.formats.anatomy import Anatomy
-    from beltrami_cli.mesh.painted import MeshContents, MovedVertices, PaintedVertices
-    from beltrami_cli.mesh.textured import ImageFile, Slot, TexturedSurface
+    from beltrami_cli.surface.painted import MeshContents, MovedVertices, PaintedVertices
+    from beltrami_cli.surface.textured import ImageFile, Slot, TexturedSurface
 
 Bytes = bytes | bytearray | memoryview
 NO_IMAGES: Mapping[tuple[Slot, str], ImageFile] = {}

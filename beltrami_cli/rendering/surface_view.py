@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli.mesh.normals import vertex_normals
 from beltrami_cli.rendering.tracing import Tracer
 from beltrami_cli.sampling.grouping import group_equal_rows
+from beltrami_cli.surface.normals import vertex_normals
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

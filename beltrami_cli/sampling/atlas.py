@@ -8,16 +8,16 @@ import numpy as np
 
 from beltrami_cli._native import build_atlas as build_native_atlas
 from beltrami_cli.errors import ProcessingError
-from beltrami_cli.mesh import large_arrays
-from beltrami_cli.mesh.atlas import Atlas
 from beltrami_cli.sampling.grouping import group_equal_rows
+from beltrami_cli.surface import large_arrays
+from beltrami_cli.surface.atlas import Atlas
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
-    from beltrami_cli.mesh.textured import TexturedSurface
+    from beltrami_cli.surface.textured import TexturedSurface
 
 _WRAP_CODES = {"repeat": 0, "mirror": 1, "clamp": 2}
 

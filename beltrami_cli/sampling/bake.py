@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from beltrami_cli.mesh.areas import triangle_areas
 from beltrami_cli.sampling.cover import border_faces, cover
 from beltrami_cli.sampling.gutter import fill_gutter
+from beltrami_cli.surface.areas import triangle_areas
 
 if TYPE_CHECKING:
     from collections.abc import Callable

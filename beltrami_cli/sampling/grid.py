@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli.mesh.atlas import EMPTY, OWNED, Atlas
+from beltrami_cli.surface.atlas import EMPTY, OWNED, Atlas
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

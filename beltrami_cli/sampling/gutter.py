@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from beltrami_cli._native import nearest_marked
-from beltrami_cli.mesh import large_arrays
+from beltrami_cli.surface import large_arrays
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -9,7 +9,7 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from beltrami_cli.mesh.textured import Wrap
+    from beltrami_cli.surface.textured import Wrap
 
 
 def look_up(

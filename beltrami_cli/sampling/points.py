@@ -11,7 +11,7 @@ from beltrami_cli.sampling.grouping import group_equal_rows
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from beltrami_cli.mesh.painted import PaintedVertices
+    from beltrami_cli.surface.painted import PaintedVertices
 
 # Nearest neighbours asked for, until there are enough to know a point's triangles: usually the first number does, on
 # rims and between the lines of a scanner the last may not.

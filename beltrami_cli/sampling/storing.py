@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from beltrami_cli.mesh.atlas import Indices
+    from beltrami_cli.surface.atlas import Indices
 
 
 def store_integers(

@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.errors import InputError, ProcessingError
-from beltrami_cli.mesh.areas import triangle_areas
 from beltrami_cli.sampling.grouping import group_equal_rows
 from beltrami_cli.sampling.unwrap_process import ask_worker, expected_seconds, shown
+from beltrami_cli.surface.areas import triangle_areas
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli.mesh.surface import SampledSurface
 from beltrami_cli.sampling.grouping import group_equal_rows
 from beltrami_cli.sampling.walls import build_walls
+from beltrami_cli.surface.surface import SampledSurface
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from beltrami_cli.mesh.painted import PaintedVertices
+    from beltrami_cli.surface.painted import PaintedVertices
 
 
 @dataclass(frozen=True)

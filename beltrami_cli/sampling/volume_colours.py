@@ -10,7 +10,7 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from beltrami_cli.mesh.volume import GridColours, Lattice, NearColours
+    from beltrami_cli.surface.volume import GridColours, Lattice, NearColours
 
 _NEIGHBOURS = 4  # points that a vertex takes its colour from: about what surrounds it on a surface
 _REACH = 4.0  # in voxels, or in distances between points where these are larger

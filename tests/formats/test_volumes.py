@@ -7,7 +7,7 @@ import pytest
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.volume import is_volume, read_colours, read_volume
-from beltrami_cli.mesh.volume import GridColours, NearColours
+from beltrami_cli.surface.volume import GridColours, NearColours
 from formats.volume_files import lattice_fields, npz, nrrd_file
 
 RANDOM = np.random.default_rng(7)

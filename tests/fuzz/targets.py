@@ -20,7 +20,7 @@ from beltrami_cli.formats.image import read_image, write_image
 from beltrami_cli.formats.source import recognise
 from beltrami_cli.formats.volume import is_volume
 from beltrami_cli.formats.volume.reading import read_volume
-from beltrami_cli.mesh.textured import ImageFile
+from beltrami_cli.surface.textured import ImageFile
 
 if TYPE_CHECKING:
     from collections.abc import Callable

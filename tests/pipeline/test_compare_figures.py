@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from beltrami_cli.mesh.areas import triangle_areas
 from beltrami_cli.pipeline.compare.colour_difference import cie_lab, delta_e_2000
 from beltrami_cli.pipeline.compare.paired_colours import PairedColours, figures
 from beltrami_cli.pipeline.compare.structural_similarity import structural_similarity
 from beltrami_cli.pipeline.textures.places import near_seams, seam_steps, texel_areas
 from beltrami_cli.sampling.atlas import build_atlas
+from beltrami_cli.surface.areas import triangle_areas
 from pipeline.cut_boards import BOARD, CHART, SIDE
 
 # G. Sharma, W. Wu, E. Dalal (2005), doi:10.1002/col.20070, table I: L, a, b; L, a, b; Delta E 2000.

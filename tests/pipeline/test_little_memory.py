@@ -11,9 +11,9 @@ import pytest
 
 from beltrami_cli.errors import InputError, ProcessingError
 from beltrami_cli.formats.access import Access
-from beltrami_cli.mesh import large_arrays
 from beltrami_cli.pipeline.documents import room
 from beltrami_cli.pipeline.smooth.file import smooth_file
+from beltrami_cli.surface import large_arrays
 
 SAMPLES = Path(__file__).parents[2] / "sample_data"
 

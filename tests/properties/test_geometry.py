@@ -7,8 +7,8 @@ import pytest
 
 import beltrami_cli
 from beltrami_cli.flow.normal_noise import estimate_normal_sigma
-from beltrami_cli.mesh.boundary import on_boundary
-from beltrami_cli.mesh.normals import normal_tensors, vertex_normals
+from beltrami_cli.surface.boundary import on_boundary
+from beltrami_cli.surface.normals import normal_tensors, vertex_normals
 from oracles import surfaces
 
 SIDE = 16

@@ -17,9 +17,9 @@ from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.pieces.exchange import collect, plan_loans
 from beltrami_cli.flow.pieces.rings import Neighbours
 from beltrami_cli.flow.pieces.splitting import InTurn, in_pieces
-from beltrami_cli.mesh.surface import SampledSurface
 from beltrami_cli.pipeline.images.grid_flow import grid_flow
 from beltrami_cli.sampling.atlas import build_atlas
+from beltrami_cli.surface.surface import SampledSurface
 from oracles import surfaces
 from properties.test_slits import SIDE, TEXELS, cut_plane
 from properties.textured_planes import smoothed, texel_flow

@@ -7,9 +7,6 @@ import dataclasses
 import numpy as np
 import pytest
 
-from beltrami_cli.mesh.areas import triangle_areas
-from beltrami_cli.mesh.textured import Texture, TexturedSurface
-from beltrami_cli.mesh.transfer import linear_to_srgb
 from beltrami_cli.pipeline.render.drawing import draw_views
 from beltrami_cli.pipeline.render.views import within_reach
 from beltrami_cli.pipeline.settings.render import RenderSettings
@@ -20,6 +17,9 @@ from beltrami_cli.rendering.image_view import ImageView
 from beltrami_cli.rendering.paint import TexturePaint, VertexPaint
 from beltrami_cli.rendering.sheet import Background, Panel, arranged, displayed, is_lost_on_white
 from beltrami_cli.rendering.surface_view import AMBIENT, LAMP, SurfaceView
+from beltrami_cli.surface.areas import triangle_areas
+from beltrami_cli.surface.textured import Texture, TexturedSurface
+from beltrami_cli.surface.transfer import linear_to_srgb
 from oracles import surfaces
 
 pytest.importorskip("embreex")

@@ -7,8 +7,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from beltrami_cli.mesh.atlas import EMPTY, HALO, OWNED
 from beltrami_cli.sampling.atlas import build_atlas
+from beltrami_cli.surface.atlas import EMPTY, HALO, OWNED
 from oracles.textured import cube, quads, textured
 
 RIGHT, BELOW = 0, 1

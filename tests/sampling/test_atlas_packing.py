@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.ndimage import maximum_filter
 
-from beltrami_cli.mesh.atlas import EMPTY
 from beltrami_cli.sampling.atlas import build_atlas
+from beltrami_cli.surface.atlas import EMPTY
 from oracles.textured import quads, textured
 
 

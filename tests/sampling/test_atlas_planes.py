@@ -6,8 +6,8 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from beltrami_cli.mesh.atlas import EMPTY, HALO, OWNED
 from beltrami_cli.sampling.atlas import build_atlas
+from beltrami_cli.surface.atlas import EMPTY, HALO, OWNED
 from oracles.textured import CutPlane, quads, textured
 
 MARGIN = 3

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from beltrami_cli.mesh.atlas import EMPTY, HALO, OWNED
 from beltrami_cli.sampling.atlas import build_atlas
+from beltrami_cli.surface.atlas import EMPTY, HALO, OWNED
 from oracles.textured import textured
 
 coordinates = st.one_of(

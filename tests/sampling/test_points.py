@@ -11,9 +11,9 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import Delaunay
 from scipy.spatial.transform import Rotation
 
-from beltrami_cli.mesh.painted import PaintedVertices
 from beltrami_cli.sampling.points import faces_of_points, triangulate_points
 from beltrami_cli.sampling.vertices import sample_vertices
+from beltrami_cli.surface.painted import PaintedVertices
 from oracles import surfaces
 
 

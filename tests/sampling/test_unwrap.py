@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from beltrami_cli.errors import InputError, ProcessingError
-from beltrami_cli.mesh.areas import triangle_areas
 from beltrami_cli.sampling import unwrap_process, unwrap_worker
 from beltrami_cli.sampling.unwrap import unwrap
+from beltrami_cli.surface.areas import triangle_areas
 from oracles import surfaces
 
 FACES = 100_000

@@ -7,9 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import beltrami_cli
-from beltrami_cli.mesh.painted import PaintedVertices
 from beltrami_cli.sampling.grouping import group_equal_rows
 from beltrami_cli.sampling.vertices import sample_vertices
+from beltrami_cli.surface.painted import PaintedVertices
 from oracles import surfaces
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from beltrami_cli.mesh.volume import GridColours, Lattice, NearColours
 from beltrami_cli.sampling.volume_colours import interpolate_colours, nearest_colours, places
+from beltrami_cli.surface.volume import GridColours, Lattice, NearColours
 
 RANDOM = np.random.default_rng(6)
 SHAPE = (4, 5, 6)

@@ -11,7 +11,7 @@ import numpy as np
 
 from beltrami_cli.flow.canvas import apply_kernel
 from beltrami_cli.flow.pieces.exchange import Advance
-from beltrami_cli.mesh.atlas import EMPTY, HALO, OWNED
+from beltrami_cli.surface.atlas import EMPTY, HALO, OWNED
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from beltrami_cli.flow.canvas import Canvas
-    from beltrami_cli.mesh.atlas import Atlas
+    from beltrami_cli.surface.atlas import Atlas
 
 
 @dataclass(frozen=True)

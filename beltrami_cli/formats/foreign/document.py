@@ -21,8 +21,8 @@ from beltrami_cli.formats.foreign.painting import (
 )
 from beltrami_cli.formats.foreign.stl import read_stl
 from beltrami_cli.formats.foreign.threemf import read_3mf
-from beltrami_cli.mesh.painted import MeshContents, PaintedVertices
-from beltrami_cli.mesh.polygons import triangulate
+from beltrami_cli.surface.painted import MeshContents, PaintedVertices
+from beltrami_cli.surface.polygons import triangulate
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -31,8 +31,8 @@ if TYPE_CHECKING:
 
     from beltrami_cli.formats.document import Written
     from beltrami_cli.formats.foreign.recognition import Kind
-    from beltrami_cli.mesh.painted import MovedVertices
-    from beltrami_cli.mesh.textured import ImageFile, Slot
+    from beltrami_cli.surface.painted import MovedVertices
+    from beltrami_cli.surface.textured import ImageFile, Slot
 
 _READ_ONLY = (
     "{} files are read, but not written: OUTPUT holds the polygons and their colours, and nothing else."

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.errors import InputError, UnpaintedError
-from beltrami_cli.mesh.textured_mesh import distinct_corners
+from beltrami_cli.surface.textured_mesh import distinct_corners
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from beltrami_cli.mesh.painted import Encoding
+    from beltrami_cli.surface.painted import Encoding
 
 _LEAST_WEIGHT = 1e-6  # of a polygon without area, against the mean one
 _MEANS = (

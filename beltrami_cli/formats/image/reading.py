@@ -12,7 +12,7 @@ from beltrami_cli.formats.image.metadata import is_cmyk_jpeg
 from beltrami_cli.formats.image.picture import Picture
 from beltrami_cli.formats.image.recognition import READABLE, format_of, label_of, suffix_for
 from beltrami_cli.formats.image.scratch import scratch_file
-from beltrami_cli.mesh.large_arrays import copy_of, is_on_disk
+from beltrami_cli.surface.large_arrays import copy_of, is_on_disk
 
 if TYPE_CHECKING:
     from pathlib import Path

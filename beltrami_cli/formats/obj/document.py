@@ -24,8 +24,8 @@ from beltrami_cli.formats.obj.statements import Statements
 from beltrami_cli.formats.obj.texturing import gather_textured, read_coordinates
 from beltrami_cli.formats.scale import full_scale
 from beltrami_cli.formats.tokens import Spans, exchange_spans
-from beltrami_cli.mesh.painted import MeshContents, MovedVertices, PaintedVertices
-from beltrami_cli.mesh.polygons import triangulate
+from beltrami_cli.surface.painted import MeshContents, MovedVertices, PaintedVertices
+from beltrami_cli.surface.polygons import triangulate
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.anatomy import Anatomy
     from beltrami_cli.formats.document import Bytes
     from beltrami_cli.formats.obj.texturing import Coordinates
-    from beltrami_cli.mesh.textured import ImageFile, Slot, TexturedSurface
+    from beltrami_cli.surface.textured import ImageFile, Slot, TexturedSurface
 
 _CHANNELS = ("red", "green", "blue")
 _STALE = "The vertices moved, but the normals ('vn') are as they were; make them anew, or leave them out."

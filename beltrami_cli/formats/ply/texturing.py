@@ -16,8 +16,8 @@ import numpy as np
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.beside import LEFT_ALONE, LEFT_OUTSIDE, UnfitReferenceError, is_outside, remedy_for
 from beltrami_cli.formats.ply.paint import finite_columns
-from beltrami_cli.mesh.polygons import triangulate_corners
-from beltrami_cli.mesh.textured import Texture, TexturedSurface
+from beltrami_cli.surface.polygons import triangulate_corners
+from beltrami_cli.surface.textured import Texture, TexturedSurface
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

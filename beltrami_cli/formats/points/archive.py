@@ -16,7 +16,7 @@ from beltrami_cli.formats.points.arrays import find_arrays, read_all, read_faces
 from beltrami_cli.formats.points.repacking import exchanged, members, repacked
 from beltrami_cli.formats.points.scaling import colour_scale
 from beltrami_cli.formats.scale import intensity_scale
-from beltrami_cli.mesh.painted import MeshContents, MovedVertices, PaintedVertices
+from beltrami_cli.surface.painted import MeshContents, MovedVertices, PaintedVertices
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from beltrami_cli.formats.points.arrays import CloudArrays
-    from beltrami_cli.mesh.textured import ImageFile, Slot
+    from beltrami_cli.surface.textured import ImageFile, Slot
 
 
 class NpzPointsDocument(Document):

@@ -9,14 +9,14 @@ import numpy as np
 
 from beltrami_cli.formats.conversion import display_colours, left_out
 from beltrami_cli.formats.document import Written
-from beltrami_cli.mesh.polygons import triangulate
+from beltrami_cli.surface.polygons import triangulate
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from numpy.typing import NDArray
 
-    from beltrami_cli.mesh.painted import MeshContents
+    from beltrami_cli.surface.painted import MeshContents
 
 _BLOCK = 1 << 16  # lines made at a time, which bounds the memory that their tokens take
 _BYTE = 255

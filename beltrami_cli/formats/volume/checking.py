@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.mesh.volume import Lattice
+from beltrami_cli.surface.volume import Lattice
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

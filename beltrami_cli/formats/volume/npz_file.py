@@ -26,12 +26,12 @@ import numpy as np
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.npz import LEVEL_SET_KEYS, NpzArchive
 from beltrami_cli.formats.volume.checking import checked_lattice
-from beltrami_cli.mesh.volume import GridColours, NearColours, Volume
+from beltrami_cli.surface.volume import GridColours, NearColours, Volume
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from beltrami_cli.mesh.volume import Lattice
+    from beltrami_cli.surface.volume import Lattice
 
 _COLOURS = ("colours", "colors")
 _POINT_COLOURS = ("point_colours", "point_colors")

@@ -23,14 +23,14 @@ from beltrami_cli.errors import InputError
 from beltrami_cli.formats.beside import Beside
 from beltrami_cli.formats.volume.nrrd_space import list_axis, spatial_lattice
 from beltrami_cli.formats.volume.packages import require
-from beltrami_cli.mesh.volume import GridColours, Volume
+from beltrami_cli.surface.volume import GridColours, Volume
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from numpy.typing import NDArray
 
-    from beltrami_cli.mesh.volume import Lattice
+    from beltrami_cli.surface.volume import Lattice
 
 _CHANNELS = 4
 _VALUE_AND_COLOURS = (2, 4, 5)  # a value with grey, with red, green and blue, and with opacity besides

@@ -10,7 +10,7 @@ from beltrami_cli.formats.npz import NpzArchive
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from beltrami_cli.mesh.volume import GridColours, NearColours, Volume
+    from beltrami_cli.surface.volume import GridColours, NearColours, Volume
 
 _NRRD = b"NRRD000"
 _OPENVDB = b" BDV\0\0\0\0"

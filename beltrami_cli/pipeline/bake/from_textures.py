@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from beltrami_cli.formats.document import Document
-    from beltrami_cli.mesh.textured import ImageFile, TexturedSurface
     from beltrami_cli.pipeline.bake.new_texture import Progress
     from beltrami_cli.pipeline.settings.bake import BakeSettings
+    from beltrami_cli.surface.textured import ImageFile, TexturedSurface
 
 
 def texture_from_textures(

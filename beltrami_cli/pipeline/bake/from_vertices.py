@@ -9,17 +9,17 @@ import numpy as np
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.image import read_image
-from beltrami_cli.mesh.polygons import triangulate
 from beltrami_cli.pipeline.bake.new_texture import NewTexture, as_srgb, rounded, unwrapped
 from beltrami_cli.sampling.bake import bake, interpolated, overlap, texels_for_vertices
+from beltrami_cli.surface.polygons import triangulate
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from beltrami_cli.formats.document import Document
-    from beltrami_cli.mesh.painted import MeshContents
     from beltrami_cli.pipeline.bake.new_texture import Progress
     from beltrami_cli.pipeline.settings.bake import BakeSettings
+    from beltrami_cli.surface.painted import MeshContents
 
 _ON_A_LEVEL = 0.05  # of an 8-bit step: numbers this close to levels came from 8 bits
 _SHARED = 0.01  # share of texels at several places that rounding at the edges of charts may make

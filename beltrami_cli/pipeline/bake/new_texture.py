@@ -9,10 +9,10 @@ import numpy as np
 
 from beltrami_cli.formats.image import write_image
 from beltrami_cli.formats.image.fresh import fresh_picture
-from beltrami_cli.mesh.textured import Texture, TexturedSurface
-from beltrami_cli.mesh.textured_mesh import TexturedMesh
-from beltrami_cli.mesh.transfer import linear_to_srgb
 from beltrami_cli.sampling.unwrap import unwrap
+from beltrami_cli.surface.textured import Texture, TexturedSurface
+from beltrami_cli.surface.textured_mesh import TexturedMesh
+from beltrami_cli.surface.transfer import linear_to_srgb
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -20,10 +20,10 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from beltrami_cli.formats.document import Document
-    from beltrami_cli.mesh.painted import Encoding
-    from beltrami_cli.mesh.textured import ImageFile
     from beltrami_cli.pipeline.settings.bake import BakeSettings
     from beltrami_cli.sampling.unwrap import Unwrapped
+    from beltrami_cli.surface.painted import Encoding
+    from beltrami_cli.surface.textured import ImageFile
 
     Progress = Callable[[str, int, int], None] | None
 

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from beltrami_cli.mesh.transfer import srgb_to_linear
 from beltrami_cli.pipeline.compare.colour_difference import cie_lab, delta_e_2000
+from beltrami_cli.surface.transfer import srgb_to_linear
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

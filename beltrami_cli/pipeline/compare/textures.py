@@ -25,9 +25,9 @@ if TYPE_CHECKING:
     from beltrami_cli.flow.parameters import Space, Weights
     from beltrami_cli.formats.document import Document
     from beltrami_cli.formats.image import Picture
-    from beltrami_cli.mesh.textured import Slot, Texture, TexturedSurface
     from beltrami_cli.pipeline.settings.smooth import SmoothSettings
     from beltrami_cli.pipeline.textures.prepare import PreparedSlot
+    from beltrami_cli.surface.textured import Slot, Texture, TexturedSurface
 
 # Texture coordinates may be rounded to six digits, as in text.
 _ROUNDING = 1e-5

@@ -9,20 +9,20 @@ import numpy as np
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.flow.colour_space import to_space
-from beltrami_cli.mesh.areas import vertex_areas
 from beltrami_cli.pipeline.compare.paired_colours import PairedColours, SeamSteps, differences
 from beltrami_cli.pipeline.noise.vertices import coloured_vertices, places_of
 from beltrami_cli.pipeline.vertices.channels import choose_channels
 from beltrami_cli.pipeline.vertices.level_set import LevelSetDocument
 from beltrami_cli.pipeline.vertices.point_cloud import with_surface
+from beltrami_cli.surface.areas import vertex_areas
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from beltrami_cli.flow.parameters import Weights
     from beltrami_cli.formats.document import Document
-    from beltrami_cli.mesh.painted import PaintedVertices
     from beltrami_cli.pipeline.settings.smooth import SmoothSettings
+    from beltrami_cli.surface.painted import PaintedVertices
 
 # Positions that two files of one model may differ by, of the model's size: text is often rounded to six digits.
 _ROUNDING = 1e-5

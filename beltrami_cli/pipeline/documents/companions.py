@@ -13,8 +13,8 @@ from beltrami_cli.errors import BeltramiError, OutputError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access, read_regular
 from beltrami_cli.formats.image.recognition import suffix_for
 from beltrami_cli.formats.source import open_document
-from beltrami_cli.mesh.textured import ImageFile
 from beltrami_cli.pipeline.documents.conversion import make_files
+from beltrami_cli.surface.textured import ImageFile
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

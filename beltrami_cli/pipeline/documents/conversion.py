@@ -16,10 +16,10 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from beltrami_cli.formats.document import Document, Written
-    from beltrami_cli.mesh.painted import MeshContents, MovedVertices
-    from beltrami_cli.mesh.textured import ImageFile, Slot
-    from beltrami_cli.mesh.textured_mesh import TexturedMesh
     from beltrami_cli.pipeline.settings.smooth import Format
+    from beltrami_cli.surface.painted import MeshContents, MovedVertices
+    from beltrami_cli.surface.textured import ImageFile, Slot
+    from beltrami_cli.surface.textured_mesh import TexturedMesh
 
 
 def make_files(

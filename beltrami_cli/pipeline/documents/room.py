@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.image.measuring import measure_image
-from beltrami_cli.mesh.large_arrays import kept_on_disk
+from beltrami_cli.surface.large_arrays import kept_on_disk
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.access import Access
     from beltrami_cli.formats.document import Document
     from beltrami_cli.formats.image.measuring import ImageSize
-    from beltrami_cli.mesh.textured import Slot
     from beltrami_cli.pipeline.settings.smooth import TextureSettings
+    from beltrami_cli.surface.textured import Slot
 
 _FLOATS = 2 * 4  # the old and the new colours of one image at a time, in single precision
 

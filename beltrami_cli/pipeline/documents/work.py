@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING
 
 from beltrami_cli.errors import InputError, UnpaintedError, UsageError
 from beltrami_cli.formats.beside import LEFT_ALONE, remedy_for
-from beltrami_cli.mesh.scale import check_scale
 from beltrami_cli.pipeline.settings.smooth import OUTPUT_FORMATS
+from beltrami_cli.surface.scale import check_scale
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from beltrami_cli.formats.document import Document
-    from beltrami_cli.mesh.textured import Slot
     from beltrami_cli.pipeline.settings.smooth import Format, SmoothSettings
+    from beltrami_cli.surface.textured import Slot
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,8 @@ import numpy as np
 
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.colour_space import from_space, to_space
-from beltrami_cli.mesh.validation import array_of, colour_table
 from beltrami_cli.pipeline.images.grid_flow import grid_flow
+from beltrami_cli.surface.validation import array_of, colour_table
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
     from beltrami_cli.flow.choice import Choice
     from beltrami_cli.flow.parameters import KernelParameters, Space
-    from beltrami_cli.mesh.painted import Encoding
     from beltrami_cli.pipeline.images.guides import GuideImage
+    from beltrami_cli.surface.painted import Encoding
 
 
 @dataclass(frozen=True)

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from beltrami_cli.flow.texels import TexelFlow
-    from beltrami_cli.mesh.painted import PaintedVertices
     from beltrami_cli.pipeline.settings.smooth import SmoothSettings
+    from beltrami_cli.surface.painted import PaintedVertices
 
 
 @dataclass(frozen=True)

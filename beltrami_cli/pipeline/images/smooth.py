@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, get_args
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.guidance import centred
 from beltrami_cli.flow.parameters import Space, parameters_with
-from beltrami_cli.mesh.painted import Encoding
-from beltrami_cli.mesh.validation import check_numbers, guide_table
 from beltrami_cli.pipeline.images.arrays import ArrayImage, ImageResult, pixel_array, pixel_colours
 from beltrami_cli.pipeline.images.guides import GuideImage
 from beltrami_cli.pipeline.settings.embedding import EmbeddingSettings
 from beltrami_cli.pipeline.settings.smooth import DEFAULTS
+from beltrami_cli.surface.painted import Encoding
+from beltrami_cli.surface.validation import check_numbers, guide_table
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -18,7 +18,7 @@ from beltrami_cli.pipeline.settings.smooth import DEFAULTS, SmoothSettings
 
 if TYPE_CHECKING:
     from beltrami_cli.formats.document import Document
-    from beltrami_cli.mesh.textured import Slot
+    from beltrami_cli.surface.textured import Slot
 
 
 def inspect_file(

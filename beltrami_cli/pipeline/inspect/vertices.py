@@ -14,11 +14,11 @@ if TYPE_CHECKING:
 
     from beltrami_cli.formats.access import Access
     from beltrami_cli.formats.document import Document
-    from beltrami_cli.mesh.painted import PaintedVertices
-    from beltrami_cli.mesh.surface import SampledSurface
     from beltrami_cli.pipeline.settings.smooth import SmoothSettings
     from beltrami_cli.pipeline.vertices.prepare import PreparedVertices
     from beltrami_cli.sampling.vertices import VertexSampling
+    from beltrami_cli.surface.painted import PaintedVertices
+    from beltrami_cli.surface.surface import SampledSurface
 
 # Enough for a mean within a few per cent, and a matter of milliseconds.
 _PROBED_KERNELS = 1000
@@ -56,7 +56,7 @@ def describe_vertices(document: Document, settings: SmoothSettings, access: Acce
 
 
 def _describe_mesh(painted: PaintedVertices, prepared: PreparedVertices) -> dict[str, object]:
-    from beltrami_cli.mesh.topology import count_topology
+    from beltrami_cli.surface.topology import count_topology
 
     surface, sampling = prepared.surface, prepared.sampling
     topology = count_topology(_place_positions(surface, sampling), sampling.place_of[surface.faces])

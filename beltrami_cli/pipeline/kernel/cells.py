@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from beltrami_cli.errors import UsageError
-from beltrami_cli.mesh.atlas import EMPTY
 from beltrami_cli.pipeline.kernel.study import KernelStudy, Shown, WindowView, describe, table
+from beltrami_cli.surface.atlas import EMPTY
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from beltrami_cli.flow.one_kernel import SampledKernel
     from beltrami_cli.flow.parameters import KernelParameters
     from beltrami_cli.flow.texels import TexelFlow
-    from beltrami_cli.mesh.atlas import Atlas
+    from beltrami_cli.surface.atlas import Atlas
 
 # Cells around the window that are shown at least.
 _LEAST_SURROUNDINGS = 4

@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from beltrami_cli.flow.guidance import Guide
-    from beltrami_cli.mesh.painted import PaintedVertices
     from beltrami_cli.pipeline.kernel.place import Place
     from beltrami_cli.pipeline.settings.smooth import SmoothSettings
+    from beltrami_cli.surface.painted import PaintedVertices
 
 
 def study_range(

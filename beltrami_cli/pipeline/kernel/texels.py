@@ -19,11 +19,11 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from beltrami_cli.formats.document import Document
-    from beltrami_cli.mesh.atlas import Atlas
-    from beltrami_cli.mesh.textured import Slot
     from beltrami_cli.pipeline.kernel.place import Place
     from beltrami_cli.pipeline.settings.smooth import SmoothSettings
     from beltrami_cli.pipeline.textures.prepare import PreparedSlot
+    from beltrami_cli.surface.atlas import Atlas
+    from beltrami_cli.surface.textured import Slot
 
 
 def study_texel(

@@ -20,10 +20,10 @@ if TYPE_CHECKING:
 
     from beltrami_cli.flow.one_kernel import SampledKernel
     from beltrami_cli.formats.document import Document
-    from beltrami_cli.mesh.painted import PaintedVertices
     from beltrami_cli.pipeline.kernel.place import Place
     from beltrami_cli.pipeline.settings.smooth import SmoothSettings
     from beltrami_cli.sampling.vertices import VertexSampling
+    from beltrami_cli.surface.painted import PaintedVertices
 
 
 def study_vertex(

@@ -25,9 +25,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from beltrami_cli.formats.document import Document
-    from beltrami_cli.mesh.textured import ImageFile, Slot
     from beltrami_cli.pipeline.settings.noise import NoiseSettings
     from beltrami_cli.pipeline.settings.smooth import SmoothSettings
+    from beltrami_cli.surface.textured import ImageFile, Slot
 
 
 @dataclass(frozen=True)

@@ -19,11 +19,11 @@ from beltrami_cli.sampling.gutter import fill_gutter
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from beltrami_cli.mesh.atlas import Atlas
-    from beltrami_cli.mesh.textured import ImageFile, Slot, TexturedSurface
     from beltrami_cli.pipeline.settings.noise import NoiseSettings
     from beltrami_cli.pipeline.settings.smooth import SmoothSettings
     from beltrami_cli.pipeline.textures.prepare import PreparedSlot
+    from beltrami_cli.surface.atlas import Atlas
+    from beltrami_cli.surface.textured import ImageFile, Slot, TexturedSurface
 
 
 @dataclass(frozen=True)

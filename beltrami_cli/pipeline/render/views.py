@@ -10,8 +10,6 @@ from beltrami_cli.errors import InputError
 from beltrami_cli.formats.image import Picture, read_image, to_float, without_alpha
 from beltrami_cli.formats.image.recognition import is_image
 from beltrami_cli.formats.source import read_source
-from beltrami_cli.mesh.areas import triangle_areas
-from beltrami_cli.mesh.transfer import srgb_to_linear
 from beltrami_cli.pipeline.documents.opening import document_from
 from beltrami_cli.pipeline.settings.smooth import DEFAULTS, SmoothSettings
 from beltrami_cli.pipeline.textures.colours import COLOUR_SLOTS
@@ -19,15 +17,17 @@ from beltrami_cli.rendering.cloud_view import CloudView
 from beltrami_cli.rendering.image_view import ImageView
 from beltrami_cli.rendering.paint import TexturePaint, VertexPaint
 from beltrami_cli.rendering.surface_view import SurfaceView
+from beltrami_cli.surface.areas import triangle_areas
+from beltrami_cli.surface.transfer import srgb_to_linear
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from beltrami_cli.formats.access import Access
     from beltrami_cli.formats.document import Document
-    from beltrami_cli.mesh.painted import PaintedVertices
-    from beltrami_cli.mesh.textured import Slot
     from beltrami_cli.pipeline.settings.render import RenderSettings
+    from beltrami_cli.surface.painted import PaintedVertices
+    from beltrami_cli.surface.textured import Slot
 
 Drawable = SurfaceView | CloudView | ImageView
 _FAR = 128  # powers of two, beyond which a model is brought nearer; its fourth powers then stay within 2^256

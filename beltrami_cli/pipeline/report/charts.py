@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli.mesh.transfer import linear_to_srgb
 from beltrami_cli.pipeline.kernel.picture import coloured
 from beltrami_cli.pipeline.report.page import data_address, picture_tag
 from beltrami_cli.rendering.details import richest_window
+from beltrami_cli.surface.transfer import linear_to_srgb
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

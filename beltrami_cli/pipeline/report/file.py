@@ -34,8 +34,8 @@ from beltrami_cli.pipeline.writing.output import Output
 
 if TYPE_CHECKING:
     from beltrami_cli.formats.document import Document
-    from beltrami_cli.mesh.textured import Slot
     from beltrami_cli.pipeline.compare.paired_colours import PairedColours
+    from beltrami_cli.surface.textured import Slot
 
 _MOST_CROPS = 8
 _VIEWER = """<h2>The model</h2>

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from beltrami_cli.formats.image import read_image
-from beltrami_cli.mesh.transfer import linear_to_srgb
 from beltrami_cli.pipeline.render.views import light_of, sheet_of
 from beltrami_cli.pipeline.report.page import data_address
 from beltrami_cli.pipeline.textures.colours import COLOUR_SLOTS
 from beltrami_cli.rendering.cloud_view import disc_radii
+from beltrami_cli.surface.transfer import linear_to_srgb
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from beltrami_cli.formats.document import Document
-    from beltrami_cli.mesh.painted import PaintedVertices
-    from beltrami_cli.mesh.textured import Slot, Texture, TexturedSurface
+    from beltrami_cli.surface.painted import PaintedVertices
+    from beltrami_cli.surface.textured import Slot, Texture, TexturedSurface
 
 _MIME = {b"\x89PNG": "image/png", b"\xff\xd8\xff": "image/jpeg"}
 

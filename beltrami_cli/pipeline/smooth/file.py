@@ -27,11 +27,11 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from beltrami_cli.formats.document import Document
-    from beltrami_cli.mesh.textured import ImageFile, Slot
     from beltrami_cli.pipeline.settings.bake import BakeSettings
     from beltrami_cli.pipeline.smooth.report import SmoothReport
     from beltrami_cli.pipeline.textures.smooth import SlotReport
     from beltrami_cli.pipeline.vertices.result import SmoothResult
+    from beltrami_cli.surface.textured import ImageFile, Slot
 
 
 def smooth_file(

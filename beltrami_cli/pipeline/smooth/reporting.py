@@ -13,12 +13,12 @@ from beltrami_cli.pipeline.smooth.stopwatch import peak_memory
 
 if TYPE_CHECKING:
     from beltrami_cli.formats.document import Document
-    from beltrami_cli.mesh.painted import PaintedVertices
     from beltrami_cli.pipeline.settings.smooth import SmoothSettings
     from beltrami_cli.pipeline.smooth.report import ImageReport
     from beltrami_cli.pipeline.smooth.stopwatch import Stopwatch
     from beltrami_cli.pipeline.textures.smooth import SlotReport
     from beltrami_cli.pipeline.vertices.result import SmoothResult
+    from beltrami_cli.surface.painted import PaintedVertices
 
 
 def make_image_report(

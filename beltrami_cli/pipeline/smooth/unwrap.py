@@ -31,13 +31,13 @@ if TYPE_CHECKING:
 
     from beltrami_cli.flow.guidance import Guide
     from beltrami_cli.formats.document import Document
-    from beltrami_cli.mesh.textured import ImageFile, TexturedSurface
     from beltrami_cli.pipeline.bake.new_texture import NewTexture
     from beltrami_cli.pipeline.settings.bake import BakeSettings
     from beltrami_cli.pipeline.settings.smooth import SmoothSettings
     from beltrami_cli.pipeline.smooth.report import SmoothReport
     from beltrami_cli.pipeline.textures.smooth import SlotReport
     from beltrami_cli.pipeline.vertices.result import SmoothResult
+    from beltrami_cli.surface.textured import ImageFile, TexturedSurface
 
     Progress = Callable[[str, int, int], None] | None
 

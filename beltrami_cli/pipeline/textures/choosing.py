@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from beltrami_cli.mesh.textured import Texture, TexturedSurface
     from beltrami_cli.pipeline.settings.smooth import TextureSettings
+    from beltrami_cli.surface.textured import Texture, TexturedSurface
 
 
 def choose_textures(surface: TexturedSurface, wanted: TextureSettings) -> TexturedSurface:

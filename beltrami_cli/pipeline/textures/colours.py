@@ -10,8 +10,8 @@ from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.canvas_colours import painted_by
 from beltrami_cli.flow.colour_space import from_space, to_space
 from beltrami_cli.formats.image.picture import full_scale_one, is_associated, lends_colour, without_alpha
-from beltrami_cli.mesh import large_arrays
-from beltrami_cli.mesh.atlas import texels_by_texture
+from beltrami_cli.surface import large_arrays
+from beltrami_cli.surface.atlas import texels_by_texture
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -20,9 +20,9 @@ if TYPE_CHECKING:
 
     from beltrami_cli.flow.parameters import Space
     from beltrami_cli.formats.image import Picture
-    from beltrami_cli.mesh.atlas import Atlas
-    from beltrami_cli.mesh.textured import Slot, Texture
     from beltrami_cli.pipeline.settings.smooth import SmoothSettings
+    from beltrami_cli.surface.atlas import Atlas
+    from beltrami_cli.surface.textured import Slot, Texture
 
 COLOUR_SLOTS = ("baseColor", "emissive")
 

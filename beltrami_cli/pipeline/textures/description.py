@@ -9,17 +9,17 @@ import numpy as np
 
 from beltrami_cli.flow.canvas_colours import painted
 from beltrami_cli.flow.texels import TexelFlow
-from beltrami_cli.mesh.atlas import without_owned
-from beltrami_cli.mesh.topology import count_topology
 from beltrami_cli.pipeline.textures.choosing import only_textures
 from beltrami_cli.pipeline.textures.prepare import build_slot_atlas
 from beltrami_cli.sampling.grouping import group_equal_rows
+from beltrami_cli.surface.atlas import without_owned
+from beltrami_cli.surface.topology import count_topology
 
 if TYPE_CHECKING:
-    from beltrami_cli.mesh.atlas import Atlas
-    from beltrami_cli.mesh.textured import TexturedSurface
     from beltrami_cli.pipeline.settings.smooth import SmoothSettings
     from beltrami_cli.pipeline.textures.prepare import PreparedSlot
+    from beltrami_cli.surface.atlas import Atlas
+    from beltrami_cli.surface.textured import TexturedSurface
 
 
 def describe_slot(prepared: PreparedSlot, flow: TexelFlow, settings: SmoothSettings) -> dict[str, object]:

@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli.mesh.atlas import EMPTY, OWNED, refresh_halo
+from beltrami_cli.surface.atlas import EMPTY, OWNED, refresh_halo
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from beltrami_cli.mesh.atlas import Atlas
+    from beltrami_cli.surface.atlas import Atlas
 
 # What "near a seam" means, in texels.
 _NEAR = 4

@@ -9,11 +9,11 @@ from beltrami_cli.flow.regularisation import guide_radius
 from beltrami_cli.flow.texels import TexelFlow
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.image import read_image
-from beltrami_cli.mesh.atlas import without_owned
 from beltrami_cli.pipeline.textures.choosing import choose_textures
 from beltrami_cli.pipeline.textures.colours import TexelColours
 from beltrami_cli.pipeline.textures.guides import GuidedTexels
 from beltrami_cli.sampling.atlas import build_atlas
+from beltrami_cli.surface.atlas import without_owned
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -22,9 +22,9 @@ if TYPE_CHECKING:
     from beltrami_cli.flow.parameters import KernelParameters
     from beltrami_cli.formats.document import Document
     from beltrami_cli.formats.image import Picture
-    from beltrami_cli.mesh.atlas import Atlas
-    from beltrami_cli.mesh.textured import Slot, TexturedSurface
     from beltrami_cli.pipeline.settings.smooth import SmoothSettings
+    from beltrami_cli.surface.atlas import Atlas
+    from beltrami_cli.surface.textured import Slot, TexturedSurface
 
 
 @dataclass(frozen=True)

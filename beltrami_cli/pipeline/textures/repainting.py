@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 
 from beltrami_cli.formats.image.picture import full_scale_one
-from beltrami_cli.mesh import large_arrays
 from beltrami_cli.pipeline.change import Change
 from beltrami_cli.pipeline.storing import store
 from beltrami_cli.pipeline.textures.places import within
 from beltrami_cli.sampling.gutter import fill_gutter
+from beltrami_cli.surface import large_arrays
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from beltrami_cli.formats.image import Picture
-    from beltrami_cli.mesh.atlas import Indices
     from beltrami_cli.pipeline.textures.colours import TexelColours
+    from beltrami_cli.surface.atlas import Indices
 
     ColoursOf: TypeAlias = Callable[[slice, NDArray[np.bool_] | slice], NDArray[np.float32]]
 

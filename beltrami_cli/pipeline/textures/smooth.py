@@ -9,8 +9,6 @@ from typing import TYPE_CHECKING, Any
 from beltrami_cli.flow.canvas_colours import colours_at
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.image import check_writable, is_unchanged, losses, write_image
-from beltrami_cli.mesh import large_arrays
-from beltrami_cli.mesh.textured import ImageFile
 from beltrami_cli.pipeline.change import Change
 from beltrami_cli.pipeline.settings.description import describe_choice
 from beltrami_cli.pipeline.textures.colours import COLOUR_SLOTS
@@ -18,6 +16,8 @@ from beltrami_cli.pipeline.textures.description import atlas_counts, describe_te
 from beltrami_cli.pipeline.textures.prepare import prepare_slot
 from beltrami_cli.pipeline.textures.repainting import SmoothedTexels, repaint
 from beltrami_cli.pipeline.textures.shared import SharedImages
+from beltrami_cli.surface import large_arrays
+from beltrami_cli.surface.textured import ImageFile
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -27,10 +27,10 @@ if TYPE_CHECKING:
 
     from beltrami_cli.formats.document import Document
     from beltrami_cli.formats.image import Picture
-    from beltrami_cli.mesh.atlas import Atlas, Indices
-    from beltrami_cli.mesh.textured import Slot, TexturedSurface
     from beltrami_cli.pipeline.settings.smooth import SmoothSettings, TextureSettings
     from beltrami_cli.pipeline.textures.repainting import ColoursOf
+    from beltrami_cli.surface.atlas import Atlas, Indices
+    from beltrami_cli.surface.textured import Slot, TexturedSurface
 
 
 _UNCOVERED = "no texel is covered by the surface, so nothing was smoothed; --unwrap makes a new atlas"

@@ -9,8 +9,12 @@ import numpy as np
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.guidance import Guide, centred
 from beltrami_cli.flow.parameters import parameters_with
-from beltrami_cli.mesh.painted import Encoding, PaintedVertices
-from beltrami_cli.mesh.validation import (
+from beltrami_cli.pipeline.settings.embedding import EmbeddingSettings
+from beltrami_cli.pipeline.settings.smooth import DEFAULTS, SmoothSettings
+from beltrami_cli.pipeline.vertices.point_cloud import smooth_cloud
+from beltrami_cli.pipeline.vertices.smooth import smooth_painted
+from beltrami_cli.surface.painted import Encoding, PaintedVertices
+from beltrami_cli.surface.validation import (
     check_mesh,
     check_numbers,
     colour_table,
@@ -18,10 +22,6 @@ from beltrami_cli.mesh.validation import (
     guide_table,
     position_table,
 )
-from beltrami_cli.pipeline.settings.embedding import EmbeddingSettings
-from beltrami_cli.pipeline.settings.smooth import DEFAULTS, SmoothSettings
-from beltrami_cli.pipeline.vertices.point_cloud import smooth_cloud
-from beltrami_cli.pipeline.vertices.smooth import smooth_painted
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

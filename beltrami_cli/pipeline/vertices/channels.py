@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 from beltrami_cli.errors import UsageError
 
 if TYPE_CHECKING:
-    from beltrami_cli.mesh.painted import PaintedVertices
     from beltrami_cli.pipeline.settings.smooth import SmoothSettings
+    from beltrami_cli.surface.painted import PaintedVertices
 
 
 @dataclass(frozen=True)

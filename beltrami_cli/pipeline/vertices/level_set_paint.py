@@ -12,16 +12,16 @@ from beltrami_cli.errors import InputError
 from beltrami_cli.formats.scale import full_scale
 from beltrami_cli.formats.source import read_source, recognise
 from beltrami_cli.formats.volume import read_colours
-from beltrami_cli.mesh.painted import PaintedVertices
-from beltrami_cli.mesh.volume import GridColours, NearColours
 from beltrami_cli.sampling.volume_colours import has_colour, interpolate_colours, nearest_colours
+from beltrami_cli.surface.painted import PaintedVertices
+from beltrami_cli.surface.volume import GridColours, NearColours
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from beltrami_cli.formats.access import Access
-    from beltrami_cli.mesh.painted import Encoding
-    from beltrami_cli.mesh.volume import Lattice, Volume
+    from beltrami_cli.surface.painted import Encoding
+    from beltrami_cli.surface.volume import Lattice, Volume
 
 # Other types have no full scale of their own: what their numbers mean is told from how large they are.
 _FULL_SCALE = {"uint8": 255.0, "uint16": 65535.0}

@@ -7,17 +7,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.errors import InputError, UsageError
-from beltrami_cli.mesh.normals import vertex_normals
-from beltrami_cli.mesh.painted import MovedVertices
 from beltrami_cli.sampling.grouping import group_equal_rows
+from beltrami_cli.surface.normals import vertex_normals
+from beltrami_cli.surface.painted import MovedVertices
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from beltrami_cli.formats.document import Document
-    from beltrami_cli.mesh.painted import PaintedVertices
     from beltrami_cli.pipeline.documents.work import Work
     from beltrami_cli.pipeline.settings.smooth import SmoothSettings
+    from beltrami_cli.surface.painted import PaintedVertices
 
 
 def require_geometry(document: Document, work: Work, settings: SmoothSettings, *, written_back: bool) -> None:

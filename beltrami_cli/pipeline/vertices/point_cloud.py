@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from beltrami_cli.flow.guidance import Guide
-    from beltrami_cli.mesh.painted import PaintedVertices
     from beltrami_cli.pipeline.settings.smooth import SmoothSettings
+    from beltrami_cli.surface.painted import PaintedVertices
 
 
 def with_surface(painted: PaintedVertices, settings: SmoothSettings) -> PaintedVertices:

@@ -16,9 +16,9 @@ from beltrami_cli.sampling.vertices import VertexSampling, sample_vertices
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from beltrami_cli.mesh.painted import PaintedVertices
-    from beltrami_cli.mesh.surface import SampledSurface
     from beltrami_cli.pipeline.settings.smooth import SmoothSettings
+    from beltrami_cli.surface.painted import PaintedVertices
+    from beltrami_cli.surface.surface import SampledSurface
 
 
 @dataclass(frozen=True)

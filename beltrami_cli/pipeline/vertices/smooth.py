@@ -17,10 +17,10 @@ if TYPE_CHECKING:
 
     from beltrami_cli.flow.guidance import Guide
     from beltrami_cli.flow.result import VertexFlowResult
-    from beltrami_cli.mesh.painted import PaintedVertices
     from beltrami_cli.pipeline.settings.smooth import SmoothSettings
     from beltrami_cli.pipeline.vertices.channels import ChosenChannels
     from beltrami_cli.sampling.vertices import VertexSampling
+    from beltrami_cli.surface.painted import PaintedVertices
 
 
 def smooth_painted(

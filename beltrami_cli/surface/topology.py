@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli.mesh.areas import triangle_areas
+from beltrami_cli.surface.areas import triangle_areas
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from beltrami_cli.mesh import large_arrays
+from beltrami_cli.surface import large_arrays
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from beltrami_cli.errors import InputError, UsageError
-from beltrami_cli.mesh.scale import check_scale
+from beltrami_cli.surface.scale import check_scale
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-    from beltrami_cli.mesh.painted import PaintedVertices
+    from beltrami_cli.surface.painted import PaintedVertices
 
 
 def check_mesh(painted: PaintedVertices, name: str) -> None:

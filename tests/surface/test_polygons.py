@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.mesh.polygons import triangulate
+from beltrami_cli.surface.polygons import triangulate
 
 
 def cut(points: NDArray[np.float64], *polygons: list[int]) -> NDArray[np.int32]:

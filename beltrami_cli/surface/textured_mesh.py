@@ -10,7 +10,7 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from beltrami_cli.mesh.textured import ImageFile
+    from beltrami_cli.surface.textured import ImageFile
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from beltrami_cli.mesh.painted import Encoding
+    from beltrami_cli.surface.painted import Encoding
 
 
 @dataclass(frozen=True)
