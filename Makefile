@@ -104,10 +104,10 @@ sanitize: $(VENV)/.installed-test
 THREE := three@0.187.0 esbuild@0.28
 viewer:
 	npm install --prefix build/viewer --silent --no-save --no-package-lock --no-audit --no-fund $(THREE)
-	cp beltrami_cli/pages/three.entry.js build/viewer/entry.js
+	cp beltrami_cli/view/pages/three.entry.js build/viewer/entry.js
 	cd build/viewer && node_modules/.bin/esbuild entry.js --bundle --minify --format=iife --global-name=THREE \
-	  --charset=ascii --legal-comments=inline --log-level=warning --outfile=$(abspath beltrami_cli/pages/three.js)
-	cp build/viewer/node_modules/three/LICENSE beltrami_cli/pages/three.LICENSE
+	  --charset=ascii --legal-comments=inline --log-level=warning --outfile=$(abspath beltrami_cli/view/pages/three.js)
+	cp build/viewer/node_modules/three/LICENSE beltrami_cli/view/pages/three.LICENSE
 
 # What is found is kept under build/fuzz, to go on from next time.
 FUZZ_SECONDS ?= 60

@@ -13,33 +13,33 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from beltrami_cli.errors import BeltramiError, InputError, OutputError, ProcessingError, UsageError
     from beltrami_cli.flow.parameters import KernelParameters
-    from beltrami_cli.pipeline.images.arrays import ImageResult
-    from beltrami_cli.pipeline.images.smooth import smooth_image
-    from beltrami_cli.pipeline.inspect.file import inspect_file
-    from beltrami_cli.pipeline.settings.image import ImageSettings
-    from beltrami_cli.pipeline.settings.smooth import SmoothSettings, TextureSettings
-    from beltrami_cli.pipeline.smooth.file import smooth_file
-    from beltrami_cli.pipeline.smooth.report import SmoothReport
-    from beltrami_cli.pipeline.vertices.arrays import smooth
-    from beltrami_cli.pipeline.vertices.result import SmoothResult
+    from beltrami_cli.jobs.inspect.file import inspect_file
+    from beltrami_cli.jobs.smooth.file import smooth_file
+    from beltrami_cli.jobs.smooth.report import SmoothReport
+    from beltrami_cli.samples.images.arrays import ImageResult
+    from beltrami_cli.samples.images.smooth import smooth_image
+    from beltrami_cli.samples.settings.image import ImageSettings
+    from beltrami_cli.samples.settings.smooth import SmoothSettings, TextureSettings
+    from beltrami_cli.samples.vertices.arrays import smooth
+    from beltrami_cli.samples.vertices.result import SmoothResult
 
 _HOME_OF = {
     "BeltramiError": "errors",
-    "ImageResult": "pipeline.images.arrays",
-    "ImageSettings": "pipeline.settings.image",
+    "ImageResult": "samples.images.arrays",
+    "ImageSettings": "samples.settings.image",
     "InputError": "errors",
     "KernelParameters": "flow.parameters",
     "OutputError": "errors",
     "ProcessingError": "errors",
-    "SmoothReport": "pipeline.smooth.report",
-    "SmoothResult": "pipeline.vertices.smooth",
-    "SmoothSettings": "pipeline.settings.smooth",
-    "TextureSettings": "pipeline.settings.smooth",
+    "SmoothReport": "jobs.smooth.report",
+    "SmoothResult": "samples.vertices.smooth",
+    "SmoothSettings": "samples.settings.smooth",
+    "TextureSettings": "samples.settings.smooth",
     "UsageError": "errors",
-    "inspect_file": "pipeline.inspect.file",
-    "smooth": "pipeline.vertices.arrays",
-    "smooth_file": "pipeline.smooth.file",
-    "smooth_image": "pipeline.images.smooth",
+    "inspect_file": "jobs.inspect.file",
+    "smooth": "samples.vertices.arrays",
+    "smooth_file": "jobs.smooth.file",
+    "smooth_image": "samples.images.smooth",
 }
 
 __all__ = [

@@ -16,8 +16,8 @@ from beltrami_cli.errors import OutputError, ProcessingError, UsageError
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from beltrami_cli.pipeline.batch.job import Outcome
-    from beltrami_cli.pipeline.batch.run import Crew
+    from beltrami_cli.batch.job import Outcome
+    from beltrami_cli.batch.run import Crew
 
 EPILOG = """\b
 Examples:
@@ -116,13 +116,13 @@ def command(
     With --scheduler the workers of a Dask cluster do the files (extra cluster), and INPUTS and --out-dir may be URLs
     that fsspec opens, as they may be without.
     """
+    from beltrami_cli.batch.plan import plan
+    from beltrami_cli.batch.record import Record
+    from beltrami_cli.batch.run import run_batch
     from beltrami_cli.cli.batch_display import Display, show_table
     from beltrami_cli.cli.batch_jobs import jobs_for
     from beltrami_cli.flow.parameters import KernelParameters
-    from beltrami_cli.pipeline.batch.plan import plan
-    from beltrami_cli.pipeline.batch.record import Record
-    from beltrami_cli.pipeline.batch.run import run_batch
-    from beltrami_cli.pipeline.memory import memory_of_machine
+    from beltrami_cli.jobs.memory import memory_of_machine
 
     if pieces is not None and scheduler is None:
         raise UsageError("--pieces are for the workers of a --scheduler; name one")
@@ -167,9 +167,9 @@ def _crew(
     if scheduler is None:
         yield None
         return
-    from beltrami_cli.pipeline.cluster.connection import connected
-    from beltrami_cli.pipeline.cluster.files import ClusterCrew
-    from beltrami_cli.pipeline.cluster.split_files import SplittingCrew
+    from beltrami_cli.batch.cluster.connection import connected
+    from beltrami_cli.batch.cluster.files import ClusterCrew
+    from beltrami_cli.batch.cluster.split_files import SplittingCrew
 
     with connected(scheduler) as client:
         if not client.nthreads():
@@ -181,7 +181,7 @@ def _crew(
 
 def _report_in(out_dir: str) -> str:
     """Return where the report stands if nothing else is said, and make the folder."""
-    from beltrami_cli.pipeline.batch.storage import is_url, without_scheme
+    from beltrami_cli.batch.storage import is_url, without_scheme
 
     if is_url(out_dir):
         raise UsageError(

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from rich.progress import Progress, TaskID
 
-    from beltrami_cli.pipeline.batch.job import Attempt, Job, Outcome
+    from beltrami_cli.batch.job import Attempt, Job, Outcome
 
 _WIDTH = 140  # of the table, where it goes to a file
 _COLOURS = {"done": "green", "skipped": "dim", "failed": "bold red", "not started": "yellow"}

@@ -7,19 +7,19 @@ from typing import TYPE_CHECKING, Any
 import click
 from click.core import ParameterSource
 
+from beltrami_cli.batch.job import Job
 from beltrami_cli.cli import options
 from beltrami_cli.cli.file_options import OF_A_FILE
 from beltrami_cli.cli.named_values import options_of, values_for
 from beltrami_cli.errors import UsageError
-from beltrami_cli.pipeline.batch.job import Job
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
     from pathlib import Path
 
-    from beltrami_cli.pipeline.batch.plan import Request
-    from beltrami_cli.pipeline.settings.bake import BakeSettings
-    from beltrami_cli.pipeline.settings.smooth import SmoothSettings
+    from beltrami_cli.batch.plan import Request
+    from beltrami_cli.jobs.bake.settings import BakeSettings
+    from beltrami_cli.samples.settings.smooth import SmoothSettings
 
 _PATHS = ("height", "positions", "mask", "colours")  # always a file; a guide may be one
 

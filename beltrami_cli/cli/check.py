@@ -34,7 +34,7 @@ def command(before: str, after: str, as_json: bool, quiet: bool, verbose: int, *
     Colours and the pixels of images may differ. Anything else is an error: positions, faces, materials, names,
     comments, whatever the format holds.
     """
-    from beltrami_cli.pipeline.check import check_files
+    from beltrami_cli.jobs.check import check_files
 
     with options.reading_from(reading, before) as access:
         report = check_files(before, after, access)

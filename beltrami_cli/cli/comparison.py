@@ -10,8 +10,8 @@ import click
 from beltrami_cli.cli.console import printable
 
 if TYPE_CHECKING:
-    from beltrami_cli.pipeline.compare.files import Comparison
-    from beltrami_cli.pipeline.compare.limits import Verdict
+    from beltrami_cli.jobs.compare.files import Comparison
+    from beltrami_cli.jobs.compare.limits import Verdict
 
 _COLUMNS = (
     "part", "samples", "PSNR dB", "SSIM", "dE mean", "dE 95 %", "dE worst", "seams: dB", "seams: dE", "jump /255",

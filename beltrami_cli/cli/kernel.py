@@ -67,7 +67,7 @@ def command(
     """
     settings = options.settings_from(smoothing)
     messages = Messages(quiet=quiet, verbose=verbose)
-    from beltrami_cli.pipeline.kernel.file import kernel_file
+    from beltrami_cli.jobs.kernel.file import kernel_file
 
     with options.reading_from(smoothing, source) as access, messages.progress() as progress:
         facts = kernel_file(

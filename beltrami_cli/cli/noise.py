@@ -10,7 +10,7 @@ from beltrami_cli.cli import options
 from beltrami_cli.cli.amounts import sure_amount
 from beltrami_cli.cli.console import Messages, counted
 from beltrami_cli.cli.painting import choosing, painting_from, writing
-from beltrami_cli.pipeline.settings.noise import Kind, NoiseSettings
+from beltrami_cli.jobs.noise.settings import Kind, NoiseSettings
 
 EPILOG = """\b
 Examples:
@@ -76,7 +76,7 @@ def command(
     settings = painting_from(painting)
     noise = NoiseSettings(sigma, kind, seed)
     messages = Messages(quiet=quiet, verbose=verbose)
-    from beltrami_cli.pipeline.noise.file import noise_file
+    from beltrami_cli.jobs.noise.file import noise_file
 
     with options.reading_from(painting, source) as access:
         report = noise_file(

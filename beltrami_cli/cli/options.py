@@ -36,9 +36,9 @@ from beltrami_cli.cli.unwrap_options import (
     unwrapping,
     unwrapping_from,
 )
-from beltrami_cli.pipeline.settings.image import ImageSettings
-from beltrami_cli.pipeline.settings.level_set import LevelSetSettings
-from beltrami_cli.pipeline.settings.smooth import DEFAULTS, SmoothSettings
+from beltrami_cli.samples.settings.image import ImageSettings
+from beltrami_cli.samples.settings.level_set import LevelSetSettings
+from beltrami_cli.samples.settings.smooth import DEFAULTS, SmoothSettings
 
 if TYPE_CHECKING:
     from collections.abc import Callable

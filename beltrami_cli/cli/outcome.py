@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from beltrami_cli.cli.console import counted
-from beltrami_cli.pipeline.memory import show_size
+from beltrami_cli.jobs.memory import show_size
 
 if TYPE_CHECKING:
     from beltrami_cli.cli.console import Messages
-    from beltrami_cli.pipeline.smooth.report import ImageReport, SmoothReport, VertexReport
-    from beltrami_cli.pipeline.textures.smooth import SlotReport
+    from beltrami_cli.jobs.smooth.report import ImageReport, SmoothReport, VertexReport
+    from beltrami_cli.samples.textures.smooth import SlotReport
 
     Done = VertexReport | ImageReport | SlotReport
 

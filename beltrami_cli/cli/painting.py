@@ -8,9 +8,9 @@ import click
 
 from beltrami_cli.cli import options
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.pipeline.settings.image import ImageSettings
-from beltrami_cli.pipeline.settings.level_set import LevelSetSettings
-from beltrami_cli.pipeline.settings.smooth import DEFAULTS, SLOTS, SmoothSettings, TextureSettings
+from beltrami_cli.samples.settings.image import ImageSettings
+from beltrami_cli.samples.settings.level_set import LevelSetSettings
+from beltrami_cli.samples.settings.smooth import DEFAULTS, SLOTS, SmoothSettings, TextureSettings
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any, get_args
 import click
 
 from beltrami_cli.errors import UsageError
-from beltrami_cli.pipeline.settings.render import DEFAULT_RENDER, VIEWS, Axis, Crop, RenderSettings
-from beltrami_cli.pipeline.settings.smooth import SLOTS
+from beltrami_cli.samples.settings.smooth import SLOTS
+from beltrami_cli.view.settings import DEFAULT_RENDER, VIEWS, Axis, Crop, RenderSettings
 
 if TYPE_CHECKING:
     from collections.abc import Callable

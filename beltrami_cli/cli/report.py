@@ -11,7 +11,7 @@ from beltrami_cli.cli.console import Messages, counted
 
 if TYPE_CHECKING:
     from beltrami_cli.flow.parameters import Space
-    from beltrami_cli.pipeline.settings.smooth import Target
+    from beltrami_cli.samples.settings.smooth import Target
 
 EPILOG = """\b
 Examples:
@@ -64,8 +64,8 @@ def command(
     messages = Messages(quiet=quiet, verbose=verbose)
     from dataclasses import replace
 
-    from beltrami_cli.pipeline.report.file import report_file
-    from beltrami_cli.pipeline.settings.smooth import DEFAULTS
+    from beltrami_cli.samples.settings.smooth import DEFAULTS
+    from beltrami_cli.view.report.file import report_file
 
     chosen = options.names_in(slots, "--slots")
     settings = replace(DEFAULTS, on=on, space=space, textures=replace(DEFAULTS.textures, slots=chosen))

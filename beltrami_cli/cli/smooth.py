@@ -15,10 +15,10 @@ from beltrami_cli.errors import OutputError, UsageError
 
 if TYPE_CHECKING:
     from beltrami_cli.formats.access import Access
-    from beltrami_cli.pipeline.render.preview import Preview
-    from beltrami_cli.pipeline.settings.smooth import SmoothSettings
-    from beltrami_cli.pipeline.smooth.report import SmoothReport
-    from beltrami_cli.pipeline.writing.output import Output
+    from beltrami_cli.jobs.smooth.report import SmoothReport
+    from beltrami_cli.jobs.writing.output import Output
+    from beltrami_cli.samples.settings.smooth import SmoothSettings
+    from beltrami_cli.view.preview import Preview
 
 EPILOG = """\b
 Examples:
@@ -100,7 +100,7 @@ def command(
     unwrap = options.unwrapping_from(smoothing)
     messages = Messages(quiet=quiet, verbose=verbose)
     report_file = None if report_path is None else _open_report(report_path, source, target, overwrite)
-    from beltrami_cli.pipeline.smooth.file import smooth_file
+    from beltrami_cli.jobs.smooth.file import smooth_file
 
     with options.reading_from(smoothing, source) as access, messages.progress() as progress:
         preview = None
@@ -131,7 +131,7 @@ def command(
 
 def _open_report(path: str, source: str, target: str, overwrite: bool) -> Output:
     """Check that a report can be written before anything is computed."""
-    from beltrami_cli.pipeline.writing.output import Output
+    from beltrami_cli.jobs.writing.output import Output
 
     if path == "-":
         raise OutputError(path, "the report is a file; standard output is for OUTPUT", "name a file")
@@ -153,7 +153,7 @@ def _open_preview(
     """Check that a preview can be drawn before anything is computed."""
     if dry_run:
         raise UsageError("--preview draws OUTPUT, which --dry-run does not write")
-    from beltrami_cli.pipeline.render.preview import Preview
+    from beltrami_cli.view.preview import Preview
 
     return Preview(path, source, target, settings, access, overwrite=overwrite)
 

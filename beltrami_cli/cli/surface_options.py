@@ -6,8 +6,8 @@ from typing import get_args
 
 import click
 
-from beltrami_cli.pipeline.settings.level_set import MOST_VOXELS, Inside
-from beltrami_cli.pipeline.settings.smooth import DEFAULTS
+from beltrami_cli.samples.settings.level_set import MOST_VOXELS, Inside
+from beltrami_cli.samples.settings.smooth import DEFAULTS
 
 _IMAGE, _LEVEL_SET = DEFAULTS.image, DEFAULTS.level_set
 

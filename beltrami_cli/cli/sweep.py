@@ -11,12 +11,12 @@ from beltrami_cli.cli import options
 from beltrami_cli.cli.console import Messages, counted
 from beltrami_cli.cli.rendering import LOOKS, looking, render_settings_from
 from beltrami_cli.flow.parameters import TUNABLE
-from beltrami_cli.pipeline.settings.smooth import DEFAULTS
+from beltrami_cli.samples.settings.smooth import DEFAULTS
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from beltrami_cli.pipeline.settings.smooth import SmoothSettings
+    from beltrami_cli.samples.settings.smooth import SmoothSettings
 
 EPILOG = """\b
 Examples:
@@ -86,7 +86,7 @@ def command(
     settings = render_settings_from(looks)
     reading = {name: given.pop(name) for name in ("max_memory", "allow_outside")}
     trials, columns = _trials(given)
-    from beltrami_cli.pipeline.render.sweep import best_of, sweep_file
+    from beltrami_cli.view.sweep import best_of, sweep_file
 
     with options.reading_from(reading, source) as access, messages.progress() as progress:
         done = sweep_file(

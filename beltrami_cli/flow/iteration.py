@@ -14,8 +14,8 @@ from beltrami_cli.flow.clipping import find_clipped
 from beltrami_cli.flow.geometry import GeometryParameters, MovingPositions
 from beltrami_cli.flow.mesh_metric import MeshMetric
 from beltrami_cli.flow.one_kernel import SampledKernel, kernel_values
+from beltrami_cli.flow.partitions.splitting import wanted_split
 from beltrami_cli.flow.patches import choose_patches
-from beltrami_cli.flow.pieces.splitting import wanted_split
 from beltrami_cli.flow.progress import shifted
 from beltrami_cli.flow.result import VertexFlowResult
 from beltrami_cli.flow.risk import wanted_probes
@@ -212,7 +212,7 @@ class BeltramiFlow:
         if faces is None or split is None or not parameters.iterations:
             return colours, 0, 0
         from beltrami_cli._native import SegmentManifold
-        from beltrami_cli.flow.pieces.mesh import MeshFields, cut_mesh
+        from beltrami_cli.flow.partitions.mesh import MeshFields, cut_mesh
 
         fields = MeshFields(
             self._positions, faces, self._manifold.edges(), self._scales, self._weights, self._metric,

@@ -15,8 +15,8 @@ from beltrami_cli.flow.clipping import ClippedChannels, find_clipped_on_canvas
 from beltrami_cli.flow.correlation import estimate_noise_on_grid
 from beltrami_cli.flow.grid_metric import GridMetric
 from beltrami_cli.flow.one_kernel import SampledKernel, kernel_on_grid
-from beltrami_cli.flow.pieces.grid import cut_grid
-from beltrami_cli.flow.pieces.splitting import wanted_split
+from beltrami_cli.flow.partitions.grid import cut_grid
+from beltrami_cli.flow.partitions.splitting import wanted_split
 from beltrami_cli.flow.progress import shifted
 from beltrami_cli.flow.result import FlowResult
 from beltrami_cli.flow.seams import find_colour_jumps, halo_beyond

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from beltrami_cli.rendering.camera import WHOLE, fitted, orientation
-from beltrami_cli.rendering.paint import VertexPaint
-from beltrami_cli.rendering.sheet import Background, displayed
-from beltrami_cli.rendering.surface_view import SurfaceView
 from beltrami_cli.surface.transfer import srgb_to_linear
+from beltrami_cli.view.rendering.camera import WHOLE, fitted, orientation
+from beltrami_cli.view.rendering.paint import VertexPaint
+from beltrami_cli.view.rendering.sheet import Background, displayed
+from beltrami_cli.view.rendering.surface_view import SurfaceView
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

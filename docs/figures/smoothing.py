@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 import beltrami_cli
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.pipeline.images.grid_flow import grid_flow
+from beltrami_cli.samples.images.grid_flow import grid_flow
 
 Array = NDArray[np.float64]
 

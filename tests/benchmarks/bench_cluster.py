@@ -15,16 +15,16 @@ from pathlib import Path
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
+from beltrami_cli.batch.cluster.files import ClusterCrew
+from beltrami_cli.batch.cluster.pieces import OnCluster
+from beltrami_cli.batch.job import Job
+from beltrami_cli.batch.record import Record
+from beltrami_cli.batch.run import run_batch
 from beltrami_cli.flow.iteration import BeltramiFlow
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.flow.pieces.splitting import in_pieces
-from beltrami_cli.pipeline.batch.job import Job
-from beltrami_cli.pipeline.batch.record import Record
-from beltrami_cli.pipeline.batch.run import run_batch
-from beltrami_cli.pipeline.cluster.files import ClusterCrew
-from beltrami_cli.pipeline.cluster.pieces import OnCluster
-from beltrami_cli.pipeline.images.grid_flow import grid_flow
-from beltrami_cli.pipeline.settings.smooth import SmoothSettings
+from beltrami_cli.flow.partitions.splitting import in_pieces
+from beltrami_cli.samples.images.grid_flow import grid_flow
+from beltrami_cli.samples.settings.smooth import SmoothSettings
 from beltrami_cli.surface.surface import SampledSurface
 from cli.commands import SAMPLES
 from cli.dask_cluster import Cluster

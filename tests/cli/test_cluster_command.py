@@ -10,11 +10,11 @@ import sys
 import numpy as np
 import pytest
 
+from beltrami_cli.batch.cluster.pieces import OnCluster
 from beltrami_cli.cli.main import group
 from beltrami_cli.flow.iteration import BeltramiFlow
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.flow.pieces.splitting import in_pieces
-from beltrami_cli.pipeline.cluster.pieces import OnCluster
+from beltrami_cli.flow.partitions.splitting import in_pieces
 from cli.commands import COMMAND, SAMPLES, beltrami
 from cli.dask_cluster import Cluster
 from hostile.textured_models import write_model
@@ -211,9 +211,9 @@ def test_nothing_is_sent_over_what_is_there(tmp_path):
     memory = fsspec.filesystem("memory")
     memory.pipe_file("/there/in/a.ply", (SAMPLES / "terrain-noisy.ply").read_bytes())
     memory.pipe_file("/there/out/a.ply", b"mine")
-    from beltrami_cli.pipeline.batch.doing import do_job
-    from beltrami_cli.pipeline.batch.job import Job
-    from beltrami_cli.pipeline.settings.smooth import SmoothSettings
+    from beltrami_cli.batch.doing import do_job
+    from beltrami_cli.batch.job import Job
+    from beltrami_cli.samples.settings.smooth import SmoothSettings
 
     job = Job(
         "memory://there/in/a.ply", "memory://there/out/a.ply", SmoothSettings(KernelParameters(**FIXED))

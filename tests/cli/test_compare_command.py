@@ -15,15 +15,15 @@ import pytest
 
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.formats.source import open_document
-from beltrami_cli.pipeline.compare.files import compare_files
-from beltrami_cli.pipeline.compare.limits import Limits, judge
-from beltrami_cli.pipeline.noise.file import noise_file
-from beltrami_cli.pipeline.settings.noise import NoiseSettings
-from beltrami_cli.pipeline.settings.smooth import SmoothSettings
+from beltrami_cli.jobs.compare.files import compare_files
+from beltrami_cli.jobs.compare.limits import Limits, judge
+from beltrami_cli.jobs.noise.file import noise_file
+from beltrami_cli.jobs.noise.settings import NoiseSettings
+from beltrami_cli.samples.settings.smooth import SmoothSettings
 from cli.commands import COMMAND, SAMPLES, beltrami
 from formats.image_files import encode
 from formats.volume_files import sphere_file
-from pipeline.cut_boards import CHART, SIDE, painted, write_board
+from jobs.cut_boards import CHART, SIDE, painted, write_board
 
 DOCS = Path(__file__).parents[2] / "docs"
 CLEAN, NOISY = SAMPLES / "head-tex-clean.glb", SAMPLES / "head-tex-noisy.glb"

@@ -16,7 +16,7 @@ from beltrami_cli.errors import InputError, UnpaintedError
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.foreign.painting import PaintedPolygons, colours_of_vertices
 from beltrami_cli.formats.source import recognise
-from beltrami_cli.pipeline.smooth.file import smooth_file
+from beltrami_cli.jobs.smooth.file import smooth_file
 from beltrami_cli.surface.transfer import linear_to_srgb
 from formats.foreign_files import FACES, LEVELS, OBJECT, SQUARE, coff, model, opened, stl, threemf
 

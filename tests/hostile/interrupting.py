@@ -39,7 +39,7 @@ def child(target: str, at: int, number: int) -> None:
     """Be a command that writes an OBJ file with its library and texture; exit with 77 if the step was not reached."""
     from beltrami_cli.cli import main as command
     from beltrami_cli.formats.document import Written
-    from beltrami_cli.pipeline.writing.output import Output
+    from beltrami_cli.jobs.writing.output import Output
 
     def job() -> int:
         output = Output(target, overwrite=True)

@@ -34,9 +34,9 @@ import numpy as np
 from beltrami_cli.errors import BeltramiError, InputError, UnpaintedError
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.source import open_document
-from beltrami_cli.pipeline.check import check_files
-from beltrami_cli.pipeline.settings.smooth import KernelParameters, SmoothSettings
-from beltrami_cli.pipeline.smooth.file import smooth_file
+from beltrami_cli.jobs.check import check_files
+from beltrami_cli.jobs.smooth.file import smooth_file
+from beltrami_cli.samples.settings.smooth import KernelParameters, SmoothSettings
 from fuzz.test_replay import mutated
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ SETTINGS = SmoothSettings(kernel=KernelParameters(iterations=1, beta=10, clippin
 ACCESS = Access(memory=4 << 30)
 PATIENCE = 180  # seconds
 MOST_MEMORY = 8 << 30  # bytes of addresses, which are always more than what is used
-PRELOADED = ("textures.smooth", "vertices.smooth", "documents.conversion")
+PRELOADED = ("samples.textures.smooth", "samples.vertices.smooth", "jobs.conversion")
 OUTCOMES = {
     "smoothed": "only colours changed",
     "converted": "read, written as PLY",
@@ -200,7 +200,7 @@ def main() -> int:
     parser.add_argument("--mutations", type=int, default=0)
     parser.add_argument("--list", action="store_true", help="Tell what came of each file.")
     chosen = parser.parse_args()
-    for name in ("OpenImageIO", *(f"beltrami_cli.pipeline.{name}" for name in PRELOADED)):
+    for name in ("OpenImageIO", *(f"beltrami_cli.{name}" for name in PRELOADED)):
         importlib.import_module(name)
     counts: dict[str, Counter[str]] = {}
     for each in chosen.folders:

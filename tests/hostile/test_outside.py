@@ -12,8 +12,8 @@ from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.beside import Beside, UnfitReferenceError
 from beltrami_cli.formats.document import Written
 from beltrami_cli.formats.source import open_document
-from beltrami_cli.pipeline.smooth.file import smooth_file
-from beltrami_cli.pipeline.writing.output import Output
+from beltrami_cli.jobs.smooth.file import smooth_file
+from beltrami_cli.jobs.writing.output import Output
 from hostile.folders import snapshot
 from hostile.textured_models import OTHER, PICTURE, write_model
 

@@ -14,11 +14,11 @@ from beltrami_cli.flow.geometry import GeometryParameters
 from beltrami_cli.flow.guidance import Guide
 from beltrami_cli.flow.iteration import BeltramiFlow
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.flow.pieces.exchange import collect, plan_loans
-from beltrami_cli.flow.pieces.rings import Neighbours
-from beltrami_cli.flow.pieces.splitting import InTurn, in_pieces
-from beltrami_cli.pipeline.images.grid_flow import grid_flow
-from beltrami_cli.sampling.atlas import build_atlas
+from beltrami_cli.flow.partitions.exchange import collect, plan_loans
+from beltrami_cli.flow.partitions.rings import Neighbours
+from beltrami_cli.flow.partitions.splitting import InTurn, in_pieces
+from beltrami_cli.samples.images.grid_flow import grid_flow
+from beltrami_cli.surface.atlas_building import build_atlas
 from beltrami_cli.surface.surface import SampledSurface
 from oracles import surfaces
 from properties.test_slits import SIDE, TEXELS, cut_plane

@@ -11,7 +11,7 @@ import numpy as np
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.foreign.painting import PaintedPolygons
 from beltrami_cli.formats.foreign.worker import MISSING
-from beltrami_cli.worker_process import working
+from beltrami_cli.surface.worker_process import working
 
 if TYPE_CHECKING:
     from beltrami_cli.formats.access import Access

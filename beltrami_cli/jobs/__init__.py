@@ -1,0 +1,1 @@
+"""What a command does with its files; it raises what went wrong, and prints nothing."""

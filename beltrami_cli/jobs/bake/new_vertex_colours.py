@@ -1,0 +1,126 @@
+"""Vertex colours for a document, from its textures."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from beltrami_cli.formats.image import read_image, to_float, without_alpha
+from beltrami_cli.surface.grouping import group_equal_rows
+from beltrami_cli.surface.lookup import look_up, noise_around
+from beltrami_cli.surface.painted import MeshContents
+from beltrami_cli.surface.textured_mesh import distinct_corners
+from beltrami_cli.surface.transfer import linear_to_srgb
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from beltrami_cli.formats.document import Document
+    from beltrami_cli.formats.image import Picture
+    from beltrami_cli.surface.painted import Encoding
+    from beltrami_cli.surface.textured import TexturedSurface
+
+_ALIKE = 8 / 255  # a step that can hardly be seen, and that texels of several triangles' colours make anyway
+_SIGMAS = 4 * np.sqrt(2)  # of the difference of two noisy values
+_MEDIAN = 1.4826  # from the median magnitude to the standard deviation
+_FINENESS = ("uint8", "uint16", "float16", "float32")
+
+
+def vertex_colours_from_textures(document: Document) -> tuple[MeshContents, tuple[str, ...]]:
+    """Look the base colour up at every vertex.
+
+    Where a seam runs through a vertex its sides are looked up each, and if they agree within the noise the vertex has
+    their mean. Otherwise there is a real colour edge, and the vertex stays split.
+
+    Raises
+    ------
+    InputError
+        If there is no texture, or it cannot be decoded.
+
+    Returns
+    -------
+    contents : MeshContents
+        Coincident vertices of one colour are one.
+    notices : tuple of str
+        What the user should know.
+    """
+    surface = document.textured("baseColor")
+    pictures = [read_image(texture.data, texture.name) for texture in surface.textures]
+    corners, textured = surface.faces.ravel(), np.repeat(surface.texture_of >= 0, 3)
+    values, noise = _seen(surface, pictures)
+    columns = [*surface.positions.T, *([] if surface.space_of is None else [surface.space_of])]
+    place = group_equal_rows(*columns)[0][corners]
+    uv = np.where(textured[:, None], surface.uv.reshape(-1, 2), 0.0)
+    side, _ = group_equal_rows(place, np.repeat(surface.texture_of, 3), *uv.T)
+    jumps = _spread(values, place, textured) > _ALIKE + _SIGMAS * noise
+    split = jumps.any(axis=1)[place]
+    first, vertex_of = distinct_corners(place, np.where(split, side, -1))
+    colours = _mean(values, vertex_of, textured, len(first))
+    contents = MeshContents(
+        positions=surface.positions[corners[first]],
+        corners=vertex_of.astype(np.int32),
+        offsets=np.arange(0, len(corners) + 1, 3, dtype=np.int64),
+        colours=colours[:, :3],
+        encoding=_encoding(pictures),
+        stored=max((picture.stored for picture in pictures), key=_FINENESS.index),
+        alpha=colours[:, 3] if any(picture.alpha is not None for picture in pictures) else None,
+        left_out=("texture coordinates", "textures", "materials", "normals"),
+    )
+    return contents, tuple(_notices(int(split.sum()), textured))
+
+
+def _encoding(pictures: Sequence[Picture]) -> Encoding:
+    return "linear" if all(picture.encoding == "linear" for picture in pictures) else "srgb"
+
+
+def _seen(
+    surface: TexturedSurface, pictures: Sequence[Picture]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return red, green, blue and alpha at every corner, white where there is no texture, and their noise."""
+    texture_of = np.repeat(surface.texture_of, 3)
+    uv = surface.uv.reshape(-1, 2)
+    values, residues = np.ones((len(uv), 4)), np.zeros((len(uv), 4))
+    common = _encoding(pictures)
+    for index, picture in enumerate(pictures):
+        mine = texture_of == index
+        image, wrap = without_alpha(picture, to_float(picture)), surface.textures[index].wrap
+        alpha = [] if picture.alpha is None else [picture.alpha]
+        channels = [*picture.colour] * (3 // len(picture.colour)) + alpha
+        found = look_up(image, uv[mine], wrap, picture.alpha)[:, channels]
+        if picture.encoding != common:
+            found[:, :3] = linear_to_srgb(found[:, :3])
+        values[mine, : len(channels)] = found
+        residues[mine, : len(channels)] = noise_around(image, uv[mine], wrap)[:, channels]
+    known = residues[texture_of >= 0]
+    return values, _MEDIAN * np.median(np.abs(known), axis=0) if len(known) else np.zeros(4)
+
+
+def _spread(
+    values: NDArray[np.float64], place: NDArray[np.int32], textured: NDArray[np.bool_]
+) -> NDArray[np.float64]:
+    """Return how far the textured corners at each place differ, shape (places, 4)."""
+    low = np.full((int(place.max()) + 1, 4), np.inf)
+    high = -low
+    np.minimum.at(low, place[textured], values[textured])
+    np.maximum.at(high, place[textured], values[textured])
+    return np.maximum(np.where(np.isfinite(low), high - low, 0), 0)
+
+
+def _mean(
+    values: NDArray[np.float64], vertex_of: NDArray[np.intp], textured: NDArray[np.bool_], count: int
+) -> NDArray[np.float32]:
+    """Return the mean over the corners of each vertex; those without texture count only where there are no others."""
+    any_textured = np.bincount(vertex_of[textured], minlength=count) > 0
+    used = textured | ~any_textured[vertex_of]
+    weight = np.bincount(vertex_of[used], minlength=count)
+    sums = [np.bincount(vertex_of[used], column, count) for column in values[used].T]
+    return (np.stack(sums, axis=1) / weight[:, None]).astype(np.float32)
+
+
+def _notices(split: int, textured: NDArray[np.bool_]) -> list[str]:
+    notices = [f"{split} corners lie at real colour edges, where vertices stay split."] if split else []
+    bare = int((~textured).sum()) // 3
+    return [*notices, *([f"{bare} triangles have no texture; their own vertices are white."] if bare else [])]

@@ -1,0 +1,171 @@
+"""What differs between two files: colours and images, which smoothing changes, and anything else, which it must not."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from beltrami_cli.errors import InputError, UsageError
+from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
+from beltrami_cli.formats.image import read_image, to_float
+from beltrami_cli.formats.source import open_document
+from beltrami_cli.samples.memory_check import require_room
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from beltrami_cli.formats.anatomy import Anatomy, Painting
+
+
+@dataclass(frozen=True)
+class Difference:
+    """Something that differs.
+
+    Attributes
+    ----------
+    what : str
+        Its place in the file.
+    detail : str
+        How it differs.
+    of_colour : bool
+        Whether it is a colour or an image, which may differ.
+    """
+
+    what: str
+    detail: str
+    of_colour: bool
+
+
+@dataclass(frozen=True)
+class CheckReport:
+    """The outcome of a comparison; `dataclasses.asdict` gives JSON types.
+
+    Attributes
+    ----------
+    before, after, format : str
+        The files, and what both are.
+    differences : list of Difference
+        Everything that differs.
+    """
+
+    before: str
+    after: str
+    format: str
+    differences: list[Difference]
+
+    @property
+    def faithful(self) -> bool:
+        """Whether nothing but colours and images differs."""
+        return all(difference.of_colour for difference in self.differences)
+
+
+def check_files(
+    before: str | os.PathLike[str], after: str | os.PathLike[str], access: Access = EVERYTHING_INSIDE
+) -> CheckReport:
+    """Compare a file with what was made of it.
+
+    Parameters
+    ----------
+    before, after : path
+        Two files of one format: PLY, OBJ, glTF or GLB, with what lies beside them.
+    access : Access
+        What may be read.
+
+    Returns
+    -------
+    CheckReport
+
+    Raises
+    ------
+    InputError
+        If one cannot be read.
+    UsageError
+        If they are of different formats.
+    """
+    documents = [open_document(os.fspath(source), access) for source in (before, after)]
+    formats = [document.format for document in documents]
+    if formats[0] != formats[1]:
+        raise UsageError(
+            f"{documents[0].name} is {formats[0]} and {documents[1].name} is {formats[1]}; give two alike"
+        )
+    old, new = (document.anatomy() for document in documents)
+    found = [*_of_colours(old, new), *_of_paintings(old, new, access), *_of_parts(old, new)]
+    return CheckReport(documents[0].name, documents[1].name, formats[0], found)
+
+
+def _of_colours(old: Anatomy, new: Anatomy) -> list[Difference]:
+    found = []
+    for what in {**old.colours, **new.colours}:
+        if what not in old.colours or what not in new.colours:
+            found.append(Difference(what, _missing(what in new.colours), of_colour=False))
+            continue
+        before, after = old.colours[what], new.colours[what]
+        if before.shape != after.shape:
+            cause = f"{before.shape} became {after.shape}"
+            found.append(Difference(what, cause, of_colour=False))
+        elif not np.array_equal(before, after):
+            found.append(Difference(what, _amount(before, after), of_colour=True))
+    return found
+
+
+def _amount(before: NDArray[np.float32], after: NDArray[np.float32]) -> str:
+    """Tell how many rows of colours differ, and by how much."""
+    change = np.abs(after.astype(np.float64) - before)
+    rows = np.count_nonzero(change.any(axis=1))
+    mean, largest = 255 * change.mean(), 255 * change.max()
+    return f"{rows} of {len(before)} differ, by {mean:.2f}/255 on average and {largest:.1f}/255 at most"
+
+
+def _of_paintings(old: Anatomy, new: Anatomy, access: Access) -> list[Difference]:
+    found = []
+    for what in {**old.paintings, **new.paintings}:
+        if what not in old.paintings or what not in new.paintings:
+            found.append(Difference(what, _missing(what in new.paintings), of_colour=False))
+        elif old.paintings[what].data != new.paintings[what].data:
+            found.append(_of_pixels(what, old.paintings[what], new.paintings[what], access))
+    return found
+
+
+def _of_pixels(what: str, old: Painting, new: Painting, access: Access) -> Difference:
+    """Compare two image files whose bytes differ."""
+    require_room([(old.name, old.data), (new.name, new.data)], access)
+    try:
+        before, after = read_image(old.data, old.name), read_image(new.data, new.name)
+    except InputError as error:
+        return Difference(what, f"{old.name} and {new.name} differ, and {error}", of_colour=False)
+    names = old.name if old.name == new.name else f"{old.name}, now {new.name}"
+    sizes = [f"{len(p.pixels[0])} x {len(p.pixels)} pixels" for p in (before, after)]
+    if sizes[0] != sizes[1]:
+        return Difference(what, f"{names}: {sizes[0]} became {sizes[1]}", of_colour=False)
+    kinds = [f"{p.stored} {'/'.join(p.channels)} in {p.format}" for p in (before, after)]
+    if kinds[0] != kinds[1]:
+        return Difference(what, f"{names}: {kinds[0]} became {kinds[1]}", of_colour=True)
+    amount = _amount(*(to_float(p).reshape(-1, len(p.channels)) for p in (before, after)))
+    return Difference(what, f"{names}: pixels, {amount}", of_colour=True)
+
+
+def _of_parts(old: Anatomy, new: Anatomy) -> list[Difference]:
+    found = []
+    for what in {**old.parts, **new.parts}:
+        if what not in old.parts or what not in new.parts:
+            found.append(Difference(what, _missing(what in new.parts), of_colour=False))
+        elif old.parts[what] != new.parts[what]:
+            found.append(Difference(what, _first(old.parts[what], new.parts[what]), of_colour=False))
+    return found
+
+
+def _missing(is_new: bool) -> str:
+    return "is new" if is_new else "is missing"
+
+
+def _first(old: bytes, new: bytes) -> str:
+    """Tell where two parts begin to differ: by the line in text, otherwise by the byte."""
+    length = min(len(old), len(new))
+    differing = np.flatnonzero(np.frombuffer(old, np.uint8, length) != np.frombuffer(new, np.uint8, length))
+    at = int(differing[0]) if differing.size else length
+    if b"\n" in old and old[: at + 80].isascii():
+        return f"differs from its line {old.count(10, 0, at) + 1} on"
+    return f"differs from its byte {at} on, {len(old)} bytes against {len(new)}"

@@ -1,0 +1,154 @@
+"""Writing: checked before anything is computed, complete or not at all."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import stat
+import sys
+from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING
+
+from beltrami_cli.errors import OutputError
+from beltrami_cli.jobs.writing.replacing import check_writable, replace_together
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from beltrami_cli.formats.document import Written
+
+
+class Output:
+    """Where a result goes.
+
+    Parameters
+    ----------
+    target : str
+        Path, or "-" for standard output.
+    overwrite : bool
+        Whether existing files may be replaced.
+    is_text : bool
+        Whether a terminal can show it.
+
+    Raises
+    ------
+    OutputError
+        If `target` exists and must not be replaced, or its folder cannot be written to.
+    """
+
+    def __init__(self, target: str, *, overwrite: bool, is_text: bool = False) -> None:
+        self.target = target
+        self.overwrite = overwrite
+        self.is_stdout = target == "-"
+        # A link is followed, so that what it points to is replaced and the link stays.
+        self.path = Path(os.path.realpath(target))
+        self.is_device = not self.is_stdout and _is_special(self.path)
+        if self.is_stdout:
+            if sys.stdout.isatty() and not is_text:
+                raise OutputError(
+                    "<stdout>", "a model is not written to a terminal", "redirect it to a file or pipe"
+                )
+        elif not self.is_device:
+            self._check_file(self.path)
+            self._check_folder()
+
+    @property
+    def folder(self) -> Path | None:
+        """Folder of the output; None for standard output and devices, which hold one file only."""
+        return None if self.is_stdout or self.is_device else self.path.parent
+
+    def check_sidecars(self, names: Iterable[str]) -> None:
+        """Check that files beside the output may be written.
+
+        Parameters
+        ----------
+        names : iterable of str
+            Paths relative to the output's folder.
+
+        Raises
+        ------
+        OutputError
+            If one exists and must not be replaced, or the output has no folder to put them in.
+        """
+        for name in names:
+            if self.folder is None:
+                raise OutputError(
+                    "<stdout>" if self.is_stdout else self.target,
+                    "there is no folder for the files that belong beside it",
+                    "choose a file as OUTPUT, or --format glb (of OBJ and PLY with --unwrap)",
+                )
+            path = PurePosixPath(name)
+            if (
+                path.is_absolute() or ".." in path.parts
+            ):  # No reader gives such a name; this is the last door.
+                raise OutputError(name, "would be written outside the output's folder")
+            self._check_file(self.folder / name)
+
+    def write(self, written: Written) -> None:
+        """Write all files, each complete under its name or not at all.
+
+        Raises
+        ------
+        OutputError
+            If anything cannot be written; then all existing files are as they were.
+        """
+        self.check_sidecars(written.sidecars)
+        try:
+            if self.is_stdout:
+                for piece in written.main:
+                    sys.stdout.buffer.write(piece)
+                sys.stdout.buffer.flush()
+            elif self.is_device:
+                with self.path.open("wb") as file:
+                    file.writelines(written.main)
+            else:
+                files = {self.path.parent / name: [data] for name, data in written.sidecars.items()}
+                replace_together({**files, self.path: written.main})
+        except OSError as error:
+            if isinstance(error, BrokenPipeError):
+                # What is still in the buffer must not be tried again when the interpreter ends.
+                os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            raise OutputError(
+                self.target, f"cannot be written ({error.strerror})", "free space or choose another place"
+            ) from error
+
+    def _check_file(self, path: Path) -> None:
+        name = self._named(path)
+        try:
+            is_folder, exists = path.is_dir(), path.exists()
+        except OSError as error:
+            raise OutputError(
+                name, f"no file can be called so ({error.strerror})", "choose another name"
+            ) from error
+        if is_folder:
+            raise OutputError(name, "is a folder", "name a file")
+        if exists and not self.overwrite:
+            raise OutputError(name, "exists already", "choose another name, or --overwrite")
+
+    def _check_folder(self) -> None:
+        folder = self._named(self.path.parent)
+        try:
+            if not self.path.parent.exists():
+                raise OutputError(self.target, f"the folder {folder} does not exist", "make it first")
+            if not self.path.parent.is_dir():
+                raise OutputError(self.target, f"{folder} is no folder", "choose another place")
+            check_writable(self.path.parent)
+        except OSError as error:
+            cause = f"the folder {folder} cannot be written to ({error.strerror})"
+            raise OutputError(self.target, cause, "choose another folder") from error
+
+    def _named(self, path: Path) -> str:
+        """Return a file of the output as the user would name it; behind a link, where it is."""
+        target = Path(self.target)
+        with contextlib.suppress(OSError):  # such as names that are too long
+            if target.is_symlink():
+                return str(path)
+        return str(target.parent / path.relative_to(self.path.parent))
+
+
+def _is_special(path: Path) -> bool:
+    try:
+        mode = path.stat().st_mode
+    except OSError:
+        return False
+    return not (stat.S_ISREG(mode) or stat.S_ISDIR(mode))

@@ -1,1 +1,0 @@
-"""One file a job: read, sample, iterate, write."""

@@ -1,1 +1,0 @@
-"""What each job is told."""

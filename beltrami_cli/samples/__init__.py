@@ -1,0 +1,1 @@
+"""What is coloured in a document, as samples of an image manifold, and back."""

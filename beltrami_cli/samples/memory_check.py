@@ -1,0 +1,140 @@
+"""Whether the work on images fits into memory, told before any of them is decoded."""
+
+from __future__ import annotations
+
+import contextlib
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from beltrami_cli.errors import InputError
+from beltrami_cli.formats.image.measuring import measure_image
+from beltrami_cli.surface.large_arrays import kept_on_disk
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+    from beltrami_cli.formats.access import Access
+    from beltrami_cli.formats.document import Document
+    from beltrami_cli.formats.image.measuring import ImageSize
+    from beltrami_cli.samples.settings.smooth import TextureSettings
+    from beltrami_cli.surface.textured import Slot
+
+_FLOATS = 2 * 4  # the old and the new colours of one image at a time, in single precision
+
+# Bytes for each texel of all textures together that smoothing takes besides the images, at most: with large arrays in
+# memory, and in files.
+_SMOOTHING, _SMOOTHING_ON_DISK = 130, 8
+
+
+def require_room(images: Iterable[tuple[str, bytes]], access: Access) -> None:
+    """Refuse images that cannot fit into memory when they are decoded and smoothed.
+
+    Parameters
+    ----------
+    images : iterable of (str, bytes)
+        Names and contents of the files that are decoded together.
+    access : Access
+        How much memory there is.
+
+    Raises
+    ------
+    InputError
+        If the least that is certainly needed is more: all images as stored, and one of them twice as floats.
+    """
+    if access.memory is None:
+        return
+    decoded, working = 0, 0
+    for name, size in _measured(images):
+        decoded += size.decoded
+        working = max(working, size.samples * _FLOATS)
+        if decoded + working > access.memory:
+            raise _too_large(name, size)
+
+
+def require_room_for_textures(
+    document: Document, slots: Iterable[Slot], wanted: TextureSettings, access: Access
+) -> None:
+    """Do so for the chosen textures of a document, one slot at a time.
+
+    Raises
+    ------
+    InputError
+        As `require_room` and `Document.textured`.
+    """
+    for slot in slots:
+        require_room(_chosen(document, slot, wanted), access)
+
+
+@contextlib.contextmanager
+def room_for_smoothing(
+    document: Document, slots: Iterable[Slot], wanted: TextureSettings, access: Access, target: str | None
+) -> Iterator[bool]:
+    """Let the chosen textures of a document be smoothed in files, where there is too little memory to do it there.
+
+    Parameters
+    ----------
+    document : Document
+        The model.
+    slots : iterable of Slot
+        Smoothed one after the other.
+    wanted : TextureSettings
+        Which textures.
+    access : Access
+        How much memory there is.
+    target : str or None
+        The output, beside which files without a name take what does not fit; None: the folder for temporary files.
+
+    Yields
+    ------
+    bool
+        Whether it is done in files.
+
+    Raises
+    ------
+    InputError
+        If even so there is too little.
+    """
+    on_disk = False
+    if access.memory is not None:
+        for slot in slots:
+            on_disk |= _is_too_much(_chosen(document, slot, wanted), access.memory)
+    with kept_on_disk(_folder_beside(target)) if on_disk else contextlib.nullcontext():
+        yield on_disk
+
+
+def _folder_beside(target: str | None) -> Path:
+    import tempfile
+
+    return Path(tempfile.gettempdir()) if target is None else Path(target).absolute().parent
+
+
+def _is_too_much(images: Iterable[tuple[str, bytes]], memory: int) -> bool:
+    """Tell whether images cannot be smoothed together in memory; refuse them if they cannot be in files either."""
+    texels, decoded, largest = 0, 0, 0
+    for name, size in _measured(images):
+        texels += size.width * size.height
+        decoded += size.decoded
+        largest = max(largest, size.decoded)
+        if largest + _SMOOTHING_ON_DISK * texels > memory:
+            raise _too_large(name, size)
+    return 2 * decoded + _SMOOTHING * texels > memory
+
+
+def _chosen(document: Document, slot: Slot, wanted: TextureSettings) -> Iterator[tuple[str, bytes]]:
+    from beltrami_cli.samples.textures.choosing import choose_textures
+
+    for texture in choose_textures(document.textured(slot), wanted).textures:
+        yield texture.name, texture.data
+
+
+def _measured(images: Iterable[tuple[str, bytes]]) -> Iterator[tuple[str, ImageSize]]:
+    """Measure images, but for those that cannot be: whoever decodes them tells what is wrong."""
+    for name, data in images:
+        size = measure_image(data)
+        if size is not None:
+            yield name, size
+
+
+def _too_large(name: str, size: ImageSize) -> InputError:
+    cause = f"its {size.width} x {size.height} pixels of {size.channels} channels do not fit into memory"
+    return InputError(name, cause, "scale it down, or raise --max-memory")

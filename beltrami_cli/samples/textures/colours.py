@@ -1,0 +1,258 @@
+"""From pictures to the colours of samples in the working space, and back."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from beltrami_cli.errors import UsageError
+from beltrami_cli.flow.canvas_colours import painted_by
+from beltrami_cli.flow.colour_space import from_space, to_space
+from beltrami_cli.formats.image.picture import full_scale_one, is_associated, lends_colour, without_alpha
+from beltrami_cli.surface import large_arrays
+from beltrami_cli.surface.atlas import texels_by_texture
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from beltrami_cli.flow.parameters import Space
+    from beltrami_cli.formats.image import Picture
+    from beltrami_cli.samples.settings.smooth import SmoothSettings
+    from beltrami_cli.surface.atlas import Atlas
+    from beltrami_cli.surface.textured import Slot, Texture
+
+COLOUR_SLOTS = ("baseColor", "emissive")
+
+# The channels that a data slot means; others of the same image belong to another slot.
+_SLOT_CHANNELS = {"occlusion": {"red", "grey"}, "metallicRoughness": {"green", "blue", "grey"}}
+
+
+class TexelColours:
+    """Colours of the texels of several pictures, brought to the same channels.
+
+    Grey pictures beside coloured ones count as red = green = blue. With alpha, opacity is one more channel, 1 where a
+    picture has none.
+
+    Parameters
+    ----------
+    pictures : sequence of Picture
+        The textures of a slot.
+    slot : Slot
+        Colours are converted to the working space; data (normals, occlusion, roughness) are taken as they are.
+    settings : SmoothSettings
+        The working space, the channels, and whether alpha is smoothed.
+
+    Attributes
+    ----------
+    names : tuple of str
+        The channels of the samples: those that change, and those that enter the metric.
+    metric_channels : list of int or None
+        Which of them enter the metric; None: all.
+    space : {"srgb", "linear", "oklab", "data"}
+        What they are in.
+
+    Raises
+    ------
+    UsageError
+        If the settings name a channel or a space that the pictures do not have.
+    """
+
+    def __init__(self, pictures: Sequence[Picture], slot: Slot, settings: SmoothSettings) -> None:
+        self._pictures = pictures
+        self.space: Space = settings.space if slot in COLOUR_SLOTS else "data"
+        self._is_normal = slot == "normal"
+        self._width = max(len(picture.colour) for picture in pictures)
+        names = ("red", "green", "blue") if self._width == 3 else ("grey",)
+        if self.space == "oklab" and self._width != 3:
+            raise UsageError("the space oklab needs red, green and blue, but all textures are grey")
+        meant = _SLOT_CHANNELS.get(slot, set(names))
+        self._changing = [i for i in _choose(names, settings.channels) if names[i] in meant]
+        if not self._changing:
+            raise UsageError(
+                f"no chosen channel belongs to the slot {slot}, which uses {' and '.join(sorted(meant))}"
+            )
+        self._hides = slot in COLOUR_SLOTS and settings.textures.alpha != "smooth"
+        self._alpha = settings.textures.alpha == "smooth" and any(p.alpha is not None for p in pictures)
+        wanted, opacity = settings.embedding.metric_channels, ("alpha",) if self._alpha else ()
+        counting = None if wanted is None else _choose((*names, *opacity), wanted)
+        # What only enters the metric is smoothed along, but not written.
+        self._kept = sorted({*self._changing, *(i for i in counting or () if i < len(names))})
+        self.names = tuple(names[i] for i in self._kept) + opacity
+        self.metric_channels: list[int] | None = None
+        if counting is not None:
+            self.metric_channels = [self.names.index((*names, *opacity)[i]) for i in counting]
+
+    def named(self, values: NDArray[np.float64]) -> dict[str, float]:
+        """Pair a value per channel with the channels' names."""
+        return {name: float(value) for name, value in zip(self.names, values, strict=True)}
+
+    def samples(self, atlas: Atlas) -> NDArray[np.float32]:
+        """Return the colours of the owned cells in the working space, shape (T, N)."""
+        table = large_arrays.empty((len(atlas.owned_texels), len(self.names)), np.float32)
+        for block in large_arrays.blocks(len(table)):
+            table[block] = self._of_block(atlas, block)
+        return table
+
+    def on_canvas(self, atlas: Atlas, threads: int) -> NDArray[np.float32]:
+        """Return the colours of the owned cells, and of what continues them, on the canvas, shape (N, R, C)."""
+        return painted_by(atlas, len(self.names), lambda block: self._of_block(atlas, block), threads)
+
+    def _of_block(self, atlas: Atlas, block: slice) -> NDArray[np.float32]:
+        texels = atlas.owned_texels[block]
+        table = np.empty((len(texels), len(self.names)), np.float32)
+        for index, inside, own in texels_by_texture(atlas.texture_offsets, texels):
+            table[inside] = self.working(self._pictures[index], own)
+        return table
+
+    def working(self, picture: Picture, texels: NDArray[np.int64]) -> NDArray[np.float32]:
+        """Return the colours of some texels (row * width + column) of a picture in the working space."""
+        return self._working(
+            picture, np.take(picture.pixels.reshape(-1, picture.pixels.shape[2]), texels, axis=0)
+        )
+
+    def _working(self, picture: Picture, stored: NDArray[Any]) -> NDArray[np.float32]:
+        """Return the colours of some pixels of a picture, shape (K, C), in the working space."""
+        pixels = self._straight(picture, full_scale_one(stored))
+        working = to_space(self._widened(picture, pixels), picture.encoding, self.space)
+        if len(self._kept) < self._width:
+            working = working[:, self._kept]
+        if not self._alpha:
+            return working
+        opacity = pixels[:, picture.alpha] if picture.alpha is not None else np.ones(len(pixels), np.float32)
+        return np.column_stack([working, opacity])
+
+    def transparent(self, atlas: Atlas, textures: Sequence[Texture]) -> NDArray[np.bool_]:
+        """Tell which owned cells lend no colour, because their texel cannot be seen."""
+        hidden = np.zeros(len(atlas.owned_texels), bool)
+        if not any(self._can_hide(index, texture) for index, texture in enumerate(textures)):
+            return hidden
+        for block in large_arrays.blocks(len(hidden)):
+            for index, inside, texels in texels_by_texture(atlas.texture_offsets, atlas.owned_texels[block]):
+                hidden[block][inside] = self.hidden(index, textures[index], texels)
+        return hidden
+
+    def hidden(self, index: int, texture: Texture, texels: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Tell which of some texels (row * width + column) of a picture lend no colour."""
+        picture = self._pictures[index]
+        if not self._can_hide(index, texture):
+            return np.zeros(len(texels), bool)
+        table = picture.pixels.reshape(-1, picture.pixels.shape[2])
+        return ~lends_colour(picture, table[texels, picture.alpha])
+
+    def _can_hide(self, index: int, texture: Texture) -> bool:
+        return self._hides and self._pictures[index].alpha is not None and texture.alpha_hides
+
+    def columns(self, index: int) -> list[int]:
+        """Return which channels of a picture change."""
+        picture = self._pictures[index]
+        colour = (
+            list(picture.colour) if len(picture.colour) == 1 else [picture.colour[i] for i in self._changing]
+        )
+        return colour + ([picture.alpha] if self._alpha and picture.alpha is not None else [])
+
+    def are_converted(self, index: int) -> bool:
+        """Tell whether samples of a picture are other numbers than those that it stores."""
+        picture = self._pictures[index]
+        is_plain = self.space in ("data", picture.encoding) and len(picture.colour) == self._width
+        return not is_plain or self._is_normal or self._is_divided(picture)
+
+    def written(self, index: int, samples: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Choose what is stored of samples that are not converted, in the order of `columns`."""
+        chosen = self._written()[: len(self.columns(index))]
+        return samples if chosen == list(range(samples.shape[1])) else samples[:, chosen]
+
+    def changed(
+        self, picture: Picture, stored: NDArray[Any], samples: NDArray[np.float32]
+    ) -> NDArray[np.bool_]:
+        """Tell for which pixels of a picture, shape (K, C), samples differ in a channel that is written."""
+        working = self._working(picture, stored)
+        different = np.zeros(len(stored), bool)
+        for channel in self._written():
+            different |= working[:, channel] != samples[:, channel]
+        return different
+
+    def _written(self) -> list[int]:
+        """Return which channels of the samples are written."""
+        colours = [self._kept.index(i) for i in self._changing]
+        return [*colours, *([len(self._kept)] if self._alpha else [])]
+
+    def write(
+        self,
+        values: NDArray[np.float32],
+        index: int,
+        texels: NDArray[np.int64] | slice,
+        samples: NDArray[np.float32],
+    ) -> None:
+        """Put samples' colours into a picture's values, in place.
+
+        Parameters
+        ----------
+        values : ndarray of float32, shape (..., C)
+            The picture's channels at some or all of its texels, full scale 1.
+        index : int
+            Which picture.
+        texels : ndarray of int64, shape (K,), or slice
+            Which of these change, counted from the first.
+        samples : ndarray of float32, shape (K, N)
+            Their new colours in the working space.
+        """
+        picture = self._pictures[index]
+        table = values.reshape(-1, values.shape[-1])
+        whole = self._widened(picture, self._straight(picture, table[texels]))
+        working = to_space(whole, picture.encoding, self.space)
+        working = working.copy()
+        working[:, self._changing] = samples[:, [self._kept.index(i) for i in self._changing]]
+        stored = from_space(working, picture.encoding, self.space)
+        if self._is_normal:
+            stored = _renormalised(stored)
+        if picture.stored in ("uint8", "uint16"):
+            stored = np.clip(stored, 0, 1)
+        if self._is_divided(picture):
+            stored *= table[texels, picture.alpha, None]
+        if len(picture.colour) == 1:
+            table[texels, picture.colour[0]] = stored.mean(axis=1)
+        else:
+            for i in self._changing:
+                table[texels, picture.colour[i]] = stored[:, i]
+        if self._alpha and picture.alpha is not None:
+            table[texels, picture.alpha] = samples[:, -1]
+
+    def opacity(self, picture: Picture) -> NDArray[np.float32] | None:
+        """Return what is multiplied into a picture's colours, but not into samples, shape (H, W); None: nothing."""
+        if not self._is_divided(picture):
+            return None
+        return full_scale_one(picture.pixels[..., picture.alpha])
+
+    def _is_divided(self, picture: Picture) -> bool:
+        # Colours that are averaged along with alpha are weighted by it as they should be.
+        return self._hides and self.space != "data" and is_associated(picture)
+
+    def _straight(self, picture: Picture, pixels: NDArray[np.float32]) -> NDArray[np.float32]:
+        return without_alpha(picture, pixels) if self._is_divided(picture) else pixels
+
+    def _widened(self, picture: Picture, pixels: NDArray[np.float32]) -> NDArray[np.float32]:
+        every = tuple(range(pixels.shape[1]))
+        colours = pixels if picture.colour == every else pixels[:, list(picture.colour)]
+        return np.repeat(colours, self._width, axis=1) if colours.shape[1] < self._width else colours
+
+
+def _choose(names: tuple[str, ...], wanted: tuple[str, ...] | None) -> list[int]:
+    if wanted is None:
+        return list(range(len(names)))
+    chosen = set()
+    for word in wanted:
+        fits = [i for i, name in enumerate(names) if word.lower() in (name, name[0])]
+        if not fits:
+            raise UsageError(f"there is no channel {word}; the textures have {', '.join(names)}")
+        chosen.add(fits[0])
+    return sorted(chosen)
+
+
+def _renormalised(stored: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Make vectors of unit length of normals stored as (n + 1) / 2."""
+    normals = 2 * stored - 1
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    return np.where(length > 0, (normals / np.maximum(length, 1e-12) + 1) / 2, stored).astype(np.float32)

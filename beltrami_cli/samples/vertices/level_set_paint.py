@@ -1,0 +1,185 @@
+"""The colours of a level set's vertices: from its own file or another, on a grid or near the surface."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from beltrami_cli.errors import InputError
+from beltrami_cli.formats.scale import full_scale
+from beltrami_cli.formats.source import read_source, recognise
+from beltrami_cli.formats.volume import read_colours
+from beltrami_cli.surface.painted import PaintedVertices
+from beltrami_cli.surface.volume import GridColours, NearColours
+from beltrami_cli.surface.volume_colours import has_colour, interpolate_colours, nearest_colours
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from beltrami_cli.formats.access import Access
+    from beltrami_cli.surface.painted import Encoding
+    from beltrami_cli.surface.volume import Lattice, Volume
+
+# Other types have no full scale of their own: what their numbers mean is told from how large they are.
+_FULL_SCALE = {"uint8": 255.0, "uint16": 65535.0}
+
+
+@dataclass(frozen=True)
+class Paint:
+    """Colours at the vertices of a level set.
+
+    Attributes
+    ----------
+    colours : ndarray of float32, shape (V, C)
+        Full scale 1, C is 1 or 3; white where there is none.
+    alpha : ndarray of float32, shape (V,), or None
+        Opacity, where the source has it.
+    found : ndarray of bool, shape (V,)
+        Where there is a colour.
+    encoding : {"srgb", "linear"}
+        What the numbers mean.
+    stored : str
+        Type of the source.
+    notices : list of str
+        What the user should know.
+    """
+
+    colours: NDArray[np.float32]
+    alpha: NDArray[np.float32] | None
+    found: NDArray[np.bool_]
+    encoding: Encoding
+    stored: str
+    notices: list[str] = field(default_factory=list)
+
+    def vertices(self, positions: NDArray[np.float64], faces: NDArray[np.int32]) -> PaintedVertices:
+        """Return what is smoothed: triangles with a vertex that has no colour are no way for the others'."""
+        names = ("red", "green", "blue") if self.colours.shape[1] == 3 else ("grey",)
+        whole = np.ascontiguousarray(faces[self.found[faces].all(axis=1)])
+        return PaintedVertices(positions, whole, self.colours, names, self.encoding, self.stored)
+
+
+def find_colours(
+    volume: Volume, path: str | None, name: str, access: Access, most: int
+) -> tuple[GridColours | NearColours, str]:
+    """Find the colours of a level set.
+
+    Parameters
+    ----------
+    volume : Volume
+        The level set.
+    path : str or None
+        A file of colours: a volume, an archive of arrays, or any mesh or cloud with vertex colours. None: they are in
+        the volume's own file.
+    name : str
+        The volume as the user named it.
+    access : Access
+        What may be read.
+    most : int
+        Voxels, or points, that the file may have.
+
+    Returns
+    -------
+    colours : GridColours or NearColours
+        Where they are, and their numbers.
+    where : str
+        The file that they come from.
+
+    Raises
+    ------
+    InputError
+        If there are none, or they are damaged.
+    """
+    if path is None:
+        if volume.colours is None:
+            raise InputError(name, "the volume has no colours", "give a file that has them with --colours")
+        return volume.colours, name
+    if path == "-":
+        raise InputError(path, "colours are not read from a pipe", "name a file")
+    data, folder = read_source(path, access), Path(path).parent
+    colours = read_colours(data, path, folder, most)
+    if colours is None:
+        painted = recognise(data, path, folder, access).painted()
+        colours = NearColours(painted.positions, painted.colours, painted.encoding, painted.stored)
+    return colours, path
+
+
+def paint(
+    source: GridColours | NearColours,
+    where: str,
+    lattice: Lattice,
+    known: NDArray[np.bool_],
+    positions: NDArray[np.float64],
+    threads: int,
+) -> Paint:
+    """Find the colours of the vertices.
+
+    Parameters
+    ----------
+    source : GridColours or NearColours
+        Of `find_colours`.
+    where : str
+        The file that they come from, for messages.
+    lattice : Lattice
+        Of the level set.
+    known : ndarray of bool, shape (X, Y, Z)
+        Where its values are known: other voxels of its grid lend no colours.
+    positions : ndarray of float64, shape (V, 3)
+        Of the vertices, in space.
+    threads : int
+        To look for near colours with.
+
+    Returns
+    -------
+    Paint
+
+    Raises
+    ------
+    InputError
+        If no vertex gets a colour, or their full scale cannot be told.
+    """
+    if isinstance(source, GridColours):
+        same = source.samples.shape[:3] == known.shape and _equal(source.lattice, lattice)
+        stored = interpolate_colours(source, positions, known if same else None)
+    else:
+        voxel = float(np.linalg.norm(lattice.axes, axis=1).max())
+        stored = nearest_colours(source, positions, voxel, threads)
+    found = has_colour(stored)
+    if not found.any():
+        raise InputError(where, "none of its colours is on the surface", "check the spacings and origins")
+    return _scaled(source, stored, found, where)
+
+
+def _equal(one: Lattice, other: Lattice) -> bool:
+    return np.array_equal(one.axes, other.axes) and np.array_equal(one.origin, other.origin)
+
+
+def _scaled(
+    source: GridColours | NearColours, stored: NDArray[np.float64], found: NDArray[np.bool_], name: str
+) -> Paint:
+    """Bring numbers as stored to the full scale 1, and part opacity from colours."""
+    width = 3 if stored.shape[1] >= 3 else 1
+    kind = source.samples.dtype.name
+    notices: list[str] = []
+    scale = 1.0 if isinstance(source, NearColours) and source.stored else _FULL_SCALE.get(kind, 0.0)
+    if not scale:
+        scale, notice = full_scale(stored[found, :width], name)
+        notices += [notice] if notice else []
+    colours = np.where(found[:, None], stored[:, :width] / scale, 1.0).astype(np.float32)
+    alpha = None if stored.shape[1] == width else _opacity(stored[:, width], found, scale)
+    if not found.all():
+        bare = int(len(found) - np.count_nonzero(found))
+        notices.append(
+            f"{bare} of {len(found)} vertices have no colour nearby; they are white and lend none."
+        )
+    encoding = source.encoding if isinstance(source, NearColours) else "srgb"
+    told = source.stored if isinstance(source, NearColours) and source.stored else kind
+    return Paint(colours, alpha, found, encoding, told, notices)
+
+
+def _opacity(stored: NDArray[Any], found: NDArray[np.bool_], scale: float) -> NDArray[np.float32]:
+    """Return opacity of full scale 1; that of vertices without a colour is 1, since they are part of the surface."""
+    scale = scale if stored[found].max() > 1 else 1.0
+    return np.where(found, np.clip(stored / scale, 0, 1), 1.0).astype(np.float32)

@@ -1,1 +1,0 @@
-"""From what is coloured to samples of an image manifold, and back."""

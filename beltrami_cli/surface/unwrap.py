@@ -1,0 +1,177 @@
+"""A new texture atlas for a mesh that has none: charts by xatlas, in a process that can be ended.
+
+References
+----------
+.. [1] J. Young, "xatlas", https://github.com/jpcy/xatlas: charts grown over the surface, flattened by least squares
+   conformal maps, packed in any rotation.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from beltrami_cli.errors import InputError, ProcessingError
+from beltrami_cli.surface.areas import triangle_areas
+from beltrami_cli.surface.grouping import group_equal_rows
+from beltrami_cli.surface.unwrap_process import ask_worker, expected_seconds, shown
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+_SIDES = [
+    *(part * 2**k for k in range(6, 11) for part in (4, 5, 6, 7)),
+    8192,
+]  # 256, 320, 384, 448, 512, 640 ...
+_FLAT = 1e-6  # of the squared longest edge: what counts as a triangle without area, for single precision
+
+
+@dataclass(frozen=True)
+class Unwrapped:
+    """A new atlas.
+
+    Attributes
+    ----------
+    uv : ndarray of float64, shape (F, 3, 2)
+        Texture coordinates of every corner in [0, 1], u to the right, v down. The corners of a triangle without
+        area all have one place.
+    size : tuple of (int, int)
+        Width and height of the texture in texels.
+    charts : int
+        How many.
+    """
+
+    uv: NDArray[np.float64]
+    size: tuple[int, int]
+    charts: int
+
+
+def unwrap(
+    positions: NDArray[np.float64],
+    faces: NDArray[np.int32],
+    size: int | None,
+    padding: int,
+    name: str,
+    *,
+    most_faces: int,
+    texels: float = 0.0,
+    space_of: NDArray[np.int32] | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Unwrapped:
+    """Lay a mesh out on a square.
+
+    Parameters
+    ----------
+    positions : ndarray of float64, shape (V, 3)
+        Vertices at exactly one place (and in one space) are one.
+    faces : ndarray of int32, shape (F, 3)
+        Triangles. Equal ones each get a place of their own, since their colours may differ.
+    size : int or None
+        Longest side of the texture, in texels. None: from 256 to 8192, as `texels` need.
+    padding : int
+        Texels between charts, and around all of them.
+    name : str
+        Of the mesh, for messages.
+    most_faces : int
+        Refuse larger meshes.
+    texels : float
+        How many the charts should cover, if no size is given.
+    space_of : ndarray of int32, shape (V,), or None
+        As in `PaintedVertices`.
+    progress : callable, optional
+        Called several times a second with the tenths of a second that went by and those that are expected; may raise.
+
+    Returns
+    -------
+    Unwrapped
+
+    Raises
+    ------
+    InputError
+        If the mesh has no triangle with an area, positions are not finite, or there are too many triangles.
+    ProcessingError
+        If the charts do not fit, or xatlas fails or hangs.
+    """
+    if not np.isfinite(positions).all():
+        row = int(np.argmin(np.isfinite(positions).all(axis=1)))
+        raise InputError(name, f"the position of vertex {row} is not finite", "repair the file")
+    if len(faces) > most_faces:
+        raise InputError(
+            name,
+            f"it has {len(faces)} triangles, and unwrapping more than {most_faces} takes long: about "
+            f"{shown(expected_seconds(len(faces)))}, growing faster than their number",
+            f"simplify it, or allow it with --max-unwrap-faces {len(faces)}",
+        )
+    used, row_of = np.unique(faces, return_inverse=True)
+    unit, rows = _of_unit_size(positions[used]), row_of.reshape(-1, 3).astype(np.int32)
+    whole = np.flatnonzero(_with_area(unit, rows))
+    if not len(whole):
+        raise InputError(name, "it has no triangle with an area", "nothing in it can be unwrapped")
+    place_of, first = group_equal_rows(*positions[used].T, *([] if space_of is None else [space_of[used]]))
+    # Edges of about one unit are what xatlas' fixed tolerances suit.
+    scaled = (np.sqrt(len(whole)) * unit[first]).astype(np.float32)
+    sizes = [side - 2 * padding for side in (_SIDES if size is None else [size])]
+    job = {
+        "positions": scaled,
+        "faces": place_of[rows[whole]].astype(np.uint32),
+        "sizes": sizes,
+        "texels": texels,
+    }
+    corners, inner, charts = ask_worker(job, padding, progress)
+    size = inner + 2 * padding
+    largest = corners.reshape(-1, 2).max(axis=0)
+    if not np.isfinite(corners).all():
+        raise ProcessingError(f"{name}: no texture coordinates can be found for it; repair the mesh first")
+    if largest.max() > size - 2 * padding:
+        raise ProcessingError(
+            f"{name}: its {charts} charts do not fit on a texture of {size} texels with {padding} between them; "
+            "raise the size or lower the padding"
+        )
+    width, height = (_side(reach + 2 * padding, size) for reach in largest.tolist())
+    uv = np.empty((len(faces), 3, 2))
+    uv[whole] = (corners + padding) / [width, height]
+    _collapse_others(uv, faces, whole, len(positions))
+    return Unwrapped(uv, (width, height), charts)
+
+
+def _of_unit_size(positions: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Bring positions into [-1/2, 1/2]; halves come first, so that nothing overflows."""
+    if not len(positions):
+        return positions
+    low, high = positions.min(axis=0) / 2, positions.max(axis=0) / 2
+    extent = float((high - low).max())
+    unit: NDArray[np.float64] = (positions / 2 - (low + high) / 2) / (extent if extent > 0 else 1.0)
+    return unit
+
+
+def _with_area(positions: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.bool_]:
+    edges = positions[faces] - positions[np.roll(faces, -1, axis=1)]
+    longest = np.square(edges).sum(axis=2).max(axis=1, initial=0)
+    distinct = (faces != np.roll(faces, -1, axis=1)).all(axis=1)
+    whole: NDArray[np.bool_] = distinct & (triangle_areas(positions, faces) > _FLAT * longest)
+    return whole
+
+
+def _side(needed: float, size: int) -> int:
+    """Halve the side of a texture as long as everything stays on it."""
+    while needed <= size // 2 and size % 2 == 0:
+        size //= 2
+    return size
+
+
+def _collapse_others(
+    uv: NDArray[np.float64], faces: NDArray[np.int32], whole: NDArray[np.intp], vertices: int
+) -> None:
+    """Give each triangle without area the one place that a corner of it has elsewhere, or the middle of nowhere."""
+    place = np.zeros((vertices, 2))
+    known = np.zeros(vertices, bool)
+    place[faces[whole]], known[faces[whole]] = uv[whole], True
+    others = np.ones(len(faces), bool)
+    others[whole] = False
+    corners = faces[others]
+    chosen = np.take_along_axis(corners, known[corners].argmax(axis=1)[:, None], axis=1)
+    uv[others] = place[chosen]

@@ -1,0 +1,126 @@
+"""The process that runs xatlas: a mesh comes in by standard input, texture coordinates go out by standard output.
+
+xatlas tells nothing while it works, cannot be interrupted, and hangs on some meshes, so it gets a process that can be
+ended. `beltrami_cli.surface.unwrap_process` starts it.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+_COVERAGE = 0.75  # that xatlas expects of its packing when it is told a resolution
+_ENOUGH = 0.92  # of the side of the texture that charts should fill
+_TRIES = 8
+
+
+def main() -> None:
+    """Read a mesh from standard input (a file), write its texture coordinates to standard output."""
+    # What a library prints must not come between the numbers.
+    out = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)
+    with np.load(sys.stdin.buffer, allow_pickle=False) as job:
+        positions, faces = job["positions"], job["faces"]
+        sizes, texels = job["sizes"].tolist(), float(job["texels"])
+        padding, seconds = job["numbers"].tolist()
+    if hasattr(signal, "alarm"):  # so that it ends even where the process that waits for it was killed
+        signal.alarm(seconds)
+    corners, size, charts = unwrapped(positions, faces, sizes, texels, padding)
+    with out:
+        np.savez(out, corners=corners, size=size, charts=charts)
+
+
+def unwrapped(
+    positions: NDArray[np.float32], faces: NDArray[np.uint32], sizes: list[int], wanted: float, padding: int
+) -> tuple[NDArray[np.float64], int, int]:
+    """Cut a mesh into charts and pack them.
+
+    Parameters
+    ----------
+    positions : ndarray of float32, shape (V, 3)
+        Finite, of moderate size.
+    faces : ndarray of uint32, shape (F, 3)
+        Each with an area.
+    sizes : list of int
+        Longest sides that the packed charts may have, ascending. One alone is filled; of several the first is taken
+        that has room for as many texels as wanted, or else the last is filled.
+    wanted : float
+        Texels that the charts should cover, if there are several sizes.
+    padding : int
+        Texels between charts.
+
+    Returns
+    -------
+    corners : ndarray of float64, shape (F, 3, 2)
+        Place of each corner, in texels from the upper left corner of the packed charts. If they do not fit even when
+        they are tiny, it reaches beyond the size.
+    size, charts : int
+        Which size was taken, and how many charts there are.
+    """
+    import xatlas
+
+    atlas = xatlas.Atlas()
+    atlas.add_mesh(positions, faces)
+    atlas.generate(
+        xatlas.ChartOptions(), _packing(xatlas, padding, resolution=max(8, int(_COVERAGE * sizes[0])))
+    )
+    charts = int(atlas.chart_count)
+    texels, corners = _packed(atlas)
+    flat = texels.astype(np.float32), corners
+
+    def packed(scale: float) -> tuple[NDArray[np.float64], float]:
+        again = xatlas.Atlas()
+        again.add_uv_mesh(*flat)
+        again.generate(xatlas.ChartOptions(), _packing(xatlas, padding, texels_per_unit=scale))
+        places, theirs = _packed(again)
+        return places[theirs], max(1.0, float(places.max()))
+
+    scale, size = 1.0, sizes[-1]
+    if len(sizes) > 1:
+        possible = min(max(wanted, 1.0), float(size) ** 2)
+        scale = float(np.sqrt(possible / max(_area(texels[corners]), 1.0)))
+        places, side = packed(scale)
+        if side <= size:
+            return places, next(size for size in sizes if size >= side), charts
+    best: tuple[NDArray[np.float64], float] | None = None
+    tried = packed(scale)
+    for _ in range(_TRIES):
+        if tried[1] <= size and (best is None or tried[1] > best[1]):
+            best = tried
+        if _ENOUGH * size <= tried[1] <= size:
+            break
+        # Packing is not monotonic: aim a little lower than what would fit exactly.
+        scale *= 0.98 * size / tried[1]
+        tried = packed(scale)
+    return (best or tried)[0], size, charts
+
+
+def _area(corners: NDArray[np.float64]) -> float:
+    one, two = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    return float(np.abs(one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0]).sum() / 2)
+
+
+def _packing(xatlas: Any, padding: int, *, resolution: int = 0, texels_per_unit: float = 0.0) -> Any:
+    options = xatlas.PackOptions()
+    options.padding = padding
+    options.bilinear = True
+    options.resolution = resolution
+    options.texels_per_unit = texels_per_unit
+    return options
+
+
+def _packed(atlas: Any) -> tuple[NDArray[np.float64], NDArray[np.uint32]]:
+    """Return the places of all vertices in texels, and the faces."""
+    _, faces, uv = atlas.get_mesh(0)
+    return uv.astype(np.float64) * [atlas.width, atlas.height], faces
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,89 @@
+"""Vertex colours as samples: what a format splits is joined, hard colour edges are bridged."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from beltrami_cli.surface.colour_edge_bridges import build_walls
+from beltrami_cli.surface.grouping import group_equal_rows
+from beltrami_cli.surface.surface import SampledSurface
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from beltrami_cli.surface.painted import PaintedVertices
+
+
+@dataclass(frozen=True)
+class VertexSampling:
+    """Which sample each vertex is.
+
+    Attributes
+    ----------
+    sample_of : ndarray of int32, shape (V,)
+        Sample of each vertex. Vertices at one place with one colour are one sample.
+    first_vertex : ndarray of int32, shape (S,)
+        A vertex of each sample.
+    place_of : ndarray of int32, shape (S,)
+        Place of each sample; coincident vertices that differ in colour are samples of one place.
+    places : int
+        Distinct places, at most S.
+    """
+
+    sample_of: NDArray[np.int32]
+    first_vertex: NDArray[np.int32]
+    place_of: NDArray[np.int32]
+    places: int
+
+    def means(self, values: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Give each sample the mean of what its vertices have, shape (V, G) to (S, G)."""
+        if len(self.first_vertex) == len(self.sample_of):  # each sample is one vertex
+            return values[self.first_vertex]
+        samples = len(self.first_vertex)
+        count = np.bincount(self.sample_of, minlength=samples)
+        sums = [np.bincount(self.sample_of, column, samples) for column in values.T.astype(np.float64)]
+        return np.ascontiguousarray((np.array(sums) / count).T, np.float32)
+
+
+def sample_vertices(
+    painted: PaintedVertices, colours: NDArray[np.float32]
+) -> tuple[SampledSurface, VertexSampling]:
+    """Make samples of painted vertices.
+
+    Vertices that a format splits (for normals, texture coordinates, primitives) but that stand at exactly one
+    place with one colour become one sample. Where coincident vertices differ in colour, each colour is a sample
+    of its own, and walls join them, see `build_walls`.
+
+    Parameters
+    ----------
+    painted : PaintedVertices
+        As a document gives it.
+    colours : ndarray of float32, shape (V, N)
+        The vertices' colours in the working space, which the samples take.
+
+    Returns
+    -------
+    surface : SampledSurface
+        S samples with their triangles and walls.
+    sampling : VertexSampling
+        The way back: ``smoothed[sampling.sample_of]`` are vertex colours.
+    """
+    place_columns = list(painted.positions.T)
+    if painted.space_of is not None:
+        place_columns.append(painted.space_of)
+    place_of, first_of_place = group_equal_rows(*place_columns)
+    if len(first_of_place) == len(place_of):  # nothing is split: the vertices are the samples
+        every = np.arange(len(place_of), dtype=np.int32)
+        no_walls = np.empty((0, 3), np.int32)
+        surface = SampledSurface(painted.positions, painted.faces, no_walls, np.ascontiguousarray(colours))
+        return surface, VertexSampling(every, every, every, len(every))
+    sample_of, first_vertex = group_equal_rows(place_of, *painted.colours.T)
+    faces = sample_of[painted.faces]
+    sample_colours = np.ascontiguousarray(colours[first_vertex])
+    walls = build_walls(faces, place_of[first_vertex], sample_colours)
+    positions = np.ascontiguousarray(painted.positions[first_vertex])
+    surface = SampledSurface(positions, faces, walls, sample_colours)
+    return surface, VertexSampling(sample_of, first_vertex, place_of[first_vertex], len(first_of_place))

@@ -1,0 +1,176 @@
+"""What surfaces are painted with, in linear light, at any point of their triangles."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+from beltrami_cli.surface.lookup import look_up
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from beltrami_cli.surface.textured import TexturedSurface, Wrap
+
+    Sheet = NDArray[np.float32]
+    """An image in linear light with opacity, shape (H, W, 4); colours are not multiplied by it."""
+
+_UNPAINTED = 0.32  # linear light of a middle grey
+
+
+class Paint(Protocol):
+    """The colours of a surface."""
+
+    def __call__(
+        self, faces: NDArray[np.int64], weights: NDArray[np.float64], footprints: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return linear red, green, blue and opacity at points, shape (K, 4).
+
+        Parameters
+        ----------
+        faces : ndarray of int64, shape (K,)
+            Which triangle.
+        weights : ndarray of float64, shape (K, 3)
+            Barycentric.
+        footprints : ndarray of float64, shape (K,)
+            Area of the surface that the point stands for, in squared units of the model.
+        """
+        ...
+
+
+class VertexPaint:
+    """Colours at vertices, between which light is interpolated linearly.
+
+    Parameters
+    ----------
+    faces : ndarray of int32, shape (F, 3)
+        Triangles.
+    colours : ndarray of float64, shape (V, 3)
+        Linear light.
+    """
+
+    def __init__(self, faces: NDArray[np.int32], colours: NDArray[np.float64]) -> None:
+        self._faces, self._colours = faces, colours
+
+    def __call__(
+        self, faces: NDArray[np.int64], weights: NDArray[np.float64], footprints: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """See `Paint`."""
+        corners = self._colours[self._faces[faces]]
+        mixed = np.einsum("kc,kcx->kx", weights, corners)
+        return np.column_stack([mixed, np.ones(len(mixed))])
+
+
+class TexturePaint:
+    """Textures, looked up bilinearly; in smaller copies of themselves where a point stands for several texels.
+
+    Parameters
+    ----------
+    surface : TexturedSurface
+        The triangles, where they lie in the textures, and how these repeat.
+    sheets : sequence of ndarray of float32, shape (H, W, 4)
+        The textures in linear light, with opacity.
+    areas : ndarray of float64, shape (F,)
+        Areas of the triangles, in squared units of the model.
+    """
+
+    def __init__(self, surface: TexturedSurface, sheets: Sequence[Sheet], areas: NDArray[np.float64]) -> None:
+        self._surface = surface
+        self._pyramids = [Pyramid.of(sheet) for sheet in sheets]
+        first, second = (surface.uv[:, k] - surface.uv[:, 0] for k in (1, 2))
+        covered = np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]) / 2
+        sizes = np.array([0, *(sheet.shape[0] * sheet.shape[1] for sheet in sheets)], float)
+        texels = covered * sizes[surface.texture_of + 1]
+        with np.errstate(over="ignore"):
+            self._density = np.divide(texels, areas, out=np.zeros_like(areas), where=areas > 0)
+
+    def __call__(
+        self, faces: NDArray[np.int64], weights: NDArray[np.float64], footprints: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """See `Paint`."""
+        colours = np.full((len(faces), 4), _UNPAINTED)
+        colours[:, 3] = 1
+        of = self._surface.texture_of[faces]
+        for number, texture in enumerate(self._surface.textures):
+            mine = np.flatnonzero(of == number)
+            if not len(mine):
+                continue
+            uv = np.einsum("kc,kcx->kx", weights[mine], self._surface.uv[faces[mine]])
+            texels = footprints[mine] * self._density[faces[mine]]
+            found = self._pyramids[number].look_up(uv, texture.wrap, texels)
+            if not texture.alpha_hides:
+                found[:, 3] = 1
+            colours[mine] = found
+        return colours
+
+
+@dataclass(frozen=True)
+class Pyramid:
+    """An image, and its copies of half the size down to a single texel.
+
+    Attributes
+    ----------
+    levels : list of ndarray of float32, shape (H, W, 4)
+        In linear light with opacity; the largest first.
+    is_opaque : bool
+        Whether nothing can be looked through.
+    """
+
+    levels: list[Sheet]
+    is_opaque: bool
+
+    @classmethod
+    def of(cls, sheet: Sheet) -> Pyramid:
+        """Make all copies of an image."""
+        levels = [sheet]
+        while max(levels[-1].shape[:2]) > 1:
+            levels.append(_halved(levels[-1]))
+        return cls(levels, bool((sheet[..., 3] == 1).all()))
+
+    def look_up(
+        self, uv: NDArray[np.float64], wrap: tuple[Wrap, Wrap], texels: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Interpolate, in the levels whose texels are as large as the area that each place stands for.
+
+        Parameters
+        ----------
+        uv : ndarray of float64, shape (K, 2)
+            Places, v down.
+        wrap : tuple of two of {"repeat", "mirror", "clamp"}
+            What lies beyond the image.
+        texels : ndarray of float64, shape (K,)
+            Area that each place stands for, in texels of the first level.
+
+        Returns
+        -------
+        ndarray of float64, shape (K, 4)
+
+        References
+        ----------
+        .. [1] L. Williams, "Pyramidal parametrics", SIGGRAPH 1983, doi:10.1145/800059.801126.
+        """
+        level = np.clip(np.log2(np.maximum(texels, 1)) / 2, 0, len(self.levels) - 1)
+        lower = np.floor(level).astype(int)
+        part = level - lower
+        colours = np.zeros((len(uv), 4))
+        for step, weight in ((0, 1 - part), (1, part)):
+            chosen = lower + step
+            for number in np.unique(chosen[weight > 0]).tolist():
+                mine = np.flatnonzero((chosen == number) & (weight > 0))
+                found = look_up(self.levels[number], uv[mine], wrap, None if self.is_opaque else 3)
+                colours[mine] += weight[mine, None] * found
+        return colours
+
+
+def _halved(sheet: Sheet) -> Sheet:
+    """Average two by two texels, by their opacity; the last of an odd number is counted twice."""
+    padded = np.pad(sheet, [(0, sheet.shape[0] % 2), (0, sheet.shape[1] % 2), (0, 0)], mode="edge")
+    four = np.stack([padded[row::2, column::2] for row in (0, 1) for column in (0, 1)])
+    opacity = four[..., 3:].mean(axis=0)
+    weighted = (four[..., :3] * four[..., 3:]).mean(axis=0)
+    colours = np.divide(weighted, opacity, out=four[..., :3].mean(axis=0), where=opacity > 0)
+    return np.concatenate([colours, opacity], axis=2)

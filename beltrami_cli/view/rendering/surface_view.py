@@ -1,0 +1,149 @@
+"""Views of painted triangles."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from beltrami_cli.surface.grouping import group_equal_rows
+from beltrami_cli.surface.normals import vertex_normals
+from beltrami_cli.view.rendering.tracing import Tracer
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from beltrami_cli.view.rendering.camera import Camera, Window
+    from beltrami_cli.view.rendering.paint import Paint
+
+SAMPLES = 3  # rays along a side of each pixel
+AMBIENT = 0.35  # of the light comes from everywhere
+LAMP = np.array([-0.4, 0.5, 0.77]) / np.linalg.norm([-0.4, 0.5, 0.77])
+"""Towards the lamp, in view coordinates: at the upper left, behind the eye."""
+
+_CREASE = np.cos(
+    np.radians(40)
+)  # a corner whose normal leans further away from the triangle's is on a crease
+_BLOCK = 1 << 18  # rays at a time, which bounds the memory
+_LAYERS = 16  # of transparent surfaces that are looked through
+_STEP = 1e-5  # behind a transparent surface the ray goes on, in sizes of the model
+
+
+class SurfaceView:
+    """A painted surface, to be looked at from anywhere.
+
+    Parameters
+    ----------
+    positions : ndarray of float64, shape (V, 3)
+        Vertices.
+    faces : ndarray of int32, shape (F, 3)
+        Triangles, at least one; seen from both sides.
+    paint : Paint
+        Their colours.
+    """
+
+    def __init__(self, positions: NDArray[np.float64], faces: NDArray[np.int32], paint: Paint) -> None:
+        self.positions = positions[np.unique(faces)]
+        self._all, self._faces, self._paint = positions, faces, paint
+        self._tracer = Tracer(self.positions, np.searchsorted(np.unique(faces), faces).astype(np.int32))
+
+    def draw(
+        self, camera: Camera, size: tuple[int, int], window: Window, *, lit: bool
+    ) -> NDArray[np.float32]:
+        """Draw a part of a view.
+
+        Parameters
+        ----------
+        camera : Camera
+            Where it is looked from.
+        size : (int, int)
+            Width and height in pixels.
+        window : Window
+            Which part of the view.
+        lit : bool
+            Whether a lamp shines: colours times 0.35 + 0.65 max(0, n . l), in linear light, with the normal n on the
+            side of the eye and the direction l towards the lamp. Otherwise colours are as they are.
+
+        Returns
+        -------
+        ndarray of float32, shape (height, width, 4)
+            Linear light times opacity, and opacity: the mean of 9 rays for each pixel.
+        """
+        width, height = size
+        rows_at_once = max(1, _BLOCK // (width * SAMPLES**2))
+        image = np.empty((height, width, 4), np.float32)
+        x = window[0] + (window[2] - window[0]) * (np.arange(width * SAMPLES) + 0.5) / (width * SAMPLES)
+        y = window[1] + (window[3] - window[1]) * (np.arange(height * SAMPLES) + 0.5) / (height * SAMPLES)
+        pixel = (window[2] - window[0]) / (width * SAMPLES)
+        for first in range(0, height, rows_at_once):
+            rows = y[first * SAMPLES : (first + rows_at_once) * SAMPLES]
+            columns, lines = (places.ravel() for places in np.meshgrid(x, rows))
+            starts, directions = camera.rays(columns, lines)
+            seen = self._follow(camera, starts, directions, pixel, lit=lit)
+            blocks = seen.reshape(len(rows) // SAMPLES, SAMPLES, width, SAMPLES, 4)
+            image[first : first + rows_at_once] = blocks.mean(axis=(1, 3))
+        return image
+
+    def _follow(
+        self,
+        camera: Camera,
+        starts: NDArray[np.float64],
+        directions: NDArray[np.float64],
+        pixel: float,
+        *,
+        lit: bool,
+    ) -> NDArray[np.float64]:
+        """Return what rays see, shape (K, 4), through everything transparent."""
+        seen = np.zeros((len(starts), 4))
+        active = np.arange(len(starts))
+        travelled = np.zeros(len(starts))
+        for _ in range(_LAYERS):
+            faces, weights, distances = self._tracer.cast(starts[active], directions[active])
+            hit = faces >= 0
+            active, faces, weights = active[hit], faces[hit], weights[hit]
+            if not len(active):
+                break
+            travelled[active] += distances[hit]
+            footprints = (camera.breadth(travelled[active]) * pixel) ** 2
+            colours = self._paint(faces, weights, footprints)
+            if lit:
+                colours[:, :3] *= self._light(camera, faces, weights, directions[active])[:, None]
+            share = (1 - seen[active, 3]) * colours[:, 3]
+            seen[active, :3] += share[:, None] * colours[:, :3]
+            seen[active, 3] += share
+            going_on = seen[active, 3] < 0.999
+            active, distances = active[going_on], distances[hit][going_on] + _STEP * self._tracer.size
+            travelled[active] += _STEP * self._tracer.size
+            starts[active] += distances[:, None] * directions[active]
+        return seen
+
+    def _light(
+        self,
+        camera: Camera,
+        faces: NDArray[np.int64],
+        weights: NDArray[np.float64],
+        directions: NDArray[np.float64],
+    ) -> NDArray[np.float64]:
+        normals = np.einsum("kc,kcx->kx", weights, self._corner_normals[faces])
+        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+        away = np.einsum("kx,kx->k", self._face_normals[faces], directions) > 0
+        normals[away] *= -1
+        lambert = np.maximum(normals @ (LAMP @ camera.rotation), 0)
+        return np.asarray(AMBIENT + (1 - AMBIENT) * lambert)
+
+    @cached_property
+    def _face_normals(self) -> NDArray[np.float64]:
+        corners = self._all[self._faces]
+        crosses = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        lengths = np.linalg.norm(crosses, axis=1, keepdims=True)
+        return np.asarray(np.divide(crosses, lengths, out=np.zeros_like(crosses), where=lengths > 0))
+
+    @cached_property
+    def _corner_normals(self) -> NDArray[np.float64]:
+        """Normals of the corners of triangles, shape (F, 3, 3): smooth, but for creases."""
+        place_of, _ = group_equal_rows(*self._all.T)
+        smooth = vertex_normals(self._all, self._faces, place_of).astype(np.float64)[self._faces]
+        flat = self._face_normals[:, None, :]
+        creased = (smooth * flat).sum(axis=2, keepdims=True) < _CREASE
+        return np.where(creased, flat, smooth)

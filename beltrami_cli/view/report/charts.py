@@ -1,0 +1,124 @@
+"""Drawings for a report: where and how much colours changed."""
+
+from __future__ import annotations
+
+import html
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from beltrami_cli.jobs.kernel.picture import coloured
+from beltrami_cli.surface.transfer import linear_to_srgb
+from beltrami_cli.view.rendering.details import richest_window
+from beltrami_cli.view.report.page import data_address, picture_tag
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from beltrami_cli.jobs.compare.paired_colours import PairedColours
+
+_CROP = 384  # pixels a side
+_LONGEST = 768  # of a seam map
+_WIDTH, _HEIGHT = 720, 220
+_INK = {3: ("#d62728", "#2ca02c", "#1f77b4"), 1: ("#888888",)}
+_STEPS = 64
+_FEW = 4.0  # 255ths, within which changes are those of finer types
+_WHITE = 1.0
+
+
+def histogram(pairs: Sequence[PairedColours]) -> str:
+    """Return a drawing of how often channels changed by how much, in steps of 1/255."""
+    widest = max(pair.test.shape[1] for pair in pairs)
+    changes = [
+        pair.test.astype(np.float64) - pair.reference for pair in pairs if pair.test.shape[1] == widest
+    ]
+    change = 255 * np.concatenate(changes)
+    wanted = max(1.0, float(np.percentile(np.abs(change), 99.5))) if change.size else 1.0
+    # Changes of 8-bit colours are whole numbers: each bin holds as many of them. An odd number of bins of an odd number
+    # of values has none of these on its edges, where rounding would throw it to either side.
+    step = -(-2 * wanted // _STEPS) // 2 * 2 + 1 if wanted > _FEW else 2 * wanted / _STEPS
+    bins = 2 * int(wanted // step) + 1
+    reach = step * bins / 2
+    inside = np.clip(change, -reach, reach)
+    counts = [np.histogram(channel, bins, (-reach, reach))[0] for channel in inside.T]
+    most = max(1, max(int(count.max()) for count in counts))
+    lines = []
+    for count, ink in zip(counts, _INK.get(widest, ("currentColor",) * widest), strict=True):
+        corners = zip(_WIDTH * (np.arange(bins) + 0.5) / bins, _HEIGHT * (1 - count / most), strict=True)
+        points = " ".join(f"{x:.1f},{y:.1f}" for x, y in corners)
+        lines.append(f'<polyline fill="none" stroke="{ink}" stroke-width="1.5" points="{points}"/>')
+    marks = []
+    for share, anchor in ((-1, "start"), (-0.5, "middle"), (0, "middle"), (0.5, "middle"), (1, "end")):
+        at = f'x="{_WIDTH * (0.5 + 0.5 * share):.0f}" y="{_HEIGHT + 14}" text-anchor="{anchor}"'
+        marks.append(f"<text {at}>{share * reach:+.1f}</text>")
+    axis = f'<line x1="0" x2="{_WIDTH}" y1="{_HEIGHT}" y2="{_HEIGHT}" stroke="currentColor"/>'
+    body = "\n".join([*lines, axis, *marks])
+    return (
+        f'<svg width="{_WIDTH}" height="{_HEIGHT + 20}" viewBox="0 0 {_WIDTH} {_HEIGHT + 20}" role="img" '
+        f'aria-label="histogram of the change">\n{body}\n</svg>\n<p>After minus before, in 255ths of full scale.</p>'
+    )
+
+
+def seam_map(pair: PairedColours, size: tuple[int, int]) -> str:
+    """Return a picture of what lies near the seams of a texture, by how much it changed; empty without seams.
+
+    Parameters
+    ----------
+    pair : PairedColours
+        A texture.
+    size : (int, int)
+        Its rows and columns.
+    """
+    if pair.near_seams is None or not pair.near_seams.any():
+        return ""
+    stride = max(1, -(-max(size) // _LONGEST))
+    small = tuple(-(-side // stride) for side in size)
+    amount = np.abs(pair.test.astype(np.float64) - pair.reference).max(axis=1)
+    largest = max(float(amount[pair.near_seams].max()), 1 / 255)
+    columns, rows = pair.place.T // stride
+    values, covered = np.full(small, -1.0, np.float32), np.zeros(small, bool)
+    covered[rows, columns] = True
+    near = pair.near_seams
+    np.maximum.at(values, (rows[near], columns[near]), (amount[near] / largest).astype(np.float32))
+    shades = np.where(covered[..., None], 0.6, _WHITE) * np.ones((*small, 3))
+    drawn = coloured(np.maximum(values, 0), shades.astype(np.float32), values >= 0)
+    tag = picture_tag(np.rint(255 * drawn).astype(np.uint8), f"seams of {pair.name}")
+    caption = f"{html.escape(pair.name)}: brightest {255 * largest:.1f}/255"
+    return f"<figure>{tag}<figcaption>{caption}</figcaption></figure>"
+
+
+def swipe(before: NDArray[np.float32], after: NDArray[np.float32], name: str) -> str:
+    """Return a part of two images at full size, one over the other, where there is most to see.
+
+    Parameters
+    ----------
+    before, after : ndarray of float32, shape (H, W, 4)
+        Linear light, and opacity.
+    name : str
+        For people.
+    """
+    height, width = after.shape[:2]
+    seen = after.copy()
+    seen[..., :3] *= seen[..., 3:]
+    window = richest_window(seen, min(1.0, _CROP / min(height, width)))
+    left, right = (round(window[k] * width) for k in (0, 2))
+    upper, lower = (round(window[k] * height) for k in (1, 3))
+    cut = [sheet[upper:lower, left:right] for sheet in (before, after)]
+    sources = [
+        data_address(np.rint(255 * np.asarray(linear_to_srgb(part[..., :3]))).astype(np.uint8))
+        for part in cut
+    ]
+    zoom = max(1, _CROP // max(1, right - left))
+    shape = f'width="{(right - left) * zoom}" height="{(lower - upper) * zoom}"'
+    title = html.escape(name, quote=True)
+    images = "".join(
+        f'<img {shape} style="max-width:none" alt="{title}, {when}" src="{source}">'
+        for when, source in zip(("before", "after"), sources, strict=True)
+    )
+    return (
+        f'<figure><div class="swipe">{images}<span class="line"></span></div>'
+        f'<input type="range" min="0" max="100" value="50" aria-label="swipe" style="width:{(right - left) * zoom}px">'
+        f"<figcaption>{title}: {right - left} x {lower - upper} pixels at {left}, {upper}</figcaption></figure>"
+    )

@@ -1,0 +1,238 @@
+"""A page on what changed between two files: models to turn, crops to swipe over, figures and drawings."""
+
+from __future__ import annotations
+
+import dataclasses
+import html
+import json
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from beltrami_cli.errors import InputError, OutputError, UsageError
+from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
+from beltrami_cli.formats.document import Written
+from beltrami_cli.formats.image import read_image
+from beltrami_cli.formats.image.recognition import is_image
+from beltrami_cli.formats.source import read_source
+from beltrami_cli.jobs.compare.images import pair_images
+from beltrami_cli.jobs.compare.paired_colours import figures
+from beltrami_cli.jobs.compare.textures import pair_slot
+from beltrami_cli.jobs.compare.vertices import pair_vertices
+from beltrami_cli.jobs.opening import document_from
+from beltrami_cli.jobs.writing.output import Output
+from beltrami_cli.samples.memory_check import require_room_for_textures
+from beltrami_cli.samples.selection import choose_work
+from beltrami_cli.samples.settings.smooth import DEFAULTS, SmoothSettings
+from beltrami_cli.samples.textures.colours import COLOUR_SLOTS
+from beltrami_cli.view.report.charts import histogram, seam_map, swipe
+from beltrami_cli.view.report.model import ModelPacker, bounding_box
+from beltrami_cli.view.report.page import PAGES, asset, page_from, table
+from beltrami_cli.view.views import sheet_of
+
+if TYPE_CHECKING:
+    from beltrami_cli.formats.document import Document
+    from beltrami_cli.jobs.compare.paired_colours import PairedColours
+    from beltrami_cli.surface.textured import Slot
+
+_MOST_CROPS = 8
+_VIEWER = """<h2>The model</h2>
+<div id="viewer"><span class="name">before</span><span class="name right">after</span><span class="line"></span></div>
+<input type="range" id="swipe" min="0" max="100" value="50" step="0.1" aria-label="swipe between before and after">
+<p>Drag to turn, scroll to come nearer, drag with the right button to move. Colours are unlit.</p>"""
+
+
+@dataclasses.dataclass
+class _Found:
+    """What two files have in common, and the parts of the page that show it."""
+
+    pairs: list[PairedColours] = dataclasses.field(default_factory=list)
+    crops: list[str] = dataclasses.field(default_factory=list)
+    seams: list[str] = dataclasses.field(default_factory=list)
+    models: str = ""
+
+
+def report_file(
+    before: str | os.PathLike[str],
+    after: str | os.PathLike[str],
+    target: str | os.PathLike[str],
+    settings: SmoothSettings = DEFAULTS,
+    *,
+    parameters: str | os.PathLike[str] | None = None,
+    overwrite: bool = False,
+    access: Access = EVERYTHING_INSIDE,
+) -> dict[str, Any]:
+    """Write a page that needs nothing else, on what changed between two files.
+
+    Parameters
+    ----------
+    before, after : path
+        Two models, or two images, alike in everything but colours.
+    target : path
+        The page; "-" for standard output.
+    settings : SmoothSettings
+        Which colours are shown: `on`, the first of the slots, and the space that they are compared in.
+    parameters : path, optional
+        What `smooth` wrote with ``--report``, to be shown.
+    overwrite : bool
+        Whether an existing file may be replaced.
+    access : Access
+        What may be read.
+
+    Returns
+    -------
+    dict
+        The figures of all parts together; see `paired_colours.figures`.
+
+    Raises
+    ------
+    UsageError
+        If both files are pipes.
+    InputError
+        If a file cannot be read, or the two are not alike.
+    OutputError
+        If the page cannot be written.
+    """
+    names, path = [os.fspath(before), os.fspath(after)], os.fspath(target)
+    if "-" in names:
+        raise UsageError("BEFORE and AFTER must be files and not pipes")
+    if path != "-" and Path(path).resolve() in {Path(name).resolve() for name in names}:
+        raise OutputError(path, "it is one of the files to be shown", "name a page as the last argument")
+    if path != "-" and Path(path).suffix.lower() not in PAGES:
+        raise UsageError(f"{path}: the report is a page; end its name in {' or '.join(PAGES)}")
+    output = Output(path, overwrite=overwrite, is_text=True)
+    told = "" if parameters is None else _parameters(os.fspath(parameters), access)
+    data = read_source(names[0], access), read_source(names[1], access)
+    if any(is_image(each, name) for each, name in zip(data, names, strict=True)):
+        found = _of_images(data, names, settings, access)
+    else:
+        found = _of_models(data, names, settings, access)
+    output.write(Written(main=[_page(names, found, told)]))
+    return figures(found.pairs)
+
+
+def _of_images(
+    data: tuple[bytes, bytes], names: list[str], settings: SmoothSettings, access: Access
+) -> _Found:
+    pair, _ = pair_images(data, (names[0], names[1]), settings, access)
+    sheets = [sheet_of(read_image(each, name, finite=False)) for each, name in zip(data, names, strict=True)]
+    return _Found([pair], [swipe(sheets[0], sheets[1], Path(names[1]).name)])
+
+
+def _of_models(
+    data: tuple[bytes, bytes], names: list[str], settings: SmoothSettings, access: Access
+) -> _Found:
+    one, other = (document_from(each, name, settings, access) for each, name in zip(data, names, strict=True))
+    work = choose_work(one, settings)
+    for document in (one, other):
+        require_room_for_textures(document, work.slots, settings.textures, access)
+    found = _Found()
+    shown: Slot | None = None if work.vertices and settings.on != "both" else work.slots[0]
+    if work.vertices:
+        found.pairs.append(pair_vertices(one, other, settings, "uniform")[0])
+    for slot in work.slots:
+        paired = pair_slot(one, other, slot, settings, "uniform", access)
+        found.pairs += [pair for pair, _ in paired]
+        found.seams += [drawn for pair, size in paired if (drawn := seam_map(pair, size))]
+        found.crops += _crops(one, other, slot, _MOST_CROPS - len(found.crops))
+    packer = ModelPacker(bounding_box([one, other], shown))
+    for document in (one, other):
+        packer.add(document, shown)
+    found.models = packer.as_json()
+    return found
+
+
+def _crops(one: Document, other: Document, slot: Slot, most: int) -> list[str]:
+    """Return swipes over the textures that differ."""
+    made: list[str] = []
+    for old, new in zip(one.textured(slot).textures, other.textured(slot).textures, strict=True):
+        if len(made) < most and old.data != new.data:
+            is_data = slot not in COLOUR_SLOTS
+            sheets = [sheet_of(read_image(each.data, each.name), is_data=is_data) for each in (old, new)]
+            made.append(swipe(sheets[0], sheets[1], new.name or slot))
+    return made
+
+
+def _parameters(path: str, access: Access) -> str:
+    """Return what a report of `smooth` says, as a table."""
+    try:
+        told = json.loads(read_source(path, access))
+        rows = [[str(key), _told(value)] for key, value in told["parameters"].items()]
+        stages = [[f"seconds to {stage}", f"{spent['wall']:.2f}"] for stage, spent in told["stages"].items()]
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        remedy = "give the file that `beltrami smooth --report` wrote"
+        raise InputError(path, "it is no report of beltrami smooth", remedy) from error
+    return f"<h2>Parameters</h2>\n{table([['parameter', 'value'], *rows, *stages])}"
+
+
+def _told(value: Any) -> str:
+    if isinstance(value, dict):
+        return ", ".join(f"{key}: {_told(each)}" for key, each in value.items() if each not in (None, [], ()))
+    return ", ".join(map(str, value)) if isinstance(value, list) else str(value)
+
+
+def _page(names: list[str], found: _Found, parameters: str) -> bytes:
+    scripts = ""
+    if found.models:
+        scripts = (
+            f'<script type="application/json" id="models">{found.models}</script>\n'
+            f"<script>{asset('three.js')}</script>\n<script>{asset('viewer.js')}</script>"
+        )
+    short = [Path(name).name for name in names]
+    crops = "\n".join(found.crops)
+    seams = "\n".join(found.seams)
+    return page_from(
+        "report.html",
+        title=html.escape(f"{short[0]} and {short[1]}"),
+        style=asset("style.css"),
+        summary=html.escape(f"Before: {names[0]}. After: {names[1]}."),
+        model=_VIEWER if found.models else "",
+        crops=f"<h2>{'Textures' if found.models else 'The image'} at full size</h2>\n{crops}"
+        if crops
+        else "",
+        figures=table(_rows(found.pairs)),
+        histogram=histogram(found.pairs),
+        seams=f"<h2>Seams, by how much they changed</h2>\n{seams}" if seams else "",
+        parameters=parameters,
+        scripts=scripts,
+    )
+
+
+def _rows(pairs: list[PairedColours]) -> list[list[str]]:
+    """Return the figures of each part, and of all together."""
+    rows = [
+        [
+            "part",
+            "samples",
+            "PSNR, dB",
+            "SSIM",
+            "Delta E 2000, mean",
+            "worst",
+            "mean change, /255",
+            "seam steps, /255",
+        ]
+    ]
+    parts = [(pair.name, [pair]) for pair in pairs]
+    for name, chosen in [*parts, *([("all", pairs)] if len(pairs) > 1 else [])]:
+        told: dict[str, Any] = figures(chosen)
+        delta_e, jump = told["delta_e"] or {}, told["seam_jump"] or {}
+        change = np.concatenate([np.abs(pair.test - pair.reference).ravel() for pair in chosen])
+        rows.append(
+            [
+                name, str(told["samples"]), _psnr(told), _number(told["ssim"], 3),
+                _number(delta_e.get("mean"), 2), _number(delta_e.get("worst"), 1),
+                _number(255 * float(change.mean()) if change.size else None, 2),
+                f"{255 * jump['reference']:.2f} to {255 * jump['test']:.2f}" if jump else "",
+            ]
+        )  # fmt: skip
+    return rows
+
+
+def _psnr(told: dict[str, Any]) -> str:
+    return "equal" if told["samples"] and told["psnr"] is None else _number(told["psnr"], 2)
+
+
+def _number(value: float | None, digits: int) -> str:
+    return "" if value is None else f"{value:.{digits}f}"

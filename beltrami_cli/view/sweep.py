@@ -1,0 +1,245 @@
+"""Smooth a file with several sets of parameters, and show what each makes of it."""
+
+from __future__ import annotations
+
+import dataclasses
+import html
+import json
+import os
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from beltrami_cli.errors import InputError, UsageError
+from beltrami_cli.flow.parameters import KernelParameters
+from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
+from beltrami_cli.formats.document import Written
+from beltrami_cli.formats.image.recognition import FORMATS, format_of_suffix
+from beltrami_cli.formats.source import read_source
+from beltrami_cli.formats.volume import is_volume
+from beltrami_cli.jobs.compare.files import compare_files
+from beltrami_cli.jobs.smooth.file import smooth_file
+from beltrami_cli.jobs.writing.output import Output
+from beltrami_cli.samples.settings.level_set import LevelSetSettings
+from beltrami_cli.samples.settings.smooth import DEFAULTS, OUTPUT_FORMATS
+from beltrami_cli.view.drawing import background_of, draw_panels, with_fixed_crops
+from beltrami_cli.view.file import encoded, picture_suffix
+from beltrami_cli.view.rendering.sheet import Panel, arranged
+from beltrami_cli.view.report.page import PAGES, asset, page_from, picture_tag, table
+from beltrami_cli.view.settings import MOST_PIXELS, RenderSettings
+from beltrami_cli.view.views import open_view
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from beltrami_cli.samples.settings.smooth import SmoothSettings
+
+    Progress = Callable[[str, int, int], None]
+
+_FIGURES = {
+    "psnr": "PSNR, dB",
+    "psnr_near_seams": "PSNR near seams, dB",
+    "ssim": "SSIM",
+    "delta_e": "Delta E 2000",
+}
+MOST_TRIALS = 200
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What one set of parameters makes of a file.
+
+    Attributes
+    ----------
+    parameters : dict
+        Those that were swept, by their names.
+    figures : dict
+        Against the reference: "psnr" and "psnr_near_seams" in dB, "ssim", "delta_e" (the mean); without what cannot be
+        told, and empty without a reference.
+    """
+
+    parameters: dict[str, float]
+    figures: dict[str, float]
+
+    @property
+    def label(self) -> str:
+        """The parameters and the first figure, in short."""
+        words = [f"{name} {value:g}" for name, value in self.parameters.items()] or ["smoothed"]
+        return ", ".join(words) + (f": {self.figures['psnr']:.2f} dB" if "psnr" in self.figures else "")
+
+
+def sweep_file(
+    source: str | os.PathLike[str],
+    target: str | os.PathLike[str],
+    trials: Sequence[tuple[dict[str, float], SmoothSettings]],
+    looks: RenderSettings,
+    *,
+    columns: int,
+    reference: str | os.PathLike[str] | None = None,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+    access: Access = EVERYTHING_INSIDE,
+) -> list[Trial]:
+    """Smooth a file with several sets of parameters, and write a picture or a page of all results.
+
+    Parameters
+    ----------
+    source : path
+        What `smooth_file` reads; no pipe, for it is read again and again.
+    target : path
+        An image, or a page (.html).
+    trials : sequence of (dict, SmoothSettings)
+        What differs, by the names that are shown, and the settings.
+    looks : RenderSettings
+        How results are drawn.
+    columns : int
+        How many stand side by side in an image.
+    reference : path, optional
+        The same without noise, which each result is compared with.
+    overwrite : bool
+        Whether an existing file may be replaced.
+    progress : callable, optional
+        Called with a label, the trials done and the trials to do; may raise to stop.
+    access : Access
+        What may be read.
+
+    Returns
+    -------
+    list of Trial
+        In the order of `trials`.
+
+    Raises
+    ------
+    UsageError
+        If `source` is a pipe, there are too many trials, or the name of `target` tells no format.
+    InputError
+        If a file cannot be read, or the reference is not like it.
+    OutputError
+        If the target cannot be written.
+    """
+    name, path = os.fspath(source), os.fspath(target)
+    _check(name, len(trials), looks)
+    is_page = Path(path).suffix.lower() in PAGES
+    suffix = "" if is_page else picture_suffix(path, ", or .html for a page")
+    output = Output(path, overwrite=overwrite)
+    shown = [] if reference is None else [("reference", os.fspath(reference), DEFAULTS)]
+    shown.append(("before", name, trials[0][1]))
+    panels: list[Panel] = []
+    for label, path_shown, reading in shown:
+        view = open_view(path_shown, looks, access, reading)
+        if not panels:
+            looks = with_fixed_crops(view, looks)
+        panels += draw_panels([view], [label], looks)
+    done = []
+    for number, (parameters, settings) in enumerate(trials):
+        if progress is not None:
+            progress("trials", number, len(trials))
+        trial, panel = _tried(name, parameters, settings, looks, reference, access)
+        done.append(trial)
+        panels.append(panel)
+    if is_page:
+        output.write(Written(main=[_page(name, done, panels, looks)]))
+    else:
+        empty = [None] * (-len(shown) % columns)  # trials begin in a row of their own
+        placed = [*panels[: len(shown)], *empty, *panels[len(shown) :]]
+        output.write(encoded(arranged(placed, columns, background_of(looks, panels)), path, suffix))
+    return done
+
+
+def _check(name: str, trials: int, looks: RenderSettings) -> None:
+    if name == "-":
+        raise UsageError("INPUT is read for each trial, so it must be a file and not a pipe")
+    pixels = looks.size[0] * looks.size[1] * (trials + 2)
+    if trials > MOST_TRIALS or pixels > MOST_PIXELS:
+        raise UsageError(
+            f"{trials} trials are too many for one sheet of {MOST_TRIALS} views; give fewer values, or lower --size"
+        )
+
+
+def _tried(
+    source: str,
+    parameters: dict[str, float],
+    settings: SmoothSettings,
+    looks: RenderSettings,
+    reference: str | os.PathLike[str] | None,
+    access: Access,
+) -> tuple[Trial, Panel]:
+    """Smooth the file once, measure and draw the result, and throw it away."""
+    with tempfile.TemporaryDirectory(prefix="beltrami-") as folder:
+        result = str(Path(folder) / f"result{_suffix(source, access)}")
+        smooth_file(source, result, settings, access=access)
+        try:
+            figures = {} if reference is None else _figures(os.fspath(reference), result, settings, access)
+        except InputError as error:
+            # The user knows of no result: it is unlike the reference as the source is.
+            name = source if error.name == result else error.name
+            raise InputError(name, error.cause, error.remedy) from error
+        trial = Trial(parameters, figures)
+        view = open_view(result, looks, access)
+    return trial, draw_panels([view], [trial.label], looks)[0]
+
+
+def _suffix(source: str, access: Access) -> str:
+    """Return the extension of results: that of the source, if its format can be written."""
+    suffix = Path(source).suffix.lower()
+    if is_volume(read_source(source, access), source):
+        return ".ply"
+    image = format_of_suffix(suffix)
+    if image is not None:
+        return suffix if FORMATS[image].writable else ".png"
+    return suffix if suffix.lstrip(".") in OUTPUT_FORMATS else ""
+
+
+def _figures(reference: str, result: str, settings: SmoothSettings, access: Access) -> dict[str, float]:
+    space = settings.space if settings.space == "data" else "srgb"
+    chosen = dataclasses.replace(
+        settings,
+        level_set=LevelSetSettings(),
+        kernel=KernelParameters(threads=settings.kernel.threads),
+        space=space,
+    )
+    overall = compare_files(reference, result, settings=chosen, access=access).overall
+    found = {
+        "psnr": overall["psnr"],
+        "psnr_near_seams": (overall["near_seams"] or {}).get("psnr"),
+        "ssim": overall["ssim"],
+        "delta_e": (overall["delta_e"] or {}).get("mean"),
+    }
+    return {key: float(value) for key, value in found.items() if value is not None}
+
+
+def best_of(trials: Sequence[Trial]) -> int | None:
+    """Return the number of the trial with the highest PSNR; None: there is nothing to compare with."""
+    known = [
+        (trial.figures["psnr"], -number) for number, trial in enumerate(trials) if "psnr" in trial.figures
+    ]
+    return -max(known)[1] if known else None
+
+
+def _page(name: str, trials: Sequence[Trial], panels: Sequence[Panel], looks: RenderSettings) -> bytes:
+    best = best_of(trials)
+    first = len(panels) - len(trials)
+    drawn, background = [], background_of(looks, panels)
+    for number, panel in enumerate(panels):
+        picture = arranged([dataclasses.replace(panel, label="")], 1, background)
+        mark = ' class="best"' if best is not None and number == first + best else ""
+        caption = html.escape(panel.label)
+        drawn.append(
+            f"<figure{mark}>{picture_tag(picture, panel.label)}<figcaption>{caption}</figcaption></figure>"
+        )
+    parameters = sorted({key for trial in trials for key in trial.parameters})
+    figures = [key for key in _FIGURES if any(key in trial.figures for trial in trials)]
+    rows = [[*parameters, *(_FIGURES[key] for key in figures)]]
+    for trial in trials:
+        cells = [f"{trial.parameters[key]:g}" for key in parameters]
+        rows.append(cells + [f"{trial.figures[key]:.3f}" if key in trial.figures else "" for key in figures])
+    data = json.dumps([dataclasses.asdict(trial) for trial in trials]).replace("<", "\\u003c")
+    title = html.escape(f"Sweep of {Path(name).name}")
+    summary = f"{len(trials)} trials." + (
+        "" if best is None else f" Best: {html.escape(trials[best].label)}."
+    )
+    return page_from(
+        "sweep.html",
+        title=title, style=asset("style.css"), summary=summary, figures="\n".join(drawn), table=table(rows), json=data,
+    )  # fmt: skip

@@ -1,0 +1,247 @@
+"""Whatever is not a colour is found if it differs, and nothing is found that smoothing may change."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import subprocess
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from beltrami_cli.errors import InputError, UsageError
+from beltrami_cli.formats.source import open_document
+from beltrami_cli.jobs.check import check_files
+from beltrami_cli.jobs.smooth.file import smooth_file
+from cli.commands import COMMAND, SAMPLES
+from formats.ply_files import ENCODINGS, Table, build, coloured
+from hostile.textured_models import OTHER, PICTURE, write_model
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from beltrami_cli.formats.document import Written
+
+
+def saved(written: Written, path: Path) -> Path:
+    path.write_bytes(b"".join(written.main))
+    for name, data in written.sidecars.items():
+        (path.parent / name).parent.mkdir(parents=True, exist_ok=True)
+        (path.parent / name).write_bytes(data)
+    return path
+
+
+def halved(source: Path, target: Path) -> Path:
+    """Write a file with darker vertex colours."""
+    document = open_document(str(source))
+    colours = document.painted().colours * np.float32(0.5)
+    return saved(document.patch(colours, target.stem, moved=source.parent != target.parent), target)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("nonmanifold-noisy.ply", "nonmanifold-noisy.obj", "nonmanifold-noisy.glb", "scan-noisy.ply"),
+        *("tiled-noisy.glb", "torus-two-noisy.gltf", "mirrored-noisy.obj"),
+    ],
+)
+def test_smoothing_changes_nothing_else(name: str, tmp_path: Path) -> None:
+    smooth_file(SAMPLES / name, tmp_path / name)
+    report = check_files(SAMPLES / name, tmp_path / name)
+    assert report.faithful
+    assert report.differences
+
+
+@pytest.mark.parametrize("name", ["nonmanifold-noisy.ply", "mirrored-noisy.obj", "torus-two-noisy.gltf"])
+def test_a_file_does_not_differ_from_itself(name: str) -> None:
+    assert check_files(SAMPLES / name, SAMPLES / name).differences == []
+
+
+def everything(encoding: str) -> bytes:
+    tables = coloured(6, [[0, 1, 2], [1, 2, 3, 4], [5, 4, 3]], "uchar", 1)
+    tables.append(Table("other", [("list", "uchar float"), ("scalar", "short")], [[[0.5, 1.5], 3], [[], 4]]))
+    return build(tables, encoding, comments=["made by hand", "TextureFile a.png"]).data + b"\ntrailing"
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_every_other_byte_of_a_ply_file_counts(encoding: str, data: st.DataObject, tmp_path: Path) -> None:
+    before = tmp_path / "before.ply"
+    before.write_bytes(everything(encoding))
+    (tmp_path / "a.png").write_bytes(PICTURE)
+    after = halved(before, tmp_path / "after.ply")
+    assert check_files(before, after).faithful
+    assert_damage_is_found(before, after, data)
+
+
+OBJ = (
+    "# text\nmtllib m.mtl\nv 0 0 0 1 0 0\nv 1 0 0 .5 .25 1\nv 0 1 0 0 0 1 # note\nvt 0 0\n"
+    "usemtl m\ng a\nf 1/1 2/1 3/1\nl 1 2\n"
+)
+
+
+@pytest.mark.parametrize("paint", ["", "polypaint"])
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_every_other_byte_of_an_obj_file_counts(paint: str, data: st.DataObject, tmp_path: Path) -> None:
+    before = tmp_path / "before.obj"
+    text = OBJ
+    if paint:
+        text = "v 0 0 0\nv 1 0 0\nv 0 1 0\n#MRGB ff102030ff405060ff7080a0\nf 1 2 3\n"
+    before.write_text(text)
+    (tmp_path / "m.mtl").write_text("newmtl m\nmap_Kd a.png\nmap_Ks none.png\n")
+    (tmp_path / "a.png").write_bytes(PICTURE)
+    after = halved(before, tmp_path / "after.obj")
+    assert check_files(before, after).faithful
+    assert_damage_is_found(before, after, data)
+
+
+def assert_damage_is_found(before: Path, after: Path, data: st.DataObject) -> None:
+    """Damage a byte: that must be found, unless it made another colour of a colour, or spelled it otherwise."""
+    good = after.read_bytes()
+    at = data.draw(st.integers(0, len(good) - 1))
+    new = data.draw(st.binary(max_size=2).filter(lambda new: new != good[at : at + 1]))
+    after.write_bytes(good[:at] + new + good[at + 1 :])
+    try:
+        report = check_files(before, after)
+    except (InputError, UsageError):
+        return
+    if report.faithful:
+        known = [open_document(str(path)).painted().colours for path in (before, after)]
+        after.write_bytes(good)
+        true = open_document(str(after)).painted().colours
+        if after.suffix == ".obj" and same_but_for_spelling(good, good[:at] + new + good[at + 1 :]):
+            return
+        assert not np.array_equal(known[1], true) or np.array_equal(known[0], true)
+
+
+def same_but_for_spelling(*texts: bytes) -> bool:
+    """Tell whether texts are the same without the last three numbers of vertices of six."""
+    blanked = {re.sub(rb"(?m)^(v(?: \S+){3})(?: \S+){3}", rb"\1", text) for text in texts}
+    return len(blanked) == 1
+
+
+def leaves(tree: Any, place: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
+    children = tree.items() if isinstance(tree, dict) else enumerate(tree) if isinstance(tree, list) else ()
+    found = [leaf for key, value in children for leaf in leaves(value, (*place, key))]
+    return found or [place]
+
+
+@pytest.mark.parametrize("name", ["torus-two-noisy.gltf", "nonmanifold"])
+def test_every_member_of_a_gltf_counts(name: str, tmp_path: Path) -> None:
+    if name == "nonmanifold":
+        saved(
+            open_document(str(SAMPLES / f"{name}-noisy.glb")).repackaged(None, "x", "gltf", moved=True),
+            tmp_path / "before.gltf",
+        )  # type: ignore[attr-defined]
+    else:
+        for path in SAMPLES.glob("torus-two-noisy*"):
+            shutil.copy(path, tmp_path)
+        (tmp_path / name).rename(tmp_path / "before.gltf")
+    before = tmp_path / "before.gltf"
+    tree = json.loads(before.read_text())
+    tree["extras"] = {"note": "kept", "numbers": [1, 2.5]}
+    tree["nodes"][0]["name"] = "node"
+    for accessor in tree["accessors"]:
+        accessor |= {"name": "numbers", "extras": {"kept": 1}}
+    before.write_text(json.dumps(tree))
+    after = tmp_path / "after.gltf"
+    missed = []
+    for *parents, last in leaves(tree):
+        changed = json.loads(before.read_text())
+        holder = changed
+        for key in parents:
+            holder = holder[key]
+        value = holder[last]
+        holder[last] = (
+            f"{value}-"
+            if isinstance(value, str)
+            else value + 1
+            if isinstance(value, (int, float))
+            else {"new": 1}
+        )
+        after.write_text(json.dumps(changed))
+        try:
+            if check_files(before, after).faithful:
+                missed.append((*parents, last))
+        except (InputError, UsageError):
+            continue
+    # How buffers are called and how long they are counts by what is read from them; as does where colours are.
+    colours = {
+        primitive["attributes"].get("COLOR_0") for mesh in tree["meshes"] for primitive in mesh["primitives"]
+    }
+    views = {tree["accessors"][index].get("bufferView") for index in colours - {None}}
+    assert [
+        place
+        for place in missed
+        if place[0] not in ("buffers", "images")
+        and not (place[0] == "accessors" and place[1] in colours and place[2] in ("bufferView", "min", "max"))
+        and not (place[0] == "bufferViews" and place[1] in views)
+    ] == []
+
+
+def test_bytes_behind_accessors_count(tmp_path: Path) -> None:
+    source = SAMPLES / "nonmanifold-noisy.glb"
+    after = halved(source, tmp_path / "after.glb")
+    assert check_files(source, after).faithful
+    good = after.read_bytes()
+    json_length = int.from_bytes(good[12:16], "little")
+    tree = json.loads(good[20 : 20 + json_length])
+    for index, accessor in enumerate(tree["accessors"]):
+        view = tree["bufferViews"][accessor["bufferView"]]
+        at = 28 + json_length + view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
+        after.write_bytes(good[:at] + bytes([good[at] ^ 1]) + good[at + 1 :])
+        report = check_files(source, after)
+        is_colour = any(
+            p["attributes"].get("COLOR_0") == index for m in tree["meshes"] for p in m["primitives"]
+        )
+        assert report.faithful == is_colour
+
+
+@pytest.mark.parametrize("kind", ["obj", "ply", "gltf"])
+def test_images_may_differ_in_pixels_but_not_in_size(kind: str, tmp_path: Path) -> None:
+    before = write_model(tmp_path / "a", kind, "a.png")
+    (tmp_path / "a" / "a.png").write_bytes(PICTURE)
+    after = write_model(tmp_path / "b", kind, "a.png")
+    (tmp_path / "b" / "a.png").write_bytes(OTHER)
+    report = check_files(before, after)
+    assert report.faithful
+    assert "256 of 256 differ" in report.differences[0].detail
+    (tmp_path / "b" / "a.png").write_bytes(b"junk")
+    assert not check_files(before, after).faithful
+    shutil.copy(SAMPLES / "scan-noisy.jpg", tmp_path / "b" / "a.png")
+    report = check_files(before, after)
+    assert not report.faithful
+    assert "16 x 16 pixels became 512 x 512 pixels" in report.differences[0].detail
+    (tmp_path / "b" / "a.png").unlink()
+    assert not check_files(before, after).faithful
+
+
+def test_the_command_lists_and_exits_as_it_says(tmp_path: Path) -> None:
+    source = SAMPLES / "nonmanifold-noisy.ply"
+    after = halved(source, tmp_path / "after.ply")
+
+    def check(*arguments: str) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            [*COMMAND, "check", str(source), *arguments], capture_output=True, text=True, check=False
+        )
+
+    run = check(str(after))
+    assert (run.returncode, run.stderr) == (0, "")
+    assert "colour  vertex colours:" in run.stdout
+    assert run.stdout.endswith("nothing else differs\n")
+    data = json.loads(check(str(after), "--json").stdout)
+    assert data["faithful"]
+    assert data["differences"][0]["of_colour"]
+    after.write_bytes(after.read_bytes() + b"more")
+    run = check(str(after))
+    assert run.returncode == 1
+    assert "OTHER  what follows the last element" in run.stdout
+    assert check(str(after), "-q").stdout == ""
+    assert check(str(SAMPLES / "nonmanifold-noisy.obj")).returncode == 2
+    assert check(str(tmp_path / "absent.ply")).returncode == 3

@@ -1,0 +1,273 @@
+"""What one kernel is told to be is what smoothing averages by."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import OpenImageIO
+import pytest
+import trimesh
+
+import beltrami_cli
+from beltrami_cli.errors import UsageError
+from beltrami_cli.flow.parameters import PRESETS, KernelParameters
+from beltrami_cli.jobs.kernel.file import kernel_file
+from beltrami_cli.samples.settings.image import ImageSettings
+from beltrami_cli.samples.settings.smooth import DEFAULTS, SmoothSettings
+from oracles import surfaces
+
+SAMPLES = Path(__file__).parents[2] / "sample_data"
+HEAD = SAMPLES / "head-noisy.ply"
+TEXTURED = SAMPLES / "head-tex-noisy.glb"
+SEVERAL = SAMPLES / "torus-two-noisy.gltf"
+PICTURE = SAMPLES / "head-tex-noisy.png"
+# Parameters that make different kernels: the default (a regularised metric), the paper's, a Gaussian.
+KERNELS = {
+    "default": SmoothSettings(KernelParameters(iterations=1, clipping="keep")),
+    "paper": SmoothSettings(KernelParameters(**PRESETS["paper"])),
+    "gauss": SmoothSettings(KernelParameters(iterations=1, beta=0.0)),
+}
+OF_VERTICES = {
+    **KERNELS,
+    "area": SmoothSettings(KernelParameters(iterations=1, weights="area", clipping="keep")),
+}
+
+
+RANGE = ("obj_info num_cols 14", "obj_info num_rows 11")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Inputs with float colours, which smoothing does not round: a mesh, an image, and heights for it."""
+    path = tmp_path_factory.mktemp("float")
+    random = np.random.default_rng(2)
+    flat, faces = surfaces.plane(14, 11, 0.2)
+    colours = step(flat[:, 0]) + random.normal(0, 0.06, (len(flat), 3))
+    write_ply(path / "mesh.ply", np.column_stack([flat, colours]).astype("<f4"), faces)
+    write_ply(path / "range.ply", np.column_stack([flat, colours]).astype("<f4"), faces[:0], RANGE)
+    write_exr(path / "image.exr", step(np.arange(40) / 14)[None] + random.normal(0, 0.06, (30, 40, 3)))
+    y, x = np.mgrid[:30, :40]
+    write_exr(path / "heights.exr", 6 * np.sin(x / 4)[..., None] * np.cos(y / 5)[..., None])
+    return path
+
+
+def step(x):
+    return np.where(x[..., None] > 1.4, [0.7, 0.6, 0.4], [0.3, 0.4, 0.5])
+
+
+def write_ply(path, rows, faces, remarks=()):
+    header = ["ply", "format binary_little_endian 1.0", *remarks, f"element vertex {len(rows)}"]
+    header += [f"property float {name}" for name in ("x", "y", "z", "red", "green", "blue")]
+    header += [f"element face {len(faces)}", "property list uchar int vertex_indices", "end_header", ""]
+    polygons = np.empty(len(faces), [("count", "u1"), ("corners", "<i4", 3)])
+    polygons["count"], polygons["corners"] = 3, faces
+    path.write_bytes("\n".join(header).encode() + rows.tobytes() + polygons.tobytes())
+
+
+def write_exr(path, pixels):
+    spec = OpenImageIO.ImageSpec(pixels.shape[1], pixels.shape[0], pixels.shape[2], "float")
+    if pixels.shape[2] == 1:
+        spec.channelnames = ("Z",)
+    output = OpenImageIO.ImageOutput.create(str(path))
+    assert output.open(str(path), spec)
+    assert output.write_image(np.ascontiguousarray(pixels, np.float32))
+    output.close()
+
+
+def read_pixels(path):
+    return OpenImageIO.ImageBuf(str(path)).get_pixels("float")
+
+
+def vertices_of(path):
+    return trimesh.load(path, process=False).metadata["_ply_raw"]["vertex"]["data"]
+
+
+def study(source, at, tmp_path, settings=DEFAULTS, name="kernel.json", **options):
+    target = tmp_path / name
+    kernel_file(source, target, at, settings, overwrite=True, **options)
+    return json.loads(target.read_text()) if name.endswith(".json") else target
+
+
+def smoothed(source, target, settings):
+    beltrami_cli.smooth_file(source, target, settings, overwrite=True)
+    return target
+
+
+def as_data(settings, **image):
+    return dataclasses.replace(settings, space="data", image=ImageSettings(**image))
+
+
+def mean_of(facts):
+    columns = facts["columns"]
+    return [np.average(columns[channel], weights=columns["weight"]) for channel in ("red", "green", "blue")]
+
+
+@pytest.mark.parametrize("kernel", OF_VERTICES)
+def test_the_samples_of_a_vertex_give_what_smoothing_makes_of_it(kernel, folder, tmp_path):
+    settings = as_data(OF_VERTICES[kernel])
+    facts = study(folder / "mesh.ply", "64", tmp_path, settings)
+    vertex = vertices_of(smoothed(folder / "mesh.ply", tmp_path / "out.ply", settings))[64]
+    truth = [float(vertex[channel]) for channel in ("red", "green", "blue")]
+    # float32 twice: what is stored, and the sums in the kernel.
+    np.testing.assert_allclose(mean_of(facts), truth, atol=1e-6)
+    np.testing.assert_allclose(list(facts["after"].values()), truth, atol=1e-6)
+
+
+@pytest.mark.parametrize("kernel", KERNELS)
+def test_the_samples_of_a_range_image_give_what_smoothing_makes_of_it(kernel, folder, tmp_path):
+    settings = as_data(KERNELS[kernel])
+    vertex = vertices_of(smoothed(folder / "range.ply", tmp_path / "out.ply", settings))[64]
+    for at in ("64", f"{64 % 14},{64 // 14}"):
+        facts = study(folder / "range.ply", at, tmp_path, settings)
+        assert facts["columns"]["vertex"][0] == 64
+        truth = [float(vertex[channel]) for channel in ("red", "green", "blue")]
+        np.testing.assert_allclose(mean_of(facts), truth, atol=1e-6)
+
+
+@pytest.mark.parametrize("surface", ["plane", "heights"])
+@pytest.mark.parametrize("kernel", KERNELS)
+def test_the_samples_of_a_pixel_give_what_smoothing_makes_of_it(kernel, surface, folder, tmp_path):
+    on = {"height": str(folder / "heights.exr")} if surface == "heights" else {}
+    settings = as_data(KERNELS[kernel], **on)
+    image = read_pixels(smoothed(folder / "image.exr", tmp_path / "out.exr", settings))
+    for column, row in ((18, 11), (39, 0)):  # the second is in a corner, where the window is cut
+        facts = study(folder / "image.exr", f"{column},{row}", tmp_path, settings)
+        np.testing.assert_allclose(mean_of(facts), image[row, column], atol=1e-6)
+        assert (facts["columns"]["x"][0], facts["columns"]["y"][0]) == (column, row)
+        assert facts["unit_of_length"] == "pixel"
+
+
+@pytest.mark.parametrize("kernel", KERNELS)
+def test_the_samples_of_a_texel_give_what_smoothing_makes_of_it(kernel, tmp_path):
+    source = SAMPLES / "head-tex-noisy.obj"
+    facts = study(source, "124px,124px", tmp_path, KERNELS[kernel])
+    smoothed(source, tmp_path / "out.obj", KERNELS[kernel])
+    (image,) = tmp_path.glob("*.png")
+    # The file has 8 bits.
+    np.testing.assert_allclose(mean_of(facts), read_pixels(image)[124, 124], atol=0.5 / 255 + 1e-6)
+
+
+def test_a_kernel_of_a_later_iteration_continues_those_before_it(folder, tmp_path):
+    kernel = KernelParameters(iterations=3, beta=8.0, beta_growth=1.5, clipping="keep")
+    settings = as_data(SmoothSettings(kernel))
+    facts = study(folder / "image.exr", "18,11", tmp_path, settings, iteration=3)
+    image = read_pixels(smoothed(folder / "image.exr", tmp_path / "out.exr", settings))
+    np.testing.assert_allclose(mean_of(facts), image[11, 18], atol=1e-6)
+    assert not facts["regularised_metric"]
+    assert facts["beta"] == pytest.approx(8 * 1.5**2)
+
+
+def test_a_kernel_that_is_cut_short_says_so(tmp_path):
+    few = SmoothSettings(KernelParameters(beta=0.0, max_samples=20))
+    assert study(HEAD, "1234", tmp_path, few)["cut_short"]
+    assert not study(HEAD, "1234", tmp_path)["cut_short"]
+
+
+@pytest.mark.parametrize(
+    ("source", "at"),
+    [(HEAD, "1234"), (TEXTURED, "0.3,0.3"), (PICTURE, "100,300")],
+    ids=["vertex", "texel", "pixel"],
+)
+def test_weights_are_the_kernel_of_the_distances(source, at, tmp_path):
+    settings = SmoothSettings(KernelParameters(t=1.7, threshold=0.05))
+    with np.load(study(source, at, tmp_path, settings, "kernel.npz")) as columns:
+        distances, weights = columns["distance"].astype(float), columns["weight"]
+        facts = json.loads(str(columns["facts"]))
+    assert distances[0] == 0
+    assert (np.diff(distances) >= 0).all()
+    np.testing.assert_allclose(weights, np.exp(-(distances**2) / (4 * 1.7)), rtol=1e-6)
+    assert weights.min() >= 0.05 * (1 - 1e-6)
+    assert facts["samples"] == len(weights)
+    np.testing.assert_allclose(facts["sum_of_weights"], weights.sum(), rtol=1e-6)
+
+
+def test_a_mesh_to_look_at_holds_the_kernel_in_colours_and_its_surroundings_in_grey(tmp_path):
+    facts = study(HEAD, "1234", tmp_path, iteration=4)
+    rows = vertices_of(study(HEAD, "1234", tmp_path, name="kernel.ply", iteration=4))
+    held = np.isfinite(rows["distance"])
+    assert 10 < np.count_nonzero(held) == facts["samples"] < len(rows)
+    np.testing.assert_array_equal(np.sort(rows["distance"][held]), np.float32(facts["columns"]["distance"]))
+    assert (rows["weight"][~held] == 0).all()
+    grey = (rows["red"] == rows["green"]) & (rows["green"] == rows["blue"])
+    np.testing.assert_array_equal(grey, ~held)
+    # Dark where the kernel ends: the colour map's lightness grows towards the source, up to rounding.
+    light = rows["red"] * 0.2126 + rows["green"] * 0.7152 + rows["blue"] * 0.0722
+    assert (np.diff(light[held][np.argsort(rows["distance"][held])]) < 1.5).all()
+
+
+def test_the_whole_mesh_is_shown_on_demand(tmp_path):
+    whole = study(HEAD, "1234", tmp_path, name="whole.ply", whole=True)
+    assert len(vertices_of(whole)) == len(vertices_of(HEAD))
+
+
+def test_a_position_chooses_the_vertex_nearest_to_it(tmp_path):
+    row = vertices_of(HEAD)[1234]
+    near = ",".join(str(float(row[axis]) + 1e-4) for axis in "xyz")
+    assert study(HEAD, near, tmp_path)["at"] == "vertex 1234"
+
+
+def test_texture_coordinates_are_those_of_the_file(tmp_path):
+    # glTF counts v from the upper side of the image, OBJ from the lower.
+    upper = study(TEXTURED, "0.3,0.2", tmp_path)["at"]
+    lower = study(SAMPLES / "head-tex-noisy.obj", "0.3,0.8", tmp_path)["at"]
+    assert upper.split()[1] == lower.split()[1]
+
+
+def test_a_picture_shows_painting_distances_and_weights_side_by_side(tmp_path):
+    facts = study(PICTURE, "100,300", tmp_path)
+    picture = read_pixels(study(PICTURE, "100,300", tmp_path, name="kernel.png"))
+    cells = 2 * (3 + 4) + 1  # the window of 7, and four beyond on each side
+    side = len(picture)
+    assert side % cells == 0
+    gap, zoom = (picture.shape[1] - 3 * side) // 2, side // cells
+    panels = [picture[zoom // 2 :: zoom, k * (side + gap) : k * (side + gap) + side] for k in range(3)]
+    painting, distances, weights = (panel[:, zoom // 2 :: zoom] for panel in panels)
+    np.testing.assert_allclose(painting, read_pixels(PICTURE)[293:308, 93:108, :3], atol=0.6 / 255)
+    columns = facts["columns"]
+    held = {(y - 293, x - 93) for x, y in zip(columns["x"], columns["y"], strict=True)}
+    for panel in (distances, weights):
+        assert {tuple(cell) for cell in np.argwhere(np.ptp(panel, axis=2) > 1e-6).tolist()} == held
+
+
+@pytest.mark.parametrize(
+    ("source", "at", "target", "words"),
+    [
+        (HEAD, "999999", "k.ply", "vertices 0 to"),
+        (HEAD, "1.5", "k.ply", "whole numbers"),
+        (HEAD, "0.1,0.2", "k.ply", "vertex colours"),
+        (HEAD, "nowhere", "k.ply", "no place"),
+        (HEAD, "1,2,3,4", "k.ply", "no place"),
+        (HEAD, "nan,0,0", "k.ply", "no place"),
+        (HEAD, "12", "k.png", ".ply"),
+        (HEAD, "12", "k.xyz", ".csv"),
+        (TEXTURED, "12", "k.png", "texture coordinates"),
+        (TEXTURED, "1.2,0.3", "k.png", "0 to 1"),
+        (TEXTURED, "9999px,0px", "k.png", "outside"),
+        (TEXTURED, "0px,0px", "k.png", "nearest that does"),
+        (TEXTURED, "0.3,0.3", "k.ply", ".png"),
+        (SEVERAL, "0.3,0.3", "k.png", "several textures"),
+        (SEVERAL, "nosuch*:0.3,0.3", "k.png", "no texture"),
+        (PICTURE, "12", "k.png", "column and row"),
+        (PICTURE, "-1,3", "k.png", "outside"),
+        (PICTURE, "3,100000", "k.png", "outside"),
+    ],
+)
+def test_places_that_are_none_are_usage_errors(source, at, target, words, tmp_path):
+    with pytest.raises(UsageError) as raised:
+        kernel_file(source, tmp_path / target, at)
+    assert words in str(raised.value)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_texel_that_an_error_proposes_has_a_kernel(tmp_path):
+    with pytest.raises(UsageError) as raised:
+        kernel_file(TEXTURED, tmp_path / "k.png", "0px,0px")
+    study(TEXTURED, str(raised.value).split("--at ")[-1], tmp_path)
+
+
+def test_one_of_several_textures_is_chosen_by_a_glob(tmp_path):
+    facts = study(SEVERAL, "*icing*:0.3,0.3", tmp_path)
+    assert facts["columns"]["texture"][0] == "torus-two-noisy-icing.png"

@@ -1,0 +1,124 @@
+"""Surfaces of any size: the same colours, or a refusal in a line; never a warning, never nothing without a word."""
+
+from __future__ import annotations
+
+import numpy as np
+import OpenImageIO
+import pytest
+
+import beltrami_cli
+from beltrami_cli.errors import InputError
+from beltrami_cli.flow.parameters import KernelParameters
+from beltrami_cli.jobs.inspect.file import inspect_file
+from beltrami_cli.jobs.kernel.file import kernel_file
+from beltrami_cli.jobs.smooth.file import smooth_file
+from beltrami_cli.samples.settings.image import ImageSettings
+from beltrami_cli.samples.settings.smooth import SmoothSettings
+from formats.image_files import encode
+from hostile.textured_models import PICTURE
+
+KERNEL = KernelParameters(iterations=1, t=1.0, beta=3.0, metric_steps=0, beta_growth=1.0, clipping="keep")
+SETTINGS = SmoothSettings(kernel=KERNEL)
+SIDE = 8
+# What powers of two multiply keeps all its digits, so results are the same to the last bit.
+FAIR = [2.0**k for k in (-45, -20, 0, 20, 45)]
+EXTREME = [1e-310, 1e-160, 1e-45, 1e-38, 1e-22, 1e22, 1e38, 1e150, 1e200, 1e307]
+
+
+def obj(folder, scale, kind):
+    """Write a plane of SIDE x SIDE squares, with colours at its vertices or with a texture."""
+    y, x = np.mgrid[: SIDE + 1, : SIDE + 1].reshape(2, -1)
+    shades = np.random.default_rng(3).random((len(x), 3)) if kind == "vertices" else np.empty((len(x), 0))
+    lines = [
+        f"v {i * scale!r} {j * scale!r} 0 {' '.join(map(str, c))}"
+        for i, j, c in zip(x.tolist(), y.tolist(), shades.tolist(), strict=True)
+    ]
+    if kind == "texture":
+        (folder / "m.mtl").write_text("newmtl m\nmap_Kd skin.png\n")
+        (folder / "skin.png").write_bytes(PICTURE)
+        lines = [
+            "mtllib m.mtl",
+            *lines,
+            *(f"vt {i / SIDE} {j / SIDE}" for i, j in zip(x, y, strict=True)),
+            "usemtl m",
+        ]
+    corner = "{0}/{0}" if kind == "texture" else "{0}"
+    corners = 1 + np.arange((SIDE + 1) ** 2).reshape(SIDE + 1, SIDE + 1)
+    if kind != "points":
+        quads = np.stack(
+            [corners[:-1, :-1], corners[:-1, 1:], corners[1:, 1:], corners[1:, :-1]], axis=2
+        ).reshape(-1, 4)
+        lines += ["f " + " ".join(corner.format(c) for c in quad) for quad in quads.tolist()]
+    (folder / "plane.obj").write_text("\n".join(lines) + "\n")
+    return folder / "plane.obj"
+
+
+def smoothed(folder, scale, kind):
+    folder.mkdir()
+    source = obj(folder, scale, kind)
+    smooth_file(source, folder / "out.obj", SETTINGS)
+    if kind == "texture":
+        return (folder / "out_skin.png").read_bytes()
+    return [line.split()[4:] for line in (folder / "out.obj").read_text().splitlines() if line[:2] == "v "]
+
+
+@pytest.mark.parametrize("kind", ["vertices", "texture"])
+def test_the_unit_of_length_changes_no_colour(kind, tmp_path):
+    results = [smoothed(tmp_path / str(number), scale, kind) for number, scale in enumerate(FAIR)]
+    assert all(result == results[0] for result in results)
+    assert results[0] != PICTURE
+
+
+@pytest.mark.parametrize("scale", EXTREME)
+@pytest.mark.parametrize("kind", ["vertices", "texture"])
+def test_what_cannot_be_measured_is_refused(kind, scale, tmp_path):
+    source = obj(tmp_path, scale, kind)
+    before = set(tmp_path.iterdir())
+    said = rf"{source}: its edges are \S+ units, .* single precision; scale it"
+    with pytest.raises(InputError, match=said):
+        smooth_file(source, tmp_path / "out.obj", SETTINGS)
+    with pytest.raises(InputError, match=said):
+        inspect_file(source, SETTINGS)
+    with pytest.raises(InputError, match=said):
+        kernel_file(source, tmp_path / "kernel.png", "3" if kind == "vertices" else "0.5,0.5", SETTINGS)
+    assert set(tmp_path.iterdir()) == before
+
+
+@pytest.mark.parametrize("scale", EXTREME)
+def test_arrays_and_clouds_that_cannot_be_measured_are_refused(scale):
+    random = np.random.default_rng(4)
+    points = np.column_stack([random.random((50, 2)), np.zeros(50)]) * scale
+    colours = random.random((50, 3))
+    with pytest.raises(InputError, match="the arrays: its points are apart"):
+        beltrami_cli.smooth(points, None, colours)
+    with pytest.raises(InputError, match="the arrays: its edges are"):
+        beltrami_cli.smooth(points, np.arange(48).reshape(-1, 3), colours)
+
+
+def test_a_map_of_positions_is_judged_by_what_most_of_it_is_like(tmp_path):
+    y, x = np.mgrid[:20, :24].astype(np.float32)
+    (tmp_path / "photo.png").write_bytes(
+        encode(np.random.default_rng(5).integers(0, 256, (20, 24, 3), np.uint8), "png")
+    )
+    settings = SmoothSettings(kernel=KERNEL, image=ImageSettings(positions=str(tmp_path / "xyz.exr")))
+    results = []
+    for background in (np.nan, 1e30):  # a hole, or far away, as renderers have it
+        places = np.dstack([x, y, 0 * x])
+        places[:3] = background
+        write_map(tmp_path / "xyz.exr", places)
+        smooth_file(tmp_path / "photo.png", tmp_path / "out.png", settings, overwrite=True)
+        results.append(
+            OpenImageIO.ImageBuf(str(tmp_path / "out.png")).get_pixels()[10:]
+        )  # beyond its windows
+    np.testing.assert_array_equal(*results)
+    write_map(tmp_path / "xyz.exr", np.dstack([x, y, 0 * x]) * np.float32(1e-30))
+    with pytest.raises(InputError, match=r"xyz\.exr: its edges are"):
+        smooth_file(tmp_path / "photo.png", tmp_path / "out.png", settings, overwrite=True)
+
+
+def write_map(path, places):
+    spec = OpenImageIO.ImageSpec(places.shape[1], places.shape[0], 3, "float")
+    file = OpenImageIO.ImageOutput.create(str(path))
+    assert file.open(str(path), spec)
+    assert file.write_image(np.ascontiguousarray(places))
+    file.close()

@@ -1,0 +1,105 @@
+"""What is said of models in which nothing can be smoothed."""
+
+from __future__ import annotations
+
+import io
+import re
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from beltrami_cli.errors import InputError, UnpaintedError
+from beltrami_cli.formats.source import recognise
+from beltrami_cli.jobs.smooth.file import smooth_file
+from beltrami_cli.samples.settings.smooth import SmoothSettings, TextureSettings
+from hostile.textured_models import PICTURE, write_model
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+PLY = (
+    "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\nelement face 1\n"
+    "property list uchar int vertex_indices\nproperty uchar red\nproperty uchar green\nproperty uchar blue\n"
+    "end_header\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2 255 0 0\n"
+)
+OBJ = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "reason"),
+    [
+        ("a.ply", PLY, "only face colours"),
+        ("a.obj", OBJ, "no vertex colours on its 'v' lines"),
+        ("a.obj", f"mtllib gone.mtl\n{OBJ}", "'gone.mtl' is missing"),
+    ],
+)
+def test_the_reason_is_told(name: str, text: str, reason: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_text(text)
+    with pytest.raises(UnpaintedError, match=f"neither vertex colours nor textures .*{reason}"):
+        smooth_file(tmp_path / name, tmp_path / "out.ply")
+
+
+def test_vertex_colours_are_not_denied_where_textures_are_asked_for(tmp_path: Path) -> None:
+    (tmp_path / "a.obj").write_text("v 0 0 0 1 0 0\nv 1 0 0 0 1 0\nv 0 1 0 0 0 1\nf 1 2 3\n")
+    with pytest.raises(UnpaintedError, match="it has no textures, only vertex colours; use --on vertices"):
+        smooth_file(tmp_path / "a.obj", tmp_path / "out.obj", SmoothSettings(on="texture"))
+
+
+def test_slots_that_are_asked_for_and_empty_are_told_of(tmp_path: Path) -> None:
+    model = write_model(tmp_path, "gltf", "skin.png")
+    (tmp_path / "skin.png").write_bytes(PICTURE)
+    settings = SmoothSettings(textures=TextureSettings(slots=("baseColor", "normal")))
+    assert (
+        "it has no normal textures"
+        in smooth_file(model, tmp_path / "o" / "m.gltf", settings, dry_run=True).warnings
+    )
+
+
+def test_what_is_known_by_its_name_only_does_not_come_through_a_pipe() -> None:
+    with pytest.raises(InputError, match=r"no mark of a known format; give OBJ files, .* by their names"):
+        recognise(OBJ.encode(), "<stdin>", None)
+
+
+def encoded(pixels: np.ndarray, mode: str | None = None) -> bytes:
+    buffer = io.BytesIO()
+    picture = Image.fromarray(pixels)
+    (picture if mode is None else picture.convert(mode)).save(buffer, "PNG")
+    return buffer.getvalue()
+
+
+def test_a_texture_that_cannot_be_seen_is_told_from_one_that_is_not_covered(tmp_path: Path) -> None:
+    model = write_model(tmp_path, "obj", "skin.png")
+    noise = np.random.default_rng(1).integers(0, 256, (32, 32, 4), np.uint8)
+    noise[..., 3] = 0
+    (tmp_path / "skin.png").write_bytes(encoded(noise))
+    (told,) = smooth_file(model, tmp_path / "o.obj", dry_run=True).warnings
+    assert told.endswith("nothing was smoothed; --alpha smooth counts them, too")
+    smoothed = smooth_file(
+        model, tmp_path / "o.obj", SmoothSettings(textures=TextureSettings(alpha="smooth")), dry_run=True
+    )
+    assert not smoothed.warnings
+    noise[..., 3] = 255
+    (tmp_path / "skin.png").write_bytes(encoded(noise))
+    model.write_text(re.sub(r"vt .*", "vt 0.5 0.5", model.read_text()))
+    (told,) = smooth_file(model, tmp_path / "o.obj", dry_run=True).warnings
+    assert told.endswith("--unwrap makes a new atlas")
+
+
+def test_what_a_change_would_do_to_an_image_is_not_told_of_a_copy(tmp_path: Path) -> None:
+    model = write_model(tmp_path, "obj", "skin.png")
+    two = np.zeros((32, 32, 3), np.uint8)
+    two[:, 16:] = 255
+    (tmp_path / "skin.png").write_bytes(encoded(two, "P"))
+    for source in (model, tmp_path / "skin.png"):
+        out = tmp_path / "o" / source.name
+        out.parent.mkdir(exist_ok=True)
+        assert smooth_file(source, out, overwrite=True).warnings == []
+        assert out.read_bytes() == source.read_bytes()
+    (tmp_path / "skin.png").write_bytes(
+        encoded(np.random.default_rng(2).integers(0, 256, (32, 32, 3), np.uint8), "P")
+    )
+    for source in (model, tmp_path / "skin.png"):
+        (told,) = smooth_file(source, tmp_path / source.with_stem("new").name, dry_run=True).warnings
+        assert "palette" in told

@@ -1,0 +1,205 @@
+"""What is a chart, what is a seam, and what lies beyond."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from beltrami_cli.surface.atlas import EMPTY, HALO, OWNED
+from beltrami_cli.surface.atlas_building import build_atlas
+from oracles.textured import cube, quads, textured
+
+RIGHT, BELOW = 0, 1
+
+
+def square(texels=16, place=(4, 4), image=32):
+    """Two triangles over a square of the image."""
+    positions, faces = quads(1, 1, texels, np.zeros((1, 1)))
+    return textured(positions, faces, positions[faces][..., :2] + place, [(image, image)])
+
+
+def cylinder(sides=8, texels=32, height=8, radius=1.0):
+    """One chart, whose left and right border are one seam."""
+    angles = 2 * np.pi * np.arange(sides) / sides
+    ring = radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    positions = np.concatenate([np.column_stack([ring, np.full(sides, z)]) for z in (0.0, 1.0)])
+    faces, corners = [], []
+    for i in range(sides):
+        j, left, right = (i + 1) % sides, i * texels / sides, (i + 1) * texels / sides
+        faces += [[i, j, sides + j], [i, sides + j, sides + i]]
+        corners += [[[left, 0], [right, 0], [right, height]], [[left, 0], [right, height], [left, height]]]
+    corners = np.array(corners) + 5
+    return textured(positions, faces, corners, [(texels + 10, height + 10)])
+
+
+def test_a_cube_has_six_charts_and_twelve_seams():
+    surface = cube(16)
+    atlas = build_atlas(surface, [(124, 24)], 3)
+    assert (atlas.charts, atlas.seams, atlas.seam_edges) == (6, 12, 12)
+    assert atlas.covered == 6 * 16 * 16
+    assert np.bincount(atlas.chart_of).tolist() == [256] * 6
+    assert len(atlas.halo_cells) == 6 * (22 * 22 - 16 * 16)  # closed: every cell of a margin has a place
+    assert set(atlas.halo_seams) == set(range(12))
+
+
+def test_a_halo_lies_on_the_surface_where_the_chart_goes_on():
+    """Next to a cube's edge both cells are half a texel away from it, at a right angle."""
+    atlas = build_atlas(cube(16), [(124, 24)], 3)
+    lengths = atlas.squared_lengths[RIGHT]
+    pair = (atlas.kind[:, :-1] == OWNED) & (atlas.kind[:, 1:] == HALO)
+    assert pair.sum() == 6 * 16
+    assert np.allclose(lengths[:, :-1][pair], 0.5, atol=1e-6)
+    inside = (atlas.kind[:, :-1] == OWNED) & (atlas.kind[:, 1:] == OWNED)
+    assert np.array_equal(lengths[:, :-1][inside], np.ones(inside.sum(), np.float32))
+
+
+def test_nothing_is_beyond_an_open_boundary():
+    atlas = build_atlas(square(), [(32, 32)], 3)
+    assert (atlas.charts, atlas.seams, len(atlas.halo_cells), len(atlas.gutter_cells)) == (1, 0, 0, 0)
+    assert atlas.kind.shape == (22, 22)
+    owned = np.zeros((22, 22), bool)
+    owned[3:19, 3:19] = True
+    assert np.array_equal(atlas.kind == OWNED, owned)
+    assert not np.isfinite(atlas.squared_lengths[RIGHT][:, 18]).any()
+    assert not np.isfinite(atlas.squared_lengths[BELOW][18]).any()
+
+
+def test_a_cylinder_is_periodic():
+    atlas = build_atlas(cylinder(), [(42, 18)], 3)
+    assert (atlas.charts, atlas.seams, atlas.seam_edges) == (1, 1, 1)
+    texels = np.full(atlas.kind.size, -1)
+    texels[atlas.owned_cells] = atlas.owned_texels
+    texels[atlas.halo_cells] = texels[atlas.halo_taps[:, 0]]
+    texels = texels.reshape(atlas.kind.shape)
+    assert np.array_equal(atlas.halo_weights[:, 0], np.ones(8 * 6, np.float32))
+    ring = texels[3:-3]
+    assert np.array_equal(ring[:, :3], ring[:, 32:35])
+    assert np.array_equal(ring[:, -3:], ring[:, 3:6])
+    lengths = atlas.squared_lengths[RIGHT][3:-3]
+    assert np.allclose(lengths[:, :3], lengths[:, 32:35], rtol=1e-5)
+    assert np.isfinite(lengths[:, :-1]).all()
+    assert (atlas.kind[:3] == EMPTY).all()
+
+
+def test_faces_on_one_side_of_their_common_edge_in_the_image_are_mirrored_halves():
+    positions = np.array([[0, 0, 0], [0, 8, 0], [8, 4, 0], [-8, 4, 0]], float)
+    corners = [[[4, 4], [4, 12], [12, 8]], [[4, 12], [4, 4], [12, 8]]]
+    surface = textured(positions, [[0, 1, 2], [1, 0, 3]], corners, [(16, 16)])
+    atlas = build_atlas(surface, [(16, 16)], 3)
+    assert (atlas.charts, atlas.seams) == (2, 1)
+    assert atlas.overlapped == atlas.covered == len(atlas.owned_cells)
+    assert set(atlas.chart_of) == {0}
+    rows, columns = np.divmod(atlas.halo_cells, atlas.kind.shape[1])
+    mirrored = atlas.halo_taps[:, 0]
+    assert (atlas.halo_weights[:, 0] == 1).all()
+    first = columns.max() + 1  # the column of owned cells at the axis
+    assert np.array_equal(mirrored, rows * atlas.kind.shape[1] + 2 * first - 1 - columns)
+
+
+def test_a_texture_that_tiles_needs_one_period_only_and_wraps():
+    periods, size = 30, 16
+    positions, faces = quads(periods, periods, 1, np.zeros((periods, periods)))
+    corners = positions[faces][..., :2] * size + 5
+    surface = textured(positions, faces, corners, [(size, size)])
+    atlas = build_atlas(surface, [(size, size)], 3)
+    assert (atlas.charts, atlas.covered, atlas.overlapped) == (1, size * size, size * size)
+    assert atlas.kind.shape == (size + 6, size + 6)
+    assert (atlas.halo_seams == -1).all()
+    texels = np.full(atlas.kind.size, -1)
+    texels[atlas.owned_cells] = atlas.owned_texels
+    texels[atlas.halo_cells] = texels[atlas.halo_taps[:, 0]]
+    columns = texels.reshape(atlas.kind.shape)[8] % size
+    assert np.array_equal(np.diff(columns) % size, np.ones(size + 5))
+    finite = atlas.squared_lengths[RIGHT][np.isfinite(atlas.squared_lengths[RIGHT])]
+    assert np.allclose(finite, size**-2)
+
+
+@pytest.mark.parametrize(("wrap", "covered"), [("repeat", 48), ("mirror", 24), ("clamp", 24)])
+def test_what_lies_beyond_the_image_follows_the_wrap_mode(wrap, covered):
+    """A square half of which lies over the image's right border, 3 texels."""
+    positions, faces = quads(1, 1, 8, np.zeros((1, 1)))
+    corners = positions[faces][..., :2] * [0.75, 1] + [13, 4]
+    atlas = build_atlas(textured(positions, faces, corners, [(16, 16)], wrap=(wrap, "repeat")), [(16, 16)], 3)
+    assert atlas.covered == covered
+    assert atlas.overlapped == (24 if wrap == "mirror" else 0)
+
+
+def test_two_textures_are_joined_by_seams():
+    positions, faces = quads(2, 1, 8, np.zeros((1, 2)))
+    corners = positions[faces][..., :2] + 4
+    surface = textured(positions, faces, corners, [(24, 16), (32, 40)], texture_of=[0, 0, 1, 1])
+    atlas = build_atlas(surface, [(24, 16), (32, 40)], 3)
+    assert (atlas.charts, atlas.seams, atlas.seam_edges) == (2, 1, 1)
+    assert atlas.texture_offsets.tolist() == [0, 24 * 16, 24 * 16 + 32 * 40]
+    assert np.bincount(atlas.owned_texels >= 24 * 16).tolist() == [64, 64]
+    assert len(atlas.halo_cells) == 2 * 8 * 3
+
+
+def test_three_faces_on_an_edge_end_the_chart():
+    positions = np.array([[0, 0, 0], [0, 8, 0], [8, 4, 0], [-8, 4, 0], [0, 4, 8]], float)
+    triangle = np.array([[0, 0], [0, 8], [8, 4]])
+    corners = triangle + np.array([[[4, 4]], [[20, 4]], [[36, 4]]])
+    surface = textured(positions, [[0, 1, 2], [0, 1, 3], [0, 1, 4]], corners, [(64, 16)])
+    atlas = build_atlas(surface, [(64, 16)], 3)
+    assert (atlas.charts, atlas.seams, len(atlas.halo_cells)) == (3, 0, 0)
+
+
+def test_faces_given_twice_count_once():
+    surface = square()
+    twice = dataclasses.replace(
+        surface,
+        faces=np.concatenate([surface.faces, surface.faces[:, ::-1]]),
+        uv=np.concatenate([surface.uv, surface.uv[:, ::-1]]),
+        texture_of=np.zeros(4, np.int32),
+    )
+    once, again = build_atlas(surface, [(32, 32)], 3), build_atlas(twice, [(32, 32)], 3)
+    for name, value in vars(once).items():
+        assert np.array_equal(value, getattr(again, name)), name
+
+
+def test_vertices_are_joined_in_one_space_only():
+    surface = cube(8)
+    apart = np.repeat(np.arange(6, dtype=np.int32), 4)
+    atlas = build_atlas(dataclasses.replace(surface, space_of=apart), [(124, 24)], 3)
+    assert (atlas.charts, atlas.seams) == (6, 0)
+
+
+def test_the_walk_leads_over_charts_without_texels():
+    """A strip thinner than a texel, in a chart of its own, lies between two squares."""
+    x = [0, 8, 8.125, 16.125]
+    positions = np.array([[a, b, 0] for b in (0, 8) for a in x], float)
+    faces, corners = [], []
+    for i, left in enumerate((4, 18.6, 30)):
+        faces += [[i, i + 1, i + 5], [i, i + 5, i + 4]]
+        right = left + x[i + 1] - x[i]
+        quad = np.array([[left, 4], [right, 4], [right, 12], [left, 12]])
+        corners += [quad[[0, 1, 2]], quad[[0, 2, 3]]]
+    atlas = build_atlas(textured(positions, faces, corners, [(48, 16)]), [(48, 16)], 3)
+    assert (atlas.charts, atlas.seams) == (3, 2)
+    assert set(atlas.chart_of) == {0, 2}
+    assert len(atlas.halo_cells) == 2 * 8 * 3
+    # The strip shifts what lies beyond it by an eighth of a texel; the first texel beyond has no texel before it.
+    weights = np.sort(atlas.halo_weights, axis=1)[:, 2:]
+    alone = weights[:, 1] == 1
+    assert alone.sum() == 2 * 8
+    assert np.allclose(weights[~alone], [0.125, 0.875], atol=1e-6)
+
+
+def test_a_palette_whose_coordinates_are_points_covers_nothing():
+    surface = square()
+    points = dataclasses.replace(surface, uv=np.full_like(surface.uv, 0.5 / 32))
+    atlas = build_atlas(points, [(32, 32)], 3)
+    assert (atlas.covered, len(atlas.owned_cells), len(atlas.halo_cells)) == (0, 0, 0)
+    assert (atlas.kind == EMPTY).all()
+    assert atlas.kind.shape == (6, 6)
+
+
+def test_texel_centres_on_the_border_are_covered():
+    """A grid with a vertex at each texel's centre, as depth maps give, covers all texels."""
+    positions, faces = quads(7, 5, 1, np.zeros((5, 7)))
+    surface = textured(positions, faces, positions[faces][..., :2] + 0.5, [(8, 6)])
+    atlas = build_atlas(surface, [(8, 6)], 3)
+    assert (atlas.covered, atlas.overlapped) == (48, 0)
+    assert np.array_equal(atlas.squared_lengths[RIGHT][3:9, 3:10], np.ones((6, 7), np.float32))

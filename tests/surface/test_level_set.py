@@ -1,0 +1,122 @@
+"""Triangulated level sets: on the surface, closed, even, and with holes where nothing is known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from beltrami_cli.surface import level_set
+from beltrami_cli.surface.level_set import find_crossings, triangulate_level_set
+from oracles.level_sets import CENTRE, euler_characteristic, sphere
+
+RANDOM = np.random.default_rng(5)
+
+
+def triangulated(values, level=0.0, known=None):
+    return triangulate_level_set(values, level, find_crossings(values, level, known), known)
+
+
+@pytest.mark.parametrize("spacing", [0.3, 0.1, 0.05])
+def test_vertices_are_on_the_sphere_to_second_order(spacing):
+    values, steps, origin = sphere(spacing)
+    vertices, _ = triangulated(values)
+    distance = np.linalg.norm(origin + vertices * steps - CENTRE, axis=1) - 1
+    # Along an edge the distance bends by at most 1/R: linear interpolation is off by h^2 / 8R. The middle of vertices
+    # in a cube of side h is further inside by its half diagonal squared over 2R, 3 h^2 / 8R. A third order remains.
+    assert np.abs(distance).max() < 0.5 * spacing**2 * (1 + spacing)
+
+
+@settings(deadline=None, max_examples=20)
+@given(st.tuples(*[st.floats(-0.5, 0.5)] * 3), st.sampled_from([0.3, 0.17]))
+def test_a_sphere_anywhere_on_the_grid_is_closed_even_and_faces_outwards(offset, spacing):
+    values, steps, origin = sphere(spacing)
+    values = np.linalg.norm(
+        np.moveaxis(np.indices(values.shape), 0, -1) * steps + origin - np.array(offset) * spacing, axis=-1
+    )
+    vertices, faces = triangulated(values, level=1.0)
+    characteristic, uses = euler_characteristic(len(vertices), faces)
+    assert characteristic == 2
+    assert (uses == 2).all()
+    corners = vertices[faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    middle = np.array(offset) - origin / spacing
+    assert ((corners.mean(axis=1) - middle) * normals).sum(axis=1).min() > 0
+    lengths = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
+    # Without the compaction there are edges of a thousandth of a voxel. Two clusters touch at most at their corners.
+    assert lengths.min() > 1 / 3
+    assert lengths.max() < 3
+
+
+def test_the_two_sides_of_a_sheet_thinner_than_a_voxel_stay_apart():
+    x, y, z = np.indices((14, 14, 10)) - np.array([6.5, 6.5, 4.5])[:, None, None, None]
+    values = np.maximum(np.maximum(abs(x) - 4.3, abs(y) - 4.2), abs(z - 0.5) - 0.45)
+    vertices, faces = triangulated(values)
+    characteristic, uses = euler_characteristic(len(vertices), faces)
+    assert characteristic == 2
+    assert (uses == 2).all()
+    inner = np.abs(vertices[:, :2] - 6.5).max(axis=1) < 3
+    heights = np.sort(vertices[inner, 2]) - 5
+    np.testing.assert_allclose(np.abs(heights), 0.45, atol=1e-5)
+
+
+def test_values_on_the_level_itself_leave_no_holes():
+    values = RANDOM.integers(-3, 4, (16, 16, 16)).astype(np.int8)
+    values = np.pad(values, 1, constant_values=5)
+    _, faces = triangulated(values)
+    _, uses = euler_characteristic(0, faces)
+    assert (uses % 2 == 0).all()  # closed: every edge lies between two faces, or twice two
+    assert len(np.unique(np.sort(faces, axis=1), axis=0)) == len(faces)
+
+
+def test_units_of_the_values_do_not_matter():
+    values, _, _ = sphere(0.2)
+    vertices, faces = triangulated(values)
+    for factor in (2.0**-60, 2.0**60):
+        again = triangulated(factor * values)
+        np.testing.assert_array_equal(again[0], vertices)
+        np.testing.assert_array_equal(again[1], faces)
+
+
+def test_unknown_voxels_are_holes_and_their_values_have_no_influence():
+    values, _, _ = sphere(0.2)
+    whole, _ = triangulated(values)
+    unknown = tuple(np.array([8, 8, 12]))
+    holed = values.copy()
+    holed[unknown] = np.nan
+    vertices, faces = triangulated(holed)
+    middle = vertices[faces].mean(axis=1)
+    assert not (np.abs(middle - unknown) < 1).all(axis=1).any()  # no triangle in the eight cells around it
+    _, uses = euler_characteristic(0, faces)
+    assert (uses == 1).any()
+    assert len(vertices) < len(whole)
+    known = np.ones(values.shape, bool)
+    known[unknown] = False
+    for value in (-50.0, 0.0, 50.0, np.inf):
+        holed[unknown] = value
+        again = triangulated(holed, known=known)
+        np.testing.assert_array_equal(again[0], vertices)
+        np.testing.assert_array_equal(again[1], faces)
+
+
+def test_a_surface_that_no_known_cell_holds_is_empty():
+    values = np.array([-1.0, 1.0, np.nan]).repeat(4).reshape(3, 2, 2)
+    values[1, 0, 0] = np.nan
+    vertices, faces = triangulated(values)
+    assert vertices.shape == faces.shape == (0, 3)
+
+
+@pytest.mark.parametrize("slab", [1, 100, 1 << 22])
+def test_crossings_are_counted_alike_in_slabs_and_at_once(slab, monkeypatch):
+    monkeypatch.setattr(level_set, "_SLAB", slab)
+    values = RANDOM.standard_normal((9, 7, 8))
+    values[RANDOM.random(values.shape) < 0.1] = np.nan
+    count = 0
+    for axis in range(3):
+        a, b = np.moveaxis(values, axis, 0)[:-1] - 0.3, np.moveaxis(values, axis, 0)[1:] - 0.3
+        count += int((a * b < 0).sum())
+    assert find_crossings(values, 0.3).count == count
+    without_slabs, _ = triangulated(values, 0.3)
+    monkeypatch.setattr(level_set, "_SLAB", 1 << 22)
+    np.testing.assert_array_equal(triangulated(values, 0.3)[0], without_slabs)

@@ -1,0 +1,225 @@
+"""Points are joined like the surface that they were taken from, without being told of it."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import Delaunay
+from scipy.spatial.transform import Rotation
+
+from beltrami_cli.surface.painted import PaintedVertices
+from beltrami_cli.surface.point_triangulation import faces_of_points, triangulate_points
+from beltrami_cli.surface.vertex_sampling import sample_vertices
+from oracles import surfaces
+
+
+def as_set(faces):
+    return {tuple(sorted(face)) for face in np.asarray(faces).tolist()}
+
+
+def grid(rows, columns, jitter=0.0, seed=0):
+    y, x = np.mgrid[:rows, :columns].astype(float)
+    return np.column_stack([x.ravel(), y.ravel()]) + np.random.default_rng(seed).uniform(
+        -jitter, jitter, (rows * columns, 2)
+    )
+
+
+def lifted(flat, height=0.0):
+    return np.column_stack([flat, np.full(len(flat), height)])
+
+
+def inside(flat, margin):
+    return ((flat > flat.min(axis=0) + margin) & (flat < flat.max(axis=0) - margin)).all(axis=1)
+
+
+def radii(flat, faces):
+    a, b, c = (flat[faces[:, i]] - flat[faces[:, j]] for i, j in ((0, 1), (1, 2), (2, 0)))
+    area = np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
+    return np.linalg.norm(a, axis=1) * np.linalg.norm(b, axis=1) * np.linalg.norm(c, axis=1) / (2 * area)
+
+
+def components(count, faces):
+    edges = np.concatenate([faces[:, :2], faces[:, 1:]])
+    return connected_components(coo_array((np.ones(len(edges)), edges.T), (count, count)), directed=False)
+
+
+def outliers(count, faces):
+    return np.setdiff1d(np.arange(count), faces)
+
+
+def test_in_a_plane_the_triangles_are_those_of_the_delaunay_triangulation():
+    flat = grid(50, 50, 0.4)
+    middle = np.flatnonzero(inside(flat, 3))
+    expected = Delaunay(flat).simplices
+    found = triangulate_points(lifted(flat))
+    assert as_set(found[np.isin(found, middle).all(axis=1)]) == as_set(
+        expected[np.isin(expected, middle).all(axis=1)]
+    )
+
+
+def test_of_points_at_random_only_wide_gaps_are_left_open():
+    """Hardly any triangle is larger than 2.5 mean spacings, but the spacing is local, and less where points crowd."""
+    flat = np.random.default_rng(1).uniform(0, 50, (2500, 2))
+    expected, found = Delaunay(flat).simplices, triangulate_points(lifted(flat))
+    middle = np.flatnonzero(inside(flat, 3))
+    expected = as_set(expected[np.isin(expected, middle).all(axis=1)])
+    found = as_set(found[np.isin(found, middle).all(axis=1)])
+    left_open = np.array(sorted(expected - found))
+    assert len(left_open) < 0.01 * len(expected)
+    assert (radii(flat, left_open) > 1).all()  # those of half the triangles are below 0.73
+    # Four points as good as on one circle are joined in both ways.
+    assert len(found - expected) < 0.001 * len(expected)
+
+
+@pytest.mark.parametrize("ratio", [3, 10, 20])
+def test_the_dense_lines_of_a_scanner_are_joined_with_each_other(ratio):
+    rng = np.random.default_rng(2)
+    x, line = (part.ravel().astype(float) for part in np.meshgrid(np.arange(15 * ratio), np.arange(11)))
+    flat = np.column_stack([x + rng.uniform(-0.3, 0.3, len(x)), ratio * line + rng.normal(0, 0.05, len(x))])
+    found = triangulate_points(np.column_stack([flat, rng.normal(0, 0.05, len(flat))]))
+    assert not len(outliers(len(flat), found))
+    expected = as_set(Delaunay(flat).simplices)
+    middle = np.flatnonzero(inside(flat, 2.5 * ratio))
+    true = as_set(t for t in expected if np.isin(t, middle).all())
+    # Ranges have noise, so neighbouring points may see four points nearly on a circle otherwise.
+    assert len(true & as_set(found)) > 0.98 * len(true)
+
+
+def test_vertices_of_a_sphere_get_the_faces_of_the_sphere_back():
+    positions, faces = surfaces.icosphere(4)
+    assert as_set(triangulate_points(positions)) == as_set(faces)
+
+
+def test_a_grid_has_both_diagonals_of_every_square():
+    found = triangulate_points(lifted(grid(20, 20)))
+    assert len(found) == 4 * 19 * 19
+    assert np.array_equal(np.unique(np.ptp(found, axis=1)), [20, 21])  # each within one square
+
+
+@pytest.mark.parametrize(("scale", "shift"), [(1, 0), (1e-3, 4.2e6), (1e-300, 0), (1e300, 0), (0.03, -7)])
+def test_triangles_follow_rotations_scales_and_shifts(scale, shift):
+    """Also where millimetres are told in coordinates of thousands of kilometres, of doubles some 1e-9 apart."""
+    rng = np.random.default_rng(3)
+    positions, _ = surfaces.terrain(30, 30, 0.15, 4)
+    positions[:, :2] += rng.uniform(-0.3, 0.3, (900, 2))
+    turned = Rotation.random(None, rng).apply(positions) * scale + shift
+    assert as_set(triangulate_points(turned)) == as_set(triangulate_points(positions))
+
+
+def test_order_and_threads_make_no_difference():
+    rng = np.random.default_rng(5)
+    positions = np.concatenate([lifted(grid(40, 40)), rng.normal((60, 0, 0), 1, (400, 3))])
+    found = triangulate_points(positions, 1)
+    assert np.array_equal(triangulate_points(positions, 3), found)
+    order = rng.permutation(len(positions))
+    assert as_set(order[triangulate_points(positions[order], 2)]) == as_set(found)
+
+
+@pytest.mark.parametrize("gap", [1.5, 2, 3, 5])
+def test_sheets_close_to_each_other_are_not_joined(gap):
+    flat = grid(40, 40, 0.35)
+    positions = np.concatenate([lifted(flat), lifted(grid(40, 40, 0.35, 6) + 0.4, gap)])
+    found = triangulate_points(positions)
+    assert not len(outliers(len(positions), found))
+    # At the rim two sheets nearby look like the edge of a plate.
+    middle = np.flatnonzero(np.tile(inside(flat, 3), 2))
+    found = found[np.isin(found, middle).any(axis=1)]
+    assert ((found < len(flat)).all(axis=1) | (found >= len(flat)).all(axis=1)).all()
+
+
+@pytest.mark.parametrize(("gap", "pieces"), [(2.5, 1), (7, 2)])
+def test_narrow_gaps_are_bridged_and_wide_ones_stay_open(gap, pieces):
+    flat = grid(30, 30, 0.3)
+    flat[flat[:, 0] > 14.5, 0] += gap - 1
+    assert components(len(flat), triangulate_points(lifted(flat)))[0] == pieces
+
+
+def test_parts_of_different_density_are_joined():
+    dense, sparse = grid(40, 20, 0.3), 3 * grid(14, 10, 0.3) + [22, 0]
+    found = triangulate_points(lifted(np.concatenate([dense, sparse])))
+    assert components(len(dense) + len(sparse), found)[0] == 1
+
+
+def test_the_faces_of_a_box_are_joined_along_its_edges():
+    sides = []
+    for axis in range(3):
+        sides += [np.insert(grid(20, 20, 0.3, axis), axis, 19 * end, axis=1) for end in (0, 1)]
+    positions = np.concatenate(sides)
+    found = triangulate_points(positions)
+    assert components(len(positions), found)[0] == 1
+    assert not len(outliers(len(positions), found))
+
+
+def test_noise_of_half_a_spacing_in_depth_isolates_nobody():
+    positions, faces = surfaces.icosphere(4)
+    depth = 0.5 * surfaces.mean_edge_length(positions, faces)
+    noisy = positions * (1 + depth * np.random.default_rng(7).standard_normal((len(positions), 1)))
+    found = triangulate_points(noisy)
+    assert not len(outliers(len(noisy), found))
+    assert len(as_set(found) & as_set(faces)) > 0.5 * len(faces)
+
+
+def test_points_strewn_around_a_surface_are_outliers():
+    rng = np.random.default_rng(8)
+    surface = lifted(grid(40, 40, 0.3))
+    strewn = rng.uniform(-200, 200, (400, 3))
+    strewn = strewn[np.abs(strewn[:, 2]) > 10]
+    found = triangulate_points(np.concatenate([surface, strewn, surface[[820]] + [0, 0, 8]]))
+    assert outliers(len(surface) + len(strewn) + 1, found).tolist() == list(
+        range(len(surface), len(surface) + len(strewn) + 1)
+    )
+
+
+def test_points_in_one_line_have_no_triangles():
+    line = np.column_stack([np.linspace(0, 1, 60), np.zeros((60, 2))])
+    assert len(triangulate_points(line)) == 0
+    wire = line + 1e-4 * np.random.default_rng(9).standard_normal(line.shape)
+    assert len(triangulate_points(wire)) == 0
+
+
+def test_tiny_clouds_have_what_triangles_they_can():
+    corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]])
+    assert [len(triangulate_points(corners[:count])) for count in range(5)] == [0, 0, 0, 1, 4]
+    assert len(triangulate_points(corners[:4, :2])) == 4
+
+
+def test_large_clouds_are_handled_in_blocks(monkeypatch):
+    from beltrami_cli.surface import point_triangulation as points
+
+    positions, faces = surfaces.icosphere(3)
+    monkeypatch.setattr(points, "_BLOCK", 100)
+    assert as_set(triangulate_points(positions)) == as_set(faces)
+
+
+def painted(positions, colours, space_of=None):
+    none = np.empty((0, 3), np.int32)
+    return PaintedVertices(
+        positions, none, np.asarray(colours, np.float32), ("grey",), "srgb", "float32", space_of
+    )
+
+
+def test_coincident_points_take_part_each_with_its_colour():
+    rng = np.random.default_rng(10)
+    places = lifted(grid(12, 12, 0.3))
+    positions = np.concatenate([places, places[:70], places[:70], places[30:40]])
+    colours = np.concatenate([np.zeros(144), np.zeros(70), rng.random(80)])[:, None]
+    record = painted(positions, colours)
+    faces = faces_of_points(record, 1)
+    assert not len(outliers(len(positions), faces))
+    surface, sampling = sample_vertices(dataclasses.replace(record, faces=faces), record.colours)
+    assert len(surface.colours) == 144 + 80  # copies of the same colour are one sample
+    assert components(len(surface.colours), surface.all_faces)[0] == 1
+    assert as_set(sampling.place_of[surface.faces]) == as_set(triangulate_points(places))
+
+
+def test_points_of_different_spaces_are_not_joined():
+    places = lifted(grid(8, 8, 0.3))
+    spaces = np.repeat(np.array([4, 2], np.int32), 64)
+    record = painted(np.concatenate([places, places + 0.01]), np.zeros((128, 1)), spaces)
+    count, label = components(128, faces_of_points(record, 1))
+    assert count == 2
+    assert len(np.unique(label[:64])) == 1

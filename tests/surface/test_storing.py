@@ -1,0 +1,82 @@
+"""Numbers are rounded as arithmetic without rounding errors says, and their changes are counted exactly."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from beltrami_cli.surface.storing import store_integers
+
+
+def nearest(value, most):
+    """The integer nearest to value * most, the even of two, by rational numbers."""
+    return round(Fraction(float(np.float32(min(max(value, 0), 1)))) * most)
+
+
+@given(
+    st.sampled_from([np.uint8, np.uint16]),
+    st.sampled_from([np.int32, np.int64]),
+    st.sampled_from([[3, 0], [0, 1, 2, 3], [0, 1, 3, 2]]),
+    st.lists(st.floats(-0.5, 1.5, width=32) | st.sampled_from([0.5, 0.1, np.inf, -np.inf]), max_size=80),
+    st.booleans(),
+    st.integers(1, 3),
+)
+@settings(max_examples=200, deadline=None)
+def test_each_number_is_rounded_once_and_nothing_else_changes(
+    kind, index, channels, numbers, in_runs, threads
+):
+    most, width = int(np.iinfo(kind).max), len(channels)
+    values = np.array(numbers[: len(numbers) // width * width], np.float32).reshape(-1, width)
+    random = np.random.default_rng(len(numbers))
+    table = random.integers(0, most + 1, (50, 4)).astype(kind)
+    pixels = random.permutation(50)[: len(values)].astype(index)
+    if in_runs:
+        pixels.sort()
+    expected = table.astype(int)
+    for pixel, row in zip(pixels, values, strict=True):
+        expected[pixel, channels] = [nearest(value, most) for value in row]
+    step = np.abs(expected - table)
+    found = store_integers(table, pixels, values, channels, threads)
+    assert np.array_equal(table, expected)
+    # Sums of integers are exact, so only their quotients are rounded.
+    scale = np.array([most, most**2, most])
+    assert found == pytest.approx(
+        np.array([step.sum(), np.square(step).sum(), step.max()]) / scale, rel=1e-15
+    )
+
+
+def test_the_largest_changes_of_many_numbers_in_one_run_are_summed_exactly():
+    for kind in (np.uint8, np.uint16):
+        most = int(np.iinfo(kind).max)
+        table, pixels = np.full((100_000, 3), most, kind), np.arange(100_000)
+        total, squares, largest = store_integers(
+            table, pixels, np.zeros((100_000, 3), np.float32), [0, 1, 2], 2
+        )
+        assert (total, squares, largest) == (300_000, 300_000, 1)
+
+
+def test_every_stored_number_comes_back():
+    for kind in (np.uint8, np.uint16):
+        table = np.arange(np.iinfo(kind).max + 1, dtype=kind)[:, None]
+        values = table.astype(np.float32) / np.float32(np.iinfo(kind).max)
+        stored = np.zeros_like(table)
+        store_integers(stored, np.arange(len(table)), values, [0], 2)
+        assert np.array_equal(stored, table)
+
+
+def test_what_is_no_number_becomes_0():
+    table = np.full((2, 1), 7, np.uint8)
+    store_integers(table, np.array([1]), np.array([[np.nan]], np.float32), [0], 1)
+    assert table.tolist() == [[7], [0]]
+
+
+@pytest.mark.parametrize(("pixels", "channels"), [([2], [0]), ([-1], [0]), ([0], [3]), ([0], [-1])])
+def test_what_is_not_there_is_refused(pixels, channels):
+    with pytest.raises(IndexError):
+        store_integers(
+            np.zeros((2, 3), np.uint8), np.array(pixels), np.zeros((1, 1), np.float32), channels, 1
+        )

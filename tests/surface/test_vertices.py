@@ -1,0 +1,123 @@
+"""What a format splits is one sample; hard colour edges keep both colours and stay connected."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+import beltrami_cli
+from beltrami_cli.surface.grouping import group_equal_rows
+from beltrami_cli.surface.painted import PaintedVertices
+from beltrami_cli.surface.vertex_sampling import sample_vertices
+from oracles import surfaces
+
+
+def painted(positions, faces, colours, space_of=None):
+    colours = np.asarray(colours, np.float32)
+    names = tuple("rgb"[: colours.shape[1]])
+    return PaintedVertices(
+        positions, np.asarray(faces, np.int32), colours, names, "srgb", "float32", space_of
+    )
+
+
+def soup(positions, faces, colours):
+    """Every triangle with vertices of its own."""
+    corners = faces.ravel()
+    return positions[corners], np.arange(len(corners), dtype=np.int32).reshape(-1, 3), colours[corners]
+
+
+@given(
+    st.lists(
+        st.tuples(st.integers(-2, 2), st.sampled_from((0.0, -0.0, 1.5, 1e-300))), min_size=1, max_size=40
+    )
+)
+def test_equal_rows_are_numbered_in_the_order_of_their_first(rows):
+    group_of, first = group_equal_rows(np.array([a for a, _ in rows]), np.array([b for _, b in rows]))
+    seen = {}
+    expected = [seen.setdefault(row, len(seen)) for row in rows]
+    assert group_of.tolist() == expected
+    assert [rows[i] for i in first] == list(seen)
+
+
+def test_rows_with_equal_hashes_are_told_apart(monkeypatch):
+    from beltrami_cli.surface import grouping
+
+    monkeypatch.setattr(grouping, "_mix", lambda word: word & np.uint64(0))
+    group_of, first = group_equal_rows(np.array([3, 1, 3, 2, 1]), np.array([0.0, 1.0, 0.0, 0.0, 2.0]))
+    assert group_of.tolist() == [0, 1, 0, 2, 3]
+    assert first.tolist() == [0, 1, 3, 4]
+
+
+def test_a_soup_of_triangles_is_smoothed_like_the_connected_mesh():
+    positions, faces = surfaces.icosphere(3)
+    colours = np.random.default_rng(0).random((len(positions), 3))
+    whole = beltrami_cli.smooth(positions, faces, colours)
+    split = beltrami_cli.smooth(*soup(positions, faces, colours))
+    assert split.samples == whole.samples
+    assert split.hard_edge_samples == 0
+    assert np.abs(split.colours - whole.colours[faces.ravel()]).max() < 5e-3
+    assert np.abs(split.colours - whole.colours[faces.ravel()]).mean() < 1e-5
+
+
+def test_vertices_in_different_spaces_are_not_joined():
+    positions = np.zeros((4, 3))
+    record = painted(positions, [[0, 1, 2]], np.full((4, 3), 0.5), np.array([0, 0, 1, 1], np.int32))
+    _, sampling = sample_vertices(record, record.colours)
+    assert sampling.sample_of.tolist() == [0, 0, 1, 1]
+
+
+def two_halves(jump):
+    """A plane whose halves are split along the middle column, with a colour jump there."""
+    side = 21
+    positions, faces = surfaces.plane(side, side)
+    left = faces[(positions[faces][:, :, 0] <= 10).all(axis=1)]
+    right = faces[(positions[faces][:, :, 0] >= 10).all(axis=1)]
+    count = len(positions)
+    both = np.concatenate([positions, positions])
+    grey = np.concatenate([np.full(count, 0.3), np.full(count, 0.3 + jump)])[:, None]
+    return both, np.concatenate([left, right + count]), grey, count
+
+
+def test_both_sides_of_a_hard_edge_keep_their_own_colour():
+    positions, faces, colours, count = two_halves(0.5)
+    result = beltrami_cli.smooth(positions, faces, colours, beta=30, t=1.0, iterations=3, space="data")
+    assert result.hard_edge_samples == 21 * 21  # the unused halves of both copies stand apart as well
+    used = np.unique(faces)
+    middle = used[positions[used, 0] == 10]
+    assert np.allclose(result.colours[middle[middle < count]], 0.3, atol=0.01)
+    assert np.allclose(result.colours[middle[middle >= count]], 0.8, atol=0.01)
+
+
+def test_the_surface_stays_connected_through_a_colour_jump():
+    """A small jump is smoothed over, as it is where the mesh is not split."""
+    positions, faces, colours, _ = two_halves(0.02)
+    result = beltrami_cli.smooth(positions, faces, colours, beta=5, t=2.0, iterations=10, space="data")
+    used = np.unique(faces)
+    middle = result.colours[used[positions[used, 0] == 10], 0]
+    assert np.ptp(middle) < 0.25 * 0.02
+    apart = positions.copy()
+    apart[len(positions) // 2 :, 2] += 50  # no longer coincident: two surfaces
+    lonely = beltrami_cli.smooth(apart, faces, colours, beta=5, t=2.0, iterations=10, space="data").colours
+    assert np.array_equal(lonely, colours.astype(np.float32))
+
+
+def test_three_copies_of_an_edge_form_one_chain_and_walls_have_no_area():
+    positions = np.array([[0, 0, 0], [0, 1, 0]] * 3 + [[1, 0, 0], [-1, 0, 0], [0, 0, 1]], float)
+    faces = [[0, 1, 6], [2, 3, 7], [4, 5, 8]]
+    colours = np.array([[0.9]] * 2 + [[0.1]] * 2 + [[0.5]] * 2 + [[0.5]] * 3)
+    record = painted(positions, faces, colours)
+    surface, _ = sample_vertices(record, record.colours)
+    assert len(surface.walls) == 8
+    joined = {
+        frozenset(pair) for wall in surface.colours[surface.walls][:, :, 0].tolist() for pair in [set(wall)]
+    }
+    assert {tuple(round(v, 1) for v in sorted(pair)) for pair in joined} == {(0.1, 0.5), (0.5, 0.9)}
+
+
+def test_copies_that_share_one_end_are_joined_by_a_single_triangle():
+    positions = np.array([[0, 0, 0], [0, 1, 0], [1, 0, 0], [0, 1, 0], [-1, 0, 0]], float)
+    faces = [[0, 1, 2], [0, 3, 4]]
+    record = painted(positions, faces, np.array([[0.5], [0.2], [0.2], [0.7], [0.7]]))
+    surface, _ = sample_vertices(record, record.colours)
+    assert len({frozenset(wall) for wall in surface.walls.tolist()}) == 1

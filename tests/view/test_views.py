@@ -1,0 +1,255 @@
+"""What is drawn is where geometry puts it, as bright as the law of the lamp says, in the colours that it has."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from beltrami_cli.surface.areas import triangle_areas
+from beltrami_cli.surface.textured import Texture, TexturedSurface
+from beltrami_cli.surface.transfer import linear_to_srgb
+from beltrami_cli.view.drawing import draw_views
+from beltrami_cli.view.rendering.camera import WHOLE, fitted, orientation
+from beltrami_cli.view.rendering.cloud_view import CloudView
+from beltrami_cli.view.rendering.details import richest_window
+from beltrami_cli.view.rendering.image_view import ImageView
+from beltrami_cli.view.rendering.paint import TexturePaint, VertexPaint
+from beltrami_cli.view.rendering.sheet import Background, Panel, arranged, displayed, is_lost_on_white
+from beltrami_cli.view.rendering.surface_view import AMBIENT, LAMP, SurfaceView
+from beltrami_cli.view.settings import RenderSettings
+from beltrami_cli.view.views import within_reach
+from oracles import surfaces
+
+pytest.importorskip("embreex")
+
+FRONT = orientation(0, 0)
+FILLED = 0.92  # of a view
+
+
+def square(z=0.0, colour=(1.0, 1.0, 1.0)):
+    corners = np.array([[-1.0, -1, z], [1, -1, z], [1, 1, z], [-1, 1, z]])
+    faces = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
+    return corners, faces, np.tile(np.array(colour), (4, 1))
+
+
+def textured_square(sheet, alpha_hides=True, z=0.0):
+    corners, faces, _ = square(z)
+    uv = ((corners[:, :2] * (1, -1) + 1) / 2)[faces]
+    texture = Texture("0", "a.png", b"", wrap=("clamp", "clamp"), alpha_hides=alpha_hides)
+    surface = TexturedSurface(corners, faces, uv, np.zeros(2, np.int32), (texture,))
+    paint = TexturePaint(surface, [sheet.astype(np.float32)], triangle_areas(corners, faces))
+    return SurfaceView(corners, faces, paint)
+
+
+def front_camera(view, field=0.0):
+    return fitted(view.positions, FRONT, field, 1.0)
+
+
+def sphere(colour=1.0):
+    positions, faces = surfaces.icosphere(5)
+    paint = VertexPaint(faces, np.full((len(positions), 3), colour))
+    return SurfaceView(positions, faces, paint), surfaces.mean_edge_length(positions, faces)
+
+
+@pytest.mark.parametrize("field", [0.0, 40.0])
+def test_the_silhouette_of_a_sphere_has_the_area_of_its_disc(field):
+    view, edge = sphere()
+    camera = front_camera(view, field)
+    image = view.draw(camera, (200, 200), WHOLE, lit=False)
+    # Lines from the eye at distance d touch the unit sphere under the angle asin(1 / d).
+    radius = 1.0 if field == 0 else np.tan(np.arcsin(1 / camera.place[2]))
+    area = np.pi * radius**2 / (4 * camera.reach[0] * camera.reach[1])
+    # Chords lie inside the sphere by up to edge^2 / 8, its outline is cut by some 500 pixels of 9 rays each.
+    assert image[..., 3].mean() == pytest.approx(area, rel=edge**2 / 4 + 1e-3)
+    assert image[..., :3] == pytest.approx(np.repeat(image[..., 3:], 3, axis=2))  # unlit, so white all over
+
+
+def test_a_sphere_is_shaded_as_the_law_of_the_lamp_says():
+    view, edge = sphere(0.5)
+    camera = front_camera(view)
+    image = view.draw(camera, (101, 101), WHOLE, lit=True)
+    at = (np.arange(101) + 0.5) / 101 * 2 - 1
+    x, y = np.meshgrid(at * camera.reach[0], -at * camera.reach[1])
+    inside = x**2 + y**2 < 0.8  # further out a pixel covers a wide range of normals
+    normals = np.stack([x, y, np.sqrt(np.where(inside, 1 - x**2 - y**2, 1))], axis=2)
+    law = 0.5 * (AMBIENT + (1 - AMBIENT) * np.maximum(normals @ LAMP, 0))
+    # Normals are interpolated linearly between exact ones; where the law has its kink, n . l = 0, the mean over a pixel
+    # is off by an eighth of what n changes across it.
+    kink = 0.5 * (1 - AMBIENT) * 2 * camera.reach[0] / 101 / np.sqrt(1 - 0.8) / 8
+    assert np.abs(image[..., 0] - law)[inside].max() < kink + 0.5 * edge**2 < 0.003
+    assert law[inside].min() < 0.2 < 0.45 < law[inside].max()
+
+
+@pytest.mark.parametrize("field", [0.0, 30.0])
+def test_a_texture_that_faces_the_camera_is_reproduced_pixel_by_pixel(field):
+    rng = np.random.default_rng(1)
+    light = rng.random((64, 64, 3))
+    view = textured_square(np.dstack([light, np.ones((64, 64))]))
+    edge = (1 - FILLED) / 2
+    image = view.draw(front_camera(view, field), (64, 64), (edge, edge, 1 - edge, 1 - edge), lit=False)
+    # Bilinear lookups a third of a texel apart weigh the texel with 7/9, and its neighbours with 1/9, on each axis.
+    expected = light
+    for axis in (0, 1):
+        near = np.pad(expected, [(1, 1) if k == axis else (0, 0) for k in range(3)], mode="edge")
+        low, high = (np.take(near, np.arange(64) + step, axis=axis) for step in (0, 2))
+        expected = (low + 7 * expected + high) / 9
+    assert image[..., :3] == pytest.approx(expected, abs=2e-5)  # single precision of rays
+
+
+def test_a_texture_seen_from_afar_is_averaged_and_not_sampled():
+    checks = np.indices((256, 256)).sum(axis=0) % 2
+    sheet = np.dstack([checks] * 3 + [np.ones_like(checks)])
+    image = textured_square(sheet).draw(
+        front_camera(textured_square(sheet)), (16, 16), (0.1, 0.1, 0.9, 0.9), lit=False
+    )
+    assert image[..., 0] == pytest.approx(np.full((16, 16), 0.5), abs=0.02)
+
+
+def test_what_is_transparent_shows_what_is_behind():
+    half = np.full((4, 4, 4), 0.5)
+    half[..., :3] = (1.0, 0, 0)
+    front = textured_square(half)
+    camera = front_camera(front)
+    alone = front.draw(camera, (9, 9), (0.2, 0.2, 0.8, 0.8), lit=False)
+    assert alone == pytest.approx(np.broadcast_to([0.5, 0, 0, 0.5], (9, 9, 4)), abs=1e-6)
+    behind, faces, _ = square(-1.0)
+    corners = np.concatenate([front.positions, behind])
+    both = np.concatenate([faces, faces + 4])
+    uv = np.concatenate([((front.positions[:, :2] * (1, -1) + 1) / 2)[faces]] * 2)
+    texture = Texture("0", "a.png", b"")
+    surface = TexturedSurface(corners, both, uv, np.array([0, 0, -1, -1], np.int32), (texture,))
+    paint = TexturePaint(surface, [half.astype(np.float32)], triangle_areas(corners, both))
+    seen = SurfaceView(corners, both, paint).draw(camera, (9, 9), (0.2, 0.2, 0.8, 0.8), lit=False)
+    grey = seen[4, 4, 1] / 0.5  # of what has no texture
+    assert seen == pytest.approx(
+        np.broadcast_to([0.5 + grey / 2, grey / 2, grey / 2, 1], (9, 9, 4)), abs=1e-6
+    )
+    opaque = textured_square(half, alpha_hides=False)
+    assert opaque.draw(camera, (4, 4), (0.2, 0.2, 0.8, 0.8), lit=False)[..., 3].min() == 1
+
+
+def test_half_covered_pixels_are_mixed_in_light_and_whole_ones_keep_every_byte():
+    greys = np.arange(256) / 255
+    light = np.where(greys <= 0.04045, greys / 12.92, ((greys + 0.055) / 1.055) ** 2.4)
+    view = np.dstack([np.tile(light, (4, 1))] * 3 + [np.ones((4, 256))]).astype(np.float32)
+    shown = arranged([Panel(view)], 1, Background())
+    assert (shown == np.tile(np.arange(256)[None, :, None], (4, 1, 3))).all()
+    half = np.zeros((1, 1, 4), np.float32)
+    half[..., 3] = 0.5
+    assert displayed(half, Background())[0, 0, 0] == pytest.approx(linear_to_srgb(0.5))
+    clear = displayed(half, Background(opacity=0.0))
+    assert clear[0, 0].tolist() == [0, 0, 0, 0.5]
+
+
+@pytest.mark.parametrize("field", [0.0, 30.0, 90.0])
+@pytest.mark.parametrize("aspect", [0.5, 1.0, 2.0])
+def test_a_fitted_camera_sees_all_points_and_they_fill_its_view(field, aspect):
+    rng = np.random.default_rng(7)
+    for up in "xyz":
+        points = rng.normal(size=(200, 3)) * rng.uniform(0.1, 5, 3) + 1e4
+        camera = fitted(points, orientation(33, -20, up), field, aspect)
+        places, depths = camera.project(points)
+        assert depths.min() > 0
+        reach = np.abs(places - 0.5).max(axis=0) * 2
+        assert reach.max() == pytest.approx(FILLED, abs=1e-6)
+        starts, directions = camera.rays(places[:, 0], places[:, 1])
+        along = np.einsum("kx,kx->k", points - starts, directions)
+        assert starts + along[:, None] * directions == pytest.approx(points, abs=1e-7)
+
+
+def test_presets_look_where_they_say():
+    assert orientation(0, 0)[2].tolist() == [0, 0, 1]  # the eye of the front is on +z
+    assert orientation(90, 0)[2] == pytest.approx([1, 0, 0], abs=1e-12)
+    assert orientation(0, 90)[2] == pytest.approx([0, 1, 0], abs=1e-12)
+    assert orientation(0, 0, "z")[1].tolist() == [0, 0, 1]
+    for up in "xyz":
+        turned = orientation(25, 40, up)
+        assert turned @ turned.T == pytest.approx(np.eye(3), abs=1e-12)
+        assert np.linalg.det(turned) == pytest.approx(1)
+
+
+def test_near_points_hide_far_ones_and_neighbours_leave_no_holes():
+    grid = np.stack(np.meshgrid(np.arange(20.0), np.arange(20.0)), axis=2).reshape(-1, 2)
+    near = np.column_stack([grid, np.full(400, 1.0)])
+    far = np.column_stack([grid, np.full(400, -9.0)])
+    colours = np.repeat([[1.0, 0, 0], [0, 0, 1.0]], 400, axis=0)
+    for order in (slice(None), slice(None, None, -1)):
+        view = CloudView(np.concatenate([near, far])[order], colours[order])
+        for size in (40, 300):
+            image = view.draw(front_camera(view), (size, size), (0.1, 0.1, 0.9, 0.9), lit=False)
+            assert image == pytest.approx(np.broadcast_to([1.0, 0, 0, 1], image.shape))
+
+
+def test_an_image_at_its_own_size_is_passed_through_and_enlarged_in_squares():
+    sheet = np.random.default_rng(3).random((12, 20, 4)).astype(np.float32)
+    sheet[..., 3] = 1
+    view = ImageView(sheet)
+    framed = view.draw((20, 20), WHOLE)
+    assert framed[4:16] == pytest.approx(sheet, abs=1e-6)
+    assert framed[:4].max() == 0
+    large = view.draw((80, 80), WHOLE)
+    assert large[16:64] == pytest.approx(sheet.repeat(4, axis=0).repeat(4, axis=1), abs=1e-6)
+
+
+def test_a_detail_shows_what_its_frame_holds_in_more_pixels():
+    rng = np.random.default_rng(5)
+    view = textured_square(np.dstack([rng.random((40, 40, 3)), np.ones((40, 40))]))
+    camera = front_camera(view, 30.0)
+    large = view.draw(camera, (120, 120), WHOLE, lit=True)
+    detail = view.draw(camera, (30, 30), (0.25, 0.5, 0.5, 0.75), lit=True)
+    assert detail == pytest.approx(large[60:90, 30:60], abs=1e-4)
+
+
+def test_the_richest_window_is_where_the_contrast_is():
+    view = np.full((80, 100, 4), 0.5, np.float32)
+    view[..., 3] = 1
+    view[30:46, 60:76, :3] = np.indices((16, 16)).sum(axis=0)[..., None] % 2
+    left, upper, right, lower = richest_window(view, 0.2)
+    assert (left * 100, upper * 80, right * 100, lower * 80) == pytest.approx((60, 30, 76, 46))
+    view[30:46, 60:76, 3] = 0  # where nothing is, nothing is to be seen
+    view[..., :3] *= view[..., 3:]
+    left, upper, right, lower = np.array(richest_window(view, 0.2)) * [100, 80, 100, 80]
+    assert not (left < 76 and right > 60 and upper < 46 and lower > 30)
+
+
+@pytest.mark.parametrize("scale", [1e-198, 1e198, 1e300])
+@pytest.mark.parametrize("with_faces", [True, False])
+def test_models_of_any_size_look_alike(scale, with_faces):
+    power = 2.0 ** round(np.log2(scale))  # so that no coordinate is rounded in another way
+    looks = RenderSettings(size=(48, 48), lit=True)
+    pictures = []
+    for factor in (1.0, power):
+        positions, faces = surfaces.icosphere(2)
+        places = within_reach(positions * factor)
+        grey = np.repeat(np.linspace(0, 1, len(positions))[:, None], 3, axis=1)
+        view = SurfaceView(places, faces, VertexPaint(faces, grey)) if with_faces else CloudView(places, grey)
+        pictures.append(draw_views([view], [""], looks))
+    assert np.ptp(pictures[0]) > 200
+    assert np.array_equal(pictures[0], pictures[1])
+
+
+@pytest.mark.parametrize("place", [0.0, 5.0, 1e198])
+@pytest.mark.parametrize("field", [0.0, 30.0])
+def test_a_single_point_is_seen_in_the_middle(place, field):
+    view = CloudView(np.full((3, 3), place), np.zeros((3, 3)))
+    looks = RenderSettings(size=(51, 51), fov=field)
+    picture = draw_views([view], [""], looks)
+    assert picture[25, 25].max() == 0
+    assert (picture == 255).mean() > 0.9
+
+
+def test_what_would_be_lost_on_white_is_shown_on_grey():
+    settings = RenderSettings(size=(64, 64))
+    grey, white = [128] * 3, [255] * 3
+
+    def behind(view, **looks):
+        return draw_views([view], [""], dataclasses.replace(settings, **looks))[0, 0].tolist()
+
+    bright, dim = sphere()[0], sphere(0.8)[0]
+    assert behind(bright) == grey
+    assert behind(dim) == white
+    assert behind(bright, background="white") == white
+    # A picture that fills its view has no outline that could be lost, however white it is.
+    assert not is_lost_on_white([np.ones((8, 8, 4), np.float32)])
