@@ -33,7 +33,7 @@ _JSON = re.compile(rb"(?:\xef\xbb\xbf)?[ \t\r\n]*\{")
 _PIECE = 1 << 24
 _READABLE = (
     "beltrami reads PLY, OBJ, glTF (.gltf) and GLB files, points in .xyz, .pts and .npz, and the colours of OFF, STL, "
-    "3MF, DAE, 3DXML and XAML files"
+    "3MF and DAE files"
 )
 _LINES_OF_POINTS = {".xyz": "xyz", ".xyzrgb": "xyz", ".pts": "pts"}
 
@@ -124,11 +124,11 @@ def recognise(data: bytes, name: str, folder: Path | None, access: Access = EVER
 
         return NpzPointsDocument(data, name, access)
     if not name.lower().endswith(".obj"):
-        from beltrami_cli.formats.foreign import ForeignDocument, kind_of
+        from beltrami_cli.formats.read_only import ReadOnlyDocument, kind_of
 
         kind = kind_of(data, name)
         if kind is not None:
-            return ForeignDocument(data, name, kind, access)
+            return ReadOnlyDocument(data, name, kind, access)
     archive = _archive(data)
     if archive is not None:
         raise InputError(

@@ -13,11 +13,11 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from formats.foreign_files import OBJECT, coff, model, stl, threemf
 from formats.gltf_compressed import GRID, draco_model, meshopt_model
 from formats.gltf_files import Model, Textured
 from formats.image_files import encode
 from formats.ply_files import ENCODINGS, Table, build, coloured
+from formats.read_only_files import OBJECT, coff, model, stl, threemf
 from fuzz.targets import SEPARATOR
 
 CORE = ("triangulated", "parametric", "atlas")

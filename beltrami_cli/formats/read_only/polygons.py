@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,8 +13,6 @@ from beltrami_cli.surface.textured_mesh import distinct_corners
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from beltrami_cli.surface.painted import Encoding
-
 _LEAST_WEIGHT = 1e-6  # of a polygon without area, against the mean one
 _MEANS = (
     "Where polygons of different colours meet, vertices have the mean of their colours; {} of {} are such."
@@ -23,46 +21,30 @@ _BARE = "{} of {} vertices have no colour, and are white."
 
 
 @dataclass(frozen=True)
-class PaintedPolygons:
-    """What a reader finds.
-
-    Attributes
-    ----------
-    positions : ndarray of float64, shape (V, 3)
-        Of the vertices.
-    corners : ndarray of int64, shape (K,)
-        Vertices of all polygons, one polygon after the other.
-    sizes : ndarray of int64, shape (P,)
-        Corners of every polygon.
-    colours : ndarray of float32, shape (K, C)
-        Of every corner, C is 3 or 4 with opacity, full scale 1; NaN where there is none.
-    stored : str
-        Their type in the file, as in `PaintedVertices`.
-    left_out : tuple of str
-        What else the file holds.
-    encoding : {"srgb", "linear"}
-        What colours mean.
-    """
+class ColouredPolygons:
+    """What a reader finds: V vertices, and polygons with K corners in all; colours are display values."""
 
     positions: NDArray[np.float64]
+    """Shape (V, 3)."""
+
     corners: NDArray[np.int64]
+    """Vertices of all polygons, one polygon after the other, shape (K,)."""
+
     sizes: NDArray[np.int64]
+    """How many corners each polygon has."""
+
     colours: NDArray[np.float32]
+    """Of every corner, shape (K, 3), or (K, 4) with opacity; full scale 1, NaN where there is none."""
+
     stored: str
+    """The type of colours in the file, as in `PaintedVertices`."""
+
     left_out: tuple[str, ...] = ()
-    encoding: Encoding = "srgb"
+    """What else the file holds."""
 
 
-def check_polygons(found: PaintedPolygons, name: str) -> None:
-    """Check what any format may get wrong.
-
-    Raises
-    ------
-    UnpaintedError
-        If no corner has a colour.
-    InputError
-        If there is nothing, an index is out of range, or a number is not finite.
-    """
+def check_polygons(found: ColouredPolygons, name: str) -> None:
+    """Raise `InputError` where there is nothing, an index is out of range, or a number not finite."""
     vertices = len(found.positions)
     if not vertices or not len(found.corners):
         raise InputError(name, "there are no polygons", "nothing in it can be smoothed")
@@ -79,30 +61,16 @@ def check_polygons(found: PaintedPolygons, name: str) -> None:
         )
 
 
-def joined(found: PaintedPolygons) -> PaintedPolygons:
-    """Make one vertex of those that stand at the same place, for formats that give every triangle its own."""
+def joined(found: ColouredPolygons) -> ColouredPolygons:
+    """Make one vertex of those at the same place, for formats that give every triangle its own."""
     first, number_of = distinct_corners(*(found.positions + 0.0).T)  # a negative zero is a zero
-    corners = number_of[found.corners]
-    return PaintedPolygons(
-        found.positions[first],
-        corners,
-        found.sizes,
-        found.colours,
-        found.stored,
-        found.left_out,
-        found.encoding,
-    )
+    return replace(found, positions=found.positions[first], corners=number_of[found.corners])
 
 
-def colours_of_vertices(found: PaintedPolygons) -> tuple[NDArray[np.float32], list[str]]:
-    """Give every vertex the mean of its corners' colours, each counting by the area of its polygon.
+def colours_of_vertices(found: ColouredPolygons) -> tuple[NDArray[np.float32], list[str]]:
+    """Give every vertex the mean of its corners' colours, weighted by the areas of their polygons, and notices.
 
-    Returns
-    -------
-    colours : ndarray of float32, shape (V, C)
-        A vertex whose corners agree has exactly their colour; one without any is white.
-    notices : list of str
-        What the user should be told.
+    A vertex whose corners agree has exactly their colour; one without any is white.
     """
     count, notices = len(found.positions), []
     known = np.isfinite(found.colours).all(axis=1)
@@ -126,7 +94,7 @@ def colours_of_vertices(found: PaintedPolygons) -> tuple[NDArray[np.float32], li
     return result, notices
 
 
-def _areas(found: PaintedPolygons) -> NDArray[np.float64]:
+def _areas(found: ColouredPolygons) -> NDArray[np.float64]:
     """Return the areas of polygons in units of their mean, none of them zero."""
     starts = np.cumsum(found.sizes) - found.sizes
     polygon = np.repeat(np.arange(len(found.sizes)), found.sizes)

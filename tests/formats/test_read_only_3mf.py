@@ -10,7 +10,7 @@ import pytest
 import trimesh
 
 from beltrami_cli.errors import InputError
-from formats.foreign_files import FACES, LEVELS, OBJECT, SQUARE, VERTICES, model, opened, threemf
+from formats.read_only_files import FACES, LEVELS, OBJECT, SQUARE, VERTICES, model, opened, threemf
 
 
 def test_3mf_colours_of_corners() -> None:

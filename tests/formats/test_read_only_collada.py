@@ -1,19 +1,17 @@
-"""What is read by trimesh and pycollada: COLLADA and XAML."""
+"""COLLADA files, read by pycollada: colours beside materials, skins, archives, and damage."""
 
 from __future__ import annotations
 
 import io
 import zipfile
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
 from beltrami_cli.errors import InputError
-from formats.foreign_files import FACES, SQUARE, opened
+from formats.read_only_files import FACES, SQUARE, opened
 
-if TYPE_CHECKING:
-    from pathlib import Path
+pytest.importorskip("collada", reason="pycollada is not installed: run the tests by `make test`")
 
 
 def source(key: str, values: str, axes: str) -> str:
@@ -39,8 +37,7 @@ DAE = "\n".join(
 )
 
 
-def test_dae_colours_in_their_place(tmp_path: Path) -> None:
-    pytest.importorskip("collada", reason="pycollada is not installed: run the tests by `make test`")
+def test_dae_colours_in_their_place() -> None:
     painted = opened(DAE.encode(), "x.dae").painted()
     np.testing.assert_array_equal(painted.positions[painted.faces], SQUARE[FACES] + [0, 0, 7])
     seen = {
@@ -57,6 +54,30 @@ def test_dae_colours_in_their_place(tmp_path: Path) -> None:
         opened(b"<!DOCTYPE COLLADA []>" + DAE.encode(), "x.dae").painted()
     with pytest.raises(InputError, match="it is damaged"):
         opened(DAE[:-1].encode(), "x.dae").painted()
+
+
+MATERIAL = "".join(
+    [
+        '<library_effects><effect id="e"><profile_COMMON><technique sid="t"><lambert><diffuse>',
+        "<color>1 1 1 1</color></diffuse></lambert></technique></profile_COMMON></effect></library_effects>",
+        '<library_materials><material id="m"><instance_effect url="#e"/></material></library_materials>',
+    ]
+)
+BOUND = (
+    '<instance_geometry url="#g"><bind_material><technique_common><instance_material symbol="s" target="#m"/>'
+    "</technique_common></bind_material></instance_geometry>"
+)
+
+
+def test_dae_colours_stay_beside_a_material_and_in_their_precision() -> None:
+    text = DAE.replace("<library_geometries>", f"{MATERIAL}<library_geometries>")
+    text = text.replace('<triangles count="2">', '<triangles count="2" material="s">')
+    document = opened(text.replace('<instance_geometry url="#g"/>', BOUND).encode(), "x.dae")
+    colours = document.painted().colours
+    np.testing.assert_array_equal(
+        np.sort(colours.ravel()), np.float32([0] * 6 + [0.1, 0.2, 0.25, 0.3, 0.5, 1])
+    )
+    assert "materials" in document.contents().left_out
 
 
 SKIN = "\n".join(
@@ -80,7 +101,6 @@ SKIN = "\n".join(
 
 
 def test_dae_polygons_with_a_skin_are_where_they_were_bound() -> None:
-    pytest.importorskip("collada", reason="pycollada is not installed: run the tests by `make test`")
     skinned = DAE.replace('<instance_geometry url="#g"/>', '<instance_controller url="#k"/>')
     skinned = skinned.replace("<library_visual_scenes>", f"{SKIN}<library_visual_scenes>")
     document = opened(skinned.encode(), "x.dae")
@@ -90,20 +110,9 @@ def test_dae_polygons_with_a_skin_are_where_they_were_bound() -> None:
 
 
 def test_dae_polygons_that_cannot_be_read_are_told_of() -> None:
-    pytest.importorskip("collada", reason="pycollada is not installed: run the tests by `make test`")
     with pytest.raises(InputError, match="it is damaged, or not understood"):
         opened(DAE.replace("1 1 0 0 1 0<", "1,1 0 0 1 0<").encode(), "x.dae").painted()
     broken = '<node><instance_geometry url="#gone"/></node></visual_scene>'
     document = opened(DAE.replace("</visual_scene>", broken).encode(), "x.dae")
     assert len(document.painted().faces) == 2
     assert "what could not be read" in document.contents().left_out
-
-
-XAML = '<GeometryModel3D xmlns="http://schemas.microsoft.com/winfx/2006/xaml/presentation">junk'
-
-
-def test_what_trimesh_does_not_understand_is_one_line() -> None:
-    pytest.importorskip("lxml", reason="lxml is not installed: run the tests by `make test`")
-    with pytest.raises(InputError, match="damaged, or not understood") as caught:
-        opened(XAML.encode(), "x.xaml").painted()
-    assert "\n" not in str(caught.value)

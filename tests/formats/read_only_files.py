@@ -9,7 +9,7 @@ import zipfile
 import numpy as np
 
 from beltrami_cli.formats.access import Access
-from beltrami_cli.formats.foreign import ForeignDocument
+from beltrami_cli.formats.read_only import ReadOnlyDocument
 from beltrami_cli.formats.source import recognise
 
 SQUARE = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], float)
@@ -17,9 +17,9 @@ LEVELS = np.array([[255, 0, 0], [0, 128, 0], [0, 0, 64], [10, 20, 30]], np.uint8
 FACES = [[0, 1, 2], [0, 2, 3]]
 
 
-def opened(data: bytes, name: str, memory: int | None = None) -> ForeignDocument:
+def opened(data: bytes, name: str, memory: int | None = None) -> ReadOnlyDocument:
     document = recognise(data, name, None, Access(memory=memory))
-    assert isinstance(document, ForeignDocument)
+    assert isinstance(document, ReadOnlyDocument)
     return document
 
 

@@ -1,5 +1,7 @@
 """OFF files with colours of vertices or of faces.
 
+trimesh reads the places and faces of OFF files only: it drops all colours, and cuts polygons.
+
 References
 ----------
 .. [1] Geomview manual, "OFF Files", http://www.geomview.org/docs/html/OFF.html
@@ -13,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.foreign.painting import PaintedPolygons
+from beltrami_cli.formats.read_only.polygons import ColouredPolygons
 from beltrami_cli.formats.scale import full_scale
 
 if TYPE_CHECKING:
@@ -26,14 +28,8 @@ _COMMENT = re.compile(rb"#[^\r\n]*")
 _COLOUR = (3, 4)  # numbers
 
 
-def read_off(data: bytes, name: str) -> PaintedPolygons:
-    """Read an OFF file: one vertex a line, then one face a line.
-
-    Raises
-    ------
-    InputError
-        If it is binary or has more than three dimensions, or its lines do not fit its counts.
-    """
+def read_off(data: bytes, name: str) -> ColouredPolygons:
+    """Read an OFF file in text: one vertex a line, then one face a line."""
     header = HEADER.match(data)
     if header is None:
         raise InputError(name, "it does not start with OFF", "is it an OFF file?")
@@ -50,14 +46,14 @@ def read_off(data: bytes, name: str) -> PaintedPolygons:
     corners, sizes = _corners(rows, name)
     if extra.shape[1] in _COLOUR and vertices:
         scaled, scale = _scaled(extra, name)
-        inside = (corners >= 0) & (corners < vertices)  # what is outside is told of later
+        inside = (corners >= 0) & (corners < vertices)  # what is outside is refused later
         colours = scaled[np.where(inside, corners, 0)]
     else:
         painted, scale = _of_faces(rows, sizes, name)
         colours = np.repeat(painted, sizes, axis=0)
     stored = "uint8" if scale > 1 else "float32"
     left = [what for what, there in (("normals", normals), ("texture coordinates", texture)) if there]
-    return PaintedPolygons(table[:, :3], corners, sizes, colours, stored, tuple(left))
+    return ColouredPolygons(table[:, :3], corners, sizes, colours, stored, tuple(left))
 
 
 def _counts(lines: Sequence[bytes], name: str) -> tuple[int, int]:
@@ -108,13 +104,10 @@ def _corners(rows: Sequence[Sequence[bytes]], name: str) -> tuple[NDArray[np.int
 def _of_faces(
     rows: Sequence[Sequence[bytes]], sizes: NDArray[np.int64], name: str
 ) -> tuple[NDArray[np.float32], float]:
-    """Return colours of faces, shape (P, 4), and their full scale in the file.
-
-    One number is an index of a map that is not in the file, so no colour.
-    """
+    """Return colours of faces, shape (P, 4), and their full scale in the file."""
     found = np.full((len(rows), 4), np.nan)
     for number, (row, size) in enumerate(zip(rows, sizes.tolist(), strict=True)):
-        words = row[1 + size :]
+        words = row[1 + size :]  # one number is an index of a map that is not in the file
         if len(words) in _COLOUR:
             try:
                 found[number, : len(words)] = [float(word) for word in words]

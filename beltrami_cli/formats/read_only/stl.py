@@ -1,7 +1,9 @@
-"""Binary STL files with colours: two bytes of every triangle, in the two customs that there are.
+"""Binary STL files with colours: two bytes of every triangle, in the two dialects that there are.
 
 VisCAM and SolidView mark triangles that have a colour by the highest bit; blue is in the lowest five. Materialise
 Magics has COLOR= and a colour for all in the header, marks triangles without one of their own, and has red lowest.
+trimesh reads the triangles. It leaves the two bytes as numbers, and makes text of the header, so both are
+understood here.
 
 References
 ----------
@@ -10,44 +12,41 @@ References
 
 from __future__ import annotations
 
+import io
+
 import numpy as np
 
 from beltrami_cli.errors import InputError, UnpaintedError
-from beltrami_cli.formats.foreign.painting import PaintedPolygons, joined
+from beltrami_cli.formats.read_only.polygons import ColouredPolygons, joined
 
-_TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("colour", "<u2")])
-_HEADER = 80
+_HEADER, _TRIANGLE = 80, 50  # bytes
 _MAGICS = b"COLOR="
 _LEVELS = 31  # of five bits
 
 
 def is_binary_stl(data: bytes) -> bool:
-    """Tell whether a file has the length that its count of triangles asks for."""
+    """Return whether a file has the length that its number of triangles asks for."""
     if len(data) < _HEADER + 4:
         return False
     count = int.from_bytes(data[_HEADER : _HEADER + 4], "little")
-    return len(data) == _HEADER + 4 + count * _TRIANGLE.itemsize
+    return len(data) == _HEADER + 4 + count * _TRIANGLE
 
 
-def read_stl(data: bytes, name: str) -> PaintedPolygons:
-    """Read a binary STL file; vertices at one place become one.
-
-    Raises
-    ------
-    UnpaintedError
-        If it is text, which has no colours.
-    InputError
-        If its length does not fit its count.
-    """
+def read_stl(data: bytes, name: str) -> ColouredPolygons:
+    """Read a binary STL file; vertices at one place become one."""
     if not is_binary_stl(data):
         if data[:5].lower() == b"solid":
             raise UnpaintedError(
                 name, "an STL file in text has no colours", "export it as PLY or OBJ with colours"
             )
         raise InputError(name, "its length does not fit its number of triangles", "the file may be cut off")
-    triangles = np.frombuffer(data, _TRIANGLE, offset=_HEADER + 4)
-    colours = np.full((len(triangles), 3), np.nan, np.float32)
-    bits = triangles["colour"]
+    from trimesh.exchange.stl import load_stl_binary
+
+    triangles = load_stl_binary(io.BytesIO(data))
+    if "vertices" not in triangles:
+        raise InputError(name, "there are no polygons", "nothing in it can be smoothed")
+    bits = triangles["face_attributes"]["stl"]
+    colours = np.full((len(bits), 3), np.nan, np.float32)
     lowest_first = np.stack([bits & 31, bits >> 5 & 31, bits >> 10 & 31], axis=1) / np.float32(_LEVELS)
     marked = bits >> 15 == 1
     at = data.find(_MAGICS, 0, _HEADER)
@@ -56,9 +55,13 @@ def read_stl(data: bytes, name: str) -> PaintedPolygons:
         colours[:] = np.where(marked[:, None], whole, lowest_first)
     else:
         colours[marked] = lowest_first[marked, ::-1]
-    sizes = np.full(len(triangles), 3)
-    positions = triangles["corners"].reshape(-1, 3).astype(np.float64)
-    everything = PaintedPolygons(
-        positions, np.arange(len(positions)), sizes, np.repeat(colours, 3, axis=0), "uint8", ("normals",)
+    positions = triangles["vertices"].astype(np.float64)
+    found = ColouredPolygons(
+        positions=positions,
+        corners=np.arange(len(positions)),
+        sizes=np.full(len(bits), 3),
+        colours=np.repeat(colours, 3, axis=0),
+        stored="uint8",
+        left_out=("normals",),
     )
-    return joined(everything) if np.isfinite(positions).all() else everything
+    return joined(found) if np.isfinite(positions).all() else found

@@ -2,25 +2,18 @@
 
 from __future__ import annotations
 
+import re
 from functools import cached_property
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.document import NO_IMAGES, Document
-from beltrami_cli.formats.foreign.asking import ask_worker
-from beltrami_cli.formats.foreign.collada import read_dae
-from beltrami_cli.formats.foreign.off import read_off
-from beltrami_cli.formats.foreign.painting import (
-    PaintedPolygons,
-    check_polygons,
-    colours_of_vertices,
-    joined,
-)
-from beltrami_cli.formats.foreign.stl import read_stl
-from beltrami_cli.formats.foreign.threemf import read_3mf
+from beltrami_cli.formats.read_only.off import HEADER, read_off
+from beltrami_cli.formats.read_only.polygons import check_polygons, colours_of_vertices, joined
+from beltrami_cli.formats.read_only.stl import is_binary_stl, read_stl
 from beltrami_cli.surface.painted import MeshContents, PaintedVertices
 from beltrami_cli.surface.polygons import triangulate
 
@@ -30,29 +23,33 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from beltrami_cli.formats.document import Written
-    from beltrami_cli.formats.foreign.recognition import Kind
+    from beltrami_cli.formats.read_only.polygons import ColouredPolygons
     from beltrami_cli.surface.painted import MovedVertices
     from beltrami_cli.surface.textured import ImageFile, Slot
 
+Kind = Literal["off", "stl", "3mf", "dae", "zae"]
+
+_STARTS_XML = re.compile(rb"(?:\xef\xbb\xbf)?\s*<|\xff\xfe<|\xfe\xff\0<")  # UTF-8 or UTF-16
+_ARCHIVES: dict[str, Kind] = {".3mf": "3mf", ".zae": "zae"}
 _READ_ONLY = (
     "{} files are read, but not written: OUTPUT holds the polygons and their colours, and nothing else."
 )
 
 
-class ForeignDocument(Document):
-    """A file of a format that is not written.
+def kind_of(data: bytes, name: str) -> Kind | None:
+    """Return the format of a file by its content, and by its name where many formats have such content."""
+    suffix = "." + name.lower().rpartition(".")[2]
+    if data[:2] == b"PK":
+        return _ARCHIVES.get(suffix)
+    if HEADER.match(data):
+        return "off"
+    if suffix == ".stl" and (data[:5].lower() == b"solid" or is_binary_stl(data)):
+        return "stl"
+    return "dae" if suffix == ".dae" and _STARTS_XML.match(data) else None
 
-    Parameters
-    ----------
-    data : bytes
-        The file.
-    name : str
-        Its name for messages.
-    kind : str
-        Its format, as `kind_of` tells it.
-    access : Access
-        How much memory there is.
-    """
+
+class ReadOnlyDocument(Document):
+    """A file of a format that is not written."""
 
     format: ClassVar[str] = "foreign"
 
@@ -97,23 +94,24 @@ class ForeignDocument(Document):
             corners=found.corners.astype(np.int32),
             offsets=np.concatenate([[0], np.cumsum(found.sizes)]),
             colours=np.ascontiguousarray(colours[:, :3]),
-            encoding=found.encoding,
+            encoding="srgb",
             stored=found.stored,
             alpha=None if opacity is None else np.clip(opacity, 0, 1),
             left_out=found.left_out,
         )
 
-    def _read(self) -> PaintedPolygons:
-        match self._kind:
-            case "off":
-                return read_off(self._data, self.name)
-            case "stl":
-                return read_stl(self._data, self.name)
-            case "3mf":
-                return read_3mf(self._data, self.name, self._access)
-            case "dae" | "zae":
-                return read_dae(self._data, self.name, self._access)
-        return ask_worker(self._kind, self._data, self.name, self._access)
+    def _read(self) -> ColouredPolygons:
+        if self._kind == "off":
+            return read_off(self._data, self.name)
+        if self._kind == "stl":
+            return read_stl(self._data, self.name)
+        if self._kind == "3mf":
+            from beltrami_cli.formats.read_only.threemf import read_3mf
+
+            return read_3mf(self._data, self.name, self._access)
+        from beltrami_cli.formats.read_only.collada import read_dae
+
+        return read_dae(self._data, self.name, self._access)
 
     def patch(
         self,

@@ -14,11 +14,11 @@ from hypothesis import strategies as st
 
 from beltrami_cli.errors import InputError, UnpaintedError
 from beltrami_cli.formats.access import Access
-from beltrami_cli.formats.foreign.painting import PaintedPolygons, colours_of_vertices
+from beltrami_cli.formats.read_only.polygons import ColouredPolygons, colours_of_vertices
 from beltrami_cli.formats.source import recognise
 from beltrami_cli.jobs.smooth.file import smooth_file
 from beltrami_cli.surface.transfer import linear_to_srgb
-from formats.foreign_files import FACES, LEVELS, OBJECT, SQUARE, coff, model, opened, stl, threemf
+from formats.read_only_files import FACES, LEVELS, OBJECT, SQUARE, coff, model, opened, stl, threemf
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -148,7 +148,7 @@ def test_vertices_have_the_mean_of_their_corners_and_nothing_beyond(data: st.Dat
     corners = random.integers(0, 12, sizes.sum())
     colours = random.random((len(corners), 3), np.float32)
     colours[random.random(len(corners)) < 0.2] = np.nan
-    found = PaintedPolygons(random.random((12, 3)), corners, sizes, colours, "float32")
+    found = ColouredPolygons(random.random((12, 3)), corners, sizes, colours, "float32")
     result, _ = colours_of_vertices(found)
     for vertex in range(12):
         own = colours[(corners == vertex) & np.isfinite(colours[:, 0])]

@@ -1,0 +1,179 @@
+"""COLLADA files with vertex colours, read by pycollada in a process of its own.
+
+pycollada is not made for files that mean harm, so it runs as `python -m` of this module, with a limit on memory and
+time. trimesh reads COLLADA by pycollada, too, but drops the vertex colours of every mesh that has a material and all
+polygons with a skin, and rounds other colours to 8 bits.
+"""
+
+from __future__ import annotations
+
+import io
+import signal
+import subprocess
+import sys
+import tempfile
+from typing import TYPE_CHECKING, Any
+from xml.parsers import expat
+
+import numpy as np
+
+from beltrami_cli.errors import InputError
+from beltrami_cli.formats.read_only.polygons import ColouredPolygons
+from beltrami_cli.formats.read_only.threemf import Archive
+from beltrami_cli.surface.worker_process import working
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    from beltrami_cli.formats.access import Access
+
+_MODULE = "beltrami_cli.formats.read_only.collada"
+_PATIENCE, _PER_MEGABYTE = 60, 10  # seconds
+_LIBRARIES = 512 << 20  # bytes that they take
+_MISSING = 77  # exit code where a package is not installed
+_EXTRA = "install it with: pip install 'beltrami-cli[foreign]'"
+_EXPORT = "export it as PLY or glTF"
+
+
+def read_dae(data: bytes, name: str, access: Access) -> ColouredPolygons:
+    """Read a COLLADA file, or the first one in an archive (.zae)."""
+    if data[:2] == b"PK":
+        archive = Archive(data, name, access)
+        member = next((each for each in archive.members if each.lower().endswith(".dae")), None)
+        if member is None:
+            raise InputError(name, "the archive has no .dae file in it")
+        data = archive.read(member)
+    _check(data, name)
+    seconds = _PATIENCE + _PER_MEGABYTE * (len(data) >> 20)
+    with tempfile.TemporaryFile() as job:
+        job.write(data)
+        job.seek(0)
+        with working(_MODULE, job, [str(seconds), str(access.memory or 0)]) as worker:
+            try:
+                worker.process.wait(seconds)
+            except subprocess.TimeoutExpired:
+                raise InputError(name, f"it could not be read within {seconds} s", _EXPORT) from None
+            if (cause := worker.failure()) is not None:
+                missing = worker.process.returncode == _MISSING
+                raise InputError(name, cause[:200], _EXTRA if missing else _EXPORT)
+            with np.load(worker.answer, allow_pickle=False) as made:
+                return _polygons(made["positions"], made["colours"], made["left_out"].tolist())
+
+
+def _check(data: bytes, name: str) -> None:
+    """Refuse what is not XML to its end, which pycollada would read as far as it goes, and what may grow in it."""
+    parser = expat.ParserCreate()
+    parser.StartDoctypeDeclHandler = _refuse
+    try:
+        parser.Parse(data, True)
+    except (expat.ExpatError, ValueError) as error:
+        raise InputError(name, f"it is damaged ({error})", "export it again") from error
+
+
+def _refuse(*_: object) -> None:
+    raise ValueError("a document type, which could make it grow without bounds, is not allowed")
+
+
+def _polygons(
+    positions: NDArray[np.float64], colours: NDArray[np.float32], left_out: list[str]
+) -> ColouredPolygons:
+    """Return triangles that have vertices of their own."""
+    corners = np.arange(len(positions))
+    return ColouredPolygons(
+        positions, corners, np.full(len(corners) // 3, 3), colours, "float32", tuple(left_out)
+    )
+
+
+def main() -> None:
+    """Read a file from standard input, and write its triangles to standard output: the other process."""
+    _limit(seconds=int(sys.argv[1]), memory=int(sys.argv[2]))
+    data = sys.stdin.buffer.read()
+    try:
+        positions, colours, left_out = _triangles(data)
+    except ImportError as error:
+        sys.stderr.write(f"to read dae files, the package {error.name} is needed\n")
+        sys.exit(_MISSING)
+    except MemoryError:
+        sys.exit("it needs more memory than it may take")
+    except Exception as error:  # whatever the library makes of a damaged file
+        sys.exit(
+            f"it is damaged, or not understood ({' '.join(f'{type(error).__name__}: {error}'.split())[:150]})"
+        )
+    answer = io.BytesIO()
+    np.savez(answer, positions=positions, colours=colours, left_out=np.array(left_out, "U"))
+    sys.stdout.buffer.write(answer.getvalue())
+
+
+def _limit(seconds: int, memory: int) -> None:
+    if hasattr(signal, "alarm"):  # so that it ends even where the process that waits for it was killed
+        signal.alarm(seconds + 10)
+    if memory:
+        try:
+            import resource
+        except ImportError:
+            return
+        most = resource.getrlimit(resource.RLIMIT_DATA)[1]
+        wanted = memory + _LIBRARIES
+        resource.setrlimit(resource.RLIMIT_DATA, (wanted if most < 0 else min(wanted, most), most))
+
+
+def _triangles(data: bytes) -> tuple[NDArray[np.float64], NDArray[np.float32], list[str]]:
+    """Return the places and colours of the corners of all triangles, where nodes place them, and what is left out."""
+    import collada
+
+    document = collada.Collada(io.BytesIO(data), ignore=[collada.common.DaeError])
+    positions, colours, left = [], [], set()
+    for geometry, matrix in _placed(document.scene) if document.scene is not None else ():
+        for primitive in geometry.primitives:
+            if isinstance(primitive, (collada.polylist.Polylist, collada.polygons.Polygons)):
+                primitive = primitive.triangleset()
+            if not isinstance(primitive, collada.triangleset.TriangleSet):
+                left.add("lines")
+                continue
+            if primitive.vertex is None or not len(primitive.index):
+                continue
+            places = primitive.vertex[primitive.vertex_index].reshape(-1, 3).astype(np.float64)
+            positions.append(places @ matrix[:3, :3].T + matrix[:3, 3])
+            colours.append(_colours_of(primitive))
+    if document.errors and not positions:
+        raise document.errors[0]
+    there = {
+        "what could not be read": document.errors,
+        "skins": document.controllers,
+        "materials": document.materials,
+        "textures": document.images,
+    }
+    left |= {what for what, found in there.items() if found}
+    return (
+        np.concatenate([np.empty((0, 3)), *positions]),
+        np.concatenate([np.empty((0, 4), np.float32), *colours]),
+        sorted(left),
+    )
+
+
+def _placed(scene: Any) -> Iterator[tuple[Any, NDArray[np.float64]]]:
+    """Yield every geometry with its matrix: of its node or, with a skin, of where it was bound to the joints."""
+    for bound in scene.objects("geometry"):
+        yield bound.original, bound.matrix
+    for bound in scene.objects("controller"):
+        if hasattr(bound, "skin"):
+            yield bound.skin.geometry, bound.skin.bind_shape_matrix
+
+
+def _colours_of(primitive: Any) -> NDArray[np.float32]:
+    """Return colours of all corners of triangles, shape (3 F, 4)."""
+    result = np.full((3 * len(primitive.index), 4), np.nan, np.float32)
+    sources = primitive.sources.get("COLOR")
+    if sources:
+        offset, source = sources[0][0], sources[0][4].data
+        values = source[primitive.index[:, :, offset]].reshape(len(result), -1)[:, :4]
+        result[:, : values.shape[1]] = values
+        if values.shape[1] == 3:
+            result[:, 3] = 1
+    return result
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,305 @@
+"""3MF files with colours of triangles or of their corners, put together as they are built.
+
+trimesh reads the places and triangles of 3MF files only: it drops every colour, of groups as of materials.
+
+References
+----------
+.. [1] 3MF Consortium, "3D Manufacturing Format, core specification", version 1.3.
+.. [2] 3MF Consortium, "Materials and properties extension", version 1.2.
+"""
+
+from __future__ import annotations
+
+import io
+import posixpath
+import re
+import zipfile
+import zlib
+from array import array
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+from xml.parsers import expat
+
+import numpy as np
+
+from beltrami_cli.errors import InputError
+from beltrami_cli.formats.read_only.polygons import ColouredPolygons
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from beltrami_cli.formats.access import Access
+
+_MOST_MEMBERS = 10_000
+_LARGEST = 1 << 30  # bytes of a member, where no memory limit is given
+_TREE = 16  # times as much memory as its text takes an XML document while it is read
+_DAMAGED = "repack it, or export it again"
+
+_RELATIONS = "_rels/.rels"
+_USUAL = "3D/3dmodel.model"
+_TARGET = re.compile(rb"<Relationship\b[^<>]*+>")
+_PATH = "http://schemas.microsoft.com/3dmanufacturing/production/2015/06 path"
+_DEEPEST = 32  # parts within parts
+_MOST_PARTS = 20_000
+_MOST_TRIANGLES = 1 << 26
+_BYTES_OF_TRIANGLE = 400  # that one takes while it is put together
+_NUMBERS = 12  # of a transform
+_NONE = -1
+
+Attributes = dict[str, str]
+Rgba = tuple[int, int, int, int]
+
+
+class Archive:
+    """A ZIP archive in memory, of which members are read one by one, none beyond what is allowed."""
+
+    def __init__(self, data: bytes, name: str, access: Access) -> None:
+        self._name = name
+        self._most = _LARGEST if access.memory is None else min(_LARGEST, access.memory // _TREE)
+        try:
+            self._file = zipfile.ZipFile(io.BytesIO(data))
+        except (zipfile.BadZipFile, NotImplementedError, ValueError, OSError) as error:
+            raise InputError(name, f"the archive is damaged ({error})", _DAMAGED) from error
+        if len(self._file.infolist()) > _MOST_MEMBERS:
+            raise InputError(name, f"the archive has more than {_MOST_MEMBERS} members", _DAMAGED)
+
+    @property
+    def members(self) -> list[str]:
+        """The names of all files in the archive."""
+        return [name for name in self._file.namelist() if not name.endswith("/")]
+
+    def read(self, member: str) -> bytes:
+        """Return the content of a member; its true size is checked as well as the announced one."""
+        try:
+            known = self._file.getinfo(member)
+            if known.file_size > self._most:
+                raise self._too_large(member, known.file_size)
+            with self._file.open(known) as file:
+                data = file.read(self._most + 1)
+        except KeyError:
+            raise InputError(self._name, f"the archive has no {member}", _DAMAGED) from None
+        except (
+            zipfile.BadZipFile,
+            zlib.error,
+            NotImplementedError,
+            RuntimeError,
+            EOFError,
+            OSError,
+            ValueError,
+        ) as error:
+            raise InputError(self._name, f"{member} in the archive is damaged ({error})", _DAMAGED) from error
+        if len(data) > self._most:
+            raise self._too_large(member, len(data))
+        return data
+
+    def _too_large(self, member: str, size: int) -> InputError:
+        cause = f"{member} in the archive has {size} bytes, more than the {self._most} that are read"
+        return InputError(self._name, cause, "raise --max-memory, or give a smaller model")
+
+
+@dataclass(frozen=True)
+class _Part:
+    """An object that is built, or is part of another: the model file it is in (empty: this one), its place."""
+
+    path: str
+    number: str
+    matrix: NDArray[np.float64]
+
+
+@dataclass
+class _Object:
+    """Vertices, triangles with the indices of their properties and the group of these, or parts."""
+
+    group: str = ""
+    index: int = 0
+    vertices: array[float] = field(default_factory=lambda: array("d"))
+    triangles: array[int] = field(default_factory=lambda: array("q"))  # three vertices, three properties
+    groups: list[str] = field(default_factory=list)
+    parts: list[_Part] = field(default_factory=list)
+
+
+@dataclass
+class _Model:
+    """What is in one model file; colours are of 0 to 255, with opacity."""
+
+    objects: dict[str, _Object] = field(default_factory=dict)
+    colours: dict[str, list[Rgba]] = field(default_factory=dict)
+    built: list[_Part] = field(default_factory=list)
+    others: set[str] = field(default_factory=set)  # kinds of groups that are no colours
+
+
+def read_3mf(data: bytes, name: str, access: Access) -> ColouredPolygons:
+    """Read a 3MF file."""
+    building = _Building(Archive(data, name, access), name, access)
+    root = building.model(building.start())
+    for part in root.built:
+        building.add(part, np.eye(4), building.start(), 0)
+    return building.whole()
+
+
+def _read_model(text: bytes, name: str) -> _Model:
+    """Read a model file; a document type, which could make it grow without bounds, is refused."""
+    reading = _Reading()
+    parser = expat.ParserCreate(namespace_separator=" ")
+    parser.StartElementHandler = reading.start
+    parser.StartDoctypeDeclHandler = _refuse
+    try:
+        parser.Parse(text, True)
+    except expat.ExpatError as error:
+        raise InputError(name, f"its model is no XML ({error})", "export it again") from error
+    except (ValueError, KeyError, OverflowError) as error:
+        cause = f"line {parser.CurrentLineNumber} of its model is damaged ({error})"
+        raise InputError(name, cause, "export it again") from error
+    return reading.model
+
+
+def _refuse(*_: object) -> None:
+    raise ValueError("a document type is not allowed")
+
+
+class _Reading:
+    """The model while its elements come in."""
+
+    def __init__(self) -> None:
+        self.model = _Model()
+        self._object = _Object()
+        self._group: list[Rgba] = []
+        self._actions: dict[str, Callable[[Attributes], None]] = {
+            "object": self._start_object,
+            "vertex": self._take_vertex,
+            "triangle": self._take_triangle,
+            "component": lambda known: self._object.parts.append(_part(known)),
+            "item": lambda known: self.model.built.append(_part(known)),
+            "colorgroup": self._start_group,
+            "basematerials": self._start_group,
+            "color": lambda known: self._group.append(_colour(known["color"])),
+            "base": lambda known: self._group.append(_colour(known["displaycolor"])),
+            "texture2dgroup": lambda _: self.model.others.add("textures"),
+            "compositematerials": lambda _: self.model.others.add("mixtures of materials"),
+            "multiproperties": lambda _: self.model.others.add("several properties at once"),
+        }
+
+    def start(self, element: str, known: Attributes) -> None:
+        action = self._actions.get(element.rpartition(" ")[2])
+        if action is not None:
+            action(known)
+
+    def _start_object(self, known: Attributes) -> None:
+        self._object = _Object(known.get("pid", ""), int(known.get("pindex", 0)))
+        self.model.objects[known["id"]] = self._object
+
+    def _start_group(self, known: Attributes) -> None:
+        self._group = []
+        self.model.colours[known["id"]] = self._group
+
+    def _take_vertex(self, known: Attributes) -> None:
+        self._object.vertices.extend([float(known["x"]), float(known["y"]), float(known["z"])])
+
+    def _take_triangle(self, known: Attributes) -> None:
+        first = int(known.get("p1", _NONE))
+        self._object.triangles.extend([int(known["v1"]), int(known["v2"]), int(known["v3"])])
+        self._object.triangles.extend([first, int(known.get("p2", first)), int(known.get("p3", first))])
+        self._object.groups.append(known.get("pid", ""))
+
+
+def _part(known: Attributes) -> _Part:
+    numbers = [float(word) for word in known.get("transform", "1 0 0 0 1 0 0 0 1 0 0 0").split()]
+    if len(numbers) != _NUMBERS:
+        raise ValueError(f"a transform has {len(numbers)} numbers")
+    matrix = np.eye(4)
+    matrix[:, :3] = np.array(numbers).reshape(4, 3)
+    return _Part(known.get(_PATH, ""), known["objectid"], matrix)
+
+
+def _colour(text: str) -> Rgba:
+    digits = text.strip().removeprefix("#")
+    if len(digits) not in (6, 8):
+        raise ValueError(f"{text[:20]!r} is no colour")
+    octets = bytes.fromhex(digits.ljust(8, "f"))
+    return octets[0], octets[1], octets[2], octets[3]
+
+
+def _colours_of(model: _Model, thing: _Object) -> NDArray[np.float32]:
+    """Return the colours of the corners of an object's triangles, shape (F, 3, 4); NaN where there is none."""
+    table = np.array(thing.triangles, np.int64).reshape(-1, 6)
+    result = np.full((len(table), 3, 4), np.nan, np.float32)
+    names = np.array([group or thing.group for group in thing.groups], object)
+    for group in set(names.tolist()):
+        if group not in model.colours:
+            continue
+        palette = np.array(model.colours[group] or np.empty((0, 4)), np.float32).reshape(-1, 4) / 255
+        palette = np.append(palette, [[np.nan] * 4], axis=0)
+        rows = np.flatnonzero(names == group)
+        indices = np.where(table[rows, 3:] == _NONE, thing.index, table[rows, 3:])
+        there = (indices >= 0) & (indices < len(palette) - 1)
+        result[rows] = palette[np.where(there, indices, -1)]
+    return result
+
+
+class _Building:
+    """Objects while they are put where they belong."""
+
+    def __init__(self, archive: Archive, name: str, access: Access) -> None:
+        self._archive, self._name = archive, name
+        memory = access.memory if access.memory is not None else _MOST_TRIANGLES * _BYTES_OF_TRIANGLE
+        self._triangles_left = min(_MOST_TRIANGLES, memory // _BYTES_OF_TRIANGLE)
+        self._models: dict[str, _Model] = {}
+        self._parts, self._vertices = 0, 0
+        self._positions: list[NDArray[np.float64]] = []
+        self._corners: list[NDArray[np.int64]] = []
+        self._colours: list[NDArray[np.float32]] = []
+
+    def start(self) -> str:
+        """Return the member that the archive says to start with."""
+        if _RELATIONS in self._archive.members:
+            for relation in _TARGET.findall(self._archive.read(_RELATIONS)):
+                target = re.search(rb"""Target\s*=\s*["']/?([^"']+)["']""", relation)
+                if target and b"3dmodel" in relation:
+                    return target[1].decode("utf-8", "replace")
+        return _USUAL
+
+    def model(self, path: str) -> _Model:
+        """Return a model file of the archive, read once."""
+        if path not in self._models:
+            self._models[path] = _read_model(self._archive.read(path), self._name)
+        return self._models[path]
+
+    def add(self, part: _Part, above: NDArray[np.float64], path: str, depth: int) -> None:
+        """Add an object and all of its parts; matrices act on rows."""
+        self._parts += 1
+        if depth > _DEEPEST or self._parts > _MOST_PARTS:
+            raise InputError(self._name, "it has too many parts within parts", "export it as one mesh")
+        path = posixpath.normpath(part.path).lstrip("/") if part.path else path
+        model = self.model(path)
+        if part.number not in model.objects:
+            raise InputError(self._name, f"there is no object {part.number[:20]!r}", "export it again")
+        thing, matrix = model.objects[part.number], part.matrix @ above
+        triangles = np.array(thing.triangles, np.int64).reshape(-1, 6)[:, :3]
+        self._triangles_left -= len(triangles)
+        if self._triangles_left < 0:
+            raise InputError(self._name, "it has more triangles than fit into memory", "raise --max-memory")
+        positions = np.array(thing.vertices, np.float64).reshape(-1, 3)
+        if triangles.size and (triangles.min() < 0 or triangles.max() >= len(positions)):
+            raise InputError(self._name, f"a triangle names a vertex that is none of the {len(positions)}")
+        with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is refused later
+            self._positions.append(positions @ matrix[:3, :3] + matrix[3, :3])
+        self._corners.append(triangles.ravel() + self._vertices)
+        self._colours.append(_colours_of(model, thing).reshape(-1, 4))
+        self._vertices += len(positions)
+        for inner in thing.parts:
+            self.add(inner, matrix, path, depth + 1)
+
+    def whole(self) -> ColouredPolygons:
+        """Return everything that was added."""
+        corners = np.concatenate([np.empty(0, np.int64), *self._corners])
+        others = set().union(*(model.others for model in self._models.values()))
+        return ColouredPolygons(
+            positions=np.concatenate([np.empty((0, 3)), *self._positions]),
+            corners=corners,
+            sizes=np.full(len(corners) // 3, 3),
+            colours=np.concatenate([np.empty((0, 4), np.float32), *self._colours]),
+            stored="uint8",
+            left_out=(*sorted(others), "names, metadata and settings of printers"),
+        )
