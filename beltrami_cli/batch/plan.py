@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 from beltrami_cli.batch.manifest import is_manifest, read_manifest
 from beltrami_cli.batch.storage import find_at, is_url, joined, place_of, without_scheme
 from beltrami_cli.errors import InputError, UsageError
-from beltrami_cli.samples.settings.smooth import IMAGE_FORMATS, IMAGE_SUFFIXES, OUTPUT_FORMATS
+from beltrami_cli.formats.registry import OUTPUT_FORMATS
+from beltrami_cli.samples.settings.smooth import IMAGE_FORMATS, IMAGE_SUFFIXES
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from beltrami_cli.formats.access import Access
+from beltrami_cli.formats.registry import OUTPUT_FORMATS
 from beltrami_cli.jobs.memory import limited_memory, memory_of_machine, parse_size
-from beltrami_cli.samples.settings.smooth import IMAGE_FORMATS, OUTPUT_FORMATS
+from beltrami_cli.samples.settings.smooth import IMAGE_FORMATS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

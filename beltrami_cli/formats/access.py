@@ -1,20 +1,25 @@
-"""What a job may read: files of which kind, how large, and from where."""
+"""What a job may read: files of which kind, how large, and from where; and reading them."""
 
 from __future__ import annotations
 
 import errno
 import os
 import stat
+import sys
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING
+
+from beltrami_cli.errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from pathlib import Path
 
+# Without O_NONBLOCK, opening a FIFO that nobody writes to would wait for ever.
 _OPENING = (
     os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0) | getattr(os, "O_NOCTTY", 0)
 )
+_BLOCK = 1 << 24  # bytes of standard input read at a time: a larger request is allocated at once
 
 
 @dataclass(frozen=True)
@@ -26,12 +31,12 @@ class Access:
     outside : bool
         Whether files are followed that a model names beyond its own folder. Networks never are.
     memory : int or None
-        Bytes that the job may take; None: as many as there are. Files and images that are larger are refused
-        before they are read.
+        Bytes that the job may take; None: no limit. Larger files and images are refused before they are read.
     note : callable or None
-        Told of every file that was read as a whole, with what it held; so a job can say what its result depends on.
+        Called with every file that was read as a whole and its content, so that a job can record what its result
+        depends on.
     bring : callable or None
-        Told of every file beside a model before it is looked for; so it can be fetched from elsewhere.
+        Called with the path of every sidecar before it is looked for, so that it can be fetched from elsewhere.
     """
 
     outside: bool = False
@@ -41,7 +46,7 @@ class Access:
 
 
 EVERYTHING_INSIDE = Access()
-"""The default: what lies in the model's folder, of any size."""
+"""The default: files in the model's folder, of any size."""
 
 
 class NotRegularError(OSError):
@@ -49,25 +54,7 @@ class NotRegularError(OSError):
 
 
 def read_regular(path: Path, access: Access, most: int = -1) -> bytes:
-    """Return the content of a regular file, never waiting for anybody to write it.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-        The file.
-    access : Access
-        How large it may be.
-    most : int
-        Read no more than the first bytes; negative: all.
-
-    Raises
-    ------
-    NotRegularError
-        If it is something else than a file, which is then not read from.
-    OSError
-        If it cannot be read, or is larger than allowed.
-    """
-    # Without O_NONBLOCK, opening a FIFO that nobody writes to would wait for ever.
+    """Return a regular file's content, or its first `most` bytes, never waiting for a writer; OSError if it cannot."""
     descriptor = os.open(path, _OPENING)
     with os.fdopen(descriptor, "rb") as file:
         status = os.fstat(descriptor)
@@ -79,3 +66,28 @@ def read_regular(path: Path, access: Access, most: int = -1) -> bytes:
     if most < 0 and access.note is not None:
         access.note(path, data)
     return data
+
+
+def read_source(source: str, access: Access = EVERYTHING_INSIDE) -> bytes:
+    """Return the bytes of a file, or of standard input for "-"; InputError if it cannot be read."""
+    if source == "-":
+        return _read_stdin(access)
+    try:
+        return read_regular(Path(source), access)
+    except NotRegularError as error:
+        remedy = "give a file, or pipe the model in and name it -"
+        raise InputError(source, "it is not a regular file", remedy) from error
+    except OSError as error:
+        too_large = error.errno == errno.EFBIG
+        remedy = "raise --max-memory" if too_large else "check the path and its permissions"
+        raise InputError(source, f"cannot be read ({error.strerror})", remedy) from error
+
+
+def _read_stdin(access: Access) -> bytes:
+    blocks, size = [], 0
+    while block := sys.stdin.buffer.read(_BLOCK):
+        blocks.append(block)
+        size += len(block)
+        if access.memory is not None and size > access.memory:
+            raise InputError("<stdin>", f"it has more than {access.memory} bytes", "raise --max-memory")
+    return b"".join(blocks)

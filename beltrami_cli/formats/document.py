@@ -1,4 +1,15 @@
-"""What every format offers: a document that keeps its bytes and lets only its colours be replaced."""
+"""What every model format implements: a document that keeps its bytes and lets only its colours be replaced.
+
+A format is a subclass of `Document`, in a folder of its own, and a line of `formats/registry.py`. To write one:
+
+- The constructor takes the bytes, the name for messages, the folder of sidecar files (None: there are none, as for
+  standard input) and the `Access`: ``__init__(self, data, name, folder, access)``. It may parse lazily, and holds every
+  count against the length of the data before it allocates.
+- `painted`, `patch`, `references`, `contents` and `facts` are required; the others have defaults for a format without
+  textures, range images, further attributes or movable vertices.
+- `patch` with equal colours returns equal bytes. What changes is rounded once; every other byte stays.
+- Whatever is wrong with the file is an `InputError` with its name, the cause and a remedy.
+"""
 
 from __future__ import annotations
 
@@ -14,12 +25,13 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from beltrami_cli.formats.anatomy import Anatomy
     from beltrami_cli.surface.painted import MeshContents, MovedVertices, PaintedVertices
     from beltrami_cli.surface.textured import ImageFile, Slot, TexturedSurface
 
 Bytes = bytes | bytearray | memoryview
 NO_IMAGES: Mapping[tuple[Slot, str], ImageFile] = {}
+PLACEHOLDER = b"\0"
+"""What stands in a part of a fingerprint where something was taken out that may differ."""
 
 
 @dataclass(frozen=True)
@@ -33,9 +45,9 @@ class Written:
     sidecars : mapping of str to bytes-like
         Files beside it that are new or changed, by their path relative to the main file ("/" separates).
     notices : tuple of str
-        What the user should be told, one sentence each: what the format cannot hold, what was rounded.
+        Messages for the user, one sentence each: what the format cannot hold, what was rounded.
     superseded : frozenset of str
-        Of the document's references, those that nothing in the new files names any more.
+        Those of the document's references that nothing in the new files names any more.
     """
 
     main: Sequence[Bytes]
@@ -44,17 +56,45 @@ class Written:
     superseded: frozenset[str] = frozenset()
 
 
+@dataclass(frozen=True)
+class NamedImage:
+    """An image file, by the name that users know it by."""
+
+    name: str
+    data: bytes
+
+
+@dataclass(frozen=True)
+class Fingerprint:
+    """A file taken apart, colours and images apart from all the rest, so that two files can be compared.
+
+    Attributes
+    ----------
+    parts : mapping of str to bytes
+        Everything that is neither colour nor image, by its place in the file. Where a colour, an image or the name of
+        its file stands, there is a placeholder: files that differ in nothing but colours have equal parts.
+    colours : mapping of str to ndarray of float32, shape (n, C)
+        The colours, full scale 1, by what they are.
+    images : mapping of str to NamedImage
+        The images, by where they are used.
+    """
+
+    parts: Mapping[str, bytes]
+    colours: Mapping[str, NDArray[np.float32]] = field(default_factory=dict)
+    images: Mapping[str, NamedImage] = field(default_factory=dict)
+
+
 class Document(ABC):
     """An opened file. Nothing of it is changed: `patch` makes new bytes.
 
     Attributes
     ----------
     format : str
-        "ply", "obj", "gltf", "glb", "xyz", "pts" or "npz".
+        The name of its line in the registry.
     name : str
         The file as the user named it, for messages.
     notices : list of str
-        What the user should be told about this file, one sentence each, without the file's name.
+        Messages for the user about this file, one sentence each, without the file's name.
     """
 
     format: ClassVar[str]
@@ -65,32 +105,21 @@ class Document(ABC):
 
     @abstractmethod
     def painted(self) -> PaintedVertices:
-        """Return the vertex colours and their surface.
+        """Return the vertex colours and their surface, the same record at every call.
 
-        Returns
-        -------
-        PaintedVertices
-            The same record at every call.
-
-        Raises
-        ------
-        InputError
-            If the document has no vertex colours, or they or the geometry are damaged.
+        InputError if there are no vertex colours (`UnpaintedError`), or if they or the geometry are damaged.
         """
 
     def grid(self) -> NDArray[np.int64] | None:
-        """Return the regular grid that the vertices were measured on, if that is their surface.
+        """Return the regular grid that the vertices were measured on, shape (H, W), or None if they are no range image.
 
-        Returns
-        -------
-        ndarray of int64, shape (H, W), or None
-            Which row of `painted()` stands at each place, -1 for none. Positions may then not be finite, where nothing
-            was measured. None: the vertices are no range image.
+        It has the row of `painted()` at each place, -1 for none. Positions may then not be finite, where nothing was
+        measured.
         """
         return None
 
     def has_vertex_colours(self) -> bool:
-        """Tell whether `painted` has anything to return, without checking all of it."""
+        """Whether `painted` has anything to return, without checking all of it."""
         try:
             self.painted()
         except InputError:
@@ -98,43 +127,24 @@ class Document(ABC):
         return True
 
     def attributes(self) -> tuple[str, ...]:
-        """Return the names of what vertices have beside places and colours; "normal" if they have normals."""
+        """Return the names of what vertices have besides positions and colours; "normal" if they have normals."""
         return ()
 
     def attribute(self, name: str) -> NDArray[np.float64]:
-        """Return what vertices have beside places and colours.
+        """Return an attribute, shape (V, G), with rows as in `painted().colours`; InputError if there is none.
 
-        Parameters
-        ----------
-        name : str
-            As `attributes` gives it; in any case of letters.
-
-        Returns
-        -------
-        ndarray of float64, shape (V, G)
-            Rows as in `painted().colours`. Integers of full scale count as such only where the format says that they
-            are fractions. Normals are of unit length or 0, and in the space of the positions.
-
-        Raises
-        ------
-        InputError
-            If vertices have nothing of this name, or it is damaged.
+        The name is one of `attributes()`, in any case of letters. Integers are divided by their full scale only where
+        the format says that they are fractions. Normals are of unit length or 0, in the space of the positions.
         """
         known = ", ".join(self.attributes()) or "nothing"
         raise InputError(self.name, f"its vertices have no {name}, but {known} beside their colours")
 
     def has_normals_by_vertex(self) -> bool:
-        """Tell whether `patch` puts normals into the document when vertices move."""
+        """Whether `patch` puts normals into the document when vertices move."""
         return "normal" in self.attributes()
 
     def require_movable(self) -> None:
-        """Check that `patch` can take new places of vertices.
-
-        Raises
-        ------
-        InputError
-            If the format, or the way that they are stored, does not let positions be replaced.
-        """
+        """Raise InputError if `patch` cannot take new positions: the format or their storage does not allow it."""
         raise InputError(self.name, f"the positions of a {self.format} file cannot be replaced")
 
     def slots(self) -> tuple[Slot, ...]:
@@ -142,18 +152,10 @@ class Document(ABC):
         return ()
 
     def textured(self, slot: Slot) -> TexturedSurface:
-        """Return the textures of a slot and the surface that they are painted on.
+        """Return the textures of a slot and the surface that they are painted on, the same record at every call.
 
-        Returns
-        -------
-        TexturedSurface
-            The same record at every call.
-
-        Raises
-        ------
-        InputError
-            If the slot has no texture, an image is missing, unsupported or outside the model's folder, or texture
-            coordinates are damaged.
+        InputError if the slot has no texture, an image is missing, unsupported or outside the model's folder, or
+        texture coordinates are damaged.
         """
         raise InputError(self.name, f"it has no {slot} texture")
 
@@ -172,19 +174,19 @@ class Document(ABC):
         Parameters
         ----------
         colours : ndarray of float32, shape (V, C), or None
-            Rows as in `painted().colours`; None: as they are. Every entry that equals the one there keeps its stored
-            bytes; others are rounded to the stored type once, to the nearest, after clipping to its range.
-        images : mapping of (Slot, str) to ImageFile
-            New images by slot and `Texture.key`, of the same size in pixels: each replaces that image in that slot and
-            nowhere else. The type of file may be another one than before.
-        places : MovedVertices or None
-            New places of the vertices, which `require_movable` has allowed; None: as they are. Every coordinate that
-            equals the one there keeps its stored bytes; others are rounded to the stored type once.
+            Rows as in `painted().colours`; None: unchanged. Every entry that equals the present one keeps its stored
+            bytes; others are clipped to the range of the stored type and rounded to it once, to the nearest.
         stem : str
             Name of the output file without folder and extension, for naming changed sidecars.
         moved : bool
-            Whether the output lies in another folder than the source. If it does, changed sidecars keep
-            their names; if not, they are named after `stem`, so that no source is overwritten.
+            Whether the output lies in another folder than the source. If it does, changed sidecars keep their names;
+            if not, they are named after `stem`, so that no source is overwritten.
+        images : mapping of (Slot, str) to ImageFile
+            New images by slot and `Texture.key`, of the same size in pixels: each replaces that image in that slot and
+            nowhere else. The type of file may change.
+        places : MovedVertices or None
+            New positions of the vertices, which `require_movable` has allowed; None: unchanged. Every coordinate that
+            equals the present one keeps its stored bytes; others are rounded to the stored type once.
         """
 
     @abstractmethod
@@ -193,22 +195,10 @@ class Document(ABC):
 
     @abstractmethod
     def contents(self) -> MeshContents:
-        """Return the mesh for conversion to another format.
+        """Return the mesh for conversion to another format; InputError as `painted`."""
 
-        Raises
-        ------
-        InputError
-            As `painted`.
-        """
-
-    def anatomy(self) -> Anatomy:
-        """Take the file apart, for comparison with another.
-
-        Raises
-        ------
-        InputError
-            If it cannot be taken apart, or what it is made of is damaged.
-        """
+    def fingerprint(self) -> Fingerprint:
+        """Take the file apart for comparison with another; InputError if that is not possible or it is damaged."""
         raise InputError(self.name, f"a {self.format} file cannot be compared with another")
 
     @abstractmethod

@@ -1,10 +1,10 @@
-"""Numbers in text files: where they stand, what they are, and how some are exchanged for others."""
+"""Values in files by where they stand: finding and reading the numbers of a text, and exchanging bytes for others."""
 
 from __future__ import annotations
 
 import warnings
 from itertools import chain
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -21,22 +21,11 @@ _BLOCK = 1 << 16  # tokens exchanged at a time, which bounds the memory that the
 
 
 def find_tokens(text: bytes) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Find the runs of bytes other than white space (blank, tab, line ends, vertical tab, form feed).
-
-    Parameters
-    ----------
-    text : bytes
-        N bytes.
-
-    Returns
-    -------
-    starts, ends : ndarray of int64, shape (T,)
-        Token t is ``text[starts[t]:ends[t]]``.
-    """
+    """Return starts and ends, shape (T,), of the runs of bytes between ASCII white space."""
     solid = np.frombuffer(text.translate(_SOLID), np.bool_)
     if not solid.size:
         return np.empty(0, np.int64), np.empty(0, np.int64)
-    edges = np.flatnonzero(solid[1:] != solid[:-1]) + 1  # where tokens start and end, by turns
+    edges = np.flatnonzero(solid[1:] != solid[:-1]) + 1  # starts and ends of tokens, alternating
     if solid[0]:
         edges = np.insert(edges, 0, 0)
     if solid[-1]:
@@ -45,18 +34,7 @@ def find_tokens(text: bytes) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
 
 
 def read_numbers(text: bytes) -> NDArray[np.float64]:
-    """Read the numbers that a text starts with, up to the first token that is none.
-
-    Parameters
-    ----------
-    text : bytes
-        Tokens between white space.
-
-    Returns
-    -------
-    ndarray of float64, shape (T,)
-        As many values as tokens if all are decimal numbers (or "nan", "inf"), otherwise fewer.
-    """
+    """Return the decimal numbers ("nan" and "inf" included) that a text starts with, up to the first other token."""
     values = _parse(text)
     if values is not None:
         return values
@@ -92,22 +70,7 @@ def exchange_tokens(
     ends: NDArray[np.int64],
     spell: Callable[[slice], Sequence[bytes]],
 ) -> list[bytes | memoryview]:
-    """Exchange some tokens of a text and keep every other byte.
-
-    Parameters
-    ----------
-    text : bytes
-        The text.
-    starts, ends : ndarray of int64, shape (T,)
-        Where the tokens to be exchanged stand, in ascending order.
-    spell : callable
-        Gives for a slice of ``range(T)`` the tokens to be put there.
-
-    Returns
-    -------
-    list of bytes-like
-        The new text, in pieces.
-    """
+    """Return a text, in pieces, in which the T tokens at ascending places are those that `spell` gives for a slice."""
     whole = memoryview(text)
     pieces: list[bytes | memoryview] = []
     done = 0
@@ -128,3 +91,11 @@ def exchange_spans(data: bytes, spans: Spans) -> bytes:
         pieces += [data[done:start], new]
         done = end
     return b"".join([*pieces, data[done:]]) if spans else data
+
+
+def zeroed(data: bytes, starts: NDArray[np.int64], size: int) -> bytes:
+    """Return data in which the values of `size` bytes at some places, shape (n,), are zero."""
+    octets: NDArray[Any] = np.frombuffer(data, np.uint8).copy()
+    for step in range(size):
+        octets[starts + step] = 0
+    return octets.tobytes()

@@ -11,13 +11,13 @@ import numpy as np
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.image import read_image, to_float
-from beltrami_cli.formats.source import open_document
+from beltrami_cli.formats.registry import open_document
 from beltrami_cli.samples.memory_check import require_room
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from beltrami_cli.formats.anatomy import Anatomy, Painting
+    from beltrami_cli.formats.document import Fingerprint, NamedImage
 
 
 @dataclass(frozen=True)
@@ -91,12 +91,12 @@ def check_files(
         raise UsageError(
             f"{documents[0].name} is {formats[0]} and {documents[1].name} is {formats[1]}; give two alike"
         )
-    old, new = (document.anatomy() for document in documents)
+    old, new = (document.fingerprint() for document in documents)
     found = [*_of_colours(old, new), *_of_paintings(old, new, access), *_of_parts(old, new)]
     return CheckReport(documents[0].name, documents[1].name, formats[0], found)
 
 
-def _of_colours(old: Anatomy, new: Anatomy) -> list[Difference]:
+def _of_colours(old: Fingerprint, new: Fingerprint) -> list[Difference]:
     found = []
     for what in {**old.colours, **new.colours}:
         if what not in old.colours or what not in new.colours:
@@ -119,17 +119,17 @@ def _amount(before: NDArray[np.float32], after: NDArray[np.float32]) -> str:
     return f"{rows} of {len(before)} differ, by {mean:.2f}/255 on average and {largest:.1f}/255 at most"
 
 
-def _of_paintings(old: Anatomy, new: Anatomy, access: Access) -> list[Difference]:
+def _of_paintings(old: Fingerprint, new: Fingerprint, access: Access) -> list[Difference]:
     found = []
-    for what in {**old.paintings, **new.paintings}:
-        if what not in old.paintings or what not in new.paintings:
-            found.append(Difference(what, _missing(what in new.paintings), of_colour=False))
-        elif old.paintings[what].data != new.paintings[what].data:
-            found.append(_of_pixels(what, old.paintings[what], new.paintings[what], access))
+    for what in {**old.images, **new.images}:
+        if what not in old.images or what not in new.images:
+            found.append(Difference(what, _missing(what in new.images), of_colour=False))
+        elif old.images[what].data != new.images[what].data:
+            found.append(_of_pixels(what, old.images[what], new.images[what], access))
     return found
 
 
-def _of_pixels(what: str, old: Painting, new: Painting, access: Access) -> Difference:
+def _of_pixels(what: str, old: NamedImage, new: NamedImage, access: Access) -> Difference:
     """Compare two image files whose bytes differ."""
     require_room([(old.name, old.data), (new.name, new.data)], access)
     try:
@@ -147,7 +147,7 @@ def _of_pixels(what: str, old: Painting, new: Painting, access: Access) -> Diffe
     return Difference(what, f"{names}: pixels, {amount}", of_colour=True)
 
 
-def _of_parts(old: Anatomy, new: Anatomy) -> list[Difference]:
+def _of_parts(old: Fingerprint, new: Fingerprint) -> list[Difference]:
     found = []
     for what in {**old.parts, **new.parts}:
         if what not in old.parts or what not in new.parts:

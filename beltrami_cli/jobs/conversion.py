@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from beltrami_cli.errors import UsageError
-from beltrami_cli.samples.settings.smooth import POINT_FORMATS
+from beltrami_cli.formats.registry import write_contents
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -16,17 +16,15 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from beltrami_cli.formats.document import Document, Written
-    from beltrami_cli.samples.settings.smooth import Format
     from beltrami_cli.surface.painted import MeshContents, MovedVertices
     from beltrami_cli.surface.textured import ImageFile, Slot
-    from beltrami_cli.surface.textured_mesh import TexturedMesh
 
 
 def make_files(
     document: Document,
     colours: NDArray[np.float32] | None,
     images: Mapping[tuple[Slot, str], ImageFile],
-    target_format: Format,
+    target_format: str,
     stem: str,
     *,
     moved: bool,
@@ -65,8 +63,9 @@ def make_files(
         return document.patch(colours, stem, moved=moved, images=images, places=places)
     from beltrami_cli.formats.gltf import GltfDocument
 
-    if isinstance(document, GltfDocument) and (target_format == "glb" or target_format == "gltf"):
-        return document.repackaged(colours, stem, target_format, moved=moved, images=images, places=places)
+    if isinstance(document, GltfDocument) and target_format in ("glb", "gltf"):
+        form: Literal["glb", "gltf"] = "glb" if target_format == "glb" else "gltf"
+        return document.repackaged(colours, stem, form, moved=moved, images=images, places=places)
     if images or (document.slots() and not document.has_vertex_colours()):
         raise UsageError(
             f"textures cannot be converted from {document.format} to {target_format}; "
@@ -85,61 +84,3 @@ def _moved(contents: MeshContents, places: MovedVertices) -> MeshContents:
     if normals is not None and places.normals is not None:
         normals = np.where(np.isnan(places.normals), normals, places.normals)
     return dataclasses.replace(contents, positions=places.positions, normals=normals)
-
-
-def write_contents(contents: MeshContents, target_format: Format, stem: str) -> Written:
-    """Write a mesh with vertex colours as a new file."""
-    if target_format == "ply":
-        from beltrami_cli.formats.ply import write_ply
-
-        return write_ply(contents, stem)
-    if target_format == "obj":
-        from beltrami_cli.formats.obj import write_obj
-
-        return write_obj(contents, stem)
-    if target_format in POINT_FORMATS:
-        from beltrami_cli.formats.points import write_npz, write_pts, write_xyz
-
-        return {"xyz": write_xyz, "pts": write_pts, "npz": write_npz}[target_format](contents, stem)
-    from beltrami_cli.formats.gltf import write_glb, write_gltf
-
-    return write_glb(contents, stem) if target_format == "glb" else write_gltf(contents, stem)
-
-
-def write_textured(mesh: TexturedMesh, target_format: Format, stem: str) -> Written:
-    """Write a mesh with one texture as a new file; UsageError if the format has no textures."""
-    _require_textures(target_format)
-    if target_format == "ply":
-        from beltrami_cli.formats.ply import write_textured_ply
-
-        return write_textured_ply(mesh, stem)
-    if target_format == "obj":
-        from beltrami_cli.formats.obj import write_textured_obj
-
-        return write_textured_obj(mesh, stem)
-    from beltrami_cli.formats.gltf import write_textured_glb, write_textured_gltf
-
-    return write_textured_glb(mesh, stem) if target_format == "glb" else write_textured_gltf(mesh, stem)
-
-
-def names_beside(target_format: Format, stem: str, image_suffix: str | None) -> list[str]:
-    """Return the files that `write_textured`, or without an image `write_contents`, puts beside the main one.
-
-    Raises
-    ------
-    UsageError
-        If there is an image, and the format has no textures.
-    """
-    if image_suffix is not None:
-        _require_textures(target_format)
-    names = [f"{stem}.bin"] if target_format == "gltf" else []
-    if image_suffix is None or target_format == "glb":
-        return names
-    return [*names, *([f"{stem}.mtl"] if target_format == "obj" else []), stem + image_suffix]
-
-
-def _require_textures(target_format: Format) -> None:
-    if target_format in POINT_FORMATS:
-        raise UsageError(
-            f"a .{target_format} file has no textures; end the name of the output in .glb, .obj or .ply"
-        )

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from beltrami_cli.errors import UsageError
-from beltrami_cli.formats.source import document_of, read_source
-from beltrami_cli.formats.volume import is_volume
+from beltrami_cli.formats.access import read_source
+from beltrami_cli.formats.registry import document_of, kind_of
 
 if TYPE_CHECKING:
     from beltrami_cli.formats.access import Access
@@ -44,7 +44,7 @@ def open_input(source: str, settings: SmoothSettings, access: Access) -> Documen
 def document_from(data: bytes, source: str, settings: SmoothSettings, access: Access) -> Document:
     """Return the document that a source is whose bytes have been read already; see `open_input`."""
     name, folder = ("<stdin>", None) if source == "-" else (source, Path(source).parent)
-    if is_volume(data, name):
+    if kind_of(data, name) == "volume":
         from beltrami_cli.samples.vertices.level_set import LevelSetDocument
 
         return LevelSetDocument(data, name, folder, settings.level_set, access, settings.kernel.thread_count)

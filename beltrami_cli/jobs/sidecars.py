@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from beltrami_cli.errors import BeltramiError, OutputError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access, read_regular
 from beltrami_cli.formats.image.recognition import suffix_for
-from beltrami_cli.formats.source import open_document
+from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.conversion import make_files
 from beltrami_cli.surface.textured import ImageFile
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.document import Document, Written
     from beltrami_cli.jobs.writing.output import Output
     from beltrami_cli.samples.selection import Work
-    from beltrami_cli.samples.settings.smooth import Format, SmoothSettings
+    from beltrami_cli.samples.settings.smooth import SmoothSettings
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ def plan_companions(
     document: Document,
     work: Work,
     settings: SmoothSettings,
-    target_format: Format,
+    target_format: str,
     source: str,
     target: str,
     output: Output | None,
@@ -91,7 +91,7 @@ def plan_companions(
         What changes.
     settings : SmoothSettings
         Which textures, and their format.
-    target_format : Format
+    target_format : str
         What is written.
     source, target : str
         Where from, where to.
@@ -132,7 +132,7 @@ def _names(
     document: Document,
     work: Work,
     settings: SmoothSettings,
-    target_format: Format,
+    target_format: str,
     target: str,
 ) -> dict[str, bool]:
     """Find the files that would be written beside the output, by writing the old images anew; True: it is new."""

@@ -7,15 +7,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from beltrami_cli.errors import InputError, UnpaintedError, UsageError
-from beltrami_cli.formats.beside import LEFT_ALONE, remedy_for
-from beltrami_cli.samples.settings.smooth import OUTPUT_FORMATS
+from beltrami_cli.formats.model_folder import LEFT_ALONE, remedy_for
+from beltrami_cli.formats.registry import OUTPUT_FORMATS
 from beltrami_cli.surface.scale import check_scale
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from beltrami_cli.formats.document import Document
-    from beltrami_cli.samples.settings.smooth import Format, SmoothSettings
+    from beltrami_cli.samples.settings.smooth import SmoothSettings
     from beltrami_cli.surface.textured import Slot
 
 
@@ -134,7 +134,7 @@ def _with_chosen_textures(
     return kept
 
 
-def choose_format(document: Document, target: str, chosen: str | None) -> Format:
+def choose_format(document: Document, target: str, chosen: str | None) -> str:
     """Choose the format to write, by option, by the output's name, or as the source.
 
     Raises

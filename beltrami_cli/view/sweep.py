@@ -13,16 +13,15 @@ from typing import TYPE_CHECKING
 
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
+from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access, read_source
 from beltrami_cli.formats.document import Written
 from beltrami_cli.formats.image.recognition import FORMATS, format_of_suffix
-from beltrami_cli.formats.source import read_source
-from beltrami_cli.formats.volume import is_volume
+from beltrami_cli.formats.registry import OUTPUT_FORMATS, kind_of
 from beltrami_cli.jobs.compare.files import compare_files
 from beltrami_cli.jobs.smooth.file import smooth_file
 from beltrami_cli.jobs.writing.output import Output
 from beltrami_cli.samples.settings.level_set import LevelSetSettings
-from beltrami_cli.samples.settings.smooth import DEFAULTS, OUTPUT_FORMATS
+from beltrami_cli.samples.settings.smooth import DEFAULTS
 from beltrami_cli.view.drawing import background_of, draw_panels, with_fixed_crops
 from beltrami_cli.view.file import encoded, picture_suffix
 from beltrami_cli.view.rendering.sheet import Panel, arranged
@@ -183,7 +182,7 @@ def _tried(
 def _suffix(source: str, access: Access) -> str:
     """Return the extension of results: that of the source, if its format can be written."""
     suffix = Path(source).suffix.lower()
-    if is_volume(read_source(source, access), source):
+    if kind_of(read_source(source, access), source) == "volume":
         return ".ply"
     image = format_of_suffix(suffix)
     if image is not None:

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.errors import InputError
+from beltrami_cli.formats.access import read_source
 from beltrami_cli.formats.image import Picture, read_image, to_float, without_alpha
 from beltrami_cli.formats.image.recognition import is_image
-from beltrami_cli.formats.source import read_source
 from beltrami_cli.jobs.opening import document_from
 from beltrami_cli.samples.settings.smooth import DEFAULTS, SmoothSettings
 from beltrami_cli.samples.textures.colours import COLOUR_SLOTS

@@ -12,7 +12,7 @@ from scene import ROOT
 sys.path.insert(0, str(ROOT / "sample_data"))
 
 import images
-from beltrami_cli.formats.source import open_document
+from beltrami_cli.formats.registry import open_document
 from textured import Painting
 
 

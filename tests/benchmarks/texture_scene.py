@@ -13,7 +13,7 @@ from scene import SIGMA, chequer
 from scipy.ndimage import distance_transform_edt
 from texture_files import read_image
 
-from beltrami_cli.formats.source import open_document
+from beltrami_cli.formats.registry import open_document
 
 NEAR = 4  # texels
 SMALLEST = 64  # texels; smaller images are palettes

@@ -19,7 +19,7 @@ from scene import ROOT, SIGMA, SMOOTH
 
 import beltrami_cli
 from beltrami_cli.formats.image import read_image
-from beltrami_cli.formats.source import open_document
+from beltrami_cli.formats.registry import open_document
 from beltrami_cli.samples.textures.prepare import prepare_slot
 
 TEXELS = 1024

@@ -19,7 +19,7 @@ from beltrami_cli.flow.parameters import TUNABLE, KernelParameters
 from beltrami_cli.flow.texels import TexelFlow
 from beltrami_cli.flow.trial_grid import _blocks, _cut_out
 from beltrami_cli.formats.image import read_image
-from beltrami_cli.formats.source import open_document
+from beltrami_cli.formats.registry import open_document
 from beltrami_cli.surface.atlas import HALO, OWNED, refresh_halo
 from beltrami_cli.surface.atlas_building import build_atlas
 from beltrami_cli.surface.vertex_sampling import sample_vertices

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from beltrami_cli.formats.source import open_document
+from beltrami_cli.formats.registry import open_document
 from cli.commands import COMMAND, SAMPLES, beltrami
 from hostile.textured_models import write_model
 

@@ -14,7 +14,7 @@ import OpenImageIO
 import pytest
 
 from beltrami_cli.errors import InputError, UsageError
-from beltrami_cli.formats.source import open_document
+from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.compare.files import compare_files
 from beltrami_cli.jobs.compare.limits import Limits, judge
 from beltrami_cli.jobs.noise.file import noise_file

@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from beltrami_cli.formats.source import open_document
+from beltrami_cli.formats.registry import open_document
 from cli.commands import SAMPLES, beltrami
 from formats.volume_files import npz
 from oracles.level_sets import CENTRE, sphere

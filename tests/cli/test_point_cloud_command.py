@@ -77,7 +77,7 @@ def test_noise_goes_and_the_edge_and_the_outliers_stay(clouds, tmp_path):
     _, colours, clean = scan()
     target = tmp_path / "clean.xyz"
     assert beltrami("smooth", clouds / "scan.xyz", target).returncode == 0
-    done = TextPointsDocument(target.read_bytes(), "clean.xyz", "xyz").painted().colours * 255
+    done = TextPointsDocument(target.read_bytes(), "clean.xyz").painted().colours * 255
     before = np.sqrt(np.mean((colours[: len(clean)].astype(float) - clean) ** 2))
     after = np.sqrt(np.mean((done[: len(clean)] - clean) ** 2))
     assert after < before / 3

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from beltrami_cli.formats.source import open_document
+from beltrami_cli.formats.registry import open_document
 from cli.commands import COMMAND, SAMPLES, beltrami
 
 NOISY = SAMPLES / "terrain-noisy.ply"

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from beltrami_cli.formats.image.reading import read_image
-from beltrami_cli.formats.source import open_document
+from beltrami_cli.formats.registry import open_document
 from cli.commands import COMMAND, SAMPLES, beltrami
 
 MIRRORED = SAMPLES / "mirrored-noisy.obj"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from beltrami_cli.formats.source import open_document
+from beltrami_cli.formats.registry import open_document
 from cli.commands import SAMPLES, beltrami
 
 

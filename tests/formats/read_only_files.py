@@ -10,7 +10,7 @@ import numpy as np
 
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.read_only import ReadOnlyDocument
-from beltrami_cli.formats.source import recognise
+from beltrami_cli.formats.registry import open_bytes
 
 SQUARE = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], float)
 LEVELS = np.array([[255, 0, 0], [0, 128, 0], [0, 0, 64], [10, 20, 30]], np.uint8)
@@ -18,7 +18,7 @@ FACES = [[0, 1, 2], [0, 2, 3]]
 
 
 def opened(data: bytes, name: str, memory: int | None = None) -> ReadOnlyDocument:
-    document = recognise(data, name, None, Access(memory=memory))
+    document = open_bytes(data, name, None, Access(memory=memory))
     assert isinstance(document, ReadOnlyDocument)
     return document
 

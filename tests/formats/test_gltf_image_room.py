@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from beltrami_cli.formats.source import open_document
+from beltrami_cli.formats.registry import open_document
 from formats.gltf_files import Textured, joined, picture, unpacked
 from formats.gltf_images import (
     SQUARE,

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.source import open_document
+from beltrami_cli.formats.registry import open_document
 from formats.gltf_files import JPEG, KTX2, WEBP, Textured, picture
 
 SLOTS = ("baseColor", "emissive", "normal", "occlusion", "metallicRoughness")

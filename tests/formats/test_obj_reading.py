@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.obj import ObjDocument
-from beltrami_cli.formats.source import recognise
+from beltrami_cli.formats.registry import open_bytes
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -168,4 +168,4 @@ def test_facts_are_known_without_colours() -> None:
 def test_text_in_utf_16_is_named(encoding: str) -> None:
     data = "\ufeffv 0 0 0 1 0 0\n".encode(encoding)
     with pytest.raises(InputError, match="UTF-16; save it as UTF-8"):
-        recognise(data, "x.obj", None)
+        open_bytes(data, "x.obj", None)

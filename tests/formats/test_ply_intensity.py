@@ -39,7 +39,7 @@ def test_intensities_of_points_are_of_any_type_and_range(encoding, kind, values,
     result = b"".join(document.patch(colours, "x", moved=False).main)
     again = PlyDocument(result, "x.ply")
     assert np.allclose(again._vertices.scalars("intensity").astype(float), values, atol=1e-3)
-    assert again.anatomy().parts == document.anatomy().parts
+    assert again.fingerprint().parts == document.fingerprint().parts
 
 
 @pytest.mark.parametrize("name", ["scalar_Intensity", "reflectance", "Intensity"])

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from beltrami_cli.errors import InputError, UnpaintedError
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.points import NpzPointsDocument, write_npz
-from beltrami_cli.formats.source import recognise
+from beltrami_cli.formats.registry import open_bytes
 
 POSITIONS = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0.5]])
 COLOURS = np.array([[0, 51, 255], [10, 20, 30], [40, 50, 60], [70, 80, 90]], np.uint8)
@@ -26,7 +26,7 @@ def packed(compressed=True, **arrays):
 
 
 def opened(data, access=None):
-    return NpzPointsDocument(data, "cloud.npz", access or Access())
+    return NpzPointsDocument(data, "cloud.npz", None, access or Access())
 
 
 def unpacked(data):
@@ -178,10 +178,10 @@ def test_other_arrays_of_the_points_are_attributes():
 def test_the_anatomy_of_two_archives_differs_in_colours_alone():
     document = opened(packed(positions=POSITIONS, rgba=np.column_stack([COLOURS, COLOURS[:, 0]])))
     other = opened(patched(document, 1 - document.painted().colours))
-    assert other.anatomy().parts == document.anatomy().parts
-    assert not np.array_equal(other.anatomy().colours["point colours"], document.painted().colours)
+    assert other.fingerprint().parts == document.fingerprint().parts
+    assert not np.array_equal(other.fingerprint().colours["point colours"], document.painted().colours)
     opaque = opened(packed(positions=POSITIONS, rgba=np.column_stack([COLOURS, COLOURS[:, 1]])))
-    assert opaque.anatomy().parts != document.anatomy().parts
+    assert opaque.fingerprint().parts != document.fingerprint().parts
 
 
 def test_what_is_written_is_read_back():
@@ -196,7 +196,7 @@ def test_what_is_written_is_read_back():
 
 
 def test_it_is_known_by_its_content():
-    assert recognise(packed(positions=POSITIONS, rgb=COLOURS), "-", None).format == "npz"
+    assert open_bytes(packed(positions=POSITIONS, rgb=COLOURS), "-", None).format == "npz"
 
 
 @settings(max_examples=300)

@@ -9,14 +9,14 @@ from hypothesis import strategies as st
 
 from beltrami_cli.errors import InputError, UnpaintedError
 from beltrami_cli.formats.points import TextPointsDocument, write_pts, write_xyz
-from beltrami_cli.formats.source import recognise
+from beltrami_cli.formats.registry import open_bytes
 
 RGB = ("red", "green", "blue")
 PLAIN = b"0 0 0 10 20 30\n1 0 0.5 40 50 60\n0 1 -2e-1 255 0 128\n"
 
 
 def opened(text, name="cloud.xyz"):
-    return TextPointsDocument(text, name, "pts" if name.endswith("pts") else "xyz")
+    return TextPointsDocument(text, name)
 
 
 def patched(document, colours):
@@ -174,10 +174,12 @@ def test_other_columns_are_attributes():
 def test_the_anatomy_of_two_files_differs_in_colours_alone():
     document = opened(PLAIN, "scan.pts")
     other = opened(patched(document, 1 - document.painted().colours), "scan.pts")
-    assert other.anatomy().parts == document.anatomy().parts
-    assert np.allclose(other.anatomy().colours["point colours"], 1 - document.painted().colours, atol=1e-6)
+    assert other.fingerprint().parts == document.fingerprint().parts
+    assert np.allclose(
+        other.fingerprint().colours["point colours"], 1 - document.painted().colours, atol=1e-6
+    )
     moved = opened(PLAIN.replace(b"0.5", b"0.6"), "scan.pts")
-    assert moved.anatomy().parts != document.anatomy().parts
+    assert moved.fingerprint().parts != document.fingerprint().parts
 
 
 @pytest.mark.parametrize("writer", [write_xyz, write_pts])
@@ -191,13 +193,13 @@ def test_what_is_written_is_read_back(writer):
 
 
 def test_it_is_known_by_its_name_only():
-    assert recognise(PLAIN, "a.XYZ", None).format == "xyz"
-    assert recognise(PLAIN, "a.xyzrgb", None).format == "xyz"
-    assert recognise(PLAIN, "a.pts", None).format == "pts"
+    assert open_bytes(PLAIN, "a.XYZ", None).format == "xyz"
+    assert open_bytes(PLAIN, "a.xyzrgb", None).format == "xyz"
+    assert open_bytes(PLAIN, "a.pts", None).format == "pts"
     with pytest.raises(InputError, match="no known format"):
-        recognise(PLAIN, "a.txt", None)
+        open_bytes(PLAIN, "a.txt", None)
     with pytest.raises(InputError, match="empty"):
-        recognise(b"", "a.xyz", None)
+        open_bytes(b"", "a.xyz", None)
 
 
 @given(st.binary(max_size=300))

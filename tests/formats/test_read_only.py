@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from beltrami_cli.errors import InputError, UnpaintedError
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.read_only.polygons import ColouredPolygons, colours_of_vertices
-from beltrami_cli.formats.source import recognise
+from beltrami_cli.formats.registry import open_bytes
 from beltrami_cli.jobs.smooth.file import smooth_file
 from beltrami_cli.surface.transfer import linear_to_srgb
 from formats.read_only_files import FACES, LEVELS, OBJECT, SQUARE, coff, model, opened, stl, threemf
@@ -97,7 +97,7 @@ def test_stl_without_colours_or_damaged_is_refused() -> None:
     with pytest.raises(UnpaintedError, match="in text has no colours"):
         opened(b"solid x\nendsolid\n", "x.stl").painted()
     with pytest.raises(InputError, match="no known format"):
-        recognise(stl([0, 0])[:-1], "x.stl", None)
+        open_bytes(stl([0, 0])[:-1], "x.stl", None)
     bad = bytearray(stl([1 << 15, 1 << 15]))
     bad[84 + 12 : 84 + 16] = struct.pack("<f", np.nan)
     with pytest.raises(InputError, match="is not finite"):
@@ -133,7 +133,7 @@ def test_they_are_smoothed_and_written_as_another_format_with_a_line_that_says_s
     mesh = trimesh.load_mesh(tmp_path / f"out.{suffix}", process=False)
     assert len(mesh.vertices) == 64
     assert len(mesh.faces) == 98
-    again = recognise((tmp_path / f"out.{suffix}").read_bytes(), f"x.{suffix}", None).painted()
+    again = open_bytes((tmp_path / f"out.{suffix}").read_bytes(), f"x.{suffix}", None).painted()
     smoothed = linear_to_srgb(again.colours) if again.encoding == "linear" else again.colours
     assert smoothed.std() < (levels / 255).std()
     with pytest.raises(InputError, match="name an output in"):
@@ -171,7 +171,7 @@ def test_damage_is_read_or_refused(data: st.DataObject) -> None:
         at = data.draw(st.integers(0, len(bad) - 1))
         bad[at : at + data.draw(st.integers(0, 2))] = data.draw(st.binary(max_size=3))
     try:
-        painted = recognise(
+        painted = open_bytes(
             bytes(bad[: data.draw(st.integers(1, len(bad)))]), name, None, Access(memory=1 << 28)
         ).painted()
     except InputError:

@@ -17,7 +17,7 @@ from beltrami_cli import smooth
 from beltrami_cli.errors import BeltramiError, InputError, UsageError
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.image import read_image, write_image
-from beltrami_cli.formats.source import recognise
+from beltrami_cli.formats.registry import open_bytes
 from beltrami_cli.formats.volume import is_volume
 from beltrami_cli.formats.volume.reading import read_volume
 from beltrami_cli.surface.textured import ImageFile
@@ -43,7 +43,7 @@ def read_model(data: bytes, name: str) -> None:
         for other in others[:4]:
             path, _, content = other.partition(b"\n")
             _write(Path(folder), os.fsdecode(path), content)
-        document = recognise(main, name, Path(folder), ACCESS)
+        document = open_bytes(main, name, Path(folder), ACCESS)
         document.facts()
         document.references()
         for use in (document.anatomy, document.contents, lambda: _use_vertices(document, Path(folder))):
@@ -80,8 +80,8 @@ def _compare(before: Document, written: Written, folder: Path) -> None:
             _write(Path(other), path, (folder / path).read_bytes())
         for path, data in written.sidecars.items():
             _write(Path(other), path, bytes(data))
-        after = recognise(b"".join(written.main), before.name, Path(other), ACCESS)
-        old, new = before.anatomy().parts, after.anatomy().parts
+        after = open_bytes(b"".join(written.main), before.name, Path(other), ACCESS)
+        old, new = before.fingerprint().parts, after.fingerprint().parts
         changed = [part for part in {**old, **new} if old.get(part) != new.get(part)]
         assert not changed, f"written anew, {changed} differ"
 

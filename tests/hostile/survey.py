@@ -33,7 +33,7 @@ import numpy as np
 
 from beltrami_cli.errors import BeltramiError, InputError, UnpaintedError
 from beltrami_cli.formats.access import Access
-from beltrami_cli.formats.source import open_document
+from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.check import check_files
 from beltrami_cli.jobs.smooth.file import smooth_file
 from beltrami_cli.samples.settings.smooth import KernelParameters, SmoothSettings

@@ -9,9 +9,9 @@ import pytest
 
 from beltrami_cli.errors import InputError, OutputError
 from beltrami_cli.formats.access import Access
-from beltrami_cli.formats.beside import Beside, UnfitReferenceError
 from beltrami_cli.formats.document import Written
-from beltrami_cli.formats.source import open_document
+from beltrami_cli.formats.model_folder import ModelFolder, UnfitReferenceError
+from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.smooth.file import smooth_file
 from beltrami_cli.jobs.writing.output import Output
 from hostile.folders import snapshot
@@ -96,7 +96,7 @@ def test_material_libraries_elsewhere_are_left_alone(library: str, world: Path) 
 
 
 def test_networks_and_devices_are_not_read_even_if_more_is_allowed(world: Path) -> None:
-    beside = Beside(world / "in", OUTSIDE)
+    beside = ModelFolder(world / "in", OUTSIDE)
     os.mkfifo(world / "secret" / "fifo")
     for name in (
         "http://127.0.0.1:9/key.png",
@@ -112,7 +112,7 @@ def test_networks_and_devices_are_not_read_even_if_more_is_allowed(world: Path) 
 def test_a_file_that_becomes_a_fifo_is_not_waited_for(world: Path) -> None:
     path = world / "in" / "a.png"
     path.write_bytes(PICTURE)
-    beside = Beside(world / "in")
+    beside = ModelFolder(world / "in")
     located = beside.locate("a.png")
     path.unlink()
     os.mkfifo(path)

@@ -10,7 +10,7 @@ import pytest
 from beltrami_cli.errors import InputError, OutputError
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.image import read_image
-from beltrami_cli.formats.source import open_document, recognise
+from beltrami_cli.formats.registry import open_bytes, open_document
 from beltrami_cli.jobs.noise.file import noise_file
 from beltrami_cli.jobs.noise.settings import NoiseSettings
 from beltrami_cli.jobs.smooth.file import smooth_file
@@ -75,7 +75,7 @@ def test_names_beyond_a_link_are_not_given_away(tmp_path):
 def test_what_comes_through_a_pipe_has_no_files_beside_it(kind, tmp_path):
     data = write_model(tmp_path, kind, "skin.png").read_bytes()
     with pytest.raises(InputError, match="whose folder is not known; give the model as a file"):
-        recognise(data, "<stdin>", None).textured("baseColor")
+        open_bytes(data, "<stdin>", None).textured("baseColor")
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -11,7 +11,7 @@ from scipy.stats import kstest
 from beltrami_cli.cli.amounts import amount, sure_amount
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.formats.source import open_document
+from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.check import check_files
 from beltrami_cli.jobs.noise.file import noise_file
 from beltrami_cli.jobs.noise.kinds import add_noise

@@ -14,7 +14,7 @@ from beltrami_cli import (
     smooth_file,
     smooth_image,
 )
-from beltrami_cli.formats.source import open_document
+from beltrami_cli.formats.registry import open_document
 
 ROWS, COLUMNS = 20, 26
 VERTEX = "property float x\nproperty float y\nproperty float z\n" + "".join(

@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 
 from beltrami_cli.errors import InputError, UnpaintedError
-from beltrami_cli.formats.source import recognise
+from beltrami_cli.formats.registry import open_bytes
 from beltrami_cli.jobs.smooth.file import smooth_file
 from beltrami_cli.samples.settings.smooth import SmoothSettings, TextureSettings
 from hostile.textured_models import PICTURE, write_model
@@ -59,7 +59,7 @@ def test_slots_that_are_asked_for_and_empty_are_told_of(tmp_path: Path) -> None:
 
 def test_what_is_known_by_its_name_only_does_not_come_through_a_pipe() -> None:
     with pytest.raises(InputError, match=r"no mark of a known format; give OBJ files, .* by their names"):
-        recognise(OBJ.encode(), "<stdin>", None)
+        open_bytes(OBJ.encode(), "<stdin>", None)
 
 
 def encoded(pixels: np.ndarray, mode: str | None = None) -> bytes:

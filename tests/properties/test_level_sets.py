@@ -12,7 +12,7 @@ from scipy.special import eval_legendre
 
 from beltrami_cli import SmoothSettings, smooth, smooth_file
 from beltrami_cli.formats.access import EVERYTHING_INSIDE
-from beltrami_cli.formats.source import open_document
+from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.opening import open_input
 from formats.volume_files import lattice_fields, nrrd_file, sphere_file, write
 from oracles.level_sets import CENTRE, directions, pattern, places, sphere

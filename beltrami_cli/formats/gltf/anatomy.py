@@ -10,11 +10,11 @@ import json
 from typing import TYPE_CHECKING, Any
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.anatomy import Anatomy, Painting
-from beltrami_cli.formats.beside import UnfitReferenceError
+from beltrami_cli.formats.document import Fingerprint, NamedImage
 from beltrami_cli.formats.gltf.draco import EXTENSION as DRACO
 from beltrami_cli.formats.gltf.pictures import FOREIGN, WEBP
 from beltrami_cli.formats.gltf.sharing import named_views, objects, used_otherwise
+from beltrami_cli.formats.model_folder import UnfitReferenceError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -32,7 +32,7 @@ _NUMBERS_OF_COLOURS = ("bufferView", "byteOffset", "sparse", "min", "max")
 _PACKED_PLACE = ("buffer", "byteOffset", "byteLength")  # of compressed bytes, in the extension of a view
 
 
-def take_apart(document: GltfDocument) -> Anatomy:
+def take_apart(document: GltfDocument) -> Fingerprint:
     """Take a glTF file apart.
 
     Raises
@@ -41,7 +41,7 @@ def take_apart(document: GltfDocument) -> Anatomy:
         If its colours or images cannot be read.
     """
     tree = document.container.copy_of_tree()
-    paintings: dict[str, Painting] = {}
+    paintings: dict[str, NamedImage] = {}
     parts = dict(_plain_parts(document, tree))
     parts |= _materials(document, tree, paintings)
     parts |= _meshes(tree)
@@ -51,7 +51,7 @@ def take_apart(document: GltfDocument) -> Anatomy:
         colours["vertex colours"] = document.painted().colours
         alphas = [stored[:, 3].tobytes() for stored in document.stored_colours if stored.shape[1] == 4]
         parts["opacity of vertex colours"] = b"".join(alphas)
-    return Anatomy(parts, colours, paintings)
+    return Fingerprint(parts, colours, paintings)
 
 
 def _plain_parts(document: GltfDocument, tree: Tree) -> Iterator[tuple[str, bytes]]:
@@ -83,7 +83,7 @@ def _entries(key: str, value: Any) -> Iterator[tuple[str, bytes]]:
         yield f"{key}[{index}]", _spelled(entry)
 
 
-def _materials(document: GltfDocument, tree: Tree, paintings: dict[str, Painting]) -> dict[str, bytes]:
+def _materials(document: GltfDocument, tree: Tree, paintings: dict[str, NamedImage]) -> dict[str, bytes]:
     """Return the materials with what their textures say of images and samplers, and note the images."""
     parts, shown = {}, set()
     for index, material in enumerate(objects(tree.get("materials"))):
@@ -113,7 +113,7 @@ def _infos(value: Any, place: str) -> Iterator[tuple[str, Tree]]:
 
 
 def _texture(
-    document: GltfDocument, tree: Tree, number: int, place: str, paintings: dict[str, Painting]
+    document: GltfDocument, tree: Tree, number: int, place: str, paintings: dict[str, NamedImage]
 ) -> Tree:
     """Return a texture without where its image is, and note the image."""
     texture = dict(tree["textures"][number])
@@ -121,7 +121,7 @@ def _texture(
     kept = {k: v for k, v in texture.pop("extensions", {}).items() if k not in _IMAGE_EXTENSIONS}
     try:
         image = document.pictures.shown(number)
-        paintings[place] = Painting(document.pictures.name(image), document.pictures.data(image))
+        paintings[place] = NamedImage(document.pictures.name(image), document.pictures.data(image))
     except UnfitReferenceError as error:
         return texture | {"extensions": kept, "image": str(error)}
     others = {key: value for key, value in tree["images"][image].items() if key not in _PLACE}

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Literal
 
-from beltrami_cli.formats.beside import UnfitReferenceError, remedy_for
 from beltrami_cli.formats.gltf.files import is_data, read, relative_name
+from beltrami_cli.formats.model_folder import UnfitReferenceError, remedy_for
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from beltrami_cli.formats.beside import Beside
     from beltrami_cli.formats.document import Bytes
     from beltrami_cli.formats.gltf.container import Container
+    from beltrami_cli.formats.model_folder import ModelFolder
 
 Source = Literal["chunk", "data", "file", "nowhere", "decoded"]
 
@@ -24,7 +24,7 @@ class Buffers:
     ----------
     container : Container
         The file.
-    beside : Beside
+    beside : ModelFolder
         Where external buffers are looked for.
 
     Raises
@@ -33,7 +33,7 @@ class Buffers:
         If a buffer is described wrongly. Missing bytes are reported only when they are asked for.
     """
 
-    def __init__(self, container: Container, beside: Beside) -> None:
+    def __init__(self, container: Container, beside: ModelFolder) -> None:
         self._container, self._beside = container, beside
         self._entries = container.root.entries("buffers")
         self._loaded: dict[int, Bytes] = {}

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
-from beltrami_cli.formats.beside import Beside
 from beltrami_cli.formats.document import NO_IMAGES, Document
 from beltrami_cli.formats.gltf.accessors import Accessors, Stored, fractions
 from beltrami_cli.formats.gltf.anatomy import take_apart
@@ -31,6 +30,7 @@ from beltrami_cli.formats.gltf.scene import placements
 from beltrami_cli.formats.gltf.structure import require_structure
 from beltrami_cli.formats.gltf.surfaces import COLOUR_TYPES, Surface, gather
 from beltrami_cli.formats.gltf.texturing import gather_textured
+from beltrami_cli.formats.model_folder import ModelFolder
 from beltrami_cli.surface.painted import MeshContents, MovedVertices, PaintedVertices
 
 if TYPE_CHECKING:
@@ -39,8 +39,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from beltrami_cli.formats.anatomy import Anatomy
-    from beltrami_cli.formats.document import Written
+    from beltrami_cli.formats.document import Fingerprint, Written
     from beltrami_cli.surface.textured import ImageFile, Slot, TexturedSurface
 
 
@@ -79,7 +78,7 @@ class GltfDocument(Document):
         self, data: bytes, name: str, folder: Path | None, access: Access = EVERYTHING_INSIDE
     ) -> None:
         super().__init__(name)
-        self._beside = Beside(folder, access)
+        self._beside = ModelFolder(folder, access)
         self.container = read_container(data, name)
         self.format = self.container.kind
         self.root = self.container.root
@@ -235,7 +234,7 @@ class GltfDocument(Document):
     def contents(self) -> MeshContents:  # noqa: D102
         return contents_of(self)
 
-    def anatomy(self) -> Anatomy:  # noqa: D102
+    def fingerprint(self) -> Fingerprint:  # noqa: D102
         return take_apart(self)
 
     def facts(self) -> dict[str, object]:  # noqa: D102

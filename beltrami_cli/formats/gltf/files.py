@@ -7,11 +7,11 @@ import binascii
 from typing import TYPE_CHECKING
 from urllib.parse import quote, unquote, unquote_to_bytes
 
-from beltrami_cli.formats.beside import UnfitReferenceError, meant_path
+from beltrami_cli.formats.model_folder import UnfitReferenceError, checked_path
 
 if TYPE_CHECKING:
-    from beltrami_cli.formats.beside import Beside
     from beltrami_cli.formats.document import Bytes
+    from beltrami_cli.formats.model_folder import ModelFolder
 
 
 def is_data(uri: str) -> bool:
@@ -65,19 +65,19 @@ def relative_name(uri: str, *, outside: bool = False) -> str:
     try:
         if "\\" in name or "\0" in name:
             raise UnfitReferenceError("is not a path as glTF spells it")
-        return meant_path(name, outside=outside)
+        return checked_path(name, outside=outside)
     except UnfitReferenceError as error:
         raise UnfitReferenceError(f"{_short(uri)} {error}") from None
 
 
-def located(uri: str, beside: Beside) -> str:
+def located(uri: str, beside: ModelFolder) -> str:
     """Return the path of a regular file, relative to the model's folder.
 
     Parameters
     ----------
     uri : str
         As it stands in the JSON.
-    beside : Beside
+    beside : ModelFolder
         The folder of the model.
 
     Raises
@@ -92,7 +92,7 @@ def located(uri: str, beside: Beside) -> str:
         raise UnfitReferenceError(f"{_short(uri)} {error}") from None
 
 
-def read(uri: str, beside: Beside) -> bytes:
+def read(uri: str, beside: ModelFolder) -> bytes:
     """Return the bytes that a URI stands for: embedded ones, or those of a file.
 
     Raises

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from beltrami_cli.formats.beside import UnfitReferenceError, brought_inside, renamed, unused, with_suffix
 from beltrami_cli.formats.gltf.files import as_uri, is_data, relative_name
+from beltrami_cli.formats.model_folder import UnfitReferenceError, path_inside, renamed, unused, with_suffix
 
 if TYPE_CHECKING:
     from beltrami_cli.formats.document import Bytes
@@ -61,7 +61,7 @@ def place_pictures(edit: Edit, tree: Tree, stem: str, *, moved: bool) -> dict[st
         if key not in chosen:
             keeps = moved and index < known
             name = with_suffix(
-                brought_inside(old) if keeps else renamed(brought_inside(old), source, stem), file.suffix
+                path_inside(old) if keeps else renamed(path_inside(old), source, stem), file.suffix
             )
             if not keeps or name != old:
                 name = unused(name, taken)

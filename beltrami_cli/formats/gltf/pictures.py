@@ -5,16 +5,16 @@ from __future__ import annotations
 from pathlib import PurePosixPath
 from typing import TYPE_CHECKING
 
-from beltrami_cli.formats.beside import UnfitReferenceError
 from beltrami_cli.formats.gltf.files import is_data, read, relative_name
+from beltrami_cli.formats.model_folder import UnfitReferenceError
 
 if TYPE_CHECKING:
     from collections.abc import Hashable
 
-    from beltrami_cli.formats.beside import Beside
     from beltrami_cli.formats.gltf.accessors import Accessors
     from beltrami_cli.formats.gltf.json_text import Tree
     from beltrami_cli.formats.gltf.tree import Entry
+    from beltrami_cli.formats.model_folder import ModelFolder
     from beltrami_cli.surface.textured import Wrap
 
 WEBP = "EXT_texture_webp"
@@ -36,7 +36,7 @@ class Pictures:
         If an image is described wrongly.
     """
 
-    def __init__(self, root: Entry, accessors: Accessors, beside: Beside) -> None:
+    def __init__(self, root: Entry, accessors: Accessors, beside: ModelFolder) -> None:
         self._accessors, self._beside = accessors, beside
         self.images = root.entries("images")
         self.textures = root.entries("textures")

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from beltrami_cli.formats.beside import LEFT_OUTSIDE, UnfitReferenceError, is_outside
 from beltrami_cli.formats.gltf.files import is_data, located
+from beltrami_cli.formats.model_folder import LEFT_OUTSIDE, UnfitReferenceError, is_outside
 
 if TYPE_CHECKING:
-    from beltrami_cli.formats.beside import Beside
     from beltrami_cli.formats.gltf.tree import Entry
+    from beltrami_cli.formats.model_folder import ModelFolder
 
 
-def present(root: Entry, beside: Beside) -> tuple[list[str], list[str]]:
+def present(root: Entry, beside: ModelFolder) -> tuple[list[str], list[str]]:
     """Return the relative paths of files that exist inside the folder, and a notice for every other.
 
     Raises

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from beltrami_cli.formats.beside import UnfitReferenceError
 from beltrami_cli.formats.document import Written
 from beltrami_cli.formats.gltf.container import BIN_CHUNK, JSON_CHUNK, Chunk, encoded, glb_pieces
 from beltrami_cli.formats.gltf.files import as_uri, is_data, read
@@ -13,11 +12,12 @@ from beltrami_cli.formats.gltf.meshopt import EXTENSIONS
 from beltrami_cli.formats.gltf.naming import place_pictures
 from beltrami_cli.formats.gltf.pictures import media_type
 from beltrami_cli.formats.gltf.saving import place_buffers, sidecar_names
+from beltrami_cli.formats.model_folder import UnfitReferenceError
 
 if TYPE_CHECKING:
-    from beltrami_cli.formats.beside import Beside
     from beltrami_cli.formats.document import Bytes
     from beltrami_cli.formats.gltf.editing import Edit
+    from beltrami_cli.formats.model_folder import ModelFolder
 
 _ALIGNMENT = 8  # of merged buffers: more than any component needs, and what KHR extensions ask for
 
@@ -46,14 +46,14 @@ def as_gltf(edit: Edit, stem: str, *, moved: bool) -> Written:
     return Written([encoded(revised(edit.container.text, tree))], sidecars, (*edit.notices, *notices))
 
 
-def as_glb(edit: Edit, beside: Beside) -> Written:
+def as_glb(edit: Edit, beside: ModelFolder) -> Written:
     """Return a text file as binary: all buffers merged into BIN, images inside the folder embedded.
 
     Parameters
     ----------
     edit : Edit
         The changes.
-    beside : Beside
+    beside : ModelFolder
         Where images are looked for.
 
     Raises
@@ -107,7 +107,7 @@ def _merge_buffers(edit: Edit, tree: Tree) -> bytearray:
     return binary
 
 
-def _embed_images(edit: Edit, binary: bytearray, beside: Beside) -> list[str]:
+def _embed_images(edit: Edit, binary: bytearray, beside: ModelFolder) -> list[str]:
     """Move images from the folder into the binary; return a notice for each that stays outside."""
     notices, tree = [], edit.tree
     for index, image in enumerate(tree.get("images", [])):

@@ -12,12 +12,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from beltrami_cli.errors import OutputError
-from beltrami_cli.formats.beside import UnfitReferenceError
 from beltrami_cli.formats.gltf.materials import PATHS
 from beltrami_cli.formats.gltf.pictures import FOREIGN, WEBP, named_images
 from beltrami_cli.formats.gltf.sharing import objects
 from beltrami_cli.formats.gltf.shown import key_of
 from beltrami_cli.formats.gltf.storing import MEDIA, Storing
+from beltrami_cli.formats.model_folder import UnfitReferenceError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from beltrami_cli.formats.beside import brought_inside
 from beltrami_cli.formats.document import Written
 from beltrami_cli.formats.gltf.files import as_uri, re_embedded, relative_name
 from beltrami_cli.formats.gltf.naming import named_files, place_pictures, used_names
 from beltrami_cli.formats.gltf.tree import Entry
+from beltrami_cli.formats.model_folder import path_inside
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -66,7 +66,7 @@ def place_buffers(edit: Edit, tree: Tree, names: Iterator[str], *, moved: bool) 
             tree["buffers"][index]["uri"] = re_embedded(tree["buffers"][index]["uri"], data)
         elif source == "file":
             old = relative_name(buffers.uris[index] or "", outside=True)
-            name = brought_inside(old) if moved else next(names)
+            name = path_inside(old) if moved else next(names)
             sidecars[name] = data
             for other in range(len(buffers)):
                 if buffers.canonical(other) == index and name != old:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from beltrami_cli.formats.beside import UnfitReferenceError
+from beltrami_cli.formats.model_folder import UnfitReferenceError
 from beltrami_cli.surface.textured import Texture
 
 if TYPE_CHECKING:

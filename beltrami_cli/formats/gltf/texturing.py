@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.beside import remedy_for
 from beltrami_cli.formats.gltf.materials import looks, paintings
 from beltrami_cli.formats.gltf.primitives import (
     attribute_accessor,
@@ -21,6 +20,7 @@ from beltrami_cli.formats.gltf.primitives import (
 )
 from beltrami_cli.formats.gltf.shown import Shown
 from beltrami_cli.formats.gltf.triangles import TRIANGLES
+from beltrami_cli.formats.model_folder import remedy_for
 from beltrami_cli.surface.textured import TexturedSurface
 
 if TYPE_CHECKING:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
@@ -10,8 +11,9 @@ import numpy as np
 
 from beltrami_cli.errors import InputError, UnpaintedError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
-from beltrami_cli.formats.beside import Beside
+from beltrami_cli.formats.colours import full_scale
 from beltrami_cli.formats.document import NO_IMAGES, Document, Written
+from beltrami_cli.formats.model_folder import ModelFolder
 from beltrami_cli.formats.obj.anatomy import take_apart
 from beltrami_cli.formats.obj.materials import Materials
 from beltrami_cli.formats.obj.normals import read_normals
@@ -22,7 +24,6 @@ from beltrami_cli.formats.obj.repainting import repainted, shifted
 from beltrami_cli.formats.obj.scanning import Scan, scan_file
 from beltrami_cli.formats.obj.statements import Statements
 from beltrami_cli.formats.obj.texturing import gather_textured, read_coordinates
-from beltrami_cli.formats.scale import full_scale
 from beltrami_cli.formats.tokens import Spans, exchange_spans
 from beltrami_cli.surface.painted import MeshContents, MovedVertices, PaintedVertices
 from beltrami_cli.surface.polygons import triangulate
@@ -32,8 +33,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from beltrami_cli.formats.anatomy import Anatomy
-    from beltrami_cli.formats.document import Bytes
+    from beltrami_cli.formats.document import Bytes, Fingerprint
     from beltrami_cli.formats.obj.texturing import Coordinates
     from beltrami_cli.surface.textured import ImageFile, Slot, TexturedSurface
 
@@ -63,8 +63,10 @@ class ObjDocument(Document):
         self, data: bytes, name: str, folder: Path | None, access: Access = EVERYTHING_INSIDE
     ) -> None:
         super().__init__(name)
+        if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+            raise InputError(name, "it is text in UTF-16", "save it as UTF-8")
         self._data = data
-        self._beside = Beside(folder, access)
+        self._beside = ModelFolder(folder, access)
         self._textured: dict[Slot, TexturedSurface] = {}
 
     def painted(self) -> PaintedVertices:
@@ -174,7 +176,9 @@ class ObjDocument(Document):
         vertices = self._scan.vertices
         corners, offsets = self._polygons
         alpha = vertices.alpha
-        if alpha is not None and alpha.max() > 1:  # Beside colours of 0..255 opacity may still be of 0..1.
+        if (
+            alpha is not None and alpha.max() > 1
+        ):  # ModelFolder colours of 0..255 opacity may still be of 0..1.
             alpha = alpha / self._scale
         return MeshContents(
             positions=vertices.positions[vertices.coloured],
@@ -187,8 +191,8 @@ class ObjDocument(Document):
             left_out=self._scan.dropped,
         )
 
-    def anatomy(self) -> Anatomy:
-        """Take the file and its libraries apart; see `Document.anatomy`."""
+    def fingerprint(self) -> Fingerprint:
+        """Take the file and its libraries apart; see `Document.fingerprint`."""
         return take_apart(
             self._data, self._scan, self._colours if self.has_vertex_colours() else None, self._materials
         )

@@ -9,7 +9,13 @@ from pathlib import PurePosixPath
 from typing import TYPE_CHECKING
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.beside import LEFT_ALONE, LEFT_OUTSIDE, Beside, UnfitReferenceError, is_outside
+from beltrami_cli.formats.model_folder import (
+    LEFT_ALONE,
+    LEFT_OUTSIDE,
+    ModelFolder,
+    UnfitReferenceError,
+    is_outside,
+)
 from beltrami_cli.formats.obj.libraries import SLOTS, Map, read_maps
 
 if TYPE_CHECKING:
@@ -53,7 +59,7 @@ class Materials:
 
     Parameters
     ----------
-    beside : Beside
+    beside : ModelFolder
         The folder in which the OBJ file lies.
     statements : sequence of (bytes, int)
         What stands behind its `mtllib` keywords, and where in the file.
@@ -68,7 +74,7 @@ class Materials:
         One sentence for each file that is missing or lies elsewhere, and so is left alone.
     """
 
-    def __init__(self, beside: Beside, statements: Sequence[tuple[bytes, int]]) -> None:
+    def __init__(self, beside: ModelFolder, statements: Sequence[tuple[bytes, int]]) -> None:
         self.paths: list[str] = []
         self.notices: list[str] = []
         self._beside = beside

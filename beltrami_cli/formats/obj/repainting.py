@@ -8,7 +8,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli.formats.beside import brought_inside, is_outside, renamed, respelled, unused, with_suffix
+from beltrami_cli.formats.model_folder import (
+    is_outside,
+    new_reference,
+    path_inside,
+    renamed,
+    unused,
+    with_suffix,
+)
 from beltrami_cli.formats.tokens import Spans, exchange_spans
 
 if TYPE_CHECKING:
@@ -64,7 +71,7 @@ def repainted(
         )
         # Its name is free only if no map that keeps the old image has it.
         keeps = moved and len(affected) == materials.uses(path)
-        inside = brought_inside(path)
+        inside = path_inside(path)
         new = with_suffix(inside if keeps else renamed(inside, source, stem), image.suffix)
         new = new if keeps and new == path else _reserve(new, taken)
         taken.add(new.casefold())
@@ -83,9 +90,9 @@ def repainted(
         if is_outside(library.path):
             _take_along(materials, library, edits[library.path], sidecars, taken)
         if not moved or is_outside(library.path):
-            new = _reserve(str(PurePosixPath(brought_inside(library.path)).with_name(f"{stem}.mtl")), taken)
+            new = _reserve(str(PurePosixPath(path_inside(library.path)).with_name(f"{stem}.mtl")), taken)
             for name, start, end in library.mentions:
-                spans[start, end] = respelled(name, library.path, new)
+                spans[start, end] = new_reference(name, library.path, new)
             superseded.add(library.path)
         sidecars[new] = exchange_spans(library.data, edits[library.path])
     return sidecars, spans, frozenset(superseded)
@@ -108,9 +115,9 @@ def _reserve(path: str, taken: set[str]) -> str:
 def _spelled(found: Map, path: str, new: str, library: Library) -> bytes:
     """Return how a library names an image that was at one path and is to be at another."""
     if is_outside(path) or is_outside(library.path):
-        home = PurePosixPath(brought_inside(library.path)).parent
+        home = PurePosixPath(path_inside(library.path)).parent
         return os.fsencode("../" * len(home.parts) + new)
-    return respelled(found.name, path, new)
+    return new_reference(found.name, path, new)
 
 
 def _take_along(
@@ -122,7 +129,7 @@ def _take_along(
         if path is None or (found.start, found.end) in edits:
             continue
         if path not in copies:
-            copies[path] = _reserve(brought_inside(path), taken) if is_outside(path) else path
+            copies[path] = _reserve(path_inside(path), taken) if is_outside(path) else path
             if is_outside(path):
                 sidecars[copies[path]] = materials.read(path)
         edits[found.start, found.end] = os.fsencode(copies[path])

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.beside import remedy_for
+from beltrami_cli.formats.model_folder import remedy_for
 from beltrami_cli.surface.polygons import triangulate_corners
 from beltrami_cli.surface.textured import Texture, TexturedSurface
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from beltrami_cli.formats.beside import Beside
+    from beltrami_cli.formats.model_folder import ModelFolder
     from beltrami_cli.formats.obj.materials import Materials
     from beltrami_cli.formats.obj.statements import Statements
     from beltrami_cli.surface.textured import Slot, Wrap
@@ -103,7 +103,7 @@ def gather_textured(
     mesh: tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.int64]],
     coordinates: Coordinates,
     materials: Materials,
-    beside: Beside,
+    beside: ModelFolder,
     slot: Slot,
     name: str,
 ) -> tuple[TexturedSurface, list[str]]:
@@ -117,7 +117,7 @@ def gather_textured(
         From the same file.
     materials : Materials
         Its materials.
-    beside : Beside
+    beside : ModelFolder
         Where its files lie.
     slot : Slot
         Which maps of the materials.
@@ -161,7 +161,7 @@ def gather_textured(
 class _Palette:
     """The images of one slot by material; arrays are indexed by material, -1 being the last row."""
 
-    def __init__(self, materials: Materials, beside: Beside, slot: Slot, count: int) -> None:
+    def __init__(self, materials: Materials, beside: ModelFolder, slot: Slot, count: int) -> None:
         self._materials, self._beside, self.slot = materials, beside, slot
         self._painted: dict[str, _Painted] = {}
         self._missing: dict[str, list[str]] = {}

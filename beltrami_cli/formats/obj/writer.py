@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli.formats.conversion import display_colours, left_out
+from beltrami_cli.formats.colours import display_colours, left_out
 from beltrami_cli.formats.document import Written
 
 if TYPE_CHECKING:

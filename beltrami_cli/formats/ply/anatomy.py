@@ -8,16 +8,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.anatomy import HIDDEN, Anatomy, Painting, blanked
+from beltrami_cli.formats.document import PLACEHOLDER, Fingerprint, NamedImage
 from beltrami_cli.formats.ply.tables import indices
-from beltrami_cli.formats.tokens import exchange_spans, exchange_tokens, find_tokens
+from beltrami_cli.formats.tokens import exchange_spans, exchange_tokens, find_tokens, zeroed
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
-    from beltrami_cli.formats.beside import Beside
+    from beltrami_cli.formats.model_folder import ModelFolder
     from beltrami_cli.formats.ply.header import Header
     from beltrami_cli.formats.ply.paint import Paint
     from beltrami_cli.formats.ply.tables import Table
@@ -31,8 +31,8 @@ def take_apart(
     paint: Paint | None,
     colours: NDArray[np.float32] | None,
     images: Sequence[TextureComment],
-    beside: Beside,
-) -> Anatomy:
+    beside: ModelFolder,
+) -> Fingerprint:
     """Take a PLY file apart: header, elements, and what stands behind them.
 
     Parameters
@@ -49,7 +49,7 @@ def take_apart(
         The colours of the vertices, if they have any.
     images : sequence of TextureComment
         Its images.
-    beside : Beside
+    beside : ModelFolder
         Where they lie.
 
     Raises
@@ -57,14 +57,14 @@ def take_apart(
     InputError
         If an image cannot be read.
     """
-    spans = {(image.start, image.end): HIDDEN for image in images if image.path is not None}
+    spans = {(image.start, image.end): PLACEHOLDER for image in images if image.path is not None}
     parts = {"header": exchange_spans(data[: header.end], spans)}
     places = [] if paint is None else [indices(tables["vertex"].places(name)) for name in paint.names]
     hidden = np.concatenate([np.empty(0, np.int64), *places])
     starts = [table.start for table in tables.values()]
     stop = [*tables.values()][-1].stop if tables else 0
     if header.order:
-        body = blanked(data, hidden, np.dtype(paint.type).itemsize if paint else 0)
+        body = zeroed(data, hidden, np.dtype(paint.type).itemsize if paint else 0)
         bounds, end = [*starts, stop], len(data)
     else:
         text = data[header.end :]
@@ -74,7 +74,9 @@ def take_apart(
     for name, (first, last) in zip(tables, pairwise(bounds), strict=True):
         parts[f"element {name}"] = body[first:last]
     parts["what follows the last element"] = body[bounds[-1] : end] if tables else data[header.end :]
-    return Anatomy(parts, {} if colours is None else {"vertex colours": colours}, _paintings(images, beside))
+    return Fingerprint(
+        parts, {} if colours is None else {"vertex colours": colours}, _paintings(images, beside)
+    )
 
 
 def _blanked_text(text: bytes, hidden: NDArray[np.int64]) -> tuple[bytes, NDArray[np.int64]]:
@@ -82,19 +84,19 @@ def _blanked_text(text: bytes, hidden: NDArray[np.int64]) -> tuple[bytes, NDArra
     starts, ends = find_tokens(text)
     order = np.sort(hidden)
     pieces = exchange_tokens(
-        text, starts[order], ends[order], lambda block: [HIDDEN] * (block.stop - block.start)
+        text, starts[order], ends[order], lambda block: [PLACEHOLDER] * (block.stop - block.start)
     )
     shorter = np.zeros(len(starts) + 1, np.int64)
-    shorter[order + 1] = ends[order] - starts[order] - len(HIDDEN)
+    shorter[order + 1] = ends[order] - starts[order] - len(PLACEHOLDER)
     return b"".join(pieces), starts - np.cumsum(shorter)[:-1]
 
 
-def _paintings(images: Sequence[TextureComment], beside: Beside) -> dict[str, Painting]:
+def _paintings(images: Sequence[TextureComment], beside: ModelFolder) -> dict[str, NamedImage]:
     found = {}
     for number, image in enumerate(images):
         if image.path is not None:
             try:
-                found[f"texture {number}"] = Painting(image.name, beside.read(image.path))
+                found[f"texture {number}"] = NamedImage(image.name, beside.read(image.path))
             except OSError as error:
                 raise InputError(image.name, f"cannot be read ({error.strerror})") from error
     return found

@@ -10,8 +10,8 @@ import numpy as np
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
-from beltrami_cli.formats.beside import Beside, is_outside
 from beltrami_cli.formats.document import NO_IMAGES, Document, Written
+from beltrami_cli.formats.model_folder import ModelFolder, is_outside
 from beltrami_cli.formats.ply.anatomy import take_apart
 from beltrami_cli.formats.ply.attributes import NORMAL, POSITION, attribute_names, read_attribute
 from beltrami_cli.formats.ply.header import read_header
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from beltrami_cli.formats.anatomy import Anatomy
+    from beltrami_cli.formats.document import Fingerprint
     from beltrami_cli.formats.ply.paint import Colours, Paint
     from beltrami_cli.formats.ply.tables import Table
     from beltrami_cli.formats.ply.texturing import TextureComment
@@ -71,7 +71,7 @@ class PlyDocument(Document):
     ) -> None:
         super().__init__(name)
         self._data = data
-        self._beside = Beside(folder, access)
+        self._beside = ModelFolder(folder, access)
         self._header = read_header(data, name)
 
     def painted(self) -> PaintedVertices:
@@ -197,8 +197,8 @@ class PlyDocument(Document):
         """Return what the header says."""
         return facts_of(self._header)
 
-    def anatomy(self) -> Anatomy:
-        """Take the file apart; see `Document.anatomy`."""
+    def fingerprint(self) -> Fingerprint:
+        """Take the file apart; see `Document.fingerprint`."""
         painted = self.has_vertex_colours()
         return take_apart(
             self._data,

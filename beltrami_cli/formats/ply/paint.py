@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from beltrami_cli.errors import InputError, UnpaintedError
-from beltrami_cli.formats.scale import full_scale, intensity_scale
+from beltrami_cli.formats.colours import full_scale, intensity_scale
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

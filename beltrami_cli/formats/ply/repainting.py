@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from beltrami_cli.formats.beside import brought_inside, renamed, respelled, unused, with_suffix
+from beltrami_cli.formats.model_folder import new_reference, path_inside, renamed, unused, with_suffix
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -41,7 +41,7 @@ def renamed_images(
     spans: Spans = {}
     superseded: set[str] = set()
     for (_, path), image in images.items():
-        inside = brought_inside(path)
+        inside = path_inside(path)
         new = with_suffix(inside if moved else renamed(inside, source, stem), image.suffix)
         new = new if moved and new == path else unused(new, taken)
         taken.add(new.casefold())
@@ -50,5 +50,5 @@ def renamed_images(
             superseded.add(path)
         for comment in comments:
             if comment.path == path and new != path:
-                spans[comment.start, comment.end] = respelled(comment.name, path, new)
+                spans[comment.start, comment.end] = new_reference(comment.name, path, new)
     return sidecars, spans, frozenset(superseded)

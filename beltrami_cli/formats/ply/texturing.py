@@ -14,7 +14,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.beside import LEFT_ALONE, LEFT_OUTSIDE, UnfitReferenceError, is_outside, remedy_for
+from beltrami_cli.formats.model_folder import (
+    LEFT_ALONE,
+    LEFT_OUTSIDE,
+    UnfitReferenceError,
+    is_outside,
+    remedy_for,
+)
 from beltrami_cli.formats.ply.paint import finite_columns
 from beltrami_cli.surface.polygons import triangulate_corners
 from beltrami_cli.surface.textured import Texture, TexturedSurface
@@ -24,7 +30,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from beltrami_cli.formats.beside import Beside
+    from beltrami_cli.formats.model_folder import ModelFolder
     from beltrami_cli.formats.ply.tables import Table
 
 _COMMENT = re.compile(rb"(?:\n|\r)comment[ \t]+TextureFile[ \t:]++([^\r\n]*[^\s])", re.IGNORECASE)
@@ -56,7 +62,7 @@ class TextureComment:
     reason: str = ""
 
 
-def read_comments(header: bytes, beside: Beside) -> list[TextureComment]:
+def read_comments(header: bytes, beside: ModelFolder) -> list[TextureComment]:
     """Return the comments that name images, in the order in which they are numbered."""
     found = []
     for match in _COMMENT.finditer(header):
@@ -82,7 +88,7 @@ def gather_textured(
     mesh: tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.int64]],
     tables: Mapping[str, Table],
     comments: Sequence[TextureComment],
-    beside: Beside,
+    beside: ModelFolder,
     name: str,
 ) -> tuple[TexturedSurface, list[str]]:
     """Gather all triangles with their texture coordinates, and the images.
@@ -95,7 +101,7 @@ def gather_textured(
         The elements of the file.
     comments : sequence of TextureComment
         Its images.
-    beside : Beside
+    beside : ModelFolder
         Where its files lie.
     name : str
         The file's name for messages.
@@ -155,7 +161,7 @@ def _numbers(
 
 
 def _load(
-    comments: Sequence[TextureComment], beside: Beside
+    comments: Sequence[TextureComment], beside: ModelFolder
 ) -> tuple[tuple[Texture, ...], NDArray[np.int64], list[str]]:
     """Return each image once, which of them every number means (the last row: -1), and those that are unreadable."""
     textures: dict[str, tuple[int, Texture]] = {}

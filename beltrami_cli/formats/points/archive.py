@@ -9,17 +9,16 @@ import numpy as np
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
-from beltrami_cli.formats.anatomy import Anatomy
-from beltrami_cli.formats.document import NO_IMAGES, Document, Written
+from beltrami_cli.formats.colours import intensity_scale, point_colour_scale
+from beltrami_cli.formats.document import NO_IMAGES, Document, Fingerprint, Written
 from beltrami_cli.formats.npz import NpzArchive
 from beltrami_cli.formats.points.arrays import find_arrays, read_all, read_faces, require_room
 from beltrami_cli.formats.points.repacking import exchanged, members, repacked
-from beltrami_cli.formats.points.scaling import colour_scale
-from beltrami_cli.formats.scale import intensity_scale
 from beltrami_cli.surface.painted import MeshContents, MovedVertices, PaintedVertices
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
+    from pathlib import Path
 
     from numpy.typing import NDArray
 
@@ -47,7 +46,9 @@ class NpzPointsDocument(Document):
 
     format: ClassVar[str] = "npz"
 
-    def __init__(self, data: bytes, name: str, access: Access = EVERYTHING_INSIDE) -> None:
+    def __init__(
+        self, data: bytes, name: str, folder: Path | None = None, access: Access = EVERYTHING_INSIDE
+    ) -> None:
         super().__init__(name)
         self._data, self._access = data, access
         self._archive = NpzArchive(data, name)
@@ -135,17 +136,17 @@ class NpzPointsDocument(Document):
             left_out=tuple(dropped),
         )
 
-    def anatomy(self) -> Anatomy:
-        """Take the archive apart; see `Document.anatomy`."""
+    def fingerprint(self) -> Fingerprint:
+        """Take the archive apart; see `Document.fingerprint`."""
         parts = {f"member {name}": content for name, content in members(self._data, self.name).items()}
         if not self.has_vertex_colours():
-            return Anatomy(parts)
+            return Fingerprint(parts)
         rest = self._stored.copy()
         rest[self._measured, : self._arrays.channels] = 0
         key = self._arrays.colours
         header = self._archive.header(key)
         parts[f"member {key}.npy"] = exchanged(parts[f"member {key}.npy"], header, rest.reshape(header.shape))
-        return Anatomy(parts, {"point colours": self._colours})
+        return Fingerprint(parts, {"point colours": self._colours})
 
     def facts(self) -> dict[str, object]:
         """Return what the archive has."""
@@ -209,7 +210,7 @@ class NpzPointsDocument(Document):
             return float(np.iinfo(self._stored.dtype).max)
         intensities = self._arrays.is_intensity
         scale, notice = (
-            intensity_scale(self._numbers) if intensities else colour_scale(self._numbers, self.name)
+            intensity_scale(self._numbers) if intensities else point_colour_scale(self._numbers, self.name)
         )
         self.notices += [notice] if notice else []
         return scale

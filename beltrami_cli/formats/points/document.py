@@ -8,18 +8,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.anatomy import HIDDEN, Anatomy
-from beltrami_cli.formats.document import NO_IMAGES, Document, Written
+from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
+from beltrami_cli.formats.colours import intensity_scale, point_colour_scale
+from beltrami_cli.formats.document import NO_IMAGES, PLACEHOLDER, Document, Fingerprint, Written
 from beltrami_cli.formats.points.columns import find_columns
 from beltrami_cli.formats.points.lines import read_table
-from beltrami_cli.formats.points.scaling import colour_scale
 from beltrami_cli.formats.points.spelling import respelled
-from beltrami_cli.formats.scale import intensity_scale
 from beltrami_cli.formats.tokens import exchange_tokens
 from beltrami_cli.surface.painted import MeshContents, MovedVertices, PaintedVertices
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
+    from pathlib import Path
 
     from numpy.typing import NDArray
 
@@ -43,9 +43,12 @@ class TextPointsDocument(Document):
 
     format: str  # type: ignore[misc]  # told by the file's extension
 
-    def __init__(self, data: bytes, name: str, kind: str) -> None:
+    def __init__(
+        self, data: bytes, name: str, folder: Path | None = None, access: Access = EVERYTHING_INSIDE
+    ) -> None:
         super().__init__(name)
-        self._data, self.format = data, kind
+        self._data = data
+        self.format = "pts" if name.lower().endswith(".pts") else "xyz"
 
     def painted(self) -> PaintedVertices:
         """Return the points that have a place, with their colours; see `Document.painted`."""
@@ -111,16 +114,16 @@ class TextPointsDocument(Document):
             left_out=tuple(dropped),
         )
 
-    def anatomy(self) -> Anatomy:
-        """Take the lines apart; see `Document.anatomy`."""
+    def fingerprint(self) -> Fingerprint:
+        """Take the lines apart; see `Document.fingerprint`."""
         if not self.has_vertex_colours():
-            return Anatomy({"lines": self._data})
+            return Fingerprint({"lines": self._data})
         tokens = np.ix_(self._measured, np.array(self._columns.colours))
         starts, ends = np.sort(self._table.starts[tokens].ravel()), np.sort(self._table.ends[tokens].ravel())
         pieces = exchange_tokens(
-            self._data, starts, ends, lambda block: [HIDDEN] * (block.stop - block.start)
+            self._data, starts, ends, lambda block: [PLACEHOLDER] * (block.stop - block.start)
         )
-        return Anatomy({"lines": b"".join(pieces)}, {"point colours": self._colours})
+        return Fingerprint({"lines": b"".join(pieces)}, {"point colours": self._colours})
 
     def facts(self) -> dict[str, object]:
         """Return counts of what the file has."""
@@ -168,7 +171,7 @@ class TextPointsDocument(Document):
     @cached_property
     def _scale(self) -> float:
         grey = len(self._columns.colours) == 1
-        scale, notice = intensity_scale(self._stored) if grey else colour_scale(self._stored, self.name)
+        scale, notice = intensity_scale(self._stored) if grey else point_colour_scale(self._stored, self.name)
         self.notices += [notice] if notice else []
         return scale
 

@@ -19,6 +19,7 @@ from beltrami_cli.surface.polygons import triangulate
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
+    from pathlib import Path
 
     from numpy.typing import NDArray
 
@@ -53,8 +54,12 @@ class ReadOnlyDocument(Document):
 
     format: ClassVar[str] = "foreign"
 
-    def __init__(self, data: bytes, name: str, kind: Kind, access: Access = EVERYTHING_INSIDE) -> None:
+    def __init__(
+        self, data: bytes, name: str, folder: Path | None = None, access: Access = EVERYTHING_INSIDE
+    ) -> None:
         super().__init__(name)
+        kind = kind_of(data, name)
+        assert kind is not None
         self._data, self._kind, self._access = data, kind, access
 
     def painted(self) -> PaintedVertices:

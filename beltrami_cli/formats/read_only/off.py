@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.errors import InputError
+from beltrami_cli.formats.colours import full_scale
 from beltrami_cli.formats.read_only.polygons import ColouredPolygons
-from beltrami_cli.formats.scale import full_scale
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.beside import Beside
+from beltrami_cli.formats.model_folder import ModelFolder
 from beltrami_cli.formats.volume.nrrd_space import list_axis, spatial_lattice
 from beltrami_cli.formats.volume.packages import require
 from beltrami_cli.surface.volume import GridColours, Volume
@@ -117,7 +117,7 @@ def _data(header: dict[str, Any], rest: bytes, name: str, folder: Path | None) -
     named = header.pop("data file", None) or header.pop("datafile", None)
     if named is None:
         return rest
-    beside = Beside(folder)
+    beside = ModelFolder(folder)
     found = beside.find(str(named))
     if found is None:
         raise InputError(

@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
-from beltrami_cli.formats.source import open_document
+from beltrami_cli.formats.registry import open_document, sidecar_names, write_contents, write_textured
 from beltrami_cli.jobs.bake.settings import DEFAULT_BAKE, BakeSettings, BakeTo
-from beltrami_cli.jobs.conversion import names_beside, write_contents, write_textured
 from beltrami_cli.jobs.writing.output import Output
 from beltrami_cli.samples.memory_check import require_room_for_textures
 from beltrami_cli.samples.selection import choose_format
@@ -20,7 +19,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from beltrami_cli.formats.document import Document, Written
-    from beltrami_cli.samples.settings.smooth import Format
 
 
 @dataclass(frozen=True)
@@ -93,7 +91,7 @@ def bake_file(
     output = Output(target, overwrite=overwrite)
     document = open_document(source, access)
     kind, stem = choose_format(document, target, format), Path(target).stem
-    output.check_sidecars(names_beside(kind, stem, ".png" if to == "texture" else None))
+    output.check_sidecars(sidecar_names(kind, stem, ".png" if to == "texture" else None))
     if to == "texture":
         written, counts, texture, notices = _to_texture(document, kind, stem, settings, progress)
     else:
@@ -107,7 +105,7 @@ def bake_file(
 
 def _to_texture(
     document: Document,
-    kind: Format,
+    kind: str,
     stem: str,
     settings: BakeSettings,
     progress: Callable[[str, int, int], None] | None,
@@ -122,9 +120,7 @@ def _to_texture(
     return written, counts, f"{depth} texture of {width} x {height}", made.notices
 
 
-def _to_vertices(
-    document: Document, kind: Format, stem: str
-) -> tuple[Written, dict[str, int], tuple[str, ...]]:
+def _to_vertices(document: Document, kind: str, stem: str) -> tuple[Written, dict[str, int], tuple[str, ...]]:
     from beltrami_cli.jobs.bake.new_vertex_colours import vertex_colours_from_textures
 
     contents, notices = vertex_colours_from_textures(document)

@@ -8,10 +8,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from beltrami_cli.errors import InputError, UsageError
-from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
+from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access, read_source
 from beltrami_cli.formats.image.recognition import is_image
-from beltrami_cli.formats.source import read_source
-from beltrami_cli.formats.volume import is_volume
+from beltrami_cli.formats.registry import kind_of
 from beltrami_cli.jobs.compare.limits import Limits, Verdict, judge
 from beltrami_cli.jobs.compare.map import draw_images, draw_vertices, require_map
 from beltrami_cli.jobs.compare.paired_colours import figures
@@ -205,7 +204,7 @@ def _open(
     names: tuple[str, str], data: tuple[bytes, bytes], settings: SmoothSettings, access: Access
 ) -> tuple[Document, Document]:
     """Open both; one may be a level set, and the other the mesh that was made of it."""
-    volumes = [is_volume(each, name) for each, name in zip(data, names, strict=True)]
+    volumes = [kind_of(each, name) == "volume" for each, name in zip(data, names, strict=True)]
     plain = dataclasses.replace(settings, level_set=LevelSetSettings()) if any(volumes) else settings
     one, other = (
         document_from(each, name, settings if volume else plain, access)

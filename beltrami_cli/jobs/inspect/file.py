@@ -6,9 +6,8 @@ import dataclasses
 import os
 from typing import TYPE_CHECKING
 
-from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
+from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access, read_source
 from beltrami_cli.formats.image.recognition import is_image
-from beltrami_cli.formats.source import read_source
 from beltrami_cli.jobs.inspect.vertices import describe_range, describe_vertices
 from beltrami_cli.jobs.opening import document_from, refuse_options_of_level_sets
 from beltrami_cli.samples.memory_check import require_room_for_textures

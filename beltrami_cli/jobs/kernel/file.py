@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from beltrami_cli.errors import UsageError
-from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
+from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access, read_source
 from beltrami_cli.formats.image.recognition import is_image
-from beltrami_cli.formats.source import read_source
 from beltrami_cli.jobs.kernel.encoding import SUFFIXES, encode
 from beltrami_cli.jobs.kernel.place import read_place
 from beltrami_cli.jobs.opening import document_from, refuse_options_of_level_sets

@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
+from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access, read_source
 from beltrami_cli.formats.document import Written
 from beltrami_cli.formats.image.recognition import is_image
-from beltrami_cli.formats.source import read_source
 from beltrami_cli.jobs.conversion import make_files
 from beltrami_cli.jobs.opening import document_from, refuse_options_of_level_sets
 from beltrami_cli.jobs.sidecars import plan_companions

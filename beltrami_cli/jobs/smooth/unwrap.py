@@ -12,9 +12,9 @@ import numpy as np
 from beltrami_cli.errors import UsageError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.image.measuring import measure_image
+from beltrami_cli.formats.registry import sidecar_names, write_textured
 from beltrami_cli.jobs.bake.from_textures import texels_of, texture_from_textures
 from beltrami_cli.jobs.bake.from_vertices import texture_from_vertices
-from beltrami_cli.jobs.conversion import names_beside, write_textured
 from beltrami_cli.jobs.opening import open_input
 from beltrami_cli.jobs.smooth.reporting import make_report
 from beltrami_cli.jobs.smooth.stopwatch import Stopwatch
@@ -92,7 +92,7 @@ def smooth_unwrapped(
         target_format = choose_format(document, target, format)
         if output is not None:
             suffix = settings.textures.image_suffix or ".png"
-            output.check_sidecars(names_beside(target_format, stem, suffix))
+            output.check_sidecars(sidecar_names(target_format, stem, suffix))
     textured = _is_textured(document, settings)
     if settings.kernel.iterations:
         require_scale(document, Work(vertices=not textured, slots=("baseColor",) if textured else ()))

@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from beltrami_cli.errors import InputError
+from beltrami_cli.formats.access import read_source
 from beltrami_cli.formats.image import read_image
 from beltrami_cli.formats.image.picture import full_scale_one
 from beltrami_cli.formats.npz import NPY_MAGIC, NpzArchive, read_npy
-from beltrami_cli.formats.source import document_of, read_source
+from beltrami_cli.formats.registry import document_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -11,10 +11,6 @@ from beltrami_cli.samples.settings.embedding import EmbeddingSettings
 from beltrami_cli.samples.settings.image import ImageSettings
 from beltrami_cli.samples.settings.level_set import LevelSetSettings
 
-Format = Literal["ply", "obj", "glb", "gltf", "xyz", "pts", "npz"]
-OUTPUT_FORMATS: dict[str, Format] = {**{name: name for name in get_args(Format)}, "xyzrgb": "xyz"}
-POINT_FORMATS = ("xyz", "pts", "npz")
-
 # What --format can name besides; output names may end in every extension of a format that can be written.
 IMAGE_FORMATS = ("png", "jpg", "webp", "tif", "exr", "tga", "bmp", "hdr", "jxl", "jp2", "ppm")
 

@@ -41,7 +41,7 @@ class LevelSetDocument(Document):
     Parameters
     ----------
     data : bytes
-        The file, one for which `is_volume` holds.
+        The file, whose kind in the registry is "volume".
     name : str
         The file as the user named it.
     folder : pathlib.Path or None

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.scale import full_scale
-from beltrami_cli.formats.source import read_source, recognise
+from beltrami_cli.formats.access import read_source
+from beltrami_cli.formats.colours import full_scale
+from beltrami_cli.formats.registry import open_bytes
 from beltrami_cli.formats.volume import read_colours
 from beltrami_cli.surface.painted import PaintedVertices
 from beltrami_cli.surface.volume import GridColours, NearColours
@@ -101,7 +102,7 @@ def find_colours(
     data, folder = read_source(path, access), Path(path).parent
     colours = read_colours(data, path, folder, most)
     if colours is None:
-        painted = recognise(data, path, folder, access).painted()
+        painted = open_bytes(data, path, folder, access).painted()
         colours = NearColours(painted.positions, painted.colours, painted.encoding, painted.stored)
     return colours, path
 

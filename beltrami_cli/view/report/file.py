@@ -12,11 +12,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from beltrami_cli.errors import InputError, OutputError, UsageError
-from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
+from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access, read_source
 from beltrami_cli.formats.document import Written
 from beltrami_cli.formats.image import read_image
 from beltrami_cli.formats.image.recognition import is_image
-from beltrami_cli.formats.source import read_source
 from beltrami_cli.jobs.compare.images import pair_images
 from beltrami_cli.jobs.compare.paired_colours import figures
 from beltrami_cli.jobs.compare.textures import pair_slot

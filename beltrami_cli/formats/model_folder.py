@@ -36,21 +36,13 @@ class UnfitReferenceError(Exception):
     """A name that is not followed; the message is the reason, to be put behind the name."""
 
 
-class Beside:
-    """The folder of a model, out of which no name leads unless that is allowed.
-
-    Parameters
-    ----------
-    folder : pathlib.Path or None
-        Where the model lies; None if it lies in no folder, and so has no files beside it.
-    access : Access
-        What may be read.
-    """
+class ModelFolder:
+    """The folder of a model (None: it has none), which no name leaves unless the access allows it."""
 
     def __init__(self, folder: Path | None, access: Access = EVERYTHING_INSIDE) -> None:
         self._folder = None if folder is None else folder.resolve()
         self._known: dict[tuple[str, PurePosixPath], str | UnfitReferenceError] = {}
-        self._spellings: dict[Path, dict[str, str]] = {}
+        self._listings: dict[Path, dict[str, str]] = {}
         self.access = access
 
     def find(self, name: str, within: PurePosixPath = _HERE) -> str | None:
@@ -61,24 +53,10 @@ class Beside:
             return None
 
     def locate(self, name: str, within: PurePosixPath = _HERE) -> str:
-        r"""Return the path of a regular file, relative to the folder and with "/".
+        r"""Return the path of a regular file, relative to the folder, with "/"; UnfitReferenceError if there is none.
 
-        Parameters
-        ----------
-        name : str
-            As the model names it; "/" and "\" separate folders.
-        within : PurePosixPath
-            Where the file lies that names it, relative to the folder.
-
-        Returns
-        -------
-        str
-            Inside the folder; if more is allowed, it may start with ".." or "/", see `is_outside`.
-
-        Raises
-        ------
-        UnfitReferenceError
-            If there is no such file, or the name must not be followed.
+        The name is as in the model, "/" and "\" separating folders; `within` is the folder of the file that names it.
+        Where the access allows it, the path may start with ".." or "/", see `is_outside`.
         """
         key = name, within
         if key not in self._known:  # A hostile file names the same one a million times.
@@ -92,7 +70,7 @@ class Beside:
         return found
 
     def _locate(self, name: str, within: PurePosixPath) -> str:
-        path = meant_path(name, within, outside=self.access.outside)
+        path = checked_path(name, within, outside=self.access.outside)
         if self._folder is None:
             raise UnfitReferenceError(_NOWHERE)
         if self.access.bring is not None:
@@ -101,7 +79,7 @@ class Beside:
             is_file = stat.S_ISREG((self._folder / path).stat().st_mode)
             there = (self._folder / path).resolve()
         except (FileNotFoundError, NotADirectoryError):
-            alike = None if is_outside(path) else self._spelled_alike(path)
+            alike = None if is_outside(path) else self._like_named(path)
             hint = f" (there is '{alike}', but capitals and accents count)" if alike else ""
             raise UnfitReferenceError(f"{_MISSING}{hint}") from None
         except (OSError, ValueError, RuntimeError):  # Names that no file can have: too long, or with a NUL.
@@ -114,53 +92,40 @@ class Beside:
             return there.relative_to(self._folder).as_posix()
         return path
 
-    def _spelled_alike(self, path: str) -> str | None:
-        """Return a file that has a path in other capitals, or with accents coded in another way."""
+    def _like_named(self, path: str) -> str | None:
+        """Return a file whose path differs only in capitals, or in how accents are coded."""
         assert self._folder is not None
         found = PurePosixPath()
         for part in PurePosixPath(path).parts:
-            name = self._names_in(self._folder / found).get(_plain(part))
+            name = self._names_in(self._folder / found).get(_case_folded(part))
             if name is None:
                 return None
             found /= name
         return found.as_posix()
 
     def _names_in(self, folder: Path) -> dict[str, str]:
-        """Return the names in a folder of the model's, by what they are without capitals."""
-        if folder not in self._spellings:
+        """Return the names in a folder inside the model's, by their case-folded form."""
+        if folder not in self._listings:
             names: list[str] = []
             if self._folder is not None and folder.resolve().is_relative_to(self._folder):
                 with contextlib.suppress(OSError):
                     names = [entry.name for entry in folder.iterdir()]
-            self._spellings[folder] = {_plain(name): name for name in names}
-        return self._spellings[folder]
+            self._listings[folder] = {_case_folded(name): name for name in names}
+        return self._listings[folder]
 
     def read(self, path: str, most: int = -1) -> bytes:
-        """Return the content of a file that was located, or its first bytes; OSError if it cannot be read."""
+        """Return the content of a located file, or its first `most` bytes; OSError if it cannot be read."""
         if self._folder is None:
             raise FileNotFoundError(path)
         return read_regular(self._folder / path, self.access, most)
 
 
-def _plain(name: str) -> str:
+def _case_folded(name: str) -> str:
     return unicodedata.normalize("NFC", name).casefold()
 
 
-def meant_path(name: str, within: PurePosixPath = _HERE, *, outside: bool) -> str:
-    r"""Return the path that a name means, without looking at the disk.
-
-    Parameters
-    ----------
-    name, within
-        As for `Beside.locate`.
-    outside : bool
-        Whether it may lead out of the model's folder.
-
-    Raises
-    ------
-    UnfitReferenceError
-        If it must not be followed.
-    """
+def checked_path(name: str, within: PurePosixPath = _HERE, *, outside: bool) -> str:
+    """Return the path that a name stands for, as `ModelFolder.locate` does, but without looking at the disk."""
     plain = name.replace("\\", "/")
     if not name:
         raise UnfitReferenceError("is empty")
@@ -177,30 +142,22 @@ def meant_path(name: str, within: PurePosixPath = _HERE, *, outside: bool) -> st
 
 
 def remedy_for(reason: str) -> str:
-    """Return what can be done where a file is not read for a reason, "" if that is no matter of its name."""
+    """Return what can be done where a file is not read for a reason; "" if its name is not the cause."""
     return next((remedy for known, remedy in _REMEDIES.items() if known in reason), "")
 
 
 def is_outside(path: str) -> bool:
-    """Tell whether a located path leads out of the model's folder."""
+    """Whether a located path leads out of the model's folder."""
     return path.startswith(("/", "../")) or path == ".." or bool(_SCHEME.match(path))
 
 
-def brought_inside(path: str) -> str:
+def path_inside(path: str) -> str:
     """Return a path as it is, or for one outside the folder its name alone: nothing is written out there."""
     return PurePosixPath(path).name if is_outside(path) else path
 
 
 def renamed(path: str, source: str, stem: str) -> str:
-    """Return a path named after another model: the old one's stem in it replaced as a word, or the new put in front.
-
-    Parameters
-    ----------
-    path : str
-        Path of a file beside the model.
-    source, stem : str
-        Stem of the model's name, old and new.
-    """
+    """Return a path named after another model: its old stem, as a word, is replaced, or the new one put in front."""
     name = PurePosixPath(path).name
     word = rf"(?<![^\W_]){re.escape(source)}(?![^\W_])"
     new, count = re.subn(word, lambda _: stem, name, count=1)
@@ -208,7 +165,7 @@ def renamed(path: str, source: str, stem: str) -> str:
 
 
 def with_suffix(path: str, suffix: str) -> str:
-    """Return a path that ends as an image format asks for; unchanged if it already does."""
+    """Return a path with the suffix of an image format; unchanged if it already has one of that format."""
     old = PurePosixPath(path).suffix
     if format_of_suffix(old) == format_of_suffix(suffix):
         return path
@@ -224,15 +181,10 @@ def unused(path: str, taken: set[str]) -> str:
     return path
 
 
-def respelled(name: str, path: str, new: str) -> bytes:
-    """Return a file's new name in the spelling of the old one, from which it differs in the last part only.
+def new_reference(name: str, path: str, new: str) -> bytes:
+    """Return how a file names another after its move from `path` to `new`: with the folder as it wrote it in `name`.
 
-    Parameters
-    ----------
-    name : str
-        As a file in the model's folder names it.
-    path, new : str
-        Where that led, and where it is to lead, relative to the model's folder.
+    Both paths are relative to the model's folder, and differ in the last part only.
     """
     if new == path:
         return os.fsencode(name)

@@ -1,0 +1,89 @@
+"""Colours as numbers in files: which number is full scale, and display values for formats that have only these."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from beltrami_cli.errors import InputError
+from beltrami_cli.surface.transfer import linear_to_srgb
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from beltrami_cli.surface.painted import MeshContents
+
+BYTE = 255.0
+_INTEGER_SCALES = (BYTE, 65535.0)
+_BRIGHTEST = 16.0  # four stops above white: float colours beyond this are taken for 0..255
+
+
+def full_scale(colours: NDArray[np.float64], name: str) -> tuple[float, str]:
+    """Return the full scale of finite stored colours, shape (V, C), and a notice ("" where there is no doubt).
+
+    It is 255 if there are numbers above 1 and all are integers, or if one is above 16: colours of high dynamic range
+    may leave [0, 1], but hardly so far. Otherwise it is 1. Numbers beyond 255, up or down, raise InputError.
+    """
+    smallest, largest = float(colours.min()), float(colours.max())
+    if largest > BYTE or smallest < -BYTE:
+        cause = f"vertex colours go from {smallest:g} to {largest:g}, so that full scale is neither 1 nor 255"
+        raise InputError(name, cause, "scale them to 0..1")
+    if largest <= 1:
+        return 1.0, ""
+    if largest > _BRIGHTEST or bool((colours % 1 == 0).all()):
+        return BYTE, f"Vertex colours go up to {largest:g} and are taken for numbers of 0..255."
+    return (
+        1.0,
+        f"Vertex colours go up to {largest:g} and are taken for numbers of 0..1 that leave this range.",
+    )
+
+
+def point_colour_scale(colours: NDArray[np.float64], name: str) -> tuple[float, str]:
+    """Return what `full_scale` does, but 65535 for integers above 255: scanners write these too."""
+    scale = _integer_scale(colours)
+    if scale is None:
+        return full_scale(colours, name)
+    notice = f"Colours go up to {colours.max():g} and are taken for numbers of 0..{scale:g}."
+    return scale, notice if scale > BYTE else ""
+
+
+def intensity_scale(values: NDArray[np.float64]) -> tuple[float, str]:
+    """Return the full scale of finite intensities, shape (P, 1), of which scanners write any, and a notice or "".
+
+    It is 1, 255 or 65535 as for colours, else the largest magnitude. The smoothed values do not depend on it, only the
+    numbers in which noise and changes are reported.
+    """
+    if values.min() >= 0 and values.max() <= 1:
+        return 1.0, ""
+    scale = _integer_scale(values)
+    if scale is not None:
+        return scale, ""
+    largest = float(np.abs(values).max())
+    low, high = values.min(), values.max()
+    return largest, f"Intensities go from {low:g} to {high:g}; of full scale is what is {largest:g}."
+
+
+def _integer_scale(values: NDArray[np.float64]) -> float | None:
+    """Return 255 or 65535, the least that holds integers; None for other numbers, and for numbers up to 1."""
+    largest = float(values.max())
+    if largest <= 1 or values.min() < 0 or (values % 1 != 0).any():
+        return None
+    return next((scale for scale in _INTEGER_SCALES if largest <= scale), None)
+
+
+def display_colours(contents: MeshContents) -> tuple[NDArray[np.float32], list[str]]:
+    """Return sRGB values of full scale 1, shape (V, 3), and a notice for each thing that was changed."""
+    colours, notices = contents.colours, []
+    if contents.encoding == "linear":
+        colours = linear_to_srgb(colours).astype(np.float32)
+        notices.append("Linear colours are written as sRGB, which the format's colours are by custom.")
+    if colours.shape[1] == 1:
+        colours = np.repeat(colours, 3, axis=1)
+        notices.append("Grey is written as equal red, green and blue.")
+    return colours, notices
+
+
+def left_out(contents: MeshContents) -> list[str]:
+    """Return a notice of what a conversion drops, or nothing."""
+    return [f"Not converted: {'; '.join(contents.left_out)}."] if contents.left_out else []

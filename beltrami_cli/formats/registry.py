@@ -1,0 +1,233 @@
+"""Which formats there are: how the bytes of each are recognised, and which module reads and writes it.
+
+A new mesh format is a folder beside this file and a line of `FORMATS`. Nothing of a format is imported before a file
+needs it, so that the command line starts fast.
+"""
+
+from __future__ import annotations
+
+import importlib
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from beltrami_cli.errors import InputError, UsageError
+from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access, read_source
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
+    from beltrami_cli.formats.document import Document, Written
+    from beltrami_cli.surface.painted import MeshContents
+    from beltrami_cli.surface.textured_mesh import TexturedMesh
+
+    Recogniser = Callable[[bytes, str], bool]
+
+Kind = Literal["image", "volume", "model"]
+
+_ARCHIVES = {
+    "ZIP": (b"PK\x03\x04", 0),
+    "empty ZIP": (b"PK\x05\x06", 0),
+    "gzip": (b"\x1f\x8b", 0),
+    "bzip2": (b"BZh", 0),
+    "xz": (b"\xfd7zXZ\0", 0),
+    "Zstandard": (b"\x28\xb5\x2f\xfd", 0),
+    "7z": (b"7z\xbc\xaf\x27\x1c", 0),
+    "RAR": (b"Rar!\x1a\x07", 0),
+    "tar": (b"ustar", 257),
+}
+"""What archives and compressed files start with, and at which offset."""
+
+_READABLE = (
+    "beltrami reads PLY, OBJ, glTF (.gltf) and GLB files, points in .xyz, .pts and .npz, and the colours of OFF, STL, "
+    "3MF and DAE files"
+)
+
+
+_JSON = rb"(?:\xef\xbb\xbf)?[ \t\r\n]*\{"
+_BY_NAME = None  # in place of a mark: only the name tells what a file is
+
+
+@dataclass(frozen=True)
+class Format:
+    """A line of the registry. Classes and functions are those of `module`, which is relative to this package.
+
+    Attributes
+    ----------
+    name : str
+        `Document.format`, and for formats with a writer what --format and the suffix of OUTPUT say.
+    mark : callable or None
+        Whether a file's bytes (and, if need be, its name) are of the format; None: its suffix decides.
+    module, reader : str
+        For models a `Document`; for images and volumes a function that returns a `Picture` or a `Volume`.
+    writer, textured_writer : str
+        (MeshContents, stem) -> Written and (TexturedMesh, stem) -> Written; empty: there is none.
+    sidecars, textured_sidecars : str
+        Suffixes of the files that the writers put beside the main one; ".*" is that of the texture.
+    aliases : tuple of str
+        Further suffixes, without the dot.
+    kind : {"image", "volume", "model"}
+        What a file holds; meshes and clouds of points are models.
+    """
+
+    name: str
+    mark: Recogniser | None
+    module: str
+    reader: str
+    writer: str = ""
+    textured_writer: str = ""
+    sidecars: str = ""
+    textured_sidecars: str = ""
+    aliases: tuple[str, ...] = ()
+    kind: Kind = "model"
+
+    @property
+    def suffixes(self) -> tuple[str, ...]:
+        """Endings of names, with the dot."""
+        return tuple(f".{name}" for name in (self.name, *self.aliases))
+
+    def load(self, name: str) -> Any:
+        """Import a class or function of the format."""
+        return getattr(importlib.import_module(f"beltrami_cli.formats.{self.module}"), name)
+
+
+def _starts(pattern: bytes) -> Recogniser:
+    compiled = re.compile(pattern)
+    return lambda data, name: compiled.match(data) is not None
+
+
+def _is_image(data: bytes, name: str) -> bool:
+    from beltrami_cli.formats.image.recognition import is_image
+
+    return is_image(data, name)
+
+
+def _is_volume(data: bytes, name: str) -> bool:
+    from beltrami_cli.formats.volume import is_volume
+
+    return is_volume(data, name)
+
+
+def _is_npz(data: bytes, name: str) -> bool:
+    from beltrami_cli.formats.npz import NpzArchive
+
+    return NpzArchive.recognises(data)
+
+
+def _is_read_only(data: bytes, name: str) -> bool:
+    from beltrami_cli.formats.read_only import kind_of
+
+    return not name.lower().endswith(".obj") and kind_of(data, name) is not None
+
+
+# The first line whose mark a file has is taken; only then the names count.
+FORMATS = (
+    Format("image", _is_image, "image", "read_image", kind="image"),
+    Format("volume", _is_volume, "volume", "read_volume", kind="volume"),
+    Format("ply", _starts(rb"ply[\n\r \t]"), "ply", "PlyDocument", "write_ply", "write_textured_ply", "", ".*"),
+    Format("obj", _BY_NAME, "obj", "ObjDocument", "write_obj", "write_textured_obj", "", ".mtl .*"),
+    Format("glb", _starts(rb"glTF"), "gltf", "GltfDocument", "write_glb", "write_textured_glb"),
+    Format("gltf", _starts(_JSON), "gltf", "GltfDocument", "write_gltf", "write_textured_gltf", ".bin", ".bin .*"),
+    Format("xyz", _BY_NAME, "points", "TextPointsDocument", "write_xyz", aliases=("xyzrgb",)),
+    Format("pts", _BY_NAME, "points", "TextPointsDocument", "write_pts"),
+    Format("npz", _is_npz, "points", "NpzPointsDocument", "write_npz"),
+    Format("foreign", _is_read_only, "read_only", "ReadOnlyDocument"),
+)  # fmt: skip
+
+_WRITERS = {line.name: line for line in FORMATS if line.writer}
+OUTPUT_FORMATS = {name: name for name in _WRITERS} | {
+    alias: line.name for line in _WRITERS.values() for alias in line.aliases
+}
+"""The formats that models can be written in, by the suffix of OUTPUT without its dot."""
+
+
+def open_document(source: str, access: Access = EVERYTHING_INSIDE) -> Document:
+    """Open a file, or standard input for "-", as the model that it is; InputError if it is none or damaged."""
+    return document_of(read_source(source, access), source, access)
+
+
+def document_of(data: bytes, source: str, access: Access = EVERYTHING_INSIDE) -> Document:
+    """Open a source whose bytes have been read already; see `open_document`."""
+    if source == "-":
+        return open_bytes(data, "<stdin>", None, access)
+    return open_bytes(data, source, Path(source).parent, access)
+
+
+def open_bytes(data: bytes, name: str, folder: Path | None, access: Access = EVERYTHING_INSIDE) -> Document:
+    """Open the bytes of a model whose sidecars lie in a folder (None: nowhere); InputError as `open_document`."""
+    line = _recognised(data, name, [line for line in FORMATS if line.kind == "model"])
+    if line is None:
+        raise _refusal(data, name)
+    document: Document = line.load(line.reader)(data, name, folder, access)
+    return document
+
+
+def kind_of(data: bytes, name: str) -> Kind:
+    """Return what a file holds; a model if it is of no known format, so that opening it says what is wrong."""
+    line = _recognised(data, name, FORMATS)
+    return "model" if line is None else line.kind
+
+
+def _recognised(data: bytes, name: str, lines: Iterable[Format]) -> Format | None:
+    lines = list(lines)
+    for line in lines:
+        if line.mark is not None and line.mark(data, name):
+            return line
+    if not data or _archive(data) is not None:
+        return None
+    named = (line for line in lines if line.mark is None and name.lower().endswith(line.suffixes))
+    return next(named, None)
+
+
+def _refusal(data: bytes, name: str) -> InputError:
+    """Return what is wrong with a file that is no model."""
+    archive = _archive(data)
+    if archive is not None:
+        cause = f"it is a {archive} archive, which is not opened"
+        return InputError(name, cause, "unpack it, and give the model")
+    if not data:
+        return InputError(name, "the file is empty", _READABLE)
+    if _is_image(data, name):
+        return InputError(name, "it is an image, and no model", _READABLE)
+    if not Path(name).suffix:  # standard input among them
+        cause = "the content has no mark of a known format"
+        return InputError(name, cause, "give OBJ files, and points in .xyz and .pts, by their names")
+    return InputError(name, "the content is of no known format", _READABLE)
+
+
+def _archive(data: bytes) -> str | None:
+    """Return the kind of an archive or compressed file by its first bytes."""
+    for kind, (signature, at) in _ARCHIVES.items():
+        if data[at : at + len(signature)] == signature:
+            return kind
+    return None
+
+
+def write_contents(contents: MeshContents, name: str, stem: str) -> Written:
+    """Write a mesh with vertex colours as a new file of a format."""
+    line = _WRITERS[name]
+    written: Written = line.load(line.writer)(contents, stem)
+    return written
+
+
+def write_textured(mesh: TexturedMesh, name: str, stem: str) -> Written:
+    """Write a mesh with one texture as a new file of a format; UsageError if the format has no textures."""
+    line = _with_textures(name)
+    written: Written = line.load(line.textured_writer)(mesh, stem)
+    return written
+
+
+def sidecar_names(name: str, stem: str, image_suffix: str | None) -> list[str]:
+    """Return the files that `write_textured`, or without an image `write_contents`, puts beside the main one."""
+    suffixes = _WRITERS[name].sidecars if image_suffix is None else _with_textures(name).textured_sidecars
+    return [
+        stem + (image_suffix if image_suffix and suffix == ".*" else suffix) for suffix in suffixes.split()
+    ]
+
+
+def _with_textures(name: str) -> Format:
+    line = _WRITERS[name]
+    if not line.textured_writer:
+        raise UsageError(f"a .{name} file has no textures; end the name of the output in .glb, .obj or .ply")
+    return line
