@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.errors import UsageError
-from beltrami_cli.surface.transfer import linear_to_srgb, srgb_to_linear
+from beltrami_cli.surface.colour_values import linear_to_srgb, srgb_to_linear
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from beltrami_cli.flow.parameters import Space
-    from beltrami_cli.surface.painted import Encoding
+    from beltrami_cli.surface.records import Encoding
 
 # B. Ottosson, "A perceptual color space for image processing" (2020): linear sRGB -> cone response -> Lab.
 _CONES = np.array(

@@ -23,8 +23,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.flow.normal_noise import choose_normal_beta, estimate_normal_sigma
-from beltrami_cli.surface.boundary import on_boundary
-from beltrami_cli.surface.normals import normal_tensors, vertex_normals
+from beltrami_cli.surface.geometry import normal_tensors, on_boundary, vertex_normals
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -22,7 +22,7 @@ from beltrami_cli.flow.risk import wanted_probes
 from beltrami_cli.flow.rule import RULE_ON_MESHES, choose_by_rule
 from beltrami_cli.flow.spacing import edges_in_space, local_spacing, mean_side
 from beltrami_cli.flow.trial_mesh import MeshTrial, SampleFields, fingerprints, random_signs
-from beltrami_cli.surface.areas import vertex_areas
+from beltrami_cli.surface.geometry import vertex_areas
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from beltrami_cli._native import SegmentManifold, TriangulatedManifold
     from beltrami_cli.flow.guidance import Guide
     from beltrami_cli.flow.parameters import KernelParameters
-    from beltrami_cli.surface.surface import SampledSurface
+    from beltrami_cli.surface.records import SampledSurface
 
 # How far, in edges, kernels of pieces are first expected to reach for each sample spacing.
 _EDGES_PER_SPACING = 2.0

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.surface.transfer import linear_to_srgb
+from beltrami_cli.surface.colour_values import linear_to_srgb
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from beltrami_cli.surface.painted import MeshContents
+    from beltrami_cli.surface.records import MeshContents
 
 BYTE = 255.0
 _INTEGER_SCALES = (BYTE, 65535.0)

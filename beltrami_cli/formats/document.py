@@ -25,8 +25,14 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from beltrami_cli.surface.painted import MeshContents, MovedVertices, PaintedVertices
-    from beltrami_cli.surface.textured import ImageFile, Slot, TexturedSurface
+    from beltrami_cli.surface.records import (
+        ImageFile,
+        MeshContents,
+        MovedVertices,
+        PaintedVertices,
+        Slot,
+        TexturedSurface,
+    )
 
 Bytes = bytes | bytearray | memoryview
 NO_IMAGES: Mapping[tuple[Slot, str], ImageFile] = {}

@@ -19,8 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
     from beltrami_cli.formats.document import Document, Written
-    from beltrami_cli.surface.painted import MeshContents
-    from beltrami_cli.surface.textured_mesh import TexturedMesh
+    from beltrami_cli.surface.records import MeshContents, TexturedMesh
 
     Recogniser = Callable[[bytes, str], bool]
 

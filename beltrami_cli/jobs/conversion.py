@@ -16,8 +16,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from beltrami_cli.formats.document import Document, Written
-    from beltrami_cli.surface.painted import MeshContents, MovedVertices
-    from beltrami_cli.surface.textured import ImageFile, Slot
+    from beltrami_cli.surface.records import ImageFile, MeshContents, MovedVertices, Slot
 
 
 def make_files(

@@ -14,7 +14,7 @@ from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access, read_regular
 from beltrami_cli.formats.image.recognition import suffix_for
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.conversion import make_files
-from beltrami_cli.surface.textured import ImageFile
+from beltrami_cli.surface.records import ImageFile
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.document import Document
     from beltrami_cli.formats.image.measuring import ImageSize
     from beltrami_cli.samples.settings.smooth import TextureSettings
-    from beltrami_cli.surface.textured import Slot
+    from beltrami_cli.surface.records import Slot
 
 _FLOATS = 2 * 4  # the old and the new colours of one image at a time, in single precision
 

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING
 from beltrami_cli.errors import InputError, UnpaintedError, UsageError
 from beltrami_cli.formats.model_folder import LEFT_ALONE, remedy_for
 from beltrami_cli.formats.registry import OUTPUT_FORMATS
-from beltrami_cli.surface.scale import check_scale
+from beltrami_cli.surface.validation import check_scale
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from beltrami_cli.formats.document import Document
     from beltrami_cli.samples.settings.smooth import SmoothSettings
-    from beltrami_cli.surface.textured import Slot
+    from beltrami_cli.surface.records import Slot
 
 
 @dataclass(frozen=True)

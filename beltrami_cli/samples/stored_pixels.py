@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from beltrami_cli.formats.image.picture import as_stored
 from beltrami_cli.samples.change import Change
-from beltrami_cli.surface.storing import store_integers
+from beltrami_cli.surface.colour_values import store_integers
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -1,21 +1,157 @@
-"""Colours of a surface put into the texels of an atlas."""
+"""Colours of a surface put into the texels of an atlas, and which texels its triangles cover."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from beltrami_cli.surface.areas import triangle_areas
-from beltrami_cli.surface.cover import border_faces, cover
-from beltrami_cli.surface.gutter import fill_gutter
+from beltrami_cli.surface.geometry import triangle_areas
+from beltrami_cli.surface.grouping import group_equal_rows
+from beltrami_cli.surface.lookup import fill_gutter
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     from numpy.typing import DTypeLike, NDArray
 
     Shade = Callable[[NDArray[np.int64], NDArray[np.float64]], NDArray[Any]]
+
+
+_BLOCK = 1 << 20  # texels looked at at a time, which bounds the memory for them
+_EDGE = 1e-9  # barycentric: centres on an edge are inside, whichever way they are rounded
+
+
+@dataclass(frozen=True)
+class Cover:
+    """Some texels and the triangles that they lie in.
+
+    Attributes
+    ----------
+    texels : ndarray of int64, shape (K,)
+        Row * width + column.
+    faces : ndarray of int64, shape (K,)
+        The triangle of each.
+    weights : ndarray of float64, shape (K, 2)
+        Barycentric weights of its second and third corner. Texels inside have none below 0 (beyond rounding).
+    """
+
+    texels: NDArray[np.int64]
+    faces: NDArray[np.int64]
+    weights: NDArray[np.float64]
+
+    @property
+    def inside(self) -> NDArray[np.bool_]:
+        """Whether each centre lies in the triangle, edges included."""
+        all_three = np.column_stack([self.weights, 1 - self.weights.sum(axis=1)])
+        inside: NDArray[np.bool_] = np.all(all_three >= -_EDGE, axis=1)
+        return inside
+
+
+def cover(
+    uv: NDArray[np.float64], size: tuple[int, int], reach: float = 0.0, chosen: NDArray[np.intp] | None = None
+) -> Iterator[Cover]:
+    """Go through the triangles and the texels whose centres lie in them, or near them.
+
+    Parameters
+    ----------
+    uv : ndarray of float64, shape (F, 3, 2)
+        Texture coordinates, u to the right, v down, 1 the far side. What lies beyond the texture is left out.
+    size : (int, int)
+        Width and height of the texture in texels.
+    reach : float
+        Texels up to this far from a triangle (along u and v each) are given as well.
+    chosen : ndarray of int, shape (N,), optional
+        Only these triangles.
+
+    Yields
+    ------
+    Cover
+        In the order of the triangles. Triangles without area cover nothing.
+    """
+    corners = uv * size - 0.5  # so that centres are whole numbers
+    one, two = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    area = _cross(one, two)
+    faces = np.flatnonzero(area) if chosen is None else chosen[area[chosen] != 0]
+    low, high = _rows(corners[faces], reach, size[1])
+    counts = np.maximum(high - low + 1, 0)
+    for block in _blocks(counts):
+        rows, owner = _expanded(low[block], counts[block])
+        first, last = _columns(corners[faces[block]][owner], rows, reach, size[0])
+        lengths = np.maximum(last - first + 1, 0)
+        for part in _blocks(lengths):
+            column, span = _expanded(first[part], lengths[part])
+            row, face = rows[part][span], faces[block][owner[part][span]]
+            offset = np.stack([column, row], axis=1) - corners[face, 0]
+            weights = np.stack([_cross(offset, two[face]), _cross(one[face], offset)], axis=1)
+            yield Cover(row * size[0] + column, face, weights / area[face][:, None])
+
+
+def border_faces(uv: NDArray[np.float64]) -> NDArray[np.intp]:
+    """Return the triangles that have an edge which no other triangle has in the image."""
+    point_of, _ = group_equal_rows(*uv.reshape(-1, 2).T)
+    points = point_of.reshape(-1, 3)
+    edges = np.sort(np.stack([points, np.roll(points, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
+    edge_of, _ = group_equal_rows(*edges.T)
+    alone = np.bincount(edge_of)[edge_of] == 1
+    return np.flatnonzero(alone.reshape(-1, 3).any(axis=1))
+
+
+def _cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+    product: NDArray[np.float64] = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+    return product
+
+
+def _rows(
+    corners: NDArray[np.float64], reach: float, height: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    y = corners[:, :, 1]
+    low = np.ceil(np.clip(y.min(axis=1, initial=np.inf) - reach - _EDGE, -1, height))
+    high = np.floor(np.clip(y.max(axis=1, initial=-np.inf) + reach + _EDGE, -1, height))
+    return np.maximum(low, 0).astype(np.int64), np.minimum(high, height - 1).astype(np.int64)
+
+
+def _columns(
+    corners: NDArray[np.float64], rows: NDArray[np.int64], reach: float, width: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the first and the last column of each triangle in its row: where its edges run through the strip."""
+    ends = np.roll(corners, -1, axis=1)
+    (ax, ay), (bx, by) = np.moveaxis(corners, 2, 0), np.moveaxis(ends, 2, 0)
+    top, bottom = (rows - reach - _EDGE)[:, None], (rows + reach + _EDGE)[:, None]
+    enter = np.clip(top, np.minimum(ay, by), np.maximum(ay, by))
+    leave = np.clip(bottom, np.minimum(ay, by), np.maximum(ay, by))
+    crosses = (np.maximum(ay, by) >= top) & (np.minimum(ay, by) <= bottom)
+    rise = np.where(ay == by, 1.0, by - ay)
+    level = ay == by
+    one = np.where(level, ax, ax + (enter - ay) / rise * (bx - ax))
+    other = np.where(level, bx, ax + (leave - ay) / rise * (bx - ax))
+    low = np.where(crosses, np.minimum(one, other), np.inf).min(axis=1)
+    high = np.where(crosses, np.maximum(one, other), -np.inf).max(axis=1)
+    first = np.ceil(np.clip(low - reach - _EDGE, -1, width))
+    last = np.floor(np.clip(high + reach + _EDGE, -1, width))
+    return np.maximum(first, 0).astype(np.int64), np.minimum(last, width - 1).astype(np.int64)
+
+
+def _blocks(counts: NDArray[np.int64]) -> Iterator[slice]:
+    """Split rows into runs whose counts add up to about a block."""
+    sums = np.cumsum(counts)
+    first = 0
+    while first < len(counts):
+        done = sums[first - 1] if first else 0
+        last = max(first + 1, int(np.searchsorted(sums, done + _BLOCK, side="right")))
+        yield slice(first, last)
+        first = last
+
+
+def _expanded(
+    starts: NDArray[np.int64], counts: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return start, start + 1, ... for every row, and which row each number belongs to."""
+    owner = np.repeat(np.arange(len(counts)), counts)
+    before = np.cumsum(counts) - counts
+    return starts[owner] + np.arange(len(owner)) - before[owner], owner
+
 
 _FAR = 1.0  # texels beyond a border that bilinear lookups on it touch
 

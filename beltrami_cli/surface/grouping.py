@@ -52,6 +52,31 @@ def group_equal_rows(*columns: NDArray[Any]) -> tuple[NDArray[np.int32], NDArray
     return _number_by_first(order, new)
 
 
+def distinct_corners(*columns: NDArray[np.generic]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Find the distinct rows of a table and number them by the order of their values.
+
+    Parameters
+    ----------
+    *columns : ndarray, shape (K,)
+        The table.
+
+    Returns
+    -------
+    first : ndarray of int, shape (N,)
+        A row of each number.
+    number_of : ndarray of int, shape (K,)
+        Number of each row.
+    """
+    order = np.lexsort(columns[::-1])
+    new = np.zeros(len(order), bool)
+    new[:1] = True
+    for column in columns:
+        new[1:] |= column[order][1:] != column[order][:-1]
+    number_of = np.empty(len(order), np.intp)
+    number_of[order] = np.cumsum(new) - 1
+    return order[new], number_of
+
+
 def _number_by_first(
     order: NDArray[np.intp], new: NDArray[np.bool_]
 ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:

@@ -33,7 +33,7 @@ _LEAST = 1e-6
 # Beyond that, the exact value moves no vertex; float32 must hold its products.
 _MOST = 1e9
 _LARGEST_EXPONENT = 1000  # of a scale whose inverse is a number too
-_SLAB = 1 << 22  # voxels looked at together, which bounds the memory for their double precision
+SLAB = 1 << 22  # voxels looked at together, which bounds the memory for their double precision
 
 
 @dataclass(frozen=True)
@@ -137,7 +137,7 @@ def _require_memory(crossings: int, shape: tuple[int, ...]) -> None:
 
 def _slabs(shape: tuple[int, ...], overlap: int) -> Iterator[tuple[int, int]]:
     """Split the first index into ranges of a bounded number of voxels, which share so many layers."""
-    thickness = max(1, _SLAB // (shape[1] * shape[2]))
+    thickness = max(1, SLAB // (shape[1] * shape[2]))
     for first in range(0, shape[0] - overlap, thickness):
         yield first, min(first + thickness + overlap, shape[0])
 

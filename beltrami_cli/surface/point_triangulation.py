@@ -11,12 +11,12 @@ from beltrami_cli.surface.grouping import group_equal_rows
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from beltrami_cli.surface.painted import PaintedVertices
+    from beltrami_cli.surface.records import PaintedVertices
 
 # Nearest neighbours asked for, until there are enough to know a point's triangles: usually the first number does, on
 # rims and between the lines of a scanner the last may not.
 _NEIGHBOURS = (24, 64, 192)
-_BLOCK = 1 << 17  # points asked for at a time, which bounds the memory that their neighbours take
+BLOCK = 1 << 17  # points asked for at a time, which bounds the memory that their neighbours take
 
 
 def faces_of_points(painted: PaintedVertices, threads: int) -> NDArray[np.int32]:
@@ -83,8 +83,8 @@ def triangulate_points(positions: NDArray[np.float64], threads: int = 1) -> NDAr
     order = morton_order(points)  # neighbours lie close in memory, which halves the time
     points = points[order]
     tree, stars = cKDTree(points), LocalTriangulation(points)
-    for first in range(0, len(points), _BLOCK):
-        rows = np.arange(first, min(first + _BLOCK, len(points)), dtype=np.int32)
+    for first in range(0, len(points), BLOCK):
+        rows = np.arange(first, min(first + BLOCK, len(points)), dtype=np.int32)
         for wanted in _NEIGHBOURS:
             complete = wanted >= len(points) - 1
             nearest = np.asarray(tree.query(points[rows], min(wanted + 1, len(points)), workers=threads)[1])

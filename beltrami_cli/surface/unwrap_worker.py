@@ -1,7 +1,7 @@
 """The process that runs xatlas: a mesh comes in by standard input, texture coordinates go out by standard output.
 
 xatlas tells nothing while it works, cannot be interrupted, and hangs on some meshes, so it gets a process that can be
-ended. `beltrami_cli.surface.unwrap_process` starts it.
+ended. `beltrami_cli.surface.unwrap` starts it.
 """
 
 from __future__ import annotations

@@ -13,8 +13,8 @@ from beltrami_cli.formats.image.recognition import is_image
 from beltrami_cli.jobs.opening import document_from
 from beltrami_cli.samples.settings.smooth import DEFAULTS, SmoothSettings
 from beltrami_cli.samples.textures.colours import COLOUR_SLOTS
-from beltrami_cli.surface.areas import triangle_areas
-from beltrami_cli.surface.transfer import srgb_to_linear
+from beltrami_cli.surface.colour_values import srgb_to_linear
+from beltrami_cli.surface.geometry import triangle_areas
 from beltrami_cli.view.rendering.cloud_view import CloudView
 from beltrami_cli.view.rendering.image_view import ImageView
 from beltrami_cli.view.rendering.paint import TexturePaint, VertexPaint
@@ -25,8 +25,7 @@ if TYPE_CHECKING:
 
     from beltrami_cli.formats.access import Access
     from beltrami_cli.formats.document import Document
-    from beltrami_cli.surface.painted import PaintedVertices
-    from beltrami_cli.surface.textured import Slot
+    from beltrami_cli.surface.records import PaintedVertices, Slot
     from beltrami_cli.view.settings import RenderSettings
 
 Drawable = SurfaceView | CloudView | ImageView

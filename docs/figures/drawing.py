@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from beltrami_cli.surface.transfer import srgb_to_linear
+from beltrami_cli.surface.colour_values import srgb_to_linear
 from beltrami_cli.view.rendering.camera import WHOLE, fitted, orientation
 from beltrami_cli.view.rendering.paint import VertexPaint
 from beltrami_cli.view.rendering.sheet import Background, displayed

@@ -25,7 +25,7 @@ from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.partitions.splitting import in_pieces
 from beltrami_cli.samples.images.grid_flow import grid_flow
 from beltrami_cli.samples.settings.smooth import SmoothSettings
-from beltrami_cli.surface.surface import SampledSurface
+from beltrami_cli.surface.records import SampledSurface
 from cli.commands import SAMPLES
 from cli.dask_cluster import Cluster
 from oracles import surfaces

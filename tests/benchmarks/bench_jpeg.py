@@ -23,7 +23,7 @@ import beltrami_cli.flow.parameters as kernel
 from beltrami_cli.flow.canvas_colours import painted
 from beltrami_cli.flow.texels import TexelFlow
 from beltrami_cli.formats.registry import open_document
-from beltrami_cli.surface.atlas_building import build_atlas
+from beltrami_cli.surface.atlas import build_atlas
 
 SUBSAMPLINGS = {"4:4:4": 0x111111, "4:2:0": 0x221111}
 STORED = ((80, "4:4:4"), (80, "4:2:0"), (92, "4:4:4"), (92, "4:2:0"))

@@ -20,8 +20,7 @@ from beltrami_cli.flow.texels import TexelFlow
 from beltrami_cli.flow.trial_grid import _blocks, _cut_out
 from beltrami_cli.formats.image import read_image
 from beltrami_cli.formats.registry import open_document
-from beltrami_cli.surface.atlas import HALO, OWNED, refresh_halo
-from beltrami_cli.surface.atlas_building import build_atlas
+from beltrami_cli.surface.atlas import HALO, OWNED, build_atlas, refresh_halo
 from beltrami_cli.surface.vertex_sampling import sample_vertices
 
 MARGIN = 6  # cells: half the window, and the reach of the regularised metric

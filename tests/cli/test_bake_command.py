@@ -16,7 +16,7 @@ from beltrami_cli.formats.image import read_image, write_image
 from beltrami_cli.formats.image.fresh import fresh_picture
 from beltrami_cli.formats.ply import write_ply
 from beltrami_cli.formats.registry import open_document
-from beltrami_cli.surface.painted import MeshContents
+from beltrami_cli.surface.records import MeshContents
 from cli.commands import COMMAND, SAMPLES, beltrami
 from oracles import surfaces
 

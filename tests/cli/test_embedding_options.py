@@ -13,7 +13,7 @@ from beltrami_cli.formats.ply import write_ply
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.samples.settings.smooth import DEFAULTS
 from beltrami_cli.samples.textures.prepare import prepare_slot
-from beltrami_cli.surface.painted import MeshContents
+from beltrami_cli.surface.records import MeshContents
 from cli.commands import SAMPLES, beltrami
 from oracles import surfaces
 

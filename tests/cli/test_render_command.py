@@ -11,7 +11,7 @@ import pytest
 from beltrami_cli.formats.gltf.writer import write_glb
 from beltrami_cli.formats.image import read_image
 from beltrami_cli.formats.ply import write_ply
-from beltrami_cli.surface.painted import MeshContents
+from beltrami_cli.surface.records import MeshContents
 from cli.commands import SAMPLES, beltrami
 from formats.image_files import encode
 

@@ -6,7 +6,7 @@ import json
 
 import numpy as np
 
-from beltrami_cli.surface.textured import ImageFile
+from beltrami_cli.surface.records import ImageFile
 from formats.gltf_files import JPEG, PNG, SLOT_PATHS, WEBP, Textured, joined, picture, unpacked
 
 HEADS = {".png": PNG, ".jpg": JPEG, ".webp": WEBP}

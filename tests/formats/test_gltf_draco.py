@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.gltf import GltfDocument
-from beltrami_cli.surface.textured import ImageFile
+from beltrami_cli.surface.records import ImageFile
 from formats.gltf_comparison import byte_differences, json_differences
 from formats.gltf_compressed import CORNERS, DRACO, GRID, UV, draco_bytes, draco_model, draco_primitive
 from formats.gltf_files import Textured, joined, numbers, picture, unpacked

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from beltrami_cli.errors import OutputError
 from beltrami_cli.formats.registry import open_document
-from beltrami_cli.surface.textured import ImageFile
+from beltrami_cli.surface.records import ImageFile
 from formats.gltf_files import SLOT_PATHS, WEBP, Textured, data_uri, joined, picture, unpacked
 from formats.gltf_images import (
     HEADS,

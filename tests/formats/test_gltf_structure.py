@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from beltrami_cli.errors import BeltramiError, InputError
 from beltrami_cli.formats.gltf import GltfDocument
-from beltrami_cli.surface.textured import ImageFile
+from beltrami_cli.surface.records import ImageFile
 from formats.gltf_compressed import draco_model, meshopt_model
 from formats.gltf_showcase import showcase
 

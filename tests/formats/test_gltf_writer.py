@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.gltf import GltfDocument, write_glb, write_gltf
-from beltrami_cli.surface.painted import MeshContents
-from beltrami_cli.surface.transfer import linear_to_srgb
+from beltrami_cli.surface.colour_values import linear_to_srgb
+from beltrami_cli.surface.records import MeshContents
 from formats.gltf_files import Model, joined, numbers, unpacked
 
 SQUARE = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], float)

@@ -11,7 +11,7 @@ from beltrami_cli.errors import InputError
 from beltrami_cli.formats.gltf import GltfDocument
 from beltrami_cli.formats.obj import ObjDocument
 from beltrami_cli.formats.ply import PlyDocument
-from beltrami_cli.surface.painted import MovedVertices
+from beltrami_cli.surface.records import MovedVertices
 from formats.gltf_files import Model, joined, numbers, unpacked
 from formats.gltf_validator import issues, needs_validator
 from formats.ply_files import ENCODINGS, Table, build

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.obj import ObjDocument
 from beltrami_cli.formats.registry import open_document
-from beltrami_cli.surface.textured import ImageFile
+from beltrami_cli.surface.records import ImageFile
 from formats.image_files import encode, noise
 
 if TYPE_CHECKING:

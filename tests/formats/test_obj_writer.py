@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from beltrami_cli.formats.obj import ObjDocument, write_obj
-from beltrami_cli.surface.painted import MeshContents
-from beltrami_cli.surface.transfer import linear_to_srgb
+from beltrami_cli.surface.colour_values import linear_to_srgb
+from beltrami_cli.surface.records import MeshContents
 
 
 def mesh(**changes: object) -> MeshContents:

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from beltrami_cli.formats.ply import PlyDocument, write_ply
-from beltrami_cli.surface.painted import MeshContents
-from beltrami_cli.surface.transfer import linear_to_srgb
+from beltrami_cli.surface.colour_values import linear_to_srgb
+from beltrami_cli.surface.records import MeshContents
 
 
 def contents(

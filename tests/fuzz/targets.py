@@ -20,7 +20,7 @@ from beltrami_cli.formats.image import read_image, write_image
 from beltrami_cli.formats.registry import open_bytes
 from beltrami_cli.formats.volume import is_volume
 from beltrami_cli.formats.volume.reading import read_volume
-from beltrami_cli.surface.textured import ImageFile
+from beltrami_cli.surface.records import ImageFile
 
 if TYPE_CHECKING:
     from collections.abc import Callable

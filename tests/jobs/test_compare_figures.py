@@ -9,8 +9,8 @@ from beltrami_cli.jobs.compare.colour_difference import cie_lab, delta_e_2000
 from beltrami_cli.jobs.compare.paired_colours import PairedColours, figures
 from beltrami_cli.jobs.compare.structural_similarity import structural_similarity
 from beltrami_cli.samples.textures.places import near_seams, seam_steps, texel_areas
-from beltrami_cli.surface.areas import triangle_areas
-from beltrami_cli.surface.atlas_building import build_atlas
+from beltrami_cli.surface.atlas import build_atlas
+from beltrami_cli.surface.geometry import triangle_areas
 from jobs.cut_boards import BOARD, CHART, SIDE
 
 # G. Sharma, W. Wu, E. Dalal (2005), doi:10.1002/col.20070, table I: L, a, b; L, a, b; Delta E 2000.

@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 
-from beltrami_cli.surface.textured import Texture, TexturedSurface
+from beltrami_cli.surface.records import Texture, TexturedSurface
 
 # The symmetries of the square, as matrices: rotations by 90 degrees, then the same mirrored.
 TURNS = [np.linalg.matrix_power(np.array([[0, -1], [1, 0]]), k) for k in range(4)]

@@ -12,7 +12,7 @@ from beltrami_cli.flow.canvas import Canvas
 from beltrami_cli.flow.guidance import Guide
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.samples.images.grid_flow import grid_flow
-from beltrami_cli.surface.atlas_building import build_atlas
+from beltrami_cli.surface.atlas import build_atlas
 from properties.test_pieces import FIXED, ON_GRIDS, noisy
 from properties.test_slits import SIDE, TEXELS, cut_plane
 from properties.textured_planes import smoothed, texel_flow

@@ -13,7 +13,7 @@ from beltrami_cli.flow.iteration import BeltramiFlow
 from beltrami_cli.flow.parameters import TUNABLE, KernelParameters
 from beltrami_cli.flow.risk import Risk, RiskEstimate, Step
 from beltrami_cli.flow.schedule import Grid, Search
-from beltrami_cli.surface.surface import SampledSurface
+from beltrami_cli.surface.records import SampledSurface
 from oracles import surfaces
 
 SIGMA = 20 / 255

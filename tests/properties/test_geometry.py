@@ -7,8 +7,7 @@ import pytest
 
 import beltrami_cli
 from beltrami_cli.flow.normal_noise import estimate_normal_sigma
-from beltrami_cli.surface.boundary import on_boundary
-from beltrami_cli.surface.normals import normal_tensors, vertex_normals
+from beltrami_cli.surface.geometry import normal_tensors, on_boundary, vertex_normals
 from oracles import surfaces
 
 SIDE = 16

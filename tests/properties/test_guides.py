@@ -9,7 +9,7 @@ import beltrami_cli
 from beltrami_cli.flow.guidance import Guide, choose_guide_beta
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.regularisation import guide_radius
-from beltrami_cli.surface.atlas_building import build_atlas
+from beltrami_cli.surface.atlas import build_atlas
 from oracles import surfaces
 from properties.textured_planes import Board, smoothed, texel_flow
 

@@ -18,8 +18,8 @@ from beltrami_cli.flow.partitions.exchange import collect, plan_loans
 from beltrami_cli.flow.partitions.rings import Neighbours
 from beltrami_cli.flow.partitions.splitting import InTurn, in_pieces
 from beltrami_cli.samples.images.grid_flow import grid_flow
-from beltrami_cli.surface.atlas_building import build_atlas
-from beltrami_cli.surface.surface import SampledSurface
+from beltrami_cli.surface.atlas import build_atlas
+from beltrami_cli.surface.records import SampledSurface
 from oracles import surfaces
 from properties.test_slits import SIDE, TEXELS, cut_plane
 from properties.textured_planes import smoothed, texel_flow

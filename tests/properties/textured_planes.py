@@ -10,8 +10,8 @@ from beltrami_cli.flow.canvas_colours import painted
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.regularisation import guide_radius
 from beltrami_cli.flow.texels import TexelFlow
-from beltrami_cli.surface.atlas_building import build_atlas
-from beltrami_cli.surface.textured import Texture, TexturedSurface
+from beltrami_cli.surface.atlas import build_atlas
+from beltrami_cli.surface.records import Texture, TexturedSurface
 from oracles import surfaces
 
 

@@ -7,8 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from beltrami_cli.surface.atlas import EMPTY, HALO, OWNED
-from beltrami_cli.surface.atlas_building import build_atlas
+from beltrami_cli.surface.atlas import EMPTY, HALO, OWNED, build_atlas
 from oracles.textured import cube, quads, textured
 
 RIGHT, BELOW = 0, 1

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import maximum_filter
 
-from beltrami_cli.surface.atlas import EMPTY
-from beltrami_cli.surface.atlas_building import build_atlas
+from beltrami_cli.surface.atlas import EMPTY, build_atlas
 from oracles.textured import quads, textured
 
 

@@ -6,8 +6,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from beltrami_cli.surface.atlas import EMPTY, HALO, OWNED
-from beltrami_cli.surface.atlas_building import build_atlas
+from beltrami_cli.surface.atlas import EMPTY, HALO, OWNED, build_atlas
 from oracles.textured import CutPlane, quads, textured
 
 MARGIN = 3

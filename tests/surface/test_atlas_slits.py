@@ -11,8 +11,7 @@ from scipy.ndimage import maximum_filter
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from beltrami_cli.surface.atlas import EMPTY, OWNED
-from beltrami_cli.surface.atlas_building import build_atlas
+from beltrami_cli.surface.atlas import EMPTY, OWNED, build_atlas
 from oracles.textured import CutPlane, quads, slit, textured
 
 MARGIN = 3

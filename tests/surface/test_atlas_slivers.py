@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from beltrami_cli.surface.atlas_building import build_atlas
+from beltrami_cli.surface.atlas import build_atlas
 from oracles.textured import textured
 
 MARGIN, HEIGHT = 3, 8

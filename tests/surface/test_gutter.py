@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from scipy import ndimage
 
 from beltrami_cli import _native
-from beltrami_cli.surface import gutter
-from beltrami_cli.surface.gutter import fill_gutter
+from beltrami_cli.surface import lookup
+from beltrami_cli.surface.lookup import fill_gutter
 
 
 @given(
@@ -85,5 +85,5 @@ def test_bands_of_rows_give_what_the_whole_gives(width, monkeypatch):
     whole = filled_gutter(pixels, covered, None, width, channels=[0, 2])
     assert np.array_equal(whole[..., 1], pixels[..., 1])
     assert not np.array_equal(whole, pixels)
-    monkeypatch.setattr(gutter, "_ROWS", 1)
+    monkeypatch.setattr(lookup, "ROWS", 1)
     assert np.array_equal(filled_gutter(pixels, covered, None, width, channels=[0, 2]), whole)

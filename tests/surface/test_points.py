@@ -11,8 +11,8 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import Delaunay
 from scipy.spatial.transform import Rotation
 
-from beltrami_cli.surface.painted import PaintedVertices
 from beltrami_cli.surface.point_triangulation import faces_of_points, triangulate_points
+from beltrami_cli.surface.records import PaintedVertices
 from beltrami_cli.surface.vertex_sampling import sample_vertices
 from oracles import surfaces
 
@@ -191,7 +191,7 @@ def test_large_clouds_are_handled_in_blocks(monkeypatch):
     from beltrami_cli.surface import point_triangulation as points
 
     positions, faces = surfaces.icosphere(3)
-    monkeypatch.setattr(points, "_BLOCK", 100)
+    monkeypatch.setattr(points, "BLOCK", 100)
     assert as_set(triangulate_points(positions)) == as_set(faces)
 
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from beltrami_cli.surface.storing import store_integers
+from beltrami_cli.surface.colour_values import store_integers
 
 
 def nearest(value, most):

@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 
 from beltrami_cli.errors import InputError, ProcessingError
-from beltrami_cli.surface import unwrap_process, unwrap_worker
-from beltrami_cli.surface.areas import triangle_areas
+from beltrami_cli.surface import unwrap as unwrapping
+from beltrami_cli.surface import unwrap_worker
+from beltrami_cli.surface.geometry import triangle_areas
 from beltrami_cli.surface.unwrap import unwrap
 from oracles import surfaces
 
@@ -211,15 +212,15 @@ def test_a_process_that_hangs_is_given_up(monkeypatch, tmp_path):
     before = children()
     (tmp_path / "endless.py").write_text("while True: pass")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    monkeypatch.setattr(unwrap_process, "_LEAST_PATIENCE", 0.2)
-    monkeypatch.setattr(unwrap_process, "_WORKER", "endless")
+    monkeypatch.setattr(unwrapping, "LEAST_PATIENCE", 0.2)
+    monkeypatch.setattr(unwrapping, "WORKER", "endless")
     with pytest.raises(ProcessingError, match="did not end within"):
         unwrapped(np.eye(3), [[0, 1, 2]])
     assert children() == before
 
 
 def test_what_the_process_dies_of_is_told_in_one_line(monkeypatch):
-    monkeypatch.setattr(unwrap_process, "_WORKER", "beltrami_cli.no_such_module")
+    monkeypatch.setattr(unwrapping, "WORKER", "beltrami_cli.no_such_module")
     with pytest.raises(
         ProcessingError, match=r"^xatlas could not unwrap the mesh \(.*no_such_module.*\)"
     ) as caught:

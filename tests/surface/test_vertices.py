@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 import beltrami_cli
 from beltrami_cli.surface.grouping import group_equal_rows
-from beltrami_cli.surface.painted import PaintedVertices
+from beltrami_cli.surface.records import PaintedVertices
 from beltrami_cli.surface.vertex_sampling import sample_vertices
 from oracles import surfaces
 

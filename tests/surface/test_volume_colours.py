@@ -5,8 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from beltrami_cli.surface.volume import GridColours, Lattice, NearColours
-from beltrami_cli.surface.volume_colours import interpolate_colours, nearest_colours, places
+from beltrami_cli.surface.volume import (
+    GridColours,
+    Lattice,
+    NearColours,
+    interpolate_colours,
+    nearest_colours,
+    places,
+)
 
 RANDOM = np.random.default_rng(6)
 SHAPE = (4, 5, 6)

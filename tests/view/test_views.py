@@ -7,9 +7,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from beltrami_cli.surface.areas import triangle_areas
-from beltrami_cli.surface.textured import Texture, TexturedSurface
-from beltrami_cli.surface.transfer import linear_to_srgb
+from beltrami_cli.surface.colour_values import linear_to_srgb
+from beltrami_cli.surface.geometry import triangle_areas
+from beltrami_cli.surface.records import Texture, TexturedSurface
 from beltrami_cli.view.drawing import draw_views
 from beltrami_cli.view.rendering.camera import WHOLE, fitted, orientation
 from beltrami_cli.view.rendering.cloud_view import CloudView

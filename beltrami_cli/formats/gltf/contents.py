@@ -9,7 +9,7 @@ import numpy as np
 from beltrami_cli.formats.gltf.accessors import fractions
 from beltrami_cli.formats.gltf.materials import present_slots
 from beltrami_cli.formats.gltf.sharing import objects
-from beltrami_cli.surface.painted import MeshContents
+from beltrami_cli.surface.records import MeshContents
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -31,7 +31,7 @@ from beltrami_cli.formats.gltf.structure import require_structure
 from beltrami_cli.formats.gltf.surfaces import COLOUR_TYPES, Surface, gather
 from beltrami_cli.formats.gltf.texturing import gather_textured
 from beltrami_cli.formats.model_folder import ModelFolder
-from beltrami_cli.surface.painted import MeshContents, MovedVertices, PaintedVertices
+from beltrami_cli.surface.records import MeshContents, MovedVertices, PaintedVertices
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from beltrami_cli.formats.document import Fingerprint, Written
-    from beltrami_cli.surface.textured import ImageFile, Slot, TexturedSurface
+    from beltrami_cli.surface.records import ImageFile, Slot, TexturedSurface
 
 
 GltfForm = Literal["glb", "gltf"]

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.gltf.accessors import Accessors, Stored
     from beltrami_cli.formats.gltf.container import Container
     from beltrami_cli.formats.gltf.json_text import Tree
-    from beltrami_cli.surface.textured import ImageFile
+    from beltrami_cli.surface.records import ImageFile
 
 VERTEX_DATA = 34962
 """What a view is for (ARRAY_BUFFER)."""

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, get_args
 
 import numpy as np
 
-from beltrami_cli.surface.textured import Slot
+from beltrami_cli.surface.records import Slot
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

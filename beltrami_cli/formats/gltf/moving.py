@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.gltf.editing import Edit
     from beltrami_cli.formats.gltf.surfaces import Block
     from beltrami_cli.formats.gltf.tree import Entry
-    from beltrami_cli.surface.painted import MovedVertices
+    from beltrami_cli.surface.records import MovedVertices
 
 _STALE = "The vertices moved, but their {} are as they were; make them anew, or leave them out."
 

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.gltf.editing import Edit
     from beltrami_cli.formats.gltf.json_text import Tree
     from beltrami_cli.formats.gltf.tree import Entry
-    from beltrami_cli.surface.textured import ImageFile
+    from beltrami_cli.surface.records import ImageFile
 
 
 def used_names(root: Entry) -> set[str]:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.gltf.json_text import Tree
     from beltrami_cli.formats.gltf.tree import Entry
     from beltrami_cli.formats.model_folder import ModelFolder
-    from beltrami_cli.surface.textured import Wrap
+    from beltrami_cli.surface.records import Wrap
 
 WEBP = "EXT_texture_webp"
 """The extension of textures whose image is WebP."""

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.gltf.editing import Edit
     from beltrami_cli.formats.gltf.json_text import Tree
     from beltrami_cli.formats.gltf.pictures import Pictures
-    from beltrami_cli.surface.textured import ImageFile, Slot
+    from beltrami_cli.surface.records import ImageFile, Slot
 
 _WITHOUT_TEXTURES = ("accessors", "animations", "bufferViews", "buffers", "images", "skins", "textures")
 

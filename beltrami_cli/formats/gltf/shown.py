@@ -6,12 +6,12 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from beltrami_cli.formats.model_folder import UnfitReferenceError
-from beltrami_cli.surface.textured import Texture
+from beltrami_cli.surface.records import Texture
 
 if TYPE_CHECKING:
     from beltrami_cli.formats.gltf.materials import Painting
     from beltrami_cli.formats.gltf.pictures import Pictures
-    from beltrami_cli.surface.textured import Slot, Wrap
+    from beltrami_cli.surface.records import Slot, Wrap
 
 
 def key_of(image: int) -> str:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.gltf.editing import Edit
     from beltrami_cli.formats.gltf.json_text import Tree
     from beltrami_cli.formats.gltf.pictures import Pictures
-    from beltrami_cli.surface.textured import ImageFile
+    from beltrami_cli.surface.records import ImageFile
 
 MEDIA = {
     ".png": "image/png",

@@ -10,11 +10,11 @@ from beltrami_cli.formats.document import Written
 from beltrami_cli.formats.gltf.arrays import Arrays, single_precision
 from beltrami_cli.formats.gltf.container import BIN_CHUNK, JSON_CHUNK, Chunk, encoded, glb_pieces
 from beltrami_cli.formats.gltf.files import as_uri
-from beltrami_cli.surface.textured_mesh import distinct_corners
+from beltrami_cli.surface.grouping import distinct_corners
 
 if TYPE_CHECKING:
     from beltrami_cli.formats.gltf.json_text import Tree
-    from beltrami_cli.surface.textured_mesh import TexturedMesh
+    from beltrami_cli.surface.records import TexturedMesh
 
 _MIME = {".png": "image/png", ".jpg": "image/jpeg", ".jpeg": "image/jpeg"}
 _LINEAR, _MIPMAPS, _CLAMP = 9729, 9987, 33071

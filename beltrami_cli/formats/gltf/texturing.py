@@ -21,7 +21,7 @@ from beltrami_cli.formats.gltf.primitives import (
 from beltrami_cli.formats.gltf.shown import Shown
 from beltrami_cli.formats.gltf.triangles import TRIANGLES
 from beltrami_cli.formats.model_folder import remedy_for
-from beltrami_cli.surface.textured import TexturedSurface
+from beltrami_cli.surface.records import TexturedSurface
 
 if TYPE_CHECKING:
     from collections.abc import Hashable, Iterable, Mapping, Sequence
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.gltf.pictures import Pictures
     from beltrami_cli.formats.gltf.scene import Placement
     from beltrami_cli.formats.gltf.tree import Entry
-    from beltrami_cli.surface.textured import Slot
+    from beltrami_cli.surface.records import Slot
 
 _MOST_ROWS = np.iinfo(np.int32).max
 

@@ -12,14 +12,14 @@ from beltrami_cli.formats.gltf.accessors import Stored, quantised
 from beltrami_cli.formats.gltf.arrays import Arrays, single_precision
 from beltrami_cli.formats.gltf.container import BIN_CHUNK, JSON_CHUNK, Chunk, encoded, glb_pieces
 from beltrami_cli.formats.gltf.files import as_uri
+from beltrami_cli.surface.colour_values import srgb_to_linear
 from beltrami_cli.surface.polygons import triangulate
-from beltrami_cli.surface.transfer import srgb_to_linear
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from beltrami_cli.formats.gltf.json_text import Tree
-    from beltrami_cli.surface.painted import MeshContents
+    from beltrami_cli.surface.records import MeshContents
 
 _STORED_AS = {
     ("linear", "uint8"): "<u1",

@@ -9,7 +9,7 @@ import numpy as np
 from beltrami_cli.formats.image.metadata import is_lossless_webp
 from beltrami_cli.formats.image.picture import as_stored, full_scale_one, without_alpha
 from beltrami_cli.formats.image.recognition import FORMATS, format_of_suffix
-from beltrami_cli.surface.transfer import linear_to_srgb, srgb_to_linear
+from beltrami_cli.surface.colour_values import linear_to_srgb, srgb_to_linear
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

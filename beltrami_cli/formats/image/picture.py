@@ -12,7 +12,7 @@ from beltrami_cli.surface.large_arrays import blocks
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from beltrami_cli.surface.painted import Encoding
+    from beltrami_cli.surface.records import Encoding
 
 _ROWS = 64  # compared at a time
 _LEAST_OPACITY = 1 / 1024  # that colours are divided by

@@ -16,7 +16,7 @@ from beltrami_cli.formats.image.metadata import (
 )
 from beltrami_cli.formats.image.recognition import FORMATS, WRITABLE, format_of_suffix, label_of
 from beltrami_cli.formats.image.scratch import scratch_file
-from beltrami_cli.surface.textured import ImageFile
+from beltrami_cli.surface.records import ImageFile
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -25,8 +25,8 @@ from beltrami_cli.formats.obj.scanning import Scan, scan_file
 from beltrami_cli.formats.obj.statements import Statements
 from beltrami_cli.formats.obj.texturing import gather_textured, read_coordinates
 from beltrami_cli.formats.tokens import Spans, exchange_spans
-from beltrami_cli.surface.painted import MeshContents, MovedVertices, PaintedVertices
 from beltrami_cli.surface.polygons import triangulate
+from beltrami_cli.surface.records import MeshContents, MovedVertices, PaintedVertices
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
     from beltrami_cli.formats.document import Bytes, Fingerprint
     from beltrami_cli.formats.obj.texturing import Coordinates
-    from beltrami_cli.surface.textured import ImageFile, Slot, TexturedSurface
+    from beltrami_cli.surface.records import ImageFile, Slot, TexturedSurface
 
 _CHANNELS = ("red", "green", "blue")
 _STALE = "The vertices moved, but the normals ('vn') are as they were; make them anew, or leave them out."

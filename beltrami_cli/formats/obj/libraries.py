@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from beltrami_cli.surface.textured import Slot
+    from beltrami_cli.surface.records import Slot
 
 SLOTS: dict[str, Slot] = {
     "map_kd": "baseColor",

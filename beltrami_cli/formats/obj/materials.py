@@ -21,7 +21,7 @@ from beltrami_cli.formats.obj.libraries import SLOTS, Map, read_maps
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from beltrami_cli.surface.textured import Slot
+    from beltrami_cli.surface.records import Slot
 
 _LARGEST = 1 << 24  # bytes of a material file that are read
 _MOST_NOTICES = 20

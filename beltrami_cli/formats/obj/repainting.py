@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.document import Bytes
     from beltrami_cli.formats.obj.libraries import Map
     from beltrami_cli.formats.obj.materials import Library, Materials
-    from beltrami_cli.surface.textured import ImageFile, Slot
+    from beltrami_cli.surface.records import ImageFile, Slot
 
 
 def repainted(

@@ -8,14 +8,14 @@ import numpy as np
 
 from beltrami_cli.formats.document import Written
 from beltrami_cli.formats.obj.writer import blocks, shortest, spell
-from beltrami_cli.surface.textured_mesh import distinct_corners
+from beltrami_cli.surface.grouping import distinct_corners
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from numpy.typing import NDArray
 
-    from beltrami_cli.surface.textured_mesh import TexturedMesh
+    from beltrami_cli.surface.records import TexturedMesh
 
 _MATERIAL = "painted"
 

@@ -11,7 +11,7 @@ import numpy as np
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.model_folder import remedy_for
 from beltrami_cli.surface.polygons import triangulate_corners
-from beltrami_cli.surface.textured import Texture, TexturedSurface
+from beltrami_cli.surface.records import Texture, TexturedSurface
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.model_folder import ModelFolder
     from beltrami_cli.formats.obj.materials import Materials
     from beltrami_cli.formats.obj.statements import Statements
-    from beltrami_cli.surface.textured import Slot, Wrap
+    from beltrami_cli.surface.records import Slot, Wrap
 
 
 @dataclass(frozen=True)

@@ -25,8 +25,8 @@ from beltrami_cli.formats.ply.summary import facts_of, left_out
 from beltrami_cli.formats.ply.tables import read_tables
 from beltrami_cli.formats.ply.texturing import find_coordinates, gather_textured, read_comments
 from beltrami_cli.formats.tokens import exchange_spans
-from beltrami_cli.surface.painted import MeshContents, MovedVertices, PaintedVertices
 from beltrami_cli.surface.polygons import triangulate
+from beltrami_cli.surface.records import MeshContents, MovedVertices, PaintedVertices
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.ply.paint import Colours, Paint
     from beltrami_cli.formats.ply.tables import Table
     from beltrami_cli.formats.ply.texturing import TextureComment
-    from beltrami_cli.surface.textured import ImageFile, Slot, TexturedSurface
+    from beltrami_cli.surface.records import ImageFile, Slot, TexturedSurface
 
 
 class PlyDocument(Document):

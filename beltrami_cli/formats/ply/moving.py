@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from beltrami_cli.formats.ply.tables import Table
-    from beltrami_cli.surface.painted import MovedVertices
+    from beltrami_cli.surface.records import MovedVertices
 
 
 def require_real(kinds: Mapping[str, str], names: tuple[str, ...], file: str) -> None:

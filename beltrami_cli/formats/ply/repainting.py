@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.document import Bytes
     from beltrami_cli.formats.ply.texturing import TextureComment
     from beltrami_cli.formats.tokens import Spans
-    from beltrami_cli.surface.textured import ImageFile, Slot
+    from beltrami_cli.surface.records import ImageFile, Slot
 
 
 def renamed_images(

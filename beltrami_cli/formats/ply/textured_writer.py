@@ -10,7 +10,7 @@ from beltrami_cli.formats.document import Written
 from beltrami_cli.formats.ply.writer import shortest
 
 if TYPE_CHECKING:
-    from beltrami_cli.surface.textured_mesh import TexturedMesh
+    from beltrami_cli.surface.records import TexturedMesh
 
 
 def write_textured_ply(mesh: TexturedMesh, stem: str) -> Written:

@@ -23,7 +23,7 @@ from beltrami_cli.formats.model_folder import (
 )
 from beltrami_cli.formats.ply.paint import finite_columns
 from beltrami_cli.surface.polygons import triangulate_corners
-from beltrami_cli.surface.textured import Texture, TexturedSurface
+from beltrami_cli.surface.records import Texture, TexturedSurface
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

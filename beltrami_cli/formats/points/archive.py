@@ -14,7 +14,7 @@ from beltrami_cli.formats.document import NO_IMAGES, Document, Fingerprint, Writ
 from beltrami_cli.formats.npz import NpzArchive
 from beltrami_cli.formats.points.arrays import find_arrays, read_all, read_faces, require_room
 from beltrami_cli.formats.points.repacking import exchanged, members, repacked
-from beltrami_cli.surface.painted import MeshContents, MovedVertices, PaintedVertices
+from beltrami_cli.surface.records import MeshContents, MovedVertices, PaintedVertices
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from beltrami_cli.formats.points.arrays import CloudArrays
-    from beltrami_cli.surface.textured import ImageFile, Slot
+    from beltrami_cli.surface.records import ImageFile, Slot
 
 
 class NpzPointsDocument(Document):

@@ -15,7 +15,7 @@ from beltrami_cli.formats.points.columns import find_columns
 from beltrami_cli.formats.points.lines import read_table
 from beltrami_cli.formats.points.spelling import respelled
 from beltrami_cli.formats.tokens import exchange_tokens
-from beltrami_cli.surface.painted import MeshContents, MovedVertices, PaintedVertices
+from beltrami_cli.surface.records import MeshContents, MovedVertices, PaintedVertices
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from beltrami_cli.formats.points.columns import Columns
     from beltrami_cli.formats.points.lines import PointTable
-    from beltrami_cli.surface.textured import ImageFile, Slot
+    from beltrami_cli.surface.records import ImageFile, Slot
 
 
 class TextPointsDocument(Document):

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from beltrami_cli.surface.painted import MeshContents
+    from beltrami_cli.surface.records import MeshContents
 
 _BLOCK = 1 << 16  # lines made at a time, which bounds the memory that their tokens take
 _BYTE = 255

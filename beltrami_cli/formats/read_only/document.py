@@ -14,8 +14,8 @@ from beltrami_cli.formats.document import NO_IMAGES, Document
 from beltrami_cli.formats.read_only.off import HEADER, read_off
 from beltrami_cli.formats.read_only.polygons import check_polygons, colours_of_vertices, joined
 from beltrami_cli.formats.read_only.stl import is_binary_stl, read_stl
-from beltrami_cli.surface.painted import MeshContents, PaintedVertices
 from beltrami_cli.surface.polygons import triangulate
+from beltrami_cli.surface.records import MeshContents, PaintedVertices
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -25,8 +25,7 @@ if TYPE_CHECKING:
 
     from beltrami_cli.formats.document import Written
     from beltrami_cli.formats.read_only.polygons import ColouredPolygons
-    from beltrami_cli.surface.painted import MovedVertices
-    from beltrami_cli.surface.textured import ImageFile, Slot
+    from beltrami_cli.surface.records import ImageFile, MovedVertices, Slot
 
 Kind = Literal["off", "stl", "3mf", "dae", "zae"]
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.errors import InputError, UnpaintedError
-from beltrami_cli.surface.textured_mesh import distinct_corners
+from beltrami_cli.surface.grouping import distinct_corners
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.document import Document
     from beltrami_cli.jobs.bake.new_texture import Progress
     from beltrami_cli.jobs.bake.settings import BakeSettings
-    from beltrami_cli.surface.textured import ImageFile, TexturedSurface
+    from beltrami_cli.surface.records import ImageFile, TexturedSurface
 
 
 def texture_from_textures(

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.document import Document
     from beltrami_cli.jobs.bake.new_texture import Progress
     from beltrami_cli.jobs.bake.settings import BakeSettings
-    from beltrami_cli.surface.painted import MeshContents
+    from beltrami_cli.surface.records import MeshContents
 
 _ON_A_LEVEL = 0.05  # of an 8-bit step: numbers this close to levels came from 8 bits
 _SHARED = 0.01  # share of texels at several places that rounding at the edges of charts may make

@@ -9,9 +9,8 @@ import numpy as np
 
 from beltrami_cli.formats.image import write_image
 from beltrami_cli.formats.image.fresh import fresh_picture
-from beltrami_cli.surface.textured import Texture, TexturedSurface
-from beltrami_cli.surface.textured_mesh import TexturedMesh
-from beltrami_cli.surface.transfer import linear_to_srgb
+from beltrami_cli.surface.colour_values import linear_to_srgb
+from beltrami_cli.surface.records import Texture, TexturedMesh, TexturedSurface
 from beltrami_cli.surface.unwrap import unwrap
 
 if TYPE_CHECKING:
@@ -21,8 +20,7 @@ if TYPE_CHECKING:
 
     from beltrami_cli.formats.document import Document
     from beltrami_cli.jobs.bake.settings import BakeSettings
-    from beltrami_cli.surface.painted import Encoding
-    from beltrami_cli.surface.textured import ImageFile
+    from beltrami_cli.surface.records import Encoding, ImageFile
     from beltrami_cli.surface.unwrap import Unwrapped
 
     Progress = Callable[[str, int, int], None] | None

@@ -7,11 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.formats.image import read_image, to_float, without_alpha
-from beltrami_cli.surface.grouping import group_equal_rows
+from beltrami_cli.surface.colour_values import linear_to_srgb
+from beltrami_cli.surface.grouping import distinct_corners, group_equal_rows
 from beltrami_cli.surface.lookup import look_up, noise_around
-from beltrami_cli.surface.painted import MeshContents
-from beltrami_cli.surface.textured_mesh import distinct_corners
-from beltrami_cli.surface.transfer import linear_to_srgb
+from beltrami_cli.surface.records import MeshContents
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -20,8 +19,7 @@ if TYPE_CHECKING:
 
     from beltrami_cli.formats.document import Document
     from beltrami_cli.formats.image import Picture
-    from beltrami_cli.surface.painted import Encoding
-    from beltrami_cli.surface.textured import TexturedSurface
+    from beltrami_cli.surface.records import Encoding, TexturedSurface
 
 _ALIKE = 8 / 255  # a step that can hardly be seen, and that texels of several triangles' colours make anyway
 _SIGMAS = 4 * np.sqrt(2)  # of the difference of two noisy values

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from beltrami_cli.jobs.compare.colour_difference import cie_lab, delta_e_2000
-from beltrami_cli.surface.transfer import srgb_to_linear
+from beltrami_cli.surface.colour_values import srgb_to_linear
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

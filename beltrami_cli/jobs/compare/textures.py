@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.image import Picture
     from beltrami_cli.samples.settings.smooth import SmoothSettings
     from beltrami_cli.samples.textures.prepare import PreparedSlot
-    from beltrami_cli.surface.textured import Slot, Texture, TexturedSurface
+    from beltrami_cli.surface.records import Slot, Texture, TexturedSurface
 
 # Texture coordinates may be rounded to six digits, as in text.
 _ROUNDING = 1e-5

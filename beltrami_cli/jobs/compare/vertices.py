@@ -14,7 +14,7 @@ from beltrami_cli.jobs.noise.vertices import coloured_vertices, places_of
 from beltrami_cli.samples.vertices.channels import choose_channels
 from beltrami_cli.samples.vertices.level_set import LevelSetDocument
 from beltrami_cli.samples.vertices.point_cloud import with_surface
-from beltrami_cli.surface.areas import vertex_areas
+from beltrami_cli.surface.geometry import vertex_areas
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from beltrami_cli.flow.parameters import Weights
     from beltrami_cli.formats.document import Document
     from beltrami_cli.samples.settings.smooth import SmoothSettings
-    from beltrami_cli.surface.painted import PaintedVertices
+    from beltrami_cli.surface.records import PaintedVertices
 
 # Positions that two files of one model may differ by, of the model's size: text is often rounded to six digits.
 _ROUNDING = 1e-5

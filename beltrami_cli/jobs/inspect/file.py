@@ -17,7 +17,7 @@ from beltrami_cli.samples.settings.smooth import DEFAULTS, SmoothSettings
 
 if TYPE_CHECKING:
     from beltrami_cli.formats.document import Document
-    from beltrami_cli.surface.textured import Slot
+    from beltrami_cli.surface.records import Slot
 
 
 def inspect_file(

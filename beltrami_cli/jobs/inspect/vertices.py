@@ -16,8 +16,7 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.document import Document
     from beltrami_cli.samples.settings.smooth import SmoothSettings
     from beltrami_cli.samples.vertices.prepare import PreparedVertices
-    from beltrami_cli.surface.painted import PaintedVertices
-    from beltrami_cli.surface.surface import SampledSurface
+    from beltrami_cli.surface.records import PaintedVertices, SampledSurface
     from beltrami_cli.surface.vertex_sampling import VertexSampling
 
 # Enough for a mean within a few per cent, and a matter of milliseconds.
@@ -56,7 +55,7 @@ def describe_vertices(document: Document, settings: SmoothSettings, access: Acce
 
 
 def _describe_mesh(painted: PaintedVertices, prepared: PreparedVertices) -> dict[str, object]:
-    from beltrami_cli.surface.topology import count_topology
+    from beltrami_cli.surface.geometry import count_topology
 
     surface, sampling = prepared.surface, prepared.sampling
     topology = count_topology(_place_positions(surface, sampling), sampling.place_of[surface.faces])

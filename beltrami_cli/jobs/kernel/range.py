@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from beltrami_cli.flow.guidance import Guide
     from beltrami_cli.jobs.kernel.place import Place
     from beltrami_cli.samples.settings.smooth import SmoothSettings
-    from beltrami_cli.surface.painted import PaintedVertices
+    from beltrami_cli.surface.records import PaintedVertices
 
 
 def study_range(

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from beltrami_cli.samples.settings.smooth import SmoothSettings
     from beltrami_cli.samples.textures.prepare import PreparedSlot
     from beltrami_cli.surface.atlas import Atlas
-    from beltrami_cli.surface.textured import Slot
+    from beltrami_cli.surface.records import Slot
 
 
 def study_texel(

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.document import Document
     from beltrami_cli.jobs.kernel.place import Place
     from beltrami_cli.samples.settings.smooth import SmoothSettings
-    from beltrami_cli.surface.painted import PaintedVertices
+    from beltrami_cli.surface.records import PaintedVertices
     from beltrami_cli.surface.vertex_sampling import VertexSampling
 
 

@@ -14,7 +14,7 @@ from beltrami_cli.jobs.noise.kinds import add_noise, bounds
 from beltrami_cli.samples.textures.colours import COLOUR_SLOTS
 from beltrami_cli.samples.textures.prepare import prepare_slot
 from beltrami_cli.samples.textures.repainting import SmoothedTexels, paint, rows_of
-from beltrami_cli.surface.gutter import fill_gutter
+from beltrami_cli.surface.lookup import fill_gutter
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from beltrami_cli.samples.settings.smooth import SmoothSettings
     from beltrami_cli.samples.textures.prepare import PreparedSlot
     from beltrami_cli.surface.atlas import Atlas
-    from beltrami_cli.surface.textured import ImageFile, Slot, TexturedSurface
+    from beltrami_cli.surface.records import ImageFile, Slot, TexturedSurface
 
 
 @dataclass(frozen=True)

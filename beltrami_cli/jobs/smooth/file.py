@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from beltrami_cli.jobs.smooth.report import SmoothReport
     from beltrami_cli.samples.textures.smooth import SlotReport
     from beltrami_cli.samples.vertices.result import SmoothResult
-    from beltrami_cli.surface.textured import ImageFile, Slot
+    from beltrami_cli.surface.records import ImageFile, Slot
 
 
 def smooth_file(

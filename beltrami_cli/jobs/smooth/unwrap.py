@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from beltrami_cli.samples.settings.smooth import SmoothSettings
     from beltrami_cli.samples.textures.smooth import SlotReport
     from beltrami_cli.samples.vertices.result import SmoothResult
-    from beltrami_cli.surface.textured import ImageFile, TexturedSurface
+    from beltrami_cli.surface.records import ImageFile, TexturedSurface
 
     Progress = Callable[[str, int, int], None] | None
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from beltrami_cli.flow.choice import Choice
     from beltrami_cli.flow.parameters import KernelParameters, Space
     from beltrami_cli.samples.images.guides import GuideImage
-    from beltrami_cli.surface.painted import Encoding
+    from beltrami_cli.surface.records import Encoding
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import numpy as np
 from beltrami_cli.flow.canvas_colours import painted
 from beltrami_cli.flow.regularisation import guide_radius
 from beltrami_cli.flow.texels import TexelFlow
-from beltrami_cli.surface.grid_atlas import grid_atlas
+from beltrami_cli.surface.atlas import grid_atlas
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from beltrami_cli.flow.texels import TexelFlow
     from beltrami_cli.samples.settings.smooth import SmoothSettings
-    from beltrami_cli.surface.painted import PaintedVertices
+    from beltrami_cli.surface.records import PaintedVertices
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from beltrami_cli.samples.images.arrays import ArrayImage, ImageResult, pixel_ar
 from beltrami_cli.samples.images.guides import GuideImage
 from beltrami_cli.samples.settings.embedding import EmbeddingSettings
 from beltrami_cli.samples.settings.smooth import DEFAULTS
-from beltrami_cli.surface.painted import Encoding
+from beltrami_cli.surface.records import Encoding
 from beltrami_cli.surface.validation import check_numbers, guide_table
 
 if TYPE_CHECKING:

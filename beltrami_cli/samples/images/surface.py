@@ -11,7 +11,7 @@ from beltrami_cli.errors import InputError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access, read_source
 from beltrami_cli.formats.image import read_image
 from beltrami_cli.formats.image.picture import full_scale_one
-from beltrami_cli.surface.scale import check_scale
+from beltrami_cli.surface.validation import check_scale
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -10,7 +10,7 @@ import numpy as np
 
 if TYPE_CHECKING:
     from beltrami_cli.samples.settings.smooth import TextureSettings
-    from beltrami_cli.surface.textured import Texture, TexturedSurface
+    from beltrami_cli.surface.records import Texture, TexturedSurface
 
 
 def choose_textures(surface: TexturedSurface, wanted: TextureSettings) -> TexturedSurface:

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.image import Picture
     from beltrami_cli.samples.settings.smooth import SmoothSettings
     from beltrami_cli.surface.atlas import Atlas
-    from beltrami_cli.surface.textured import Slot, Texture
+    from beltrami_cli.surface.records import Slot, Texture
 
 COLOUR_SLOTS = ("baseColor", "emissive")
 

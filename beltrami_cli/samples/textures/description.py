@@ -12,14 +12,14 @@ from beltrami_cli.flow.texels import TexelFlow
 from beltrami_cli.samples.textures.choosing import only_textures
 from beltrami_cli.samples.textures.prepare import build_slot_atlas
 from beltrami_cli.surface.atlas import without_owned
+from beltrami_cli.surface.geometry import count_topology
 from beltrami_cli.surface.grouping import group_equal_rows
-from beltrami_cli.surface.topology import count_topology
 
 if TYPE_CHECKING:
     from beltrami_cli.samples.settings.smooth import SmoothSettings
     from beltrami_cli.samples.textures.prepare import PreparedSlot
     from beltrami_cli.surface.atlas import Atlas
-    from beltrami_cli.surface.textured import TexturedSurface
+    from beltrami_cli.surface.records import TexturedSurface
 
 
 def describe_slot(prepared: PreparedSlot, flow: TexelFlow, settings: SmoothSettings) -> dict[str, object]:

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.image import Picture
     from beltrami_cli.samples.settings.smooth import SmoothSettings
     from beltrami_cli.surface.atlas import Atlas
-    from beltrami_cli.surface.textured import Slot, Texture, TexturedSurface
+    from beltrami_cli.surface.records import Slot, Texture, TexturedSurface
 
 # What a material looks like without a texture in a slot: glTF 2.0, section 3.9; a normal stands upright.
 _WITHOUT = {"normal": (0.5, 0.5, 1.0), "emissive": (0.0, 0.0, 0.0)}

@@ -12,8 +12,7 @@ from beltrami_cli.formats.image import read_image
 from beltrami_cli.samples.textures.choosing import choose_textures
 from beltrami_cli.samples.textures.colours import TexelColours
 from beltrami_cli.samples.textures.guides import GuidedTexels
-from beltrami_cli.surface.atlas import without_owned
-from beltrami_cli.surface.atlas_building import build_atlas
+from beltrami_cli.surface.atlas import build_atlas, without_owned
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -24,7 +23,7 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.image import Picture
     from beltrami_cli.samples.settings.smooth import SmoothSettings
     from beltrami_cli.surface.atlas import Atlas
-    from beltrami_cli.surface.textured import Slot, TexturedSurface
+    from beltrami_cli.surface.records import Slot, TexturedSurface
 
 
 @dataclass(frozen=True)

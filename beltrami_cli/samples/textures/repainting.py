@@ -13,7 +13,7 @@ from beltrami_cli.samples.change import Change
 from beltrami_cli.samples.stored_pixels import store
 from beltrami_cli.samples.textures.places import within
 from beltrami_cli.surface import large_arrays
-from beltrami_cli.surface.gutter import fill_gutter
+from beltrami_cli.surface.lookup import fill_gutter
 
 if TYPE_CHECKING:
     from collections.abc import Callable

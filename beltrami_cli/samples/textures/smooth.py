@@ -17,7 +17,7 @@ from beltrami_cli.samples.textures.prepare import prepare_slot
 from beltrami_cli.samples.textures.repainting import SmoothedTexels, repaint
 from beltrami_cli.samples.textures.shared import SharedImages
 from beltrami_cli.surface import large_arrays
-from beltrami_cli.surface.textured import ImageFile
+from beltrami_cli.surface.records import ImageFile
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from beltrami_cli.samples.settings.smooth import SmoothSettings, TextureSettings
     from beltrami_cli.samples.textures.repainting import ColoursOf
     from beltrami_cli.surface.atlas import Atlas, Indices
-    from beltrami_cli.surface.textured import Slot, TexturedSurface
+    from beltrami_cli.surface.records import Slot, TexturedSurface
 
 
 _UNCOVERED = "no texel is covered by the surface, so nothing was smoothed; --unwrap makes a new atlas"

@@ -13,7 +13,7 @@ from beltrami_cli.samples.settings.embedding import EmbeddingSettings
 from beltrami_cli.samples.settings.smooth import DEFAULTS, SmoothSettings
 from beltrami_cli.samples.vertices.point_cloud import smooth_cloud
 from beltrami_cli.samples.vertices.smooth import smooth_painted
-from beltrami_cli.surface.painted import Encoding, PaintedVertices
+from beltrami_cli.surface.records import Encoding, PaintedVertices
 from beltrami_cli.surface.validation import (
     check_mesh,
     check_numbers,

@@ -9,7 +9,7 @@ from beltrami_cli.errors import UsageError
 
 if TYPE_CHECKING:
     from beltrami_cli.samples.settings.smooth import SmoothSettings
-    from beltrami_cli.surface.painted import PaintedVertices
+    from beltrami_cli.surface.records import PaintedVertices
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,8 @@ from beltrami_cli.formats.document import NO_IMAGES, Document
 from beltrami_cli.formats.volume import read_volume
 from beltrami_cli.formats.volume.packages import require
 from beltrami_cli.samples.vertices.level_set_paint import find_colours, paint
-from beltrami_cli.surface.painted import MeshContents
-from beltrami_cli.surface.volume_colours import places
+from beltrami_cli.surface.records import MeshContents
+from beltrami_cli.surface.volume import places
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -23,8 +23,7 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.access import Access
     from beltrami_cli.formats.document import Written
     from beltrami_cli.samples.settings.level_set import Inside, LevelSetSettings
-    from beltrami_cli.surface.painted import MovedVertices, PaintedVertices
-    from beltrami_cli.surface.textured import ImageFile, Slot
+    from beltrami_cli.surface.records import ImageFile, MovedVertices, PaintedVertices, Slot
     from beltrami_cli.surface.volume import Volume
 
 # More grid edges than these are cut by noise, or at a wrong level; and marching cubes counts in 32 bits.

@@ -13,15 +13,20 @@ from beltrami_cli.formats.access import read_source
 from beltrami_cli.formats.colours import full_scale
 from beltrami_cli.formats.registry import open_bytes
 from beltrami_cli.formats.volume import read_colours
-from beltrami_cli.surface.painted import PaintedVertices
-from beltrami_cli.surface.volume import GridColours, NearColours
-from beltrami_cli.surface.volume_colours import has_colour, interpolate_colours, nearest_colours
+from beltrami_cli.surface.records import PaintedVertices
+from beltrami_cli.surface.volume import (
+    GridColours,
+    NearColours,
+    has_colour,
+    interpolate_colours,
+    nearest_colours,
+)
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from beltrami_cli.formats.access import Access
-    from beltrami_cli.surface.painted import Encoding
+    from beltrami_cli.surface.records import Encoding
     from beltrami_cli.surface.volume import Lattice, Volume
 
 # Other types have no full scale of their own: what their numbers mean is told from how large they are.

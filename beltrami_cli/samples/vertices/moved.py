@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.errors import InputError, UsageError
+from beltrami_cli.surface.geometry import vertex_normals
 from beltrami_cli.surface.grouping import group_equal_rows
-from beltrami_cli.surface.normals import vertex_normals
-from beltrami_cli.surface.painted import MovedVertices
+from beltrami_cli.surface.records import MovedVertices
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.document import Document
     from beltrami_cli.samples.selection import Work
     from beltrami_cli.samples.settings.smooth import SmoothSettings
-    from beltrami_cli.surface.painted import PaintedVertices
+    from beltrami_cli.surface.records import PaintedVertices
 
 
 def require_geometry(document: Document, work: Work, settings: SmoothSettings, *, written_back: bool) -> None:

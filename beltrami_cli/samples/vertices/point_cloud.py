@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from beltrami_cli.flow.guidance import Guide
     from beltrami_cli.samples.settings.smooth import SmoothSettings
-    from beltrami_cli.surface.painted import PaintedVertices
+    from beltrami_cli.surface.records import PaintedVertices
 
 
 def with_surface(painted: PaintedVertices, settings: SmoothSettings) -> PaintedVertices:

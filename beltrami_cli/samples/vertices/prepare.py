@@ -17,8 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from beltrami_cli.samples.settings.smooth import SmoothSettings
-    from beltrami_cli.surface.painted import PaintedVertices
-    from beltrami_cli.surface.surface import SampledSurface
+    from beltrami_cli.surface.records import PaintedVertices, SampledSurface
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from beltrami_cli.flow.result import VertexFlowResult
     from beltrami_cli.samples.settings.smooth import SmoothSettings
     from beltrami_cli.samples.vertices.channels import ChosenChannels
-    from beltrami_cli.surface.painted import PaintedVertices
+    from beltrami_cli.surface.records import PaintedVertices
     from beltrami_cli.surface.vertex_sampling import VertexSampling
 
 

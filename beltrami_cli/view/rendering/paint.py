@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from beltrami_cli.surface.textured import TexturedSurface, Wrap
+    from beltrami_cli.surface.records import TexturedSurface, Wrap
 
     Sheet = NDArray[np.float32]
     """An image in linear light with opacity, shape (H, W, 4); colours are not multiplied by it."""

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli.surface.transfer import linear_to_srgb
+from beltrami_cli.surface.colour_values import linear_to_srgb
 from beltrami_cli.view.rendering.lettering import lettering
 
 if TYPE_CHECKING:
@@ -169,7 +169,7 @@ def displayed(view: NDArray[np.float32], background: Background) -> NDArray[np.f
 
 
 def _to_light(background: Background) -> NDArray[np.float64]:
-    from beltrami_cli.surface.transfer import srgb_to_linear
+    from beltrami_cli.surface.colour_values import srgb_to_linear
 
     return np.asarray(srgb_to_linear(np.array(background.colour)), np.float64)
 

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from beltrami_cli.surface.geometry import vertex_normals
 from beltrami_cli.surface.grouping import group_equal_rows
-from beltrami_cli.surface.normals import vertex_normals
 from beltrami_cli.view.rendering.tracing import Tracer
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.jobs.kernel.picture import coloured
-from beltrami_cli.surface.transfer import linear_to_srgb
+from beltrami_cli.surface.colour_values import linear_to_srgb
 from beltrami_cli.view.rendering.details import richest_window
 from beltrami_cli.view.report.page import data_address, picture_tag
 

@@ -34,7 +34,7 @@ from beltrami_cli.view.views import sheet_of
 if TYPE_CHECKING:
     from beltrami_cli.formats.document import Document
     from beltrami_cli.jobs.compare.paired_colours import PairedColours
-    from beltrami_cli.surface.textured import Slot
+    from beltrami_cli.surface.records import Slot
 
 _MOST_CROPS = 8
 _VIEWER = """<h2>The model</h2>

@@ -11,7 +11,7 @@ import numpy as np
 
 from beltrami_cli.formats.image import read_image
 from beltrami_cli.samples.textures.colours import COLOUR_SLOTS
-from beltrami_cli.surface.transfer import linear_to_srgb
+from beltrami_cli.surface.colour_values import linear_to_srgb
 from beltrami_cli.view.rendering.cloud_view import disc_radii
 from beltrami_cli.view.report.page import data_address
 from beltrami_cli.view.views import light_of, sheet_of
@@ -22,8 +22,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from beltrami_cli.formats.document import Document
-    from beltrami_cli.surface.painted import PaintedVertices
-    from beltrami_cli.surface.textured import Slot, Texture, TexturedSurface
+    from beltrami_cli.surface.records import PaintedVertices, Slot, Texture, TexturedSurface
 
 _MIME = {b"\x89PNG": "image/png", b"\xff\xd8\xff": "image/jpeg"}
 

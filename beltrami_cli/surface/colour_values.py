@@ -1,4 +1,4 @@
-"""The sRGB transfer function and its inverse.
+"""Stored colours as numbers: the sRGB transfer function, and rounding to integers.
 
 References
 ----------
@@ -12,7 +12,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import ArrayLike, NDArray
+
+    from beltrami_cli.surface.atlas import Indices
+
 
 _SLOPE = 12.92  # of the straight piece near black
 _OFFSET = 0.055
@@ -67,3 +72,38 @@ def _magnitude(values: ArrayLike) -> tuple[NDArray[Any], NDArray[np.float64]]:
 def _signed(size: NDArray[np.float64], given: NDArray[Any]) -> NDArray[np.floating[Any]]:
     values: NDArray[np.float64] = np.copysign(size, given)
     return values.astype(np.float32) if given.dtype == np.float32 else values
+
+
+def store_integers(
+    table: NDArray[Any],
+    pixels: Indices,
+    values: NDArray[np.float32],
+    channels: Sequence[int],
+    threads: int,
+) -> tuple[float, float, float]:
+    """Put values into pixels of integers, in place, each rounded once.
+
+    Parameters
+    ----------
+    table : ndarray of uint8 or uint16, shape (P, C)
+        The pixels.
+    pixels : ndarray of int, shape (K,)
+        Which of them change, each once.
+    values : ndarray of float32, shape (K, M)
+        New values, full scale 1. What is beyond is clipped; what is no number becomes 0.
+    channels : sequence of int
+        The M channels that they are of.
+    threads : int
+        The result does not depend on it.
+
+    Returns
+    -------
+    total, squares, largest : float
+        Of the K x M changes, full scale 1: their sum, the sum of their squares, and the largest.
+    """
+    from beltrami_cli._native import store_colours
+
+    rows, columns = np.ascontiguousarray(values), np.array(channels, np.int32)
+    total, squares, largest = store_colours(table, pixels, rows, columns, threads)
+    one = float(np.iinfo(table.dtype).max)
+    return total / one, squares / one**2, largest / one
