@@ -1,4 +1,4 @@
-"""NumPy's arrays, alone (.npy) and in archives (.npz): what they are by their headers, and none larger than allowed.
+"""NumPy's arrays, alone (.npy) and in archives (.npz): recognised by their headers, and none larger than allowed.
 
 Nothing is unpickled, and nothing is allocated before the headers have been checked: an archive costs no more than its
 refusal. The format: https://numpy.org/doc/stable/reference/generated/numpy.lib.format.html
@@ -6,6 +6,7 @@ refusal. The format: https://numpy.org/doc/stable/reference/generated/numpy.lib.
 
 from __future__ import annotations
 
+import contextlib
 import io
 import math
 import tokenize
@@ -20,7 +21,7 @@ import numpy as np
 from beltrami_cli.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Iterator
 
     from numpy.typing import NDArray
 
@@ -28,6 +29,7 @@ _MAGIC = b"PK\x03\x04"
 NPY_MAGIC = b"\x93NUMPY"
 _LONGEST_HEADER = 10_000  # as NumPy has it: a longer one could burden the parser of Python literals
 _DEFLATE_RATIO = 1032  # a byte cannot stand for more: zlib's technical notes
+_READ_ERRORS = (zipfile.BadZipFile, zlib.error, RuntimeError, EOFError, OSError)
 
 # The first name that is there is taken. A level set has one of these, and a cloud of points has not.
 LEVEL_SET_KEYS = ("values", "sdf", "tsdf", "level_set")
@@ -36,19 +38,7 @@ POSITION_KEYS = ("positions", "points", "xyz")
 
 @dataclass(frozen=True)
 class Header:
-    """What an array is, before it is read.
-
-    Attributes
-    ----------
-    shape : tuple of int
-        None is negative.
-    dtype : numpy.dtype
-        Numbers or booleans.
-    fortran : bool
-        Whether the first index runs fastest.
-    offset : int
-        Where the numbers start in the member.
-    """
+    """What an array of numbers or booleans is, before it is read; its numbers start at the offset in the member."""
 
     shape: tuple[int, ...]
     dtype: np.dtype[Any]
@@ -56,31 +46,29 @@ class Header:
     offset: int
 
     @property
+    def count(self) -> int:
+        """Numbers."""
+        return math.prod(self.shape)
+
+    @property
     def size(self) -> int:
         """Bytes of all numbers."""
-        return math.prod(self.shape) * self.dtype.itemsize
+        return self.count * self.dtype.itemsize
+
+    def array(self, data: bytes, offset: int = 0) -> NDArray[Any]:
+        """Return the numbers that stand in data from an offset, in the byte order of the machine."""
+        flat = np.frombuffer(data, self.dtype, self.count, offset)
+        array = flat.reshape(self.shape, order="F" if self.fortran else "C")
+        return array.astype(self.dtype.newbyteorder("="), copy=False)
+
+    def exchanged(self, member: bytes, array: NDArray[Any]) -> bytes:
+        """Return a member with other numbers, keeping what stands before and behind them."""
+        numbers = array.astype(self.dtype).tobytes("F" if self.fortran else "C")
+        return member[: self.offset] + numbers + member[self.offset + len(numbers) :]
 
 
 class NpzArchive:
-    """An opened archive.
-
-    Parameters
-    ----------
-    data : bytes
-        The whole file.
-    name : str
-        The file as the user named it.
-
-    Attributes
-    ----------
-    names : tuple of str
-        The arrays in it.
-
-    Raises
-    ------
-    InputError
-        If it is no archive of arrays.
-    """
+    """An opened archive; InputError if it is damaged. `names` are the arrays in it."""
 
     def __init__(self, data: bytes, name: str) -> None:
         self._name = name
@@ -93,14 +81,14 @@ class NpzArchive:
 
     @staticmethod
     def recognises(data: bytes) -> bool:
-        """Tell whether a file is an archive that starts with an array."""
+        """Whether a file is an archive that starts with an array."""
         if data[:4] != _MAGIC or len(data) < 30:
             return False
         # The name of the first member follows its local header: PKWARE's APPNOTE.TXT, section 4.3.7.
         return data[30 : 30 + int.from_bytes(data[26:28], "little")].endswith(b".npy")
 
     def kind(self) -> Literal["level set", "points"] | None:
-        """Tell what the archive holds, by the names of its arrays."""
+        """Return what the archive holds, by the names of its arrays."""
         if self.first(LEVEL_SET_KEYS):
             return "level set"
         return "points" if self.first(POSITION_KEYS) else None
@@ -110,23 +98,16 @@ class NpzArchive:
         return next((name for name in names if name in self.names), None)
 
     def header(self, key: str) -> Header:
-        """Return what an array is.
-
-        Raises
-        ------
-        InputError
-            If it is damaged, or holds anything but numbers or booleans.
-        """
+        """Return what an array is; InputError if it is damaged, or holds anything but numbers or booleans."""
         member = self._archive.getinfo(f"{key}.npy")
         if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
             raise self._error(key, "is compressed in a way that NumPy does not write")
         try:
             with self._archive.open(member) as file:
-                start = file.read(_LONGEST_HEADER + 12)
-            header = _parse(start)
-        except (ValueError, zipfile.BadZipFile, zlib.error, RuntimeError, EOFError, OSError) as error:
+                header = _parse(file.read(_LONGEST_HEADER + 12))
+        except (ValueError, *_READ_ERRORS) as error:
             raise self._error(key, f"is damaged ({error})") from error
-        if header.dtype.kind not in "buif" or header.dtype.itemsize > 8:
+        if not _holds_numbers(header):
             raise self._error(key, f"is of type {header.dtype}, and not of real numbers")
         if member.file_size < header.offset + header.size:
             raise self._error(key, f"of shape {header.shape} has too few numbers")
@@ -134,81 +115,77 @@ class NpzArchive:
             raise self._error(key, "says that it is longer than its bytes can be")
         return header
 
-    def read(self, key: str, most: int) -> NDArray[Any]:
-        """Read an array.
-
-        Parameters
-        ----------
-        key : str
-            Its name, one of `names`.
-        most : int
-            Numbers that it may have.
-
-        Returns
-        -------
-        ndarray
-            In the byte order of the machine.
-
-        Raises
-        ------
-        InputError
-            As `header`; or if it is too large.
-        """
+    def read(self, key: str, most: int | None = None) -> NDArray[Any]:
+        """Read an array; InputError as `header`, or if it has more than `most` numbers."""
         header = self.header(key)
-        count = math.prod(header.shape)
-        if count > most:
-            cause = f"the array {key} of shape {header.shape} has {count} numbers, and {most} are allowed"
+        if most is not None and header.count > most:
+            cause = (
+                f"the array {key} of shape {header.shape} has {header.count} numbers, and {most} are allowed"
+            )
             raise InputError(self._name, cause, "raise --max-voxels or --max-memory")
         try:
             with self._archive.open(f"{key}.npy") as file:
                 file.read(header.offset)
                 data = file.read(header.size)
                 file.read(1)  # reaching the end checks the archive's checksum
-        except (zipfile.BadZipFile, zlib.error, RuntimeError, EOFError, OSError) as error:
+        except _READ_ERRORS as error:
             raise self._error(key, f"is damaged ({error})") from error
         if len(data) < header.size:
             raise self._error(key, "ends too early")
-        flat = np.frombuffer(data, header.dtype)
-        array = flat.reshape(header.shape, order="F" if header.fortran else "C")
-        return array.astype(header.dtype.newbyteorder("="), copy=False)
+        return header.array(data)
+
+    def members(self) -> dict[str, bytes]:
+        """Return the contents of all members by their file names; InputError if one cannot be unpacked."""
+        with self._refusing_damage():
+            return {member.filename: self._archive.read(member) for member in self._archive.infolist()}
+
+    def with_array(self, key: str, array: NDArray[Any]) -> bytes:
+        """Return the archive with other numbers in an array; members keep their order, dates and compression."""
+        buffer, header = io.BytesIO(), self.header(key)
+        with self._refusing_damage(), zipfile.ZipFile(buffer, "w") as new:
+            new.comment = self._archive.comment
+            for member in self._archive.infolist():
+                content = self._archive.read(member)
+                if member.filename == f"{key}.npy":
+                    content = header.exchanged(content, array)
+                new.writestr(_description(member), content)
+        return buffer.getvalue()
+
+    @contextlib.contextmanager
+    def _refusing_damage(self) -> Iterator[None]:
+        try:
+            yield
+        except (NotImplementedError, *_READ_ERRORS) as error:
+            raise InputError(self._name, f"the archive is damaged ({error})", "write it again") from error
 
     def _error(self, key: str, cause: str) -> InputError:
         return InputError(self._name, f"the array {key} {cause}", "write it with numpy.savez_compressed")
 
 
+def _description(member: zipfile.ZipInfo) -> zipfile.ZipInfo:
+    """Return a description for writing, without where and how long the old member is."""
+    new = zipfile.ZipInfo(member.filename, member.date_time)
+    new.compress_type, new.comment = member.compress_type, member.comment
+    new.external_attr, new.create_system = member.external_attr, member.create_system
+    return new
+
+
 def read_npy(data: bytes, name: str) -> NDArray[Any]:
-    """Read the file of a single array.
-
-    Parameters
-    ----------
-    data : bytes
-        The whole file.
-    name : str
-        The file as the user named it.
-
-    Returns
-    -------
-    ndarray
-        Of numbers or booleans, in the byte order of the machine.
-
-    Raises
-    ------
-    InputError
-        If it is damaged, or holds anything else.
-    """
+    """Read the file of a single array; InputError if it is damaged or not of numbers."""
     try:
         header = _parse(data[: _LONGEST_HEADER + 12])
     except (ValueError, EOFError, OSError) as error:
         raise InputError(name, f"the array is damaged ({error})", "write it with numpy.save") from error
-    if header.dtype.kind not in "buif" or header.dtype.itemsize > 8:
+    if not _holds_numbers(header):
         raise InputError(name, f"the array is of type {header.dtype}, and not of real numbers")
     if len(data) - header.offset < header.size:
-        raise InputError(
-            name, f"the array of shape {header.shape} has too few numbers", "the file is cut off"
-        )
-    flat = np.frombuffer(data, header.dtype, math.prod(header.shape), header.offset)
-    array = flat.reshape(header.shape, order="F" if header.fortran else "C")
-    return array.astype(header.dtype.newbyteorder("="), copy=False)
+        cause = f"the array of shape {header.shape} has too few numbers"
+        raise InputError(name, cause, "the file is cut off")
+    return header.array(data, header.offset)
+
+
+def _holds_numbers(header: Header) -> bool:
+    return header.dtype.kind in "buif" and header.dtype.itemsize <= 8
 
 
 def _parse(start: bytes) -> Header:

@@ -1,48 +1,85 @@
-"""NumPy archives of points whose colours can be replaced, the other arrays staying as they are."""
+"""NumPy archives of points whose colours can be replaced, the other arrays staying as they are.
+
+The arrays, by their names; the first name that is there is taken:
+
+======================================  ==============================================================================
+``positions``, ``points``, ``xyz``      (..., 3) numbers, the other axes as the cloud is organised; what is not finite
+                                        is no point
+``colours``, ``colors``, ``rgb``,       (..., C) of the same points: red, green and blue, or grey alone, then opacity
+``rgba``, ``point_colours``,            if there is one more; uint8, uint16, or numbers of 0 to 1, 0 to 255 or 0 to
+``point_colors``                        65535
+``intensity``, ``intensities``          (...) numbers of any range, taken if there are no colours
+``normals``, ``normal``                 (..., 3)
+``faces``, ``triangles``                (F, 3) indices of points: then it is a mesh, and no cloud
+======================================  ==============================================================================
+
+Positions of shape (H, W, 3) are a range image: points side by side there are so on the surface. Other arrays stay as
+they are.
+"""
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from beltrami_cli.errors import InputError
+from beltrami_cli.errors import InputError, UnpaintedError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.colours import intensity_scale, point_colour_scale
 from beltrami_cli.formats.document import NO_IMAGES, Document, Fingerprint, Written
-from beltrami_cli.formats.npz import NpzArchive
-from beltrami_cli.formats.points.arrays import find_arrays, read_all, read_faces, require_room
-from beltrami_cli.formats.points.repacking import exchanged, members, repacked
+from beltrami_cli.formats.npz import POSITION_KEYS, NpzArchive
 from beltrami_cli.surface.records import MeshContents, MovedVertices, PaintedVertices
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
 
-    from beltrami_cli.formats.points.arrays import CloudArrays
     from beltrami_cli.surface.records import ImageFile, Slot
 
 
+_COLOUR_KEYS = ("colours", "colors", "rgb", "rgba", "point_colours", "point_colors")
+_INTENSITY_KEYS = ("intensity", "intensities")
+_NORMAL_KEYS = ("normals", "normal")
+_FACE_KEYS = ("faces", "triangles")
+
+_CHANNELS = 4
+_COPIES = 3  # what is held at a time of each array: as stored, as doubles, and as it is worked with
+_NAMES = "save them as positions and colours"
+
+
+@dataclass(frozen=True)
+class _Arrays:
+    """What an archive has of a cloud, without the numbers: names of arrays, and how the points are organised."""
+
+    positions: str
+    colours: str
+    normals: str | None
+    faces: str | None
+    shape: tuple[int, ...]
+    channels: int
+    """Of the colours, without opacity."""
+    has_alpha: bool
+    rest: tuple[str, ...]
+    """The other arrays that have something for each point."""
+
+    @property
+    def is_intensity(self) -> bool:
+        """Whether the colours are intensities, of which any number may be full scale."""
+        return self.colours in _INTENSITY_KEYS
+
+    @property
+    def count(self) -> int:
+        """Points, with or without a position."""
+        return math.prod(self.shape)
+
+
 class NpzPointsDocument(Document):
-    """An archive of positions and colours; see `beltrami_cli.formats.points.arrays` for the names.
-
-    Parameters
-    ----------
-    data : bytes
-        The file.
-    name : str
-        Its name for messages.
-    access : Access
-        How much memory there is.
-
-    Raises
-    ------
-    InputError
-        If it is no archive of arrays.
-    """
+    """An archive of positions and colours; InputError if it is no archive of arrays."""
 
     format: ClassVar[str] = "npz"
 
@@ -54,7 +91,7 @@ class NpzPointsDocument(Document):
         self._archive = NpzArchive(data, name)
 
     def painted(self) -> PaintedVertices:
-        """Return the points that have a place, with their colours; see `Document.painted`."""
+        """Return the points that have a place, with their colours."""
         return self._painted
 
     @cached_property
@@ -70,7 +107,7 @@ class NpzPointsDocument(Document):
         )
 
     def grid(self) -> NDArray[np.int64] | None:
-        """Return how the points of an array of two dimensions lie; see `Document.grid`."""
+        """Return how the points of an array of two dimensions lie."""
         if len(self._arrays.shape) != 2 or min(self._arrays.shape) < 2 or self._arrays.faces:
             return None
         places = np.full(self._arrays.count, -1, np.int64)
@@ -78,11 +115,11 @@ class NpzPointsDocument(Document):
         return places.reshape(self._arrays.shape)
 
     def attributes(self) -> tuple[str, ...]:
-        """Return the names of the other arrays that have something for each point; see `Document.attributes`."""
+        """Return the names of the other arrays that have something for each point."""
         return (*(["normal"] if self._arrays.normals else []), *self._arrays.rest)
 
     def attribute(self, name: str) -> NDArray[np.float64]:
-        """Return what an array has for each point; see `Document.attribute`."""
+        """Return what an array has for each point."""
         fits = [known for known in self.attributes() if known.lower() == name.lower()]
         if not fits:
             return super().attribute(name)
@@ -99,7 +136,7 @@ class NpzPointsDocument(Document):
         images: Mapping[tuple[Slot, str], ImageFile] = NO_IMAGES,
         places: MovedVertices | None = None,
     ) -> Written:
-        """Return the archive with other colours; see `Document.patch`."""
+        """Return the archive with other colours."""
         if colours is None or not (changed := colours != self._colours).any():
             return Written([self._data])
         values = colours[changed].astype(np.float64) * self._scale
@@ -110,15 +147,15 @@ class NpzPointsDocument(Document):
         stored = self._stored.copy()
         stored[self._measured[rows], channels] = values.astype(stored.dtype)
         key = self._arrays.colours
-        header = self._archive.header(key)
-        return Written([repacked(self._data, key, header, stored.reshape(header.shape), self.name)])
+        shape = self._archive.header(key).shape
+        return Written([self._archive.with_array(key, stored.reshape(shape))])
 
     def references(self) -> Sequence[str]:
         """Return nothing: there are no files beside."""
         return ()
 
     def contents(self) -> MeshContents:
-        """Return the points and their triangles; see `Document.contents`."""
+        """Return the points and their triangles."""
         painted, arrays = self.painted(), self._arrays
         used = {arrays.positions, arrays.colours, arrays.normals, arrays.faces}
         dropped = [f"the array {name}" for name in self._archive.names if name not in used]
@@ -137,15 +174,15 @@ class NpzPointsDocument(Document):
         )
 
     def fingerprint(self) -> Fingerprint:
-        """Take the archive apart; see `Document.fingerprint`."""
-        parts = {f"member {name}": content for name, content in members(self._data, self.name).items()}
+        """Take the archive apart."""
+        parts = {f"member {name}": content for name, content in self._archive.members().items()}
         if not self.has_vertex_colours():
             return Fingerprint(parts)
         rest = self._stored.copy()
         rest[self._measured, : self._arrays.channels] = 0
         key = self._arrays.colours
         header = self._archive.header(key)
-        parts[f"member {key}.npy"] = exchanged(parts[f"member {key}.npy"], header, rest.reshape(header.shape))
+        parts[f"member {key}.npy"] = header.exchanged(parts[f"member {key}.npy"], rest.reshape(header.shape))
         return Fingerprint(parts, {"point colours": self._colours})
 
     def facts(self) -> dict[str, object]:
@@ -158,12 +195,12 @@ class NpzPointsDocument(Document):
         }
 
     @cached_property
-    def _arrays(self) -> CloudArrays:
-        arrays = find_arrays(self._archive, self.name)
+    def _arrays(self) -> _Arrays:
+        arrays = _find_arrays(self._archive, self.name)
         if not arrays.count:
             raise InputError(self.name, "there are no points", "nothing in it can be smoothed")
         keys = (arrays.positions, arrays.colours, *([arrays.faces] if arrays.faces else []))
-        require_room(self._archive, keys, self._access, self.name)
+        _require_room(self._archive, keys, self._access, self.name)
         return arrays
 
     @cached_property
@@ -188,7 +225,7 @@ class NpzPointsDocument(Document):
     def _faces(self) -> NDArray[np.int32]:
         if self._arrays.faces is None:
             return np.empty((0, 3), np.int32)
-        return read_faces(self._archive, self._arrays.faces, self._arrays.count, self.name)
+        return _read_faces(self._archive, self._arrays.faces, self._arrays.count, self.name)
 
     @cached_property
     def _stored(self) -> NDArray[Any]:
@@ -228,4 +265,69 @@ class NpzPointsDocument(Document):
 
     def _table(self, key: str) -> NDArray[Any]:
         """Read an array as a table with a row for each point."""
-        return read_all(self._archive, key).reshape(self._arrays.count, -1)
+        return self._archive.read(key).reshape(self._arrays.count, -1)
+
+
+def _find_arrays(archive: NpzArchive, name: str) -> _Arrays:
+    """Return which arrays are what, by their names and shapes; InputError if they do not go together."""
+    positions = _required(archive, POSITION_KEYS, "positions", name)
+    colours = _required(archive, (*_COLOUR_KEYS, *_INTENSITY_KEYS), "colours", name)
+    shape = archive.header(positions).shape
+    _require(
+        len(shape) >= 2 and shape[-1] == 3, name, f"the array {positions} is of shape {shape}, not (..., 3)"
+    )
+    points, found = shape[:-1], archive.header(colours).shape
+    wide = found[len(points) :]
+    fits = found[: len(points)] == points and len(wide) <= 1 and 1 <= math.prod(wide) <= _CHANNELS
+    _require(fits, name, f"the array {colours} is of shape {found}, and the positions of {shape}")
+    _require(archive.header(colours).dtype.kind != "b", name, f"the array {colours} is of booleans")
+    normals, faces = archive.first(_NORMAL_KEYS), archive.first(_FACE_KEYS)
+    if normals is not None and archive.header(normals).shape != shape:
+        normals = None
+    used = {positions, colours, normals, faces}
+    rest = [key for key in archive.names if key not in used and _goes_along(archive, key, points)]
+    channels = math.prod(wide)
+    has_alpha = channels in (2, 4)
+    return _Arrays(positions, colours, normals, faces, points, channels - has_alpha, has_alpha, tuple(rest))
+
+
+def _require_room(archive: NpzArchive, keys: Iterable[str], access: Access, name: str) -> None:
+    """Raise InputError if the least memory that some arrays need is more than allowed."""
+    if access.memory is None:
+        return
+    headers = [archive.header(key) for key in keys]
+    needed = sum(_COPIES * header.count * 8 for header in headers)
+    if needed > access.memory:
+        raise InputError(name, "its arrays do not fit into memory", "raise --max-memory")
+
+
+def _read_faces(archive: NpzArchive, key: str, count: int, name: str) -> NDArray[np.int32]:
+    """Read triangles of points; InputError if they are not of shape (F, 3), or name points that are not there."""
+    shape = archive.header(key).shape
+    _require(len(shape) == 2 and shape[1] == 3, name, f"the array {key} is of shape {shape}, not (F, 3)")
+    faces = archive.read(key)
+    _require(faces.dtype.kind in "ui", name, f"the array {key} is not of whole numbers")
+    inside = not faces.size or (faces.min() >= 0 and int(faces.max()) < count)
+    _require(bool(inside), name, f"the array {key} names points outside 0 to {count - 1}")
+    return np.ascontiguousarray(faces, np.int32)
+
+
+def _required(archive: NpzArchive, keys: tuple[str, ...], what: str, name: str) -> str:
+    key = archive.first(keys)
+    if key is None:
+        there = ", ".join(archive.names)[:200] or "no arrays"
+        raise UnpaintedError(name, f"it has no array of {what} ({', '.join(keys)}), but {there}", _NAMES)
+    return key
+
+
+def _goes_along(archive: NpzArchive, key: str, points: tuple[int, ...]) -> bool:
+    try:
+        shape = archive.header(key).shape
+    except InputError:
+        return False  # what is no array of numbers stays as it is
+    return shape[: len(points)] == points and len(shape) <= len(points) + 1
+
+
+def _require(holds: bool, name: str, cause: str) -> None:
+    if not holds:
+        raise InputError(name, cause, _NAMES)

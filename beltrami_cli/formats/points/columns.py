@@ -1,4 +1,8 @@
-"""What the columns of a cloud are: by their names, or by how many there are."""
+"""What the columns of a cloud are: by their names, or by how many there are.
+
+Without names 6 columns are x y z r g b, 4 are x y z intensity and 7 are x y z intensity r g b. 9 and 10 have normals as
+well, before or behind the colours, which are recognised by their length.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +16,7 @@ from beltrami_cli.errors import InputError, UnpaintedError
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from beltrami_cli.formats.points.lines import PointTable
+    from beltrami_cli.formats.points.table import PointTable
 
 _POSITION = (("x", "y", "z"),)
 _COLOURS = (
@@ -40,26 +44,13 @@ _REMEDY = "name them in a first line, such as: # x y z r g b"
 
 @dataclass(frozen=True)
 class Columns:
-    """Which columns are what.
-
-    Attributes
-    ----------
-    position : tuple of int
-        Three columns.
-    colours : tuple of int
-        Three columns, or that of the intensity.
-    normal : tuple of int
-        Three columns, or none.
-    others : dict of str to int
-        The rest that has a name.
-    notice : str
-        What is to be told of it, or empty.
-    """
+    """Which columns are what: three of the position, three colours or one intensity, three of the normal or none."""
 
     position: tuple[int, ...]
     colours: tuple[int, ...]
     normal: tuple[int, ...]
     others: dict[str, int]
+    """The rest that has a name."""
     notice: str
 
     @property
@@ -67,31 +58,21 @@ class Columns:
         """The names of the colours."""
         return _RGB if len(self.colours) == 3 else ("intensity",)
 
+    def names(self, count: int) -> list[str]:
+        """Return what each of all columns was taken for."""
+        names = ["?"] * count
+        known = zip(self.position, ("x", "y", "z"), strict=True)
+        for column, name in (*known, *zip(self.colours, self.channels, strict=True)):
+            names[column] = name
+        for column, name in zip(self.normal, _NORMAL, strict=False):
+            names[column] = name
+        for name, column in self.others.items():
+            names[column] = name
+        return names
+
 
 def find_columns(table: PointTable, name: str) -> Columns:
-    """Tell what the columns of a table are.
-
-    Parameters
-    ----------
-    table : PointTable
-        The points.
-    name : str
-        The file's name for messages.
-
-    Returns
-    -------
-    Columns
-
-    Raises
-    ------
-    InputError
-        If there are no positions, or neither colours nor intensities, or it cannot be told where.
-
-    Notes
-    -----
-    Without names 6 columns are x y z r g b, 4 are x y z intensity and 7 are x y z intensity r g b. 9 and 10 have
-    normals besides, before or behind the colours, which are told by their length.
-    """
+    """Return what the columns of a table are; InputError if there are no positions or colours, or it is not clear."""
     if table.names:
         return _by_name(table.names, name, "")
     width = table.values.shape[1]
@@ -139,7 +120,7 @@ def _together(names: tuple[str, ...], triples: tuple[tuple[str, ...], ...]) -> t
 
 
 def _fits(layout: tuple[str, ...], values: NDArray[np.float64]) -> bool:
-    """Tell whether the numbers of a layout can be normals where it has these, and colours where it has them."""
+    """Whether the numbers can be normals where a layout has these, and colours where it has them."""
     for first, known in enumerate(layout):
         triple = values[:, 3 + first : 6 + first]
         triple = triple[np.isfinite(triple).all(axis=1)]
@@ -152,6 +133,6 @@ def _fits(layout: tuple[str, ...], values: NDArray[np.float64]) -> bool:
 
 
 def _are_unit(values: NDArray[np.float64]) -> bool:
-    """Tell whether all vectors have length 1, or 0 where none is known."""
+    """Whether all vectors have length 1, or 0 where none is known."""
     lengths = np.linalg.norm(values, axis=1)
     return bool(((np.abs(lengths - 1) < _UNIT) | (lengths == 0)).all())

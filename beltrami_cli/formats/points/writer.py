@@ -23,24 +23,10 @@ _BYTE = 255
 
 
 def write_xyz(contents: MeshContents, stem: str) -> Written:
-    """Write points as lines of x y z r g b.
+    """Write points as lines of x y z r g b, then normals.
 
-    Parameters
-    ----------
-    contents : MeshContents
-        The mesh.
-    stem : str
-        Name of the file without folder and extension; not needed, as there is only one file.
-
-    Returns
-    -------
-    Written
-        The file, and what it does not hold of the mesh or holds in another way.
-
-    Notes
-    -----
-    Positions have as many digits as they need to be read back the same. Colours of 8 bit are whole numbers of 0 to 255,
-    all others have six decimals, of 0 to 1. Normals follow the colours.
+    Positions have as many digits as they need to be read back the same. Colours of 8 bit are integers of 0 to 255, all
+    others have six decimals, of 0 to 1.
     """
     return _lines(contents, [])
 
@@ -51,10 +37,8 @@ def write_pts(contents: MeshContents, stem: str) -> Written:
 
 
 def write_npz(contents: MeshContents, stem: str) -> Written:
-    """Write points as the arrays positions and colours, normals and faces if there are any; otherwise as `write_xyz`.
+    """Write points as the arrays positions and colours, with normals and faces if there are any.
 
-    Notes
-    -----
     Positions become floats if that loses nothing. Colours keep 8 or 16 bit and become floats from any other type;
     opacity is their fourth channel.
     """

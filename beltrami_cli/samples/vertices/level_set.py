@@ -9,7 +9,7 @@ import numpy as np
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.document import NO_IMAGES, Document
 from beltrami_cli.formats.volume import read_volume
-from beltrami_cli.formats.volume.packages import require
+from beltrami_cli.formats.volume.reading import require_package
 from beltrami_cli.samples.vertices.level_set_paint import find_colours, paint
 from beltrami_cli.surface.records import MeshContents
 from beltrami_cli.surface.volume import places
@@ -71,7 +71,7 @@ class LevelSetDocument(Document):
         threads: int,
     ) -> None:
         super().__init__(name)
-        require("skimage.measure", "scikit-image", name, "to triangulate level sets")
+        require_package("skimage.measure", "scikit-image", name, "to triangulate level sets")
         most = _allowed(settings, access)
         volume = read_volume(data, name, folder, most)
         level = settings.level if settings.level is not None else volume.level or 0.0

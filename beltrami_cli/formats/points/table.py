@@ -28,7 +28,7 @@ class PointTable:
     Attributes
     ----------
     names : tuple of str
-        What a line above the points calls their columns, in small letters; empty if there is none.
+        Column names of a line above the points, in lower case; empty if there is none.
     counts : tuple of int
         What lines of a single number announce: the points that follow up to the next.
     values : ndarray of float64, shape (P, K)
@@ -45,24 +45,7 @@ class PointTable:
 
 
 def read_table(data: bytes, name: str) -> PointTable:
-    """Read lines of numbers between blanks, tabs, commas or semicolons.
-
-    Parameters
-    ----------
-    data : bytes
-        The file.
-    name : str
-        Its name for messages.
-
-    Returns
-    -------
-    PointTable
-
-    Raises
-    ------
-    InputError
-        If a token is no number, points have unequally many, or there are not as many as announced; with the line.
-    """
+    """Read lines of numbers between blanks, tabs, commas or semicolons; InputError with the line if that fails."""
     return _Reader(data, name).read()
 
 
@@ -73,7 +56,7 @@ class _Reader:
         self._name = name
         head = data[:_HEAD].translate(_SEPARATORS)
         self._comments = [found.split() for found in _COMMENT.findall(head)]
-        text = _plain(data)
+        text = _without_comments(data)
         self._text = text
         self._starts, self._ends = find_tokens(text)
         characters = np.frombuffer(text, np.uint8)
@@ -99,7 +82,7 @@ class _Reader:
         values = self._numbers(tokens.ravel()).reshape(tokens.shape)
         if not names:
             fits = [words for words in self._comments if len(words) == width and width > 0]
-            names = _small(fits[0]) if fits else ()
+            names = _column_names(fits[0]) if fits else ()
         elif width not in (0, len(names)):
             raise InputError(self._name, f"the first line names {len(names)} columns, but there are {width}")
         return PointTable(names, counts, values, self._starts[tokens], self._ends[tokens])
@@ -108,10 +91,10 @@ class _Reader:
         """Take off the first line with more than a count, if it has words in place of numbers."""
         for row in range(min(2, len(self._heads))):
             first, stop = self._heads[row], self._stops[row]
-            words = [self._text[self._starts[t] : self._ends[t]] for t in range(first, stop)]
+            words = [self._word(t) for t in range(first, stop)]
             if all(not _is_number(word) for word in words):
                 self._heads, self._stops = np.delete(self._heads, row), np.delete(self._stops, row)
-                return _small(words)
+                return _column_names(words)
         return ()
 
     def _counts(self, rows: NDArray[np.intp], points: int) -> tuple[int, ...]:
@@ -135,16 +118,16 @@ class _Reader:
         if len(tokens) == tokens[-1] - tokens[0] + 1:
             text = self._text[begin:end]
         else:
-            text = b" ".join([self._text[self._starts[t] : self._ends[t]] for t in tokens.tolist()])
+            text = b" ".join([self._word(t) for t in tokens.tolist()])
         values = read_numbers(text)
         if len(values) < len(tokens):
             token = tokens[len(values)]
-            word = self._text[self._starts[token] : self._ends[token]][:_MOST_SHOWN].decode(
-                "ascii", "replace"
-            )
-            shown = "".join(c if c.isprintable() else "?" for c in word)
+            shown = _printable(self._word(token))
             raise InputError(self._name, f"line {self._line(token)}: '{shown}' is no number")
         return values
+
+    def _word(self, token: int | np.intp) -> bytes:
+        return self._text[self._starts[token] : self._ends[token]]
 
     def _error(self, row: int | np.intp, cause: str) -> InputError:
         return InputError(self._name, f"line {self._line(self._heads[row])}: {cause}")
@@ -154,7 +137,7 @@ class _Reader:
         return max(before.count(b"\n"), before.count(b"\r")) + 1
 
 
-def _plain(data: bytes) -> bytes:
+def _without_comments(data: bytes) -> bytes:
     """Blank separators, comments and a byte order mark; every other byte stays at its place."""
     text = data.translate(_SEPARATORS)
     if text.startswith(_BYTE_ORDER_MARK):
@@ -172,7 +155,7 @@ def _is_number(word: bytes) -> bool:
     return True
 
 
-def _small(words: list[bytes]) -> tuple[str, ...]:
+def _column_names(words: list[bytes]) -> tuple[str, ...]:
     return tuple(_printable(word).lower() for word in words)
 
 

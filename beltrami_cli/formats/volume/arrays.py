@@ -25,7 +25,7 @@ import numpy as np
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.npz import LEVEL_SET_KEYS, NpzArchive
-from beltrami_cli.formats.volume.checking import checked_lattice
+from beltrami_cli.formats.volume.reading import checked_lattice
 from beltrami_cli.surface.volume import GridColours, NearColours, Volume
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ _SIDE = 2  # a cell has two samples along each axis
 
 
 def read_npz(archive: NpzArchive, name: str, most: int) -> Volume:
-    """Read a level set and its colours; parameters and errors as for `read_volume`."""
+    """Read a level set and its colours, as `read_volume`."""
     key = archive.first(LEVEL_SET_KEYS)
     if key is None:
         raise InputError(
@@ -68,20 +68,7 @@ def read_npz(archive: NpzArchive, name: str, most: int) -> Volume:
 def read_npz_colours(
     archive: NpzArchive, name: str, most: int, shape: tuple[int, ...] | None = None
 ) -> GridColours | NearColours | None:
-    """Read colours on the grid or at points.
-
-    Parameters
-    ----------
-    archive, name, most
-        As for `read_volume`.
-    shape : (int, int, int), optional
-        Of the grid that the colours must be on.
-
-    Returns
-    -------
-    GridColours, NearColours or None
-        None if the archive has none.
-    """
+    """Read colours on the grid, of a given shape, or at points; None if the archive has none."""
     if "points" in archive.names:
         return _near(archive, name, most)
     key = archive.first(_COLOURS)

@@ -1,4 +1,4 @@
-"""Level sets and their colours in NRRD files, through pynrrd.
+"""Level sets and their colours in NRRD files, through pynrrd, and where their samples stand in space.
 
 A file of three axes holds the values. One of four holds on its axis that is not spatial either the value and the
 colours of each sample, or colours alone; the latter goes with the values in another file.
@@ -21,11 +21,11 @@ import numpy as np
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.model_folder import ModelFolder
-from beltrami_cli.formats.volume.nrrd_space import list_axis, spatial_lattice
-from beltrami_cli.formats.volume.packages import require
+from beltrami_cli.formats.volume.reading import checked_lattice, require_package
 from beltrami_cli.surface.volume import GridColours, Volume
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -37,6 +37,8 @@ _VALUE_AND_COLOURS = (2, 4, 5)  # a value with grey, with red, green and blue, a
 _LONGEST_LIST = 5
 _LONGEST_NUMBER = 8  # bytes of a double
 _LONGEST_HEADER = 1 << 16
+_SPATIAL_KINDS = ("domain", "space")
+_UNKNOWN_KINDS = ("???", "none")
 _REPAIR = "write the file again"
 # What pynrrd raises for headers and data that it does not understand, besides errors of its own.
 _DAMAGE = (ValueError, KeyError, IndexError, TypeError, AttributeError, OSError, OverflowError, StopIteration)
@@ -69,14 +71,11 @@ def read_nrrd_colours(data: bytes, name: str, folder: Path | None, most: int) ->
 
 
 def _read(data: bytes, name: str, folder: Path | None, most: int) -> tuple[NDArray[Any], Lattice, str | None]:
-    """Return the samples, where they stand, and of which kind the list in each is; None if each is one number.
-
-    Samples are indexed [x, y, z], and last in the list.
-    """
-    nrrd = require("nrrd", "pynrrd", name, "to read NRRD files")
+    """Return samples, indexed [x, y, z] and in the list, where they stand, and the list's kind; None for one number."""
+    nrrd = require_package("nrrd", "pynrrd", name, "to read NRRD files")
     header, rest = _header(nrrd, data, name)
     sizes = [int(size) for size in header["sizes"]]
-    listed = list_axis(header, name)
+    listed = _list_axis(header, name)
     spatial = [axis for axis in range(len(sizes)) if axis != listed]
     voxels = math.prod(sizes[axis] for axis in spatial)
     if len(spatial) != 3 or min(sizes[axis] for axis in spatial) < 2:
@@ -91,7 +90,7 @@ def _read(data: bytes, name: str, folder: Path | None, most: int) -> tuple[NDArr
         raise InputError(
             name, f"each sample is a list of {sizes[listed]} numbers", f"give up to {_LONGEST_LIST}"
         )
-    lattice = spatial_lattice(header, spatial, name)
+    lattice = _spatial_lattice(header, spatial, name)
     samples = _samples(nrrd, header, _data(header, rest, name, folder), name)
     if listed is None:
         return samples, lattice, None
@@ -108,7 +107,7 @@ def _header(nrrd: Any, data: bytes, name: str) -> tuple[dict[str, Any], bytes]:
             raise ValueError("dimension and sizes differ")
         header["encoding"] = header["encoding"].lower()
     except (nrrd.NRRDError, *_DAMAGE) as error:
-        raise InputError(name, f"the NRRD header is damaged ({_line(error)})", _REPAIR) from error
+        raise InputError(name, f"the NRRD header is damaged ({_one_line(error)})", _REPAIR) from error
     return header, data[file.tell() :]
 
 
@@ -117,14 +116,14 @@ def _data(header: dict[str, Any], rest: bytes, name: str, folder: Path | None) -
     named = header.pop("data file", None) or header.pop("datafile", None)
     if named is None:
         return rest
-    beside = ModelFolder(folder)
-    found = beside.find(str(named))
+    model_folder = ModelFolder(folder)
+    found = model_folder.find(str(named))
     if found is None:
         raise InputError(
             name, f"its data are in {named}, which is no file in its folder", "put both in one folder"
         )
     try:
-        return beside.read(found)
+        return model_folder.read(found)
     except OSError as error:
         raise InputError(
             name, f"its data in {named} cannot be read ({error.strerror})", "check them"
@@ -132,14 +131,14 @@ def _data(header: dict[str, Any], rest: bytes, name: str, folder: Path | None) -
 
 
 def _samples(nrrd: Any, header: dict[str, Any], data: bytes, name: str) -> NDArray[Any]:
-    """Read the numbers, with the fastest axis first; never more of them than the header tells."""
+    """Read the numbers, with the fastest axis first; never more than the header says."""
     try:
         with warnings.catch_warnings(action="ignore"):
             if header["encoding"] in ("gzip", "gz", "bzip2", "bz2"):
                 header, data = _inflated(header, data)
             samples: NDArray[Any] = nrrd.read_data(header, io.BytesIO(data))
     except (nrrd.NRRDError, *_DAMAGE, zlib.error, EOFError) as error:
-        raise InputError(name, f"the NRRD data are damaged ({_line(error)})", _REPAIR) from error
+        raise InputError(name, f"the NRRD data are damaged ({_one_line(error)})", _REPAIR) from error
     if samples.dtype.kind not in "uif":
         raise InputError(name, f"its samples are of type {header['type']}", "give numbers")
     return samples.astype(samples.dtype.newbyteorder("="), copy=False)
@@ -164,5 +163,78 @@ def _inflated(header: dict[str, Any], data: bytes) -> tuple[dict[str, Any], byte
     return {**kept, "encoding": "raw"}, plain
 
 
-def _line(error: BaseException) -> str:
+def _one_line(error: BaseException) -> str:
     return " ".join(f"{error}".split()) or type(error).__name__
+
+
+def _list_axis(header: Mapping[str, Any], name: str) -> int | None:
+    """Return the axis along which the numbers of a sample are listed, counted from the fastest; None if there is none.
+
+    InputError if there are other than three or four axes, or it is not clear which.
+    """
+    count = len(header["sizes"])
+    if count not in (3, 4):
+        raise InputError(name, f"it has {count} axes", "give three, or four with one for colours")
+    kinds = [str(kind).lower() for kind in header.get("kinds", [])]
+    found = {axis for axis, kind in enumerate(kinds) if kind not in (*_SPATIAL_KINDS, *_UNKNOWN_KINDS)}
+    directions = header.get("space directions")
+    if directions is not None:
+        found |= {axis for axis, row in enumerate(directions) if row is None or not np.isfinite(row).all()}
+    if count == 3 and not found:
+        return None
+    if count == 4 and not found:
+        found = {axis for axis, size in enumerate(header["sizes"]) if size == min(header["sizes"])}
+    if len(found) != 1 or count == 3:
+        raise InputError(
+            name,
+            "it cannot be told which three of its axes are those of space",
+            "set the kinds of these to domain",
+        )
+    return found.pop()
+
+
+def _spatial_lattice(header: Mapping[str, Any], axes: Sequence[int], name: str) -> Lattice:
+    """Return where the samples on three axes stand, in the file's own space.
+
+    By `space directions` and `space origin`; or else by `spacings`, or `axis mins` and `axis maxs`, of which those that
+    are missing are 1 and 0. InputError if directions are missing for an axis, or cannot be computed with.
+    """
+    directions = header.get("space directions")
+    if directions is not None:
+        rows = np.array([directions[axis] for axis in axes], float)
+        origin = np.array(header.get("space origin", np.zeros(3)), float)
+    else:
+        spacing, first = _along_axes(header, axes)
+        rows, origin = np.diag(spacing), first
+    if rows.shape != (3, 3) or origin.shape != (3,):
+        raise InputError(name, "its space directions or origin are not of three dimensions", "repair them")
+    return checked_lattice(rows, origin, name)
+
+
+def _along_axes(
+    header: Mapping[str, Any], axes: Sequence[int]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the spacings, and the place of the first sample, on axes that are at right angles."""
+    lows = _finite(_field(header, "axis mins", "axismins"), axes)
+    highs = _finite(_field(header, "axis maxs", "axismaxs"), axes)
+    spacings = _finite(header.get("spacings"), axes)
+    centred = _field(header, "centerings", "centers") or []
+    cells = np.array([axis < len(centred) and str(centred[axis]) == "cell" for axis in axes])
+    sizes = np.array([int(header["sizes"][axis]) for axis in axes])
+    with np.errstate(invalid="ignore"):
+        # Cells fill the range from one end to the other; nodes stand on its ends.
+        derived = (highs - lows) / np.where(cells, sizes, sizes - 1)
+    steps = np.where(np.isfinite(spacings), spacings, np.where(np.isfinite(derived), derived, 1.0))
+    start = np.where(np.isfinite(lows), lows + np.where(cells, steps / 2, 0), 0.0)
+    return steps, start
+
+
+def _field(header: Mapping[str, Any], *names: str) -> Any:
+    return next((header[name] for name in names if name in header), None)
+
+
+def _finite(values: Any, axes: Sequence[int]) -> NDArray[np.float64]:
+    """Return the entries of a per-axis field; NaN where there is none."""
+    if values is None or len(values) <= max(axes):
+        return np.full(3, np.nan)
+    return np.array([float(values[axis]) for axis in axes])

@@ -12,8 +12,7 @@ from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.colours import intensity_scale, point_colour_scale
 from beltrami_cli.formats.document import NO_IMAGES, PLACEHOLDER, Document, Fingerprint, Written
 from beltrami_cli.formats.points.columns import find_columns
-from beltrami_cli.formats.points.lines import read_table
-from beltrami_cli.formats.points.spelling import respelled
+from beltrami_cli.formats.points.table import read_table
 from beltrami_cli.formats.tokens import exchange_tokens
 from beltrami_cli.surface.records import MeshContents, MovedVertices, PaintedVertices
 
@@ -23,25 +22,21 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from beltrami_cli.formats.document import Bytes
     from beltrami_cli.formats.points.columns import Columns
-    from beltrami_cli.formats.points.lines import PointTable
+    from beltrami_cli.formats.points.table import PointTable
     from beltrami_cli.surface.records import ImageFile, Slot
 
 
+_WHOLE = b"%.0f"
+_DIGITS = 6  # of full scale at least: as fine as 20 bits
+_MOST_DIGITS = 9  # of full scale: all that single precision has
+
+
 class TextPointsDocument(Document):
-    """Lines of coordinates and colours, or intensities.
+    """Lines of coordinates and colours, or intensities: .pts or .xyz, which differ in what is usual only."""
 
-    Parameters
-    ----------
-    data : bytes
-        The file.
-    name : str
-        Its name for messages.
-    kind : str
-        "xyz" or "pts", which differ in what is usual only.
-    """
-
-    format: str  # type: ignore[misc]  # told by the file's extension
+    format: str  # type: ignore[misc]  # by the suffix of the name
 
     def __init__(
         self, data: bytes, name: str, folder: Path | None = None, access: Access = EVERYTHING_INSIDE
@@ -51,7 +46,7 @@ class TextPointsDocument(Document):
         self.format = "pts" if name.lower().endswith(".pts") else "xyz"
 
     def painted(self) -> PaintedVertices:
-        """Return the points that have a place, with their colours; see `Document.painted`."""
+        """Return the points that have a place, with their colours."""
         return self._painted
 
     @cached_property
@@ -66,11 +61,11 @@ class TextPointsDocument(Document):
         )
 
     def attributes(self) -> tuple[str, ...]:
-        """Return the names of the other columns; see `Document.attributes`."""
+        """Return the names of the other columns."""
         return (*(("normal",) if self._columns.normal else ()), *self._columns.others)
 
     def attribute(self, name: str) -> NDArray[np.float64]:
-        """Return a column, or the three of a normal; see `Document.attribute`."""
+        """Return a column, or the three of a normal."""
         if name.lower() == "normal" and self._columns.normal:
             return self._picked(self._columns.normal)
         if name.lower() not in self._columns.others:
@@ -86,19 +81,18 @@ class TextPointsDocument(Document):
         images: Mapping[tuple[Slot, str], ImageFile] = NO_IMAGES,
         places: MovedVertices | None = None,
     ) -> Written:
-        """Return the file with other colours; see `Document.patch`."""
+        """Return the file with other colours."""
         if colours is None:
             return Written([self._data])
-        tokens = np.ix_(self._measured, np.array(self._columns.colours))
-        starts, ends = self._table.starts[tokens], self._table.ends[tokens]
-        return Written(respelled(self._data, starts, ends, self._colours, colours, self._scale))
+        starts, ends = self._places()
+        return Written(_with_colours(self._data, starts, ends, self._colours, colours, self._scale))
 
     def references(self) -> Sequence[str]:
         """Return nothing: there are no files beside."""
         return ()
 
     def contents(self) -> MeshContents:
-        """Return the points, and no polygons; see `Document.contents`."""
+        """Return the points, and no polygons."""
         painted, columns = self.painted(), self._columns
         dropped = [f"columns {', '.join(columns.others)}"] if columns.others else []
         if len(self._measured) < len(self._table.values):
@@ -115,11 +109,10 @@ class TextPointsDocument(Document):
         )
 
     def fingerprint(self) -> Fingerprint:
-        """Take the lines apart; see `Document.fingerprint`."""
+        """Take the lines apart."""
         if not self.has_vertex_colours():
             return Fingerprint({"lines": self._data})
-        tokens = np.ix_(self._measured, np.array(self._columns.colours))
-        starts, ends = np.sort(self._table.starts[tokens].ravel()), np.sort(self._table.ends[tokens].ravel())
+        starts, ends = (np.sort(places.ravel()) for places in self._places())
         pieces = exchange_tokens(
             self._data, starts, ends, lambda block: [PLACEHOLDER] * (block.stop - block.start)
         )
@@ -127,7 +120,7 @@ class TextPointsDocument(Document):
 
     def facts(self) -> dict[str, object]:
         """Return counts of what the file has."""
-        names = self._table.names or find_names(self._columns, self._table.values.shape[1])
+        names = self._table.names or self._columns.names(self._table.values.shape[1])
         return {
             "format": self.format,
             "points": len(self._table.values),
@@ -179,20 +172,53 @@ class TextPointsDocument(Document):
     def _colours(self) -> NDArray[np.float32]:
         return (self._stored / self._scale).astype(np.float32)
 
+    def _places(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Return where the colours of measured points start and end in the file."""
+        tokens = np.ix_(self._measured, np.array(self._columns.colours))
+        return self._table.starts[tokens], self._table.ends[tokens]
+
     def _picked(self, columns: tuple[int, ...]) -> NDArray[np.float64]:
         return np.ascontiguousarray(self._table.values[np.ix_(self._measured, np.array(columns))])
 
 
-def find_names(columns: Columns, count: int) -> list[str]:
-    """Return what each column was taken for."""
-    names = ["?"] * count
-    for group, known in (
-        (columns.position, ("x", "y", "z")),
-        (columns.colours, columns.channels),
-        (columns.normal, ("nx", "ny", "nz")),
-    ):
-        for column, name in zip(group, known, strict=False):
-            names[column] = name
-    for name, column in columns.others.items():
-        names[column] = name
-    return names
+def _with_colours(
+    data: bytes,
+    starts: NDArray[np.int64],
+    ends: NDArray[np.int64],
+    before: NDArray[np.float32],
+    after: NDArray[np.float32],
+    scale: float,
+) -> list[Bytes]:
+    """Exchange the colours, each of shape (P, C), that changed, and keep every other byte.
+
+    Where all old numbers are integers the new ones are; else they have as many decimals as the old ones have at most,
+    within what single precision can resolve.
+    """
+    style = _number_format(data, starts.ravel(), ends.ravel(), scale) if after.size else b""
+    values = after.astype(np.float64) * scale
+    changed = after != before
+    if style == _WHOLE:
+        values = np.rint(values) + 0.0  # no -0
+        changed &= values != np.rint(before.astype(np.float64) * scale)
+    if not changed.any():
+        return [data]
+    order = np.argsort(starts[changed])  # blue may stand before red
+    numbers = values[changed][order]
+
+    def spell(block: slice) -> list[bytes]:
+        return [style % value for value in numbers[block].tolist()]
+
+    return [*exchange_tokens(data, starts[changed][order], ends[changed][order], spell)]
+
+
+def _number_format(data: bytes, starts: NDArray[np.int64], ends: NDArray[np.int64], scale: float) -> bytes:
+    characters = np.frombuffer(data, np.uint8)
+    points = np.append(np.flatnonzero(characters == ord(".")), len(data))
+    decimals = int((ends - points[np.searchsorted(points, starts)] - 1).max())
+    exponents = np.append(np.flatnonzero((characters | 0x20) == ord("e")), len(data))
+    if (exponents[np.searchsorted(exponents, starts)] < ends).any():
+        return b"%%.%dg" % _MOST_DIGITS
+    if decimals < 0 and scale > 1:
+        return _WHOLE
+    left = int(np.floor(np.log10(scale)))  # digits before the point, but for one
+    return b"%%.%df" % min(max(decimals, _DIGITS - left, 0), max(_MOST_DIGITS - left, 0))
