@@ -1,4 +1,16 @@
-"""An atlas as a manifold: charts of textures, continued over their seams, or one regular image."""
+"""An atlas as a manifold: the charts of textures, continued over their seams, or one regular image.
+
+Charts lie on one canvas of R x C cells, so that cells next to each other are neighbours on the surface. A cell is OWNED
+where it is the place of a texel: each covered texel of the textures is one owned cell. It is HALO where it continues a
+chart beyond a seam, or stands for a texel that another cell owns: its colour comes from owned cells elsewhere.
+Everything else is EMPTY, which nothing crosses.
+
+Faces that share an edge in space and in the image, on its two sides, are of one chart; where an edge of exactly two
+faces is shared in space only, it is a seam, also between textures. A texel is covered if its centre lies in a triangle.
+Where triangles overlap in the image the texel is owned by the largest chart, and other charts look at it. A texture
+that tiles is owned by the fullest period of a chart. Beyond a seam the faces on its other side are unfolded into the
+plane of the face before it, and looked up there; beyond open edges, and edges of more than two faces, is nothing.
+"""
 
 from __future__ import annotations
 
@@ -33,66 +45,38 @@ EMPTY, OWNED, HALO = 0, 1, 2
 
 @dataclass(frozen=True)
 class Atlas:
-    """Charts laid out on one canvas of R x C cells, so that cells next to each other are so on the surface.
+    """Charts laid out on one canvas of R x C cells."""
 
-    A cell is OWNED where it is the place of a texel: each covered texel of the textures is one owned cell. It is
-    HALO where it continues a chart beyond a seam (or stands for a texel that another cell owns): its colour comes from
-    owned cells elsewhere. Everything else is EMPTY, which nothing crosses.
-
-    Attributes
-    ----------
-    kind : ndarray of uint8, shape (R, C)
-        EMPTY, OWNED or HALO. A margin as wide as the halo is EMPTY or HALO on all sides.
-    squared_lengths : ndarray of float32, shape (4, R, C)
-        Squared distance in space, in the surface's own unit, from the cell to its neighbour on the right, below, below
-        right, and below left. Infinite where the neighbour lies outside, and where the surface ends between the two
-        (at an open edge, or between two parts of a chart that only touch in the image); without meaning where either
-        is EMPTY.
-    cut_cells : ndarray of int32 or int64, shape (K,)
-        Flat indices, ascending, of the cells between which and a neighbour, not EMPTY, the surface ends at an edge.
-    owned_cells : ndarray of int32 or int64, shape (T,)
-        Flat indices of the owned cells, ascending.
-    owned_texels : ndarray of int32 or int64, shape (T,)
-        The texel of each: offset of its texture plus row * width + column.
-    texture_offsets : ndarray of int64, shape (number of textures + 1,)
-        Texels of texture i are numbered from its offset, row by row.
-    halo_cells : ndarray of int32 or int64, shape (H,)
-        Flat indices of the halo cells, ascending.
-    halo_taps : ndarray of int32 or int64, shape (H, 4)
-        Owned cells (flat indices) from which the halo cell's colour is interpolated.
-    halo_weights : ndarray of float32, shape (H, 4)
-        Their weights, not negative, with the sum 1.
-    halo_seams : ndarray of int32, shape (H,)
-        The seam over which the cell was reached, or -1 (no seam: the cell stands for a texel owned elsewhere).
-    gutter_cells : ndarray of int32 or int64, shape (G,)
-        Halo cells (flat indices) that stand on a texel that nothing covers.
-    gutter_texels : ndarray of int32 or int64, shape (G,)
-        That texel, each at most once: what a lookup just beyond a chart's border should see.
-    chart_of : ndarray of int32, shape (T,)
-        Chart of each owned cell.
-    charts, seams, seam_edges : int
-        How many; a seam is a run of seam edges between the same two charts (or of a chart with itself).
-    covered, overlapped : int
-        Texels covered by the surface, and of these the texels covered more than once.
-    """
-
+    # Shape (R, C): EMPTY, OWNED or HALO. A margin as wide as the halo is EMPTY or HALO on all sides.
     kind: NDArray[np.uint8]
+    # Shape (4, R, C): squared distance in space, in the surface's own unit, from the cell to its neighbour
+    # on the right, below, below right, and below left. Infinite where the neighbour lies outside, and where
+    # the surface ends between the two (at an open edge, or between two parts of a chart that only touch in
+    # the image); without meaning where either is EMPTY.
     squared_lengths: NDArray[np.float32]
+    # Shape (K,): flat indices, ascending, of the cells between which and a neighbour, not EMPTY, the
+    # surface ends at an edge.
     cut_cells: Indices
-    owned_cells: Indices
-    owned_texels: Indices
+    owned_cells: Indices  # (T,): flat indices of the owned cells, ascending
+    owned_texels: Indices  # (T,): the texel of each: offset of its texture plus row * width + column
+    # Shape (number of textures + 1,): texels of texture i are numbered from its offset, row by row.
     texture_offsets: NDArray[np.int64]
-    halo_cells: Indices
+    halo_cells: Indices  # (H,): flat indices of the halo cells, ascending
+    # Shape (H, 4): owned cells (flat indices) from which the halo cell's colour is interpolated.
     halo_taps: Indices
-    halo_weights: NDArray[np.float32]
+    halo_weights: NDArray[np.float32]  # (H, 4): their weights, not negative, with the sum 1
+    # Shape (H,): the seam over which the cell was reached, or -1 (no seam: the cell stands for a texel
+    # owned elsewhere).
     halo_seams: NDArray[np.int32]
-    gutter_cells: Indices
+    gutter_cells: Indices  # (G,): halo cells (flat indices) that stand on a texel that nothing covers
+    # Shape (G,): that texel, each at most once: what a lookup just beyond a chart's border should see.
     gutter_texels: Indices
-    chart_of: NDArray[np.int32]
+    chart_of: NDArray[np.int32]  # (T,): chart of each owned cell
+    # How many; a seam is a run of seam edges between the same two charts (or of a chart with itself).
     charts: int
     seams: int
     seam_edges: int
-    covered: int
+    covered: int  # texels covered by the surface, and of these the texels covered more than once
     overlapped: int
 
     @cached_property
@@ -105,24 +89,7 @@ class Atlas:
 def texels_by_texture(
     offsets: NDArray[np.int64], texels: Indices
 ) -> Iterator[tuple[int, NDArray[np.bool_] | slice, Indices]]:
-    """Go through the textures that some texels are of.
-
-    Parameters
-    ----------
-    offsets : ndarray of int64, shape (number of textures + 1,)
-        As in `Atlas`.
-    texels : ndarray of int, shape (K,)
-        As the offsets number them.
-
-    Yields
-    ------
-    index : int
-        Of the texture.
-    inside : ndarray of bool, shape (K,), or slice
-        Which of the texels; a slice of all, if they are of one texture.
-    own : ndarray of int, shape (number of these,)
-        The same, counted from the first texel of the texture.
-    """
+    """Yield each texture's index, which of the texels are of it, and these counted from its first."""
     if not len(texels):
         return
     first = int(np.searchsorted(offsets, texels.min(), "right")) - 1
@@ -138,19 +105,10 @@ def texels_by_texture(
 
 
 def refresh_halo(planes: NDArray[np.float32], atlas: Atlas, *, interpolated: bool = False) -> None:
-    """Give the halo cells of all planes, in place, the values of the owned cells that they stand for.
-
-    Parameters
-    ----------
-    planes : ndarray of float32, shape (N, R, C)
-        Values on the canvas.
-    atlas : Atlas
-        Which cells are halo, and where their values come from.
-    interpolated : bool
-        Whether a halo cell gets the mean of the cells around its place, for values that are smooth and to be seen; or
-        that of the nearest. For colours to be averaged the nearest is better: a mean has less noise than other samples,
-        and beside an edge it is a colour that neither side has, over which kernels find their way across.
-    """
+    """Give the halo cells of all planes, shape (N, R, C), in place, the values of their owned cells."""
+    # The nearest cell is better for colours that are averaged: a mean has less noise than other samples,
+    # and beside an edge it is a colour that neither side has, over which kernels find their way across.
+    # Interpolated values are for show.
     for plane in planes.reshape(len(planes), -1):
         for block in large_arrays.blocks(len(atlas.halo_cells), large_arrays.SCATTERED):
             cells = atlas.halo_cells[block]
@@ -161,19 +119,7 @@ def refresh_halo(planes: NDArray[np.float32], atlas: Atlas, *, interpolated: boo
 
 
 def without_halo(atlas: Atlas, dropped: NDArray[np.bool_]) -> Atlas:
-    """Return the atlas with some of its halo cells empty.
-
-    Parameters
-    ----------
-    atlas : Atlas
-        The atlas.
-    dropped : ndarray of bool, shape (H,)
-        Halo cells that become EMPTY.
-
-    Returns
-    -------
-    Atlas
-    """
+    """Return the atlas with some of its halo cells, shape (H,), empty."""
     kind = atlas.kind.copy()
     kind.reshape(-1)[atlas.halo_cells[dropped]] = EMPTY
     seen = kind.reshape(-1)[atlas.gutter_cells] != EMPTY
@@ -190,20 +136,7 @@ def without_halo(atlas: Atlas, dropped: NDArray[np.bool_]) -> Atlas:
 
 
 def without_owned(atlas: Atlas, dropped: NDArray[np.bool_]) -> Atlas:
-    """Return the atlas with some of its owned cells empty, and halo cells without their colours.
-
-    Parameters
-    ----------
-    atlas : Atlas
-        The atlas.
-    dropped : ndarray of bool, shape (T,)
-        Owned cells that become EMPTY: texels that lend no colour.
-
-    Returns
-    -------
-    Atlas
-        Halo cells that drew on nothing else are EMPTY too.
-    """
+    """Return the atlas with some of its owned cells, shape (T,), empty; halo cells lose their colours."""
     gone = np.zeros(atlas.kind.size, bool)
     gone[atlas.owned_cells[dropped]] = True
     weights = np.where(gone[atlas.halo_taps], 0, atlas.halo_weights)
@@ -229,36 +162,7 @@ _WRAP_CODES = {"repeat": 0, "mirror": 1, "clamp": 2}
 def build_atlas(
     surface: TexturedSurface, sizes: Sequence[tuple[int, int]], margin: int, threads: int = 1
 ) -> Atlas:
-    """Lay out the charts of a textured surface, and continue each over its seams.
-
-    Faces that share an edge in space and in the image, on its two sides, are of one chart; where an edge of
-    exactly two faces is shared in space only, it is a seam, also between textures. A texel is covered if its
-    centre lies in a triangle. Where triangles overlap in the image the texel is owned by the largest chart, and other
-    charts look at it. A texture that tiles is owned by the fullest period of a chart. Beyond a seam the faces on its
-    other side are unfolded into the plane of the face before it, and looked up there; beyond open edges, and edges of
-    more than two faces, is nothing.
-
-    Parameters
-    ----------
-    surface : TexturedSurface
-        As a document gives it. Vertices at exactly one place (and in one space) are one.
-    sizes : sequence of (int, int)
-        Width and height of each texture, in texels.
-    margin : int
-        How many cells a chart is continued, and rectangles of charts are kept apart: the reach of a kernel.
-    threads : int
-        The result does not depend on it.
-
-    Returns
-    -------
-    Atlas
-        With a canvas of 2 `margin` by 2 `margin` empty cells if no texel is covered.
-
-    Raises
-    ------
-    ProcessingError
-        If the charts do not fit on a canvas of 2^31 cells, or the textures have more texels together.
-    """
+    """Lay out the charts of a textured surface, and continue each by `margin` cells over its seams."""
     columns = list(surface.positions.T)
     if surface.space_of is not None:
         columns.append(surface.space_of)
@@ -301,31 +205,9 @@ def grid_atlas(
     positions: NDArray[np.float64] | None = None,
     valid: NDArray[np.bool_] | None = None,
 ) -> Atlas:
-    """Lay out one regular image as a parametric manifold: a single chart, without seams.
-
-    Parameters
-    ----------
-    shape : (int, int)
-        Rows H and columns W of the image.
-    margin : int
-        How many empty cells stand around it: the reach of a kernel.
-    positions : ndarray of float64, shape (H, W, M), optional
-        Places of the pixels in a space of any dimension M; pixels with a value that is not finite are holes.
-        Without it pixels lie on the plane (x, y), 1 apart.
-    valid : ndarray of bool, shape (H, W), optional
-        False where the image has a hole, which nothing crosses. Without it there are none. Holes that touch at
-        their corners are a closed wall.
-
-    Returns
-    -------
-    Atlas
-        Pixels are OWNED, holes and margins EMPTY. `owned_texels` are row * W + column.
-
-    Raises
-    ------
-    ValueError
-        If the shapes of the arrays do not fit.
-    """
+    """Lay out an image, shape (H, W), as one chart without seams, with `margin` empty cells around."""
+    # Positions, shape (H, W, M), that are not finite are holes; without them pixels lie on the plane, 1
+    # apart. Nothing crosses a hole, and holes that touch at their corners are a closed wall.
     filled = _filled(shape, positions, valid)
     kind = np.pad(np.where(filled, np.uint8(OWNED), np.uint8(EMPTY)), margin)
     lengths = np.full((len(_STEPS), *kind.shape), np.inf, np.float32)
@@ -359,7 +241,7 @@ def grid_atlas(
 def _filled(
     shape: tuple[int, int], positions: NDArray[np.float64] | None, valid: NDArray[np.bool_] | None
 ) -> NDArray[np.bool_]:
-    """Tell which pixels are no holes."""
+    """Return which pixels are no holes."""
     if valid is not None and valid.shape != shape:
         raise ValueError(f"valid has the shape {valid.shape}, but the image {shape}")
     if positions is not None and (positions.ndim != 3 or positions.shape[:2] != shape):

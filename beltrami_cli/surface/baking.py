@@ -25,20 +25,12 @@ _EDGE = 1e-9  # barycentric: centres on an edge are inside, whichever way they a
 
 @dataclass(frozen=True)
 class Cover:
-    """Some texels and the triangles that they lie in.
+    """Some texels and the triangles that they lie in."""
 
-    Attributes
-    ----------
-    texels : ndarray of int64, shape (K,)
-        Row * width + column.
-    faces : ndarray of int64, shape (K,)
-        The triangle of each.
-    weights : ndarray of float64, shape (K, 2)
-        Barycentric weights of its second and third corner. Texels inside have none below 0 (beyond rounding).
-    """
-
-    texels: NDArray[np.int64]
-    faces: NDArray[np.int64]
+    texels: NDArray[np.int64]  # (K,): row * width + column
+    faces: NDArray[np.int64]  # (K,): the triangle of each
+    # Shape (K, 2): barycentric weights of its second and third corner. Texels inside have none below 0
+    # (beyond rounding).
     weights: NDArray[np.float64]
 
     @property
@@ -52,24 +44,7 @@ class Cover:
 def cover(
     uv: NDArray[np.float64], size: tuple[int, int], reach: float = 0.0, chosen: NDArray[np.intp] | None = None
 ) -> Iterator[Cover]:
-    """Go through the triangles and the texels whose centres lie in them, or near them.
-
-    Parameters
-    ----------
-    uv : ndarray of float64, shape (F, 3, 2)
-        Texture coordinates, u to the right, v down, 1 the far side. What lies beyond the texture is left out.
-    size : (int, int)
-        Width and height of the texture in texels.
-    reach : float
-        Texels up to this far from a triangle (along u and v each) are given as well.
-    chosen : ndarray of int, shape (N,), optional
-        Only these triangles.
-
-    Yields
-    ------
-    Cover
-        In the order of the triangles. Triangles without area cover nothing.
-    """
+    """Yield texels whose centres lie in triangles with an area, or up to `reach` texels from them."""
     corners = uv * size - 0.5  # so that centres are whole numbers
     one, two = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     area = _cross(one, two)
@@ -164,30 +139,9 @@ def bake(
     dtype: DTypeLike,
     threads: int = 1,
 ) -> NDArray[Any]:
-    """Paint a texture.
-
-    Parameters
-    ----------
-    uv : ndarray of float64, shape (F, 3, 2)
-        Texture coordinates, u to the right, v down.
-    size : (int, int)
-        Width and height in texels.
-    shade : callable
-        From triangles, shape (K,), and weights of their second and third corner, shape (K, 2), to the texels' values,
-        shape (K, `channels`), as they are to be stored. Beyond the borders of charts weights leave [0, 1].
-    channels : int
-        Of the texture.
-    dtype : data type
-        Of the texture.
-    threads : int
-        The result does not depend on it.
-
-    Returns
-    -------
-    ndarray, shape (height, width, channels)
-        Texels just beyond the border of a chart continue its triangles, so that bilinear lookups on the border are
-        right; all others have the colour of the nearest chart.
-    """
+    """Paint a texture, shape (height, width, channels), with what `shade` gives for triangles and weights."""
+    # Texels just beyond the border of a chart continue its triangles (there weights leave [0, 1]), so that
+    # bilinear lookups on the border are right; all others have the colour of the nearest chart.
     width, height = size
     pixels = np.zeros((height * width, channels), dtype)
     covered = np.zeros(height * width, bool)
@@ -211,22 +165,9 @@ def bake(
 def interpolated(
     corners: NDArray[np.floating[Any]], faces: NDArray[np.int64], weights: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Interpolate linearly between the corners of triangles.
-
-    Parameters
-    ----------
-    corners : ndarray of float, shape (F, 3, C)
-        Values at the corners. Where all three agree they are returned exactly.
-    faces : ndarray of int64, shape (K,)
-        Which triangle.
-    weights : ndarray of float64, shape (K, 2)
-        Of its second and third corner. Outside the triangle the values go on linearly, but no further beyond those of
-        the corners than these differ.
-
-    Returns
-    -------
-    ndarray of float64, shape (K, C)
-    """
+    """Interpolate between the corners, shape (F, 3, C), of triangles; exact where all three agree."""
+    # Outside the triangle values go on linearly, but no further beyond those of the corners than these
+    # differ.
     mine = corners[faces].astype(np.float64)
     first = mine[:, 0]
     steps = mine[:, 1:] - mine[:, :1]
@@ -237,7 +178,7 @@ def interpolated(
 
 
 def overlap(uv: NDArray[np.float64], size: tuple[int, int]) -> float:
-    """Return which share of the covered texels lies inside more than one triangle."""
+    """Return the share of the covered texels that lie inside more than one triangle."""
     hits = np.zeros(size[0] * size[1], np.int32)
     for part in cover(uv, size):
         weights = part.weights

@@ -1,5 +1,8 @@
 """Stored colours as numbers: the sRGB transfer function, and rounding to integers.
 
+Full scale is 1. Negative values are treated odd-symmetrically, and values above 1 by the same formula, so that nothing
+is clipped.
+
 References
 ----------
 .. [1] IEC 61966-2-1:1999, "Colour measurement and management - Default RGB colour space - sRGB".
@@ -27,38 +30,14 @@ _KNEE_LINEAR = 0.0031308
 
 
 def srgb_to_linear(values: ArrayLike) -> NDArray[np.floating[Any]]:
-    """Turn display values into linear light.
-
-    Parameters
-    ----------
-    values : array_like of float, any shape
-        sRGB values, full scale 1. Negative values are treated odd-symmetrically, and values above 1 by the
-        same formula, so that nothing is clipped.
-
-    Returns
-    -------
-    ndarray, same shape
-        Linear values, float32 if `values` is float32, otherwise float64. Computed in float64.
-    """
+    """Turn display values into linear light, in double precision; float32 stays float32."""
     given, size = _magnitude(values)
     curve = ((size + _OFFSET) / (1 + _OFFSET)) ** _EXPONENT
     return _signed(np.where(size <= _KNEE_SRGB, size / _SLOPE, curve), given)
 
 
 def linear_to_srgb(values: ArrayLike) -> NDArray[np.floating[Any]]:
-    """Turn linear light into display values.
-
-    Parameters
-    ----------
-    values : array_like of float, any shape
-        Linear values, full scale 1. Negative values are treated odd-symmetrically, and values above 1 by
-        the same formula, so that nothing is clipped.
-
-    Returns
-    -------
-    ndarray, same shape
-        sRGB values, float32 if `values` is float32, otherwise float64. Computed in float64.
-    """
+    """Turn linear light into display values, in double precision; float32 stays float32."""
     given, size = _magnitude(values)
     curve = (1 + _OFFSET) * size ** (1 / _EXPONENT) - _OFFSET
     return _signed(np.where(size <= _KNEE_LINEAR, size * _SLOPE, curve), given)
@@ -81,26 +60,8 @@ def store_integers(
     channels: Sequence[int],
     threads: int,
 ) -> tuple[float, float, float]:
-    """Put values into pixels of integers, in place, each rounded once.
-
-    Parameters
-    ----------
-    table : ndarray of uint8 or uint16, shape (P, C)
-        The pixels.
-    pixels : ndarray of int, shape (K,)
-        Which of them change, each once.
-    values : ndarray of float32, shape (K, M)
-        New values, full scale 1. What is beyond is clipped; what is no number becomes 0.
-    channels : sequence of int
-        The M channels that they are of.
-    threads : int
-        The result does not depend on it.
-
-    Returns
-    -------
-    total, squares, largest : float
-        Of the K x M changes, full scale 1: their sum, the sum of their squares, and the largest.
-    """
+    """Put values into pixels of integers, in place; return sum, sum of squares and maximum of the changes."""
+    # What is beyond full scale is clipped; what is no number becomes 0.
     from beltrami_cli._native import store_colours
 
     rows, columns = np.ascontiguousarray(values), np.array(channels, np.int32)

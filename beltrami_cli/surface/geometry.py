@@ -21,20 +21,7 @@ if TYPE_CHECKING:
 
 
 def triangle_areas(positions: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:
-    """Compute the areas of triangles in any dimension.
-
-    Parameters
-    ----------
-    positions : ndarray of float64, shape (V, M)
-        Vertex positions.
-    faces : ndarray of int32, shape (F, 3)
-        Vertex indices.
-
-    Returns
-    -------
-    ndarray of float64, shape (F,)
-        In squared units of `positions`; from the Gram determinant, so M is free.
-    """
+    """Compute the areas of triangles in any dimension, from the Gram determinant."""
     p = positions[faces[:, 1]] - positions[faces[:, 0]]
     q = positions[faces[:, 2]] - positions[faces[:, 0]]
     gram = (p * p).sum(1) * (q * q).sum(1) - (p * q).sum(1) ** 2
@@ -43,20 +30,8 @@ def triangle_areas(positions: NDArray[np.float64], faces: NDArray[np.int32]) -> 
 
 
 def vertex_areas(positions: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float32]:
-    """Compute the area in space that each vertex stands for: a third of the triangles around it.
-
-    Parameters
-    ----------
-    positions : ndarray of float64, shape (V, M)
-        Vertex positions.
-    faces : ndarray of int32, shape (F, 3)
-        Vertex indices.
-
-    Returns
-    -------
-    ndarray of float32, shape (V,)
-        In units of the mean over all vertices; 0 at isolated vertices.
-    """
+    """Compute the area that each vertex stands for: a third of the triangles around it."""
+    # In units of the mean over all vertices; 0 at isolated vertices.
     third = np.repeat(triangle_areas(positions, faces) / 3, 3)
     areas = np.bincount(faces.ravel(), third, len(positions))
     mean = areas.mean() if len(areas) else 0.0
@@ -70,30 +45,10 @@ _CANCELLED = 1e-12
 def vertex_normals(
     positions: NDArray[np.float64], faces: NDArray[np.int32], group_of: NDArray[np.int32]
 ) -> NDArray[np.float32]:
-    """Compute the mean normal of the triangles around each vertex.
-
-    Triangles are weighted by the angle that they have there, so that it does not matter how a face is cut [1]_, and by
-    the square root of their area, since the normals of slivers are mostly noise.
-
-    Parameters
-    ----------
-    positions : ndarray of float64, shape (V, 3)
-        Vertex positions.
-    faces : ndarray of int32, shape (F, 3)
-        Vertex indices; counter-clockwise seen from outside.
-    group_of : ndarray of int32, shape (V,)
-        Vertices with the same number have one normal in common, such as the copies of a split vertex.
-
-    Returns
-    -------
-    ndarray of float32, shape (V, 3)
-        Unit vectors; 0 where the triangles have no area, or cancel out.
-
-    References
-    ----------
-    .. [1] G. Thuermer, C. Wuethrich, "Computing vertex normals from polygonal facets", Journal of Graphics Tools 3(1),
-       1998, doi:10.1080/10867651.1998.10487487
-    """
+    """Compute the mean unit normal of the triangles around each vertex; 0 where they cancel out."""
+    # Weights are the angle [1] and the square root of the area, since the normals of slivers are mostly
+    # noise. Vertices with the same number in `group_of` have one normal in common, such as the copies of a
+    # split vertex.
     crosses = _double_areas(positions, faces)
     area = np.linalg.norm(crosses, axis=1)
     root = np.sqrt(area)[:, None]
@@ -109,25 +64,9 @@ def vertex_normals(
 def normal_tensors(
     positions: NDArray[np.float64], faces: NDArray[np.int32], group_of: NDArray[np.int32]
 ) -> NDArray[np.float64]:
-    """Compute in which directions the shape around each vertex would change if the vertex moved.
-
-    Parameters
-    ----------
-    positions, faces, group_of
-        As for `vertex_normals`; G groups.
-
-    Returns
-    -------
-    ndarray of float64, shape (G, 3, 3)
-        The sum of n n^T over the triangles around, weighted by their areas, with the largest eigenvalue 1: in a plane
-        the projector on its normal, on a crease that on the plane of both normals, at a corner of a cube all of space.
-        0 where there is no area. It is the quadric of [1]_.
-
-    References
-    ----------
-    .. [1] M. Garland, P. Heckbert, "Surface simplification using quadric error metrics", SIGGRAPH 1997,
-       doi:10.1145/258734.258849
-    """
+    """Return the sum of n n^T over the triangles around each group, weighted by area: the quadric of [2]."""
+    # The largest eigenvalue is 1: in a plane this is the projector on its normal, on a crease that on the
+    # plane of both normals, at a corner of a cube all of space. 0 where there is no area.
     crosses = _double_areas(positions, faces)
     area = np.linalg.norm(crosses, axis=1, keepdims=True)
     normals = np.divide(crosses, area, out=np.zeros_like(crosses), where=area > 0)
@@ -167,20 +106,8 @@ def _gathered(
 
 
 def on_boundary(faces: NDArray[np.int32], count: int) -> NDArray[np.bool_]:
-    """Tell which vertices are ends of an edge that has one triangle only.
-
-    Parameters
-    ----------
-    faces : ndarray of int32, shape (F, 3)
-        Vertex indices in [0, count). Triangles with the same three vertices count once, those that repeat a vertex
-        not at all.
-    count : int
-        Vertices.
-
-    Returns
-    -------
-    ndarray of bool, shape (count,)
-    """
+    """Return which vertices are ends of an edge that has one triangle only."""
+    # Triangles with the same three vertices count once, those that repeat a vertex not at all.
     corners = np.sort(faces.astype(np.int64), axis=1)
     corners = corners[(corners[:, 0] != corners[:, 1]) & (corners[:, 1] != corners[:, 2])]
     # A triangle is told by its least edge and the third corner; both fit in 64 bits, one after the other.
@@ -201,41 +128,19 @@ def on_boundary(faces: NDArray[np.int32], count: int) -> NDArray[np.bool_]:
 
 @dataclass(frozen=True)
 class TopologyCounts:
-    """What a triangle mesh is like.
+    """Counts of the parts of a triangle mesh."""
 
-    Attributes
-    ----------
-    edges, boundary_edges, non_manifold_edges : int
-        Distinct edges; those with one triangle; those with more than two.
-    degenerate_faces, duplicate_faces : int
-        Triangles without area; triangles with the same three vertices as an earlier one.
-    isolated_vertices : int
-        Vertices in no triangle.
-    """
-
-    edges: int
+    edges: int  # distinct edges; those with one triangle; those with more than two
     boundary_edges: int
     non_manifold_edges: int
+    # Triangles without area; triangles with the same three vertices as an earlier one.
     degenerate_faces: int
     duplicate_faces: int
-    isolated_vertices: int
+    isolated_vertices: int  # vertices in no triangle
 
 
 def count_topology(positions: NDArray[np.float64], faces: NDArray[np.int32]) -> TopologyCounts:
-    """Count the parts of a triangle mesh.
-
-    Parameters
-    ----------
-    positions : ndarray of float64, shape (V, M)
-        Vertex positions.
-    faces : ndarray of int32, shape (F, 3)
-        Vertex indices.
-
-    Returns
-    -------
-    TopologyCounts
-        Duplicate faces count once for the edges.
-    """
+    """Count the parts of a triangle mesh; duplicate faces count once for the edges."""
     count = len(positions)
     faces = np.sort(faces.astype(np.int64), axis=1)
     repeats = (faces[:, 0] == faces[:, 1]) | (faces[:, 1] == faces[:, 2])

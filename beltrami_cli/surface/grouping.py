@@ -9,27 +9,16 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# Odd constants of the splitmix64 generator (Steele, Lea, Flood 2014): each step is a bijection of 64-bit words.
+# Odd constants of the splitmix64 generator (Steele, Lea, Flood 2014): each step is a bijection of 64-bit
+# words.
 _INCREMENT = np.uint64(0x9E3779B97F4A7C15)
 _MIX_1 = np.uint64(0xBF58476D1CE4E5B9)
 _MIX_2 = np.uint64(0x94D049BB133111EB)
 
 
 def group_equal_rows(*columns: NDArray[Any]) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Find the distinct rows of a table and number them.
-
-    Parameters
-    ----------
-    *columns : ndarray, shape (V,)
-        The table's columns, any integer or floating type without NaN; -0.0 equals 0.0.
-
-    Returns
-    -------
-    group_of : ndarray of int32, shape (V,)
-        Number of the row's group; groups are numbered by their first row.
-    first : ndarray of int32, shape (G,)
-        First row of each group, ascending.
-    """
+    """Find the distinct rows of a table, numbered by their first row: each row's number, and first rows."""
+    # Columns are of any integer or floating type, without NaN; -0.0 equals 0.0.
     words = [_as_words(column) for column in columns]
     hashed = np.zeros(len(words[0]), np.uint64)
     for word in words:
@@ -53,20 +42,7 @@ def group_equal_rows(*columns: NDArray[Any]) -> tuple[NDArray[np.int32], NDArray
 
 
 def distinct_corners(*columns: NDArray[np.generic]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Find the distinct rows of a table and number them by the order of their values.
-
-    Parameters
-    ----------
-    *columns : ndarray, shape (K,)
-        The table.
-
-    Returns
-    -------
-    first : ndarray of int, shape (N,)
-        A row of each number.
-    number_of : ndarray of int, shape (K,)
-        Number of each row.
-    """
+    """Find the distinct rows of a table, numbered by the order of their values: a row of each, and numbers."""
     order = np.lexsort(columns[::-1])
     new = np.zeros(len(order), bool)
     new[:1] = True

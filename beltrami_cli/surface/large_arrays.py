@@ -54,25 +54,13 @@ def kept_on_disk(folder: Path) -> Iterator[None]:
 
 
 def zeros(shape: int | Sequence[int], dtype: DTypeLike) -> NDArray[Any]:
-    """Return an array of zeros, like `numpy.zeros`.
-
-    Raises
-    ------
-    ProcessingError
-        If there is no room for it on the disk where it belongs.
-    """
+    """Return an array of zeros, like `numpy.zeros`; ProcessingError if the disk is full where it belongs."""
     found = _on_disk(shape, dtype)
     return np.zeros(shape, dtype) if found is None else found
 
 
 def empty(shape: int | Sequence[int], dtype: DTypeLike) -> NDArray[Any]:
-    """Return an array whose values mean nothing yet, like `numpy.empty`.
-
-    Raises
-    ------
-    ProcessingError
-        As `zeros`.
-    """
+    """Return an array whose values mean nothing yet, like `numpy.empty`; ProcessingError as for `zeros`."""
     found = _on_disk(shape, dtype)
     return np.empty(shape, dtype) if found is None else found
 
@@ -129,5 +117,5 @@ def leave_memory() -> None:
 
 
 def is_on_disk() -> bool:
-    """Tell whether large arrays that are made now are kept in files."""
+    """Return whether large arrays that are made now are kept in files."""
     return _DISK.get() is not None

@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-# In units of the change of values across the surface: nearer to the level than that is outside by that much, since
-# marching cubes leaves holes where values are on the level itself.
+# In units of the change of values across the surface: nearer to the level than that is outside by that
+# much, since marching cubes leaves holes where values are on the level itself.
 _LEAST = 1e-6
 # Beyond that, the exact value moves no vertex; float32 must hold its products.
 _MOST = 1e9
@@ -38,36 +38,15 @@ SLAB = 1 << 22  # voxels looked at together, which bounds the memory for their d
 
 @dataclass(frozen=True)
 class Crossings:
-    """What the surface of a level set will be like, before it is made.
+    """What the surface of a level set will be like, before it is made."""
 
-    Attributes
-    ----------
-    count : int
-        Edges of the grid that it cuts: the vertices that marching cubes makes, apart from a few inside cells.
-    scale : float
-        A power of two near 1 / the geometric mean of the change of values along these edges.
-    """
-
+    # Edges of the grid that it cuts: the vertices that marching cubes makes, apart from a few inside cells.
     count: int
-    scale: float
+    scale: float  # A power of two near 1 / the geometric mean of the change of values along these edges
 
 
 def find_crossings(values: NDArray[Any], level: float, known: NDArray[np.bool_] | None = None) -> Crossings:
-    """Count the edges of a grid that a level set cuts.
-
-    Parameters
-    ----------
-    values : ndarray, shape (X, Y, Z)
-        Numbers of any real type; those that are not finite are unknown.
-    level : float
-        Value on the surface.
-    known : ndarray of bool, shape (X, Y, Z), optional
-        False where the value is unknown whatever it is.
-
-    Returns
-    -------
-    Crossings
-    """
+    """Count the edges of a grid, shape (X, Y, Z), that a level set cuts; what is not finite is unknown."""
     count, total = 0, 0.0
     for first, stop in _slabs(values.shape, overlap=1):
         with np.errstate(over="ignore"):
@@ -81,7 +60,8 @@ def find_crossings(values: NDArray[Any], level: float, known: NDArray[np.bool_] 
             upper = np.take(layers, range(1, layers.shape[axis]), axis)
             cut = np.isfinite(lower) & np.isfinite(upper) & ((lower < 0) != (upper < 0))
             count += int(np.count_nonzero(cut))
-            # Halves, since the difference of two doubles may be none; and not nothing, since there is a change.
+            # Halves, since the difference of two doubles may be none; and not nothing, since there is a
+            # change.
             change = np.maximum(np.abs(upper[cut] / 2 - lower[cut] / 2), np.finfo(float).smallest_subnormal)
             total += float((1 + np.log2(change)).sum())
     exponent = -round(total / count) if count else 0
@@ -91,28 +71,9 @@ def find_crossings(values: NDArray[Any], level: float, known: NDArray[np.bool_] 
 def triangulate_level_set(
     values: NDArray[Any], level: float, crossings: Crossings, known: NDArray[np.bool_] | None = None
 ) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    """Triangulate a level set.
-
-    Parameters
-    ----------
-    values, level, known
-        As for `find_crossings`.
-    crossings : Crossings
-        Its result, which must have counted something.
-
-    Returns
-    -------
-    vertices : ndarray of float64, shape (V, 3)
-        In units of the grid: sample [i, j, k] is at (i, j, k).
-    faces : ndarray of int32, shape (F, 3)
-        Counter-clockwise where values grow towards the viewer. Cells with a corner that is unknown have none, so that
-        the surface has holes there. Both may be empty.
-
-    Raises
-    ------
-    MemoryError
-        If there is not enough for the largest surface with so many crossings.
-    """
+    """Triangulate a level set that crosses some edges: vertices in units of the grid, and faces."""
+    # Faces are counter-clockwise where values grow towards the viewer. Cells with an unknown corner have
+    # none, so that the surface has holes there.
     from skimage.measure import marching_cubes
 
     offsets, cells = _prepared(values, level, crossings.scale, known)
@@ -127,8 +88,9 @@ def triangulate_level_set(
 
 def _require_memory(crossings: int, shape: tuple[int, ...]) -> None:
     """Raise MemoryError if marching cubes could run out of it: it writes on past an array that it could not enlarge."""
-    # It has arrays of powers of two for vertices (28 bytes) and corners (4 bytes), and copies them. A cell with k cut
-    # edges, each shared by four cells, makes up to 9 k / 7 triangles, and a vertex inside if k is 7 or more.
+    # It has arrays of powers of two for vertices (28 bytes) and corners (4 bytes), and copies them. A cell
+    # with k cut edges, each shared by four cells, makes up to 9 k / 7 triangles, and a vertex inside if k
+    # is 7 or more.
     vertices = 1 << (11 * crossings // 7).bit_length()
     corners = 1 << (16 * crossings).bit_length()
     layers = 2 * 4 * 4 * shape[1] * shape[2]
@@ -145,10 +107,8 @@ def _slabs(shape: tuple[int, ...], overlap: int) -> Iterator[tuple[int, int]]:
 def _prepared(
     values: NDArray[Any], level: float, scale: float, known: NDArray[np.bool_] | None
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """Return the values relative to the level, and which cells to look at, each at its last corner.
-
-    The cell of (i, j, k) has its first corner at (i - 1, j - 1, k - 1): so scikit-image reads its mask.
-    """
+    """Return the values relative to the level, and which cells to look at, each at its last corner."""
+    # The cell of (i, j, k) has its first corner at (i - 1, j - 1, k - 1): so scikit-image reads its mask.
     offsets = np.empty(values.shape, np.float32)
     finite = np.empty(values.shape, bool)
     for first, stop in _slabs(values.shape, overlap=0):

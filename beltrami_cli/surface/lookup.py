@@ -25,24 +25,9 @@ if TYPE_CHECKING:
 def look_up(
     image: NDArray[np.float32], uv: NDArray[np.float64], wrap: tuple[Wrap, Wrap], alpha: int | None = None
 ) -> NDArray[np.float64]:
-    """Interpolate between the four texels around each place.
-
-    Parameters
-    ----------
-    image : ndarray of float32, shape (H, W, C)
-        Row 0 is the upper one.
-    uv : ndarray of float64, shape (K, 2)
-        u to the right, v down; (0, 0) is the upper left corner of the image, (1, 1) its lower right corner.
-    wrap : tuple of two of {"repeat", "mirror", "clamp"}
-        What lies beyond, along u and v.
-    alpha : int or None
-        The channel that is the opacity: what cannot be seen lends no colour.
-
-    Returns
-    -------
-    ndarray of float64, shape (K, C)
-        Where the four agree, exactly their value.
-    """
+    """Interpolate between the four texels around each place; exact where the four agree."""
+    # Places are (u to the right, v down), (0, 0) the upper left corner of the image and (1, 1) the lower
+    # right. By the channel `alpha`, the opacity, what cannot be seen lends no colour.
     height, width = image.shape[:2]
     left, right, across = _taps(uv[:, 0], width, wrap[0])
     upper, lower, down = _taps(uv[:, 1], height, wrap[1])
@@ -61,22 +46,9 @@ def look_up(
 def noise_around(
     image: NDArray[np.float32], uv: NDArray[np.float64], wrap: tuple[Wrap, Wrap]
 ) -> NDArray[np.float64]:
-    """Return samples of the texture's noise: at each place what a mask gives that any plane turns to zero.
-
-    Parameters
-    ----------
-    image, uv, wrap
-        As for `look_up`.
-
-    Returns
-    -------
-    ndarray of float64, shape (K, C)
-        For independent noise, with its standard deviation.
-
-    References
-    ----------
-    .. [1] J. Immerkaer, "Fast noise variance estimation", CVIU 64 (1996).
-    """
+    """Return samples of the texture's noise: what a mask gives that turns any plane to zero [1]."""
+    # They have the standard deviation of independent noise.
+    # samples with its standard deviation.
     height, width = image.shape[:2]
     mask = np.outer([1, -2, 1], [1, -2, 1]) / 6
     column, row = (np.floor(uv * [width, height]).astype(np.int64)).T
@@ -132,27 +104,11 @@ def fill_gutter(
     channels: Sequence[int] | None = None,
     opacity: NDArray[np.float32] | None = None,
 ) -> None:
-    """Give texels beside charts, in place, the colour of the nearest covered texel.
-
-    Parameters
-    ----------
-    pixels : ndarray, shape (H, W, C)
-        The texture, of any type.
-    covered : ndarray of bool, shape (H, W)
-        Texels that the surface covers. They keep their colours.
-    mask : ndarray of bool, shape (H, W), or None
-        Where the source had content: other texels keep theirs. None: everywhere.
-    width : int or None
-        How far from covered texels colours are filled in, in texels (Euclidean distance). None: however far.
-    known : ndarray of bool, shape (H, W), or None
-        Uncovered texels that have been given their colours already, from beyond a seam. They keep them.
-    threads : int
-        The result does not depend on it.
-    channels : sequence of int, optional
-        Which channels change; without it all.
-    opacity : ndarray of float32, shape (H, W), optional
-        What is multiplied into the colours, which are given that of the texel that they go to. Not 0 where covered.
-    """
+    """Give texels beside charts, in place, the colour of the nearest covered texel."""
+    # `mask`: where the source had content; other texels keep theirs. `width`: the largest distance, in
+    # texels; None: any. `known`: uncovered texels that have their colours already, from beyond a seam, and
+    # keep them. `opacity`: what is multiplied into the colours, which are given that of the texel that they
+    # go to; not 0 where covered.
     reach = sum(covered.shape) if width is None else width
     for band in large_arrays.blocks(len(covered), max(ROWS, reach)):
         target = ~covered[band]

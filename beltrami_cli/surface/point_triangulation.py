@@ -1,4 +1,18 @@
-"""Points without faces: triangles of the surface around each, in its tangent plane."""
+"""Points without faces: triangles of the surface around each, in its tangent plane.
+
+Around each point its nearest neighbours are laid out in the tangent plane, which principal axes give [1]_, and the
+Delaunay triangles that hold the point are taken [2]_. Triangles on which two of their points agree remain. The local
+spacing limits how large they are and how far from the plane, so that holes stay open and thin sheets apart. The result
+follows rotations, shifts, scales and permutations of the points; of four points on one empty circle, as on grids, it
+has all four triangles. A point in none of them is an outlier: it lies too far from others, in spacings of these, or
+they lie in one line.
+
+References
+----------
+.. [1] H. Hoppe et al., "Surface reconstruction from unorganized points", SIGGRAPH 1992, doi:10.1145/133994.134011
+.. [2] N. Sharp, K. Crane, "A Laplacian for nonmanifold triangle meshes", Computer Graphics Forum 39(5), 2020,
+   doi:10.1111/cgf.14069
+"""
 
 from __future__ import annotations
 
@@ -13,27 +27,15 @@ if TYPE_CHECKING:
 
     from beltrami_cli.surface.records import PaintedVertices
 
-# Nearest neighbours asked for, until there are enough to know a point's triangles: usually the first number does, on
-# rims and between the lines of a scanner the last may not.
+# Nearest neighbours asked for, until there are enough to know a point's triangles: usually the first number
+# does, on rims and between the lines of a scanner the last may not.
 _NEIGHBOURS = (24, 64, 192)
 BLOCK = 1 << 17  # points asked for at a time, which bounds the memory that their neighbours take
 
 
 def faces_of_points(painted: PaintedVertices, threads: int) -> NDArray[np.int32]:
-    """Find triangles between painted points, whose own faces do not count.
-
-    Parameters
-    ----------
-    painted : PaintedVertices
-        As a document gives it, with positions in at most three dimensions.
-    threads : int
-        How many may be used; the result does not depend on it.
-
-    Returns
-    -------
-    ndarray of int32, shape (F, 3)
-        Points as corners. Coincident points are each a corner of the triangles that their place has.
-    """
+    """Find triangles between painted points in at most three dimensions, whose own faces do not count."""
+    # Coincident points are each a corner of the triangles that their place has.
     columns = list(painted.positions.T)
     if painted.space_of is not None:
         columns.append(painted.space_of)
@@ -44,35 +46,7 @@ def faces_of_points(painted: PaintedVertices, threads: int) -> NDArray[np.int32]
 
 
 def triangulate_points(positions: NDArray[np.float64], threads: int = 1) -> NDArray[np.int32]:
-    """Find triangles of the surface that points lie on, without reconstructing it as a whole.
-
-    Parameters
-    ----------
-    positions : ndarray of float64, shape (P, M)
-        Distinct finite points; M is 2 or 3, in any unit.
-    threads : int
-        How many may be used; the result does not depend on it.
-
-    Returns
-    -------
-    ndarray of int32, shape (F, 3)
-        Each triangle once, its corners ascending, in any order. A point in none of them is an outlier: it lies too far
-        from others, in spacings of these, or they lie in one line.
-
-    Notes
-    -----
-    Around each point its nearest neighbours are laid out in the tangent plane, which principal axes give [1]_, and the
-    Delaunay triangles that hold the point are taken [2]_. Triangles on which two of their points agree remain. The
-    local spacing limits how large they are and how far from the plane, so that holes stay open and thin sheets apart.
-    The result follows rotations, shifts, scales and permutations of the points; of four points on one empty circle, as
-    on grids, it has all four triangles.
-
-    References
-    ----------
-    .. [1] H. Hoppe et al., "Surface reconstruction from unorganized points", SIGGRAPH 1992, doi:10.1145/133994.134011
-    .. [2] N. Sharp, K. Crane, "A Laplacian for nonmanifold triangle meshes", Computer Graphics Forum 39(5), 2020,
-       doi:10.1111/cgf.14069
-    """
+    """Find triangles of the surface that distinct points, shape (P, 2 or 3), lie on, corners ascending."""
     from scipy.spatial import cKDTree
 
     from beltrami_cli._native import LocalTriangulation, morton_order
@@ -121,22 +95,8 @@ def _triangulate_spaces(
 def _with_copies(
     faces: NDArray[np.int32], place_of: NDArray[np.int32], colours: NDArray[np.float32]
 ) -> NDArray[np.int32]:
-    """Give the triangles of places to the points there: to the first of each, and to each other with those elsewhere.
-
-    Parameters
-    ----------
-    faces : ndarray of int32, shape (F, 3)
-        Triangles of places.
-    place_of : ndarray of int32, shape (V,)
-        Place of each point.
-    colours : ndarray of float32, shape (V, N)
-        Colours of the points, which tell who is first, so that their order makes no difference.
-
-    Returns
-    -------
-    ndarray of int32, shape (F', 3)
-        Triangles of points.
-    """
+    """Give the triangles of places to the first point there, and to each other one with first ones elsewhere."""
+    # Colours say which is first, so that the order of points makes no difference.
     order = np.lexsort([*colours.T[::-1], place_of])
     leads = np.ones(len(order), bool)
     leads[1:] = place_of[order][1:] != place_of[order][:-1]

@@ -1,5 +1,10 @@
 """Cutting polygons into triangles, for the surface that the kernels walk on.
 
+Triangles stay as they are. A quad is cut along the diagonal that inverts neither triangle, the shorter one if both do
+not. Larger polygons become fans around their first corner where that inverts no triangle, which includes all convex
+ones; the others lose ears [2]_ in the plane of Newell's normal [1]_. Where a polygon crosses itself there is no right
+answer, but the count is still n - 2.
+
 References
 ----------
 .. [1] M. E. Newell, R. G. Newell, T. L. Sancha, "A solution to the hidden surface problem", ACM 1972: the
@@ -25,35 +30,8 @@ _MOST_EARS = 1 << 14  # corners of a polygon that is not convex: some ten second
 def triangulate(
     positions: NDArray[np.float64], corners: NDArray[np.int32], offsets: NDArray[np.int64]
 ) -> NDArray[np.int32]:
-    """Cut polygons into triangles without new vertices.
-
-    Parameters
-    ----------
-    positions : ndarray of float64, shape (V, 3)
-        Finite vertex positions, any unit.
-    corners : ndarray of int32, shape (K,)
-        The corners of all polygons one after the other, each in [0, V).
-    offsets : ndarray of int64, shape (P + 1,)
-        Polygon p has the corners ``corners[offsets[p]:offsets[p + 1]]``.
-
-    Returns
-    -------
-    ndarray of int32, shape (F, 3)
-        n - 2 triangles for every polygon of n corners, in the order and the orientation of the polygons;
-        none for polygons of fewer than three corners.
-
-    Raises
-    ------
-    InputError
-        If a polygon that is not convex has too many corners.
-
-    Notes
-    -----
-    Triangles stay as they are. A quad is cut along the diagonal that inverts neither triangle, the shorter
-    one if both do not. Larger polygons become fans around their first corner where that inverts no
-    triangle, which includes all convex ones; the others lose ears in the plane of Newell's normal. Where
-    a polygon crosses itself there is no right answer, but the count is still n - 2.
-    """
+    """Cut polygons into triangles of the same orientation, in order: n - 2 for n corners, no new vertices."""
+    # Polygon p has the corners ``corners[offsets[p]:offsets[p + 1]]``.
     sizes = np.diff(offsets)
     if sizes.size and (sizes == 3).all():
         return corners.reshape(-1, 3)
@@ -72,20 +50,7 @@ def triangulate(
 def triangulate_corners(
     positions: NDArray[np.float64], corners: NDArray[np.int32], offsets: NDArray[np.int64]
 ) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
-    """Cut polygons like `triangulate`, but tell which corners the triangles have, not only which vertices.
-
-    Parameters
-    ----------
-    positions, corners, offsets : ndarray
-        As for `triangulate`.
-
-    Returns
-    -------
-    cut : ndarray of int32, shape (F, 3)
-        Indices into `corners`; ``corners[cut]`` is what `triangulate` returns.
-    polygon : ndarray of int64, shape (F,)
-        The polygon that each triangle is part of.
-    """
+    """Cut polygons like `triangulate`; return indices into `corners`, and the polygon of each triangle."""
     cut = triangulate(positions[corners], np.arange(len(corners), dtype=np.int32), offsets)
     return cut, np.searchsorted(offsets, cut[:, 0], side="right") - 1
 
@@ -123,7 +88,7 @@ def _cut_quads(points: NDArray[np.float64], quads: NDArray[np.int32]) -> NDArray
 
 
 def _upright(triangles: NDArray[np.float64], normals: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Tell for pairs of triangles, shape (P, 2, 3, 3), whether both look along the normal and have area."""
+    """Return for pairs of triangles, shape (P, 2, 3, 3), whether both look along the normal and have area."""
     edges = triangles[:, :, 1:] - triangles[:, :, :1]
     areas = np.einsum("pti,pi->pt", np.cross(edges[:, :, 0], edges[:, :, 1]), normals)
     upright: NDArray[np.bool_] = (areas > 0).all(axis=1)
@@ -140,11 +105,9 @@ def _flatten(points: NDArray[np.float64], normal: NDArray[np.float64]) -> NDArra
 
 
 def _ears(points: NDArray[np.float64]) -> NDArray[np.intp]:
-    """Cut a counter-clockwise polygon, shape (n, 2), by taking ears off, into triangles of shape (n - 2, 3).
-
-    Only the two neighbours of an ear can become ears, or cease to be any, when it is taken off. So the work grows
-    with the square of n, whatever the polygon is like.
-    """
+    """Cut a counter-clockwise polygon, shape (n, 2), into triangles, shape (n - 2, 3), by taking ears off."""
+    # Only the two neighbours of an ear can become ears, or cease to be any, when it is taken off. So the
+    # work grows with the square of n, whatever the polygon is like.
     ring = _Ring(points)
     ears = [ring.is_ear(tip) for tip in range(len(points))]
     triangles, at = [], 0
@@ -180,7 +143,7 @@ class _Ring:
         self._left[tip] = False
 
     def is_ear(self, tip: int) -> bool:
-        """Tell whether a corner and its neighbours are a triangle that looks up and holds no other corner."""
+        """Return whether a corner and its neighbours form a triangle that looks up and holds no other."""
         corners = self.before[tip], tip, self.after[tip]
         (ax, ay), (bx, by), (cx, cy) = ((float(self._x[i]), float(self._y[i])) for i in corners)
         if (bx - ax) * (cy - ay) - (by - ay) * (cx - ax) <= 0:

@@ -36,22 +36,13 @@ _FLAT = 1e-6  # of the squared longest edge: what counts as a triangle without a
 
 @dataclass(frozen=True)
 class Unwrapped:
-    """A new atlas.
+    """A new atlas."""
 
-    Attributes
-    ----------
-    uv : ndarray of float64, shape (F, 3, 2)
-        Texture coordinates of every corner in [0, 1], u to the right, v down. The corners of a triangle without
-        area all have one place.
-    size : tuple of (int, int)
-        Width and height of the texture in texels.
-    charts : int
-        How many.
-    """
-
+    # Shape (F, 3, 2): texture coordinates of every corner in [0, 1], u to the right, v down. The corners of
+    # a triangle without area all have one place.
     uv: NDArray[np.float64]
-    size: tuple[int, int]
-    charts: int
+    size: tuple[int, int]  # width and height of the texture in texels
+    charts: int  # how many
 
 
 def unwrap(
@@ -66,40 +57,42 @@ def unwrap(
     space_of: NDArray[np.int32] | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Unwrapped:
-    """Lay a mesh out on a square.
+    """Lay a mesh out on a square. Vertices at exactly one place (and in one space) are one."""
+    # `size`: longest side of the texture, in texels; None: from 256 to 8192, as `texels`, which charts
+    # should cover, need. `padding`: texels between charts, and around all of them. `progress` is called
+    # several times a second with the tenths of a second that went by and those that are expected.
+    _check_input(positions, faces, name, most_faces)
+    used, row_of = np.unique(faces, return_inverse=True)
+    unit, rows = _of_unit_size(positions[used]), row_of.reshape(-1, 3).astype(np.int32)
+    whole = np.flatnonzero(_with_area(unit, rows))
+    if not len(whole):
+        raise InputError(name, "it has no triangle with an area", "nothing in it can be unwrapped")
+    place_of, first = group_equal_rows(*positions[used].T, *([] if space_of is None else [space_of[used]]))
+    # Edges of about one unit are what xatlas' fixed tolerances suit.
+    scaled = (np.sqrt(len(whole)) * unit[first]).astype(np.float32)
+    triangles = place_of[rows[whole]].astype(np.uint32)
+    sizes = [side - 2 * padding for side in (_SIDES if size is None else [size])]
+    job = {"positions": scaled, "faces": triangles, "sizes": sizes, "texels": texels}
+    corners, inner, charts = ask_worker(job, padding, progress)
+    size = inner + 2 * padding
+    largest = corners.reshape(-1, 2).max(axis=0)
+    if not np.isfinite(corners).all():
+        raise ProcessingError(f"{name}: no texture coordinates can be found for it; repair the mesh first")
+    if largest.max() > inner:
+        raise ProcessingError(
+            f"{name}: its {charts} charts do not fit on a texture of {size} texels with {padding} between them; "
+            "raise the size or lower the padding"
+        )
+    width, height = (_side(reach + 2 * padding, size) for reach in largest.tolist())
+    uv = np.empty((len(faces), 3, 2))
+    uv[whole] = (corners + padding) / [width, height]
+    _collapse_others(uv, faces, whole, len(positions))
+    return Unwrapped(uv, (width, height), charts)
 
-    Parameters
-    ----------
-    positions : ndarray of float64, shape (V, 3)
-        Vertices at exactly one place (and in one space) are one.
-    faces : ndarray of int32, shape (F, 3)
-        Triangles. Equal ones each get a place of their own, since their colours may differ.
-    size : int or None
-        Longest side of the texture, in texels. None: from 256 to 8192, as `texels` need.
-    padding : int
-        Texels between charts, and around all of them.
-    name : str
-        Of the mesh, for messages.
-    most_faces : int
-        Refuse larger meshes.
-    texels : float
-        How many the charts should cover, if no size is given.
-    space_of : ndarray of int32, shape (V,), or None
-        As in `PaintedVertices`.
-    progress : callable, optional
-        Called several times a second with the tenths of a second that went by and those that are expected; may raise.
 
-    Returns
-    -------
-    Unwrapped
-
-    Raises
-    ------
-    InputError
-        If the mesh has no triangle with an area, positions are not finite, or there are too many triangles.
-    ProcessingError
-        If the charts do not fit, or xatlas fails or hangs.
-    """
+def _check_input(
+    positions: NDArray[np.float64], faces: NDArray[np.int32], name: str, most_faces: int
+) -> None:
     if not np.isfinite(positions).all():
         row = int(np.argmin(np.isfinite(positions).all(axis=1)))
         raise InputError(name, f"the position of vertex {row} is not finite", "repair the file")
@@ -110,36 +103,6 @@ def unwrap(
             f"{shown(expected_seconds(len(faces)))}, growing faster than their number",
             f"simplify it, or allow it with --max-unwrap-faces {len(faces)}",
         )
-    used, row_of = np.unique(faces, return_inverse=True)
-    unit, rows = _of_unit_size(positions[used]), row_of.reshape(-1, 3).astype(np.int32)
-    whole = np.flatnonzero(_with_area(unit, rows))
-    if not len(whole):
-        raise InputError(name, "it has no triangle with an area", "nothing in it can be unwrapped")
-    place_of, first = group_equal_rows(*positions[used].T, *([] if space_of is None else [space_of[used]]))
-    # Edges of about one unit are what xatlas' fixed tolerances suit.
-    scaled = (np.sqrt(len(whole)) * unit[first]).astype(np.float32)
-    sizes = [side - 2 * padding for side in (_SIDES if size is None else [size])]
-    job = {
-        "positions": scaled,
-        "faces": place_of[rows[whole]].astype(np.uint32),
-        "sizes": sizes,
-        "texels": texels,
-    }
-    corners, inner, charts = ask_worker(job, padding, progress)
-    size = inner + 2 * padding
-    largest = corners.reshape(-1, 2).max(axis=0)
-    if not np.isfinite(corners).all():
-        raise ProcessingError(f"{name}: no texture coordinates can be found for it; repair the mesh first")
-    if largest.max() > size - 2 * padding:
-        raise ProcessingError(
-            f"{name}: its {charts} charts do not fit on a texture of {size} texels with {padding} between them; "
-            "raise the size or lower the padding"
-        )
-    width, height = (_side(reach + 2 * padding, size) for reach in largest.tolist())
-    uv = np.empty((len(faces), 3, 2))
-    uv[whole] = (corners + padding) / [width, height]
-    _collapse_others(uv, faces, whole, len(positions))
-    return Unwrapped(uv, (width, height), charts)
 
 
 def _of_unit_size(positions: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -190,7 +153,7 @@ LEAST_PATIENCE = 120.0
 
 
 def expected_seconds(faces: int) -> float:
-    """Tell how long unwrapping so many triangles takes."""
+    """Return how long unwrapping that many triangles takes."""
     return float(_SECONDS * (faces / _FACES) ** _GROWTH)
 
 
@@ -202,31 +165,7 @@ def shown(seconds: float) -> str:
 def ask_worker(
     arrays: dict[str, Any], padding: int, progress: Callable[[int, int], None] | None
 ) -> tuple[NDArray[np.float64], int, int]:
-    """Have a mesh unwrapped.
-
-    Parameters
-    ----------
-    arrays : dict
-        Positions, triangles, sides to try and texels wanted, as `unwrap_worker` takes them.
-    padding : int
-        Texels between charts.
-    progress : callable, optional
-        Called several times a second with the tenths of a second that went by and those that are expected; may raise.
-
-    Returns
-    -------
-    corners : ndarray of float64, shape (F, 3, 2)
-        Places of corners, in texels.
-    side : int
-        The side that was chosen, without the margin.
-    charts : int
-        How many.
-
-    Raises
-    ------
-    ProcessingError
-        If xatlas fails or hangs.
-    """
+    """Have a mesh unwrapped; return corners in texels, shape (F, 3, 2), the side without margin, and charts."""
     expected = expected_seconds(len(arrays["faces"]))
     patience = max(LEAST_PATIENCE, _PATIENCE * expected)
     with tempfile.TemporaryFile() as job:

@@ -1,6 +1,6 @@
 """The process that runs xatlas: a mesh comes in by standard input, texture coordinates go out by standard output.
 
-xatlas tells nothing while it works, cannot be interrupted, and hangs on some meshes, so it gets a process that can be
+xatlas reports nothing while it works, cannot be interrupted, and hangs on some meshes, so it gets a process that can be
 ended. `beltrami_cli.surface.unwrap` starts it.
 """
 
@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
 _COVERAGE = 0.75  # that xatlas expects of its packing when it is told a resolution
@@ -40,30 +42,10 @@ def main() -> None:
 def unwrapped(
     positions: NDArray[np.float32], faces: NDArray[np.uint32], sizes: list[int], wanted: float, padding: int
 ) -> tuple[NDArray[np.float64], int, int]:
-    """Cut a mesh into charts and pack them.
-
-    Parameters
-    ----------
-    positions : ndarray of float32, shape (V, 3)
-        Finite, of moderate size.
-    faces : ndarray of uint32, shape (F, 3)
-        Each with an area.
-    sizes : list of int
-        Longest sides that the packed charts may have, ascending. One alone is filled; of several the first is taken
-        that has room for as many texels as wanted, or else the last is filled.
-    wanted : float
-        Texels that the charts should cover, if there are several sizes.
-    padding : int
-        Texels between charts.
-
-    Returns
-    -------
-    corners : ndarray of float64, shape (F, 3, 2)
-        Place of each corner, in texels from the upper left corner of the packed charts. If they do not fit even when
-        they are tiny, it reaches beyond the size.
-    size, charts : int
-        Which size was taken, and how many charts there are.
-    """
+    """Cut a mesh into charts and pack them; return corners in texels, shape (F, 3, 2), size and charts."""
+    # `sizes` are longest sides, ascending: one alone is filled; of several the first is taken that has room
+    # for as many texels as wanted, or else the last is filled. If charts do not fit even when tiny, corners
+    # reach beyond the size.
     import xatlas
 
     atlas = xatlas.Atlas()
@@ -89,6 +71,13 @@ def unwrapped(
         places, side = packed(scale)
         if side <= size:
             return places, next(size for size in sizes if size >= side), charts
+    return _filling(packed, scale, size), size, charts
+
+
+def _filling(
+    packed: Callable[[float], tuple[NDArray[np.float64], float]], scale: float, size: int
+) -> NDArray[np.float64]:
+    """Return the packing, of a few scales tried, that fills a side best and fits, or else the last."""
     best: tuple[NDArray[np.float64], float] | None = None
     tried = packed(scale)
     for _ in range(_TRIES):
@@ -99,7 +88,7 @@ def unwrapped(
         # Packing is not monotonic: aim a little lower than what would fit exactly.
         scale *= 0.98 * size / tried[1]
         tried = packed(scale)
-    return (best or tried)[0], size, charts
+    return (best or tried)[0]
 
 
 def _area(corners: NDArray[np.float64]) -> float:

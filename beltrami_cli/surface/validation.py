@@ -15,20 +15,7 @@ if TYPE_CHECKING:
 
 
 def check_mesh(painted: PaintedVertices, name: str) -> None:
-    """Check shapes, indices, finiteness, and that distances are not too small or large.
-
-    Parameters
-    ----------
-    painted : PaintedVertices
-        The record to check.
-    name : str
-        Where it comes from, for the message.
-
-    Raises
-    ------
-    InputError
-        At the first thing that is wrong.
-    """
+    """Check shapes, indices, finiteness, and that distances are not too small or large; InputError if not."""
     positions, faces, colours = painted.positions, painted.faces, painted.colours
     if positions.ndim != 2 or positions.shape[1] == 0:
         raise InputError(name, f"positions must be of shape (V, M), not {positions.shape}")
@@ -42,22 +29,7 @@ def check_mesh(painted: PaintedVertices, name: str) -> None:
 
 
 def position_table(positions: ArrayLike) -> NDArray[np.float64]:
-    """Take positions of any numeric type.
-
-    Parameters
-    ----------
-    positions : array_like, shape (V, M)
-        Numbers; M is 1 or more. An empty list has M = 3.
-
-    Returns
-    -------
-    ndarray of float64, shape (V, M)
-
-    Raises
-    ------
-    UsageError
-        If the shape or the type does not fit.
-    """
+    """Take positions of any numeric type, shape (V, M); an empty list has M = 3."""
     table = array_of(positions, "positions")
     if table.shape == (0,):
         table = table.reshape(0, 3)
@@ -68,24 +40,7 @@ def position_table(positions: ArrayLike) -> NDArray[np.float64]:
 
 
 def face_table(faces: ArrayLike, count: int) -> NDArray[np.int32]:
-    """Take triangles of any integer type; nothing wraps or is cut off.
-
-    Parameters
-    ----------
-    faces : array_like of int, shape (F, 3)
-        Indices of vertices. Empty ones may be of any type.
-    count : int
-        Number V of vertices.
-
-    Returns
-    -------
-    ndarray of int32, shape (F, 3)
-
-    Raises
-    ------
-    UsageError
-        If the shape or the type does not fit, or an index is not in [0, V).
-    """
+    """Take triangles of any integer type, shape (F, 3), indices in [0, count); nothing wraps or is cut off."""
     table = array_of(faces, "faces")
     if table.shape in ((0,), (0, 3)):
         return np.empty((0, 3), np.int32)
@@ -101,22 +56,7 @@ def face_table(faces: ArrayLike, count: int) -> NDArray[np.int32]:
 
 
 def colour_table(colours: ArrayLike) -> NDArray[np.float32]:
-    """Take colours: floats as they are, unsigned integers by their full scale.
-
-    Parameters
-    ----------
-    colours : array_like, shape (V, C) or (V,)
-        Floats of full scale 1, or uint8, uint16 or uint32. An empty list has C = 3.
-
-    Returns
-    -------
-    ndarray of float32, shape (V, C)
-
-    Raises
-    ------
-    UsageError
-        If the shape or the type does not fit.
-    """
+    """Take colours, shape (V, C) or (V,): floats as they are, unsigned integers by their full scale."""
     table = array_of(colours, "colours")
     if table.ndim == 1:
         table = table[:, None] if len(table) else table.reshape(0, 3)
@@ -134,24 +74,7 @@ def colour_table(colours: ArrayLike) -> NDArray[np.float32]:
 
 
 def guide_table(values: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64]:
-    """Take a guide: any numbers, as they are.
-
-    Parameters
-    ----------
-    values : array_like, shape (*shape) or (*shape, G)
-        A row for each vertex, or for each pixel.
-    shape : tuple of int
-        (V,) or (H, W).
-
-    Returns
-    -------
-    ndarray of float64, shape (V or H * W, G)
-
-    Raises
-    ------
-    UsageError
-        If the shape or the type does not fit, or a number is not finite.
-    """
+    """Take a guide: any finite numbers of `shape`, or with channels behind it; a row a vertex or pixel."""
     table = array_of(values, "guide")
     if table.shape[: len(shape)] != shape or table.ndim > len(shape) + 1 or table.dtype.kind not in "buif":
         wanted = ", ".join(map(str, shape))
@@ -163,18 +86,7 @@ def guide_table(values: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64
 
 
 def check_numbers(whole: dict[str, object], real: dict[str, object]) -> None:
-    """Refuse parameters that are no numbers, before anything is compared with them.
-
-    Parameters
-    ----------
-    whole, real : dict of str to object
-        Values by the names of the parameters, which must be whole or any numbers.
-
-    Raises
-    ------
-    UsageError
-        If one is not.
-    """
+    """Refuse parameters that are no (whole) numbers, before anything is compared with them."""
     for name, value in whole.items():
         if not isinstance(value, (int, np.integer)):
             raise UsageError(f"{name} is {value!r}, but must be a whole number")
@@ -203,30 +115,16 @@ def _check_finite(table: NDArray[np.floating], what: str, name: str) -> None:
         )
 
 
-# Squares of lengths are kept in single precision, which ends at 1.2e-38 and 3.4e38: lengths at 1e-19 and 2e19. Texels
-# and the edges of a mesh vary, and kernels reach further; with five decades between there is room for all of them.
+# Squares of lengths are kept in single precision, which ends at 1.2e-38 and 3.4e38: lengths at 1e-19 and
+# 2e19. Texels and the edges of a mesh vary, and kernels reach further; with five decades between there is
+# room for all of them.
 _LEAST, _MOST = 1e-14, 1e14
 _ENOUGH_FACES = 100_000  # for a median that is off by a per cent or so
 
 
 def check_scale(positions: NDArray[np.float64], faces: NDArray[np.int32], name: str) -> None:
-    """Refuse a surface whose distances are too small or too large to be computed with.
-
-    Parameters
-    ----------
-    positions : ndarray of float64, shape (V, M)
-        Vertex positions; those that are not finite do not count.
-    faces : ndarray of int32, shape (F, 3)
-        Triangles. Without any, points count as if they were spread evenly.
-    name : str
-        The file, for the message.
-
-    Raises
-    ------
-    InputError
-        If the median length of the edges is beyond 1e-14 and 1e14 units. Edges without length do not count, nor does
-        a surface that has no others.
-    """
+    """Refuse a surface whose median edge is too small or too large to be squared in single precision."""
+    # Without faces, points count as if they were spread evenly.
     with np.errstate(over="ignore", invalid="ignore"):
         steps = _edges(positions, faces) if len(faces) else _spread(positions)
     steps = steps[steps > 0]

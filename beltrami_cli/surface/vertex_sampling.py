@@ -1,4 +1,12 @@
-"""Vertex colours as samples: what a format splits is joined, hard colour edges are bridged."""
+"""Vertex colours as samples: what a format splits is joined, hard colour edges are bridged.
+
+Vertices that a format splits (for normals, texture coordinates, primitives) but that stand at exactly one place with
+one colour become one sample. Where coincident vertices differ in colour, each colour is a sample of its own, and walls
+join them: on the image manifold (X, beta I) a colour jump along an edge is an upright wall between the edge's two
+copies, with no extent in X and the jump in I. Both of its diagonals are laid, so that the result does not depend on the
+order of vertices. More than two copies of one edge (non-manifold edges) are joined in a chain, by the order of their
+colours.
+"""
 
 from __future__ import annotations
 
@@ -18,24 +26,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class VertexSampling:
-    """Which sample each vertex is.
+    """Which sample each vertex is; ``smoothed[sample_of]`` are vertex colours."""
 
-    Attributes
-    ----------
-    sample_of : ndarray of int32, shape (V,)
-        Sample of each vertex. Vertices at one place with one colour are one sample.
-    first_vertex : ndarray of int32, shape (S,)
-        A vertex of each sample.
-    place_of : ndarray of int32, shape (S,)
-        Place of each sample; coincident vertices that differ in colour are samples of one place.
-    places : int
-        Distinct places, at most S.
-    """
-
+    # Shape (V,): sample of each vertex. Vertices at one place with one colour are one sample.
     sample_of: NDArray[np.int32]
-    first_vertex: NDArray[np.int32]
+    first_vertex: NDArray[np.int32]  # (S,): A vertex of each sample
+    # Shape (S,): place of each sample; coincident vertices that differ in colour are samples of one place.
     place_of: NDArray[np.int32]
-    places: int
+    places: int  # distinct places, at most S
 
     def means(self, values: NDArray[np.float32]) -> NDArray[np.float32]:
         """Give each sample the mean of what its vertices have, shape (V, G) to (S, G)."""
@@ -50,26 +48,7 @@ class VertexSampling:
 def sample_vertices(
     painted: PaintedVertices, colours: NDArray[np.float32]
 ) -> tuple[SampledSurface, VertexSampling]:
-    """Make samples of painted vertices.
-
-    Vertices that a format splits (for normals, texture coordinates, primitives) but that stand at exactly one
-    place with one colour become one sample. Where coincident vertices differ in colour, each colour is a sample
-    of its own, and walls join them, see `build_walls`.
-
-    Parameters
-    ----------
-    painted : PaintedVertices
-        As a document gives it.
-    colours : ndarray of float32, shape (V, N)
-        The vertices' colours in the working space, which the samples take.
-
-    Returns
-    -------
-    surface : SampledSurface
-        S samples with their triangles and walls.
-    sampling : VertexSampling
-        The way back: ``smoothed[sampling.sample_of]`` are vertex colours.
-    """
+    """Make samples of painted vertices whose colours in the working space are given."""
     place_columns = list(painted.positions.T)
     if painted.space_of is not None:
         place_columns.append(painted.space_of)
@@ -91,27 +70,7 @@ def sample_vertices(
 def build_walls(
     faces: NDArray[np.int32], place_of: NDArray[np.int32], colours: NDArray[np.float32]
 ) -> NDArray[np.int32]:
-    """Join the two sides of hard colour edges.
-
-    On the image manifold (X, beta I) a colour jump along an edge is an upright wall between the edge's two
-    copies: no extent in X, the jump in I. Both of its diagonals are laid, so that the result does not depend on
-    the order of vertices. More than two copies of one edge (non-manifold edges) are joined in a chain, by
-    the order of their colours.
-
-    Parameters
-    ----------
-    faces : ndarray of int32, shape (F, 3)
-        Triangles of the surface, as samples.
-    place_of : ndarray of int32, shape (S,)
-        Samples with the same number stand at the same place.
-    colours : ndarray of float32, shape (S, N)
-        Colours of the samples.
-
-    Returns
-    -------
-    ndarray of int32, shape (W, 3)
-        Triangles of the walls.
-    """
+    """Join the two sides of hard colour edges between samples by triangles, shape (W, 3)."""
     shared = np.bincount(place_of) > 1
     if not shared.any():
         return np.empty((0, 3), np.int32)

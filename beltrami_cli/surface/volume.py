@@ -22,82 +22,45 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Lattice:
-    """Where the samples of a grid stand in space: sample (i, j, k) at ``origin + (i, j, k) @ axes``.
+    """Where the samples of a grid stand in space: sample (i, j, k) at ``origin + (i, j, k) @ axes``."""
 
-    Attributes
-    ----------
-    axes : ndarray of float64, shape (3, 3)
-        Row a is the step in space from a sample to the next one along index a; invertible.
-    origin : ndarray of float64, shape (3,)
-        Place of sample (0, 0, 0), which is the centre of its voxel.
-    """
-
+    # Shape (3, 3): row a is the step in space from a sample to the next one along index a; invertible.
     axes: NDArray[np.float64]
-    origin: NDArray[np.float64]
+    origin: NDArray[np.float64]  # (3,): place of sample (0, 0, 0), which is the centre of its voxel
 
 
 @dataclass(frozen=True)
 class GridColours:
-    """Colours on a lattice of their own, which may be that of the level set.
+    """Colours on a lattice of their own, which may be that of the level set."""
 
-    Attributes
-    ----------
-    lattice : Lattice
-        Where they stand.
-    samples : ndarray, shape (X, Y, Z, C)
-        Numbers as stored, of any integer or floating type; C is 1 or 3, and one more if there is opacity. Voxels
-        with a number that is not finite, or of opacity 0, have no colour.
-    """
-
-    lattice: Lattice
+    lattice: Lattice  # where they stand
+    # Shape (X, Y, Z, C): numbers as stored, of any integer or floating type; C is 1 or 3, and one more if
+    # there is opacity. Voxels with a number that is not finite, or of opacity 0, have no colour.
     samples: NDArray[Any]
 
 
 @dataclass(frozen=True)
 class NearColours:
-    """Colours at points near the surface.
+    """Colours at points near the surface."""
 
-    Attributes
-    ----------
-    points : ndarray of float64, shape (P, 3)
-        Finite places, in the space of the level set.
-    samples : ndarray, shape (P, C)
-        Numbers as stored, as in `GridColours`.
-    encoding : {"srgb", "linear"}
-        What the numbers mean.
-    stored : str, optional
-        Type in the file where `samples` are already of full scale 1; empty: that of `samples`.
-    """
-
-    points: NDArray[np.float64]
-    samples: NDArray[Any]
-    encoding: Encoding = "srgb"
+    points: NDArray[np.float64]  # (P, 3): finite places, in the space of the level set
+    samples: NDArray[Any]  # (P, C): numbers as stored, as in `GridColours`
+    encoding: Encoding = "srgb"  # what the numbers mean
+    # Type in the file where `samples` are already of full scale 1; empty: that of `samples`.
     stored: str = ""
 
 
 @dataclass(frozen=True)
 class Volume:
-    """A level set sampled on a lattice.
+    """A level set sampled on a lattice."""
 
-    Attributes
-    ----------
-    lattice : Lattice
-        Where the samples stand.
-    values : ndarray, shape (X, Y, Z)
-        Of any integer, floating or boolean type. What is not finite is unknown.
-    known : ndarray of bool, shape (X, Y, Z), or None
-        False where the value is unknown whatever it is; None: nowhere.
-    level : float or None
-        Value on the surface, where the file says so.
-    colours : GridColours, NearColours or None
-        What paints the surface, where the file says so.
-    """
-
-    lattice: Lattice
+    lattice: Lattice  # where the samples stand
+    # Shape (X, Y, Z): of any integer, floating or boolean type. What is not finite is unknown.
     values: NDArray[Any]
+    # Shape (X, Y, Z): false where the value is unknown whatever it is; None: nowhere.
     known: NDArray[np.bool_] | None = None
-    level: float | None = None
-    colours: GridColours | NearColours | None = None
+    level: float | None = None  # value on the surface, where the file says so
+    colours: GridColours | NearColours | None = None  # what paints the surface, where the file says so
 
 
 _NEIGHBOURS = 4  # points that a vertex takes its colour from: about what surrounds it on a surface
@@ -115,22 +78,9 @@ def places(lattice: Lattice, at: NDArray[np.float64]) -> NDArray[np.float64]:
 def interpolate_colours(
     colours: GridColours, positions: NDArray[np.float64], known: NDArray[np.bool_] | None = None
 ) -> NDArray[np.float64]:
-    """Interpolate colours on a grid between the eight voxels around each place, trilinearly.
-
-    Parameters
-    ----------
-    colours : GridColours
-        The grid. Voxels that have no colour, or lie outside, lend none: the weights of the others are raised to 1.
-    positions : ndarray of float64, shape (V, 3)
-        Where colours are wanted, in space.
-    known : ndarray of bool, shape (X, Y, Z), optional
-        False for further voxels that lend nothing.
-
-    Returns
-    -------
-    ndarray of float64, shape (V, C)
-        In the numbers as stored, NaN where no voxel around has a colour.
-    """
+    """Interpolate colours, as stored, between the eight voxels around each place, trilinearly."""
+    # Voxels that have no colour, are not known, or lie outside lend none: the weights of the others are
+    # raised to 1. NaN where no voxel around has a colour.
     samples = colours.samples
     sides = np.array(samples.shape[:3])
     at = np.linalg.solve(colours.lattice.axes.T, (positions - colours.lattice.origin).T).T
@@ -156,30 +106,9 @@ def interpolate_colours(
 def nearest_colours(
     colours: NearColours, positions: NDArray[np.float64], voxel: float, threads: int
 ) -> NDArray[np.float64]:
-    """Take colours from the nearest points, by inverse squared distance.
-
-    Parameters
-    ----------
-    colours : NearColours
-        The points. Those without a colour lend none.
-    positions : ndarray of float64, shape (V, 3)
-        Where colours are wanted, in the space of the points.
-    voxel : float
-        Longest side of a voxel.
-    threads : int
-        To look for them with; the result does not depend on it.
-
-    Returns
-    -------
-    ndarray of float64, shape (V, C)
-        In the numbers as stored, NaN where no point is within 4 voxels, or within 4 distances from a point to its
-        fourth neighbour where these are larger.
-
-    Notes
-    -----
-    The weights are those of D. Shepard, "A two-dimensional interpolation function for irregularly-spaced data",
-    Proc. ACM National Conference 1968, doi:10.1145/800186.810616.
-    """
+    """Take colours, as stored, from the nearest points, by inverse squared distance [1]."""
+    # NaN where no point is within 4 voxels, or within 4 distances from a point to its fourth neighbour
+    # where these are larger.
     from scipy.spatial import cKDTree
 
     samples = colours.samples.astype(np.float64)
@@ -194,14 +123,15 @@ def nearest_colours(
     distances, nearest = tree.query(positions, list(range(1, count + 1)), workers=threads)
     nearest = np.minimum(nearest, len(points) - 1)  # beyond all numbers there is none, and its weight is 0
     with np.errstate(over="ignore"):
-        # The least distance keeps the weight of a point at the very place finite, and far above that of all others.
+        # The least distance keeps the weight of a point at the very place finite, and far above that of all
+        # others.
         weights = np.where(distances <= reach, 1 / (distances**2 + (1e-6 * voxel) ** 2), 0.0)
         total = (weights[..., None] * samples[nearest]).sum(axis=1)
     return _mean(total, weights.sum(axis=1))
 
 
 def has_colour(samples: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Tell which rows, of shape (V, C), are finite and not wholly transparent."""
+    """Return which rows, of shape (V, C), are finite and not wholly transparent."""
     coloured: NDArray[np.bool_] = np.asarray(np.isfinite(samples).all(axis=1), bool)
     if samples.shape[1] in (2, 4):
         coloured &= np.greater(samples[:, -1], 0)

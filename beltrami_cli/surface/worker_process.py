@@ -15,21 +15,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Worker:
-    """A process at work.
+    """A process at work."""
 
-    Attributes
-    ----------
-    process : subprocess.Popen
-        To wait for.
-    answer : binary file
-        What it wrote to its standard output, to be read once it has ended.
-    said : binary file
-        The same of its standard error.
-    """
-
-    process: subprocess.Popen[bytes]
-    answer: IO[bytes]
-    said: IO[bytes]
+    process: subprocess.Popen[bytes]  # to wait for
+    answer: IO[bytes]  # what it wrote to its standard output, to be read once it has ended
+    said: IO[bytes]  # the same of its standard error
 
     def failure(self) -> str | None:
         """Return in a line why it failed, or None; it must have ended. Its answer can be read then."""
@@ -43,25 +33,12 @@ class Worker:
 
 @contextmanager
 def working(module: str, job: IO[bytes], arguments: Sequence[str] = ()) -> Iterator[Worker]:
-    """Run a module, and end it at last.
-
-    Parameters
-    ----------
-    module : str
-        Its full name.
-    job : binary file
-        Its standard input, from where the file stands now.
-    arguments : sequence of str
-        For its command line.
-
-    Yields
-    ------
-    Worker
-    """
-    # Files without a name, which are gone with the last process that has them open; pipes would fill up and stall.
+    """Run a module with the file `job` as its standard input, and end it at last."""
+    # Files without a name, which are gone with the last process that has them open; pipes would fill up and
+    # stall.
     with tempfile.TemporaryFile() as answer, tempfile.TemporaryFile() as said:
-        # Without -P a file in the folder where the user happens to be could stand in for a module. In a session of
-        # its own the process does not see Ctrl-C, which is for this one.
+        # Without -P a file in the folder where the user happens to be could stand in for a module. In a
+        # session of its own the process does not see Ctrl-C, which is for this one.
         process = subprocess.Popen(
             [sys.executable, "-P", "-m", module, *arguments],
             stdin=job,
