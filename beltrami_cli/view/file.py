@@ -10,7 +10,7 @@ from beltrami_cli.errors import OutputError, UsageError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.document import Written
 from beltrami_cli.formats.image import format_of_suffix, write_image
-from beltrami_cli.formats.image.fresh import fresh_picture
+from beltrami_cli.formats.image.picture import new_picture
 from beltrami_cli.jobs.writing.output import Output
 from beltrami_cli.view.drawing import draw_views
 from beltrami_cli.view.settings import DEFAULT_RENDER, MOST_PIXELS, RenderSettings
@@ -93,7 +93,7 @@ def picture_suffix(target: str, others: str = "") -> str:
 
 def encoded(picture: NDArray[np.uint8], target: str, suffix: str) -> Written:
     """Return a picture as the file that it is written as."""
-    file = write_image(fresh_picture(picture, target), picture, suffix=suffix, small=True)
+    file = write_image(new_picture(picture, target), picture, suffix=suffix, small=True)
     return Written(main=[file.data])
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from beltrami_cli.formats.image.measuring import ImageSize, measure_image
+from beltrami_cli.formats.image.reading import ImageSize, measure_image
 from formats.image_files import LOSSLESS, encode, noise, png_chunk, png_chunks
 
 _BYTES = {"uint8": 1, "uint16": 2, "half": 2, "float": 4}

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from beltrami_cli.formats.image.metadata import is_lossless_webp
+from beltrami_cli.formats.image.oiio import TYPES
 from beltrami_cli.formats.image.picture import as_stored, full_scale_one, without_alpha
 from beltrami_cli.formats.image.recognition import FORMATS, format_of_suffix
 from beltrami_cli.surface.colour_values import linear_to_srgb, srgb_to_linear
@@ -17,7 +18,6 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.image.picture import Picture
 
 _BITS = {"uint8": 8, "uint16": 16, "float16": 16, "float32": 32}
-_OIIO_TYPES = {"uint8": "uint8", "uint16": "uint16", "float16": "half", "float32": "float"}
 _INEXACT = ("jpeg", "webp", "hdr")
 _LOSSY = ("b44", "b44a", "dwaa", "dwab", "pxr24")  # compressions of EXR; TIFF is written without any
 _TECHNICAL = (
@@ -28,15 +28,7 @@ _ALSO_TECHNICAL = ("compression", "planarconfig", "ICCProfile", "chromaticities"
 
 
 def losses(picture: Picture, suffix: str) -> tuple[str, ...]:
-    """Say what is lost or changed when a picture is written as another format, one sentence each.
-
-    Parameters
-    ----------
-    picture : Picture
-        The source.
-    suffix : str
-        Extension of a known format, with the dot.
-    """
+    """Return notices of what is lost or changed when a picture is written with the suffix of another format."""
     known = format_of_suffix(suffix)
     if known is None or known == picture.format:
         return ()
@@ -61,7 +53,7 @@ def losses(picture: Picture, suffix: str) -> tuple[str, ...]:
 
 
 def is_exact(picture: Picture) -> bool:
-    """Tell whether a picture written in its own format keeps the values that are not changed."""
+    """Whether a picture written in its own format keeps the values that are not changed."""
     if picture.format == "webp":
         return is_lossless_webp(picture.source)
     return picture.format != "jpeg" and picture.spec.get_string_attribute("compression") not in _LOSSY
@@ -70,25 +62,10 @@ def is_exact(picture: Picture) -> bool:
 def converted(
     picture: Picture, pixels: NDArray[Any], known: str, *, as_data: bool
 ) -> tuple[NDArray[Any], Any]:
-    """Return pixels as another format takes them, and their description for OpenImageIO.
+    """Return pixels as another format takes them, and their description (OpenImageIO.ImageSpec) for it.
 
-    Parameters
-    ----------
-    picture : Picture
-        What the pixels are.
-    pixels : ndarray, shape (H, W, C)
-        Like ``picture.pixels``.
-    known : str
-        Another format than the picture's.
-    as_data : bool
-        Whether numbers are kept as they are; otherwise colours become linear light in floats and sRGB in integers.
-
-    Returns
-    -------
-    pixels : ndarray, shape (H, W, D)
-        In the new type.
-    spec : OpenImageIO.ImageSpec
-        With the metadata that do not belong to the old format.
+    Unless they are data, colours become linear light in floats and sRGB in integers. Metadata are kept that do not
+    belong to the old format.
     """
     stored = _type_in(_finest(picture, known), known)
     kept = _kept_channels(picture, known)
@@ -123,7 +100,7 @@ def _type_in(stored: str, known: str) -> str:
 
 
 def _holds_any(known: str) -> bool:
-    """Tell whether a format has room for channels beside colours and alpha."""
+    """Whether a format holds channels besides colours and alpha."""
     return known in ("tiff", "openexr", "rla")
 
 
@@ -135,7 +112,7 @@ def _kept_channels(picture: Picture, known: str) -> list[int]:
 
 
 def _needs_three(picture: Picture, known: str) -> bool:
-    """Tell whether grey must become red, green and blue."""
+    """Whether grey must become red, green and blue."""
     return len(_kept_channels(picture, known)) not in FORMATS[known].channels and len(picture.colour) == 1
 
 
@@ -143,7 +120,7 @@ def _spec(picture: Picture, shape: tuple[int, ...], names: list[str], stored: st
     import OpenImageIO
 
     height, width, channels = shape
-    spec = OpenImageIO.ImageSpec(width, height, channels, _OIIO_TYPES[stored])
+    spec = OpenImageIO.ImageSpec(width, height, channels, TYPES[stored])
     spec.channelnames = tuple(names)
     for attribute in picture.spec.extra_attribs:
         if not attribute.name.startswith(_TECHNICAL) and attribute.name not in _ALSO_TECHNICAL:

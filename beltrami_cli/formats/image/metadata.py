@@ -32,14 +32,7 @@ _PLAIN_MARKERS = (0x01, *range(0xD0, 0xD9))  # markers without a segment
 def carry_over(source: bytes, encoded: bytes, known: str) -> bytes:
     """Return an encoded image with the metadata of another file of its format in place of its own.
 
-    Parameters
-    ----------
-    source : bytes
-        Whose metadata are wanted: colour profile, EXIF, XMP, texts, resolution, times.
-    encoded : bytes
-        Whose pixels are wanted.
-    known : str
-        Format of both. For other formats than "png", "jpeg" and "webp" nothing is done.
+    These are colour profile, EXIF, XMP, texts, resolution and times of PNG, JPEG and WebP files; others stay unchanged.
     """
     match known:
         case "png":
@@ -60,14 +53,14 @@ def without_additions(encoded: bytes, known: str) -> bytes:
 
 
 def is_animated(data: bytes, known: str) -> bool:
-    """Tell whether a PNG or WebP file is an animation."""
+    """Whether a PNG or WebP file is an animation."""
     if known == "png":
         return any(kind == b"acTL" for kind, _ in _png_chunks(data))
     return known == "webp" and data[12:16] == b"VP8X" and len(data) > 20 and bool(data[20] & _WEBP_ANIMATION)
 
 
 def has_palette(data: bytes, known: str) -> bool:
-    """Tell whether a PNG, BMP, TGA or GIF file stores numbers of colours in a palette."""
+    """Whether a PNG, BMP, TGA or GIF file stores indices into a palette."""
     match known:
         case "png":
             return data[25:26] == b"\3"  # colour type, in the header that every file starts with
@@ -80,17 +73,17 @@ def has_palette(data: bytes, known: str) -> bool:
 
 
 def is_lossless_webp(data: bytes) -> bool:
-    """Tell whether the (first) picture of a WebP file is coded without loss."""
+    """Whether the (first) picture of a WebP file is coded without loss."""
     return any(kind == b"VP8L" or b"VP8L" in payload[16:40] for kind, payload in _webp_chunks(data))
 
 
 def is_cmyk_jpeg(data: bytes) -> bool:
-    """Tell whether a JPEG file has four components."""
+    """Whether a JPEG file has four components."""
     return any(marker in _FRAMES and segment[9:10] == b"\x04" for marker, segment in _jpeg_segments(data))
 
 
 def is_progressive_jpeg(data: bytes) -> bool:
-    """Tell whether a JPEG file is made of scans that become finer."""
+    """Whether a JPEG file is made of scans that become finer."""
     return any(marker in _PROGRESSIVE for marker, _ in _jpeg_segments(data))
 
 
@@ -144,7 +137,7 @@ def _is_jpeg_metadata(marker: int) -> bool:
 
 
 def _carry_jpeg(source: bytes, encoded: bytes) -> bytes:
-    # Adobe's segment tells how these very samples are coded; MPF gives places of further images in the file.
+    # Adobe's segment says how these very samples are coded; MPF gives places of further images in the file.
     metadata = [
         segment
         for marker, segment in _jpeg_segments(source)

@@ -47,7 +47,7 @@ class Picture:
     suffix : str
         Extension for files of this kind, with the dot: the source's own if it fits the format.
     notices : tuple of str
-        What the user should be told, one sentence each, with the image's name.
+        Messages for the user, one sentence each, with the image's name.
     source : bytes
         The file, whose metadata are carried over.
     spec : OpenImageIO.ImageSpec
@@ -69,19 +69,36 @@ class Picture:
     spec: Any = field(repr=False)
 
 
-def to_float(picture: Picture) -> NDArray[np.float32]:
-    """Return all channels with full scale 1.
+def new_picture(pixels: NDArray[Any], name: str) -> Picture:
+    """Describe new sRGB pixels of uint8 or uint16, RGB or RGBA with unassociated alpha, as a PNG without metadata."""
+    import OpenImageIO
 
-    Returns
-    -------
-    ndarray of float32, shape (H, W, C)
-        Integers divided by their largest; floats as they are, which may leave [0, 1].
-    """
+    height, width, channels = pixels.shape
+    stored = "uint8" if pixels.dtype == "uint8" else "uint16"
+    return Picture(
+        name=name,
+        pixels=pixels,
+        channels=("R", "G", "B", "A")[:channels],
+        colour=(0, 1, 2),
+        alpha=3 if channels == 4 else None,
+        encoding="srgb",
+        stored=stored,
+        kinds=(stored,) * channels,
+        format="png",
+        suffix=".png",
+        notices=(),
+        source=b"",
+        spec=OpenImageIO.ImageSpec(width, height, channels, str(pixels.dtype)),
+    )
+
+
+def to_float(picture: Picture) -> NDArray[np.float32]:
+    """Return all channels, shape (H, W, C), as `full_scale_one` does."""
     return full_scale_one(picture.pixels)
 
 
 def is_associated(picture: Picture) -> bool:
-    """Tell whether alpha is multiplied into the stored colours, as it is in EXR files and may be in TIFF files."""
+    """Whether alpha is multiplied into the stored colours, as it is in EXR files and may be in TIFF files."""
     if picture.alpha is None or picture.format not in ("openexr", "tiff"):
         return False
     return not (picture.format == "tiff" and picture.spec.get_int_attribute("oiio:UnassociatedAlpha"))
@@ -102,7 +119,7 @@ def without_alpha(picture: Picture, values: NDArray[np.float32]) -> NDArray[np.f
 
 
 def lends_colour(picture: Picture, opacity: NDArray[Any]) -> NDArray[np.bool_]:
-    """Tell by their opacity, as stored, which pixels have a colour: not those that cannot be seen.
+    """Return by their stored opacity which pixels have a colour: not those that cannot be seen.
 
     Where alpha is multiplied into integers, a few steps of opacity leave as few steps of colour, which says little.
     """
@@ -114,7 +131,7 @@ def lends_colour(picture: Picture, opacity: NDArray[Any]) -> NDArray[np.bool_]:
 
 
 def is_unchanged(picture: Picture, pixels: NDArray[Any]) -> bool:
-    """Tell whether pixels, shape (H, W, C), are all as in the picture."""
+    """Whether pixels, shape (H, W, C), are all as in the picture."""
     # Some rows at a time: most differ in the first ones, and a whole table of booleans is large.
     return all(np.array_equal(pixels[rows], picture.pixels[rows]) for rows in blocks(len(pixels), _ROWS))
 

@@ -1,17 +1,17 @@
-"""Reading an image file in its own depth, with every limit checked before its pixels are decoded."""
+"""Reading an image file in its own depth, with every limit checked before its pixels are decoded, or only its size."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.image.changes import changes
-from beltrami_cli.formats.image.metadata import is_cmyk_jpeg
+from beltrami_cli.formats.image.metadata import has_palette, is_animated, is_cmyk_jpeg
+from beltrami_cli.formats.image.oiio import TYPES, opened
 from beltrami_cli.formats.image.picture import Picture
 from beltrami_cli.formats.image.recognition import READABLE, format_of, label_of, suffix_for
-from beltrami_cli.formats.image.scratch import scratch_file
 from beltrami_cli.surface.large_arrays import copy_of, is_on_disk
 
 if TYPE_CHECKING:
@@ -22,32 +22,60 @@ if TYPE_CHECKING:
 _LARGEST = 1 << 28  # pixels: 16384 x 16384, the largest texture that graphics cards take
 _MOST_CHANNELS = 64
 _MOST_MEGABYTES = 8192  # of decoded pixels
-_STORED = {"uint8": "uint8", "uint16": "uint16", "half": "float16", "float": "float32"}
+_STORED = {name: kind for kind, name in TYPES.items()}
 _NOT_BUILT_IN = ("support is not configured", "is not implemented")  # of a compression, as libtiff says
+_COLOURED = 3  # channels
+_PALETTE_IN_TIFF = 3  # its photometric interpretation
+_COMPRESSIONS_OF_TIFF = ("", "none", "lzw", "zip", "packbits")  # that OpenImageIO writes
+_WHOLE_BYTES = (8, 16, 32)
+# PNG and JPEG files have their size before their pixels, mostly in this many bytes, so that not all of them are copied.
+_SIZE_FIRST, _HEAD = (b"\x89PNG", b"\xff\xd8\xff"), 1 << 16
 _EXPORT = "export it as RGB or grey with 8 or 16 bits, or as floats"
 
 
+@dataclass(frozen=True)
+class ImageSize:
+    """Pixels and their bytes: width, height, channels, and the bytes of one sample."""
+
+    width: int
+    height: int
+    channels: int
+    sample: int
+
+    @property
+    def samples(self) -> int:
+        """Number of all samples."""
+        return self.width * self.height * self.channels
+
+    @property
+    def decoded(self) -> int:
+        """Bytes of all pixels."""
+        return self.samples * self.sample
+
+
+def measure_image(data: bytes) -> ImageSize | None:
+    """Return the size of an image file without decoding it; None if it is none that can be opened."""
+    head = data[:_HEAD] if data.startswith(_SIZE_FIRST) else data
+    size = _measured(head)
+    return _measured(data) if size is None and len(head) < len(data) else size
+
+
+def _measured(data: bytes) -> ImageSize | None:
+    import OpenImageIO
+
+    with opened(data) as (file, _):
+        if file is None:
+            OpenImageIO.geterror()
+            return None
+        spec = file.spec()
+        return ImageSize(spec.width, spec.height, spec.nchannels, spec.format.basesize())
+
+
 def read_image(data: bytes, name: str, *, finite: bool = True) -> Picture:
-    """Decode an image file.
+    """Decode an image file; with `finite`, values that are not finite are refused.
 
-    Parameters
-    ----------
-    data : bytes
-        The file.
-    name : str
-        Its name, for messages and for telling TGA files.
-    finite : bool
-        Whether values that are not finite are refused.
-
-    Returns
-    -------
-    Picture
-
-    Raises
-    ------
-    InputError
-        If it is of no known format, damaged or cut off, of no size or too large, of a type of sample that is not
-        supported, in the inks of print (CMYK) or in CIELAB, or has values that are not finite and must not.
+    InputError if it is of no known format, damaged or cut off, of no size or too large, of a type of sample that is not
+    supported, in CMYK or CIELAB, or has values that are not finite and must not.
     """
     import OpenImageIO
 
@@ -65,22 +93,16 @@ def read_image(data: bytes, name: str, *, finite: bool = True) -> Picture:
     OpenImageIO.attribute("limits:imagesize_MB", _MOST_MEGABYTES)
     config = OpenImageIO.ImageSpec()
     config.attribute("oiio:UnassociatedAlpha", 1)
-    with scratch_file(data) as path:
-        file = OpenImageIO.ImageInput.open(str(path), config)
+    with opened(data, config) as (file, path):
         if file is None:
             raise _damaged(name, known, OpenImageIO.geterror(), path)
-        try:
-            spec = file.spec().copy()
-            _check(spec, file.format_name(), known, name)
-            pixels = file.read_image(0, 0, 0, spec.nchannels, spec.format)
-            error = file.geterror()
-            if pixels is None or error:
-                raise _damaged(name, known, error, path)
-            notices = changes(file, spec, data, known, name)
-        finally:
-            file.close()
-            file.geterror()
-            OpenImageIO.geterror()
+        spec = file.spec().copy()
+        _check(spec, file.format_name(), known, name)
+        pixels = file.read_image(0, 0, 0, spec.nchannels, spec.format)
+        error = file.geterror()
+        if pixels is None or error:
+            raise _damaged(name, known, error, path)
+        notices = _changes(file, spec, data, known, name)
     if is_on_disk():
         pixels = copy_of(pixels)
     pixels = pixels.reshape(spec.height, spec.width, spec.nchannels)
@@ -94,10 +116,10 @@ def read_image(data: bytes, name: str, *, finite: bool = True) -> Picture:
     return _picture(data, name, known, spec, pixels, notices)
 
 
-def _check(spec: Any, opened: str, known: str, name: str) -> None:
+def _check(spec: Any, format_name: str, known: str, name: str) -> None:
     """Refuse what must not or cannot be decoded, going by the header."""
     width, height = spec.width, spec.height
-    if opened != known:
+    if format_name != known:
         raise InputError(name, f"it starts like a {known} image, but is none", READABLE)
     if spec.deep:
         raise InputError(name, "it is a deep image, with many samples a pixel", "flatten it")
@@ -167,3 +189,42 @@ def _damaged(name: str, known: str, error: str, path: Path) -> InputError:
         f"the {label_of(known)} image is damaged or cut off ({shown})",
         "export it anew",
     )
+
+
+def _changes(file: Any, spec: Any, data: bytes, known: str, name: str) -> tuple[str, ...]:
+    """Return notices of what is not kept of an OpenImageIO.ImageInput whose first image has been read."""
+    notices = []
+    if known == "psd":  # whose first image is all its layers together
+        notices.append(f"{name} is taken as it is shown, its layers together.")
+    elif is_animated(data, known) or file.seek_subimage(1, 0):
+        notices.append(f"{name} holds several images, of which only the first is read and kept.")
+    if file.seek_subimage(0, 1):
+        notices.append(f"{name} holds smaller copies of itself (mip levels), which are left out.")
+    in_tiff = spec.get_int_attribute("tiff:PhotometricInterpretation") == _PALETTE_IN_TIFF
+    # In a palette of greys alone OpenImageIO sees grey, and so writes it.
+    palette = in_tiff or has_palette(data, known)
+    if palette and spec.nchannels >= _COLOURED:
+        notices.append(f"{name} has a palette, which becomes full colours.")
+    bits = 0 if palette else _bits_a_sample(spec, data, known)
+    if bits and bits not in _WHOLE_BYTES:
+        notices.append(f"{name} has {bits}-bit samples, which become {8 * spec.format.size()}-bit ones.")
+    if known == "tiff":
+        notices += _changes_of_tiff(spec, name)
+    return tuple(notices)
+
+
+def _bits_a_sample(spec: Any, data: bytes, known: str) -> int:
+    """Return how many bits a sample has in the file; 0 if it does not say."""
+    return data[24] if known == "png" else int(spec.get_int_attribute("oiio:BitsPerSample"))
+
+
+def _changes_of_tiff(spec: Any, name: str) -> list[str]:
+    notices = []
+    if spec.get_string_attribute("tiff:ColorSpace") == "YCbCr":
+        notices.append(f"{name} stores brightness and hues (YCbCr), which become red, green and blue.")
+    compression = spec.get_string_attribute("compression")
+    if compression not in _COMPRESSIONS_OF_TIFF:
+        notices.append(
+            f"{name} is compressed by {compression}; what is written as TIFF is compressed by zip."
+        )
+    return notices

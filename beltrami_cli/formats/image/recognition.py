@@ -1,4 +1,4 @@
-"""Which image formats there are, what each can hold, and how their files are told apart."""
+"""Which image formats there are, what each can hold, and how their files are recognised."""
 
 from __future__ import annotations
 
@@ -95,20 +95,7 @@ _WITHOUT_MARK = ("targa", "rla")
 
 
 def format_of(data: bytes, name: str) -> str | None:
-    """Tell the format of an image file by its content; TGA and RLA, which need not have a mark, also by its name.
-
-    Parameters
-    ----------
-    data : bytes
-        The file.
-    name : str
-        Its name.
-
-    Returns
-    -------
-    str or None
-        A key of `FORMATS`.
-    """
+    """Return a key of `FORMATS` by the content; for TGA and RLA, which need not have a mark, also by the name."""
     for known, traits in FORMATS.items():
         if data.startswith(traits.signatures) and (known != "webp" or data[8:12] == b"WEBP"):
             return known
@@ -121,19 +108,9 @@ def format_of(data: bytes, name: str) -> str | None:
 
 
 def suffix_for(data: bytes, name: str) -> str:
-    """Return the extension of an image: that of its name if it fits the content, otherwise the usual one of its format.
+    """Return the suffix of an image with its dot, "" if it is of no known format.
 
-    Parameters
-    ----------
-    data : bytes
-        The file.
-    name : str
-        Its name.
-
-    Returns
-    -------
-    str
-        With the dot; empty if the content is of no known format.
+    It is that of its name if that fits the content, otherwise the usual one of its format.
     """
     known, suffix = format_of(data, name), suffix_of(name).lower()
     if known is None:
@@ -142,7 +119,7 @@ def suffix_for(data: bytes, name: str) -> str:
 
 
 def is_image(data: bytes, name: str) -> bool:
-    """Tell whether a file is an image, and none of the models and clouds whose text might start like one."""
+    """Whether a file is an image, and none of the models and clouds whose text might start like one."""
     return format_of(data, name) is not None and suffix_of(name).lower() not in _MODELS
 
 

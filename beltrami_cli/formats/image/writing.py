@@ -14,8 +14,8 @@ from beltrami_cli.formats.image.metadata import (
     is_progressive_jpeg,
     without_additions,
 )
+from beltrami_cli.formats.image.oiio import TYPES, scratch_file
 from beltrami_cli.formats.image.recognition import FORMATS, WRITABLE, format_of_suffix, label_of
-from beltrami_cli.formats.image.scratch import scratch_file
 from beltrami_cli.surface.records import ImageFile
 
 if TYPE_CHECKING:
@@ -34,7 +34,6 @@ _OF_MIP_LEVELS = (
 _LEAST_JPEG_2000 = 32  # what is halved five times; of smaller ones nobody reads what OpenImageIO writes
 _NEEDS_SUFFIX = ("jpeg2000",)  # which OpenImageIO writes in two ways, by the name
 _CHOICES = f"{', '.join(WRITABLE)} as the ending of OUTPUT or, of textures, with --texture-format"
-_TYPES = {"uint8": "uint8", "uint16": "uint16", "float16": "half", "float32": "float"}
 _PNG_FILTER_UP = 0x20  # as libpng numbers them
 
 
@@ -56,7 +55,7 @@ def write_image(
     pixels : ndarray, shape (H, W, C)
         Like ``picture.pixels`` in type and shape.
     suffix : str, optional
-        Extension of the format wanted, with the dot; by default the picture's own format.
+        Suffix of the format wanted, with the dot; by default the picture's own format.
     jpeg_quality : int
         Of lossy JPEG and WebP files, 1 to 100.
     small : bool
@@ -64,21 +63,10 @@ def write_image(
     as_data : bool
         Whether the colours are data (normals, roughness), which no change of encoding may touch.
 
-    Returns
-    -------
-    ImageFile
-
-    Raises
-    ------
-    UsageError
-        As `check_writable`.
-    ProcessingError
-        If OpenImageIO cannot write it.
-
     Notes
     -----
     PNG, TIFF, TGA, BMP, lossless WebP and floats keep every value; in WebP, colours under an alpha of 0 are lost.
-    `losses` says what another format cannot hold.
+    `losses` says what another format cannot hold. Errors: as `check_writable`, and ProcessingError from OpenImageIO.
     """
     known = check_writable(picture, suffix)
     if known != picture.format:
@@ -94,19 +82,9 @@ def write_image(
 
 
 def check_writable(picture: Picture, suffix: str | None) -> str:
-    """Return the format that a picture would be written as, a key of `recognition.FORMATS`.
+    """Return the format, a key of `FORMATS`, that a suffix (None: the picture's own format) stands for.
 
-    Parameters
-    ----------
-    picture : Picture
-        The source.
-    suffix : str or None
-        Extension of the format wanted, with the dot; None: the picture's own.
-
-    Raises
-    ------
-    UsageError
-        If that is no format, or one that is only read, or not fit for so small a picture.
+    UsageError if it is none, one that is only read, or not fit for an image this small.
     """
     known = picture.format if suffix is None else format_of_suffix(suffix)
     if known in _NEEDS_SUFFIX and min(picture.pixels.shape[:2]) < _LEAST_JPEG_2000:
@@ -122,7 +100,7 @@ def _bare_spec(picture: Picture) -> Any:
     import OpenImageIO
 
     height, width, channels = picture.pixels.shape
-    spec = OpenImageIO.ImageSpec(width, height, channels, _TYPES[picture.stored])
+    spec = OpenImageIO.ImageSpec(width, height, channels, TYPES[picture.stored])
     spec.attribute("oiio:UnassociatedAlpha", 1)
     subsampling = picture.spec.get_string_attribute("jpeg:subsampling")
     spec.attribute("jpeg:subsampling", subsampling or "4:4:4")

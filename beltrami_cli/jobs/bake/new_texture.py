@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from beltrami_cli.formats.image import write_image
-from beltrami_cli.formats.image.fresh import fresh_picture
+from beltrami_cli.formats.image.picture import new_picture
 from beltrami_cli.surface.colour_values import linear_to_srgb
 from beltrami_cli.surface.records import Texture, TexturedMesh, TexturedSurface
 from beltrami_cli.surface.unwrap import unwrap
@@ -54,7 +54,7 @@ class NewTexture:
 
     def encoded(self, suffix: str | None = None, jpeg_quality: int = 98, *, small: bool = False) -> ImageFile:
         """Return the texture as a file, PNG by default; options as for `write_image`."""
-        picture = fresh_picture(self.pixels, "the new texture")
+        picture = new_picture(self.pixels, "the new texture")
         return write_image(picture, self.pixels, suffix=suffix, jpeg_quality=jpeg_quality, small=small)
 
     def surface(self) -> TexturedSurface:

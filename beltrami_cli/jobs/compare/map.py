@@ -58,7 +58,7 @@ def draw_images(parts: Sequence[tuple[PairedColours, tuple[int, int]]], target: 
     if suffix == ".ply":
         raise UsageError(f"{target}: the map of images and textures is drawn as .png; end its name so")
     from beltrami_cli.formats.image import write_image
-    from beltrami_cli.formats.image.fresh import fresh_picture
+    from beltrami_cli.formats.image.picture import new_picture
 
     scale = _scale([pair for pair, _ in parts])
     drawn = [_image_of(pair, size, scale) for pair, size in parts]
@@ -67,7 +67,7 @@ def draw_images(parts: Sequence[tuple[PairedColours, tuple[int, int]]], target: 
     for panel in drawn:
         columns += [_padded(panel, height), np.full((height, _GAP, 3), 255, np.uint8)]
     pixels = np.ascontiguousarray(np.hstack(columns[:-1]))
-    return Written([write_image(fresh_picture(pixels, target), pixels, suffix=suffix).data]), scale
+    return Written([write_image(new_picture(pixels, target), pixels, suffix=suffix).data]), scale
 
 
 def draw_vertices(pair: PairedColours, document: Document, target: str) -> tuple[Written, float]:

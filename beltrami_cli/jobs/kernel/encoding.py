@@ -68,10 +68,10 @@ def encode(study: KernelStudy, facts: dict[str, object], suffix: str) -> Written
         shades = draw_mesh(view, study.radius)
         return write_scalars_as_ply(view.positions, view.faces, shades, scalars, comments)
     from beltrami_cli.formats.image import write_image
-    from beltrami_cli.formats.image.fresh import fresh_picture
+    from beltrami_cli.formats.image.picture import new_picture
 
     pixels = draw_window(view, study.radius)
-    return Written([write_image(fresh_picture(pixels, str(facts["output"])), pixels, suffix=suffix).data])
+    return Written([write_image(new_picture(pixels, str(facts["output"])), pixels, suffix=suffix).data])
 
 
 def _as_csv(study: KernelStudy) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 
 from beltrami_cli.errors import UsageError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
-from beltrami_cli.formats.image.measuring import measure_image
+from beltrami_cli.formats.image.reading import measure_image
 from beltrami_cli.formats.registry import sidecar_names, write_textured
 from beltrami_cli.jobs.bake.from_textures import texels_of, texture_from_textures
 from beltrami_cli.jobs.bake.from_vertices import texture_from_vertices

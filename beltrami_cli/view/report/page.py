@@ -9,7 +9,7 @@ from string import Template
 from typing import TYPE_CHECKING
 
 from beltrami_cli.formats.image import write_image
-from beltrami_cli.formats.image.fresh import fresh_picture
+from beltrami_cli.formats.image.picture import new_picture
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -50,7 +50,7 @@ def picture_tag(picture: NDArray[np.uint8], alternative: str) -> str:
 
 def data_address(picture: NDArray[np.uint8]) -> str:
     """Return an address that is the picture itself, as PNG."""
-    data = write_image(fresh_picture(picture, "a picture"), picture, suffix=".png").data
+    data = write_image(new_picture(picture, "a picture"), picture, suffix=".png").data
     return f"data:image/png;base64,{base64.b64encode(data).decode()}"
 
 

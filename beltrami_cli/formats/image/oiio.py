@@ -1,41 +1,45 @@
-"""Files that exist only for a library which reads and writes nothing else."""
+"""Files for OpenImageIO, which reads and writes only what has a name, and its reader with errors cleared behind it."""
 
 from __future__ import annotations
 
 import os
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from beltrami_cli.errors import ProcessingError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+TYPES = {"uint8": "uint8", "uint16": "uint16", "float16": "half", "float32": "float"}
+"""OpenImageIO's names of NumPy's types."""
+
 _OPEN_FILES = Path("/proc/self/fd")
 
 
 @contextmanager
+def opened(data: bytes, config: Any = None) -> Iterator[tuple[Any, Path]]:
+    """Open an image file; give an OpenImageIO.ImageInput, or None if that fails, and its path, which errors name."""
+    import OpenImageIO
+
+    with scratch_file(data) as path:
+        arguments = (str(path),) if config is None else (str(path), config)
+        file = OpenImageIO.ImageInput.open(*arguments)
+        if file is None:
+            yield None, path
+            return
+        try:
+            yield file, path
+        finally:
+            file.close()
+            file.geterror()
+            OpenImageIO.geterror()
+
+
+@contextmanager
 def scratch_file(data: bytes = b"", suffix: str = "") -> Iterator[Path]:
-    """Give a file a name for a while: in memory on Linux, in the folder for temporary files elsewhere.
-
-    Parameters
-    ----------
-    data : bytes
-        What it holds at first.
-    suffix : str
-        Extension with the dot, which no file in memory has.
-
-    Yields
-    ------
-    pathlib.Path
-        Its name.
-
-    Raises
-    ------
-    ProcessingError
-        If there is no room for it.
-    """
+    """Give a file a name for a while: in memory on Linux if it needs no suffix, else among temporary files."""
     if not suffix and hasattr(os, "memfd_create") and _OPEN_FILES.is_dir():
         descriptor = os.memfd_create("image")
         try:
