@@ -1,112 +1,123 @@
-"""A canvas with all that the flow knows of it, and one iteration of the kernel on cells side by side."""
+"""The canvas of an atlas: colours put on it and taken from there, and what the core knows of its cells."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from beltrami_cli.flow.regularisation import guide_radius
+import numpy as np
+
+from beltrami_cli.surface import large_arrays
+from beltrami_cli.surface.atlas import refresh_halo
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    import numpy as np
     from numpy.typing import NDArray
 
-    from beltrami_cli.flow.cell_fields import CellFields
-    from beltrami_cli.flow.grid_metric import GridMetric
-    from beltrami_cli.flow.parameters import KernelParameters
-    from beltrami_cli.surface.atlas import Atlas
-
-# The paper's scheme looks for the support of an obtuse quadrant so many cells away.
-_FURTHEST_SUPPORT = 10
-
-# The widest window that the sweeps are made for; a wider one is looked through by a heap march.
-_WIDEST_SWEEP = 15
+    from beltrami_cli.surface.atlas import Atlas, Indices
 
 
-@dataclass(frozen=True)
-class Canvas:
-    """A canvas as the flow has it.
+# Rows and columns about a halo cell in which others are looked for that show the same texel: those of a chart that is
+# up to seven times as fine as what it is continued by.
+_REPEATS_REACH = 3
 
-    Attributes
-    ----------
-    atlas : Atlas
-        With R x C cells, T of them owned, which are the samples.
-    cells : CellFields
-        Of the whole canvas.
-    metric : GridMetric
-        Of the whole canvas.
-    channels : int
-        How many of the values are colours, which the metric is made of.
-    parameters : KernelParameters
-        What to run with.
-    """
+# Rows that are looked at together.
+_ROWS = 256
 
-    atlas: Atlas
-    cells: CellFields
-    metric: GridMetric
-    channels: int
-    parameters: KernelParameters
-
-    @property
-    def margin(self) -> int:
-        """How many cells around a cell its result in one iteration depends on."""
-        parameters = self.parameters
-        support = _FURTHEST_SUPPORT if scheme_of(parameters) == "metric" else 0
-        blurred = guide_radius(parameters.metric_scale) if parameters.metric_steps else 0
-        return parameters.window // 2 + 1 + support + blurred
+# Cells whose colours are put on the canvas at a time: so few that they are still in the cache.
+_BLOCK = 1 << 16
 
 
-def scheme_of(parameters: KernelParameters) -> str:
-    """Return what the compiled core calls the way to take distances."""
-    if parameters.scheme == "metric":
-        return "metric"
-    return "sweep" if parameters.window <= _WIDEST_SWEEP else "triangles"
+def painted(atlas: Atlas, colours: NDArray[np.float32], threads: int) -> NDArray[np.float32]:
+    """Put the colours of the owned cells, shape (T, N), on the canvas; see `painted_by`."""
+    return painted_by(atlas, colours.shape[1], colours.__getitem__, threads)
 
 
-def apply_kernel(
-    kind: NDArray[np.uint8],
-    squared_lengths: NDArray[np.float32],
-    cells: CellFields,
-    metric: tuple[NDArray[np.float32], float],
-    planes: NDArray[np.float32],
-    parameters: KernelParameters,
-    threads: int,
-    progress: Callable[[int], None] | None = None,
-) -> tuple[NDArray[np.float32], int]:
-    """Average the planes of some cells side by side by their kernels, eq. (9).
+def painted_by(
+    atlas: Atlas, channels: int, colours_of: Callable[[slice], NDArray[np.float32]], threads: int
+) -> NDArray[np.float32]:
+    """Put the colours of owned cells on the canvas.
 
     Parameters
     ----------
-    kind : ndarray of uint8, shape (R', C')
-        EMPTY, OWNED or HALO, as in `Atlas`.
-    squared_lengths : ndarray of float32, shape (4, R', C')
-        As in `Atlas`.
-    cells : CellFields
-        Of these cells.
-    metric : (ndarray of float32, float)
-        Planes that distances are taken from, and their beta.
-    planes : ndarray of float32, shape (N, R', C')
-        What is averaged.
-    parameters : KernelParameters
-        What to run with.
+    atlas : Atlas
+        The canvas.
+    channels : int
+        How many each has.
+    colours_of : callable
+        Gives the colours of some of the T owned cells, shape (K, N).
     threads : int
         The result does not depend on it.
-    progress : callable, optional
-        Called with the cells done so far; may raise to stop.
 
     Returns
     -------
-    smoothed : ndarray of float32, shape (N, R', C')
-        With new values in OWNED cells.
-    held : int
-        Samples that all kernels held together.
+    ndarray of float32, shape (N, R, C)
+        Halo included; 0 elsewhere.
     """
-    from beltrami_cli._native import smooth_grid
+    from beltrami_cli._native import put_colours
 
-    distances, beta = metric
-    return smooth_grid(
-        kind, squared_lengths, cells.scale, cells.repeats, distances, planes, beta, parameters.t, parameters.radius,
-        parameters.window // 2, scheme_of(parameters), 0, threads, progress,
-    )  # fmt: skip
+    planes = large_arrays.zeros((channels, *atlas.kind.shape), np.float32)
+    for block in large_arrays.blocks(len(atlas.owned_cells), _BLOCK):
+        put_colours(planes, atlas.owned_cells[block], colours_of(block), threads)
+    refresh_halo(planes, atlas)
+    return planes
+
+
+def colours_at(planes: NDArray[np.float32], cells: Indices, threads: int) -> NDArray[np.float32]:
+    """Return the colours of K cells (flat indices, each once), shape (K, N), from planes of shape (N, R, C)."""
+    from beltrami_cli._native import take_colours
+
+    colours = large_arrays.empty((len(cells), len(planes)), np.float32)
+    for block in large_arrays.blocks(len(cells)):
+        take_colours(planes, cells[block], colours[block], threads)
+    return colours
+
+
+def local_scales(atlas: Atlas, window: int) -> NDArray[np.float32]:
+    """Tell by what squared lengths are multiplied, to be in units of the sample spacing around each cell.
+
+    Parameters
+    ----------
+    atlas : Atlas
+        The canvas.
+    window : int
+        Rows and columns over which the spacing is taken.
+
+    Returns
+    -------
+    ndarray of float32, shape (R, C)
+    """
+    from beltrami_cli._native import local_scale
+
+    rows, reach = atlas.kind.shape[0], window // 2
+    scales = large_arrays.empty(atlas.kind.shape, np.float32)
+    for band in large_arrays.blocks(rows, _ROWS):
+        first = max(0, band.start - reach)
+        right, below = atlas.squared_lengths[:2, first : band.stop + reach]
+        scales[band] = local_scale(right, below, reach)[band.start - first : band.stop - first]
+    return scales
+
+
+def halo_repeats(atlas: Atlas, threads: int) -> NDArray[np.uint8] | None:
+    """Count how often texels are shown beyond seams.
+
+    Parameters
+    ----------
+    atlas : Atlas
+        The canvas.
+    threads : int
+        Threads to use.
+
+    Returns
+    -------
+    ndarray of uint8, shape (R, C), or None
+        See `CellFields`; None if no texel is shown more than once.
+    """
+    from beltrami_cli._native import halo_repeats as count
+
+    if not len(atlas.halo_cells):
+        return None
+    cells, sources = (np.ascontiguousarray(of, np.int64) for of in (atlas.halo_cells, atlas.halo_nearest))
+    rows, columns = atlas.kind.shape
+    repeats = count(rows, columns, cells, sources, atlas.halo_seams, _REPEATS_REACH, threads)
+    return repeats if repeats.max(initial=1) > 1 else None

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli.flow.noise import choose_beta, residuals
+from beltrami_cli.flow.embedding import choose_beta
+from beltrami_cli.flow.noise.mesh import residuals
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

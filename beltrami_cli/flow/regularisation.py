@@ -42,40 +42,28 @@ class MeshGaussian:
     """
 
     def __init__(
-        self, count: int, edges: NDArray[np.int32], lengths: NDArray[np.float64], scale: float
+        self,
+        count: int,
+        edges: NDArray[np.int32],
+        lengths: NDArray[np.float64],
+        scale: float,
+        gain: float | None = None,
     ) -> None:
         self._edges, self._count = edges, count
         self._weights = np.exp(-(lengths**2) / (2 * scale**2)).astype(np.float32)
         self._total = 1 + self._gather(self._weights)
+        self.gain = self._mean_gain() if gain is None else gain
+
+    def _mean_gain(self) -> float:
         gains = np.sqrt(1 + self._gather(self._weights**2)) / self._total
         joined = self._total > 1  # vertices without neighbours keep their noise, and do not count
-        self.gain = float(gains[joined].mean()) if joined.any() else 1.0
+        return float(gains[joined].mean()) if joined.any() else 1.0
 
     def smooth(self, colours: NDArray[np.float32]) -> NDArray[np.float32]:
         """Smooth colours of shape (count, N)."""
         from beltrami_cli._native import neighbour_means
 
         return neighbour_means(colours, self._edges, self._weights, self._total)
-
-    def piece(self, rank: NDArray[np.int32], samples: NDArray[np.int64], count: int) -> MeshGaussian:
-        """Return the same means for a piece of the surface: right where it holds all neighbours, to the last bit.
-
-        Parameters
-        ----------
-        rank : ndarray of int32, shape (count,)
-            Where vertices stand in the piece, ascending; -1: not at all.
-        samples : ndarray of int64, shape (P,)
-            The vertices of the piece.
-        count : int
-            Places in the piece, of which some may stay empty.
-        """
-        part = copy(self)
-        ends = rank[self._edges]
-        inside = (ends >= 0).all(axis=1)
-        part._edges, part._weights, part._count = ends[inside], self._weights[inside], count
-        part._total = np.ones(count)
-        part._total[rank[samples]] = self._total[samples]
-        return part
 
     def _gather(self, weights: NDArray[np.float32]) -> NDArray[np.float64]:
         low, high = self._edges.T
@@ -115,19 +103,22 @@ class GridGaussian:
         atlas: Atlas | None = None,
         threads: int = 1,
     ) -> None:
-        self._threads = threads
+        self._threads, self._first = threads, 0
         self._taps = _gaussian_taps(scale)
         self._open = filled if walls else None
         self.gain = float(np.sum(self._taps**2))
         self._partial, self._part = self._partial_totals(filled)
         self._cut_means = None if atlas is None or not len(atlas.cut_cells) else CutMeans(atlas, self._taps)
 
-    def smooth(self, planes: NDArray[np.float32], first: int = 0) -> NDArray[np.float32]:
-        """Smooth some rows of planes, shape (N, K, C), which must be 0 where cells are not filled.
+    def from_row(self, first: int) -> GridGaussian:
+        """Return the same means for planes that begin with a row; within reach of their ends they are not right."""
+        part = copy(self)
+        part._first = first
+        return part
 
-        Of rows that are not all, those within the Gaussian's reach of the first and last are not right.
-        """
-        count, columns = planes.shape[1:]
+    def smooth(self, planes: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Smooth planes, shape (N, K, C), which must be 0 where cells are not filled."""
+        first, (count, columns) = self._first, planes.shape[1:]
         smoothed = self._convolve(planes, None if self._open is None else self._open[first : first + count])
         here = slice(*np.searchsorted(self._partial, [first * columns, (first + count) * columns]))
         partial = self._partial[here] - first * columns

@@ -57,7 +57,7 @@ def kernel(image: Array, at: tuple[int, int], **parameters: object) -> Array:
     table = image.reshape(rows * columns, -1).astype(np.float32)
     settings = KernelParameters(**{**PAPER, **parameters, "iterations": 0})
     flow = grid_flow(np.ones((rows, columns), bool), lambda pixels: table[pixels], settings)
-    cells = flow.atlas.owned_cells
+    cells = flow.manifold.atlas.owned_cells
     found = flow.kernel_at(int(cells[at[0] * columns + at[1]]))
     weights = np.zeros(rows * columns)
     weights[np.searchsorted(cells, found.samples)] = found.weights

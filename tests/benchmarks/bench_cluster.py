@@ -20,9 +20,10 @@ from beltrami_cli.batch.cluster.pieces import OnCluster
 from beltrami_cli.batch.job import Job
 from beltrami_cli.batch.record import Record
 from beltrami_cli.batch.run import run_batch
-from beltrami_cli.flow.iteration import BeltramiFlow
+from beltrami_cli.flow.beltrami_flow import BeltramiFlow
+from beltrami_cli.flow.mesh_manifold import MeshManifold
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.flow.partitions.splitting import in_pieces
+from beltrami_cli.flow.partitions import in_partitions
 from beltrami_cli.samples.images.grid_flow import grid_flow
 from beltrami_cli.samples.settings.smooth import SmoothSettings
 from beltrami_cli.surface.records import SampledSurface
@@ -69,7 +70,7 @@ def mesh(side=700):
     surface = SampledSurface(
         flat, faces.astype(np.int32), np.zeros((0, 3), np.int32), colours.astype(np.float32)
     )
-    return BeltramiFlow(surface, FIXED)
+    return BeltramiFlow(MeshManifold(surface, FIXED), FIXED)
 
 
 def texture(side=2048):
@@ -83,7 +84,7 @@ def in_eight_pieces(make):
     """Return what runs a flow, made before, in eight pieces; the time is of its iterations, from cut to joined."""
 
     def run(client):
-        with in_pieces(8, OnCluster(client)):
+        with in_partitions(8, OnCluster(client)):
             flow = make()
             start = time.perf_counter()
             flow.run()

@@ -20,8 +20,9 @@ import tuning_scene
 from bench_textures import scenes
 
 import beltrami_cli.flow.parameters as kernel
-from beltrami_cli.flow.canvas_colours import painted
-from beltrami_cli.flow.texels import TexelFlow
+from beltrami_cli.flow.beltrami_flow import BeltramiFlow
+from beltrami_cli.flow.canvas import painted
+from beltrami_cli.flow.grid_manifold import GridManifold
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.surface.atlas import build_atlas
 
@@ -84,9 +85,10 @@ def judge(scene, atlas, quality, subsampling, sigma):
     stored = texels([jpeg(image, quality, SUBSAMPLINGS[subsampling]) for image in noisy], atlas)
 
     def reached(**parameters):
-        flow = TexelFlow(atlas, painted(atlas, stored, threads=1), kernel.KernelParameters(**parameters))
+        own = kernel.KernelParameters(**parameters)
+        flow = BeltramiFlow(GridManifold(atlas, painted(atlas, stored, threads=1), own), own)
         flow.run()
-        return tuning_scene.psnr(flow.colours(), clean)
+        return tuning_scene.psnr(flow.values(), clean)
 
     best = max(
         reached(iterations=count, t=8.0, beta=255 * contrast / sigma, beta_growth=growth, metric_steps=2)

@@ -86,7 +86,7 @@ def judge(scene, sigma):
         used = flow.parameters
         mine = f"c {flow.beta * noise:.2f}, G {used.beta_growth:g}, t {used.t:g}"
         mine += f", K {used.metric_steps}, n {used.iterations}"
-        print(row, mine, [round(float(255 * s), 1) for s in flow.sigma], file=sys.stderr, flush=True)
+        print(row, mine, [round(float(255 * s), 1) for s in flow.manifold.sigma], file=sys.stderr, flush=True)
     return row
 
 

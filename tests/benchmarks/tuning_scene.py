@@ -12,15 +12,16 @@ import numpy as np
 import texture_files
 from scene import ROOT
 
-from beltrami_cli.flow.canvas import apply_kernel
-from beltrami_cli.flow.canvas_colours import painted
-from beltrami_cli.flow.iteration import BeltramiFlow
+from beltrami_cli.flow.beltrami_flow import BeltramiFlow
+from beltrami_cli.flow.canvas import painted
+from beltrami_cli.flow.grid_manifold import GridManifold
+from beltrami_cli.flow.manifold import Step
+from beltrami_cli.flow.mesh_manifold import MeshManifold
 from beltrami_cli.flow.parameters import TUNABLE, KernelParameters
-from beltrami_cli.flow.texels import TexelFlow
-from beltrami_cli.flow.trial_grid import _blocks, _cut_out
+from beltrami_cli.flow.tuning.grid_trial import choose_blocks, cut_blocks
 from beltrami_cli.formats.image import read_image
 from beltrami_cli.formats.registry import open_document
-from beltrami_cli.surface.atlas import HALO, OWNED, build_atlas, refresh_halo
+from beltrami_cli.surface.atlas import HALO, OWNED, build_atlas
 from beltrami_cli.surface.vertex_sampling import sample_vertices
 
 MARGIN = 6  # cells: half the window, and the reach of the regularised metric
@@ -50,7 +51,8 @@ class Texels:
 
     def flow(self, noisy, parameters):
         """Return the flow."""
-        return TexelFlow(self.atlas, painted(self.atlas, noisy, threads=1), parameters)
+        manifold = GridManifold(self.atlas, painted(self.atlas, noisy, threads=1), parameters)
+        return BeltramiFlow(manifold, parameters)
 
     def noisy(self, sigma):
         """Return colours with noise."""
@@ -87,7 +89,7 @@ class Vertices:
         """Return the flow on places."""
         colours = noisy[self._place[2].ravel()]
         surface, sampling = sample_vertices(self.painted, colours)
-        flow = BeltramiFlow(surface, parameters)
+        flow = BeltramiFlow(MeshManifold(surface, parameters), parameters)
         flow.rows = sampling.sample_of[self._first]
         return flow
 
@@ -112,8 +114,11 @@ def textures(scenes, most):
 
 def blocks_of(atlas, clean, most):
     """Return blocks of an atlas that end at their borders, and the colours of their owned cells."""
-    cells, core = _blocks(atlas, most, REACH)
-    part = _cut_out(atlas, cells, core, REACH)
+    cells, core = choose_blocks(atlas, most, REACH)
+    whole = GridManifold(
+        atlas, painted(atlas, clean.astype(np.float32), threads=1), KernelParameters(beta=0.0)
+    )
+    part = cut_blocks(whole, cells, core, REACH).atlas
     kind = part.kind.copy()
     kept = np.zeros(kind.size, bool)
     kept[part.halo_cells] = True
@@ -140,55 +145,35 @@ class Steps:
     def __init__(self, scene, noisy):
         # With these the flow makes all that its iterations need; beta and the rest are given step by step.
         self.flow = scene.flow(noisy, KernelParameters(iterations=1, beta=1.0, metric_steps=1))
-        self.scene, self.on_grid = scene, isinstance(self.flow, TexelFlow)
-        self.start = self._planes_with_marks() if self.on_grid else self.flow._with_marks()
-        self.channels = noisy.shape[1]
-
-    def _planes_with_marks(self):
-        clipped = self.flow._clipped
-        return np.concatenate([self.flow.planes, *([] if clipped is None else [self.flow._marks(clipped)])])
+        self.scene, self.on_grid = scene, isinstance(self.flow.manifold, GridManifold)
+        if self.on_grid:
+            self.flow.manifold = self.flow.manifold.in_one_block()
+        manifold, self.clipped = self.flow.manifold, self.flow.manifold.find_clipped()
+        marks = [] if self.clipped is None else [manifold.marks(self.clipped)]
+        self.start = [manifold.colours, *marks]
 
     def step(self, state, beta, t, *, regularised):
         """Return the state after an iteration."""
-        flow = self.flow
-        if self.on_grid:
-            atlas, parameters = flow.atlas, dataclasses.replace(flow.parameters, t=t)
-            metric = flow._metric.join(state[: self.channels], beta, regularised=regularised)
-            state, _ = apply_kernel(
-                atlas.kind,
-                atlas.squared_lengths,
-                flow._fields,
-                metric,
-                state,
-                parameters,
-                parameters.thread_count,
-            )
-            refresh_halo(state, atlas)
-            return state
-        colours = np.ascontiguousarray(state[:, : self.channels])
-        metric, used = flow._metric.join(colours, beta, regularised=regularised)
-        flow._manifold.update_metric(
-            flow._positions, metric, used, flow._scales, flow.parameters.thread_count
-        )
-        radius = dataclasses.replace(flow.parameters, t=t).radius
-        return flow._manifold.smooth(state, None, t, radius, 2000, flow.parameters.thread_count, None)[0]
+        self.flow.manifold.measure(state[0], Step(beta, t, regularised))
+        return self.flow.manifold.average(state).stacks
 
     def score(self, state):
         """Return the PSNR of a state, after averages of clipped noise were restored."""
-        planes = (state if self.on_grid else state.T).copy()
-        if self.flow._clipped is not None:
-            self.flow._clipped.restore(planes[: self.channels], planes[self.channels :])
-        planes = planes[: self.channels]
-        if self.on_grid:
-            return psnr(planes.reshape(self.channels, -1)[:, self.flow.atlas.owned_cells].T, self.scene.clean)
-        return psnr(self.flow._in_order(planes.T)[self.flow.rows], self.scene.clean)
+        manifold = self.flow.manifold
+        manifold.colours = state[0].copy()
+        if self.clipped is not None:
+            manifold.restore(self.clipped, state[1])
+        values = manifold.values()
+        return psnr(values if self.on_grid else values[self.flow.rows], self.scene.clean)
 
 
 def chosen(scene, noisy, **others):
     """Return the PSNR with parameters chosen from the data, and the flow."""
     flow = scene.flow(noisy, KernelParameters(free=TUNABLE, **others))
-    result = flow.run()
-    colours = flow.colours() if isinstance(flow, TexelFlow) else result.colours[flow.rows]
+    flow.run()
+    colours = flow.values()
+    if not isinstance(flow.manifold, GridManifold):
+        colours = colours[flow.rows]
     return psnr(colours, scene.clean), flow
 
 

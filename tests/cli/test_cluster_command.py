@@ -12,13 +12,12 @@ import pytest
 
 from beltrami_cli.batch.cluster.pieces import OnCluster
 from beltrami_cli.cli.main import group
-from beltrami_cli.flow.iteration import BeltramiFlow
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.flow.partitions.splitting import in_pieces
+from beltrami_cli.flow.partitions import in_partitions
 from cli.commands import COMMAND, SAMPLES, beltrami
 from cli.dask_cluster import Cluster
 from hostile.textured_models import write_model
-from properties.test_pieces import FIXED, SURFACE
+from properties.test_pieces import FIXED, SURFACE, smooth_mesh
 
 pytest.importorskip("distributed")
 
@@ -108,9 +107,9 @@ def test_a_worker_that_is_killed_midway_costs_nothing_but_time(cluster, tmp_path
     assert set(files_in(out).values()) == {single.read_bytes()}
 
 
-def test_a_surface_in_pieces_outlives_a_worker(cluster):
+def test_a_surface_in_partitions_outlives_a_worker(cluster):
     parameters = KernelParameters(**FIXED)
-    whole = BeltramiFlow(SURFACE, parameters).run()
+    whole = smooth_mesh(SURFACE, parameters)
     killed = []
 
     def progress(done, total):
@@ -118,8 +117,8 @@ def test_a_surface_in_pieces_outlives_a_worker(cluster):
             cluster.kill(min(cluster._workers))
             killed.append(done)
 
-    with cluster.client() as client, in_pieces(3, OnCluster(client)):
-        parts = BeltramiFlow(SURFACE, parameters).run(progress)
+    with cluster.client() as client, in_partitions(3, OnCluster(client)):
+        parts = smooth_mesh(SURFACE, parameters, progress)
     assert killed
     assert np.array_equal(parts.colours, whole.colours)
 

@@ -32,11 +32,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.errors import BeltramiError, InputError, UnpaintedError
+from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.check import check_files
 from beltrami_cli.jobs.smooth.file import smooth_file
-from beltrami_cli.samples.settings.smooth import KernelParameters, SmoothSettings
+from beltrami_cli.samples.settings.smooth import SmoothSettings
 from fuzz.test_replay import mutated
 
 if TYPE_CHECKING:

@@ -1,4 +1,4 @@
-"""A canvas that is smoothed band by band in place has the bits of one that is smoothed at once."""
+"""A canvas that is smoothed row block by row block in place has the bits of one that is smoothed at once."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from beltrami_cli.flow import bands
-from beltrami_cli.flow.canvas import Canvas
-from beltrami_cli.flow.guidance import Guide
+from beltrami_cli.flow import grid_manifold
+from beltrami_cli.flow.embedding import Guide
+from beltrami_cli.flow.grid_manifold import GridManifold
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.samples.images.grid_flow import grid_flow
 from beltrami_cli.surface.atlas import build_atlas
@@ -20,20 +20,11 @@ from properties.textured_planes import smoothed, texel_flow
 THREE_ITERATIONS = {**FIXED, "iterations": 3, "metric_steps": 2}
 
 
-def narrow_bands(monkeypatch):
-    """Let bands be as low as their margins allow; return a list that takes the heights of all."""
-    monkeypatch.setattr(bands, "_CELLS", 1)
-    monkeypatch.setattr(bands, "_CELLS_PER_THREAD", 0)
-    monkeypatch.setattr(bands, "_TILE_ROWS", 1)
-    counts = []
-    make = bands.Bands.__init__
-
-    def counting(self, canvas):
-        make(self, canvas)
-        counts.append(-(-len(canvas.atlas.kind) // self._height))
-
-    monkeypatch.setattr(bands.Bands, "__init__", counting)
-    return counts
+def low_row_blocks(monkeypatch):
+    """Let row blocks be as low as their margins allow."""
+    monkeypatch.setattr(grid_manifold, "ROW_BLOCK_CELLS", 1)
+    monkeypatch.setattr(grid_manifold, "CELLS_PER_THREAD", 0)
+    monkeypatch.setattr(grid_manifold, "TILE_ROWS", 1)
 
 
 def textured_flow(parameters):
@@ -54,17 +45,17 @@ def image_flow(parameters):
 
 @pytest.mark.parametrize("make", [textured_flow, image_flow])
 @pytest.mark.parametrize("name", ON_GRIDS)
-def test_bands_have_the_bits_of_the_whole(make, name, monkeypatch):
+def test_row_blocks_have_the_bits_of_the_whole(make, name, monkeypatch):
     parameters = KernelParameters(**{**THREE_ITERATIONS, **ON_GRIDS[name]})
     flow = make(parameters)
     assert name == "world" or flow._clipped is not None
-    whole, colours, gutter = flow.run(), flow.colours(), flow.gutter_colours()
-    counts = narrow_bands(monkeypatch)
+    whole, colours, gutter = flow.run(), flow.values(), flow.manifold.gutter_values()
+    low_row_blocks(monkeypatch)
     flow = make(parameters)
     parts = flow.run()
-    assert counts[-1] >= 3
-    assert np.array_equal(flow.colours(), colours)
-    assert np.array_equal(flow.gutter_colours(), gutter)
+    assert len(flow.manifold.row_blocks) >= 3
+    assert np.array_equal(flow.values(), colours)
+    assert np.array_equal(flow.manifold.gutter_values(), gutter)
     assert parts.samples_per_kernel == whole.samples_per_kernel
 
 
@@ -72,30 +63,29 @@ def test_a_margin_that_is_one_cell_too_narrow_is_not_enough(monkeypatch):
     """So the test above would see it."""
     parameters = KernelParameters(**{**FIXED, "metric_scale": 1.0, "beta": 1.0})
     whole = smoothed(image_flow(parameters))
-    narrow_bands(monkeypatch)
-    margin = Canvas.margin.fget
-    monkeypatch.setattr(Canvas, "margin", property(lambda canvas: margin(canvas) - 2))
+    low_row_blocks(monkeypatch)
+    margin = GridManifold.margin.fget
+    monkeypatch.setattr(GridManifold, "margin", property(lambda manifold: margin(manifold) - 2))
     assert not np.array_equal(smoothed(image_flow(parameters)), whole)
 
 
-def test_progress_goes_from_band_to_band_up_to_the_work_there_is(monkeypatch):
-    counts = narrow_bands(monkeypatch)
+def test_progress_goes_from_block_to_block_up_to_the_work_there_is(monkeypatch):
+    low_row_blocks(monkeypatch)
     flow = image_flow(KernelParameters(**THREE_ITERATIONS))
     told = []
     flow.run(lambda done, total: told.append((done, total)))
-    cells = flow.atlas.kind.size
-    assert counts == [counts[0]]
+    cells = flow.manifold.atlas.kind.size
     assert {total for _, total in told} == {3 * cells}
     assert [done for done, _ in told] == sorted(done for done, _ in told)
     assert told[-1][0] <= 3 * cells
 
 
-def test_chosen_parameters_do_not_depend_on_bands(monkeypatch):
+def test_chosen_parameters_do_not_depend_on_row_blocks(monkeypatch):
     free = dataclasses.replace(
         KernelParameters(threads=2), free=("iterations", "t", "beta", "beta_growth", "metric_steps")
     )
     whole = image_flow(free)
-    narrow_bands(monkeypatch)
+    low_row_blocks(monkeypatch)
     parts = image_flow(free)
     assert parts.choice == whole.choice
     assert np.array_equal(smoothed(parts), smoothed(whole))

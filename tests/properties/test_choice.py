@@ -8,11 +8,13 @@ import numpy as np
 import pytest
 
 import beltrami_cli
-from beltrami_cli.flow import patches, risk, trial_mesh
-from beltrami_cli.flow.iteration import BeltramiFlow
+from beltrami_cli.flow.beltrami_flow import BeltramiFlow
+from beltrami_cli.flow.manifold import Step
+from beltrami_cli.flow.mesh_manifold import MeshManifold
 from beltrami_cli.flow.parameters import TUNABLE, KernelParameters
-from beltrami_cli.flow.risk import Risk, RiskEstimate, Step
-from beltrami_cli.flow.schedule import Grid, Search
+from beltrami_cli.flow.tuning import mesh_trial, sure
+from beltrami_cli.flow.tuning.search import Grid, Search
+from beltrami_cli.flow.tuning.sure import Risk, RiskEstimate
 from beltrami_cli.surface.records import SampledSurface
 from oracles import surfaces
 
@@ -63,13 +65,13 @@ class Blur:
         return state.reshape(-1, state.shape[-1])
 
 
-@pytest.mark.parametrize(("epsilon", "bias"), [(0.05, 0.0), (risk._EPSILON, 0.03)])
+@pytest.mark.parametrize(("epsilon", "bias"), [(0.05, 0.0), (sure._EPSILON, 0.03)])
 def test_the_estimated_error_is_the_true_one(monkeypatch, epsilon, bias):
     """Over many draws of noise and signs, the mean difference is within four of its standard errors.
 
     A perturbation as large as is used, which makes estimates steady, may add 3 per cent of the noise's variance.
     """
-    monkeypatch.setattr(risk, "_EPSILON", epsilon)
+    monkeypatch.setattr(sure, "_EPSILON", epsilon)
     clean = painting(48)
     step = Step(beta=1.4 / SIGMA, t=2.4, regularised=False)
     differences = []
@@ -117,7 +119,7 @@ def test_signs_of_a_mesh_are_independent():
     positions, faces = surfaces.icosphere(4)
     colours = noisy(np.full(positions.shape, 0.5))
     edges = edges_of(faces)
-    first, second, third = trial_mesh.random_signs(colours, trial_mesh.fingerprints(colours, edges), 3)
+    first, second, third = mesh_trial.random_signs(colours, mesh_trial.fingerprints(colours, edges), 3)
     for one, other in ((first, second), (first, third), (second, third)):
         assert abs(np.mean(one * other)) < 0.05
     assert abs(np.mean(first[:, 0] * first[:, 1])) < 0.1
@@ -187,7 +189,7 @@ class Valleys:
 @pytest.mark.parametrize(("deeper", "beta"), [(0.05, 0.7), (0.2, 2.8)])
 def test_the_search_finds_the_deeper_of_two_valleys(deeper, beta):
     """One descent alone would end in the valley next to its start."""
-    grid = Grid((0.7, 1.4, 2.8), (1.5, 3.0), (8.0,), (0,), 2, 10, ((1, 0, 0, 0), (1, 1, 0, 0)))
+    grid = Grid((0.7, 1.4, 2.8), (1.5, 3.0), 8.0, (0,), 2, 10, ((1, 0, 0), (1, 1, 0)))
     best = Search(Valleys(deeper), grid, noise=1.0).run()
     assert best.beta == beta
 
@@ -208,7 +210,7 @@ class Slope:
 
 @pytest.mark.parametrize(("least_gain", "iterations", "steps"), [(0.0, 10, 10), (0.02, 1, 1)])
 def test_a_path_ends_where_an_iteration_gains_too_little(least_gain, iterations, steps):
-    grid = Grid((1.0,), (1.0,), (8.0,), (0,), None, 10, ((0, 0, 0, 0),), least_gain)
+    grid = Grid((1.0,), (1.0,), 8.0, (0,), None, 10, ((0, 0, 0),), least_gain)
     estimate = Slope()
     assert Search(estimate, grid, noise=1.0).run().plain == iterations
     assert estimate.steps == steps
@@ -240,11 +242,12 @@ def test_a_sample_of_a_mesh_is_enough(monkeypatch):
     clean = 0.5 + 0.2 * np.sign(np.sin(5 * positions))
     surface = SampledSurface(positions, faces, np.zeros((0, 3), np.int32), noisy(clean))
     reached = []
-    for budget in (patches._LEAST_TRIED // 2, patches._LEAST_TRIED):
-        monkeypatch.setattr(patches, "_LEAST_TRIED", budget)
-        flow = BeltramiFlow(surface, CHOSEN)
+    for budget in (mesh_trial._LEAST_TRIED // 2, mesh_trial._LEAST_TRIED):
+        monkeypatch.setattr(mesh_trial, "_LEAST_TRIED", budget)
+        flow = BeltramiFlow(MeshManifold(surface, CHOSEN), CHOSEN)
         assert flow.choice.samples < len(positions) / 2
-        reached.append(psnr(flow.run().colours, clean))
+        flow.run()
+        reached.append(psnr(flow.values(), clean))
     assert reached[0] > reached[1] - 0.3
 
 
@@ -256,8 +259,8 @@ def test_samples_are_enough_on_small_pieces():
     colours = np.random.default_rng(1).random((3 * count, 3)).astype(np.float32)
     whole = np.concatenate([edges + 3 * count * k for k in range(5)])
     colours = np.concatenate([colours + np.float32(0.01 * k) for k in range(5)])
-    chosen = patches.choose_patches(colours, trial_mesh.fingerprints(colours, whole), whole)
-    wanted = patches._LEAST_TRIED
+    chosen = mesh_trial.choose_patches(colours, mesh_trial.fingerprints(colours, whole), whole)
+    wanted = mesh_trial._LEAST_TRIED
     assert 0.7 * wanted < len(chosen.samples) < 1.3 * wanted
     assert np.all(np.bincount(chosen.samples // 3)[chosen.samples // 3] == 3)
 
@@ -273,7 +276,7 @@ def test_samples_hold_their_share_of_rare_detail():
         colours = (colours + 0.02 * np.random.default_rng(seed).standard_normal(colours.shape)).astype(
             np.float32
         )
-        chosen = patches.choose_patches(colours, trial_mesh.fingerprints(colours, edges), edges)
+        chosen = mesh_trial.choose_patches(colours, mesh_trial.fingerprints(colours, edges), edges)
         assert 0.4 * rare.mean() < rare[chosen.samples[chosen.counting]].mean() < 1.8 * rare.mean()
 
 

@@ -8,7 +8,7 @@ from scipy import stats
 
 from beltrami_cli import _native, smooth, smooth_image
 from beltrami_cli.flow.clipping import find_clipped, sigma_of_clipped, variance_of_clipped
-from beltrami_cli.flow.weakest import chi_square_quantile
+from beltrami_cli.flow.noise.flat_patch_noise import chi_square_quantile
 
 SIGMA = 0.08
 

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import pickle
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from beltrami_cli.errors import UsageError
-from beltrami_cli.flow import iteration
-from beltrami_cli.flow.canvas import Canvas
+from beltrami_cli.flow import mesh_partitions
+from beltrami_cli.flow.beltrami_flow import BeltramiFlow
+from beltrami_cli.flow.embedding import Guide
 from beltrami_cli.flow.geometry import GeometryParameters
-from beltrami_cli.flow.guidance import Guide
-from beltrami_cli.flow.iteration import BeltramiFlow
+from beltrami_cli.flow.grid_manifold import GridManifold
+from beltrami_cli.flow.mesh_manifold import MeshManifold
+from beltrami_cli.flow.mesh_partitions import Neighbours
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.flow.partitions.exchange import collect, plan_loans
-from beltrami_cli.flow.partitions.rings import Neighbours
-from beltrami_cli.flow.partitions.splitting import InTurn, in_pieces
+from beltrami_cli.flow.partitions import InTurn, collect, in_partitions, plan_loans
 from beltrami_cli.samples.images.grid_flow import grid_flow
 from beltrami_cli.surface.atlas import build_atlas
 from beltrami_cli.surface.records import SampledSurface
@@ -66,6 +67,13 @@ def wavy_surface(side, seed=0):
     )
 
 
+def smooth_mesh(surface, parameters, progress=None, **others):
+    """Return what comes of a mesh: its colours, and the result."""
+    flow = BeltramiFlow(MeshManifold(surface, parameters, **others), parameters)
+    result = flow.run(progress)
+    return SimpleNamespace(colours=flow.values(), **vars(result))
+
+
 SURFACE = wavy_surface(94)
 FIXED = {"iterations": 2, "t": 1.2, "beta": 6.0, "beta_growth": 1.5, "metric_steps": 1, "threads": 2}
 ON_MESHES = {
@@ -78,16 +86,16 @@ ON_MESHES = {
 
 
 @pytest.mark.parametrize("name", ON_MESHES)
-def test_a_mesh_in_pieces_has_the_bits_of_the_whole(name):
+def test_a_mesh_in_partitions_has_the_bits_of_the_whole(name):
     parameters = KernelParameters(**{**FIXED, **ON_MESHES[name]})
     random = np.random.default_rng(1)
     guides = [Guide("guide", random.random((len(SURFACE.positions), 2)).astype(np.float32), 2.0)]
-    whole = BeltramiFlow(SURFACE, parameters, guides=guides, metric_channels=[0, 1]).run()
+    whole = smooth_mesh(SURFACE, parameters, guides=guides, metric_channels=[0, 1])
     assert not np.array_equal(whole.colours, SURFACE.colours)
     for count, made in ((2, 2), (9, 3)):  # three blocks, so not more pieces
         runner = Sent()
-        with in_pieces(count, runner):
-            parts = BeltramiFlow(SURFACE, parameters, guides=guides, metric_channels=[0, 1]).run()
+        with in_partitions(count, runner):
+            parts = smooth_mesh(SURFACE, parameters, guides=guides, metric_channels=[0, 1])
         assert runner.counts[-1] == made
         assert np.array_equal(parts.colours, whole.colours)
         assert parts.samples_per_kernel == pytest.approx(whole.samples_per_kernel, rel=0.1)
@@ -98,37 +106,37 @@ def test_kernels_that_are_too_large_for_groups_have_the_bits_of_the_whole_too():
     surface = wavy_surface(65)
     large = {"solver": "segments", "t": 32.0, "max_samples": 20, "iterations": 1}
     parameters = KernelParameters(**{**FIXED, **large})
-    whole = BeltramiFlow(surface, parameters).run()
-    with in_pieces(2, InTurn(2)):
-        parts = BeltramiFlow(surface, parameters).run()
+    whole = smooth_mesh(surface, parameters)
+    with in_partitions(2, InTurn(2)):
+        parts = smooth_mesh(surface, parameters)
     assert np.array_equal(parts.colours, whole.colours)
 
 
 @pytest.mark.parametrize("name", ["segments", "marching", "areas", "cut short"])
 def test_pieces_that_are_too_narrow_are_found_out_and_cut_anew(name, monkeypatch):
     parameters = KernelParameters(**{**FIXED, **ON_MESHES[name]})
-    whole = BeltramiFlow(SURFACE, parameters).run()
-    monkeypatch.setattr(iteration, "_EDGES_PER_SPACING", 0.5)  # the first guess is four edges
+    whole = smooth_mesh(SURFACE, parameters)
+    monkeypatch.setattr(mesh_partitions, "_EDGES_PER_SPACING", 0.5)  # the first guess is four edges
     runner = Sent()
-    with in_pieces(3, runner):
-        parts = BeltramiFlow(SURFACE, parameters).run()
+    with in_partitions(3, runner):
+        parts = smooth_mesh(SURFACE, parameters)
     assert len(runner.counts) > 1
     assert np.array_equal(parts.colours, whole.colours)
 
 
 def test_parameters_are_chosen_on_the_whole():
     parameters = KernelParameters(free=("iterations", "t", "beta", "beta_growth", "metric_steps"), threads=2)
-    whole = BeltramiFlow(SURFACE, parameters).run()
-    with in_pieces(4, InTurn(2)):
-        parts = BeltramiFlow(SURFACE, parameters).run()
+    whole = smooth_mesh(SURFACE, parameters)
+    with in_partitions(4, InTurn(2)):
+        parts = smooth_mesh(SURFACE, parameters)
     assert parts.choice == whole.choice
     assert np.array_equal(parts.colours, whole.colours)
 
 
-def test_vertices_are_not_moved_in_pieces():
+def test_vertices_are_not_moved_in_partitions():
     geometry = GeometryParameters(np.arange(len(SURFACE.positions), dtype=np.int32))
-    with in_pieces(2, InTurn(1)), pytest.raises(UsageError, match="not moved in pieces"):
-        BeltramiFlow(SURFACE, KernelParameters(**FIXED), geometry=geometry)
+    with in_partitions(2, InTurn(1)), pytest.raises(UsageError, match="not moved in pieces"):
+        smooth_mesh(SURFACE, KernelParameters(**FIXED), geometry=geometry)
 
 
 ON_GRIDS = {
@@ -141,7 +149,7 @@ ON_GRIDS = {
 
 
 @pytest.mark.parametrize("name", ON_GRIDS)
-def test_a_texture_with_seams_and_slits_in_pieces_has_the_bits_of_the_whole(name):
+def test_a_texture_with_seams_and_slits_in_partitions_has_the_bits_of_the_whole(name):
     parameters = KernelParameters(**{**FIXED, **ON_GRIDS[name]})
     size = SIDE * TEXELS + 2
     atlas = build_atlas(cut_plane("aslant", True), [(size, size)], parameters.window // 2 + 3, 1)
@@ -149,7 +157,7 @@ def test_a_texture_with_seams_and_slits_in_pieces_has_the_bits_of_the_whole(name
 
 
 @pytest.mark.parametrize("name", ON_GRIDS)
-def test_an_image_with_holes_in_pieces_has_the_bits_of_the_whole(name):
+def test_an_image_with_holes_in_partitions_has_the_bits_of_the_whole(name):
     random = np.random.default_rng(5)
     valid = random.random((70, 90)) > 0.03
     positions = np.dstack([*np.meshgrid(np.arange(90.0), np.arange(70.0)), 3 * random.random((70, 90))])
@@ -166,16 +174,16 @@ def noisy(count):
 def check_grid(make, name):
     """The result and the gutter are those of the whole, and samples are counted exactly."""
     flow = make()
-    whole, colours, gutter = flow.run(), flow.colours(), flow.gutter_colours()
+    whole, colours, gutter = flow.run(), flow.values(), flow.manifold.gutter_values()
     assert flow._clipped is not None or name == "world"
     for count in (1, 2, 5):
         runner = Sent()
-        with in_pieces(count, runner):
+        with in_partitions(count, runner):
             flow = make()
             parts = flow.run()
         assert runner.counts == [count]
-        assert np.array_equal(flow.colours(), colours)
-        assert np.array_equal(flow.gutter_colours(), gutter)
+        assert np.array_equal(flow.values(), colours)
+        assert np.array_equal(flow.manifold.gutter_values(), gutter)
         assert parts.samples_per_kernel == whole.samples_per_kernel
 
 
@@ -184,19 +192,19 @@ def test_a_margin_that_is_one_cell_too_narrow_is_not_enough(monkeypatch):
     parameters = KernelParameters(**{**FIXED, "metric_scale": 1.0, "beta": 1.0})
     valid, values = np.ones((70, 90), bool), noisy(70 * 90)
     whole = smoothed(grid_flow(valid, lambda pixels: values[pixels], parameters))
-    margin = Canvas.margin.fget
-    monkeypatch.setattr(Canvas, "margin", property(lambda canvas: margin(canvas) - 2))
-    with in_pieces(4, InTurn(2)):
+    margin = GridManifold.margin.fget
+    monkeypatch.setattr(GridManifold, "margin", property(lambda manifold: margin(manifold) - 2))
+    with in_partitions(4, InTurn(2)):
         parts = smoothed(grid_flow(valid, lambda pixels: values[pixels], parameters))
     assert not np.array_equal(parts, whole)
 
 
-def test_nothing_to_do_is_nothing_in_pieces_too():
+def test_nothing_to_do_is_nothing_in_partitions_too():
     nothing = KernelParameters(**{**FIXED, "iterations": 0})
     values = noisy(30)
-    with in_pieces(3, InTurn(1)):
+    with in_partitions(3, InTurn(1)):
         result = smoothed(grid_flow(np.ones((5, 6), bool), lambda pixels: values[pixels], nothing))
-        mesh = BeltramiFlow(SURFACE, nothing).run()
+        mesh = smooth_mesh(SURFACE, nothing)
         empty = smoothed(
             grid_flow(np.zeros((5, 6), bool), lambda pixels: values[pixels], KernelParameters(**FIXED))
         )

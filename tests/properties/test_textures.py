@@ -49,7 +49,7 @@ def test_a_plane_cut_into_charts_gives_the_uncut_result(places, parameters):
     picture = painting(48)
     cut, flow = smooth_image(board.surface(), board.image_of(picture), **parameters)
     truth, _ = smooth_image(whole.surface(), picture, **parameters)
-    assert flow.jumps == 0
+    assert flow.manifold.jumps == 0
     # The same arithmetic in another order: sums of some 30 float32 terms, over four iterations.
     assert np.abs(cut[board.texel_places()] - truth).max() < 2e-5
 
@@ -127,9 +127,9 @@ def test_constants_stay_and_colours_stay_in_range_for_any_number_of_threads():
     assert np.array_equal(smooth_image(board.surface(), grey)[0], grey)
     image = board.image_of(painting(48))
     one, flow = smooth_image(board.surface(), image, threads=1)
-    owned = image.reshape(-1, 3)[flow.atlas.owned_texels]
-    assert (one >= owned.min(axis=(0)) - 1e-6).reshape(-1, 3)[flow.atlas.owned_texels].all()
-    assert (one <= owned.max(axis=(0)) + 1e-6).reshape(-1, 3)[flow.atlas.owned_texels].all()
+    owned = image.reshape(-1, 3)[flow.manifold.atlas.owned_texels]
+    assert (one >= owned.min(axis=(0)) - 1e-6).reshape(-1, 3)[flow.manifold.atlas.owned_texels].all()
+    assert (one <= owned.max(axis=(0)) + 1e-6).reshape(-1, 3)[flow.manifold.atlas.owned_texels].all()
     for threads in (2, 5):
         assert np.array_equal(one, smooth_image(board.surface(), image, threads=threads)[0])
 
@@ -203,7 +203,7 @@ def two_charts(jump, pattern=0.0):
 def test_a_seam_whose_sides_really_differ_is_told_from_a_noisy_one(jump, pattern, expected):
     board, picture = two_charts(jump, pattern)
     _, flow = smooth_image(board.surface(), board.image_of(picture))
-    assert flow.jumps == expected
+    assert flow.manifold.jumps == expected
 
 
 def test_nothing_is_smoothed_over_a_seam_whose_sides_really_differ():

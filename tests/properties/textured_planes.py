@@ -6,10 +6,11 @@ import dataclasses
 
 import numpy as np
 
-from beltrami_cli.flow.canvas_colours import painted
+from beltrami_cli.flow.beltrami_flow import BeltramiFlow
+from beltrami_cli.flow.canvas import painted
+from beltrami_cli.flow.grid_manifold import GridManifold
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.regularisation import guide_radius
-from beltrami_cli.flow.texels import TexelFlow
 from beltrami_cli.surface.atlas import build_atlas
 from beltrami_cli.surface.records import Texture, TexturedSurface
 from oracles import surfaces
@@ -87,13 +88,14 @@ class Board:
 
 def texel_flow(atlas, colours, parameters, **others):
     """Return the flow on texels with some colours, shape (T, N)."""
-    return TexelFlow(atlas, painted(atlas, colours, threads=1), parameters, **others)
+    manifold = GridManifold(atlas, painted(atlas, colours, threads=1), parameters, **others)
+    return BeltramiFlow(manifold, parameters)
 
 
 def smoothed(flow):
     """Run a flow on texels and return their colours."""
     flow.run()
-    return flow.colours()
+    return flow.values()
 
 
 def smooth_image(surface, image, **parameters):

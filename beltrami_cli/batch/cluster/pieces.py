@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from beltrami_cli.batch.cluster.connection import LOST
 from beltrami_cli.errors import ProcessingError
-from beltrami_cli.flow.partitions.exchange import Advance, collect, plan_loans
-from beltrami_cli.flow.partitions.splitting import Joined, TooNarrowError, joined
+from beltrami_cli.flow.partitions import Advance, Joined, TooNarrowError, collect, joined, plan_loans
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -20,7 +19,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from beltrami_cli.flow.partitions.exchange import Loan, Piece
+    from beltrami_cli.flow.partitions import Loan, Partition
 
 # So often a surface is begun again after workers died.
 _RETRIES = 5
@@ -30,7 +29,7 @@ _RETRIES = 5
 class _Given:
     """A piece, what it borrows, and the version of the program that cut it, as they are sent to a worker."""
 
-    piece: Piece
+    piece: Partition
     loans: list[Loan]
     version: str
 
@@ -49,7 +48,7 @@ class OnCluster:
 
     def run(
         self,
-        pieces: Sequence[Piece],
+        pieces: Sequence[Partition],
         values: NDArray[np.float32],
         iterations: int,
         progress: Callable[[int, int], None] | None,
@@ -85,7 +84,7 @@ class OnCluster:
 
     def _run(
         self,
-        pieces: Sequence[Piece],
+        pieces: Sequence[Partition],
         values: NDArray[np.float32],
         iterations: int,
         progress: Callable[[int, int], None] | None,

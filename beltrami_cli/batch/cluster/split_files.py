@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from beltrami_cli.batch.cluster.pieces import OnCluster
 from beltrami_cli.batch.doing import do_job
 from beltrami_cli.batch.job import Attempt
-from beltrami_cli.flow.partitions.splitting import in_pieces
+from beltrami_cli.flow.partitions import in_partitions
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -90,7 +90,7 @@ class SplittingCrew:
                 self._told.put((key, (label, done, total)))
 
         try:
-            with in_pieces(self._count, self._runner):
+            with in_partitions(self._count, self._runner):
                 self._told.put((key, do_job(job, self._memory, progress, is_alone=False)))
         except _GivenUp:
             pass

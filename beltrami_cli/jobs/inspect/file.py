@@ -87,8 +87,8 @@ def _describe_image(data: bytes, name: str, settings: SmoothSettings, access: Ac
     facts = prepared.facts()
     return {
         "file": {"name": name, "format": facts.pop("format"), "bytes": len(data)},
-        "image": {**facts, "pitch": flow.spacing},
-        "noise": prepared.colours.named(flow.sigma),
+        "image": {**facts, "pitch": flow.manifold.spacing},
+        "noise": prepared.colours.named(flow.manifold.sigma),
         "smooth": describe_kernel(settings, flow),
         "notices": list(prepared.notices),
     }

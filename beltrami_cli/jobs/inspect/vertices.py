@@ -37,20 +37,20 @@ def describe_vertices(document: Document, settings: SmoothSettings, access: Acce
         "colours": _describe_colours(painted),
         "surface" if is_mesh else "cloud": {
             **(_describe_mesh(painted, prepared) if is_mesh else _describe_cloud(painted, prepared)),
-            "mean_edge_length": flow.mean_edge_length,
+            "mean_edge_length": flow.manifold.spacing,
             "bounds": _bounds(painted),
         },
         "noise": {
             painted.channels[i]: float(s)
-            for i, s in zip(prepared.channels.taking_part, flow.sigma, strict=True)
+            for i, s in zip(prepared.channels.taking_part, flow.manifold.sigma, strict=True)
         },
         "smooth": describe_kernel(settings, flow)
         | (
             {}
-            if flow.moving is None
-            else {"normal_noise": flow.moving.sigma, "normal_beta": flow.moving.beta}
+            if flow.manifold.moving is None
+            else {"normal_noise": flow.manifold.moving.sigma, "normal_beta": flow.manifold.moving.beta}
         )
-        | {"samples_per_kernel": round(flow.probe_samples(_PROBED_KERNELS), 1)},
+        | {"samples_per_kernel": round(flow.manifold.samples_per_kernel(_PROBED_KERNELS, flow.step(0)), 1)},
     }
 
 
@@ -89,7 +89,7 @@ def describe_range(
 
     prepared = prepare_range(document.painted(), grid, settings, vertex_guides(document, settings, access))
     flow = prepared.flow(settings)
-    samples = len(flow.atlas.owned_texels)
+    samples = len(flow.manifold.atlas.owned_texels)
     return {
         "colours": _describe_colours(prepared.painted),
         "surface": {
@@ -97,9 +97,9 @@ def describe_range(
             "vertices": len(prepared.painted.positions),
             "samples": samples,
             "holes": grid.size - samples,
-            "mean_edge_length": flow.spacing,
+            "mean_edge_length": flow.manifold.spacing,
         },
-        "noise": prepared.named(flow.sigma),
+        "noise": prepared.named(flow.manifold.sigma),
         "smooth": describe_kernel(settings, flow),
     }
 

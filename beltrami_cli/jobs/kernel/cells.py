@@ -13,9 +13,10 @@ from beltrami_cli.surface.atlas import EMPTY
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from beltrami_cli.flow.one_kernel import SampledKernel
+    from beltrami_cli.flow.beltrami_flow import BeltramiFlow
+    from beltrami_cli.flow.grid_manifold import GridManifold
+    from beltrami_cli.flow.kernel_probe import SampledKernel
     from beltrami_cli.flow.parameters import KernelParameters
-    from beltrami_cli.flow.texels import TexelFlow
     from beltrami_cli.surface.atlas import Atlas
 
 # Cells around the window that are shown at least.
@@ -23,7 +24,7 @@ _LEAST_SURROUNDINGS = 4
 
 
 def study_cell(
-    flow: TexelFlow,
+    flow: BeltramiFlow[GridManifold],
     kernel: SampledKernel,
     shown: Shown,
     parameters: KernelParameters,
@@ -35,7 +36,7 @@ def study_cell(
 
     Parameters
     ----------
-    flow : TexelFlow
+    flow : BeltramiFlow
         What it was taken from.
     kernel : SampledKernel
         The kernel.
@@ -101,14 +102,14 @@ def find_cell(atlas: Atlas, index: int, column: int, row: int, width: int, name:
     return int(atlas.owned_cells[mine[nearest]])
 
 
-def _view(flow: TexelFlow, kernel: SampledKernel, shown: Shown, window: int) -> WindowView:
+def _view(flow: BeltramiFlow[GridManifold], kernel: SampledKernel, shown: Shown, window: int) -> WindowView:
     """Cut out what lies around a kernel."""
     reach = window // 2
     around = reach + max(reach, _LEAST_SURROUNDINGS)
-    columns = flow.atlas.kind.shape[1]
+    columns = flow.manifold.atlas.kind.shape[1]
     row, column = divmod(int(kernel.samples[0]), columns)
-    filled = _patch(flow.atlas.kind, row, column, around) != EMPTY
-    planes = _patch(flow.planes, row, column, around)
+    filled = _patch(flow.manifold.atlas.kind, row, column, around) != EMPTY
+    planes = _patch(flow.manifold.colours, row, column, around)
     distances = np.full(filled.shape, np.nan, np.float32)
     weights = np.zeros(filled.shape, np.float32)
     y, x = np.divmod(kernel.samples, columns)

@@ -56,10 +56,13 @@ def study_pixel(
     height, width = prepared.valid.shape
     column, row = place.pixel_of(width, height, name)
     flow = prepared.flow(settings)
-    cell = find_cell(flow.atlas, 0, column, row, width, f"the pixel {column},{row} of {name}")
+    cell = find_cell(flow.manifold.atlas, 0, column, row, width, f"the pixel {column},{row} of {name}")
     flow.run(progress)
     kernel = flow.kernel_at(cell)
-    y, x = np.divmod(flow.atlas.owned_texels[np.searchsorted(flow.atlas.owned_cells, kernel.samples)], width)
+    y, x = np.divmod(
+        flow.manifold.atlas.owned_texels[np.searchsorted(flow.manifold.atlas.owned_cells, kernel.samples)],
+        width,
+    )
     shown = Shown(prepared.colours.names, settings.space)
     facts: dict[str, object] = {"at": f"pixel {column},{row}"}
     unit = "pixel" if prepared.surface.positions is None else ""

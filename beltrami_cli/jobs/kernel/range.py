@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from beltrami_cli.flow.guidance import Guide
+    from beltrami_cli.flow.embedding import Guide
     from beltrami_cli.jobs.kernel.place import Place
     from beltrami_cli.samples.settings.smooth import SmoothSettings
     from beltrami_cli.surface.records import PaintedVertices
@@ -62,13 +62,13 @@ def study_range(
     prepared = prepare_range(painted, grid, settings, guides)
     flow = prepared.flow(settings)
     vertex = _vertex_at(painted, grid, name, place)
-    vertices = grid.reshape(-1)[flow.atlas.owned_texels]
+    vertices = grid.reshape(-1)[flow.manifold.atlas.owned_texels]
     (found,) = np.nonzero(vertices == vertex)
     if not len(found):
         raise UsageError(f"--at {place.text}: {name} has no measured vertex on its grid there")
     flow.run(progress)
-    kernel = flow.kernel_at(int(flow.atlas.owned_cells[found[0]]))
-    held = vertices[np.searchsorted(flow.atlas.owned_cells, kernel.samples)]
+    kernel = flow.kernel_at(int(flow.manifold.atlas.owned_cells[found[0]]))
+    held = vertices[np.searchsorted(flow.manifold.atlas.owned_cells, kernel.samples)]
     shown = Shown(
         tuple(painted.channels[channel] for channel in prepared.channels.taking_part), settings.space
     )

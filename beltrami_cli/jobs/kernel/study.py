@@ -12,7 +12,7 @@ from beltrami_cli.flow.colour_space import from_space
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from beltrami_cli.flow.one_kernel import SampledKernel
+    from beltrami_cli.flow.kernel_probe import SampledKernel
     from beltrami_cli.flow.parameters import KernelParameters, Space
 
 _COLOURS = ("red", "green", "blue", "grey")

@@ -66,10 +66,12 @@ def study_texel(
     height, width = picture.pixels.shape[:2]
     column, row = place.texel_of(width, height, name, v_down=document.format in ("gltf", "glb"))
     flow = prepared.flow(settings)
-    cell = find_cell(flow.atlas, index, column, row, width, f"the texel {column},{row} of {name}")
+    cell = find_cell(flow.manifold.atlas, index, column, row, width, f"the texel {column},{row} of {name}")
     flow.run(progress)
     kernel = flow.kernel_at(cell)
-    textures, x, y = _texels_of(flow.atlas, kernel.samples, [p.pixels.shape[1] for p in prepared.pictures])
+    textures, x, y = _texels_of(
+        flow.manifold.atlas, kernel.samples, [p.pixels.shape[1] for p in prepared.pictures]
+    )
     names = np.array([texture.name for texture in prepared.surface.textures])
     columns: dict[str, NDArray[np.generic]] = {"texture": names[textures], "x": x, "y": y}
     shown = Shown(prepared.colours.names, prepared.colours.space)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from beltrami_cli.flow.one_kernel import SampledKernel
+    from beltrami_cli.flow.kernel_probe import SampledKernel
     from beltrami_cli.formats.document import Document
     from beltrami_cli.jobs.kernel.place import Place
     from beltrami_cli.samples.settings.smooth import SmoothSettings
@@ -66,7 +66,8 @@ def study_vertex(
     prepared = prepare(painted, settings, vertex_guides(document, settings, access))
     flow, sampling = prepared.flow(settings), prepared.sampling
     shown = Shown(tuple(painted.channels[i] for i in prepared.channels.taking_part), settings.space)
-    shades = shown.shades(flow.run(progress).colours)
+    flow.run(progress)
+    shades = shown.shades(flow.values())
     kernel = flow.kernel_at(int(sampling.sample_of[vertex]))
     vertices = sampling.first_vertex[kernel.samples]
     facts = {

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from beltrami_cli.flow.canvas_colours import painted
+from beltrami_cli.flow.canvas import painted
 from beltrami_cli.formats.image import check_writable, losses, write_image
 from beltrami_cli.jobs.noise.image import lossy_notice
 from beltrami_cli.jobs.noise.kinds import add_noise, bounds

@@ -120,8 +120,8 @@ def _smoothed(
     with watch.stage("smooth"):
         flow = prepared.flow(settings)
         result = flow.run(None if progress is None else lambda done, total: progress("image", done, total))
-        owned, guides = flow.atlas.owned_texels, flow.guide_betas
-        iterations, colours = flow.parameters.iterations, flow.colours()
+        owned, guides = flow.manifold.atlas.owned_texels, flow.manifold.guide_betas
+        iterations, colours = flow.parameters.iterations, flow.values()
         del flow  # canvases as large as the pixels that are made now
     with watch.stage("write"):
         pixels, change = prepared.colours.repainted(owned, colours, settings.kernel.thread_count)

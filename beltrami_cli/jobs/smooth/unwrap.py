@@ -29,7 +29,7 @@ from beltrami_cli.samples.vertices.smooth import smooth_painted
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from beltrami_cli.flow.guidance import Guide
+    from beltrami_cli.flow.embedding import Guide
     from beltrami_cli.formats.document import Document
     from beltrami_cli.jobs.bake.new_texture import NewTexture
     from beltrami_cli.jobs.bake.settings import BakeSettings

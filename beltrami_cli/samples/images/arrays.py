@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-    from beltrami_cli.flow.choice import Choice
     from beltrami_cli.flow.parameters import KernelParameters, Space
+    from beltrami_cli.flow.tuning.choice import Choice
     from beltrami_cli.samples.images.guides import GuideImage
     from beltrami_cli.surface.records import Encoding
 
@@ -126,9 +126,9 @@ class ArrayImage:
             metric_channels=None if metric_channels is None else sorted(set(metric_channels)),
         )
         result = flow.run(progress)
-        pixels = flow.atlas.owned_texels
+        pixels = flow.manifold.atlas.owned_texels
         return ImageResult(
-            self._with(pixels, flow.colours()).reshape(*self.shape, -1),
+            self._with(pixels, flow.values()).reshape(*self.shape, -1),
             result.beta,
             result.spacing,
             result.sigma,

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from beltrami_cli.flow.canvas_colours import painted
+from beltrami_cli.flow.beltrami_flow import BeltramiFlow
+from beltrami_cli.flow.canvas import painted
+from beltrami_cli.flow.grid_manifold import GridManifold
 from beltrami_cli.flow.regularisation import guide_radius
-from beltrami_cli.flow.texels import TexelFlow
 from beltrami_cli.surface.atlas import grid_atlas
 
 if TYPE_CHECKING:
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from beltrami_cli.flow.guidance import Guide
+    from beltrami_cli.flow.embedding import Guide
     from beltrami_cli.flow.parameters import KernelParameters
 
 
@@ -37,7 +38,7 @@ def grid_flow(
     heights: NDArray[np.float64] | None = None,
     guides: Sequence[GuidePixels] = (),
     metric_channels: Sequence[int] | None = None,
-) -> TexelFlow:
+) -> BeltramiFlow[GridManifold]:
     """Make the flow on an image.
 
     Parameters
@@ -60,7 +61,7 @@ def grid_flow(
 
     Returns
     -------
-    TexelFlow
+    BeltramiFlow
         Its owned texels are the pixels that are no holes, row by row.
     """
     if heights is not None:
@@ -70,7 +71,7 @@ def grid_flow(
     margin = kernel.window // 2 + (guide_radius(kernel.metric_scale) if kernel.metric_steps else 0)
     atlas = grid_atlas(valid.shape, margin, positions, valid)
     del positions  # as large as all that follows
-    return TexelFlow(
+    manifold = GridManifold(
         atlas,
         painted(atlas, colours_of(atlas.owned_texels), kernel.thread_count),
         kernel,
@@ -79,6 +80,7 @@ def grid_flow(
         metric_channels=metric_channels,
         unit=None if heights is None else 1.0,
     )
+    return BeltramiFlow(manifold, kernel)
 
 
 def _over_the_plane(heights: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.flow.guidance import Guide
+from beltrami_cli.flow.embedding import Guide
 from beltrami_cli.samples.images.guide_files import read_map, require_size
 
 if TYPE_CHECKING:

@@ -20,7 +20,8 @@ from beltrami_cli.samples.settings.smooth import DEFAULTS
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from beltrami_cli.flow.texels import TexelFlow
+    from beltrami_cli.flow.beltrami_flow import BeltramiFlow
+    from beltrami_cli.flow.grid_manifold import GridManifold
     from beltrami_cli.formats.image import Picture
     from beltrami_cli.samples.images.surface import ImageSurface
     from beltrami_cli.samples.settings.smooth import SmoothSettings
@@ -53,7 +54,7 @@ class PreparedImage:
     notices: tuple[str, ...]
     guides: tuple[GuideImage, ...]
 
-    def flow(self, settings: SmoothSettings) -> TexelFlow:
+    def flow(self, settings: SmoothSettings) -> BeltramiFlow[GridManifold]:
         """Make the flow on these samples."""
         return grid_flow(
             self.valid,

@@ -9,7 +9,7 @@ import numpy as np
 
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.colour_space import from_space, to_space
-from beltrami_cli.flow.guidance import Guide
+from beltrami_cli.flow.embedding import Guide
 from beltrami_cli.samples.images.grid_flow import grid_flow
 from beltrami_cli.samples.settings.smooth import DEFAULTS
 from beltrami_cli.samples.vertices.channels import ChosenChannels, choose_channels
@@ -20,7 +20,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from beltrami_cli.flow.texels import TexelFlow
+    from beltrami_cli.flow.beltrami_flow import BeltramiFlow
+    from beltrami_cli.flow.grid_manifold import GridManifold
     from beltrami_cli.samples.settings.smooth import SmoothSettings
     from beltrami_cli.surface.records import PaintedVertices
 
@@ -46,7 +47,7 @@ class PreparedRange:
     channels: ChosenChannels
     guides: tuple[Guide, ...]
 
-    def flow(self, settings: SmoothSettings) -> TexelFlow:
+    def flow(self, settings: SmoothSettings) -> BeltramiFlow[GridManifold]:
         """Make the flow on these samples."""
         measured = self.grid >= 0
         positions = np.full((*self.grid.shape, 3), np.nan)
@@ -146,9 +147,9 @@ def smooth_range(
     prepared = prepare_range(painted, grid, settings, guides)
     flow = prepared.flow(settings)
     result = flow.run(progress)
-    places = flow.atlas.owned_texels
+    places = flow.manifold.atlas.owned_texels
     changing, written = prepared.channels.changing, prepared.channels.written
-    after = flow.colours()[:, written]
+    after = flow.values()[:, written]
     moved = np.any(prepared.working(places, settings)[:, written] != after, axis=1)
     vertices = grid.reshape(-1)[places[moved]]
     colours = painted.colours.copy()
@@ -167,6 +168,6 @@ def smooth_range(
         result.samples_per_kernel,
         0,
         flow.parameters.iterations,
-        flow.guide_betas,
+        flow.manifold.guide_betas,
         choice=result.choice,
     )

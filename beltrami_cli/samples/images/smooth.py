@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, get_args
 
 from beltrami_cli.errors import UsageError
-from beltrami_cli.flow.guidance import centred
+from beltrami_cli.flow.embedding import centred
 from beltrami_cli.flow.parameters import Space, parameters_with
 from beltrami_cli.samples.images.arrays import ArrayImage, ImageResult, pixel_array, pixel_colours
 from beltrami_cli.samples.images.guides import GuideImage

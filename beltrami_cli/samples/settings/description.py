@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from beltrami_cli.flow.choice import Choice
-    from beltrami_cli.flow.iteration import BeltramiFlow
-    from beltrami_cli.flow.texels import TexelFlow
+    from beltrami_cli.flow.beltrami_flow import BeltramiFlow
+    from beltrami_cli.flow.tuning.choice import Choice
     from beltrami_cli.samples.settings.smooth import SmoothSettings
 
 
@@ -27,7 +26,7 @@ def describe_settings(settings: SmoothSettings) -> dict[str, object]:
     }
 
 
-def describe_kernel(settings: SmoothSettings, flow: BeltramiFlow | TexelFlow) -> dict[str, object]:
+def describe_kernel(settings: SmoothSettings, flow: BeltramiFlow[Any]) -> dict[str, object]:
     """Return the parameters of the kernel that a flow uses."""
     choice = describe_choice(flow.choice)
     used = dataclasses.asdict(dataclasses.replace(flow.parameters, beta=flow.beta))
@@ -36,7 +35,7 @@ def describe_kernel(settings: SmoothSettings, flow: BeltramiFlow | TexelFlow) ->
         **used,
         "threads": settings.kernel.thread_count,
         "space": settings.space,
-        **({"guide_betas": flow.guide_betas} if flow.guide_betas else {}),
+        **({"guide_betas": flow.manifold.guide_betas} if flow.manifold.guide_betas else {}),
         **({"choice": choice} if choice else {}),
     }
 

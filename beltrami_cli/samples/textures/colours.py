@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from beltrami_cli.errors import UsageError
-from beltrami_cli.flow.canvas_colours import painted_by
+from beltrami_cli.flow.canvas import painted_by
 from beltrami_cli.flow.colour_space import from_space, to_space
 from beltrami_cli.formats.image.picture import full_scale_one, is_associated, lends_colour, without_alpha
 from beltrami_cli.surface import large_arrays

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli.flow.canvas_colours import painted
-from beltrami_cli.flow.texels import TexelFlow
+from beltrami_cli.flow.beltrami_flow import BeltramiFlow
+from beltrami_cli.flow.canvas import painted
+from beltrami_cli.flow.grid_manifold import GridManifold
 from beltrami_cli.samples.textures.choosing import only_textures
 from beltrami_cli.samples.textures.prepare import build_slot_atlas
 from beltrami_cli.surface.atlas import without_owned
@@ -22,14 +23,16 @@ if TYPE_CHECKING:
     from beltrami_cli.surface.records import TexturedSurface
 
 
-def describe_slot(prepared: PreparedSlot, flow: TexelFlow, settings: SmoothSettings) -> dict[str, object]:
+def describe_slot(
+    prepared: PreparedSlot, flow: BeltramiFlow[GridManifold], settings: SmoothSettings
+) -> dict[str, object]:
     """Return facts about the textures of a slot, together and each by itself.
 
     Parameters
     ----------
     prepared : PreparedSlot
         The textures.
-    flow : TexelFlow
+    flow : BeltramiFlow
         On them all.
     settings : SmoothSettings
         As for `prepare_slot`.
@@ -43,22 +46,22 @@ def describe_slot(prepared: PreparedSlot, flow: TexelFlow, settings: SmoothSetti
     """
     described = describe_textures(prepared)
     flows = [flow] if len(described) == 1 else [_alone(prepared, i, settings) for i in range(len(described))]
-    atlases = [prepared.atlas] if len(described) == 1 else [own.atlas for own in flows]
+    atlases = [prepared.atlas] if len(described) == 1 else [own.manifold.atlas for own in flows]
     for facts, atlas, own in zip(described, atlases, flows, strict=True):
         facts |= {"charts": atlas.charts, "seams": atlas.seams, "overlapped": atlas.overlapped}
-        facts |= {"pitch": own.spacing, "noise": prepared.colours.named(own.sigma)}
+        facts |= {"pitch": own.manifold.spacing, "noise": prepared.colours.named(own.manifold.sigma)}
     between = prepared.atlas.seams - sum(atlas.seams for atlas in atlases)
     return {
         "images": described,
         **atlas_counts(prepared.atlas),
         "seams_between_textures": max(0, between),
-        "colour_jumps": flow.jumps,
-        "pitch": flow.spacing,
-        "noise": prepared.colours.named(flow.sigma),
+        "colour_jumps": flow.manifold.jumps,
+        "pitch": flow.manifold.spacing,
+        "noise": prepared.colours.named(flow.manifold.sigma),
     }
 
 
-def _alone(prepared: PreparedSlot, index: int, settings: SmoothSettings) -> TexelFlow:
+def _alone(prepared: PreparedSlot, index: int, settings: SmoothSettings) -> BeltramiFlow[GridManifold]:
     """Return a flow, with no parameters chosen, on one of several textures."""
     surface, picture = only_textures(prepared.surface, [index]), prepared.pictures[index]
     atlas = build_slot_atlas(surface, [picture], settings.kernel)
@@ -67,7 +70,8 @@ def _alone(prepared: PreparedSlot, index: int, settings: SmoothSettings) -> Texe
         atlas = without_owned(atlas, hidden)
     colours = prepared.colours.working(picture, atlas.owned_texels)
     planes = painted(atlas, colours, settings.kernel.thread_count)
-    return TexelFlow(atlas, planes, dataclasses.replace(settings.kernel, free=()))
+    kernel = dataclasses.replace(settings.kernel, free=())
+    return BeltramiFlow(GridManifold(atlas, planes, kernel), kernel)
 
 
 def describe_surface(surface: TexturedSurface) -> dict[str, object]:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.errors import InputError, UsageError
-from beltrami_cli.flow.guidance import Guide
+from beltrami_cli.flow.embedding import Guide
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.image import read_image
 from beltrami_cli.samples.images.guide_files import exists, read_map, require_finite, require_size

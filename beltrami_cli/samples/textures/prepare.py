@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from beltrami_cli.flow.beltrami_flow import BeltramiFlow
+from beltrami_cli.flow.grid_manifold import GridManifold
 from beltrami_cli.flow.regularisation import guide_radius
-from beltrami_cli.flow.texels import TexelFlow
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.image import read_image
 from beltrami_cli.samples.textures.choosing import choose_textures
@@ -17,7 +18,7 @@ from beltrami_cli.surface.atlas import build_atlas, without_owned
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from beltrami_cli.flow.guidance import Guide
+    from beltrami_cli.flow.embedding import Guide
     from beltrami_cli.flow.parameters import KernelParameters
     from beltrami_cli.formats.document import Document
     from beltrami_cli.formats.image import Picture
@@ -50,15 +51,16 @@ class PreparedSlot:
     colours: TexelColours
     guides: tuple[Guide, ...]
 
-    def flow(self, settings: SmoothSettings) -> TexelFlow:
+    def flow(self, settings: SmoothSettings) -> BeltramiFlow[GridManifold]:
         """Make the flow on these samples."""
-        return TexelFlow(
+        manifold = GridManifold(
             self.atlas,
             self.colours.on_canvas(self.atlas, settings.kernel.thread_count),
             settings.kernel,
             guides=self.guides,
             metric_channels=self.colours.metric_channels,
         )
+        return BeltramiFlow(manifold, settings.kernel)
 
 
 def prepare_slot(

@@ -6,7 +6,7 @@ import dataclasses
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from beltrami_cli.flow.canvas_colours import colours_at
+from beltrami_cli.flow.canvas import colours_at
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.image import check_writable, is_unchanged, losses, write_image
 from beltrami_cli.samples.change import Change
@@ -139,13 +139,13 @@ def smooth_slot(
     report = SlotReport(
         slot=slot,
         textures=describe_textures(prepared),
-        counts={**atlas_counts(prepared.atlas), "jumps": flow.jumps},
+        counts={**atlas_counts(prepared.atlas), "jumps": flow.manifold.jumps},
         pitch=result.spacing,
         beta=result.beta,
         iterations=flow.parameters.iterations,
         noise=prepared.colours.named(result.sigma),
         samples_per_kernel=round(result.samples_per_kernel, 2),
-        guides=flow.guide_betas,
+        guides=flow.manifold.guide_betas,
         choice=describe_choice(result.choice),
     )
     is_covered = len(prepared.atlas.owned_texels) > 0
@@ -153,9 +153,9 @@ def smooth_slot(
     smoothed = SmoothedTexels(
         prepared.atlas.texture_offsets,
         prepared.atlas.owned_texels,
-        _colours_of(flow.planes, flow.atlas.owned_cells, settings.kernel.thread_count),
-        flow.atlas.gutter_texels,
-        flow.gutter_colours(),
+        _colours_of(flow.manifold.colours, flow.manifold.atlas.owned_cells, settings.kernel.thread_count),
+        flow.manifold.atlas.gutter_texels,
+        flow.manifold.gutter_values(),
     )
     pictures, colours, textures = prepared.pictures, prepared.colours, prepared.surface.textures
     gutter = settings.textures.gutter if report.iterations else None  # what is not smoothed stays as it is

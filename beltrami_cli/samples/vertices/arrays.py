@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, get_args
 import numpy as np
 
 from beltrami_cli.errors import UsageError
-from beltrami_cli.flow.guidance import Guide, centred
+from beltrami_cli.flow.embedding import Guide, centred
 from beltrami_cli.flow.parameters import parameters_with
 from beltrami_cli.samples.settings.embedding import EmbeddingSettings
 from beltrami_cli.samples.settings.smooth import DEFAULTS, SmoothSettings

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.flow.guidance import Guide, centred
+from beltrami_cli.flow.embedding import Guide, centred
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.samples.images.guide_files import exists, read_table, require_finite
 

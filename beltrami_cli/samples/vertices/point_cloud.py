@@ -15,7 +15,7 @@ from beltrami_cli.surface.point_triangulation import faces_of_points
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from beltrami_cli.flow.guidance import Guide
+    from beltrami_cli.flow.embedding import Guide
     from beltrami_cli.samples.settings.smooth import SmoothSettings
     from beltrami_cli.surface.records import PaintedVertices
 

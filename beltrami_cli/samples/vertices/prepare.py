@@ -6,10 +6,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from beltrami_cli.errors import InputError
+from beltrami_cli.flow.beltrami_flow import BeltramiFlow
 from beltrami_cli.flow.colour_space import to_space
+from beltrami_cli.flow.embedding import Guide
 from beltrami_cli.flow.geometry import GeometryParameters
-from beltrami_cli.flow.guidance import Guide
-from beltrami_cli.flow.iteration import BeltramiFlow
+from beltrami_cli.flow.mesh_manifold import MeshManifold
 from beltrami_cli.samples.vertices.channels import ChosenChannels, choose_channels
 from beltrami_cli.surface.vertex_sampling import VertexSampling, sample_vertices
 
@@ -41,18 +42,19 @@ class PreparedVertices:
     sampling: VertexSampling
     guides: tuple[Guide, ...]
 
-    def flow(self, settings: SmoothSettings) -> BeltramiFlow:
+    def flow(self, settings: SmoothSettings) -> BeltramiFlow[MeshManifold]:
         """Make the flow on these samples."""
         geometry = None
         if settings.embedding.smooth_geometry:
             geometry = GeometryParameters(self.sampling.place_of, settings.embedding.normal_beta)
-        return BeltramiFlow(
+        manifold = MeshManifold(
             self.surface,
             settings.kernel,
             guides=self.guides,
             metric_channels=self.channels.metric,
             geometry=geometry,
         )
+        return BeltramiFlow(manifold, settings.kernel)
 
 
 def prepare(

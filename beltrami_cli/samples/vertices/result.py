@@ -9,7 +9,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from beltrami_cli.flow.choice import Choice
+    from beltrami_cli.flow.tuning.choice import Choice
 
 
 @dataclass(frozen=True)

@@ -15,8 +15,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from beltrami_cli.flow.guidance import Guide
-    from beltrami_cli.flow.result import VertexFlowResult
+    from beltrami_cli.flow.embedding import Guide
     from beltrami_cli.samples.settings.smooth import SmoothSettings
     from beltrami_cli.samples.vertices.channels import ChosenChannels
     from beltrami_cli.surface.records import PaintedVertices
@@ -57,8 +56,10 @@ def smooth_painted(
     del prepared  # the flow has its own order of everything, and a large mesh is not held twice
     result = flow.run(progress)
     colours = painted.colours.copy()
-    colours[:, channels.changing] = _to_vertices(painted, settings, channels, before, sampling, result)
-    moving = flow.moving
+    colours[:, channels.changing] = _to_vertices(painted, settings, channels, before, sampling, flow.values())
+    manifold = flow.manifold
+    moving = manifold.moving
+    positions = None if moving is None else manifold.in_order(moving.positions)
     return SmoothResult(
         colours,
         result.beta,
@@ -69,8 +70,8 @@ def smooth_painted(
         result.samples_per_kernel,
         result.truncated,
         flow.parameters.iterations,
-        flow.guide_betas,
-        None if result.positions is None else result.positions[sampling.sample_of],
+        manifold.guide_betas,
+        None if positions is None else positions[sampling.sample_of],
         None if moving is None else moving.sigma,
         None if moving is None else moving.beta,
         choice=result.choice,
@@ -83,12 +84,12 @@ def _to_vertices(
     channels: ChosenChannels,
     samples: NDArray[np.float32],
     sampling: VertexSampling,
-    flow: VertexFlowResult,
+    after: NDArray[np.float32],
 ) -> NDArray[np.float32]:
     before, written = painted.colours[:, channels.changing], channels.written
-    back = from_space(flow.colours[:, written], painted.encoding, settings.space)
+    back = from_space(after[:, written], painted.encoding, settings.space)
     # The way there and back is not exact: what did not change keeps its bits, and what did stays in range.
     if len(before):
         back = np.clip(back, before.min(axis=0), before.max(axis=0))
-    changed = np.any(flow.colours[:, written] != samples[:, written], axis=1)[sampling.sample_of]
+    changed = np.any(after[:, written] != samples[:, written], axis=1)[sampling.sample_of]
     return np.where(changed[:, None], back[sampling.sample_of], before)

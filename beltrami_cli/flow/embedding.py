@@ -1,4 +1,4 @@
-"""Guides: channels that enter the metric and stay as they are, and how much they count."""
+"""What enters the metric beside positions, the colours and guides, and beta, by which each counts as distance."""
 
 from __future__ import annotations
 
@@ -7,10 +7,22 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from beltrami_cli.flow.parameters import SMOOTHNESS
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
+
+    from beltrami_cli.flow.parameters import KernelParameters
+
+# One level of an 8-bit file, spread evenly, has the deviation 1 / (255 sqrt(12)). Below that no noise can be told.
+_QUANTISATION = 1 / (255 * np.sqrt(12))
+
+# Colour distance at which the first kernel should fall off, in units of the noise: beta sigma. A search over vertex
+# colours and textures at sigma 20 of 255, with t = 2.4, a growth of 2, two regularised and three plain iterations,
+# has its flat optimum here.
+_BETA_SIGMA = 0.8
 
 # A step as large as the guide's standard deviation counts so many sample spacings: nearly the reach of the kernel of
 # the default time step, so that it stops there.
@@ -115,3 +127,21 @@ def join_channels(
     common = counting[0][1] if counting[0][1] > 1e-9 * largest else largest
     scaled = [values if beta == common else values * np.float32(beta / common) for values, beta in counting]
     return np.concatenate(scaled, axis=axis), common
+
+
+def choose_beta(sigma: NDArray[np.float64], contrast: float = _BETA_SIGMA) -> float:
+    """Choose beta, in sample spacings per unit of colour, so that noise counts `contrast` sample spacings."""
+    return contrast / max(overall_noise(sigma), float(_QUANTISATION))
+
+
+def overall_noise(sigma: NDArray[np.float64]) -> float:
+    """Return the root mean square of the noise of channels, without those that have none, such as constant alpha."""
+    noisy = sigma[sigma > 0.1 * sigma.max()] if len(sigma) else sigma
+    return float(np.sqrt(np.mean(np.square(noisy)))) if len(noisy) else 0.0
+
+
+def beta_of(parameters: KernelParameters, sigma: NDArray[np.float64], unit: float) -> float:
+    """Return the given beta, or else the one that `choose_beta` gives, in units of length per unit of colour."""
+    if parameters.beta is not None:
+        return parameters.beta
+    return choose_beta(sigma) * unit / float(np.sqrt(SMOOTHNESS[parameters.strength]))

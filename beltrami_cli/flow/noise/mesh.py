@@ -6,18 +6,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from beltrami_cli.flow.parameters import SMOOTHNESS
-from beltrami_cli.flow.weakest import Groups, Kind, weakest_levels
+from beltrami_cli.flow.noise.flat_patch_noise import Groups, Kind, weakest_levels
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from numpy.typing import NDArray
 
-    from beltrami_cli.flow.parameters import KernelParameters
-
-# One level of an 8-bit file, spread evenly, has the deviation 1 / (255 sqrt(12)). Below that no noise can be told.
-_QUANTISATION = 1 / (255 * np.sqrt(12))
 
 # Samples of a mesh, in blocks that follow each other, of which noise is told as well as of more.
 _BLOCK, _BLOCKS = 4096, 32
@@ -36,11 +31,6 @@ _AROUND_SHARE, _AROUND_LEAST = 0.05, 300
 _RINGS_OF_DETAIL = 5
 
 _NEIGHBOURS = 3  # fewer: a border or a stray edge, whose mean leans to one side
-
-# Colour distance at which the first kernel should fall off, in units of the noise: beta sigma. A search over vertex
-# colours and textures at sigma 20 of 255, with t = 2.4, a growth of 2, two regularised and three plain iterations,
-# has its flat optimum here.
-_BETA_SIGMA = 0.8
 
 
 def estimate_sigma(colours: NDArray[np.float32], edges: NDArray[np.int32]) -> NDArray[np.float64]:
@@ -156,52 +146,3 @@ def detail_around(colours: NDArray[np.float32], edges: NDArray[np.int32]) -> NDA
     for _ in range(_RINGS_OF_DETAIL):
         detail = _and_beside(detail, edges) / size
     return detail
-
-
-def choose_beta(sigma: NDArray[np.float64], contrast: float = _BETA_SIGMA) -> float:
-    """Choose beta so that noise alone keeps neighbours within reach, and edges do not.
-
-    Parameters
-    ----------
-    sigma : ndarray of float64, shape (N,)
-        Noise per channel, colours in [0, 1].
-    contrast : float
-        Sample spacings that noise counts.
-
-    Returns
-    -------
-    float
-        Sample spacings per unit of colour. Without noise it is large, so that colours stay as they are.
-    """
-    return contrast / max(overall_noise(sigma), float(_QUANTISATION))
-
-
-def overall_noise(sigma: NDArray[np.float64]) -> float:
-    """Return the root mean square of the noise of channels; 0 without any.
-
-    A channel without noise, such as constant alpha, says nothing of how far noise carries in the others.
-    """
-    noisy = sigma[sigma > 0.1 * sigma.max()] if len(sigma) else sigma
-    return float(np.sqrt(np.mean(np.square(noisy)))) if len(noisy) else 0.0
-
-
-def beta_of(parameters: KernelParameters, sigma: NDArray[np.float64], unit: float) -> float:
-    """Return the beta of the parameters, or the one that `choose_beta` gives where they have none.
-
-    Parameters
-    ----------
-    parameters : KernelParameters
-        With a beta or None, and the strength that moves the latter.
-    sigma : ndarray of float64, shape (N,)
-        Noise of the channels that count.
-    unit : float
-        The sample spacing in units of length.
-
-    Returns
-    -------
-    float
-        Units of length per unit of colour.
-    """
-    if parameters.beta is not None:
-        return parameters.beta
-    return choose_beta(sigma) * unit / float(np.sqrt(SMOOTHNESS[parameters.strength]))

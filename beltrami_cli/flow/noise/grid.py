@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli.flow.weakest import Groups, Kind, weakest_levels
+from beltrami_cli.flow.noise.flat_patch_noise import Groups, Kind, weakest_levels
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

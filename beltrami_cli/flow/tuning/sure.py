@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 
 from beltrami_cli.flow.clipping import variance_of_clipped
+from beltrami_cli.flow.manifold import Step
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -43,15 +44,6 @@ _MARK_STEPS, _MARK_TIME = 2, 2.4
 
 # Parts of the sample whose estimates are compared, to tell how sure their mean is.
 _PARTS = 16
-
-
-@dataclass(frozen=True)
-class Step:
-    """One iteration: beta in units of length per unit of colour, the time step, whether the metric is regularised."""
-
-    beta: float
-    t: float
-    regularised: bool
 
 
 class Trial(Protocol):

@@ -1,4 +1,4 @@
-"""Which patches of a triangulated surface parameters are tried on."""
+"""A sample of a triangulated surface on which iterations can be tried: some patches of it, with a rim around each."""
 
 from __future__ import annotations
 
@@ -7,10 +7,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli.flow.noise import detail_around
+from beltrami_cli.flow.noise.mesh import detail_around
+from beltrami_cli.flow.tuning.sure import wanted_probes
+from beltrami_cli.flow.tuning.trial import SampleTrial
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+
+    from beltrami_cli.flow.mesh_manifold import MeshManifold
 
 # Samples to try parameters on, as a share of all, so that trying takes hardly longer than smoothing: some sixty
 # iterations are tried, each two or three times. Fewer than so many tell too little, and take some tenths of a second.
@@ -31,6 +35,24 @@ _PATCH = 3 * (_CORE + _RIM) ** 2
 # Patches end early on small pieces, and overlap: a share of the samples wanted that is enough, and how often there are
 # more patches if it is not reached.
 _ENOUGH, _TURNS = 0.75, 3
+
+
+# Odd numbers with their bits well mixed, to hash with.
+_MIX = np.uint64(0x9E3779B97F4A7C15)
+_STIR = np.uint64(0xBF58476D1CE4E5B9)
+
+
+def mesh_trial(manifold: MeshManifold) -> SampleTrial:
+    """Choose patches of a surface, and draw the perturbations of their colours."""
+    colours = manifold.colours
+    around = fingerprints(colours, manifold.edges)
+    patches = choose_patches(colours, around, manifold.edges)
+    signs = random_signs(colours, around, wanted_probes(int(np.count_nonzero(patches.counting))))
+    part, samples = manifold, patches.samples
+    if len(samples) < manifold.size:
+        part, colours, signs = manifold.cut(samples), colours[samples], signs[:, samples]
+    scored = np.flatnonzero(patches.counting) if not patches.counting.all() else None
+    return SampleTrial(part, colours, signs, scored)
 
 
 @dataclass(frozen=True)
@@ -114,3 +136,71 @@ def _grown(middles: NDArray[np.bool_], edges: NDArray[np.int32]) -> Patches:
             counting = reached.copy()
     samples = np.flatnonzero(reached)
     return Patches(samples, counting[samples])
+
+
+def fingerprints(colours: NDArray[np.float32], edges: NDArray[np.int32]) -> NDArray[np.uint64]:
+    """Hash each sample's colours with those of its neighbours, and theirs.
+
+    Parameters
+    ----------
+    colours : ndarray of float32, shape (S, N)
+        Noisy colours.
+    edges : ndarray of int32, shape (E, 2)
+        Distinct edges.
+
+    Returns
+    -------
+    ndarray of uint64, shape (S,)
+    """
+    hashes = np.zeros(len(colours), np.uint64)
+    # A sum does not depend on the order of channels, nor on that of neighbours.
+    for own in _bits(colours):
+        hashes += _mixed(own)
+    for _ in range(2):
+        beside = np.zeros_like(hashes)
+        np.add.at(beside, edges[:, 0], hashes[edges[:, 1]])
+        np.add.at(beside, edges[:, 1], hashes[edges[:, 0]])
+        hashes = _mixed(_mixed(hashes) + beside)
+    return hashes
+
+
+def random_signs(colours: NDArray[np.float32], around: NDArray[np.uint64], count: int) -> NDArray[np.float32]:
+    """Return signs that look random but depend only on the colours around each sample.
+
+    So what is chosen by them is the same for a mesh that was turned, or whose vertices or channels come in another
+    order.
+
+    Parameters
+    ----------
+    colours : ndarray of float32, shape (S, N)
+        Noisy colours.
+    around : ndarray of uint64, shape (S,)
+        Their `fingerprints`.
+    count : int
+        How many signs each colour gets, at most 64.
+
+    Returns
+    -------
+    ndarray of float32, shape (count, S, N)
+        1 or -1.
+    """
+    signs = np.empty((count, *colours.shape), np.float32)
+    for channel, own in enumerate(_bits(colours)):
+        bits = _mixed(around + _mixed(own))
+        for probe in range(count):
+            signs[probe, :, channel] = np.where(bits >> np.uint64(probe) & np.uint64(1), 1, -1)
+    return signs
+
+
+def _bits(colours: NDArray[np.float32]) -> NDArray[np.uint64]:
+    """Return the bits of each channel's colours as numbers, shape (N, S)."""
+    return np.ascontiguousarray(colours.T).view(np.uint32).astype(np.uint64)
+
+
+def _mixed(values: NDArray[np.uint64]) -> NDArray[np.uint64]:
+    """Spread the bits of numbers over all bits, modulo 2^64."""
+    mixed = (values + _MIX) * _STIR
+    mixed ^= mixed >> np.uint64(29)
+    mixed *= _MIX
+    stirred: NDArray[np.uint64] = mixed ^ (mixed >> np.uint64(32))
+    return stirred

@@ -8,13 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from beltrami_cli.flow.choice import Choice
-from beltrami_cli.flow.noise import choose_beta, overall_noise
+from beltrami_cli.flow.embedding import choose_beta, overall_noise
 from beltrami_cli.flow.parameters import SMOOTHNESS
+from beltrami_cli.flow.tuning.choice import Choice
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
+    from beltrami_cli.flow.manifold import Manifold
     from beltrami_cli.flow.parameters import KernelParameters
 
 # Noise at which the numbers of iterations are told, and at which they start to grow with its logarithm.
@@ -62,38 +61,15 @@ RULE_ON_MESHES = Rule(0.7, 2.0, 1.6, 0, 2, 1, 6)
 
 
 def choose_by_rule(
-    counting: NDArray[np.float64],
-    unit: float,
-    beta: float,
-    parameters: KernelParameters,
-    rule: Rule,
+    manifold: Manifold, parameters: KernelParameters, rule: Rule
 ) -> tuple[KernelParameters, Choice]:
-    """Set what is free by a rule.
-
-    Parameters
-    ----------
-    counting : ndarray of float64
-        Noise of the channels that enter the metric.
-    unit : float
-        The sample spacing in units of length.
-    beta : float
-        To be kept if it is not free.
-    parameters : KernelParameters
-        Those that are not free are kept; strength moves a free beta.
-    rule : Rule
-        For the kind of sampling.
-
-    Returns
-    -------
-    parameters : KernelParameters
-        With nothing free.
-    choice : Choice
-    """
-    noise = overall_noise(counting)
+    """Set what is free by a rule for the noise of the channels that enter the metric."""
+    counting, beta = manifold.counting, manifold.beta
     if "beta" in parameters.free and len(counting):
-        beta = choose_beta(counting, rule.contrast) * unit / float(np.sqrt(SMOOTHNESS[parameters.strength]))
+        strength = float(np.sqrt(SMOOTHNESS[parameters.strength]))
+        beta = choose_beta(counting, rule.contrast) * manifold.unit / strength
     values: dict[str, Any] = {
-        "iterations": rule.count(noise),
+        "iterations": rule.count(overall_noise(counting)),
         "t": rule.step,
         "beta": beta,
         "beta_growth": rule.growth,

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
-from beltrami_cli.flow.risk import Risk, RiskEstimate, State, Step
+from beltrami_cli.flow.manifold import Step
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from beltrami_cli.flow.tuning.sure import Risk, RiskEstimate, State
 
 # Improvements by less than this share of the noise's variance are chance: some 0.1 dB of a good result.
 _WORTH_MOVING = 5e-4
@@ -16,19 +16,7 @@ _WORTH_MOVING = 5e-4
 
 @dataclass(frozen=True)
 class Schedule:
-    """What is chosen: iterations, some of them regularised, and their parameters.
-
-    Attributes
-    ----------
-    beta : float
-        Of the first iteration, in units of length per unit of colour.
-    growth : float
-        Of beta, from one iteration to the next.
-    t : float
-        Time step.
-    guided, plain : int
-        Iterations with the regularised metric, and after them without.
-    """
+    """What is chosen: beta and its growth, the time step, regularised iterations, and plain ones after them."""
 
     beta: float
     growth: float
@@ -41,88 +29,52 @@ class Schedule:
         return Step(self.beta * self.growth**iteration, self.t, iteration < self.guided)
 
 
+Place: TypeAlias = tuple[int, int, int]
+
+
 @dataclass(frozen=True)
 class Grid:
     """The values that each parameter may take, ascending, and where the search starts.
 
-    Attributes
-    ----------
-    betas, growths, steps : tuple of float
-        Values of beta, its growth and t.
-    guided : tuple of int
-        Numbers of regularised iterations.
-    iterations : int or None
-        How many iterations there must be; None: as many as pay ...
-    most : int
-        ... but no more than so many.
-    starts : tuple of tuple of int
-        Where in `betas`, `growths`, `steps` and `guided` to start.
-    least_gain : float
-        An iteration that makes the estimate better by less than such a share, or worse, ends a path.
+    `iterations`: how many there must be; None: up to `most`. `starts`: indices of beta, growth and regularised
+    iterations. `least_gain`: a path ends with an iteration that gains less than this share of the error.
     """
 
     betas: tuple[float, ...]
     growths: tuple[float, ...]
-    steps: tuple[float, ...]
+    t: float
     guided: tuple[int, ...]
     iterations: int | None
     most: int
-    starts: tuple[tuple[int, int, int, int], ...]
+    starts: tuple[Place, ...]
     least_gain: float = 0.0
 
-    def at(self, place: tuple[int, int, int, int], plain: int = 0) -> Schedule:
-        """Return the schedule at some place in the grid."""
-        beta, growth, step, guided = place
-        return Schedule(self.betas[beta], self.growths[growth], self.steps[step], self.guided[guided], plain)
+    def at(self, place: Place) -> Schedule:
+        """Return the schedule without plain iterations at some place in the grid."""
+        beta, growth, guided = place
+        return Schedule(self.betas[beta], self.growths[growth], self.t, self.guided[guided], 0)
 
-    def beside(
-        self, place: tuple[int, int, int, int], axis: int, way: int
-    ) -> tuple[int, int, int, int] | None:
+    def beside(self, place: Place, axis: int, way: int) -> Place | None:
         """Return the next place along an axis; None at its end."""
-        size = len((self.betas, self.growths, self.steps, self.guided)[axis])
+        size = len((self.betas, self.growths, self.guided)[axis])
         moved = place[axis] + way
         if not 0 <= moved < size:
             return None
-        beta, growth, step, guided = (moved if k == axis else old for k, old in enumerate(place))
-        return beta, growth, step, guided
+        beta, growth, guided = (moved if k == axis else old for k, old in enumerate(place))
+        return beta, growth, guided
 
 
 class Search:
     """A descent over a grid of schedules, by an estimate of their error.
 
-    The results on the way to a schedule are results of shorter ones, so these cost nothing more.
-
-    Parameters
-    ----------
-    estimate : RiskEstimate
-        Of the error.
-    grid : Grid
-        What may be chosen.
-    noise : float
-        Mean variance of the noise.
-    weight : float
-        By what factor the divergence counts in the end: more chooses smoother results, less gentler ones.
-    pause : callable
-        Called before every iteration that is tried; may raise to stop.
-
-    Attributes
-    ----------
-    tried : dict of Schedule to Risk
-        All that was estimated.
+    `noise` is the variance of the noise, and `weight` how much smoothness counts beside closeness to the input.
     """
 
-    def __init__(
-        self,
-        estimate: RiskEstimate,
-        grid: Grid,
-        noise: float,
-        weight: float = 1.0,
-        pause: Callable[[], None] | None = None,
-    ) -> None:
+    def __init__(self, estimate: RiskEstimate, grid: Grid, noise: float, weight: float = 1.0) -> None:
         self.tried: dict[Schedule, Risk] = {}
-        self._estimate, self._grid, self._pause = estimate, grid, pause
+        self._estimate, self._grid = estimate, grid
         self._gain, self._weight = _WORTH_MOVING * noise, weight
-        self._least: dict[tuple[int, int, int, int], float] = {}
+        self._least: dict[Place, float] = {}
         self._guided_states: dict[Schedule, State] = {}
 
     def run(self) -> Schedule:
@@ -137,12 +89,12 @@ class Search:
         # All weights choose from the same schedules, so a larger one never chooses a gentler one.
         return min(self.tried, key=lambda schedule: self.tried[schedule].weighted(self._weight))
 
-    def _descend(self, place: tuple[int, int, int, int]) -> float:
+    def _descend(self, place: Place) -> float:
         """Go along one axis after another until none gets better; return the least risk."""
         least, moved = self._path(place), True
         while moved:
             moved = False
-            for axis in (0, 1, 3, 2):
+            for axis in (0, 1, 2):
                 for way in (1, -1):
                     ahead = self._grid.beside(place, axis, way)
                     while ahead is not None and self._path(ahead) < least - self._gain:
@@ -150,7 +102,7 @@ class Search:
                         ahead = self._grid.beside(place, axis, way)
         return least
 
-    def _path(self, place: tuple[int, int, int, int]) -> float:
+    def _path(self, place: Place) -> float:
         """Try the schedules at a place, with more and more plain iterations; return the least risk."""
         if place not in self._least:
             self._least[place] = self._walk(self._grid.at(place))
@@ -168,7 +120,7 @@ class Search:
                 risks.append(self._try(schedule, state))
             if done >= (self._grid.most if wanted is None else wanted) or self._ends(risks):
                 return min(risks)
-            state = self._step(state, schedule.step(done))
+            state = self._estimate.step(state, schedule.step(done))
             schedule = replace(schedule, plain=schedule.plain + 1)
 
     def _ends(self, risks: list[float]) -> bool:
@@ -187,10 +139,5 @@ class Search:
         key = replace(schedule, growth=1.0) if schedule.guided == 1 else schedule
         if key not in self._guided_states:
             before = self._after_guided(replace(schedule, guided=schedule.guided - 1))
-            self._guided_states[key] = self._step(before, schedule.step(schedule.guided - 1))
+            self._guided_states[key] = self._estimate.step(before, schedule.step(schedule.guided - 1))
         return self._guided_states[key]
-
-    def _step(self, state: State, step: Step) -> State:
-        if self._pause is not None:
-            self._pause()
-        return self._estimate.step(state, step)

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli.flow.grid_noise import estimate_sigma_on_grid
-from beltrami_cli.flow.octaves import sigma_of_octaves
+from beltrami_cli.flow.noise.grid import estimate_sigma_on_grid
+from beltrami_cli.flow.noise.haar_noise import sigma_of_octaves
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

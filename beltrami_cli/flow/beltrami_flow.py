@@ -1,0 +1,146 @@
+"""N iterations of the short-time Beltrami kernel on an image manifold."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Generic, TypeVar, cast
+
+from beltrami_cli.errors import UsageError
+from beltrami_cli.flow.grid_partitions import cut_grid
+from beltrami_cli.flow.manifold import Averaged, Manifold, Step
+from beltrami_cli.flow.mesh_manifold import MeshManifold
+from beltrami_cli.flow.mesh_partitions import cut_mesh, first_reach
+from beltrami_cli.flow.partitions import wanted_split
+from beltrami_cli.flow.tuning.tune import tune
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from beltrami_cli.flow.grid_manifold import GridManifold
+    from beltrami_cli.flow.kernel_probe import SampledKernel
+    from beltrami_cli.flow.parameters import KernelParameters
+    from beltrami_cli.flow.partitions import Partition, Split
+    from beltrami_cli.flow.tuning.choice import Choice
+
+
+@dataclass(frozen=True)
+class FlowResult:
+    """How smoothed samples came about.
+
+    `spacing` is the mean sample spacing, in the surface's own unit of length; `beta` that used, in units of length per
+    unit of colour; `sigma` the estimated noise by channel; `samples_per_kernel` a mean over samples and iterations;
+    `truncated` counts the kernels that `max_samples` cut short.
+    """
+
+    spacing: float
+    beta: float
+    sigma: NDArray[np.float64]
+    samples_per_kernel: float
+    truncated: int
+    choice: Choice | None
+
+
+AnyManifold = TypeVar("AnyManifold", bound=Manifold)
+
+
+class BeltramiFlow(Generic[AnyManifold]):
+    """The kernel on a manifold, with its parameters as used: what was left open is chosen from the data."""
+
+    def __init__(self, manifold: AnyManifold, parameters: KernelParameters) -> None:
+        self.manifold: AnyManifold = manifold
+        self._split = wanted_split()
+        moves = isinstance(manifold, MeshManifold) and manifold.moving is not None
+        if moves and self._split is not None:
+            raise UsageError("vertices are not moved in pieces; leave out --pieces, or --smooth-geometry")
+        if moves:  # positions move by as many iterations, and what is best for colours is not for them
+            parameters = dataclasses.replace(parameters, free=())
+        self.parameters, self.choice = tune(manifold, parameters)
+        manifold.parameters = self.parameters
+        given = self.parameters.beta
+        self.beta = manifold.beta if given is None or manifold.beta == 0 else given
+        if self._split is None:
+            manifold.release()
+        self._clipped = None
+        if self.parameters.clipping == "restore" and self.beta > 0 and self.parameters.iterations:
+            self._clipped = manifold.find_clipped()
+
+    def step(self, iteration: int) -> Step:
+        """Return an iteration, counted from 0."""
+        own = self.parameters
+        return Step(self.beta * own.growth(iteration), own.t, own.is_regularised(iteration))
+
+    def run(self, progress: Callable[[int, int], None] | None = None) -> FlowResult:
+        """Run all iterations; `progress` is called with the work done and the work to do, and may raise to stop."""
+        manifold, iterations = self.manifold, self.parameters.iterations
+        stacks = [manifold.colours]
+        if self._clipped is not None:
+            stacks.append(manifold.marks(self._clipped))
+        done = Averaged(stacks, 0)
+        if iterations and self._split is None:
+            done = self._iterate(stacks, progress)
+        elif iterations and self._split is not None and manifold.kernels:
+            done = self._iterate_in_partitions(stacks, self._split, progress)
+        manifold.colours = done.stacks[0]
+        if self._clipped is not None:
+            manifold.restore(self._clipped, done.stacks[1])
+        held = done.samples / max(1, iterations * manifold.kernels)
+        return FlowResult(manifold.spacing, self.beta, manifold.sigma, held, done.truncated, self.choice)
+
+    def _iterate(
+        self, stacks: list[NDArray[np.float32]], progress: Callable[[int, int], None] | None
+    ) -> Averaged:
+        """Iterate from the same input for every sample."""
+        manifold, iterations, samples, truncated = self.manifold, self.parameters.iterations, 0.0, 0
+        for iteration in range(iterations):
+            step = self.step(iteration)
+            if not step.regularised:
+                manifold.forget_smoothing()
+            manifold.measure(stacks[0], step)  # eq. (1)
+            done = manifold.average(
+                stacks, _shifted(progress, iteration, iterations, manifold.size)
+            )  # eq. (9)
+            stacks, samples, truncated = done.stacks, samples + done.samples, truncated + done.truncated
+        return Averaged(stacks, samples, truncated)
+
+    def _iterate_in_partitions(
+        self,
+        stacks: list[NDArray[np.float32]],
+        split: Split,
+        progress: Callable[[int, int], None] | None,
+    ) -> Averaged:
+        """Do the same, to the last bit, partition by partition; the samples held are estimated."""
+        manifold = self.manifold
+        steps = [self.step(iteration) for iteration in range(self.parameters.iterations)]
+        channels = stacks[0].shape[manifold.axis]
+
+        def cut(reach: int) -> Sequence[Partition]:
+            if isinstance(manifold, MeshManifold):
+                return cut_mesh(manifold, split.count, reach, steps, channels)
+            return cut_grid(cast("GridManifold", manifold), split.count, steps, channels)
+
+        reach = first_reach(manifold) if isinstance(manifold, MeshManifold) else 0
+        done = split.run(cut, reach, manifold.rows(stacks), len(steps), progress)
+        manifold.put_rows(done.values, stacks)
+        return Averaged(stacks, done.samples, done.truncated)
+
+    def values(self) -> NDArray[np.float32]:
+        """Return the colours of all samples as they are now, shape (S, N), in the order given."""
+        return self.manifold.values()
+
+    def kernel_at(self, sample: int) -> SampledKernel:
+        """Return the kernel that one more iteration, after those that were run, would have at a sample.
+
+        On a grid samples are given by their cells.
+        """
+        return self.manifold.kernel_at(sample, self.step(self.parameters.iterations))
+
+
+def _shifted(
+    progress: Callable[[int, int], None] | None, iteration: int, iterations: int, size: int
+) -> Callable[[int], None] | None:
+    """Make the progress of one iteration count on from those before it."""
+    return None if progress is None else lambda done: progress(iteration * size + done, iterations * size)

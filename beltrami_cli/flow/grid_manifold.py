@@ -1,0 +1,384 @@
+"""The image manifold of colours on a regular grid: the canvas of a texture atlas, or one image.
+
+Large canvases are averaged in place, row block by row block, so that little memory is needed besides the colours.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from copy import copy
+from typing import TYPE_CHECKING, Any, ClassVar, cast
+
+import numpy as np
+
+from beltrami_cli.flow.canvas import colours_at, halo_repeats, local_scales, painted
+from beltrami_cli.flow.clipping import find_clipped_on_canvas
+from beltrami_cli.flow.kernel_probe import SampledKernel, kernel_values
+from beltrami_cli.flow.manifold import Averaged, Manifold, at_step
+from beltrami_cli.flow.noise.correlated_noise import estimate_noise_on_grid
+from beltrami_cli.flow.noise.grid import estimate_sigma_on_grid
+from beltrami_cli.flow.regularisation import GridGaussian, guide_radius
+from beltrami_cli.flow.seams import find_colour_jumps, halo_beyond
+from beltrami_cli.surface import large_arrays
+from beltrami_cli.surface.atlas import EMPTY, HALO, OWNED, refresh_halo, without_halo
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from numpy.typing import NDArray
+
+    from beltrami_cli.flow.clipping import ClippedChannels
+    from beltrami_cli.flow.embedding import Guide
+    from beltrami_cli.flow.manifold import Step
+    from beltrami_cli.flow.parameters import KernelParameters
+    from beltrami_cli.surface.atlas import Atlas
+
+# Cells of a row block, of which some 90 bytes are held each; more where many threads share them.
+ROW_BLOCK_CELLS = 1 << 18
+CELLS_PER_THREAD = 1 << 16
+
+# Row blocks end where the tiles of the core end, so that these are whole.
+TILE_ROWS = 32
+
+# The paper's scheme looks for the support of an obtuse quadrant up to this many cells away.
+_FURTHEST_SUPPORT = 10
+
+# The paper's scheme takes supports up to ten cells away, and the metric from the cells beside them.
+_BEYOND_WINDOW = 12
+
+# The widest window that the sweeps are made for; a wider one is marched through with a heap.
+_WIDEST_SWEEP = 15
+
+# Rows of a canvas that are gone through together, where that takes memory for each.
+_ROWS = 64
+
+# The median of this many steps is within 0.3 % of that of all.
+_ENOUGH_STEPS = 200_000
+
+
+class GridManifold(Manifold):
+    """The image manifold of an atlas, with colours on its canvas, shape (N, R, C), which iterations change in place.
+
+    `walls`: nothing is averaged over holes, not even for the regularised metric. `unit`: see `Manifold`.
+    """
+
+    axis: ClassVar[int] = 0
+
+    def __init__(
+        self,
+        atlas: Atlas,
+        planes: NDArray[np.float32],
+        parameters: KernelParameters,
+        *,
+        walls: bool = False,
+        guides: Sequence[Guide] = (),
+        metric_channels: Sequence[int] | None = None,
+        unit: float | None = None,
+    ) -> None:
+        super().__init__(parameters, metric_channels)
+        self.colours, self._walls, self._in_one_block = planes, walls, False
+        self.sigma, self.octaves = estimate_noise_on_grid(planes, atlas.kind == OWNED)
+        different = np.zeros(max(1, atlas.seams), bool)
+        # Where colours do not count as distance, a jump of theirs is no edge.
+        if parameters.beta != 0 and (metric_channels is None or len(metric_channels)):
+            different = find_colour_jumps(atlas, planes, self.sigma)
+        self.jumps = int(np.count_nonzero(different))
+        if self.jumps:
+            atlas = without_halo(atlas, halo_beyond(atlas, different))
+            for rows in large_arrays.blocks(len(atlas.kind), _ROWS):
+                planes[:, rows][:, atlas.kind[rows] == EMPTY] = 0
+        self.atlas, self.size, self.kernels = atlas, atlas.kind.size, len(atlas.owned_cells)
+        scale = local_scales(atlas, parameters.window)
+        self.spacing = _mean_spacing(atlas, scale)
+        self.scale = scale if parameters.units == "spacing" else None
+        self.repeats = halo_repeats(atlas, self.threads)
+        if unit is None:
+            unit = self.spacing if parameters.units == "world" else 1.0
+        self.unit = unit
+        self.embed(guides)
+
+    @property
+    def margin(self) -> int:
+        """How many cells around a cell its result in one iteration depends on."""
+        own = self.parameters
+        support = _FURTHEST_SUPPORT if own.scheme == "metric" else 0
+        blurred = guide_radius(own.metric_scale) if own.metric_steps else 0
+        return own.window // 2 + 1 + support + blurred
+
+    @property
+    def row_blocks(self) -> list[slice]:
+        """The rows that are averaged at a time."""
+        rows, columns = self.atlas.kind.shape
+        if self._in_one_block:
+            return [slice(0, rows)]
+        wanted = max(ROW_BLOCK_CELLS, CELLS_PER_THREAD * self.threads) // max(1, columns)
+        # A block is at least as high as the margin, so that it depends on none but the blocks beside it.
+        height = -(-max(wanted, self.margin, 1) // TILE_ROWS) * TILE_ROWS
+        return [slice(top, min(rows, top + height)) for top in range(0, rows, height)]
+
+    def in_one_block(self) -> GridManifold:
+        """Return the same manifold, which leaves stacks as they are and returns averages in new ones."""
+        whole = copy(self)
+        whole._in_one_block = True
+        return whole
+
+    def measure(self, colours: NDArray[np.float32], step: Step) -> None:
+        """Choose the metric, eq. (1), which is induced row block by row block while they are averaged."""
+        self._step, self._count = step, len(colours)
+        if step.regularised and step.beta and self._gaussian is None:
+            self._gaussian = self._smoothing()
+
+    def average(
+        self, stacks: list[NDArray[np.float32]], progress: Callable[[int], None] | None = None
+    ) -> Averaged:
+        """Average the channels by eq. (9): in place, unless all is one block."""
+        blocks = self.row_blocks
+        if len(blocks) < 2:
+            channels = stacks[0] if len(stacks) == 1 else np.concatenate(stacks)
+            after, samples = self._apply_kernel(channels, progress)
+            refresh_halo(after, self.atlas)
+            return Averaged(_split(after, stacks), samples)
+        rows, columns = self.atlas.kind.shape
+        samples, above = 0, np.zeros((sum(map(len, stacks)), 0, columns), np.float32)
+        for block in blocks:
+            large_arrays.leave_memory()
+            top, bottom = block.start, block.stop
+            last = min(rows, bottom + self.margin)
+            # What lies above was overwritten by the block before.
+            before = np.concatenate([above, np.concatenate([stack[:, top:last] for stack in stacks])], axis=1)
+            first = last - before.shape[1]
+            inside = np.zeros((before.shape[1], 1), bool)
+            inside[top - first : bottom - first] = True
+            part = self.cut(slice(first, last), inside)
+            share = (bottom - top) / before.shape[1]
+            after, held = part._apply_kernel(before, _share(progress, top * columns, share))
+            above = before[:, max(0, bottom - self.margin - first) : bottom - first].copy()
+            del before, part
+            for stack, new in zip(stacks, _split(after, stacks), strict=True):
+                stack[:, block] = new[:, top - first : bottom - first]
+            samples += held
+        large_arrays.leave_memory()
+        for stack in stacks:
+            refresh_halo(stack, self.atlas)
+        return Averaged(stacks, samples)
+
+    def _apply_kernel(
+        self, planes: NDArray[np.float32], progress: Callable[[int], None] | None
+    ) -> tuple[NDArray[np.float32], int]:
+        """Average planes at once; return them, and the samples held."""
+        from beltrami_cli._native import smooth_grid
+
+        own = at_step(self.parameters, self._step)
+        distances, beta = self.channels(planes[: self._count], self._step)
+        return smooth_grid(
+            self.atlas.kind, self.atlas.squared_lengths, self.scale, self.repeats, distances, planes, beta, own.t,
+            own.radius, own.window // 2, scheme_of(own), 0, self.threads, progress,
+        )  # fmt: skip
+
+    def cut(self, samples: slice | NDArray[np.int64], *others: Any) -> GridManifold:
+        """Return a part: rows, or cells by their flat indices, shape (R', C'); the last cell stands for none.
+
+        It has no halo to refresh. `others` is a mask, shape (R', C'), of the cells that have a kernel; the others only
+        lend their values.
+        """
+        (inside,) = others
+        part = copy(self)
+        part.colours, part._in_one_block = self.colours[:0], True
+        kind = self._take(self.atlas.kind, samples).copy()
+        kind[(kind == OWNED) & ~inside] = HALO
+        lengths = np.ascontiguousarray(self._take(self.atlas.squared_lengths, samples))
+        part.atlas = dataclasses.replace(self.atlas, kind=kind, squared_lengths=lengths)
+        part.size = kind.size
+        part.scale = None if self.scale is None else self._take(self.scale, samples)
+        part.repeats = None if self.repeats is None else self._take(self.repeats, samples)
+        part.guides = [(self._take(planes, samples), beta) for planes, beta in self.guides]
+        if isinstance(samples, slice):
+            gaussian = cast("GridGaussian | None", self._gaussian)
+            part._gaussian = None if gaussian is None else gaussian.from_row(samples.start)
+        else:
+            part._gaussian = None
+            part.atlas = _without_references(part.atlas, self.atlas, samples)
+        return part
+
+    def _take(self, planes: NDArray[Any], samples: slice | NDArray[np.int64]) -> NDArray[Any]:
+        """Return rows, or cells, of an array whose last axes are those of the canvas."""
+        if isinstance(samples, slice):
+            return planes[..., samples, :]
+        return np.ascontiguousarray(planes.reshape(*planes.shape[:-2], -1)[..., samples])
+
+    def release(self) -> None:
+        """Keep all: cuts need nothing that averages do not."""
+
+    def rows(self, stacks: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
+        """Return the channels of all stacks at the owned cells."""
+        cells = self.atlas.owned_cells
+        return np.concatenate([colours_at(stack, cells, self.threads) for stack in stacks], axis=1)
+
+    def put_rows(self, rows: NDArray[np.float32], stacks: Sequence[NDArray[np.float32]]) -> None:
+        """Put rows of the owned cells back, and give the halo its values."""
+        planes = [plane.reshape(-1) for stack in stacks for plane in stack]
+        for plane, channel in zip(planes, rows.T, strict=True):
+            plane[self.atlas.owned_cells] = channel
+        for stack in stacks:
+            refresh_halo(stack, self.atlas)
+
+    def take(self, stack: NDArray[np.float32], samples: NDArray[np.int64]) -> NDArray[np.float32]:
+        """Return the channels of some cells, by their flat indices, with a row a cell."""
+        return stack.reshape(len(stack), -1)[:, samples].T
+
+    def values(self) -> NDArray[np.float32]:
+        """Return the colours of the owned cells as they are now, shape (T, N)."""
+        return colours_at(self.colours, self.atlas.owned_cells, self.threads)
+
+    def gutter_values(self) -> NDArray[np.float32]:
+        """Return the colours that the atlas's gutter cells have now, shape (G, N)."""
+        refresh_halo(self.colours, self.atlas, interpolated=True)
+        flat, cells = self.colours.reshape(len(self.colours), -1), self.atlas.gutter_cells
+        colours = np.zeros((len(cells), len(flat)), np.float32)
+        for block in large_arrays.blocks(len(cells), large_arrays.SCATTERED):
+            colours[block] = flat[:, cells[block]].T
+        return colours
+
+    def find_clipped(self) -> ClippedChannels | None:
+        """Find the channels that were cut off."""
+        return find_clipped_on_canvas(self.colours, int(np.count_nonzero(self.atlas.kind)), self.sigma)
+
+    def marks(self, clipped: ClippedChannels) -> NDArray[np.float32]:
+        """Return the marks of the cells at a limit, shape (M, R, C)."""
+        kind = self.atlas.kind
+        marks = large_arrays.empty((len(clipped.clipped), *kind.shape), np.float32)
+        for rows in large_arrays.blocks(len(kind), _ROWS):
+            marks[:, rows] = np.where(
+                kind[rows] == EMPTY, np.float32(0), clipped.marks(self.colours[:, rows])
+            )
+        refresh_halo(marks, self.atlas)
+        return marks
+
+    def restore(self, clipped: ClippedChannels, marks: NDArray[np.float32]) -> None:
+        """Turn averages of clipped colours into estimates of the colours without noise."""
+        for rows in large_arrays.blocks(len(self.atlas.kind), _ROWS):
+            clipped.restore(self.colours[:, rows], marks[:, rows])
+
+    def kernel_at(self, sample: int, step: Step) -> SampledKernel:
+        """Return the kernel of an owned cell, by its flat index."""
+        metric, beta = self.channels(self.colours, step)
+        own = at_step(self.parameters, step)
+        columns, reach = self.atlas.kind.shape[1], own.window // 2
+        row, column = divmod(sample, columns)
+        window = self._distances(metric, beta, own, (row, column))
+        y, x = np.nonzero(np.isfinite(window))
+        order = np.argsort(window[y, x], kind="stable")
+        y, x = y[order], x[order]
+        cells = (row + y - reach) * columns + column + x - reach
+        # Samples at one place have the distance 0 too.
+        first = np.argsort(cells != sample, kind="stable")
+        distances, cells = window[y, x][first], cells[first]
+        weights = kernel_values(distances, own.t)
+        if self.repeats is not None:
+            weights /= self.repeats.reshape(-1)[cells]
+        colours = np.ascontiguousarray(self.colours.reshape(len(self.colours), -1)[:, cells].T)
+        return SampledKernel(cells.astype(np.int64), distances, weights, colours)
+
+    def _distances(
+        self, metric: NDArray[np.float32], beta: float, own: KernelParameters, centre: tuple[int, int]
+    ) -> NDArray[np.float32]:
+        """Return the distances of the cells in the window of one, infinite beyond the kernel's radius."""
+        from beltrami_cli._native import grid_distances
+
+        reach = own.window // 2
+        # Nothing further away has an effect, and stencils of a whole canvas take long.
+        around = reach + _BEYOND_WINDOW
+        top, left = (max(0, place - around) for place in centre)
+        part = np.s_[..., top : centre[0] + around + 1, left : centre[1] + around + 1]
+        kind = np.ascontiguousarray(self.atlas.kind[part])
+        return grid_distances(
+            kind, np.ascontiguousarray(self.atlas.squared_lengths[part]),
+            None if self.scale is None else np.ascontiguousarray(self.scale[part]),
+            np.ascontiguousarray(metric[part]), beta, own.radius, reach, scheme_of(own), 0,
+            (centre[0] - top) * kind.shape[1] + centre[1] - left,
+        )  # fmt: skip
+
+    def _smoothing(self) -> GridGaussian:
+        return GridGaussian(
+            self.atlas.kind != EMPTY,
+            self.parameters.metric_scale,
+            walls=self._walls,
+            atlas=self.atlas,
+            threads=self.threads,
+        )
+
+    def _laid_out(self, guide: Guide) -> NDArray[np.float32]:
+        planes = painted(self.atlas, guide.values, self.threads)
+        if guide.in_chart_frame:
+            _end_at_seams(planes, self.atlas, self.threads)
+        return planes
+
+    def _steps(self, stack: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return differences between neighbours along rows, in evenly spread rows, shape (K, G)."""
+        owned = self.atlas.kind == OWNED
+        rows = np.arange(0, len(owned), max(1, int(np.count_nonzero(owned)) // _ENOUGH_STEPS))
+        both = owned[rows, :-1] & owned[rows, 1:]
+        return (stack[:, rows, 1:] - stack[:, rows, :-1])[:, both].T
+
+
+def scheme_of(parameters: KernelParameters) -> str:
+    """Return the name that the compiled core has for the way to measure distances."""
+    if parameters.scheme == "metric":
+        return "metric"
+    return "sweep" if parameters.window <= _WIDEST_SWEEP else "triangles"
+
+
+def _mean_spacing(atlas: Atlas, scale: NDArray[np.float32]) -> float:
+    """Return the mean length that is 1 in local units, over the owned cells; 0 without any."""
+    total, count = 0.0, 0
+    for rows in large_arrays.blocks(len(atlas.kind), _ROWS):
+        spacing = 1 / np.sqrt(scale[rows][atlas.kind[rows] == OWNED])
+        total, count = total + float(spacing.sum(dtype=np.float64)), count + len(spacing)
+    return total / count if count else 0.0
+
+
+def _split(planes: NDArray[np.float32], like: Sequence[NDArray[np.float32]]) -> list[NDArray[np.float32]]:
+    return np.split(planes, np.cumsum([len(stack) for stack in like])[:-1])
+
+
+def _share(progress: Callable[[int], None] | None, before: int, share: float) -> Callable[[int], None] | None:
+    """Make the progress of a row block, of whose cells only a share is new, count on from those before it."""
+    return None if progress is None else lambda done: progress(before + int(done * share))
+
+
+def _without_references(part: Atlas, whole: Atlas, cells: NDArray[np.int64]) -> Atlas:
+    """Return the atlas of some cells of another, whose halo others refresh."""
+    kind = part.kind
+    kind[cells == whole.kind.size - 1] = (
+        EMPTY  # the last cell is margin, or stands for cells beyond the canvas
+    )
+    cut = np.zeros(whole.kind.size, bool)
+    cut[whole.cut_cells] = True
+    nothing = np.zeros(0, np.int64)
+    return dataclasses.replace(
+        part,
+        cut_cells=np.flatnonzero(cut[cells.reshape(-1)]),
+        owned_cells=np.flatnonzero(kind == OWNED),
+        owned_texels=nothing,
+        halo_cells=nothing,
+        halo_taps=np.zeros((0, 4), np.int64),
+        halo_weights=np.zeros((0, 4), np.float32),
+        halo_seams=np.zeros(0, np.int32),
+        gutter_cells=nothing,
+        gutter_texels=nothing,
+        chart_of=np.zeros(0, np.int32),
+    )
+
+
+def _end_at_seams(planes: NDArray[np.float32], atlas: Atlas, threads: int) -> None:
+    """Continue a guide as a constant, in place, beyond the seams whose two sides differ."""
+    from beltrami_cli._native import nearest_marked
+
+    sigma = estimate_sigma_on_grid(planes, atlas.kind == OWNED)
+    beyond = atlas.halo_cells[halo_beyond(atlas, find_colour_jumps(atlas, planes, sigma))]
+    if len(beyond):
+        wanted = np.zeros(atlas.kind.shape, bool)
+        wanted.reshape(-1)[beyond] = True
+        cells, nearest = nearest_marked(atlas.kind == OWNED, wanted, max(atlas.kind.shape), threads)
+        flat = planes.reshape(len(planes), -1)
+        flat[:, cells] = flat[:, nearest]

@@ -1,0 +1,118 @@
+"""Partitions of a grid: rectangles of a canvas, each with the margin that its kernels look at."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from beltrami_cli.flow.partitions import Advance
+from beltrami_cli.surface.atlas import EMPTY, OWNED
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from numpy.typing import NDArray
+
+    from beltrami_cli.flow.grid_manifold import GridManifold
+    from beltrami_cli.flow.manifold import Step
+    from beltrami_cli.surface.atlas import Atlas
+
+
+@dataclass(frozen=True)
+class Core:
+    """The cells [top, bottom) x [left, right) of a canvas."""
+
+    top: int
+    bottom: int
+    left: int
+    right: int
+
+
+class GridPartition:
+    """The owned cells of a rectangle with a margin around it, a `Partition`.
+
+    `number` and `source` are for each cell of the canvas the sample that it is, and the one whose value it has.
+    """
+
+    def __init__(
+        self,
+        whole: GridManifold,
+        core: Core,
+        number: NDArray[np.int64],
+        source: NDArray[np.int64],
+        steps: Sequence[Step],
+        channels: int,
+    ) -> None:
+        margin, (rows, columns) = whole.margin, whole.atlas.kind.shape
+        down = np.arange(max(0, core.top - margin), min(rows, core.bottom + margin))
+        along = np.arange(max(0, core.left - margin), min(columns, core.right + margin))
+        cells = (down[:, None] * columns + along).astype(np.int64)
+        inside = ((down >= core.top) & (down < core.bottom))[:, None] & (
+            (along >= core.left) & (along < core.right)
+        )
+        self._part = whole.cut(cells, inside)
+        self._steps, self._channels, self.threads = tuple(steps), channels, whole.parameters.threads
+        self.owned = number[cells.reshape(-1)[self._part.atlas.owned_cells]]
+        self._filled = np.flatnonzero(self._part.atlas.kind != EMPTY)
+        drawn = source[cells.reshape(-1)[self._filled]]
+        self.borrowed = np.setdiff1d(drawn, self.owned)
+        # Both are ascending, so that a value is found by bisection.
+        own_row = np.minimum(np.searchsorted(self.owned, drawn), max(0, len(self.owned) - 1))
+        is_own = self.owned[own_row] == drawn
+        self._rows = np.where(is_own, own_row, len(self.owned) + np.searchsorted(self.borrowed, drawn))
+
+    def advance(
+        self, own: NDArray[np.float32], borrowed: NDArray[np.float32], iteration: int, threads: int
+    ) -> Advance:
+        """As for `Partition`."""
+        part = self._part
+        part.threads = threads
+        planes = np.zeros((own.shape[1], *part.atlas.kind.shape), np.float32)
+        values = np.concatenate([own, borrowed])
+        for plane, channel in zip(planes.reshape(len(planes), -1), values.T, strict=True):
+            plane[self._filled] = channel[self._rows]
+        part.measure(planes[: self._channels], self._steps[iteration])
+        averaged = part.average([planes])
+        return Advance(part.rows(averaged.stacks), averaged.samples, 0)
+
+
+def cut_grid(whole: GridManifold, count: int, steps: Sequence[Step], channels: int) -> list[GridPartition]:
+    """Cut a canvas into up to `count` partitions with about the same number of owned cells."""
+    number, source = _sources(whole.atlas)
+    cores = _cores(whole.atlas.kind == OWNED, count)
+    return [GridPartition(whole, core, number, source, steps, channels) for core in cores]
+
+
+def _sources(atlas: Atlas) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return for each cell of the canvas the sample that it is, and the one whose value it has; -1: none."""
+    number = np.full(atlas.kind.size, -1, np.int64)
+    number[atlas.owned_cells] = np.arange(len(atlas.owned_cells))
+    source = number.copy()
+    source[atlas.halo_cells] = number[atlas.halo_nearest]
+    return number, source
+
+
+def _cores(owned: NDArray[np.bool_], count: int) -> Iterator[Core]:
+    """Cut into bands of rows, and each band into columns, so that rectangles are about square and equally full."""
+    rows, columns = owned.shape
+    bands = int(np.clip(round((count * rows / max(1, columns)) ** 0.5), 1, count))
+    shares = np.linspace(0, count, bands + 1).round().astype(int)
+    borders = _even(owned.sum(axis=1), shares / count)
+    for top, bottom, parts in zip(borders[:-1], borders[1:], np.diff(shares).tolist(), strict=True):
+        if top == bottom:
+            continue
+        across = _even(owned[top:bottom].sum(axis=0), np.linspace(0, 1, parts + 1))
+        for left, right in pairwise(across):
+            if owned[top:bottom, left:right].any():
+                yield Core(top, bottom, left, right)
+
+
+def _even(counts: NDArray[np.int64], shares: NDArray[np.float64]) -> list[int]:
+    """Return borders between entries so that what lies before each is about its share of all."""
+    held = np.concatenate([[0], np.cumsum(counts)])
+    borders = np.searchsorted(held, shares * held[-1])
+    borders[0], borders[-1] = 0, len(counts)
+    return np.maximum.accumulate(borders).tolist()  # type: ignore[no-any-return]

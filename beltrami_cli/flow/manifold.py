@@ -1,0 +1,185 @@
+"""The image manifold as the iterations see it: what measures distances on it, and averages by them.
+
+A sample has a position X and a colour I, and is embedded as (X, beta I). Two kinds of manifolds are sampled:
+triangulated surfaces, and regular grids. Equations are those of A. Spira, R. Kimmel, N. Sochen, "A short time Beltrami
+kernel for smoothing images on manifolds", IEEE Trans. Image Processing 16(6), 2007, https://doi.org/10.1109/TIP.2007.894253
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+from beltrami_cli.flow.embedding import beta_of, choose_guide_beta, join_channels
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from numpy.typing import NDArray
+
+    from beltrami_cli.flow.clipping import ClippedChannels
+    from beltrami_cli.flow.embedding import Guide
+    from beltrami_cli.flow.kernel_probe import SampledKernel
+    from beltrami_cli.flow.parameters import KernelParameters
+    from beltrami_cli.flow.regularisation import GridGaussian, MeshGaussian
+
+
+@dataclass(frozen=True)
+class Step:
+    """One iteration: beta in units of length per unit of colour, the time step, whether the metric is regularised."""
+
+    beta: float
+    t: float
+    regularised: bool
+
+
+@dataclass(frozen=True)
+class Averaged:
+    """Averages of channels by eq. (9), how many samples the kernels held, and how many kernels were cut short."""
+
+    stacks: list[NDArray[np.float32]]
+    samples: float
+    truncated: int = 0
+
+
+class Manifold(ABC):
+    """Samples of an image manifold, or of a part of one, ready to be measured and averaged.
+
+    A *stack* is an array of channels for all samples in the inner layout: rows of samples on a mesh, planes of cells on
+    a grid. The first stack holds the colours; the others are averaged by the same kernels.
+    """
+
+    axis: ClassVar[int]
+    """The axis of the channels in a stack."""
+
+    size: int
+    """Samples that an iteration goes through, for its progress."""
+
+    kernels: int
+    """Samples that have a kernel."""
+
+    spacing: float
+    """Mean sample spacing, in the surface's own unit of length; 0 where samples have no neighbours."""
+
+    unit: float
+    """What is 1 in the unit of length of t and beta, in sample spacings."""
+
+    colours: NDArray[np.float32]
+    """The stack of the colours, before or after iterations."""
+
+    sigma: NDArray[np.float64]
+    """Estimated standard deviation of the noise, by channel."""
+
+    def __init__(self, parameters: KernelParameters, metric_channels: Sequence[int] | None) -> None:
+        self.parameters, self.threads = parameters, parameters.thread_count
+        self.chosen = None if metric_channels is None else list(metric_channels)
+        self.guide_betas: dict[str, float] = {}
+        self.guides: list[tuple[NDArray[np.float32], float]] = []
+        self._gaussian: MeshGaussian | GridGaussian | None = None
+
+    def embed(self, guides: Sequence[Guide]) -> None:
+        """Find what counts as distance beside the positions, and how much: beta of the colours, and the guides."""
+        self.counting = self.sigma if self.chosen is None else self.sigma[self.chosen]
+        self.beta = beta_of(self.parameters, self.counting, self.unit) if len(self.counting) else 0.0
+        for guide in guides:
+            stack, beta = self._laid_out(guide), guide.beta
+            if beta is None:
+                beta = choose_guide_beta(guide.values, self._steps(stack)) * self.unit
+            self.guide_betas[guide.name] = beta
+            self.guides.append((stack, beta))
+
+    def channels(self, colours: NDArray[np.float32], step: Step) -> tuple[NDArray[np.float32], float]:
+        """Return the channels that distances are taken from beside the positions, and their beta."""
+        beta = step.beta
+        if self.chosen is not None:
+            colours = np.ascontiguousarray(np.take(colours, self.chosen, axis=self.axis))
+        own = self.regularised(colours, beta) if step.regularised else (colours, beta)
+        return join_channels([own, *self.guides, *self._features(step)], self.axis)
+
+    def regularised(self, channels: NDArray[np.float32], beta: float) -> tuple[NDArray[np.float32], float]:
+        """Return what distances are taken from in place of noisy channels, and its beta."""
+        if beta == 0:
+            return channels, beta
+        if self._gaussian is None:
+            self._gaussian = self._smoothing()
+        return self._gaussian.smooth(channels), beta / self._gaussian.gain
+
+    def forget_smoothing(self) -> None:
+        """Give back the memory that only regularised iterations need."""
+        self._gaussian = None
+
+    @abstractmethod
+    def release(self) -> None:
+        """Give back the memory that only cuts need."""
+
+    @abstractmethod
+    def measure(self, colours: NDArray[np.float32], step: Step) -> None:
+        """Induce the metric, eq. (1), by colours."""
+
+    @abstractmethod
+    def average(
+        self, stacks: list[NDArray[np.float32]], progress: Callable[[int], None] | None = None
+    ) -> Averaged:
+        """Average stacks by the kernels of the metric, eqs. (8) and (9); they may be changed in place."""
+
+    @abstractmethod
+    def cut(self, samples: Any, *others: Any) -> Manifold:
+        """Return a part of the manifold as one of its own, without colours: its metric is that of the whole."""
+
+    @abstractmethod
+    def rows(self, stacks: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
+        """Return the channels of all stacks, with a row a sample."""
+
+    @abstractmethod
+    def put_rows(self, rows: NDArray[np.float32], stacks: Sequence[NDArray[np.float32]]) -> None:
+        """Put rows of samples back into stacks, in place."""
+
+    @abstractmethod
+    def take(self, stack: NDArray[np.float32], samples: NDArray[np.int64]) -> NDArray[np.float32]:
+        """Return the channels of some samples, with a row a sample."""
+
+    @abstractmethod
+    def values(self) -> NDArray[np.float32]:
+        """Return the colours as they are now, shape (S, N), in the caller's order."""
+
+    @abstractmethod
+    def find_clipped(self) -> ClippedChannels | None:
+        """Find the channels whose noise was cut off at 0 or at full scale."""
+
+    @abstractmethod
+    def marks(self, clipped: ClippedChannels) -> NDArray[np.float32]:
+        """Return the stack of marks of the samples at a limit."""
+
+    @abstractmethod
+    def restore(self, clipped: ClippedChannels, marks: NDArray[np.float32]) -> None:
+        """Turn averages of clipped colours, in place, into estimates of the colours without noise."""
+
+    @abstractmethod
+    def kernel_at(self, sample: int, step: Step) -> SampledKernel:
+        """Return the kernel that an iteration from the present colours has at a sample."""
+
+    @abstractmethod
+    def _smoothing(self) -> MeshGaussian | GridGaussian:
+        """Make the Gaussian of the regularised metric."""
+
+    @abstractmethod
+    def _laid_out(self, guide: Guide) -> NDArray[np.float32]:
+        """Return the stack of a guide."""
+
+    @abstractmethod
+    def _steps(self, stack: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return differences of a stack between neighbouring samples, shape (K, G)."""
+
+    def _features(self, step: Step) -> list[tuple[NDArray[np.float32], float]]:
+        """Return further channels that count as distance, with their beta."""
+        del step
+        return []
+
+
+def at_step(parameters: KernelParameters, step: Step) -> KernelParameters:
+    """Return parameters with the time step of an iteration, which the radius of kernels follows."""
+    return parameters if step.t == parameters.t else dataclasses.replace(parameters, t=step.t)

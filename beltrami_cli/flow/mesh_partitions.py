@@ -1,0 +1,152 @@
+"""Partitions of a triangulated surface: samples that follow each other, and what lies around them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from beltrami_cli.flow.partitions import Advance
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from beltrami_cli.flow.manifold import Step
+    from beltrami_cli.flow.mesh_manifold import MeshManifold
+
+# Sixteen samples make a group of the solver along segments, and groups are cut within blocks of this many samples that
+# follow each other. What a group holds changes the rounding of its averages, so partitions own whole blocks.
+_BLOCK = 4096
+
+# All that the core knows of a sample is as on the whole surface if all samples within this many edges are there.
+# Segments lead over strips of three triangles, which end two edges away; an obtuse corner is unfolded over up to 48
+# triangles. To that come the corner's own triangle, the triangles beyond the strip's edges, which decide whether it may
+# go on, and the neighbours of all these, from which the colours are smoothed that distances are taken from.
+_KNOWN_FOR_SEGMENTS = 4
+_KNOWN_FOR_MARCHING = 52
+
+# A kernel value that does not vanish in float32, nor in an average over many samples.
+_FAINTEST = 1e-20
+
+_UNLIMITED = 2**31 - 1
+
+# How far, in edges, kernels are first expected to reach for each sample spacing.
+_EDGES_PER_SPACING = 2.0
+
+
+class MeshPartition:
+    """Samples [first, last) of a surface with what lies around them, a `Partition`.
+
+    `ring` is how many edges each sample is away from them, shape (S,), -1 for further than is borrowed; up to `known`
+    edges away all is as on the whole surface.
+    """
+
+    def __init__(
+        self,
+        whole: MeshManifold,
+        owned: tuple[int, int],
+        ring: NDArray[np.int32],
+        known: int,
+        steps: Sequence[Step],
+        channels: int,
+    ) -> None:
+        first, last = owned
+        samples = np.flatnonzero(ring >= 0)
+        before = int(np.count_nonzero(samples < first))
+        gap = -before % _BLOCK  # so that the blocks begin where blocks begin
+        places = np.arange(len(samples)) + np.where(samples < first, 0, gap)
+        self._part = whole.cut(samples, places, len(samples) + gap)
+        self._gap, self._steps, self._channels = gap, tuple(steps), channels
+        inside = (samples >= first) & (samples < last)
+        self.owned, self.borrowed = samples[inside], samples[~inside]
+        self._own = slice(before + gap, before + gap + len(self.owned))
+        self._borrowed_places = places[~inside]
+        self._unknown = np.zeros((self._part.size, 1), np.float32)
+        self._unknown[places, 0] = ring[samples] > known
+        self.threads = whole.parameters.threads
+
+    def advance(
+        self, own: NDArray[np.float32], borrowed: NDArray[np.float32], iteration: int, threads: int
+    ) -> Advance:
+        """As for `Partition`."""
+        part, parameters = self._part, self._part.parameters
+        part.threads = threads
+        values = np.zeros((part.size, own.shape[1]), np.float32)
+        values[self._own] = own
+        values[self._borrowed_places] = borrowed
+        part.measure(np.ascontiguousarray(values[:, : self._channels]), self._steps[iteration])
+        # What is not fully known is marked in a channel of its own: averages are not 0 where kernels hold any of it.
+        marks_ride_along = parameters.weights == "uniform" and parameters.threshold >= _FAINTEST
+        channels = np.concatenate([values, self._unknown], axis=1) if marks_ride_along else values
+        smoothed, held, truncated = part.apply_kernel(channels)
+        mine, is_exact = smoothed[self._own], True
+        if marks_ride_along:
+            is_exact, mine = not mine[:, -1].any(), mine[:, :-1]
+        # Along segments, what kernels reached before they were cut short decides in which order the rest is summed up.
+        cut_short = part.is_along_segments and truncated > 0
+        if cut_short or not marks_ride_along:
+            most = _UNLIMITED if cut_short else parameters.max_samples
+            is_exact = not part.marked(self._unknown, most)[self._own].any()
+        # The core counts for all samples; of those around about the same holds as of those that are owned.
+        share = len(own) / max(1, part.size - self._gap)
+        return Advance(
+            np.ascontiguousarray(mine), (held - self._gap) * share, round(truncated * share), is_exact
+        )
+
+
+def cut_mesh(
+    whole: MeshManifold, count: int, reach: int, steps: Sequence[Step], channels: int
+) -> list[MeshPartition]:
+    """Cut a surface into up to `count` partitions that borrow what is up to `reach` edges away."""
+    if any(step.regularised for step in steps):
+        whole.fix_gain()
+    neighbours = Neighbours(whole.size, whole.core.edges())
+    blocks = -(-whole.size // _BLOCK)
+    borders = np.unique(np.linspace(0, blocks, min(count, blocks) + 1).round().astype(int)) * _BLOCK
+    beyond = _KNOWN_FOR_SEGMENTS if whole.is_along_segments else _KNOWN_FOR_MARCHING
+    partitions = []
+    for owned in zip(borders[:-1].tolist(), np.minimum(borders[1:], whole.size).tolist(), strict=True):
+        ring = neighbours.rings(*owned, reach + beyond)
+        partitions.append(MeshPartition(whole, owned, ring, reach, steps, channels))
+    return partitions
+
+
+def first_reach(whole: MeshManifold) -> int:
+    """Guess how many edges kernels reach; edges vary in length, and what proves too narrow is cut again."""
+    own = whole.parameters
+    spacing = whole.spacing if own.units == "world" else 1.0
+    return min(whole.size, 2 + int(_EDGES_PER_SPACING * own.radius / (spacing or 1.0)))
+
+
+class Neighbours:
+    """The neighbours of every vertex, from edges of shape (E, 2)."""
+
+    def __init__(self, count: int, edges: NDArray[np.int32]) -> None:
+        both = np.concatenate([edges[:, 0], edges[:, 1]])
+        order = np.argsort(both, kind="stable")
+        self._targets = np.concatenate([edges[:, 1], edges[:, 0]])[order]
+        self._offsets = np.zeros(count + 1, np.int64)
+        np.cumsum(np.bincount(both, minlength=count), out=self._offsets[1:])
+
+    def rings(self, first: int, last: int, most: int) -> NDArray[np.int32]:
+        """Return for each vertex how many edges it is away from those in [first, last); -1: more than `most`."""
+        ring = np.full(len(self._offsets) - 1, -1, np.int32)
+        ring[first:last] = 0
+        front: NDArray[np.int32] = np.arange(first, last, dtype=np.int32)
+        for number in range(1, most + 1):
+            beside: NDArray[np.int32] = np.unique(self._beside(front))
+            front = beside[ring[beside] < 0]
+            if not len(front):
+                break
+            ring[front] = number
+        return ring
+
+    def _beside(self, vertices: NDArray[np.int32]) -> NDArray[np.int32]:
+        starts = self._offsets[vertices]
+        counts = self._offsets[vertices + 1] - starts
+        # Entry i of a row of `counts` numbers that begins at `starts`.
+        places = np.arange(int(counts.sum())) + np.repeat(starts - (np.cumsum(counts) - counts), counts)
+        beside: NDArray[np.int32] = self._targets[places]
+        return beside

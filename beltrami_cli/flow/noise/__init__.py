@@ -1,0 +1,1 @@
+"""The noise of colours, estimated from the colours themselves."""

@@ -1,0 +1,137 @@
+"""A sample of a canvas on which iterations can be tried: some blocks of it, with a rim around each."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from beltrami_cli.flow.noise.haar_noise import draw_octaves, sigma_of_octaves
+from beltrami_cli.flow.regularisation import guide_radius
+from beltrami_cli.flow.tuning.sure import wanted_probes
+from beltrami_cli.flow.tuning.trial import SampleTrial
+from beltrami_cli.surface.atlas import EMPTY, OWNED, refresh_halo
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from beltrami_cli.flow.grid_manifold import GridManifold
+    from beltrami_cli.surface.atlas import Atlas, Indices
+
+# Cells on which parameters are tried, as a share of all, so that trying takes no longer than smoothing: some sixty
+# iterations are tried, each twice. Fewer cells than the least say too little, and take about a second.
+_SHARE_TRIED = 1 / 25
+_LEAST_TRIED = 40_000
+
+# More say nothing new: by this many the risk is known to a tenth of a dB or better.
+_MOST_TRIED = 100_000
+
+# Cells a side of the core of a block, whose result counts.
+_CORE = 64
+
+# Iterations carry what is wrong at a block's border inwards; most of a kernel's weight lies within so many cells.
+_RIM = 8
+
+# With any seed the choice is as good; with this one it is the same every time.
+_SEED = 20
+
+
+def grid_trial(manifold: GridManifold) -> SampleTrial:
+    """Choose blocks of a canvas, and draw the perturbations of their colours."""
+    atlas, planes, own = manifold.atlas, manifold.colours, manifold.parameters
+    budget = min(max(_LEAST_TRIED, int(len(atlas.owned_cells) * _SHARE_TRIED)), _MOST_TRIED)
+    if len(atlas.owned_cells) <= budget:
+        part, scored = manifold.in_one_block(), atlas.owned_cells
+    else:
+        reach = own.window // 2 + guide_radius(own.metric_scale)
+        cells, core = choose_blocks(atlas, budget, reach)
+        part = cut_blocks(manifold, cells, core, reach)
+        planes = np.ascontiguousarray(planes.reshape(len(planes), -1)[:, cells])
+        planes[:, part.atlas.kind == EMPTY] = 0
+        scored = np.flatnonzero(core & (part.atlas.kind == OWNED))
+    signs = _perturbations(wanted_probes(len(scored)), planes.shape, manifold.octaves)
+    signs[..., part.atlas.kind == EMPTY] = 0
+    for each in signs:
+        refresh_halo(each, part.atlas)
+    return SampleTrial(part, planes, signs, scored, correlated=manifold.octaves is not None)
+
+
+def cut_blocks(
+    manifold: GridManifold, cells: NDArray[np.int64], core: NDArray[np.bool_], reach: int
+) -> GridManifold:
+    """Cut out blocks; what their borders cut off keeps its colours, as halo that is not refreshed."""
+    side = cells.shape[1]
+    at = np.arange(side)
+    inner = (at >= reach) & (at < side - reach)
+    part = manifold.cut(cells, np.tile(inner[:, None] & inner, (len(cells) // side, 1)))
+    part.atlas = _with_halo(part.atlas, manifold.atlas, cells, core)
+    return part
+
+
+def _with_halo(part: Atlas, whole: Atlas, cells: NDArray[np.int64], core: NDArray[np.bool_]) -> Atlas:
+    """Return the atlas of some cells of another, with those of its halo cells whose owned cells are there, too."""
+    # A cell that is in several blocks is taken from the one whose core it is, and not from another's rim.
+    owned = part.owned_cells
+    order = np.lexsort([~core.reshape(-1)[owned], cells.reshape(-1)[owned]])
+    owned = owned[order]
+    mirrored = np.flatnonzero(part.kind != EMPTY)
+    rank = _rank(whole.halo_cells, cells.reshape(-1)[mirrored])
+    mirrored, rank = mirrored[rank >= 0], rank[rank >= 0]
+    place = _rank(cells.reshape(-1)[owned], whole.halo_taps[rank])
+    taps = np.where(place >= 0, owned[place], -1) if len(owned) else place
+    complete = np.all((taps >= 0) | (whole.halo_weights[rank] == 0), axis=1)
+    return dataclasses.replace(
+        part,
+        halo_cells=mirrored[complete],
+        halo_taps=np.maximum(taps[complete], 0).astype(np.int64),
+        halo_weights=whole.halo_weights[rank[complete]],
+        halo_seams=whole.halo_seams[rank[complete]],
+    )
+
+
+def _perturbations(
+    count: int, shape: tuple[int, ...], octaves: NDArray[np.float64] | None
+) -> NDArray[np.float32]:
+    """Return random planes like the noise: signs, or what neighbours and channels have in common as they do."""
+    random = np.random.default_rng(_SEED)
+    if octaves is None:
+        return (random.integers(0, 2, (count, *shape), np.int8) * 2 - 1).astype(np.float32)
+    size = np.float32(np.sqrt(np.mean(np.square(sigma_of_octaves(octaves)))))
+    return np.stack([draw_octaves(octaves, (shape[1], shape[2]), random) / size for _ in range(count)])
+
+
+def choose_blocks(atlas: Atlas, budget: int, reach: int) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """Choose blocks spread evenly over the owned cells.
+
+    Returns
+    -------
+    cells : ndarray of int64, shape (blocks * side, side)
+        The flat index of each cell on the canvas; for what lies beyond it that of its last cell, in the margin.
+    core : ndarray of bool, shape (blocks * side, side)
+        The cells whose results count.
+    """
+    rows, columns = atlas.kind.shape
+    across = np.arange(0, columns, _CORE)
+    bands = (atlas.kind[top : top + _CORE] == OWNED for top in range(0, rows, _CORE))
+    held = np.cumsum([np.add.reduceat(band.sum(axis=0), across) for band in bands])
+    wanted = max(1, budget // _CORE**2)
+    chosen = np.unique(np.searchsorted(held, (np.arange(wanted) + 0.5) * held[-1] / wanted))
+    top, left = np.divmod(chosen, -(-columns // _CORE))
+    margin = _RIM + reach
+    side = np.arange(-margin, _CORE + margin)
+    row = (top[:, None] * _CORE + side)[:, :, None]
+    column = (left[:, None] * _CORE + side)[:, None, :]
+    on = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
+    cells = np.where(on, row * columns + column, atlas.kind.size - 1).reshape(-1, len(side))
+    inside = (side >= 0) & (side < _CORE)
+    core = np.tile(inside[:, None] & inside, (len(chosen), 1))
+    return cells.astype(np.int64), core
+
+
+def _rank(ascending: Indices, wanted: Indices) -> NDArray[np.int64]:
+    """Find where numbers stand in an ascending list, the first of equal ones; -1: nowhere."""
+    if not len(ascending):
+        return np.full(wanted.shape, -1, np.int64)
+    rank = np.minimum(np.searchsorted(ascending, wanted), len(ascending) - 1)
+    return np.where(ascending[rank] == wanted, rank, -1)
