@@ -89,6 +89,18 @@ def png_chunk(kind: bytes, payload: bytes) -> bytes:
     return len(payload).to_bytes(4) + kind + payload + zlib.crc32(kind + payload).to_bytes(4)
 
 
+def png_file(chunks: list[tuple[bytes, bytes]]) -> bytes:
+    return b"\x89PNG\r\n\x1a\n" + b"".join(png_chunk(*chunk) for chunk in chunks)
+
+
+def two_pixels(*chunks: tuple[bytes, bytes]) -> bytes:
+    """Return a PNG of two pixels by a palette, with further chunks behind it."""
+    header = (2).to_bytes(4) + (1).to_bytes(4) + bytes([8, 3, 0, 0, 0])
+    palette = (b"PLTE", bytes([1, 2, 3, 200, 100, 50]))
+    data = (b"IDAT", zlib.compress(bytes([0, 0, 1])))
+    return png_file([(b"IHDR", header), palette, *chunks, data, (b"IEND", b"")])
+
+
 def png_chunks(data: bytes) -> list[tuple[bytes, bytes]]:
     chunks, at = [], 8
     while at < len(data):

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.image import read_image
-from formats.image_files import LOSSLESS, SUFFIXES, encode, noise, png_chunk, riff, riff_chunks
+from formats.image_files import LOSSLESS, SUFFIXES, encode, noise, png_file, riff, riff_chunks
 
 KINDS = {known: (known, kind, channels) for known, kind, channels in LOSSLESS} | {
     "jpeg": ("jpeg", "uint8", 3),
@@ -29,8 +29,7 @@ def sample(known: str, size: int = 24) -> bytes:
 
 def png(width: int, height: int, lines: bytes = b"") -> bytes:
     header = width.to_bytes(4) + height.to_bytes(4) + bytes([8, 2, 0, 0, 0])
-    chunks = [(b"IHDR", header), (b"IDAT", zlib.compress(lines)), (b"IEND", b"")]
-    return b"\x89PNG\r\n\x1a\n" + b"".join(png_chunk(*chunk) for chunk in chunks)
+    return png_file([(b"IHDR", header), (b"IDAT", zlib.compress(lines)), (b"IEND", b"")])
 
 
 @pytest.mark.parametrize("known", sorted(KINDS))
@@ -114,10 +113,7 @@ def test_of_an_animation_the_first_image_is_taken_and_said_so() -> None:
     for seed in (0, 1):
         pixels = noise("uint8", 4, 8, 8, seed)
         pixels[..., 3] = 255
-        payload = b"".join(
-            kind + len(part).to_bytes(4, "little") + part + b"\0" * (len(part) % 2)
-            for kind, part in riff_chunks(encode(pixels, "webp"))
-        )
+        payload = riff(riff_chunks(encode(pixels, "webp")))[12:]
         frames.append((b"ANMF", bytes(6) + bytes([7, 0, 0, 7, 0, 0, 100, 0, 0, 0]) + payload))
     chunks = [(b"VP8X", bytes([0x12, 0, 0, 0, 7, 0, 0, 7, 0, 0])), (b"ANIM", bytes(6)), *frames]
     picture = read_image(riff(chunks), "moving.webp")

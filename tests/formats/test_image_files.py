@@ -1,8 +1,7 @@
-"""Images come back as they were: values, types, alpha, compression and metadata."""
+"""Images come back as they were: values, types, alpha, compression and metadata; sizes come from headers."""
 
 from __future__ import annotations
 
-import zlib
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,22 +10,25 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from beltrami_cli.formats.image import read_image, to_float, write_image
+from beltrami_cli.formats.image.reading import ImageSize, measure_image
 from formats.image_files import (
     LOSSLESS,
     SUFFIXES,
     encode,
     icc_profile,
     noise,
-    png_chunk,
     png_chunks,
+    png_file,
     riff,
     riff_chunks,
+    two_pixels,
 )  # fmt: skip
 from formats.repainting import repainted
 
 if TYPE_CHECKING:
     from pathlib import Path
 
+BYTES = {"uint8": 1, "uint16": 2, "half": 2, "float": 4}
 EXIF = b"MM\0*\0\0\0\x08\0\x01\x01\x12\0\x03\0\0\0\x01\0\x06\0\0\0\0\0\0"
 
 
@@ -102,35 +104,17 @@ def test_png_chunks_stay_as_they_are_byte_by_byte(kind: str) -> None:
     ]
     behind = [(b"tEXt", b"Comment\0at the end")]
     pixels = [chunk for chunk in plain if chunk[0] == b"IDAT"]
-    chunks = [plain[0], *before, *pixels, *behind, (b"IEND", b"")]
-    source = b"\x89PNG\r\n\x1a\n" + b"".join(png_chunk(*chunk) for chunk in chunks)
-    picture = read_image(source, "x.png")
+    end = (b"IEND", b"")
+    picture = read_image(png_file([plain[0], *before, *pixels, *behind, end]), "x.png")
     for small in (False, True):
         written = png_chunks(write_image(picture, picture.pixels, small=small).data)
-        assert [chunk for chunk in written if chunk[0] != b"IDAT"] == [
-            plain[0],
-            *before,
-            *behind,
-            (b"IEND", b""),
-        ]
+        assert [chunk for chunk in written if chunk[0] != b"IDAT"] == [plain[0], *before, *behind, end]
         kinds = [kind for kind, _ in written]
         assert kinds.index(b"prVt") < kinds.index(b"IDAT") < len(kinds) - 2
 
 
 def test_palettes_become_colours_and_take_their_chunks_with_them() -> None:
-    header = (2).to_bytes(4) + (1).to_bytes(4) + bytes([8, 3, 0, 0, 0])
-    source = b"\x89PNG\r\n\x1a\n" + b"".join(
-        png_chunk(*chunk)
-        for chunk in [
-            (b"IHDR", header),
-            (b"PLTE", bytes([1, 2, 3, 200, 100, 50])),
-            (b"tRNS", bytes([7])),
-            (b"bKGD", bytes([1])),
-            (b"tEXt", b"Title\0t"),
-            (b"IDAT", zlib.compress(bytes([0, 0, 1]))),
-            (b"IEND", b""),
-        ]
-    )
+    source = two_pixels((b"tRNS", bytes([7])), (b"bKGD", bytes([1])), (b"tEXt", b"Title\0t"))
     picture = read_image(source, "x.png")
     assert picture.pixels.tolist() == [[[1, 2, 3, 7], [200, 100, 50, 255]]]
     written = write_image(picture, picture.pixels).data
@@ -249,3 +233,30 @@ def test_without_files_in_memory_temporary_ones_do(monkeypatch: pytest.MonkeyPat
     again = read_image(write_image(picture, picture.pixels).data, "x.png")
     np.testing.assert_array_equal(again.pixels, pixels)
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("known", "kind", "channels"), [*LOSSLESS, ("jpeg", "uint8", 3), ("jpeg", "uint8", 1)]
+)
+def test_the_size_is_that_of_the_pixels(known: str, kind: str, channels: int) -> None:
+    small, large = noise(kind, channels), noise(kind, channels, 300, 400)
+    for pixels in (small, large):
+        height, width = pixels.shape[:2]
+        expected = ImageSize(width, height, channels, BYTES[kind])
+        assert measure_image(encode(pixels, known, kind)) == expected
+
+
+def test_metadata_before_the_pixels_may_be_long() -> None:
+    words = np.random.default_rng(1).integers(32, 127, 200_000, np.uint8).tobytes()
+    header, *others = png_chunks(encode(noise("uint8", 3), "png"))
+    assert measure_image(png_file([header, (b"tEXt", b"Comment\0" + words), *others])) == ImageSize(
+        7, 5, 3, 1
+    )
+    jpeg = encode(noise("uint8", 3), "jpeg")
+    segment = b"\xff\xfe" + (60_002).to_bytes(2) + words[:60_000]
+    assert measure_image(jpeg[:2] + 3 * segment + jpeg[2:]) == ImageSize(7, 5, 3, 1)
+
+
+def test_what_is_no_image_has_no_size() -> None:
+    for data in (b"", b"ply\n", b"\x89PNG", b"\x89PNG" + bytes(1 << 17), b"\xff\xd8\xff" + bytes(1 << 17)):
+        assert measure_image(data) is None

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import struct
-import zlib
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,13 +13,14 @@ from PIL import Image
 
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.formats.image import check_writable, losses, read_image, to_float, write_image
-from formats.image_files import RARER_SUFFIXES, encode, noise, png_chunk
+from formats.image_files import RARER_SUFFIXES, encode, noise
 from formats.repainting import repainted
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
+PALETTED = [".png", ".bmp", ".tga", ".tif", ".gif"]
 WRITTEN = [
     *(("jpegxl", kind, channels) for kind in ("uint8", "uint16", "half", "float") for channels in (1, 3, 4)),
     *(("jpeg2000", kind, channels) for kind in ("uint8", "uint16") for channels in (1, 3, 4)),
@@ -106,23 +106,31 @@ def test_of_mip_mapped_files_the_full_size_is_kept_and_said_so(suffix: str, tmp_
         assert not again.notices
 
 
-def test_a_palette_is_told_of() -> None:
-    header = (2).to_bytes(4) + (1).to_bytes(4) + bytes([8, 3, 0, 0, 0])
-    line = zlib.compress(bytes([0, 0, 1]))
-    chunks = [(b"IHDR", header), (b"PLTE", bytes(6)), (b"IDAT", line), (b"IEND", b"")]
-    source = b"\x89PNG\r\n\x1a\n" + b"".join(png_chunk(*chunk) for chunk in chunks)
-    assert "palette" in read_image(source, "x.png").notices[0]
-    assert not read_image(encode(noise("uint8", 3), "png"), "x.png").notices
-
-
-def saved(picture: Image.Image, **options: str) -> bytes:
+def saved(picture: Image.Image, suffix: str = ".tif", **options: str) -> bytes:
     buffer = io.BytesIO()
-    picture.save(buffer, "TIFF", **options)
+    picture.save(buffer, Image.registered_extensions()[suffix], **options)
     return buffer.getvalue()
 
 
+@pytest.mark.parametrize("suffix", PALETTED)
+def test_a_palette_of_colours_is_reported_and_resolved(suffix: str) -> None:
+    colours = Image.fromarray(noise("uint8", 3, 16, 16)).quantize(16)
+    picture = read_image(saved(colours, suffix), f"x{suffix}")
+    assert any("palette" in notice for notice in picture.notices)
+    shown = np.asarray(colours.convert("RGB")).astype(int)
+    # Pillow multiplies levels by 256 for the 16 bits of a TIFF, of which the full scale is 257 times 255.
+    assert np.abs(picture.pixels[..., :3] - shown).max() <= (1 if suffix == ".tif" else 0)
+
+
+@pytest.mark.parametrize("suffix", PALETTED[:-1])
+@pytest.mark.parametrize("kind", ["RGB", "L"])
+def test_full_colours_and_greys_are_no_palette(kind: str, suffix: str) -> None:
+    plain = Image.fromarray(noise("uint8", 3, 16, 16)).convert(kind)
+    assert not read_image(saved(plain, suffix), f"x{suffix}").notices
+
+
 @pytest.mark.parametrize(
-    ("mode", "options", "told"),
+    ("mode", "options", "reported"),
     [
         ("YCbCr", {}, ["(YCbCr), which become red, green and blue"]),
         (
@@ -143,10 +151,10 @@ def saved(picture: Image.Image, **options: str) -> bytes:
         ("I;16", {}, []),
     ],
 )
-def test_what_a_tiff_stores_otherwise_is_told_once(
-    mode: str, options: dict[str, str], told: list[str]
+def test_what_a_tiff_stores_otherwise_is_reported_once(
+    mode: str, options: dict[str, str], reported: list[str]
 ) -> None:
-    """What nothing is told of comes back as it was."""
+    """What is not reported comes back as it was."""
     across, down = np.meshgrid(np.arange(48), np.arange(32))
     slope = np.stack([5 * across, 7 * down, 80 + across + down], axis=2).astype(np.uint8)
     picture = (
@@ -155,14 +163,14 @@ def test_what_a_tiff_stores_otherwise_is_told_once(
         else Image.fromarray(slope).convert(mode)
     )
     image = read_image(saved(picture, **options), "x.tif")
-    assert len(image.notices) == len(told)
-    assert all(words in notice for words, notice in zip(told, image.notices, strict=True))
+    assert len(image.notices) == len(reported)
+    assert all(words in notice for words, notice in zip(reported, image.notices, strict=True))
     if mode == "YCbCr":
         assert np.abs(image.pixels.astype(int) - slope).max() <= (12 if options else 3)
     again = read_image(write_image(image, image.pixels).data, "x.tif")
     np.testing.assert_array_equal(again.pixels, image.pixels)
     assert not again.notices
-    if not told:
+    if not reported:
         for attribute in ("compression", "tiff:PhotometricInterpretation"):
             assert again.spec.getattribute(attribute) == image.spec.getattribute(attribute)
 
@@ -173,10 +181,9 @@ def test_lightness_and_hues_are_refused() -> None:
         read_image(saved(Image.fromarray(noise("uint8", 3), "LAB")), "x.tif")
 
 
-def test_grey_of_few_bits_is_told_of() -> None:
-    buffer = io.BytesIO()
-    Image.fromarray(noise("uint8", 1)[..., 0]).convert("1").save(buffer, "PNG")
-    assert read_image(buffer.getvalue(), "x.png").notices == (
+def test_grey_of_few_bits_is_reported() -> None:
+    grey = Image.fromarray(noise("uint8", 1)[..., 0]).convert("1")
+    assert read_image(saved(grey, ".png"), "x.png").notices == (
         "x.png has 1-bit samples, which become 8-bit ones.",
     )
 

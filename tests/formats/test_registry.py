@@ -42,6 +42,7 @@ def test_formats_of_output_are_those_with_a_writer():
         (b"OFF\n", "x.obj", "obj"),
         (b"0 0 0 1 1 1\n", "x.xyzrgb", "xyz"),
         (b"0 0 0 1 1 1\n", "x.pts", "pts"),
+        (npz(positions=np.zeros((1, 3)), rgb=np.zeros((1, 3))), "-", "npz"),
     ],
 )
 def test_content_counts_before_the_name(data, name, format_name):

@@ -11,10 +11,10 @@ import numpy as np
 from oracles.level_sets import directions, pattern, places, sphere
 
 
-def npz(**arrays):
+def npz(compressed=True, **arrays):
     """Return the bytes of an archive."""
     file = io.BytesIO()
-    np.savez_compressed(file, **arrays)
+    (np.savez_compressed if compressed else np.savez)(file, **arrays)
     return file.getvalue()
 
 
@@ -44,7 +44,7 @@ def nrrd_file(samples, encoding="raw", **fields):
 
 
 def lattice_fields(axes, origin, listed=None):
-    """Return the fields that tell where samples stand; `listed` is the axis of colours, first or last."""
+    """Return the fields that say where samples stand; `listed` is the axis of colours, first or last."""
     rows = [list(row) for row in np.asarray(axes, float)]
     if listed is not None:
         rows.insert(listed, [np.nan] * 3)
