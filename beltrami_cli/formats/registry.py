@@ -45,7 +45,7 @@ _READABLE = (
 
 
 _JSON = rb"(?:\xef\xbb\xbf)?[ \t\r\n]*\{"
-_BY_NAME = None  # in place of a mark: only the name tells what a file is
+_BY_NAME = None  # in place of a mark: a file is recognised by its name alone
 
 
 @dataclass(frozen=True)

@@ -40,7 +40,7 @@ def places(tree, place=()):
 
 def use_all(document):
     """Ask for everything that a document can be asked for."""
-    for name in ("facts", "references", "slots", "contents", "attributes", "anatomy"):
+    for name in ("facts", "references", "slots", "contents", "attributes", "fingerprint"):
         with contextlib.suppress(InputError):
             getattr(document, name)()
     with contextlib.suppress(BeltramiError):

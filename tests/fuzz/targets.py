@@ -46,7 +46,7 @@ def read_model(data: bytes, name: str) -> None:
         document = open_bytes(main, name, Path(folder), ACCESS)
         document.facts()
         document.references()
-        for use in (document.anatomy, document.contents, lambda: _use_vertices(document, Path(folder))):
+        for use in (document.fingerprint, document.contents, lambda: _use_vertices(document, Path(folder))):
             with contextlib.suppress(InputError):
                 use()
         for slot in document.slots()[:2]:

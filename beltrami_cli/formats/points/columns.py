@@ -82,14 +82,14 @@ def find_columns(table: PointTable, name: str) -> Columns:
         )
     if width not in _KNOWN:
         raise InputError(
-            name, f"its points have {width} numbers each, and it cannot be told which are colours", _REMEDY
+            name, f"its points have {width} numbers each, and it is not clear which are colours", _REMEDY
         )
     layouts = [layout for layout in _KNOWN[width] if _fits(layout, table.values)]
     if not layouts:
         cause = (
             "columns 4 to 6 are normals, and no colours"
             if width == 6
-            else "the normals cannot be told from colours"
+            else "the normals cannot be distinguished from colours"
         )
         raise InputError(name, cause, _REMEDY)
     names = ("x", "y", "z", *layouts[0])

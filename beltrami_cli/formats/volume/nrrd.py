@@ -187,7 +187,7 @@ def _list_axis(header: Mapping[str, Any], name: str) -> int | None:
     if len(found) != 1 or count == 3:
         raise InputError(
             name,
-            "it cannot be told which three of its axes are those of space",
+            "it is not clear which three of its axes are those of space",
             "set the kinds of these to domain",
         )
     return found.pop()
