@@ -9,7 +9,7 @@ import numpy as np
 
 from beltrami_cli.errors import UsageError
 from beltrami_cli.formats.document import Written
-from beltrami_cli.jobs.kernel.picture import coloured
+from beltrami_cli.jobs.colour_map import colour_by_value
 from beltrami_cli.samples.settings.smooth import IMAGE_SUFFIXES
 
 if TYPE_CHECKING:
@@ -102,7 +102,7 @@ def draw_vertices(pair: PairedColours, document: Document, target: str) -> tuple
     values[pair.place] = _amount(pair)
     errors[pair.place] = np.abs(pair.test - pair.reference).max(axis=1)
     held = np.isfinite(values)
-    shades = _bytes(coloured(values / np.float32(scale), np.ones((len(values), 3), np.float32), held))
+    shades = _bytes(colour_by_value(values / np.float32(scale), np.ones((len(values), 3), np.float32), held))
     scalars = {"delta_e": values, "error": errors}
     if pair.delta_e is None:
         del scalars["delta_e"]
@@ -125,7 +125,7 @@ def _image_of(pair: PairedColours, size: tuple[int, int], scale: float) -> NDArr
     columns, rows = pair.place.T
     values[rows, columns] = _amount(pair) / scale
     held[rows, columns] = True
-    return _bytes(coloured(values, np.ones((*size, 3), np.float32), held))
+    return _bytes(colour_by_value(values, np.ones((*size, 3), np.float32), held))
 
 
 def _padded(panel: NDArray[np.uint8], height: int) -> NDArray[np.uint8]:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli.jobs.kernel.picture import coloured
+from beltrami_cli.jobs.colour_map import colour_by_value
 from beltrami_cli.surface.colour_values import linear_to_srgb
 from beltrami_cli.view.rendering.details import richest_window
 from beltrami_cli.view.report.page import data_address, picture_tag
@@ -83,7 +83,7 @@ def seam_map(pair: PairedColours, size: tuple[int, int]) -> str:
     near = pair.near_seams
     np.maximum.at(values, (rows[near], columns[near]), (amount[near] / largest).astype(np.float32))
     shades = np.where(covered[..., None], 0.6, _WHITE) * np.ones((*small, 3))
-    drawn = coloured(np.maximum(values, 0), shades.astype(np.float32), values >= 0)
+    drawn = colour_by_value(np.maximum(values, 0), shades.astype(np.float32), values >= 0)
     tag = picture_tag(np.rint(255 * drawn).astype(np.uint8), f"seams of {pair.name}")
     caption = f"{html.escape(pair.name)}: brightest {255 * largest:.1f}/255"
     return f"<figure>{tag}<figcaption>{caption}</figcaption></figure>"

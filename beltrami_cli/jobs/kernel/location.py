@@ -1,4 +1,4 @@
-"""Where the sample is whose kernel is wanted, as it is written on the command line."""
+"""Which sample a kernel is wanted of, as it is written on the command line."""
 
 from __future__ import annotations
 
@@ -17,35 +17,16 @@ _PIXEL = "px"
 
 
 @dataclass(frozen=True)
-class Place:
-    """A place in a file.
+class Location:
+    """A vertex, a position, a texel or a pixel of a file; methods raise UsageError if the file has none such."""
 
-    Attributes
-    ----------
-    text : str
-        As it was written.
-    texture : str
-        Glob for the name of the texture that it is in; empty: the only one.
-    numbers : tuple of float
-        One: the index of a vertex. Two: texture coordinates, or the column and the row of a pixel. Three: a
-        position.
-    in_pixels : bool
-        Whether the two numbers were marked as pixels.
-    """
-
-    text: str
-    texture: str
-    numbers: tuple[float, ...]
-    in_pixels: bool
+    text: str  # as it was written
+    texture: str  # glob for the name of the texture that it is in; empty: the only one
+    numbers: tuple[float, ...]  # index of a vertex; texture coordinates, or column and row; position
+    in_pixels: bool  # whether two numbers were marked as pixels
 
     def vertex_among(self, positions: NDArray[np.float64], name: str) -> int:
-        """Return the vertex with the index, or nearest to the position.
-
-        Raises
-        ------
-        UsageError
-            If it names none.
-        """
+        """Return the vertex with the index, or nearest to the position."""
         if len(self.numbers) == 3:
             squared = np.square(positions - np.array(self.numbers)).sum(axis=1)
             return int(np.where(np.isfinite(squared), squared, np.inf).argmin())
@@ -62,47 +43,20 @@ class Place:
         return index
 
     def pixel_of(self, width: int, height: int, name: str) -> tuple[int, int]:
-        """Return column and row of the pixel that the two numbers name.
-
-        Raises
-        ------
-        UsageError
-            If they name none.
-        """
+        """Return column and row of a pixel of an image."""
         if len(self.numbers) != 2 or self.texture:
             raise UsageError(f"--at {self.text} names no pixel of {name}; give its column and row as X,Y")
-        column, row = (_whole(number, self.text) for number in self.numbers)
-        if not (0 <= column < width and 0 <= row < height):
-            raise UsageError(
-                f"--at {self.text} lies outside {name}, which has the columns 0 to {width - 1} and the rows 0 to "
-                f"{height - 1}"
-            )
-        return column, row
+        return self._inside(width, height, name)
 
     def texel_of(self, width: int, height: int, name: str, *, v_down: bool) -> tuple[int, int]:
-        """Return column and row of the texel at texture coordinates, or marked as a pixel.
-
-        Parameters
-        ----------
-        width, height : int
-            Of the texture.
-        name : str
-            The texture's, for messages.
-        v_down : bool
-            Whether v is counted from the upper side of the image, as in glTF, and not from the lower one.
-
-        Raises
-        ------
-        UsageError
-            If it names none.
-        """
+        """Return column and row of a texel; v counts from the upper side of the image (glTF) or the lower."""
         if len(self.numbers) != 2:
             raise UsageError(
                 f"--at {self.text} names no texel, but the texture {name} is smoothed; give texture coordinates U,V, a "
                 "texel as in 300px,200px, or --on vertices"
             )
         if self.in_pixels:
-            return Place(self.text, "", self.numbers, in_pixels=True).pixel_of(width, height, name)
+            return self._inside(width, height, name)
         u, v = self.numbers
         if not (0 <= u <= 1 and 0 <= v <= 1):
             raise UsageError(
@@ -112,15 +66,18 @@ class Place:
         down = v if v_down else 1 - v
         return min(int(u * width), width - 1), min(int(down * height), height - 1)
 
+    def _inside(self, width: int, height: int, name: str) -> tuple[int, int]:
+        column, row = (_whole(number, self.text) for number in self.numbers)
+        if not (0 <= column < width and 0 <= row < height):
+            raise UsageError(
+                f"--at {self.text} lies outside {name}, which has the columns 0 to {width - 1} and the rows 0 to "
+                f"{height - 1}"
+            )
+        return column, row
 
-def read_place(text: str) -> Place:
-    """Read ``INDEX``, ``X,Y,Z``, ``X,Y``, ``U,V`` or ``Xpx,Ypx``, with ``GLOB:`` before it to choose a texture.
 
-    Raises
-    ------
-    UsageError
-        If it is none of these.
-    """
+def read_location(text: str) -> Location:
+    """Read ``INDEX``, ``X,Y,Z``, ``X,Y``, ``U,V`` or ``Xpx,Ypx``, with ``GLOB:`` before it to choose a texture."""
     texture, _, rest = text.rpartition(":")
     parts = [part.strip() for part in rest.split(",")]
     in_pixels = [part.endswith(_PIXEL) for part in parts]
@@ -133,7 +90,7 @@ def read_place(text: str) -> Place:
         raise UsageError(
             f"--at {text} is no place; give the index of a vertex, X,Y,Z, texture coordinates U,V, or a pixel X,Y"
         )
-    return Place(text, texture, numbers, all(in_pixels))
+    return Location(text, texture, numbers, all(in_pixels))
 
 
 def _whole(number: float, text: str) -> int:

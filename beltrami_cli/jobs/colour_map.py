@@ -1,0 +1,47 @@
+"""Values as colours, bright where they are large, over a painting in grey."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+# Every tenth part of the colour map viridis: its lightness grows evenly, also for the colour-blind and in grey.
+# S. van der Walt, N. Smith, "A better default colormap for matplotlib" (2015), in the public domain (CC0).
+_VIRIDIS = np.array(
+    [
+        [0.267, 0.005, 0.329],
+        [0.283, 0.141, 0.458],
+        [0.254, 0.265, 0.530],
+        [0.207, 0.372, 0.553],
+        [0.164, 0.471, 0.558],
+        [0.128, 0.567, 0.551],
+        [0.135, 0.659, 0.518],
+        [0.267, 0.749, 0.441],
+        [0.478, 0.821, 0.318],
+        [0.741, 0.873, 0.150],
+        [0.993, 0.906, 0.144],
+    ]
+)
+# The greys of a painting where there is no value: neither black nor white.
+_GREY_FROM, _GREY_TO = 0.35, 0.9
+_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+
+
+def colour_by_value(
+    values: NDArray[np.float32], painting: NDArray[np.float32], known: NDArray[np.bool_]
+) -> NDArray[np.float64]:
+    """Colour values in [0, 1], of any shape, by viridis; where none is known, the painting's grey shows."""
+    at = np.clip(np.where(known, values, 0), 0, 1)
+    steps = np.linspace(0, 1, len(_VIRIDIS))
+    colours = np.stack([np.interp(at, steps, channel) for channel in _VIRIDIS.T], axis=-1)
+    grey = _GREY_FROM + (_GREY_TO - _GREY_FROM) * (painting.astype(np.float64) @ _LUMINANCE)
+    return np.where(known[..., None], colours, grey[..., None])
+
+
+def as_bytes(colours: NDArray[np.float64]) -> NDArray[np.uint8]:
+    """Round display values in [0, 1] to bytes."""
+    return np.rint(255 * colours).astype(np.uint8)

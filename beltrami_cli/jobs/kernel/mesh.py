@@ -1,0 +1,102 @@
+"""Kernels on the vertices of a mesh or a point cloud."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from beltrami_cli.jobs.kernel.output import MeshView
+from beltrami_cli.jobs.kernel.probe import ProbedSamples, WorkingColours
+from beltrami_cli.samples.vertices.guides import vertex_guides
+from beltrami_cli.samples.vertices.point_cloud import with_surface
+from beltrami_cli.samples.vertices.prepare import prepare
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from beltrami_cli.flow.beltrami_flow import BeltramiFlow
+    from beltrami_cli.flow.kernel_probe import SampledKernel
+    from beltrami_cli.flow.mesh_manifold import MeshManifold
+    from beltrami_cli.formats.access import Access
+    from beltrami_cli.formats.document import Document
+    from beltrami_cli.jobs.kernel.location import Location
+    from beltrami_cli.samples.settings.smooth import SmoothSettings
+
+
+class VertexSamples(ProbedSamples):
+    """Painted vertices; `whole`: the whole mesh is shown, not only twice as far around as the kernel reaches."""
+
+    flow: BeltramiFlow[MeshManifold]
+
+    def __init__(self, document: Document, settings: SmoothSettings, access: Access, *, whole: bool) -> None:
+        self._painted = painted = with_surface(document.painted(), settings)
+        prepared = prepare(painted, settings, vertex_guides(document, settings, access))
+        self._name, self._whole, self._most = document.name, whole, settings.kernel.max_samples
+        self._sampling = prepared.sampling
+        channels = tuple(painted.channels[i] for i in prepared.channels.taking_part)
+        self.colours = WorkingColours(channels, settings.space)
+        self.flow = prepared.flow(settings)
+
+    def find(self, location: Location) -> tuple[int, dict[str, object]]:
+        """Return the sample of a vertex, which is given by its index or a position near it."""
+        vertex = location.vertex_among(self._painted.positions, self._name)
+        facts = {"at": f"vertex {vertex}", "position": self._painted.positions[vertex].tolist()}
+        return int(self._sampling.sample_of[vertex]), facts
+
+    def facts(self, kernel: SampledKernel) -> dict[str, object]:
+        """Return whether the kernel is smaller than it should be."""
+        return {"cut_short": len(kernel.samples) == self._most}
+
+    def columns(self, samples: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
+        """Return a vertex of each sample, and where it is."""
+        vertices = self._sampling.first_vertex[samples]
+        return {"vertex": vertices, **dict(zip("xyz", self._painted.positions[vertices].T, strict=True))}
+
+    def view(self, kernel: SampledKernel) -> MeshView:
+        """Cut out what lies around a kernel."""
+        shades = self.colours.shades(self.flow.values())
+        distances = np.full(len(shades), np.nan, np.float32)
+        weights = np.zeros(len(shades), np.float32)
+        distances[kernel.samples], weights[kernel.samples] = kernel.distances, kernel.weights
+        painted, sampling = self._painted, self._sampling
+        of = sampling.sample_of
+        view = MeshView(painted.positions, painted.faces, shades[of], distances[of], weights[of])
+        if self._whole:
+            return view
+        places = sampling.place_of[of]
+        near = np.zeros(sampling.places, bool)
+        near[sampling.place_of[kernel.samples[0]]] = True
+        held = np.zeros(sampling.places, bool)
+        held[sampling.place_of[kernel.samples]] = True
+        return _cut(view, _surroundings(places[painted.faces], near, held)[places])
+
+
+def _surroundings(
+    faces: NDArray[np.int32], near: NDArray[np.bool_], held: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
+    """Spread over triangles until all that is held is near, and as often again."""
+    steps = 0
+    while not near[held].all():
+        near, before = _spread(faces, near), near
+        steps += 1
+        if (near == before).all():  # the rest is reached over edges that are in no triangle
+            near = near | held
+    for _ in range(steps + 2):
+        near = _spread(faces, near)
+    return near
+
+
+def _spread(faces: NDArray[np.int32], near: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    wider = near.copy()
+    wider[faces[near[faces].any(axis=1)]] = True
+    return wider
+
+
+def _cut(view: MeshView, kept: NDArray[np.bool_]) -> MeshView:
+    """Keep some of the vertices, and the triangles between them."""
+    number = np.cumsum(kept, dtype=np.int32) - 1
+    faces = number[view.faces[kept[view.faces].all(axis=1)]]
+    fields = [field.name for field in dataclasses.fields(view) if field.name != "faces"]
+    return MeshView(faces=faces, **{name: getattr(view, name)[kept] for name in fields})

@@ -1,0 +1,139 @@
+"""A kernel as a file: a mesh or a picture to be looked at, or numbers.
+
+Bright is near and weighs much, dark is where the kernel ends, grey is beyond.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from beltrami_cli.errors import UsageError
+from beltrami_cli.formats.document import Written
+from beltrami_cli.jobs.colour_map import as_bytes, colour_by_value
+from beltrami_cli.samples.settings.smooth import IMAGE_SUFFIXES
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+_TABLES = (".csv", ".json", ".npz")
+SUFFIXES = (".ply", *IMAGE_SUFFIXES, *_TABLES)
+
+_NOTHING = 1.0  # where there is no sample
+_PANEL, _GAP = 420, 12  # pixels
+_SOURCE = np.array([0.9, 0.1, 0.1])
+
+
+@dataclass(frozen=True)
+class MeshView:
+    """The part of a mesh, of V vertices, that a kernel is shown on."""
+
+    positions: NDArray[np.float64]
+    faces: NDArray[np.int32]
+    shades: NDArray[np.float32]  # (V, 3): the painting, as display values in [0, 1]
+    distances: NDArray[np.float32]  # NaN where the kernel holds nothing
+    weights: NDArray[np.float32]  # 0 there
+
+
+@dataclass(frozen=True)
+class WindowView:
+    """The part of a canvas, of H x W cells, that a kernel is shown on."""
+
+    shades: NDArray[np.float32]  # (H, W, 3): the painting, as display values in [0, 1]
+    filled: NDArray[np.bool_]  # cells that hold a colour
+    distances: NDArray[np.float32]  # NaN where the kernel holds nothing
+    weights: NDArray[np.float32]  # 0 there
+    source: tuple[int, int]  # row and column of the kernel's own cell
+
+
+@dataclass(frozen=True)
+class ProbedKernel:
+    """One kernel, in facts and numbers, and what to draw of it."""
+
+    facts: dict[str, object]  # in JSON types
+    columns: dict[str, NDArray[np.generic]]  # for each sample: which it is, distance, weight, colour
+    radius: float  # the distance at which kernels end
+    view: MeshView | WindowView
+
+
+def encode(kernel: ProbedKernel, facts: dict[str, object], suffix: str) -> Written:
+    """Encode a kernel, and its facts with the names of input and output, as one of `SUFFIXES` asks."""
+    if suffix == ".csv":
+        return Written([_as_csv(kernel.columns).encode()])
+    if suffix == ".json":
+        columns = {name: values.tolist() for name, values in kernel.columns.items()}
+        return Written([(json.dumps({**facts, "columns": columns}, indent=2) + "\n").encode()])
+    if suffix == ".npz":
+        buffer = io.BytesIO()
+        np.savez(buffer, allow_pickle=False, facts=json.dumps(facts), **kernel.columns)
+        return Written([buffer.getvalue()])
+    drawn_as = ".ply" if isinstance(kernel.view, MeshView) else ".png"
+    if (drawn_as == ".ply") != (suffix == ".ply"):
+        raise UsageError(
+            f"{facts['output']}: the kernel of a {str(facts['at']).split()[0]} is drawn as {drawn_as}, or written as "
+            f"{', '.join(_TABLES)}"
+        )
+    if isinstance(kernel.view, MeshView):
+        return _mesh(kernel.view, kernel.radius, facts)
+    from beltrami_cli.formats.image import write_image
+    from beltrami_cli.formats.image.picture import new_picture
+
+    pixels = _picture(kernel.view, kernel.radius)
+    return Written([write_image(new_picture(pixels, str(facts["output"])), pixels, suffix=suffix).data])
+
+
+def _as_csv(columns: dict[str, NDArray[np.generic]]) -> str:
+    text = io.StringIO()
+    rows = csv.writer(text, lineterminator="\n")
+    rows.writerow(columns)
+    rows.writerows(zip(*(values.tolist() for values in columns.values()), strict=True))
+    return text.getvalue()
+
+
+def _mesh(view: MeshView, radius: float, facts: dict[str, object]) -> Written:
+    from beltrami_cli.formats.ply.scalar_writer import write_scalars_as_ply
+
+    shades = as_bytes(colour_by_value(_nearness(view, radius), view.shades, np.isfinite(view.distances)))
+    scalars = {"distance": view.distances, "weight": view.weights}
+    comments = [f"kernel of {facts['at']}, beta {facts['beta']:.6g}, t {facts['t']:.6g}"]
+    return write_scalars_as_ply(view.positions, view.faces, shades, scalars, comments)
+
+
+def _nearness(view: MeshView | WindowView, radius: float) -> NDArray[np.float32]:
+    """Return 1 at the kernel's own sample, falling to 0 at the radius; NaN where the kernel holds nothing."""
+    return np.asarray(1 - view.distances / np.float32(radius), np.float32)
+
+
+def _picture(view: WindowView, radius: float) -> NDArray[np.uint8]:
+    """Draw a window three times side by side: the painting, the distances, the weights."""
+    held = np.isfinite(view.distances)
+    panels = (
+        view.shades.astype(np.float64),
+        colour_by_value(_nearness(view, radius), view.shades, held),
+        colour_by_value(view.weights / view.weights.max(), view.shades, held),
+    )
+    zoom = max(1, _PANEL // len(view.filled))
+    drawn = [_enlarged(np.where(view.filled[..., None], panel, _NOTHING), zoom) for panel in panels]
+    if zoom > 2:
+        for panel in drawn:
+            _frame(panel, view.source, zoom)
+    gap = np.full((len(drawn[0]), _GAP, 3), _NOTHING)
+    return as_bytes(np.hstack([drawn[0], gap, drawn[1], gap, drawn[2]]))
+
+
+def _enlarged(panel: NDArray[np.float64], zoom: int) -> NDArray[np.float64]:
+    return panel.repeat(zoom, axis=0).repeat(zoom, axis=1)
+
+
+def _frame(panel: NDArray[np.float64], cell: tuple[int, int], zoom: int) -> None:
+    """Draw the border of a cell, in place."""
+    thickness = max(1, zoom // 14)
+    square = panel[cell[0] * zoom : (cell[0] + 1) * zoom, cell[1] * zoom : (cell[1] + 1) * zoom]
+    inside = square[thickness:-thickness, thickness:-thickness].copy()
+    square[:] = _SOURCE
+    square[thickness:-thickness, thickness:-thickness] = inside
