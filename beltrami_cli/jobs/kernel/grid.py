@@ -19,9 +19,9 @@ from beltrami_cli.surface.atlas import EMPTY
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from beltrami_cli.flow.kernel_probe import SampledKernel
     from beltrami_cli.flow.beltrami_flow import BeltramiFlow
     from beltrami_cli.flow.grid_manifold import GridManifold
+    from beltrami_cli.flow.kernel_probe import SampledKernel
     from beltrami_cli.formats.access import Access
     from beltrami_cli.formats.document import Document
     from beltrami_cli.jobs.kernel.location import Location
