@@ -1,21 +1,33 @@
-"""The numbers of accessors: decoded from their bytes, and written back in their own component type."""
+"""Accessors: descriptions checked against their views, numbers decoded from bytes and brought back into their type.
+
+A stride need not be a multiple of four and elements need not be aligned: what the specification forbids there can
+still be read in only one way.
+"""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from beltrami_cli.formats.gltf.draco import DracoMeshes
-from beltrami_cli.formats.gltf.layouts import Accessor, Layout, read_accessors, read_views
+from beltrami_cli.formats.gltf.buffers import View, read_views
+from beltrami_cli.formats.gltf.compression import draco_attribute, draco_mesh
 
 if TYPE_CHECKING:
+    from collections.abc import Hashable, Sequence
+
     from numpy.typing import NDArray
 
     from beltrami_cli.formats.document import Bytes
     from beltrami_cli.formats.gltf.buffers import Buffers
-    from beltrami_cli.formats.gltf.tree import Entry
+    from beltrami_cli.formats.gltf.entries import Entry
+
+COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+"""NumPy types of glTF's componentType."""
+
+SHAPES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
+"""Components of one element by glTF's type."""
 
 # Corners, for all slots together: a byte is an index at least, and vertices take a dozen each.
 _LEAST_DRAWN, _MOST_DRAWN = 1 << 20, 16
@@ -24,32 +36,56 @@ Stored = np.ndarray[Any, np.dtype[Any]]
 """Numbers as they are in the file: little-endian integers or float32."""
 
 
+@dataclass(frozen=True)
+class Layout:
+    """Elements of `size` bytes each, `stride` bytes apart, from byte `start` of a buffer."""
+
+    buffer: int
+    start: int
+    stride: int
+    size: int
+    count: int
+
+    @property
+    def end(self) -> int:
+        """The byte after the last element."""
+        return self.start + self.stride * (self.count - 1) + self.size
+
+
+@dataclass(frozen=True)
+class Sparse:
+    """Replacements of some elements: which ones (`indices`, of the given type), and their `values`."""
+
+    indices: Layout
+    index_type: np.dtype[np.generic]
+    values: Layout
+
+
+@dataclass(frozen=True)
+class Accessor:
+    """A checked accessor."""
+
+    entry: Entry  # its JSON, for messages
+    component: np.dtype[np.generic]
+    width: int  # components of one element
+    shape: str  # glTF's type: "SCALAR", "VEC3", ...
+    count: int
+    normalised: bool  # whether integers stand for fractions of full scale
+    view: int | None
+    layout: Layout | None  # None: all elements are zero, but for sparse ones
+    sparse: Sparse | None
+
+
 class Accessors:
-    """All accessors of one file; descriptions are checked at once, bytes are read when asked for.
-
-    Raises
-    ------
-    InputError
-        If a description is wrong.
-
-    Attributes
-    ----------
-    buffers : Buffers
-        Where the bytes are.
-    views : list of View
-        The bufferViews.
-    all : list of Accessor
-        Those of the JSON. Higher indices are those that were decoded.
-    draco : DracoMeshes
-        What can be decoded besides.
-    """
+    """All accessors of one file; descriptions are checked at once, bytes are read when asked for."""
 
     def __init__(self, root: Entry, buffers: Buffers) -> None:
         self.buffers = buffers
         self.views = read_views(root, buffers)
-        self.all = read_accessors(root, self.views)
-        self.draco = DracoMeshes(self)
-        self._added: list[Accessor] = []
+        self.all = [_accessor(entry, self.views) for entry in root.entries("accessors")]
+        self._added: list[Accessor] = []  # those decoded by Draco; their indices follow those of the JSON
+        self._decoded: dict[Hashable, int] = {}
+        self._meshes: dict[int, Any] = {}
         self._drawn = 0
 
     def __len__(self) -> int:
@@ -58,8 +94,42 @@ class Accessors:
     def __getitem__(self, index: int) -> Accessor:
         return self.all[index] if index < len(self.all) else self._added[index - len(self.all)]
 
-    def add(self, described: Accessor, numbers: Stored) -> int:
-        """Add an accessor for decoded numbers, shape (n, width), with another one's description; return its index."""
+    def is_added(self, index: int) -> bool:
+        """Return whether an accessor is none of the JSON's, but decoded."""
+        return index >= len(self.all)
+
+    def decoded_attribute(self, packed: Entry, name: str, index: int) -> int:
+        """Return the accessor of an attribute that Draco has compressed, which accessor `index` describes."""
+        view, number = self._draco_view(packed), packed.entry("attributes").integer(name)
+        accessor = self[index]
+        key = view, number, accessor.component.str, accessor.shape, accessor.normalised
+        if key not in self._decoded:
+            numbers = draco_attribute(packed, self._draco_mesh(packed, view), name)
+            self._decoded[key] = self._add(accessor, _fitted(numbers, accessor))
+        return self._decoded[key]
+
+    def decoded_indices(self, packed: Entry, index: int) -> int:
+        """Return the accessor of triangles that Draco has compressed, which accessor `index` describes."""
+        view = self._draco_view(packed)
+        key = view, "faces"
+        if key not in self._decoded:
+            numbers = np.asarray(self._draco_mesh(packed, view).faces).astype("<u4").reshape(-1, 1)
+            if not len(numbers):
+                raise packed.fault("bufferView", "holds no triangles")
+            accessor = replace(self[index], shape="SCALAR", width=1, normalised=False)
+            self._decoded[key] = self._add(accessor, numbers)
+        return self._decoded[key]
+
+    def _draco_view(self, packed: Entry) -> int:
+        return packed.integer("bufferView", below=len(self.views))
+
+    def _draco_mesh(self, packed: Entry, view: int) -> Any:
+        if view not in self._meshes:
+            self._meshes[view] = draco_mesh(packed, self.buffers.viewed(self.views[view]))
+        return self._meshes[view]
+
+    def _add(self, described: Accessor, numbers: Stored) -> int:
+        """Add an accessor for decoded numbers, shape (n, width), with another one's description."""
         octets = numbers.tobytes()
         buffer = self.buffers.add(len(octets), lambda: octets)
         size = numbers.dtype.itemsize * numbers.shape[1]
@@ -71,31 +141,15 @@ class Accessors:
         )
         return len(self.all) + len(self._added) - 1
 
-    def is_added(self, index: int) -> bool:
-        """Return whether an accessor is none of the JSON's, but decoded."""
-        return index >= len(self.all)
-
     def count_drawn(self, primitive: Entry, corners: int) -> None:
-        """Count the corners that primitives draw; small files can name the same ones without end.
-
-        Raises
-        ------
-        InputError
-            If all primitives together draw far more than there are bytes.
-        """
+        """Count the corners that primitives draw, and refuse far more than bytes: small files can repeat them."""
         self._drawn += corners
         if self._drawn > _LEAST_DRAWN + _MOST_DRAWN * self.buffers.bytes_at_hand:
             cause = f"with it, {self._drawn} corners are drawn of {self.buffers.bytes_at_hand} bytes"
             raise primitive.fault("", cause, "the same triangles are used again and again: export each once")
 
     def require_bytes(self, index: int) -> None:
-        """Load the buffer of an accessor, so that its count is known to be backed by bytes.
-
-        Raises
-        ------
-        InputError
-            If the bytes are missing; if it has none, when it has more elements than all files have bytes.
-        """
+        """Load the buffer of an accessor, so that its count is known to be backed by bytes."""
         accessor = self[index]
         if accessor.layout is not None:
             self.buffers.stored(accessor.layout.buffer)
@@ -103,17 +157,7 @@ class Accessors:
             raise accessor.entry.fault("count", f"{accessor.count} zeros are more than the file has bytes")
 
     def stored(self, index: int) -> Stored:
-        """Return the numbers as stored, sparse replacements applied.
-
-        Returns
-        -------
-        ndarray of the component type, shape (count, width)
-
-        Raises
-        ------
-        InputError
-            If the bytes are missing or cannot be decoded, or sparse indices are not increasing and in range.
-        """
+        """Return the numbers as stored, shape (count, width), sparse replacements applied."""
         accessor = self[index]
         if accessor.layout is not None:
             numbers = self._numbers(accessor.layout, accessor.component)
@@ -126,13 +170,7 @@ class Accessors:
         return numbers
 
     def replaced(self, index: int) -> NDArray[np.int64]:
-        """Return the elements that a sparse accessor replaces, in order; none if it is not sparse.
-
-        Raises
-        ------
-        InputError
-            As `stored`.
-        """
+        """Return the elements that a sparse accessor replaces, in order; none if it is not sparse."""
         accessor = self[index]
         if accessor.sparse is None:
             return np.empty(0, np.int64)
@@ -142,25 +180,46 @@ class Accessors:
         return rows
 
     def values(self, index: int) -> NDArray[np.float64]:
-        """Return the numbers that an accessor means, shape (count, width), integers decoded if normalised.
-
-        Raises
-        ------
-        InputError
-            As `stored`, and if a number is not finite.
-        """
-        accessor, stored = self[index], self.stored(index)
-        if accessor.component.kind == "f" and not np.isfinite(stored).all():
-            row = int(np.nonzero(~np.isfinite(stored).all(axis=1))[0][0])
-            raise accessor.entry.fault("", f"element {row} is not finite", "repair the file")
+        """Return the finite numbers that an accessor means, shape (count, width), fractions where normalised."""
+        accessor, stored = self[index], self.finite(index, "element")
         numbers = stored.astype(np.float64)
         if accessor.component.kind != "f" and accessor.normalised:
             numbers = np.maximum(numbers / np.iinfo(stored.dtype).max, -1.0)
         return numbers
 
+    def finite(self, index: int, what: str) -> Stored:
+        """Return the numbers as stored; `what` is the word for an element in the error if one is not finite."""
+        stored = self.stored(index)
+        if stored.dtype.kind == "f" and not np.isfinite(stored).all():
+            row = int(np.nonzero(~np.isfinite(stored).all(axis=1))[0][0])
+            raise self[index].entry.fault("", f"{what} {row} is not finite", "repair the file")
+        return stored
+
+    def identity(self, index: int) -> Hashable:
+        """Return the same for accessors that describe the same bytes in the same way."""
+        accessor = self[index]
+        if accessor.layout is None or accessor.sparse is not None:
+            return index
+        return accessor.layout, accessor.component.str, accessor.width, accessor.normalised
+
     def _numbers(self, layout: Layout, component: np.dtype[Any]) -> Stored:
         octets = element_bytes(self.buffers.stored(layout.buffer), layout)
         return np.ascontiguousarray(octets).view(component)
+
+
+def _fitted(numbers: NDArray[Any], accessor: Accessor) -> Stored:
+    """Return decoded numbers, shape (n, width), in the type of their accessor."""
+    if numbers.shape != (accessor.count, accessor.width):
+        found = f"{numbers.shape[0]} elements of {numbers.shape[-1]} numbers"
+        cause = f"is {accessor.count} of {accessor.width}, but {found} were decoded"
+        raise accessor.entry.fault("count", cause)
+    fitted = numbers.astype(accessor.component)
+    if (numbers.dtype.kind == "f") != (fitted.dtype.kind == "f") or (
+        numbers.dtype.kind != "f" and not np.array_equal(numbers, fitted)
+    ):
+        cause = f"does not fit the decoded numbers of {numbers.dtype.name}"
+        raise accessor.entry.fault("componentType", cause)
+    return fitted
 
 
 def element_bytes(data: Bytes | NDArray[np.uint8], layout: Layout) -> NDArray[np.uint8]:
@@ -172,13 +231,16 @@ def element_bytes(data: Bytes | NDArray[np.uint8], layout: Layout) -> NDArray[np
     return np.lib.stride_tricks.as_strided(octets, (layout.count, layout.size), (layout.stride, 1))
 
 
-def fractions(stored: Stored) -> NDArray[np.float32]:
-    """Return colours as float32 with full scale 1: integers divided by their largest value.
+def padded_elements(numbers: Stored) -> tuple[NDArray[np.uint8], int]:
+    """Return the bytes of elements (n, width), each padded to a multiple of four, and their size without padding."""
+    size = numbers.dtype.itemsize * numbers.shape[1]
+    octets = np.zeros((len(numbers), -(-size // 4) * 4), np.uint8)
+    octets[:, :size] = np.ascontiguousarray(numbers).view(np.uint8)
+    return octets, size
 
-    Notes
-    -----
-    Every uint8 and uint16 level comes back from `quantised` unchanged, since float32 holds 24 bits.
-    """
+
+def fractions(stored: Stored) -> NDArray[np.float32]:
+    """Return colours as float32 with full scale 1; `quantised` gives every uint8 and uint16 level back unchanged."""
     if stored.dtype.kind == "f":
         return stored.astype(np.float32)
     return (stored / np.float64(np.iinfo(stored.dtype).max)).astype(np.float32)
@@ -189,3 +251,60 @@ def quantised(values: NDArray[np.floating[Any]], component: np.dtype[Any]) -> St
     if component.kind == "f":
         return values.astype(component)
     return np.rint(np.clip(values.astype(np.float64), 0, 1) * np.iinfo(component).max).astype(component)
+
+
+def _accessor(entry: Entry, views: Sequence[View]) -> Accessor:
+    component = _component(entry)
+    shape = entry.text("type") or ""
+    if shape not in SHAPES:
+        raise entry.fault("type", f"is {shape!r}, which glTF does not define")
+    count = entry.integer("count", least=1)
+    index = entry.integer("bufferView", below=len(views)) if "bufferView" in entry else None
+    size = _element_size(shape, component)
+    layout = None if index is None else _layout(entry, views[index], index, size, count)
+    sparse = _sparse(entry.entry("sparse"), views, size, count) if "sparse" in entry else None
+    normalised = entry.flag("normalized")
+    return Accessor(entry, component, SHAPES[shape], shape, count, normalised, index, layout, sparse)
+
+
+def _component(entry: Entry) -> np.dtype[np.generic]:
+    kind = entry.integer("componentType")
+    if kind not in COMPONENTS:
+        raise entry.fault("componentType", f"is {kind}, which glTF does not define")
+    return np.dtype(COMPONENTS[kind])
+
+
+def _element_size(shape: str, component: np.dtype[np.generic]) -> int:
+    if not shape.startswith("MAT"):
+        return SHAPES[shape] * component.itemsize
+    side = int(shape[3])
+    column = -(-side * component.itemsize // 4) * 4  # each column starts at a multiple of four bytes
+    return side * column
+
+
+def _layout(entry: Entry, view: View, index: int, size: int, count: int) -> Layout:
+    offset = entry.integer("byteOffset", default=0)
+    stride = view.stride or size
+    if stride < size:
+        cause = f"its elements of {size} bytes overlap: bufferViews[{index}].byteStride is {stride}"
+        raise entry.fault("", cause)
+    layout = Layout(view.buffer, view.offset + offset, stride, size, count)
+    if layout.end > view.offset + view.length:
+        needed = layout.end - view.offset
+        cause = f"{count} elements need {needed} bytes of bufferViews[{index}], which has {view.length}"
+        raise entry.fault("", cause)
+    return layout
+
+
+def _sparse(entry: Entry, views: Sequence[View], size: int, count: int) -> Sparse:
+    replaced = entry.integer("count", least=1, below=count + 1)
+    where, what = entry.entry("indices"), entry.entry("values")
+    index_type = _component(where)
+    if index_type.kind != "u":
+        raise where.fault("componentType", "must be an unsigned integer type")
+    first, second = (part.integer("bufferView", below=len(views)) for part in (where, what))
+    return Sparse(
+        _layout(where, views[first], first, index_type.itemsize, replaced),
+        index_type,
+        _layout(what, views[second], second, size, replaced),
+    )

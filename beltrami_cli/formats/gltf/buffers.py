@@ -1,10 +1,13 @@
-"""The buffers of a glTF file: where each one's bytes come from, read or decoded when they are first needed."""
+"""The buffers of a glTF file and the views into them: bytes are read or decoded when they are first needed."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Literal
 
-from beltrami_cli.formats.gltf.files import is_data, read, relative_name
+from beltrami_cli.formats.gltf.compression import Packed, read_packed, unpacked
+from beltrami_cli.formats.gltf.uris import is_data, read, relative_name
 from beltrami_cli.formats.model_folder import UnfitReferenceError, remedy_for
 
 if TYPE_CHECKING:
@@ -12,29 +15,18 @@ if TYPE_CHECKING:
 
     from beltrami_cli.formats.document import Bytes
     from beltrami_cli.formats.gltf.container import Container
+    from beltrami_cli.formats.gltf.entries import Entry
     from beltrami_cli.formats.model_folder import ModelFolder
 
 Source = Literal["chunk", "data", "file", "nowhere", "decoded"]
+"""Where the bytes of a buffer are: in the BIN chunk, in a data URI, in a file, nowhere, or decoded from others."""
 
 
 class Buffers:
-    """All buffers of one file, and those that stand for what is decoded from them.
+    """All buffers of one file, and after them those that are decoded; missing bytes are an error when asked for."""
 
-    Parameters
-    ----------
-    container : Container
-        The file.
-    beside : ModelFolder
-        Where external buffers are looked for.
-
-    Raises
-    ------
-    InputError
-        If a buffer is described wrongly. Missing bytes are reported only when they are asked for.
-    """
-
-    def __init__(self, container: Container, beside: ModelFolder) -> None:
-        self._container, self._beside = container, beside
+    def __init__(self, container: Container, folder: ModelFolder) -> None:
+        self._container, self._folder = container, folder
         self._entries = container.root.entries("buffers")
         self._loaded: dict[int, Bytes] = {}
         self._decoded: list[tuple[int, Callable[[], Bytes]]] = []
@@ -59,9 +51,9 @@ class Buffers:
         uri = self.uris[index]
         try:
             if uri is not None and not is_data(uri):
-                return relative_name(uri, outside=self._beside.access.outside)
+                return relative_name(uri, outside=self._folder.access.outside)
         except UnfitReferenceError:
-            pass  # whoever asks for its bytes is told
+            pass  # an error when its bytes are asked for
         return f"\0{index}"
 
     def canonical(self, index: int) -> int:
@@ -69,7 +61,7 @@ class Buffers:
         return self._canonical[index] if index < len(self) else index
 
     def source(self, index: int) -> Source:
-        """Return where a buffer's bytes are: in the BIN chunk, in a data URI, in a file, decoded, or nowhere."""
+        """Return where a buffer's bytes are."""
         if index >= len(self):
             return "decoded"
         uri = self.uris[index]
@@ -78,13 +70,7 @@ class Buffers:
         return "chunk" if index == 0 and self._container.binary is not None else "nowhere"
 
     def stored(self, index: int) -> Bytes:
-        """Return all bytes of a buffer, at least as many as its byteLength says (padding may follow).
-
-        Raises
-        ------
-        InputError
-            If there are fewer, or the file cannot be read.
-        """
+        """Return all bytes of a buffer, at least as many as its byteLength says (padding may follow)."""
         if index not in self._loaded:
             made = self.source(index) == "decoded"
             self._loaded[index] = self._decoded[index - len(self)][1]() if made else self._read(index)
@@ -94,7 +80,7 @@ class Buffers:
         entry, uri = self._entries[index], self.uris[index]
         if uri is not None:
             try:
-                data: Bytes = read(uri, self._beside)
+                data: Bytes = read(uri, self._folder)
             except UnfitReferenceError as error:
                 raise entry.fault("uri", str(error), remedy_for(str(error))) from None
         elif self.source(index) == "chunk":
@@ -106,7 +92,49 @@ class Buffers:
             raise entry.fault("byteLength", cause, "the file may be cut short: copy or export it again")
         return data
 
+    def viewed(self, view: View) -> bytes:
+        """Return the bytes of a view, decompressed."""
+        return bytes(self.stored(view.buffer)[view.offset : view.offset + view.length])
+
     @property
     def bytes_at_hand(self) -> int:
         """Bytes of the main file and of all buffers that were read: the measure of what may be allocated."""
         return len(self._container.data) + sum(len(data) for data in self._loaded.values())
+
+
+@dataclass(frozen=True)
+class View:
+    """A bufferView; of a compressed one, where its bytes are once they are decoded."""
+
+    buffer: int
+    offset: int
+    length: int
+    stride: int  # 0: elements without gaps
+    packed: Packed | None = None
+    fallback: tuple[int, int] | None = (
+        None  # buffer and offset where the file may have the bytes uncompressed
+    )
+
+
+def read_views(root: Entry, buffers: Buffers) -> list[View]:
+    """Read all bufferViews."""
+    views = []
+    for entry in root.entries("bufferViews"):
+        buffer = entry.integer("buffer", below=len(buffers))
+        offset, length = entry.integer("byteOffset", default=0), entry.integer("byteLength", least=1)
+        if offset + length > buffers.lengths[buffer]:
+            raise entry.fault("", f"its bytes {offset} to {offset + length} leave buffers[{buffer}]")
+        stride = (
+            entry.integer("byteStride", least=1, below=1 << 16, default=1) if "byteStride" in entry else 0
+        )
+        packed = read_packed(entry, length, buffers.lengths)
+        if packed is None:
+            views.append(View(buffer, offset, length, stride))
+        else:
+            decoded = buffers.add(length, partial(_decompressed, packed, buffers))
+            views.append(View(decoded, 0, length, stride, packed, (buffer, offset)))
+    return views
+
+
+def _decompressed(packed: Packed, buffers: Buffers) -> bytes:
+    return unpacked(packed, buffers.stored(packed.buffer))

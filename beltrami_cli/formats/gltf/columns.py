@@ -1,39 +1,161 @@
-"""One vertex attribute of painted primitives, as it is stored."""
+"""New numbers of vertex attributes put into a glTF file: in place where possible, else appended.
+
+Numbers are overwritten where they are if nothing else uses their bytes. Otherwise a new bufferView at the end of
+the buffer takes them, and only their accessor is pointed at it; no other view ever moves.
+
+Those that Draco has compressed always get a view of their own, in the order in which decoders give the vertices:
+encoding a mesh anew would move its vertices and change their order. The compressed data stays as it is; the primitive
+just does not name these numbers in it any more. Views that meshoptimizer has compressed are compressed again, which
+loses nothing.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from beltrami_cli.formats.gltf.accessors import element_bytes
+from beltrami_cli.formats.gltf.compression import DRACO, draco_extension
+from beltrami_cli.formats.gltf.entries import primitives_of
+from beltrami_cli.formats.gltf.sharing import alone, used_otherwise
 
 if TYPE_CHECKING:
-    from beltrami_cli.formats.gltf.surfaces import Block
+    from collections.abc import Collection, Sequence
+
+    from numpy.typing import NDArray
+
+    from beltrami_cli.formats.gltf.accessors import Layout, Stored
+    from beltrami_cli.formats.gltf.edit import Edit
+    from beltrami_cli.formats.gltf.entries import Entry
+    from beltrami_cli.formats.gltf.json_text import Tree
+    from beltrami_cli.formats.gltf.sharing import Column
 
 
-@dataclass(frozen=True)
-class Column:
-    """Numbers that primitives share.
+def exchange(edit: Edit, columns: Sequence[Column], numbers: Sequence[tuple[Stored, Stored]]) -> None:
+    """Put new numbers into a file: all columns of one attribute, with their numbers (rows, width) before and after."""
+    changes = [i for i, (before, after) in enumerate(numbers) if not np.array_equal(before, after)]
+    if not changes:
+        return
+    in_place = alone(edit.container.tree, edit.accessors, columns)
+    shared = used_otherwise(edit.container.tree, columns[0].attribute)
+    for number in changes:
+        column, (before, after) = columns[number], numbers[number]
+        if edit.accessors.is_added(column.accessor):
+            _detach(edit, column, before, after)
+            continue
+        members: Collection[int] = column.members
+        if in_place[number]:
+            _overwrite(edit, column, after)
+        else:
+            members = _own_accessors(edit, column.attribute, column.members, shared).values()
+            view = edit.append_attribute(_buffer_for(edit, column), after)
+            for index in members:
+                _point_at(edit.tree["accessors"][index], view)
+        for index in members:
+            _update_bounds(edit.tree["accessors"][index], before, after)
 
-    Attributes
-    ----------
-    attribute : str
-        "COLOR_0", "POSITION" or "NORMAL".
-    accessor : int
-        Where they are read.
-    members : frozenset of int
-        All accessors over these numbers that primitives name as this attribute.
-    users : tuple of (int, int)
-        Painted primitives that do, each by the index of its mesh and its own in that.
-    position : int
-        Accessor of the positions that they belong to.
-    """
 
-    attribute: str
-    accessor: int
-    members: frozenset[int]
-    users: tuple[tuple[int, int], ...]
-    position: int
+def _overwrite(edit: Edit, column: Column, after: Stored) -> None:
+    """Put numbers where they are; of a sparse accessor each where it is read, the elements that it replaces too."""
+    accessor, rows = edit.accessors[column.accessor], edit.accessors.replaced(column.accessor)
+    own, octets = np.ones(len(after), bool), after.view(np.uint8)
+    own[rows] = False
+    if accessor.sparse is not None:
+        _elements(edit, accessor.sparse.values)[...] = octets[rows]
+    if accessor.layout is not None:
+        _elements(edit, accessor.layout)[own] = octets[own]
+    elif octets[own].any():  # no more zeros
+        view = edit.append_attribute(_buffer_for(edit, column), after)
+        _point_at(edit.tree["accessors"][column.accessor], view, keep_sparse=True)
 
 
-def colour_column(block: Block) -> Column:
-    """Return the colours of a block."""
-    return Column("COLOR_0", block.colour, frozenset(block.members), tuple(block.users), block.position)
+def _elements(edit: Edit, layout: Layout) -> NDArray[np.uint8]:
+    return element_bytes(edit.open(edit.accessors.buffers.canonical(layout.buffer)), layout)
+
+
+def _buffer_for(edit: Edit, column: Column) -> int:
+    """Return the buffer that takes new numbers: that of the old ones, of the positions, or any with bytes."""
+    accessor, position = edit.accessors[column.accessor], edit.accessors[column.position]
+    layouts = [accessor.layout, accessor.sparse.values if accessor.sparse else None, position.layout]
+    return edit.growing_buffer(layout.buffer for layout in layouts if layout)
+
+
+def _detach(edit: Edit, column: Column, before: Stored, after: Stored) -> None:
+    """Store the numbers of a column outside of the data that Draco has compressed."""
+    meshes, places = edit.container.root.entries("meshes"), set(column.users)
+    users = [meshes[mesh].entries("primitives")[part] for mesh, part in column.users]
+    for user in users:
+        _require_same_order(edit, user, column.attribute)
+    packed = users[0].entry("extensions").entry(DRACO)
+    source = edit.accessors.views[packed.integer("bufferView")]
+    view = edit.append_attribute(edit.growing_buffer([source.buffer]), after)
+    named = {user.entry("attributes").integer(column.attribute) for user in users}
+    others = used_otherwise(edit.container.tree, column.attribute)
+    for place, primitive in primitives_of(edit.container.tree):
+        attributes = primitive.get("attributes", {})
+        if place not in places and column.attribute in attributes:
+            others.add(attributes[column.attribute])
+    own = _own_accessors(edit, column.attribute, named, others, places)
+    for mesh, part in places:
+        extensions = edit.tree["meshes"][mesh]["primitives"][part]["extensions"]
+        del extensions[DRACO]["attributes"][column.attribute]
+    for index in own.values():
+        _point_at(edit.tree["accessors"][index], view)
+        _update_bounds(edit.tree["accessors"][index], before, after)
+
+
+def _require_same_order(edit: Edit, primitive: Entry, attribute: str) -> None:
+    """Raise an InputError if viewers that do not decode Draco would give the numbers to other vertices."""
+    accessors, index = edit.accessors, primitive.integer("indices")
+    packed = draco_extension(primitive)
+    if packed is None or accessors[primitive.entry("attributes").integer(attribute)].layout is None:
+        return
+    plain, decoded = accessors.stored(index), accessors.stored(accessors.decoded_indices(packed, index))
+    if not np.array_equal(plain, decoded):
+        cause = "holds vertices in another order than the uncompressed geometry beside it"
+        raise packed.fault("bufferView", cause, "remove one of the two, and smooth the other")
+
+
+def _own_accessors(
+    edit: Edit,
+    attribute: str,
+    named: Collection[int],
+    shared: Collection[int],
+    users: Collection[tuple[int, int]] | None = None,
+) -> dict[int, int]:
+    """Return for each accessor itself or, if it is shared, a copy, which users (None: all primitives) then name."""
+    own = {index: index for index in named}
+    for index in sorted(named):
+        if index in shared:
+            own[index] = len(edit.tree["accessors"])
+            edit.tree["accessors"].append(_copied(edit.tree["accessors"][index]))
+    for place, primitive in primitives_of(edit.tree):
+        attributes = primitive.get("attributes", {})
+        if attributes.get(attribute) in own and (users is None or place in users):
+            attributes[attribute] = own[attributes[attribute]]
+    return own
+
+
+def _copied(accessor: Tree) -> Tree:
+    """Return a copy of an accessor whose bounds may be changed."""
+    return {key: list(value) if isinstance(value, list) else value for key, value in accessor.items()}
+
+
+def _point_at(accessor: Tree, view: int, *, keep_sparse: bool = False) -> None:
+    """Let an accessor take its elements from the start of a view: all, or all but sparse ones."""
+    if not keep_sparse:
+        accessor.pop("sparse", None)
+    accessor["bufferView"] = view
+    if "byteOffset" in accessor:
+        accessor["byteOffset"] = 0
+
+
+def _update_bounds(accessor: Tree, before: Stored, after: Stored) -> None:
+    """Renew those components of min and max, if they are there, whose true value changes."""
+    for key, reduce in (("min", np.min), ("max", np.max)):
+        bounds: Any = accessor.get(key)
+        if isinstance(bounds, list) and len(bounds) == after.shape[1]:
+            was, now = reduce(before, axis=0), reduce(after, axis=0)
+            for component in np.nonzero(was != now)[0]:
+                bounds[component] = now[component].item()

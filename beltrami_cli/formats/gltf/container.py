@@ -1,4 +1,4 @@
-"""The shell of a glTF file: GLB chunks or plain JSON text, taken apart and put together again."""
+"""The container of a glTF file, GLB chunks or plain JSON text: taken apart and put together again."""
 
 from __future__ import annotations
 
@@ -7,13 +7,16 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 from beltrami_cli.errors import InputError
+from beltrami_cli.formats.gltf.entries import Entry
 from beltrami_cli.formats.gltf.json_text import Tree, parsed, revised
-from beltrami_cli.formats.gltf.tree import Entry
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from beltrami_cli.formats.document import Bytes
+
+GltfForm = Literal["glb", "gltf"]
+"""Binary or text."""
 
 MAGIC = b"glTF"
 JSON_CHUNK = 0x4E4F534A
@@ -33,36 +36,16 @@ class Chunk:
 
 @dataclass(frozen=True)
 class Container:
-    """A glTF file taken apart.
+    """A glTF file taken apart."""
 
-    Attributes
-    ----------
-    name : str
-        The file, for messages.
-    kind : {"glb", "gltf"}
-        Binary or text, by content.
-    data : bytes
-        The whole file.
-    text : str
-        The JSON text, without byte order mark and without the padding of its chunk.
-    tree : dict
-        The JSON, parsed.
-    chunks : tuple of Chunk
-        GLB chunks after the JSON chunk: BIN, then unknown ones.
-    has_bom : bool
-        Whether a byte order mark precedes the text.
-    tail : bytes-like
-        What follows the last byte that the GLB header counts.
-    """
-
-    name: str
-    kind: Literal["glb", "gltf"]
-    data: bytes
-    text: str
-    tree: Tree
-    chunks: tuple[Chunk, ...] = ()
+    name: str  # of the file, for messages
+    kind: GltfForm
+    data: bytes  # the whole file
+    text: str  # the JSON, without byte order mark and without the padding of its chunk
+    tree: Tree  # the JSON, parsed
+    chunks: tuple[Chunk, ...] = ()  # those after the JSON chunk: BIN, then unknown ones
     has_bom: bool = False
-    tail: Bytes = b""
+    tail: Bytes = b""  # what follows the last byte that the GLB header counts
 
     @property
     def root(self) -> Entry:
@@ -74,37 +57,28 @@ class Container:
         """The BIN chunk, which must be the second; None without one."""
         return self.chunks[0].data if self.chunks and self.chunks[0].kind == BIN_CHUNK else None
 
+    @property
+    def unknown_chunks(self) -> tuple[Chunk, ...]:
+        """The chunks that are neither JSON nor the BIN chunk."""
+        return self.chunks if self.binary is None else self.chunks[1:]
+
     def copy_of_tree(self) -> Tree:
         """Return a tree that may be changed and given to `rebuilt`."""
         return parsed(self.text, self.name)
 
     def rebuilt(self, tree: Tree, binary: Bytes | None) -> list[Bytes]:
-        """Return the pieces of this file with another tree and BIN chunk, the same kind, all else kept.
-
-        Parameters
-        ----------
-        tree : dict
-            The new JSON; unchanged parts keep their text.
-        binary : bytes-like or None
-            The new BIN chunk; None keeps what there is.
-        """
+        """Return the pieces of this file with another tree and BIN chunk (None: as it is), all else kept."""
         text = encoded(("\ufeff" if self.has_bom else "") + revised(self.text, tree))
         if self.kind == "gltf":
             return [text]
         rest = self.chunks
         if binary is not None:
-            rest = (Chunk(BIN_CHUNK, binary), *(self.chunks[1:] if self.binary is not None else self.chunks))
+            rest = (Chunk(BIN_CHUNK, binary), *self.unknown_chunks)
         return [*glb_pieces([Chunk(JSON_CHUNK, text), *rest]), self.tail]
 
 
 def read_container(data: bytes, name: str) -> Container:
-    """Take a glTF file apart: binary if it starts with the GLB magic, otherwise JSON text.
-
-    Raises
-    ------
-    InputError
-        If chunk lengths do not fit the file, the JSON is damaged, or the version is not 2.
-    """
+    """Take a glTF file apart: binary if it starts with the GLB magic, otherwise JSON text."""
     container = _glb(data, name) if data[:4] == MAGIC else _container("gltf", data, data, name)
     asset = container.root.entry("asset")
     version = asset.text("version") or ""
@@ -144,7 +118,7 @@ def _glb(data: bytes, name: str) -> Container:
 
 
 def _container(
-    kind: Literal["glb", "gltf"],
+    kind: GltfForm,
     encoded_text: bytes,
     data: bytes,
     name: str,

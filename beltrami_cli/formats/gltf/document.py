@@ -3,74 +3,52 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
-from beltrami_cli.formats.document import NO_IMAGES, Document
+from beltrami_cli.formats.document import NO_IMAGES, Document, Fingerprint
 from beltrami_cli.formats.gltf.accessors import Accessors, Stored, fractions
-from beltrami_cli.formats.gltf.anatomy import take_apart
-from beltrami_cli.formats.gltf.attributes import attribute_names, read_attribute
 from beltrami_cli.formats.gltf.buffers import Buffers
 from beltrami_cli.formats.gltf.container import read_container
-from beltrami_cli.formats.gltf.contents import contents_of, has_colours, normals_of, summary
-from beltrami_cli.formats.gltf.editing import Edit
-from beltrami_cli.formats.gltf.materials import present_slots
-from beltrami_cli.formats.gltf.moving import move, require_movable
-from beltrami_cli.formats.gltf.patching import recolour
-from beltrami_cli.formats.gltf.pictures import Pictures
-from beltrami_cli.formats.gltf.primitives import in_world
-from beltrami_cli.formats.gltf.recompressing import compress_again
-from beltrami_cli.formats.gltf.references import present
-from beltrami_cli.formats.gltf.repackaging import as_glb, as_gltf
+from beltrami_cli.formats.gltf.edit import Edit, compress_again
+from beltrami_cli.formats.gltf.entries import objects, primitives_of, require_structure
+from beltrami_cli.formats.gltf.fingerprint import fingerprint
+from beltrami_cli.formats.gltf.geometry import placements
+from beltrami_cli.formats.gltf.painted import (
+    Surface,
+    attribute_names,
+    gather,
+    normals_of,
+    painted_vertices,
+    read_attribute,
+)
 from beltrami_cli.formats.gltf.repainting import repaint
 from beltrami_cli.formats.gltf.saving import written
-from beltrami_cli.formats.gltf.scene import placements
-from beltrami_cli.formats.gltf.structure import require_structure
-from beltrami_cli.formats.gltf.surfaces import COLOUR_TYPES, Surface, gather
-from beltrami_cli.formats.gltf.texturing import gather_textured
+from beltrami_cli.formats.gltf.textured_surface import gather_textured
+from beltrami_cli.formats.gltf.textures import Images, present_slots
+from beltrami_cli.formats.gltf.uris import files_beside
+from beltrami_cli.formats.gltf.vertices import move, recolour, require_movable
 from beltrami_cli.formats.model_folder import ModelFolder
 from beltrami_cli.surface.records import MeshContents, MovedVertices, PaintedVertices
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
 
-    from beltrami_cli.formats.document import Fingerprint, Written
+    from beltrami_cli.formats.document import Written
+    from beltrami_cli.formats.gltf.container import GltfForm
+    from beltrami_cli.formats.gltf.json_text import Tree
     from beltrami_cli.surface.records import ImageFile, Slot, TexturedSurface
 
-
-GltfForm = Literal["glb", "gltf"]
-"""Binary or text."""
+_COUNTED = ("scenes", "nodes", "meshes", "materials", "images", "textures", "skins", "animations")
 
 
 class GltfDocument(Document):
-    """An opened glTF file.
-
-    Parameters
-    ----------
-    data : bytes
-        The main file: GLB, or JSON text in UTF-8.
-    name : str
-        The file as the user named it.
-    folder : pathlib.Path or None
-        Where buffers and images beside the file are looked for; None when it came through a pipe.
-    access : Access
-        What may be read.
-
-    Raises
-    ------
-    InputError
-        If the file is damaged, not glTF 2, or its JSON describes what cannot be.
-
-    Attributes
-    ----------
-    format : str
-        "glb" or "gltf", by content.
-    """
+    """An opened glTF file, in either form."""
 
     format: str  # type: ignore[misc]  # one class reads both forms, so only an instance knows its format
 
@@ -78,17 +56,17 @@ class GltfDocument(Document):
         self, data: bytes, name: str, folder: Path | None, access: Access = EVERYTHING_INSIDE
     ) -> None:
         super().__init__(name)
-        self._beside = ModelFolder(folder, access)
+        self._folder = ModelFolder(folder, access)
         self.container = read_container(data, name)
         self.format = self.container.kind
         self.root = self.container.root
         require_structure(self.root)
-        self.buffers = Buffers(self.container, self._beside)
+        self.buffers = Buffers(self.container, self._folder)
         self.accessors = Accessors(self.root, self.buffers)
         self.places = placements(self.root)
-        self.pictures = Pictures(self.root, self.accessors, self._beside)
+        self.images = Images(self.root, self.accessors, self._folder)
         self._textured: dict[Slot, TexturedSurface] = {}
-        self._references, missing = present(self.root, self._beside)
+        self._references, missing = files_beside(self.root, self._folder)
         if self.container.has_bom:
             self.notices.append(
                 "The JSON starts with a byte order mark, which glTF does not allow; it is kept."
@@ -97,7 +75,7 @@ class GltfDocument(Document):
 
     @cached_property
     def surface(self) -> Surface:
-        """Painted primitives; the user is told about the others when this is first asked for."""
+        """Painted primitives; notices say what was left out of them when this is first asked for."""
         surface = gather(self.root, self.accessors, self.places)
         self.notices += surface.notices
         return surface
@@ -105,50 +83,25 @@ class GltfDocument(Document):
     @cached_property
     def stored_colours(self) -> list[Stored]:
         """Colours of every block as stored, each of shape (rows of the block, 3 or 4)."""
-        stored = [self.accessors.stored(block.colour) for block in self.surface.blocks]
-        for block, numbers in zip(self.surface.blocks, stored, strict=True):
-            if numbers.dtype.kind == "f" and not np.isfinite(numbers).all():
-                row = int(np.nonzero(~np.isfinite(numbers).all(axis=1))[0][0])
-                raise self.accessors[block.colour].entry.fault(
-                    "", f"colour {row} is not finite", "repair the file"
-                )
-        return stored
+        return [self.accessors.finite(block.colour, "colour") for block in self.surface.blocks]
 
     @cached_property
     def _painted(self) -> PaintedVertices:
-        surface = self.surface
-        colours = np.concatenate([fractions(numbers[:, :3]) for numbers in self.stored_colours])
-        stored = {numbers.dtype.name for numbers in self.stored_colours}
-        spaces = np.concatenate(
-            [np.full(block.count, block.placement.space, np.int32) for block in surface.blocks]
-        )
-        positions = [
-            in_world(self.accessors.values(block.position), block.placement, self.accessors, block.position)
-            for block in surface.blocks
-        ]
-        return PaintedVertices(
-            positions=np.concatenate(positions),
-            faces=surface.faces,
-            colours=colours,
-            channels=("red", "green", "blue"),
-            encoding="linear",
-            stored=next(kind for kind in COLOUR_TYPES if kind in stored),
-            space_of=spaces if np.any(spaces != spaces[0]) else None,
-        )
+        return painted_vertices(self.surface, self.accessors, self.stored_colours)
 
     def painted(self) -> PaintedVertices:  # noqa: D102
         return self._painted
 
-    def has_vertex_colours(self) -> bool:
-        """Tell whether any primitive has COLOR_0, read or not."""
-        return has_colours(self.container.tree)
+    def has_vertex_colours(self) -> bool:  # noqa: D102
+        primitives = primitives_of(self.container.tree)
+        return any("COLOR_0" in primitive.get("attributes", {}) for _, primitive in primitives)
 
     def slots(self) -> tuple[Slot, ...]:  # noqa: D102
         return present_slots(self.root)
 
     def textured(self, slot: Slot) -> TexturedSurface:  # noqa: D102
         if slot not in self._textured:
-            surface, notices = gather_textured(self.root, self.accessors, self.places, self.pictures, slot)
+            surface, notices = gather_textured(self.root, self.accessors, self.places, self.images, slot)
             self._textured[slot] = surface
             self.notices += [notice for notice in notices if notice not in self.notices]
         return self._textured[slot]
@@ -160,28 +113,15 @@ class GltfDocument(Document):
         fits = [known for known in self.attributes() if known.lower() == name.lower()]
         if not fits:
             return super().attribute(name)
-        if fits[0] == "normal" and (normals := normals_of(self)) is not None:
+        if fits[0] == "normal" and (normals := self._normals()) is not None:
             return normals.astype(np.float64)
         return read_attribute(self.root, self.surface.blocks, self.accessors, fits[0])
 
+    def _normals(self) -> NDArray[np.float32] | None:
+        return normals_of(self.surface.blocks, self.accessors)
+
     def require_movable(self) -> None:  # noqa: D102
         require_movable(self.accessors, self.surface.blocks)
-
-    def edit(
-        self,
-        colours: NDArray[np.float32] | None,
-        images: Mapping[tuple[Slot, str], ImageFile],
-        places: MovedVertices | None = None,
-    ) -> Edit:
-        """Return the JSON and the buffers with other colours, images and places; all as for `patch`."""
-        edit = Edit(self.container, self.accessors, self.container.copy_of_tree())
-        if colours is not None:
-            recolour(edit, self.surface.blocks, self.stored_colours, self.painted().colours, colours)
-        if places is not None:
-            move(edit, self.surface.blocks, self.painted().positions, places)
-        compress_again(edit)
-        repaint(edit, self.pictures, images)
-        return edit
 
     def patch(  # noqa: D102
         self,
@@ -192,7 +132,8 @@ class GltfDocument(Document):
         images: Mapping[tuple[Slot, str], ImageFile] = NO_IMAGES,
         places: MovedVertices | None = None,
     ) -> Written:
-        return written(self.edit(colours, images, places), stem, moved=moved)
+        form = self.container.kind
+        return self.repackaged(colours, stem, form, moved=moved, images=images, places=places)
 
     def repackaged(
         self,
@@ -204,38 +145,110 @@ class GltfDocument(Document):
         images: Mapping[tuple[Slot, str], ImageFile] = NO_IMAGES,
         places: MovedVertices | None = None,
     ) -> Written:
-        """Return the document as `patch` does, in the other form of glTF if that is asked for.
-
-        Parameters
-        ----------
-        colours, stem, moved, images, places
-            As for `patch`.
-        form : {"glb", "gltf"}
-            Binary or text. Going to "glb", buffers are merged into the BIN chunk and images inside the
-            folder embedded; going to "gltf", the BIN chunk becomes the sidecar ``{stem}.bin``.
-
-        Raises
-        ------
-        InputError
-            If a buffer that has to be moved cannot be read.
-        """
-        edit = self.edit(colours, images, places)
-        if form == self.format:
-            return written(edit, stem, moved=moved)
-        return as_glb(edit, self._beside) if form == "glb" else as_gltf(edit, stem, moved=moved)
+        """Return the document as `patch` does, in the other form of glTF if that is asked for."""
+        edit = Edit(self.container, self.accessors, self.container.copy_of_tree())
+        if colours is not None:
+            recolour(edit, self.surface.blocks, self.stored_colours, self.painted().colours, colours)
+        if places is not None:
+            move(edit, self.surface.blocks, self.painted().positions, places)
+        compress_again(edit)
+        repaint(edit, self.images, images)
+        return written(edit, stem, form, self._folder, moved=moved)
 
     def references(self) -> Sequence[str]:
-        """Return relative paths of the existing buffers and images beside the file ("/" separates).
-
-        Buffers whose colours a patch changes are among them: a sidecar of the same name takes precedence.
-        """
+        """Return the existing buffers and images beside the file, and those of the buffers that a patch changes."""
         return self._references
 
     def contents(self) -> MeshContents:  # noqa: D102
-        return contents_of(self)
+        painted = self.painted()
+        return MeshContents(
+            positions=painted.positions,
+            corners=painted.faces.reshape(-1),
+            offsets=np.arange(0, 3 * len(painted.faces) + 1, 3, dtype=np.int64),
+            colours=painted.colours,
+            encoding="linear",
+            stored=painted.stored,
+            alpha=_opacity(self.stored_colours),
+            normals=self._normals(),
+            left_out=tuple(_left_out(self.container.tree)),
+        )
 
     def fingerprint(self) -> Fingerprint:  # noqa: D102
-        return take_apart(self)
+        parts, images = fingerprint(self.container, self.accessors, self.images)
+        colours: dict[str, NDArray[np.float32]] = {}
+        if self.has_vertex_colours():
+            colours["vertex colours"] = self.painted().colours
+            opacity = [stored[:, 3].tobytes() for stored in self.stored_colours if stored.shape[1] == 4]
+            parts["opacity of vertex colours"] = b"".join(opacity)
+        return Fingerprint(parts, colours, images)
 
     def facts(self) -> dict[str, object]:  # noqa: D102
-        return summary(self)
+        asset = self.root.entry("asset")
+        counts = {kind: len(self.root.entries(kind)) for kind in _COUNTED}
+        primitives = [primitive for _, primitive in primitives_of(self.container.tree)]
+        named = {primitive.get("attributes", {}).get("COLOR_0", -1) for primitive in primitives}
+        colours = [self._colour_facts(index) for index in sorted(named) if 0 <= index < len(self.accessors)]
+        return {
+            "generator": asset.text("generator"),
+            "version": asset.text("version"),
+            "scenes": counts["scenes"],
+            "nodes": counts["nodes"],
+            "meshes": counts["meshes"],
+            "primitives": len(primitives),
+            "colour accessors": colours,
+            "materials": counts["materials"],
+            "images": counts["images"],
+            "textures": counts["textures"],
+            "slots": list(self.slots()),
+            "skins": counts["skins"],
+            "animations": counts["animations"],
+            "extensions used": self.root.texts("extensionsUsed"),
+            "extensions required": self.root.texts("extensionsRequired"),
+        }
+
+    def _colour_facts(self, index: int) -> dict[str, object]:
+        accessor = self.accessors[index]
+        return {
+            "accessor": index,
+            "type": accessor.shape,
+            "component": accessor.component.name,
+            "count": accessor.count,
+            "sparse": accessor.sparse is not None,
+        }
+
+
+def _opacity(colours: Sequence[Stored]) -> NDArray[np.float32] | None:
+    """Return the opacity of all rows in [0, 1], None if no block has any."""
+    if all(numbers.shape[1] == 3 for numbers in colours):
+        return None
+    return np.concatenate(
+        [
+            np.clip(fractions(numbers[:, 3]), 0, 1)
+            if numbers.shape[1] == 4
+            else np.ones(len(numbers), np.float32)
+            for numbers in colours
+        ]
+    )
+
+
+def _left_out(tree: Tree) -> Iterator[str]:
+    """Give what conversion to another format leaves out."""
+    for key in ("materials", "textures", "skins", "animations", "cameras"):
+        if tree.get(key):
+            yield key
+    primitives = [primitive for _, primitive in primitives_of(tree)]
+    attributes = {key for primitive in primitives for key in primitive.get("attributes", {})}
+    if any(primitive.get("targets") for primitive in primitives):
+        yield "morph targets"
+    if any("COLOR_0" not in primitive.get("attributes", {}) for primitive in primitives):
+        yield "uncoloured meshes"
+    if any(key.startswith("TEXCOORD_") for key in attributes):
+        yield "texture coordinates"
+    if any(key in ("TANGENT", "COLOR_1") or key.startswith("_") for key in attributes):
+        yield "further vertex attributes"
+    if any(primitive.get("mode") in (1, 2, 3) for primitive in primitives):
+        yield "lines"
+    placed = ("children", "matrix", "translation", "rotation", "scale")
+    nodes = objects(tree.get("nodes"))
+    if len(nodes) > 1 or any(key in node for node in nodes for key in placed):
+        yield "node hierarchy"

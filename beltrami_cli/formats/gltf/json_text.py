@@ -1,4 +1,4 @@
-"""JSON text that keeps its own words: what an edit leaves alone is written with the characters it was read from.
+"""JSON text that is edited in place: what stays the same keeps the characters that it was read from.
 
 Encoding a parsed tree anew would change spacing, escapes and the digits of numbers. Here the text of the
 source is walked along the new tree, and only members that differ are written anew, in the source's style.
@@ -25,20 +25,7 @@ _SPACE = re.compile(r"[ \t\n\r]*")
 
 
 def parsed(text: str, name: str) -> Tree:
-    """Read strict JSON whose outermost value is an object.
-
-    Parameters
-    ----------
-    text : str
-        The JSON text.
-    name : str
-        The file, for messages.
-
-    Raises
-    ------
-    InputError
-        If the text is not JSON, repeats a key, holds NaN or Infinity, or is nested absurdly deep.
-    """
+    """Read strict JSON whose outermost value is an object; no repeated keys, NaN, Infinity or absurd nesting."""
     try:
         tree = json.loads(text, object_pairs_hook=_unique, parse_constant=_refused)
     except RecursionError:
@@ -73,20 +60,7 @@ def _refused(constant: str) -> None:
 
 
 def revised(text: str, tree: Tree) -> str:
-    """Write a changed tree with the words of the text that it was parsed from.
-
-    Parameters
-    ----------
-    text : str
-        JSON text that `parsed` accepts.
-    tree : dict
-        The same tree after changes: values replaced, members added or removed, array ends grown or cut.
-
-    Returns
-    -------
-    str
-        Text that parses to `tree`, equal to `text` but for the values that differ.
-    """
+    """Write a changed tree; members that equal those parsed from `text` keep their characters in it."""
     start = _skip(text, 0)
     old, end = _DECODER.raw_decode(text, start)
     return text[:start] + _value(_Span(start, end, old), tree, text, _style(text, start)) + text[end:]
@@ -94,27 +68,23 @@ def revised(text: str, tree: Tree) -> str:
 
 @dataclass(frozen=True)
 class _Span:
-    """A value of the source and where it stands.
-
-    Its surroundings start at `lead`, after the comma or bracket before it (and before its key), and end at
-    `trail`, where the comma or bracket after it stands.
-    """
+    """A value of the source and where it stands."""
 
     start: int
     end: int
     value: Any
     key: str = ""
-    lead: int = 0
+    lead: int = 0  # after the comma or bracket before the value, and before its key
     key_start: int = 0
     key_end: int = 0
-    trail: int = 0
+    trail: int = 0  # the comma or bracket after the value
 
 
 @dataclass(frozen=True)
 class _Style:
-    """How the source spaces its JSON: characters of one level of indentation (None: one line), and the colon."""
+    """How the source spaces its JSON."""
 
-    indent: str | None
+    indent: str | None  # characters of one level; None: one line
     colon: str
 
     def written(self, value: object, lead: str) -> str:

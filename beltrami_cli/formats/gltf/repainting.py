@@ -12,26 +12,25 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from beltrami_cli.errors import OutputError
-from beltrami_cli.formats.gltf.materials import PATHS
-from beltrami_cli.formats.gltf.pictures import FOREIGN, WEBP, named_images
-from beltrami_cli.formats.gltf.sharing import objects
-from beltrami_cli.formats.gltf.shown import key_of
-from beltrami_cli.formats.gltf.storing import MEDIA, Storing
+from beltrami_cli.formats.gltf.entries import objects
+from beltrami_cli.formats.gltf.image_storage import MEDIA, ImageStorage
+from beltrami_cli.formats.gltf.textured_surface import image_key
+from beltrami_cli.formats.gltf.textures import FOREIGN, SLOT_PATHS, WEBP, media_type, named_images
 from beltrami_cli.formats.model_folder import UnfitReferenceError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-    from beltrami_cli.formats.gltf.editing import Edit
+    from beltrami_cli.formats.gltf.edit import Edit
     from beltrami_cli.formats.gltf.json_text import Tree
-    from beltrami_cli.formats.gltf.pictures import Pictures
+    from beltrami_cli.formats.gltf.textures import Images
     from beltrami_cli.surface.records import ImageFile, Slot
 
 _WITHOUT_TEXTURES = ("accessors", "animations", "bufferViews", "buffers", "images", "skins", "textures")
 
 
 @dataclass(frozen=True)
-class _Showing:
+class _Change:
     """A texture that is to show a new file in place of an image."""
 
     texture: int
@@ -39,70 +38,55 @@ class _Showing:
     file: ImageFile
 
 
-def repaint(edit: Edit, pictures: Pictures, images: Mapping[tuple[Slot, str], ImageFile]) -> None:
-    """Replace images.
-
-    Parameters
-    ----------
-    edit : Edit
-        The changes so far, to which these are added.
-    pictures : Pictures
-        The images of the file as it was.
-    images : mapping of (Slot, str) to ImageFile
-        As for `Document.patch`.
-
-    Raises
-    ------
-    OutputError
-        If a new file is of a type that glTF cannot hold.
-    ValueError
-        If there is no such image in the slot.
-    """
-    wanted = _wanted(edit, pictures, images)
+def repaint(edit: Edit, images: Images, new: Mapping[tuple[Slot, str], ImageFile]) -> None:
+    """Replace images by new ones, as for `Document.patch`; ValueError if there is no such image in the slot."""
+    wanted = _wanted(edit, images, new)
     if not wanted:
         return
     before = _extensions(edit.tree)
-    showings = _showings(edit.tree, pictures, wanted)
-    storing = Storing(edit, pictures)
-    for image, members in _by_image(showings).items():
-        files = list(dict.fromkeys(showing.file for showing in members))
-        free = not _used_elsewhere(edit.tree, pictures, image, {showing.texture for showing in members})
+    changes: dict[int, list[_Change]] = defaultdict(list)
+    for change in _changes(edit.tree, images, wanted):
+        changes[change.image].append(change)
+    storage = ImageStorage(edit, images)
+    for image, members in changes.items():
+        files = list(dict.fromkeys(change.file for change in members))
+        free = not _used_elsewhere(edit.tree, images, image, {change.texture for change in members})
         targets = {}
         for number, file in enumerate(files):
-            targets[file] = storing.replace(image, file) if free and not number else storing.add(image, file)
-        for showing in members:
-            _point(edit, pictures, showing, targets[showing.file])
-    storing.finish()
+            targets[file] = storage.replace(image, file) if free and not number else storage.add(image, file)
+        for change in members:
+            _point(edit, images, change, targets[change.file])
+    storage.finish()
     _declare(edit.tree, before)
 
 
 def _wanted(
-    edit: Edit, pictures: Pictures, images: Mapping[tuple[Slot, str], ImageFile]
+    edit: Edit, images: Images, new: Mapping[tuple[Slot, str], ImageFile]
 ) -> dict[tuple[Slot, int], ImageFile]:
     """Return the files that differ from what there is, by slot and image."""
-    indices = {key_of(index): index for index in range(len(pictures.images))}
+    indices = {image_key(index): index for index in range(len(images))}
     wanted = {}
-    for (slot, key), file in images.items():
-        if key not in indices or pictures.canonical(indices[key]) != indices[key]:
+    for (slot, key), file in new.items():
+        if key not in indices or images.canonical(indices[key]) != indices[key]:
             raise ValueError(f"there is no image called {key!r}")
         if file.suffix.lower() not in MEDIA:
-            cause = f"glTF cannot hold {file.suffix} textures ({pictures.name(indices[key])})"
+            cause = f"glTF cannot hold {file.suffix} textures ({images.name(indices[key])})"
             raise OutputError(edit.container.name, cause, "choose PNG, JPEG or WebP with --texture-format")
-        if file.data != pictures.data(indices[key]):
+        if file.data != images.data(indices[key]):
             wanted[slot, indices[key]] = file
     return wanted
 
 
-def _showings(tree: Tree, pictures: Pictures, wanted: Mapping[tuple[Slot, int], ImageFile]) -> list[_Showing]:
+def _changes(tree: Tree, images: Images, wanted: Mapping[tuple[Slot, int], ImageFile]) -> list[_Change]:
     """Decide which textures show the new files; copy those that others use too, and point infos at the copies."""
     users: dict[int, list[tuple[Tree, ImageFile | None]]] = defaultdict(list)
-    shown = {index: _shown(pictures, index) for index in range(len(pictures.textures))}
+    shown = {index: _shown(images, index) for index in range(len(images.textures))}
     for info, slot in _infos(tree):
         texture = info["index"]
         image = shown.get(texture)
         file = None if slot is None or image is None else wanted.get((slot, image))
         users[texture].append((info, file))
-    showings = []
+    changes = []
     for texture, uses in users.items():
         files = list(dict.fromkeys(file for _, file in uses if file is not None))
         image = shown.get(texture)
@@ -110,15 +94,15 @@ def _showings(tree: Tree, pictures: Pictures, wanted: Mapping[tuple[Slot, int], 
         for number, file in enumerate(files):
             index = texture if free and not number else _copy(tree, texture, uses, file)
             if image is not None:
-                showings.append(_Showing(index, image, file))
-    if {(showing.image, showing.file) for showing in showings} != {(i, f) for (_, i), f in wanted.items()}:
+                changes.append(_Change(index, image, file))
+    if {(change.image, change.file) for change in changes} != {(i, f) for (_, i), f in wanted.items()}:
         raise ValueError("an image is not used in the slot that it was handed back for")
-    return showings
+    return changes
 
 
-def _shown(pictures: Pictures, texture: int) -> int | None:
+def _shown(images: Images, texture: int) -> int | None:
     try:
-        return pictures.canonical(pictures.shown(texture))
+        return images.canonical(images.shown(texture))
     except UnfitReferenceError:
         return None
 
@@ -127,7 +111,7 @@ def _infos(tree: Tree) -> Iterator[tuple[Tree, Slot | None]]:
     """Find all textureInfos, those of extensions too, each with the slot that it belongs to if any."""
     slots: dict[int, Slot] = {}
     for material in objects(tree.get("materials")):
-        for slot, paths in PATHS.items():
+        for slot, paths in SLOT_PATHS.items():
             for path in paths:
                 holder: Any = material
                 for key in path:
@@ -153,17 +137,10 @@ def _copy(tree: Tree, texture: int, uses: list[tuple[Tree, ImageFile | None]], f
     return index
 
 
-def _by_image(showings: list[_Showing]) -> dict[int, list[_Showing]]:
-    groups: dict[int, list[_Showing]] = defaultdict(list)
-    for showing in showings:
-        groups[showing.image].append(showing)
-    return groups
-
-
-def _used_elsewhere(tree: Tree, pictures: Pictures, image: int, showing: set[int]) -> bool:
+def _used_elsewhere(tree: Tree, images: Images, image: int, changing: set[int]) -> bool:
     """Return whether something else needs an image as it was: another texture, or an image-based light."""
-    group = {index for index in range(len(pictures.images)) if pictures.canonical(index) == image}
-    if any(named_images(t) & group for index, t in enumerate(tree["textures"]) if index not in showing):
+    group = set(images.same(image))
+    if any(named_images(t) & group for index, t in enumerate(tree["textures"]) if index not in changing):
         return True
     lights = tree.get("extensions", {}).get("EXT_lights_image_based", {})
     stack: list[Any] = [light.get("specularImages") for light in objects(lights.get("lights"))]
@@ -176,27 +153,27 @@ def _used_elsewhere(tree: Tree, pictures: Pictures, image: int, showing: set[int
     return False
 
 
-def _point(edit: Edit, pictures: Pictures, showing: _Showing, image: int) -> None:
+def _point(edit: Edit, images: Images, change: _Change, image: int) -> None:
     """Make a texture show another image, in the way that its type asks for."""
-    texture = edit.tree["textures"][showing.texture]
+    texture = edit.tree["textures"][change.texture]
     extensions = dict(texture.get("extensions", {}))
     for extension in [name for name in FOREIGN if name in extensions]:
         del extensions[extension]
         edit.notices.append(
-            f"textures[{showing.texture}] loses its {FOREIGN[extension]} image ({extension}), which would show the "
+            f"textures[{change.texture}] loses its {FOREIGN[extension]} image ({extension}), which would show the "
             "old colours."
         )
-    webp = MEDIA[showing.file.suffix.lower()] == "image/webp"
+    webp = MEDIA[change.file.suffix.lower()] == "image/webp"
     old = extensions.get(WEBP, {}).get("source", texture.get("source"))
-    if old is not None and old < len(pictures.images) and pictures.canonical(old) == image:
+    if old is not None and old < len(images) and images.canonical(old) == image:
         image = old  # another description of the same image
     if webp and WEBP in extensions:
         extensions[WEBP] = extensions[WEBP] | {"source": image}
         if "source" in texture:
             edit.notices.append(
-                f"textures[{showing.texture}] keeps its fallback for viewers without WebP as it was."
+                f"textures[{change.texture}] keeps its fallback for viewers without WebP as it was."
             )
-    elif webp and pictures.media(showing.image) != "image/webp":
+    elif webp and media_type(images.data(change.image)) != "image/webp":
         extensions[WEBP] = {"source": image}
         texture.pop("source", None)
     else:

@@ -1,76 +1,110 @@
-"""The files of an edited glTF: where changed buffers go, and under which names."""
+"""The files of an edited glTF in either form, binary or text, and the names of those beside it.
+
+A new image or buffer never takes the name of a file that the source uses, unless the output goes elsewhere (`moved`)
+and it keeps its own. `stem` is the name of the output without folder and extension, as for `Document.patch`.
+"""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from beltrami_cli.formats.document import Written
-from beltrami_cli.formats.gltf.files import as_uri, re_embedded, relative_name
-from beltrami_cli.formats.gltf.naming import named_files, place_pictures, used_names
-from beltrami_cli.formats.gltf.tree import Entry
-from beltrami_cli.formats.model_folder import path_inside
+from beltrami_cli.formats.gltf.compression import MESHOPT
+from beltrami_cli.formats.gltf.container import BIN_CHUNK, JSON_CHUNK, Chunk, encoded, glb_pieces
+from beltrami_cli.formats.gltf.entries import Entry
+from beltrami_cli.formats.gltf.json_text import revised
+from beltrami_cli.formats.gltf.textures import media_type
+from beltrami_cli.formats.gltf.uris import (
+    as_uri,
+    data_uri,
+    is_data,
+    named_files,
+    read,
+    relative_name,
+    used_names,
+)
+from beltrami_cli.formats.model_folder import UnfitReferenceError, path_inside, renamed, unused, with_suffix
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from beltrami_cli.formats.document import Bytes
-    from beltrami_cli.formats.gltf.editing import Edit
+    from beltrami_cli.formats.gltf.container import GltfForm
+    from beltrami_cli.formats.gltf.edit import Edit
     from beltrami_cli.formats.gltf.json_text import Tree
+    from beltrami_cli.formats.model_folder import ModelFolder
+    from beltrami_cli.surface.records import ImageFile
+
+_ALIGNMENT = 8  # of merged buffers: more than any component needs, and what KHR extensions ask for
 
 
-def written(edit: Edit, stem: str, *, moved: bool) -> Written:
-    """Return the files of an edit in the form of the source; the source itself if nothing was edited.
+def written(edit: Edit, stem: str, form: GltfForm, folder: ModelFolder, *, moved: bool) -> Written:
+    """Return the files of an edit; the source itself if nothing was edited and the form is its own."""
+    if form == edit.container.kind:
+        return _same_form(edit, stem, moved=moved)
+    return _as_glb(edit, folder) if form == "glb" else _as_gltf(edit, stem, moved=moved)
 
-    Parameters
-    ----------
-    edit : Edit
-        The changes.
-    stem, moved
-        As for `Document.patch`.
-    """
-    if not edit.buffers and not edit.pictures and edit.tree == edit.container.tree:
+
+def _same_form(edit: Edit, stem: str, *, moved: bool) -> Written:
+    root = edit.container.root
+    if not edit.buffers and not edit.images and edit.tree == edit.container.tree:
         return Written([edit.container.data], {}, tuple(edit.notices))
-    sidecars = place_buffers(edit, edit.tree, sidecar_names(edit.container.root, stem), moved=moved)
-    sidecars |= place_pictures(edit, edit.tree, stem, moved=moved)
+    sidecars = _place_buffers(edit, _sidecar_names(root, stem), moved=moved)
+    sidecars |= _place_images(edit, stem, moved=moved)
     chunk = edit.buffers.get(0) if _source(edit, 0) == "chunk" else None
     kept = used_names(Entry(edit.container.name, "", edit.tree))
-    superseded = {name for name in named_files(edit.container.root) if name.casefold() not in kept}
+    superseded = {name for name in named_files(root) if name.casefold() not in kept}
     pieces = edit.container.rebuilt(edit.tree, chunk)
     return Written(pieces, sidecars, tuple(edit.notices), frozenset(superseded))
 
 
-def place_buffers(edit: Edit, tree: Tree, names: Iterator[str], *, moved: bool) -> dict[str, Bytes]:
-    """Put changed buffers where they belong: data URIs into the tree, external ones into sidecars.
-
-    Parameters
-    ----------
-    edit : Edit
-        The changes.
-    tree : dict
-        The JSON, whose URIs are changed.
-    names : iterator of str
-        Names for sidecars that must not keep theirs.
-    moved : bool
-        Whether sidecars keep their names.
-
-    Returns
-    -------
-    dict of str to bytes-like
-        The sidecars; the BIN chunk is not among them.
-    """
+def _as_gltf(edit: Edit, stem: str, *, moved: bool) -> Written:
+    """Return a binary file as text, its BIN chunk as the sidecar ``stem.bin``."""
+    tree, buffers = edit.tree, edit.accessors.buffers
+    names = _sidecar_names(edit.container.root, stem)
     sidecars: dict[str, Bytes] = {}
-    buffers = edit.accessors.buffers
+    if len(buffers) and buffers.source(0) == "chunk":
+        data: Bytes = edit.buffers[0] if 0 in edit.buffers else buffers.stored(0)
+        length = tree["buffers"][0]["byteLength"]
+        name = next(names)
+        sidecars[name] = data[:length] if len(data) - length < 4 else data  # without the chunk's padding
+        tree["buffers"][0]["uri"] = as_uri(name)
+    sidecars |= _place_buffers(edit, names, moved=moved)
+    sidecars |= _place_images(edit, stem, moved=moved)
+    lost = [chunk for chunk in edit.container.chunks if chunk.kind != BIN_CHUNK]
+    notices = [f"{len(lost)} GLB chunk(s) of unknown type cannot be kept in a .gltf file."] if lost else []
+    return Written([encoded(revised(edit.container.text, tree))], sidecars, (*edit.notices, *notices))
+
+
+def _as_glb(edit: Edit, folder: ModelFolder) -> Written:
+    """Return a text file as binary: all buffers merged into BIN, images inside the folder embedded."""
+    tree = edit.tree
+    binary = _merge_buffers(edit)
+    notices = [*edit.notices, *_embed_images(edit, binary, folder)]
+    chunks = []
+    if binary:
+        tree["buffers"][0]["byteLength"] = len(binary)
+        chunks.append(Chunk(BIN_CHUNK, binary))
+    text = encoded(revised(edit.container.text, tree).strip(" \t\r\n"))
+    return Written(glb_pieces([Chunk(JSON_CHUNK, text), *chunks]), {}, tuple(notices))
+
+
+def _place_buffers(edit: Edit, names: Iterator[str], *, moved: bool) -> dict[str, Bytes]:
+    """Put changed buffers into data URIs or sidecars, which are returned; the BIN chunk is not among them."""
+    sidecars: dict[str, Bytes] = {}
+    entries, buffers = edit.tree.get("buffers", []), edit.accessors.buffers
     for index, data in edit.buffers.items():
         source = _source(edit, index)
         if source == "data":
-            tree["buffers"][index]["uri"] = re_embedded(tree["buffers"][index]["uri"], data)
+            entries[index]["uri"] = data_uri(entries[index]["uri"], data)
         elif source == "file":
             old = relative_name(buffers.uris[index] or "", outside=True)
             name = path_inside(old) if moved else next(names)
             sidecars[name] = data
             for other in range(len(buffers)):
                 if buffers.canonical(other) == index and name != old:
-                    tree["buffers"][other]["uri"] = as_uri(name)
+                    entries[other]["uri"] = as_uri(name)
     return sidecars
 
 
@@ -81,7 +115,7 @@ def _source(edit: Edit, index: int) -> str:
     return buffers.source(index)
 
 
-def sidecar_names(root: Entry, stem: str) -> Iterator[str]:
+def _sidecar_names(root: Entry, stem: str) -> Iterator[str]:
     """Generate ``stem.bin``, ``stem-2.bin``, ... without names that the file already uses."""
     taken = used_names(root)
     number = 1
@@ -90,3 +124,95 @@ def sidecar_names(root: Entry, stem: str) -> Iterator[str]:
         if name.casefold() not in taken:
             yield name
         number += 1
+
+
+def _place_images(edit: Edit, stem: str, *, moved: bool) -> dict[str, Bytes]:
+    """Name the new image files, which are returned, and put their names into the tree."""
+    sidecars: dict[str, Bytes] = {}
+    chosen: dict[tuple[str, bool, ImageFile], str] = {}
+    taken, source = used_names(edit.container.root), Path(edit.container.name).stem
+    entries, known = edit.tree.get("images", []), len(edit.container.root.entries("images"))
+    for index, file in edit.images.items():
+        old = relative_name(entries[index]["uri"], outside=True)
+        key = old, index < known, file
+        if key not in chosen:
+            keeps = (
+                moved and index < known
+            )  # images that were added never keep the name that they were copied with
+            name = with_suffix(
+                path_inside(old) if keeps else renamed(path_inside(old), source, stem), file.suffix
+            )
+            if not keeps or name != old:
+                name = unused(name, taken)
+            chosen[key] = name
+            taken.add(name.casefold())
+            sidecars[name] = file.data
+        if chosen[key] != old:
+            entries[index]["uri"] = as_uri(chosen[key])
+    return sidecars
+
+
+def _merge_buffers(edit: Edit) -> bytearray:
+    """Join the bytes of all buffers that have any, and make the views point into the result."""
+    tree, buffers, binary = edit.tree, edit.accessors.buffers, bytearray()
+    starts: dict[int, int] = {}
+    kept: list[int] = []
+    for index in range(len(tree.get("buffers", []))):
+        source = buffers.source(index) if index < len(buffers) else "data"
+        first = buffers.canonical(index) if index < len(buffers) else index
+        if source == "nowhere":
+            kept.append(index)
+        elif first in starts:
+            starts[index] = starts[first]
+        else:
+            binary += bytes(-len(binary) % _ALIGNMENT)
+            starts[index] = len(binary)
+            binary += edit.buffers[index] if index in edit.buffers else buffers.stored(index)
+    if starts:
+        numbers = dict.fromkeys(starts, 0) | {index: 1 + rank for rank, index in enumerate(kept)}
+        _renumber_buffers(tree, starts, numbers)
+        merged = {key: value for key, value in tree["buffers"][next(iter(starts))].items() if key != "uri"}
+        if "extensions" in merged:  # it is more than a substitute for what is compressed
+            rest = {key: value for key, value in merged.pop("extensions").items() if key not in MESHOPT}
+            merged |= {"extensions": rest} if rest else {}
+        tree["buffers"] = [merged, *(tree["buffers"][index] for index in kept)]
+    return binary
+
+
+def _renumber_buffers(tree: Tree, starts: dict[int, int], numbers: dict[int, int]) -> None:
+    """Give the views, and their extensions, the new numbers of buffers, and offsets from where these start now."""
+    for view in tree.get("bufferViews", []):
+        for holder in [view, *view.get("extensions", {}).values()]:
+            if not isinstance(holder, dict) or not isinstance(holder.get("buffer"), int):
+                continue
+            start = starts.get(holder["buffer"], 0)
+            holder["buffer"] = numbers.get(holder["buffer"], holder["buffer"])
+            if start and isinstance(holder.get("byteOffset", 0), int):
+                holder["byteOffset"] = holder.get("byteOffset", 0) + start
+
+
+def _embed_images(edit: Edit, binary: bytearray, folder: ModelFolder) -> list[str]:
+    """Move images from the folder into the binary; return a notice for each that stays outside."""
+    notices, tree = [], edit.tree
+    for index, image in enumerate(tree.get("images", [])):
+        uri = image.get("uri")
+        if uri is None or is_data(uri):
+            continue
+        try:
+            new = edit.images.get(index)
+            data = read(uri, folder) if new is None else new.data
+            kind = image.get("mimeType") or media_type(data)
+            if kind is None:
+                raise UnfitReferenceError("its type is not known, so it cannot be embedded")
+        except UnfitReferenceError as error:
+            notices.append(f"images[{index}] stays outside the GLB: {error}.")
+            continue
+        views, buffers = tree.setdefault("bufferViews", []), tree.setdefault("buffers", [])
+        if not binary:
+            buffers.insert(0, {"byteLength": 0})
+        binary += bytes(-len(binary) % 4)
+        views.append({"buffer": 0, "byteOffset": len(binary), "byteLength": len(data)})
+        binary += data
+        del image["uri"]
+        image |= {"bufferView": len(views) - 1, "mimeType": kind}
+    return notices

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli.formats.gltf.accessors import element_bytes
-from beltrami_cli.formats.gltf.layouts import Layout
+from beltrami_cli.formats.gltf.accessors import Layout, element_bytes
+from beltrami_cli.formats.gltf.entries import objects, primitives_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -16,18 +16,27 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from beltrami_cli.formats.gltf.accessors import Accessors
-    from beltrami_cli.formats.gltf.columns import Column
     from beltrami_cli.formats.gltf.json_text import Tree
+
+
+@dataclass(frozen=True)
+class Column:
+    """Numbers of one vertex attribute that painted primitives share."""
+
+    attribute: str  # "COLOR_0", "POSITION" or "NORMAL"
+    accessor: int  # where they are read
+    members: frozenset[int]  # all accessors over these numbers that primitives name as this attribute
+    users: tuple[tuple[int, int], ...]  # painted primitives that do: mesh, and index in the mesh
+    position: int  # accessor of the positions that they belong to
 
 
 def used_otherwise(tree: Tree, attribute: str) -> set[int]:
     """Return the accessors that are named as anything but a certain attribute of a primitive."""
     found: list[object] = []
-    for mesh in objects(tree.get("meshes")):
-        for primitive in objects(mesh.get("primitives")):
-            found += [index for key, index in primitive.get("attributes", {}).items() if key != attribute]
-            found += [index for target in objects(primitive.get("targets")) for index in target.values()]
-            found.append(primitive.get("indices"))
+    for _, primitive in primitives_of(tree):
+        found += [index for key, index in primitive.get("attributes", {}).items() if key != attribute]
+        found += [index for target in objects(primitive.get("targets")) for index in target.values()]
+        found.append(primitive.get("indices"))
     for animation in objects(tree.get("animations")):
         for sampler in objects(animation.get("samplers")):
             found += [sampler.get("input"), sampler.get("output")]
@@ -40,14 +49,10 @@ def used_otherwise(tree: Tree, attribute: str) -> set[int]:
 
 
 def alone(tree: Tree, accessors: Accessors, columns: Sequence[Column]) -> list[bool]:
-    """Return for every column of one attribute whether nothing else uses its bytes and its accessors.
-
-    Notes
-    -----
-    The uses of every byte are counted, once for each column and for everything else that lies there: other
-    accessors element by element (so that interleaving is no conflict), sparse parts, and whole views that
-    serve images, extensions, or nothing that we know.
-    """
+    """Return for every column of one attribute whether nothing else uses its bytes and its accessors."""
+    # The uses of every byte are counted, once for each column and for everything else that lies there: other
+    # accessors element by element (so that interleaving is no conflict), sparse parts, and whole views that
+    # serve images, extensions, or nothing that we know.
     otherwise = used_otherwise(tree, columns[0].attribute)
     own = [_elements(accessors, column) for column in columns]
     members = set().union(*(column.members for column in columns))
@@ -75,7 +80,7 @@ def _elements(accessors: Accessors, column: Column) -> list[Layout]:
 
 
 def _others(tree: Tree, accessors: Accessors, members: set[int]) -> Iterator[Layout]:
-    """Find the bytes of everything that is not the elements of the columns."""
+    """Give the bytes of everything that is not the elements of the columns."""
     viewed = set()
     for index, accessor in enumerate(accessors.all):
         viewed.add(accessor.view)
@@ -96,15 +101,7 @@ def _others(tree: Tree, accessors: Accessors, members: set[int]) -> Iterator[Lay
 
 
 def named_places(tree: Tree, lengths: Sequence[int]) -> Iterator[tuple[tuple[int, str | None], Layout]]:
-    """Find the bytes that views name, and those that their extensions name in the usual words.
-
-    Yields
-    ------
-    place : (int, str or None)
-        The view's index, and the extension.
-    layout : Layout
-        The bytes, as one element.
-    """
+    """Give the bytes that views and their extensions name, as one element, with the view's index and extension."""
     for index, view in enumerate(objects(tree.get("bufferViews"))):
         for name, holder in [(None, view), *view.get("extensions", {}).items()]:
             if not isinstance(holder, dict):
@@ -121,7 +118,7 @@ def _views_of_sparse(accessor: Tree) -> set[int]:
 
 
 def named_views(value: object) -> Iterator[int]:
-    """Find every member called "bufferView", in images and in extensions that we do not know."""
+    """Give every member called "bufferView", in images and in extensions that we do not know."""
     if isinstance(value, dict):
         index = value.get("bufferView")
         if isinstance(index, int):
@@ -148,8 +145,3 @@ def _extent(accessors: Accessors, buffer: int) -> int:
 def _meets(layout: Layout, ranges: NDArray[np.int64]) -> bool:
     buffer, start, end = ranges.T
     return bool(((buffer == layout.buffer) & (start < layout.end) & (layout.start < end)).any())
-
-
-def objects(values: object) -> list[Tree]:
-    """Return the objects among the values of what should be an array of objects."""
-    return [value for value in values if isinstance(value, dict)] if isinstance(values, list) else []

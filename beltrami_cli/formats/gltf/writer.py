@@ -1,25 +1,28 @@
-"""A coloured mesh written as a new, minimal glTF file."""
+"""A coloured mesh, or a mesh with one texture, written as a new, minimal glTF file."""
 
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.formats.document import Written
-from beltrami_cli.formats.gltf.accessors import Stored, quantised
-from beltrami_cli.formats.gltf.arrays import Arrays, single_precision
+from beltrami_cli.formats.gltf.accessors import COMPONENTS, Stored, padded_elements, quantised
 from beltrami_cli.formats.gltf.container import BIN_CHUNK, JSON_CHUNK, Chunk, encoded, glb_pieces
-from beltrami_cli.formats.gltf.files import as_uri
+from beltrami_cli.formats.gltf.edit import INDEX_DATA, VERTEX_DATA
+from beltrami_cli.formats.gltf.image_storage import MEDIA
+from beltrami_cli.formats.gltf.uris import as_uri
 from beltrami_cli.surface.colour_values import srgb_to_linear
+from beltrami_cli.surface.grouping import distinct_corners
 from beltrami_cli.surface.polygons import triangulate
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from beltrami_cli.formats.gltf.json_text import Tree
-    from beltrami_cli.surface.records import MeshContents
+    from beltrami_cli.surface.records import MeshContents, TexturedMesh
 
 _STORED_AS = {
     ("linear", "uint8"): "<u1",
@@ -32,49 +35,106 @@ sRGB levels are closest near black, where one of 255 is 20 of 65535 linear steps
 16 bits keep all 8-bit sRGB levels apart, and only float32 keeps the 16-bit ones.
 """
 
+_COMPONENT_TYPE = {np.dtype(name): number for number, name in COMPONENTS.items()}
+_MOST_FOR_U16 = 65535  # vertices: index 65535 would mean the restart of a strip
+_LINEAR, _MIPMAPS, _CLAMP = 9729, 9987, 33071
+
 
 def write_glb(contents: MeshContents, stem: str) -> Written:
-    """Write a mesh as one binary file.
-
-    Parameters
-    ----------
-    contents : MeshContents
-        The mesh; its colours become linear, as glTF demands.
-    stem : str
-        Name of the mesh in the file.
-
-    Returns
-    -------
-    Written
-        With notices that say what is rounded, cut, or left out.
-
-    Raises
-    ------
-    InputError
-        If positions exceed float32.
-    """
-    tree, binary, notices = _assembled(contents, stem)
-    text = json.dumps(tree, ensure_ascii=False, separators=(",", ":"))
-    return Written(glb_pieces([Chunk(JSON_CHUNK, encoded(text)), Chunk(BIN_CHUNK, binary)]), {}, notices)
+    """Write a mesh as one binary file; its colours become linear, as glTF demands, and `stem` its name."""
+    notices: list[str] = []
+    return _binary(*_coloured(contents, stem, notices), notices)
 
 
 def write_gltf(contents: MeshContents, stem: str) -> Written:
     """Write a mesh as JSON text with its numbers in the sidecar ``stem.bin``; otherwise as `write_glb`."""
-    tree, binary, notices = _assembled(contents, stem)
-    tree["buffers"][0]["uri"] = as_uri(f"{stem}.bin")
-    text = json.dumps(tree, ensure_ascii=False, indent=2) + "\n"
-    return Written([encoded(text)], {f"{stem}.bin": binary}, notices)
-
-
-def _assembled(contents: MeshContents, stem: str) -> tuple[Tree, bytes, tuple[str, ...]]:
     notices: list[str] = []
-    positions = single_precision(contents.positions, stem, notices)
+    tree, arrays = _coloured(contents, stem, notices)
+    return _text(tree, arrays, stem, {}, notices)
+
+
+def write_textured_glb(mesh: TexturedMesh, stem: str) -> Written:
+    """Write a mesh and its texture as one binary file; vertices are split where texture coordinates differ."""
+    notices: list[str] = []
+    tree, arrays = _textured(mesh, stem, notices)
+    view = arrays.add_bytes(mesh.image.data)
+    tree["images"] = [{"bufferView": view, "mimeType": MEDIA[mesh.image.suffix], "name": stem}]
+    return _binary(tree, arrays, notices)
+
+
+def write_textured_gltf(mesh: TexturedMesh, stem: str) -> Written:
+    """Write a mesh as JSON text, with its numbers and its texture in files beside it; else as `write_textured_glb`."""
+    notices: list[str] = []
+    tree, arrays = _textured(mesh, stem, notices)
+    image = stem + mesh.image.suffix
+    tree["images"] = [{"uri": as_uri(image), "name": stem}]
+    return _text(tree, arrays, stem, {image: mesh.image.data}, notices)
+
+
+def _binary(tree: Tree, arrays: _Arrays, notices: list[str]) -> Written:
+    tree["buffers"] = [{"byteLength": len(arrays.binary)}]
+    text = json.dumps(tree, ensure_ascii=False, separators=(",", ":"))
+    pieces = glb_pieces([Chunk(JSON_CHUNK, encoded(text)), Chunk(BIN_CHUNK, bytes(arrays.binary))])
+    return Written(pieces, notices=tuple(notices))
+
+
+def _text(tree: Tree, arrays: _Arrays, stem: str, images: dict[str, bytes], notices: list[str]) -> Written:
+    tree["buffers"] = [{"byteLength": len(arrays.binary), "uri": as_uri(f"{stem}.bin")}]
+    text = json.dumps(tree, ensure_ascii=False, indent=2) + "\n"
+    return Written([encoded(text)], {f"{stem}.bin": bytes(arrays.binary), **images}, tuple(notices))
+
+
+class _Arrays:
+    """Accessors, their views, and the bytes behind them, while they are put together."""
+
+    def __init__(self) -> None:
+        self.accessors: list[Tree] = []
+        self.views: list[Tree] = []
+        self.binary = bytearray()
+
+    def add(self, numbers: Stored, *, bounds: bool = False, target: int = VERTEX_DATA) -> int:
+        """Add an array of shape (n, width) and return its accessor; vertex elements are padded to 4 bytes."""
+        octets, size = padded_elements(numbers)
+        if target == INDEX_DATA:
+            octets = octets[:, :size]
+        stride = octets.shape[1]
+        view = self.add_bytes(octets.tobytes())
+        self.views[view] |= ({"byteStride": stride} if stride != size else {}) | {"target": target}
+        accessor: dict[str, Any] = {
+            "bufferView": view,
+            "componentType": _COMPONENT_TYPE[numbers.dtype],
+            "count": len(numbers),
+            "type": {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}[numbers.shape[1]],
+        }
+        if numbers.dtype.kind == "u" and target == VERTEX_DATA:
+            accessor["normalized"] = True
+        if bounds:
+            accessor |= {"min": numbers.min(axis=0).tolist(), "max": numbers.max(axis=0).tolist()}
+        self.accessors.append(accessor)
+        return len(self.accessors) - 1
+
+    def add_faces(self, faces: NDArray[np.integer[Any]], vertices: int) -> int:
+        """Add triangles, shape (F, 3), as narrow as the number of vertices allows, and return their accessor."""
+        narrow = vertices <= _MOST_FOR_U16
+        return self.add(faces.reshape(-1, 1).astype("<u2" if narrow else "<u4"), target=INDEX_DATA)
+
+    def add_bytes(self, content: bytes) -> int:
+        """Add the bytes of a view, and return it."""
+        self.binary += bytes(-len(self.binary) % 4)
+        self.views.append({"buffer": 0, "byteOffset": len(self.binary), "byteLength": len(content)})
+        self.binary += content
+        return len(self.views) - 1
+
+
+def _coloured(contents: MeshContents, stem: str, notices: list[str]) -> tuple[Tree, _Arrays]:
+    positions = _single_precision(contents.positions, stem, notices)
     colours = _colours(contents, notices)
     faces = triangulate(contents.positions, contents.corners, contents.offsets)
     if np.any(np.diff(contents.offsets) > 3):
         notices.append("Quads and polygons are cut into triangles.")
-    notices += [f"glTF output leaves out: {', '.join(contents.left_out)}."] if contents.left_out else []
-    arrays = Arrays()
+    if contents.left_out:
+        notices.append(f"glTF output leaves out: {', '.join(contents.left_out)}.")
+    arrays = _Arrays()
     attributes = {"POSITION": arrays.add(positions, bounds=True), "COLOR_0": arrays.add(colours)}
     if contents.normals is not None:
         attributes["NORMAL"] = arrays.add(_unit(contents.normals))
@@ -83,18 +143,66 @@ def _assembled(contents: MeshContents, stem: str) -> tuple[Tree, bytes, tuple[st
         primitive["indices"] = arrays.add_faces(faces, len(positions))
     else:
         primitive["mode"] = 0
-    tree = {
+    # glTF's default material is bare metal, which shows colours black without a sky.
+    material: Tree = {
+        "pbrMetallicRoughness": {"metallicFactor": 0, "roughnessFactor": 1},
+        "doubleSided": True,
+    }
+    if contents.alpha is not None and np.any(contents.alpha < 1):
+        material["alphaMode"] = "BLEND"
+    return _model(primitive, {"materials": [material]}, arrays, stem), arrays
+
+
+def _textured(mesh: TexturedMesh, stem: str, notices: list[str]) -> tuple[Tree, _Arrays]:
+    uv = mesh.uv.reshape(-1, 2).astype("<f4")
+    first, vertex_of = distinct_corners(mesh.faces.ravel(), *uv.T)
+    positions = _single_precision(mesh.positions[mesh.faces.ravel()[first]], stem, notices)
+    if mesh.image.suffix not in (".png", ".jpg", ".jpeg"):
+        raise UsageError(
+            f"glTF takes PNG and JPEG textures, not {mesh.image.suffix}; choose --texture-format png or jpg"
+        )
+    arrays = _Arrays()
+    attributes = {"POSITION": arrays.add(positions, bounds=True), "TEXCOORD_0": arrays.add(uv[first])}
+    indices = arrays.add_faces(vertex_of.reshape(-1, 3), len(first))
+    base = {"baseColorTexture": {"index": 0}, "metallicFactor": 0, "roughnessFactor": 1}
+    material: Tree = {"name": stem, "pbrMetallicRoughness": base, "doubleSided": True}
+    if mesh.transparent:
+        material["alphaMode"] = "BLEND"
+    painting = {
+        "materials": [material],
+        "textures": [{"sampler": 0, "source": 0}],
+        "samplers": [{"magFilter": _LINEAR, "minFilter": _MIPMAPS, "wrapS": _CLAMP, "wrapT": _CLAMP}],
+    }
+    return _model(
+        {"attributes": attributes, "indices": indices, "material": 0}, painting, arrays, stem
+    ), arrays
+
+
+def _model(primitive: Tree, painting: Tree, arrays: _Arrays, stem: str) -> Tree:
+    """Return the JSON of a file of one primitive, with the members that paint it."""
+    return {
         "asset": {"version": "2.0", "generator": "beltrami"},
         "scene": 0,
         "scenes": [{"nodes": [0]}],
         "nodes": [{"mesh": 0, "name": stem}],
         "meshes": [{"primitives": [primitive], "name": stem}],
-        "materials": [_material(contents)],
+        **painting,
         "accessors": arrays.accessors,
         "bufferViews": arrays.views,
-        "buffers": [{"byteLength": len(arrays.binary)}],
     }
-    return tree, bytes(arrays.binary), tuple(notices)
+
+
+def _single_precision(exact: NDArray[np.float64], stem: str, notices: list[str]) -> Stored:
+    """Return positions as glTF stores them; a notice is added if that rounds them."""
+    with np.errstate(over="ignore"):
+        positions = exact.astype("<f4")
+    if not np.isfinite(positions).all():
+        raise InputError(
+            stem, "positions are too large for glTF, which stores float32", "scale the mesh down"
+        )
+    if np.any(positions != exact):
+        notices.append("Positions are rounded to single precision.")
+    return positions
 
 
 def _colours(contents: MeshContents, notices: list[str]) -> Stored:
@@ -119,14 +227,3 @@ def _unit(normals: NDArray[np.float32]) -> Stored:
     exact = np.nan_to_num(normals.astype(np.float64), posinf=0, neginf=0)
     length = np.linalg.norm(exact, axis=1, keepdims=True)
     return np.where(length > 0, exact / np.where(length > 0, length, 1), [0.0, 0.0, 1.0]).astype("<f4")
-
-
-def _material(contents: MeshContents) -> Tree:
-    """Return a plain material: glTF's default one is bare metal, which shows colours black without a sky."""
-    material: Tree = {
-        "pbrMetallicRoughness": {"metallicFactor": 0, "roughnessFactor": 1},
-        "doubleSided": True,
-    }
-    if contents.alpha is not None and np.any(contents.alpha < 1):
-        material["alphaMode"] = "BLEND"
-    return material

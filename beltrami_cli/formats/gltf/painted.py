@@ -1,4 +1,4 @@
-"""The painted primitives of a glTF file, gathered into blocks of rows with their triangles.
+"""The painted primitives of a glTF file, gathered into blocks of rows, and what their vertices have.
 
 A block is one pair of positions and colours. Primitives that use the same pair (the same accessors, or
 accessors over the same bytes) share its rows, so that every stored colour has exactly one row.
@@ -12,58 +12,41 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.errors import UnpaintedError
-from beltrami_cli.formats.gltf.primitives import (
-    attribute_accessor,
-    drawing_mode,
-    drawn,
-    identity,
-    index_accessor,
-    position_accessor,
-)
+from beltrami_cli.formats.gltf.accessors import fractions
+from beltrami_cli.formats.gltf.geometry import attribute_accessor, drawing, drawn, in_world, position_accessor
+from beltrami_cli.surface.records import PaintedVertices
 
 if TYPE_CHECKING:
     from collections.abc import Hashable, Sequence
 
     from numpy.typing import NDArray
 
-    from beltrami_cli.formats.gltf.accessors import Accessors
-    from beltrami_cli.formats.gltf.scene import Placement
-    from beltrami_cli.formats.gltf.tree import Entry
+    from beltrami_cli.formats.gltf.accessors import Accessors, Stored
+    from beltrami_cli.formats.gltf.entries import Entry
+    from beltrami_cli.formats.gltf.geometry import Placement
 
-COLOUR_TYPES = ("uint8", "uint16", "float32")
-"""Component types of COLOR_0, the coarsest first."""
-
+_COLOUR_TYPES = ("uint8", "uint16", "float32")  # component types of COLOR_0, the coarsest first
 _MOST_ROWS = np.iinfo(np.int32).max
+_OTHERWISE = ("POSITION", "COLOR_0", "NORMAL")  # not among the attributes by name
+_INDICES = ("JOINTS_", "WEIGHTS_")
 
 
 @dataclass
 class Block:
-    """Rows of one pair of accessors.
-
-    Attributes
-    ----------
-    position, colour : int
-        The accessors.
-    placement : Placement
-        Of the mesh that uses the pair first.
-    first_row, count : int
-        The rows ``first_row`` to ``first_row + count - 1``.
-    normal : int or None
-        Accessor of the normals of the first primitive.
-    members : set of int
-        All accessors over these colours that primitives name as COLOR_0.
-    users : list of (int, int)
-        Those primitives, each by the index of its mesh and its own in that.
-    """
+    """The rows of one pair of accessors, from `first_row` on."""
 
     position: int
     colour: int
-    placement: Placement
+    placement: Placement  # of the mesh that uses the pair first
     first_row: int
     count: int
-    normal: int | None
-    members: set[int] = field(default_factory=set)
-    users: list[tuple[int, int]] = field(default_factory=list)
+    normal: int | None  # accessor of the normals of the first primitive
+    members: set[int] = field(
+        default_factory=set
+    )  # accessors over these colours that primitives name as COLOR_0
+    users: list[tuple[int, int]] = field(
+        default_factory=list
+    )  # those primitives: mesh, and index in the mesh
 
 
 @dataclass
@@ -76,13 +59,7 @@ class Surface:
 
 
 def gather(root: Entry, accessors: Accessors, places: Sequence[Placement]) -> Surface:
-    """Gather all primitives that have COLOR_0, in file order.
-
-    Raises
-    ------
-    InputError
-        If there are none, one cannot be decoded, or its attributes or indices are damaged.
-    """
+    """Gather all primitives that have COLOR_0, in file order; UnpaintedError if there are none."""
     gathering = _Gathering(accessors)
     for number, (mesh, placement) in enumerate(zip(root.entries("meshes"), places, strict=True)):
         for part, primitive in enumerate(mesh.entries("primitives")):
@@ -91,6 +68,73 @@ def gather(root: Entry, accessors: Accessors, places: Sequence[Placement]) -> Su
         remedy = "paint the vertices first, or bake the texture into them"
         raise UnpaintedError(root.name, "the model has no vertex colours (COLOR_0)", remedy)
     return gathering.surface()
+
+
+def painted_vertices(surface: Surface, accessors: Accessors, colours: Sequence[Stored]) -> PaintedVertices:
+    """Return the rows of all blocks; `colours` are those of each block as stored."""
+    blocks = surface.blocks
+    types = {numbers.dtype.name for numbers in colours}
+    spaces = np.concatenate([np.full(block.count, block.placement.space, np.int32) for block in blocks])
+    fraction = np.concatenate([fractions(numbers[:, :3]) for numbers in colours])
+    positions = [
+        in_world(accessors.values(block.position), block.placement, accessors, block.position)
+        for block in blocks
+    ]
+    return PaintedVertices(
+        positions=np.concatenate(positions),
+        faces=surface.faces,
+        colours=fraction,
+        channels=("red", "green", "blue"),
+        encoding="linear",
+        stored=next(kind for kind in _COLOUR_TYPES if kind in types),
+        space_of=spaces if np.any(spaces != spaces[0]) else None,
+    )
+
+
+def normals_of(blocks: Sequence[Block], accessors: Accessors) -> NDArray[np.float32] | None:
+    """Return unit normals in world space if every block has them; those of length zero stay zero."""
+    parts = []
+    for block in blocks:
+        if block.normal is None:
+            return None
+        a, b, c = block.placement.matrix[:3, :3].T
+        # The cofactor matrix is the inverse transpose times the determinant, and exists for flat scales too.
+        cofactors = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=1)
+        sign = -1.0 if a @ cofactors[:, 0] < 0 else 1.0
+        turned = accessors.values(block.normal) @ (sign * cofactors).T
+        length = np.linalg.norm(turned, axis=1, keepdims=True)
+        parts.append(turned / np.where(length > 0, length, 1))
+    return np.concatenate(parts).astype(np.float32)
+
+
+def attribute_names(root: Entry, blocks: Sequence[Block]) -> tuple[str, ...]:
+    """Return the attributes that all blocks have; "normal" for their normals."""
+    held = [set(_first_user(root, block).entry("attributes").value) for block in blocks]
+    common = set.intersection(*held) if held else set()
+    others = sorted(name for name in common if name not in _OTHERWISE and not name.startswith(_INDICES))
+    return (*(("normal",) if "NORMAL" in common else ()), *others)
+
+
+def read_attribute(
+    root: Entry, blocks: Sequence[Block], accessors: Accessors, name: str
+) -> NDArray[np.float64]:
+    """Read an attribute of all blocks, shape (V, G)."""
+    parts: list[NDArray[np.float64]] = []
+    for block in blocks:
+        primitive = _first_user(root, block)
+        values = accessors.values(attribute_accessor(primitive, name, accessors))
+        if len(values) != block.count or (parts and values.shape[1] != parts[0].shape[1]):
+            cause = f"is {len(values)} x {values.shape[1]} numbers, which do not fit {block.count} vertices"
+            if parts and len(values) == block.count:
+                cause += f" of {parts[0].shape[1]} numbers elsewhere"
+            raise primitive.entry("attributes").fault(name, cause)
+        parts.append(values)
+    return np.concatenate(parts)
+
+
+def _first_user(root: Entry, block: Block) -> Entry:
+    mesh, part = block.users[0]
+    return root.entries("meshes")[mesh].entries("primitives")[part]
 
 
 class _Gathering:
@@ -124,7 +168,7 @@ class _Gathering:
             raise attributes.fault(
                 "COLOR_0", f"has {count} elements, but POSITION has {self.accessors[position].count}"
             )
-        key, place = identity(self.accessors, colour), identity(self.accessors, position)
+        key, place = self.accessors.identity(colour), self.accessors.identity(position)
         if key not in self._block_of:
             normal = self._normal(primitive, count)
             block = Block(position, colour, placement, self._rows, count, normal)
@@ -137,7 +181,7 @@ class _Gathering:
         block = self._block_of[key]
         block.members.add(colour)
         block.users.append(number)
-        if identity(self.accessors, block.position) != place:
+        if self.accessors.identity(block.position) != place:
             self._counts["elsewhere"] += 1
             return None
         if block.placement is not placement:
@@ -148,7 +192,7 @@ class _Gathering:
     def _colour(self, primitive: Entry) -> int:
         index = attribute_accessor(primitive, "COLOR_0", self.accessors)
         accessor = self.accessors[index]
-        if accessor.shape not in ("VEC3", "VEC4") or accessor.component.name not in COLOUR_TYPES:
+        if accessor.shape not in ("VEC3", "VEC4") or accessor.component.name not in _COLOUR_TYPES:
             cause = f"is {accessor.shape} of {accessor.component.name}, not a colour"
             raise primitive.entry("attributes").fault("COLOR_0", cause)
         self._counts["plain"] += accessor.component.kind == "u" and not accessor.normalised
@@ -165,8 +209,7 @@ class _Gathering:
         return index
 
     def _take_faces(self, primitive: Entry, block: Block, placement: Placement) -> None:
-        mode, index = drawing_mode(primitive), index_accessor(primitive, self.accessors)
-        key = (block.first_row, mode, None if index is None else identity(self.accessors, index))
+        key = block.first_row, drawing(primitive, self.accessors)
         if key not in self._faces:
             faces = drawn(primitive, self.accessors, block.count, placement)
             self._faces[key] = (faces + block.first_row).astype(np.int32)

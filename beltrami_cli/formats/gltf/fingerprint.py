@@ -10,20 +10,20 @@ import json
 from typing import TYPE_CHECKING, Any
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.document import Fingerprint, NamedImage
-from beltrami_cli.formats.gltf.draco import EXTENSION as DRACO
-from beltrami_cli.formats.gltf.pictures import FOREIGN, WEBP
-from beltrami_cli.formats.gltf.sharing import named_views, objects, used_otherwise
+from beltrami_cli.formats.document import NamedImage
+from beltrami_cli.formats.gltf.compression import DRACO
+from beltrami_cli.formats.gltf.entries import objects, primitives_of
+from beltrami_cli.formats.gltf.sharing import named_views, used_otherwise
+from beltrami_cli.formats.gltf.textures import FOREIGN, WEBP
 from beltrami_cli.formats.model_folder import UnfitReferenceError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from beltrami_cli.formats.gltf.document import GltfDocument
+    from beltrami_cli.formats.gltf.accessors import Accessors
+    from beltrami_cli.formats.gltf.container import Container
     from beltrami_cli.formats.gltf.json_text import Tree
+    from beltrami_cli.formats.gltf.textures import Images
 
 _SHARED = ("accessors", "bufferViews", "buffers", "images", "textures", "materials", "meshes")
 _IMAGE_EXTENSIONS = {WEBP, *FOREIGN}
@@ -32,29 +32,20 @@ _NUMBERS_OF_COLOURS = ("bufferView", "byteOffset", "sparse", "min", "max")
 _PACKED_PLACE = ("buffer", "byteOffset", "byteLength")  # of compressed bytes, in the extension of a view
 
 
-def take_apart(document: GltfDocument) -> Fingerprint:
-    """Take a glTF file apart.
-
-    Raises
-    ------
-    InputError
-        If its colours or images cannot be read.
-    """
-    tree = document.container.copy_of_tree()
+def fingerprint(
+    container: Container, accessors: Accessors, images: Images
+) -> tuple[dict[str, bytes], dict[str, NamedImage]]:
+    """Return all parts of a glTF file but its colours and images, and its images."""
+    tree = container.copy_of_tree()
     paintings: dict[str, NamedImage] = {}
-    parts = dict(_plain_parts(document, tree))
-    parts |= _materials(document, tree, paintings)
+    parts = dict(_plain_parts(container, tree))
+    parts |= _materials(images, tree, paintings)
     parts |= _meshes(tree)
-    parts |= _numbers(document, tree)
-    colours: dict[str, NDArray[np.float32]] = {}
-    if document.has_vertex_colours():
-        colours["vertex colours"] = document.painted().colours
-        alphas = [stored[:, 3].tobytes() for stored in document.stored_colours if stored.shape[1] == 4]
-        parts["opacity of vertex colours"] = b"".join(alphas)
-    return Fingerprint(parts, colours, paintings)
+    parts |= _numbers(accessors, container.tree, tree)
+    return parts, paintings
 
 
-def _plain_parts(document: GltfDocument, tree: Tree) -> Iterator[tuple[str, bytes]]:
+def _plain_parts(container: Container, tree: Tree) -> Iterator[tuple[str, bytes]]:
     """Give what no patch changes."""
     for key, value in tree.items():
         if key in ("extensionsUsed", "extensionsRequired"):
@@ -67,9 +58,7 @@ def _plain_parts(document: GltfDocument, tree: Tree) -> Iterator[tuple[str, byte
         others = {key: value for key, value in buffer.items() if key not in ("uri", "byteLength")}
         if others:
             yield f"buffers[{index}]", _spelled(others)
-    container = document.container
-    chunks = container.chunks[1:] if container.binary is not None else container.chunks
-    for index, chunk in enumerate(chunks):
+    for index, chunk in enumerate(container.unknown_chunks):
         yield f"chunk {index} of type {chunk.kind:#x}", bytes(chunk.data)
     yield "what follows the last chunk", bytes(container.tail)
     yield "byte order mark", bytes([container.has_bom])
@@ -83,20 +72,20 @@ def _entries(key: str, value: Any) -> Iterator[tuple[str, bytes]]:
         yield f"{key}[{index}]", _spelled(entry)
 
 
-def _materials(document: GltfDocument, tree: Tree, paintings: dict[str, NamedImage]) -> dict[str, bytes]:
+def _materials(images: Images, tree: Tree, paintings: dict[str, NamedImage]) -> dict[str, bytes]:
     """Return the materials with what their textures say of images and samplers, and note the images."""
     parts, shown = {}, set()
     for index, material in enumerate(objects(tree.get("materials"))):
         for place, info in _infos(material, f"materials[{index}]"):
             number = info.pop("index")
-            if 0 <= number < len(document.pictures.textures):
+            if 0 <= number < len(images.textures):
                 shown.add(number)
-                info["texture"] = _texture(document, tree, number, place, paintings)
+                info["texture"] = _texture(images, tree, number, place, paintings)
         parts[f"materials[{index}]"] = _spelled(material)
-    for number in range(len(document.pictures.textures)):
+    for number in range(len(images.textures)):
         if number not in shown:
             place = f"textures[{number}]"
-            parts[place] = _spelled(_texture(document, tree, number, place, paintings))
+            parts[place] = _spelled(_texture(images, tree, number, place, paintings))
     return parts
 
 
@@ -112,16 +101,14 @@ def _infos(value: Any, place: str) -> Iterator[tuple[str, Tree]]:
             yield place, value
 
 
-def _texture(
-    document: GltfDocument, tree: Tree, number: int, place: str, paintings: dict[str, NamedImage]
-) -> Tree:
+def _texture(images: Images, tree: Tree, number: int, place: str, paintings: dict[str, NamedImage]) -> Tree:
     """Return a texture without where its image is, and note the image."""
     texture = dict(tree["textures"][number])
     texture.pop("source", None)
     kept = {k: v for k, v in texture.pop("extensions", {}).items() if k not in _IMAGE_EXTENSIONS}
     try:
-        image = document.pictures.shown(number)
-        paintings[place] = NamedImage(document.pictures.name(image), document.pictures.data(image))
+        image = images.shown(number)
+        paintings[place] = NamedImage(images.name(image), images.data(image))
     except UnfitReferenceError as error:
         return texture | {"extensions": kept, "image": str(error)}
     others = {key: value for key, value in tree["images"][image].items() if key not in _PLACE}
@@ -145,15 +132,11 @@ def _meshes(tree: Tree) -> dict[str, bytes]:
     return parts
 
 
-def _numbers(document: GltfDocument, tree: Tree) -> dict[str, bytes]:
+def _numbers(accessors: Accessors, source: Tree, tree: Tree) -> dict[str, bytes]:
     """Return the accessors that are not only colours, with their numbers, and the views that they look through."""
-    accessors, parts = document.accessors, {}
+    parts: dict[str, bytes] = {}
     others = used_otherwise(tree, "COLOR_0")
-    colours = {
-        primitive.get("attributes", {}).get("COLOR_0")
-        for mesh in objects(document.container.tree.get("meshes"))
-        for primitive in objects(mesh.get("primitives"))
-    }
+    colours = {primitive.get("attributes", {}).get("COLOR_0") for _, primitive in primitives_of(source)}
     opaque = set(named_views({k: v for k, v in tree.items() if k not in ("images", "accessors")}))
     views = set(opaque)
     for index, accessor in enumerate(objects(tree.get("accessors"))):
@@ -168,9 +151,7 @@ def _numbers(document: GltfDocument, tree: Tree) -> dict[str, bytes]:
     for index in sorted(views & set(range(len(accessors.views)))):  # extensions may name others, or none
         parts[f"bufferViews[{index}]"] = _spelled(_view(tree["bufferViews"][index]))
         if index in opaque:  # such as geometry compressed with Draco
-            view = accessors.views[index]
-            octets = accessors.buffers.stored(view.buffer)
-            parts[f"bytes of bufferViews[{index}]"] = bytes(octets[view.offset : view.offset + view.length])
+            parts[f"bytes of bufferViews[{index}]"] = accessors.buffers.viewed(accessors.views[index])
     return parts
 
 

@@ -1,4 +1,8 @@
-"""Objects of the glTF JSON that know their place, so that every complaint can name it."""
+"""Objects of the glTF JSON that know their place, so that every error can name it, and what their members must be.
+
+Readers check what they use through `Entry`. `require_structure` is for what is only looked through: where else an image
+or a number is used, what differs between two files.
+"""
 
 from __future__ import annotations
 
@@ -9,25 +13,46 @@ from typing import TYPE_CHECKING, Any
 from beltrami_cli.errors import InputError
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from beltrami_cli.formats.gltf.json_text import Tree
+
+_EACH = "*"  # stands for all members of an object that are not named
+_OBJECTS = {_EACH: dict[str, Any]()}
+_INDICES = {_EACH: int}
+_EXTENDED = {"extensions": _OBJECTS}
+_PRIMITIVE = {
+    "attributes": _INDICES,
+    "targets": [_INDICES],
+    "indices": int,
+    "material": int,
+    "extensions": {"KHR_draco_mesh_compression": {"attributes": _INDICES}, **_OBJECTS},
+}
+_SPARSE = {"indices": {"bufferView": int}, "values": {"bufferView": int}}
+_SHAPE = {
+    "extensionsUsed": [str],
+    "extensionsRequired": [str],
+    "accessors": [{"bufferView": int, "sparse": _SPARSE, **_EXTENDED}],
+    "animations": [{"samplers": [{"input": int, "output": int}], **_EXTENDED}],
+    "buffers": [_EXTENDED],
+    "bufferViews": [_EXTENDED],
+    "images": [{"bufferView": int, **_EXTENDED}],
+    "materials": [_EXTENDED],
+    "meshes": [{"primitives": [_PRIMITIVE], **_EXTENDED}],
+    "nodes": [{"extensions": {"EXT_mesh_gpu_instancing": {"attributes": _INDICES}, **_OBJECTS}}],
+    "skins": [{"inverseBindMatrices": int, **_EXTENDED}],
+    "textures": [{"source": int, **_EXTENDED}],
+    "extensions": {"EXT_lights_image_based": {"lights": [{}]}, **_OBJECTS},
+}
+_NAMES = {dict: "an object", list: "an array", int: "an integer", str: "a string"}
 
 
 @dataclass(frozen=True)
 class Entry:
-    """One JSON object.
+    """One JSON object of a file."""
 
-    Attributes
-    ----------
-    name : str
-        The file, for messages.
-    place : str
-        Where the object stands ("meshes[3].primitives[0]"); empty for the outermost.
-    value : dict
-        Its members.
-    """
-
-    name: str
-    place: str
+    name: str  # of the file, for messages
+    place: str  # such as "meshes[3].primitives[0]"; empty for the outermost object
     value: Tree
 
     def __contains__(self, key: str) -> bool:
@@ -44,13 +69,7 @@ class Entry:
     def integer(
         self, key: str, *, least: int = 0, below: int | None = None, default: int | None = None
     ) -> int:
-        """Return an integer member in [least, below).
-
-        Raises
-        ------
-        InputError
-            If it is missing without a default, not an integer, or out of range.
-        """
+        """Return an integer member in [least, below)."""
         value = self.value.get(key, default)
         if value is None:
             raise self.fault(key, "is missing")
@@ -143,3 +162,33 @@ def spelled(value: object) -> str:
     """Return a value for a message: numbers and the like as they are, objects and arrays by their kind."""
     text = repr(value) if not isinstance(value, dict | list) else type(value).__name__
     return text if len(text) <= 40 else text[:37] + "..."
+
+
+def require_structure(root: Entry) -> None:
+    """Check the kinds of all members that are looked through without an `Entry`."""
+    stack: list[tuple[str, Any, Any]] = [("", root.value, _SHAPE)]
+    while stack:
+        place, value, shape = stack.pop()
+        kind: Any = shape if isinstance(shape, type) else type(shape)
+        if not isinstance(value, kind) or isinstance(value, bool):
+            raise root.fault(place, f"is {spelled(value)} instead of {_NAMES[kind]}")
+        if isinstance(shape, list):
+            stack += [(f"{place}[{index}]", child, shape[0]) for index, child in enumerate(value)]
+        elif isinstance(shape, dict):
+            for key, child in value.items():
+                if key in shape or _EACH in shape:
+                    stack.append(
+                        (f"{place}.{key}" if place else key, child, shape.get(key, shape.get(_EACH)))
+                    )
+
+
+def objects(values: object) -> list[Tree]:
+    """Return the objects among the values of what should be an array of objects."""
+    return [value for value in values if isinstance(value, dict)] if isinstance(values, list) else []
+
+
+def primitives_of(tree: Tree) -> Iterator[tuple[tuple[int, int], Tree]]:
+    """Give each primitive of all meshes, with the index of its mesh and its own in that."""
+    for mesh, holder in enumerate(objects(tree.get("meshes"))):
+        for part, primitive in enumerate(objects(holder.get("primitives"))):
+            yield (mesh, part), primitive

@@ -1,4 +1,4 @@
-"""New places of painted vertices put into a glTF file, with normals that fit them."""
+"""New colours, positions and normals of painted vertices put into a glTF file."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli.formats.gltf.columns import Column
-from beltrami_cli.formats.gltf.patching import exchange
-from beltrami_cli.formats.gltf.primitives import identity
+from beltrami_cli.formats.gltf.accessors import quantised
+from beltrami_cli.formats.gltf.columns import exchange
+from beltrami_cli.formats.gltf.sharing import Column
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Sequence
@@ -16,22 +16,41 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from beltrami_cli.formats.gltf.accessors import Accessors, Stored
-    from beltrami_cli.formats.gltf.editing import Edit
-    from beltrami_cli.formats.gltf.surfaces import Block
-    from beltrami_cli.formats.gltf.tree import Entry
+    from beltrami_cli.formats.gltf.edit import Edit
+    from beltrami_cli.formats.gltf.entries import Entry
+    from beltrami_cli.formats.gltf.painted import Block
     from beltrami_cli.surface.records import MovedVertices
 
 _STALE = "The vertices moved, but their {} are as they were; make them anew, or leave them out."
 
 
-def require_movable(accessors: Accessors, blocks: Sequence[Block]) -> None:
-    """Check that positions can be replaced.
+def recolour(
+    edit: Edit,
+    blocks: Sequence[Block],
+    stored: Sequence[Stored],
+    old: NDArray[np.float32],
+    new: NDArray[np.float32],
+) -> None:
+    """Put new colours (V, 3) into a file; `stored` are those of each block, and only entries that differ change."""
+    if new.shape != old.shape or not np.isfinite(new).all():
+        raise ValueError(f"colours must be finite and of shape {old.shape}, not {new.shape}")
+    columns, numbers = [], []
+    for block, before in zip(blocks, stored, strict=True):
+        rows = slice(block.first_row, block.first_row + block.count)
+        after = before.copy()
+        differs = new[rows] != old[rows]
+        after[:, :3][differs] = quantised(new[rows][differs], before.dtype)
+        columns.append(_column("COLOR_0", block.colour, block.members, block))
+        numbers.append((before, after))
+    exchange(edit, columns, numbers)
 
-    Raises
-    ------
-    InputError
-        If some are whole numbers, or compressed by Draco, or a node scales them to nothing.
-    """
+
+def _column(attribute: str, index: int, members: set[int], block: Block) -> Column:
+    return Column(attribute, index, frozenset(members), tuple(block.users), block.position)
+
+
+def require_movable(accessors: Accessors, blocks: Sequence[Block]) -> None:
+    """Check that positions can be replaced: floats, not compressed by Draco, and not scaled to nothing."""
     for block in blocks:
         accessor = accessors[block.position]
         if accessors.is_added(block.position):
@@ -45,30 +64,13 @@ def require_movable(accessors: Accessors, blocks: Sequence[Block]) -> None:
 
 
 def move(edit: Edit, blocks: Sequence[Block], old: NDArray[np.float64], places: MovedVertices) -> None:
-    """Put new positions and normals into a file.
-
-    Parameters
-    ----------
-    edit : Edit
-        The changes so far, to which these are added.
-    blocks : sequence of Block
-        Its painted blocks.
-    old : ndarray of float64, shape (V, 3)
-        The positions of all rows before.
-    places : MovedVertices
-        What is new. Only rows that differ are written.
-
-    Raises
-    ------
-    InputError
-        If parts that share positions would move apart.
-    """
+    """Put new positions, and normals if there are any, into a file; only rows that differ from `old` are written."""
     moves = places.positions - old
-    _exchange(edit, "POSITION", [(block, block.position) for block in blocks], _moved(moves))
+    _exchange_shared(edit, "POSITION", [(block, block.position) for block in blocks], _moved(moves))
     normals, stale = places.normals, set()
     if normals is not None:
         held = [(block, block.normal) for block in blocks if block.normal is not None]
-        _exchange(edit, "NORMAL", held, _turned(normals))
+        _exchange_shared(edit, "NORMAL", held, _turned(normals))
     elif any(block.normal is not None for block in blocks):
         stale.add("normals")
     for primitive in _users(edit.container.root, blocks):
@@ -106,7 +108,7 @@ def _turned(normals: NDArray[np.float32]) -> Callable[[Block, Stored], Stored]:
     return renew
 
 
-def _exchange(
+def _exchange_shared(
     edit: Edit,
     attribute: str,
     held: Sequence[tuple[Block, int]],
@@ -117,11 +119,10 @@ def _exchange(
     columns: dict[Hashable, tuple[Column, Stored, Stored]] = {}
     for block, index in held:
         before = accessors.stored(index)
-        after, key = renew(block, before), identity(accessors, index)
+        after, key = renew(block, before), accessors.identity(index)
         if key not in columns:
             members = _members(root, accessors, attribute, key)
-            column = Column(attribute, index, frozenset(members), tuple(block.users), block.position)
-            columns[key] = column, before, after
+            columns[key] = _column(attribute, index, members, block), before, after
             continue
         _, _, earlier = columns[key]
         mine, theirs = (after != before).any(axis=1), (earlier != before).any(axis=1)
@@ -141,7 +142,7 @@ def _members(root: Entry, accessors: Accessors, attribute: str, key: Hashable) -
         for primitive in mesh.entries("primitives")
         if attribute in primitive.entry("attributes")
     }
-    return {index for index in named if identity(accessors, index) == key}
+    return {index for index in named if accessors.identity(index) == key}
 
 
 def _users(root: Entry, blocks: Sequence[Block]) -> list[Entry]:

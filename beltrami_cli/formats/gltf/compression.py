@@ -1,8 +1,9 @@
-"""Bytes of bufferViews that meshoptimizer has compressed: EXT_meshopt_compression and its successor by Khronos.
+"""Bytes that a glTF file has compressed: bufferViews by meshoptimizer, geometry of primitives by Draco.
 
 References
 ----------
-.. [1] EXT_meshopt_compression and KHR_meshopt_compression, in the registry of glTF extensions.
+.. [1] EXT_meshopt_compression, KHR_meshopt_compression and KHR_draco_mesh_compression, in the registry of glTF
+   extensions.
 """
 
 from __future__ import annotations
@@ -13,14 +14,21 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from beltrami_cli.formats.document import Bytes
-    from beltrami_cli.formats.gltf.buffers import Buffers
-    from beltrami_cli.formats.gltf.tree import Entry
+    from beltrami_cli.formats.gltf.entries import Entry
 
-EXTENSIONS = ("KHR_meshopt_compression", "EXT_meshopt_compression")
-"""The extensions of a bufferView; they say the same in the same words."""
+MESHOPT = ("KHR_meshopt_compression", "EXT_meshopt_compression")
+"""Extensions of a bufferView; both have the same members."""
+
+DRACO = "KHR_draco_mesh_compression"
+"""Extension of a primitive."""
+
+_DRACO_MAGIC = b"DRACO"
+_DRACO_MESH = b"\1"  # the kind of geometry, after the magic and the version
 
 _STRIDES = {
     "ATTRIBUTES": range(4, 257, 4),
@@ -38,58 +46,29 @@ _FILTERS = ("NONE", "OCTAHEDRAL", "QUATERNION", "EXPONENTIAL", "COLOR")
 
 @dataclass(frozen=True)
 class Packed:
-    """What the extension says of a bufferView.
+    """How meshoptimizer has compressed a bufferView."""
 
-    Attributes
-    ----------
-    entry : Entry
-        The extension's JSON, for messages.
-    extension : str
-        Its name.
-    buffer, offset, length : int
-        Where the compressed bytes are.
-    count, stride : int
-        Elements, and bytes of each, when decompressed.
-    mode, filter : str
-        How they are compressed, and what was done to them before.
-    """
-
-    entry: Entry
+    entry: Entry  # the extension's JSON, for messages
     extension: str
     buffer: int
-    offset: int
+    offset: int  # of the compressed bytes, as is their length
     length: int
-    count: int
-    stride: int
+    count: int  # elements
+    stride: int  # bytes of an element when decompressed
     mode: str
-    filter: str
+    filter: str  # what was done to the elements before they were compressed
 
 
-def read_packed(view: Entry, length: int, buffers: Buffers) -> Packed | None:
-    """Read the extension of a bufferView; None if the view is not compressed.
-
-    Parameters
-    ----------
-    view : Entry
-        The bufferView.
-    length : int
-        Its byteLength, that is of what it means.
-    buffers : Buffers
-        All buffers.
-
-    Raises
-    ------
-    InputError
-        If the extension contradicts itself, the view or the buffers.
-    """
+def read_packed(view: Entry, length: int, lengths: Sequence[int]) -> Packed | None:
+    """Read how a bufferView of `length` bytes is compressed, None if it is not; `lengths` are those of buffers."""
     extensions = view.entry("extensions")
-    extension = next((name for name in EXTENSIONS if name in extensions), None)
+    extension = next((name for name in MESHOPT if name in extensions), None)
     if extension is None:
         return None
     entry = extensions.entry(extension)
-    buffer = entry.integer("buffer", below=len(buffers))
+    buffer = entry.integer("buffer", below=len(lengths))
     offset, packed = entry.integer("byteOffset", default=0), entry.integer("byteLength", least=1)
-    if offset + packed > buffers.lengths[buffer]:
+    if offset + packed > lengths[buffer]:
         raise entry.fault("", f"its bytes {offset} to {offset + packed} leave buffers[{buffer}]")
     count, stride = entry.integer("count", least=1), entry.integer("byteStride", least=1)
     mode, kind = entry.text("mode") or "", entry.text("filter") or "NONE"
@@ -105,25 +84,7 @@ def read_packed(view: Entry, length: int, buffers: Buffers) -> Packed | None:
 
 
 def unpacked(packed: Packed, data: Bytes) -> bytes:
-    """Decompress the bytes of a view.
-
-    Parameters
-    ----------
-    packed : Packed
-        How they are compressed.
-    data : bytes-like
-        The buffer that `packed` names.
-
-    Returns
-    -------
-    bytes
-        ``count * stride`` of them.
-
-    Raises
-    ------
-    InputError
-        If they are damaged, or the package that decodes them is not installed.
-    """
+    """Decompress the bytes of a view from those of its buffer."""
     library = _library(packed)
     source = bytes(data[packed.offset : packed.offset + packed.length])
     try:
@@ -142,22 +103,7 @@ def unpacked(packed: Packed, data: Bytes) -> bytes:
 
 
 def repacked(packed: Packed, data: Bytes, old: Bytes) -> bytes:
-    """Compress the bytes of a view of attributes again, without a filter and so without loss.
-
-    Parameters
-    ----------
-    packed : Packed
-        How they were compressed.
-    data : bytes-like
-        ``count * stride`` bytes.
-    old : bytes-like
-        The buffer that `packed` names, for the version of the encoding.
-
-    Raises
-    ------
-    InputError
-        If it is a view of indices, which cannot hold everything.
-    """
+    """Compress the bytes of vertex data again, without loss; `old` is the buffer, for the version of the encoding."""
     if packed.mode != "ATTRIBUTES":
         raise packed.entry.fault("mode", f"is {packed.mode}, which is not for vertex data")
     library = _library(packed)
@@ -188,12 +134,8 @@ def _unfiltered(library: Any, packed: Packed, octets: NDArray[np.uint8]) -> NDAr
 
 
 def _colours(stored: NDArray[Any]) -> NDArray[Any]:
-    """Return red, green, blue and opacity of luma, two chromas and opacity, shape (n, 4).
-
-    Notes
-    -----
-    All four have K bits; the highest bit of opacity says what K is, and stands for no opacity itself.
-    """
+    """Return red, green, blue and opacity of luma, two chromas and opacity, shape (n, 4)."""
+    # All four have K bits; the highest bit of opacity says what K is, and stands for no opacity itself.
     bits = 8 * stored.dtype.itemsize
     luma, alpha = stored[:, 0].astype(np.int64), stored[:, 3].astype(np.int64)
     orange, green = stored[:, 1:3].view(f"<i{stored.dtype.itemsize}").astype(np.int64).T
@@ -206,3 +148,34 @@ def _colours(stored: NDArray[Any]) -> NDArray[Any]:
     scale = np.float32(2**bits - 1) / np.maximum(full, 1).astype(np.float32)
     rounded = np.rint(values.astype(np.float32) * scale[:, None])
     return np.clip(rounded, 0, 2**bits - 1).astype(stored.dtype)
+
+
+def draco_extension(primitive: Entry) -> Entry | None:
+    """Return the extension of a primitive that Draco has compressed, None if it is not."""
+    extensions = primitive.entry("extensions")
+    return extensions.entry(DRACO) if DRACO in extensions else None
+
+
+def draco_mesh(packed: Entry, data: bytes) -> Any:
+    """Decode a mesh."""
+    try:
+        import DracoPy
+    except ImportError:
+        cause = f"to decode {DRACO}, the package DracoPy is needed"
+        raise packed.fault("", cause, "install it with: pip install 'beltrami-cli[draco]'") from None
+    # Points could claim to be any number, and would be given the memory for it.
+    if data[:5] == _DRACO_MAGIC and data[7:8] != _DRACO_MESH:
+        raise packed.fault("bufferView", "holds points, not triangles")
+    try:
+        return DracoPy.decode(data)
+    except (DracoPy.FileTypeException, TypeError, ValueError) as error:
+        raise packed.fault("bufferView", f"holds damaged data ({error})") from None
+
+
+def draco_attribute(packed: Entry, mesh: Any, name: str) -> NDArray[Any]:
+    """Return the decoded numbers of an attribute, shape (n, width)."""
+    number = packed.entry("attributes").integer(name)
+    for found in mesh.attributes:
+        if found["unique_id"] == number:
+            return np.asarray(found["data"])
+    raise packed.entry("attributes").fault(name, f"is {number}, but there is no such attribute in the data")

@@ -1,4 +1,4 @@
-"""Where the bytes of new images go: over the old ones, to the end of the buffer, into a data URI, or into a file."""
+"""New images stored: over the old ones, at the end of the buffer, in a data URI, or in a file."""
 
 from __future__ import annotations
 
@@ -6,15 +6,15 @@ from collections import Counter, defaultdict
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from beltrami_cli.formats.gltf.files import re_embedded
 from beltrami_cli.formats.gltf.sharing import named_places, named_views
+from beltrami_cli.formats.gltf.uris import data_uri
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from beltrami_cli.formats.gltf.editing import Edit
+    from beltrami_cli.formats.gltf.edit import Edit
     from beltrami_cli.formats.gltf.json_text import Tree
-    from beltrami_cli.formats.gltf.pictures import Pictures
+    from beltrami_cli.formats.gltf.textures import Images
     from beltrami_cli.surface.records import ImageFile
 
 MEDIA = {
@@ -32,34 +32,25 @@ _PADDING = 8  # bytes that may lie between views only to align them
 
 @dataclass(frozen=True)
 class _Blob:
-    """An image for a buffer: its bytes, the view that it may overwrite (None: it needs its own), and who shows it."""
+    """An image for a buffer."""
 
     data: bytes
     buffer: int
-    view: int | None
-    images: tuple[int, ...]
+    view: int | None  # which it may overwrite; None: it needs its own
+    images: tuple[int, ...]  # that show it
 
 
-class Storing:
-    """New images while they are collected; `finish` puts those of buffers into place together.
+class ImageStorage:
+    """New images while they are collected; `finish` puts those of buffers into place together."""
 
-    Parameters
-    ----------
-    edit : Edit
-        The changes, to which these are added.
-    pictures : Pictures
-        The images of the file as it was.
-    """
-
-    def __init__(self, edit: Edit, pictures: Pictures) -> None:
-        self._edit, self._pictures = edit, pictures
+    def __init__(self, edit: Edit, images: Images) -> None:
+        self._edit, self._images = edit, images
         self._named = Counter(named_views(edit.tree))
         self._blobs: list[_Blob] = []
 
     def replace(self, image: int, file: ImageFile) -> int:
         """Give an image, and those that are the same, other bytes; return its index."""
-        canonical = self._pictures.canonical
-        group = tuple(i for i in range(len(self._pictures.images)) if canonical(i) == image)
+        group = self._images.same(image)
         view = self._edit.tree["images"][image].get("bufferView")
         alone = view is not None and self._named[view] == len(group)
         self._put(group, file, view if alone and not self._extended(view) else None)
@@ -89,7 +80,7 @@ class Storing:
         elif image["uri"][:5].lower() == "data:":
             image["uri"] = _embedded(image["uri"], file.data, media)
         else:
-            self._edit.pictures |= dict.fromkeys(group, file)
+            self._edit.images |= dict.fromkeys(group, file)
 
     def finish(self) -> None:
         """Put the bytes of images into their buffers."""
@@ -103,7 +94,7 @@ class Storing:
 def _embedded(uri: str, data: bytes, media: str) -> str:
     head = uri.partition(",")[0]
     same = head[5:].partition(";")[0].lower() == media
-    return re_embedded(uri if same else f"data:{media};base64,", data)
+    return data_uri(uri if same else f"data:{media};base64,", data)
 
 
 def _store(edit: Edit, buffer: int, blobs: Sequence[_Blob]) -> None:

@@ -1,0 +1,210 @@
+"""Where meshes stand and what their primitives draw: nodes followed to one place for each mesh, and triangles."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from beltrami_cli.formats.gltf.compression import draco_extension
+
+if TYPE_CHECKING:
+    from collections.abc import Hashable
+
+    from numpy.typing import NDArray
+
+    from beltrami_cli.formats.gltf.accessors import Accessors
+    from beltrami_cli.formats.gltf.entries import Entry
+
+TRIANGLES, STRIP, FAN = 4, 5, 6
+"""Drawing modes with faces; 0 to 3 are points and lines."""
+
+
+@dataclass(frozen=True)
+class Placement:
+    """Where a mesh is taken to be."""
+
+    matrix: NDArray[np.float64]  # (4, 4), from the mesh's own space to the common one; acts on columns
+    space: (
+        int  # 0: the default scene (all scenes, if none is); each other scene and unplaced mesh has its own
+    )
+    nodes: int  # how many nodes show the mesh, in all scenes
+
+
+def placements(root: Entry) -> list[Placement]:
+    """Return the place of every mesh: its first node, depth first, the default scene before the others."""
+    # A node with a skin counts as untransformed: joints place the mesh, and its stored positions are the bind pose.
+    nodes, meshes = root.entries("nodes"), root.entries("meshes")
+    children = _children(nodes)
+    scenes = root.entries("scenes")
+    default = root.integer("scene", below=len(scenes)) if "scene" in root else None
+    order = sorted(range(len(scenes)), key=lambda scene: scene != default)
+    shown: dict[int, list[tuple[NDArray[np.float64], int]]] = {}
+    seen: set[int] = set()
+    for rank, scene in enumerate(order):
+        for node, matrix in _walk(scenes[scene], nodes, children, seen):
+            if "mesh" in nodes[node]:
+                mesh = nodes[node].integer("mesh", below=len(meshes))
+                place = np.eye(4) if "skin" in nodes[node] else matrix
+                shown.setdefault(mesh, []).append((place, 0 if default is None else rank))
+    found = []
+    for mesh in range(len(meshes)):
+        places = shown.get(mesh) or [(np.eye(4), len(scenes) + mesh)]
+        found.append(Placement(*places[0], nodes=len(places)))
+    return found
+
+
+def _children(nodes: list[Entry]) -> list[list[int]]:
+    parent: dict[int, int] = {}
+    children = []
+    for index, node in enumerate(nodes):
+        children.append(node.integers("children", below=len(nodes)))
+        for child in children[-1]:
+            if child in parent:
+                raise node.fault("children", f"nodes[{child}] has another parent, nodes[{parent[child]}]")
+            parent[child] = index
+    return children
+
+
+def _walk(
+    scene: Entry, nodes: list[Entry], children: list[list[int]], seen: set[int]
+) -> list[tuple[int, NDArray[np.float64]]]:
+    """Return the nodes of a scene that are not seen yet, depth first, each with its matrix; they are then seen."""
+    found: list[tuple[int, NDArray[np.float64]]] = []
+    stack = [(node, np.eye(4)) for node in reversed(scene.integers("nodes", below=len(nodes)))]
+    met: set[int] = set()
+    while stack:
+        node, above = stack.pop()
+        if node in met:
+            raise scene.fault("nodes", f"nodes[{node}] is reached twice: the nodes are not a tree")
+        met.add(node)
+        if node in seen:
+            continue
+        seen.add(node)
+        with np.errstate(over="ignore", invalid="ignore"):
+            matrix = above @ _local(nodes[node])
+        if not np.isfinite(matrix).all():
+            raise nodes[node].fault("", "its transform is too large to compute with")
+        found.append((node, matrix))
+        stack += [(child, matrix) for child in reversed(children[node])]
+    return found
+
+
+def _local(node: Entry) -> NDArray[np.float64]:
+    """Return a node's own transform: its matrix, or translation times rotation times scale."""
+    columns = node.numbers("matrix", 16)
+    if columns is not None:
+        return np.array(columns).reshape(4, 4).T
+    matrix = np.eye(4)
+    matrix[:3, :3] = _rotation(node) * np.array(node.numbers("scale", 3) or [1.0, 1.0, 1.0])
+    matrix[:3, 3] = node.numbers("translation", 3) or [0.0, 0.0, 0.0]
+    return matrix
+
+
+def _rotation(node: Entry) -> NDArray[np.float64]:
+    quaternion = node.numbers("rotation", 4)
+    if quaternion is None:
+        return np.eye(3)
+    largest = max(abs(value) for value in quaternion)
+    if largest == 0:
+        raise node.fault("rotation", "is a quaternion of length zero")
+    scaled = np.array(quaternion) / largest
+    x, y, z, w = scaled / np.linalg.norm(scaled)
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def in_world(
+    positions: NDArray[np.float64], placement: Placement, accessors: Accessors, index: int
+) -> NDArray[np.float64]:
+    """Return positions of an accessor, shape (n, 3), in the common space."""
+    matrix = placement.matrix
+    with np.errstate(over="ignore", invalid="ignore"):
+        moved: NDArray[np.float64] = positions @ matrix[:3, :3].T + matrix[:3, 3]
+    if not np.isfinite(moved).all():
+        raise accessors[index].entry.fault("", "positions overflow in world space")
+    return moved
+
+
+def attribute_accessor(primitive: Entry, name: str, accessors: Accessors) -> int:
+    """Return the accessor of an attribute, the decoded one if the primitive is compressed."""
+    index = primitive.entry("attributes").integer(name, below=len(accessors))
+    packed = draco_extension(primitive)
+    if packed is None or name not in packed.entry("attributes"):
+        return index
+    return accessors.decoded_attribute(packed, name, index)
+
+
+def position_accessor(primitive: Entry, accessors: Accessors) -> int:
+    """Return the accessor of positions, whose bytes are there."""
+    index = attribute_accessor(primitive, "POSITION", accessors)
+    accessor = accessors[index]
+    if accessor.shape != "VEC3" or accessor.component.name == "uint32":
+        cause = f"is {accessor.shape} of {accessor.component.name}, not a position"
+        raise primitive.entry("attributes").fault("POSITION", cause)
+    accessors.require_bytes(index)
+    return index
+
+
+def drawing_mode(primitive: Entry) -> int:
+    """Return the drawing mode of the indices: triangles if it is not said, or if strips were decoded."""
+    mode = primitive.integer("mode", below=7, default=TRIANGLES)
+    return mode if draco_extension(primitive) is None else TRIANGLES
+
+
+def drawing(primitive: Entry, accessors: Accessors) -> tuple[int, Hashable]:
+    """Return the same for primitives that draw their vertices in the same way."""
+    mode, index = drawing_mode(primitive), _index_accessor(primitive, accessors)
+    return mode, None if index is None else accessors.identity(index)
+
+
+def drawn(primitive: Entry, accessors: Accessors, count: int, placement: Placement) -> NDArray[np.int64]:
+    """Return the triangles of a primitive as vertex indices in [0, count), shape (F, 3), facing outwards."""
+    index = _index_accessor(primitive, accessors)
+    accessors.count_drawn(primitive, count if index is None else accessors[index].count)
+    corners = np.arange(count) if index is None else _indices(primitive, accessors, index, count)
+    faces = _triangles(drawing_mode(primitive), corners)
+    if np.linalg.det(placement.matrix[:3, :3]) < 0:
+        faces = faces[:, ::-1]  # a mirrored node turns its triangles inside out
+    return faces
+
+
+def _index_accessor(primitive: Entry, accessors: Accessors) -> int | None:
+    """Return the accessor of indices, None where vertices are drawn in their order."""
+    packed = draco_extension(primitive)
+    if packed is not None:
+        return accessors.decoded_indices(packed, primitive.integer("indices", below=len(accessors)))
+    return primitive.integer("indices", below=len(accessors)) if "indices" in primitive else None
+
+
+def _indices(primitive: Entry, accessors: Accessors, index: int, count: int) -> NDArray[np.int64]:
+    accessor = accessors[index]
+    if accessor.shape != "SCALAR" or accessor.component.kind != "u":
+        raise primitive.fault("indices", f"is {accessor.shape} of {accessor.component.name}, not indices")
+    corners = accessors.stored(index)[:, 0].astype(np.int64)
+    if corners.max() >= count:
+        raise primitive.fault("indices", f"names vertex {corners.max()}, but there are only {count}")
+    return corners
+
+
+def _triangles(mode: int, corners: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the triangles (F, 3) that a sequence of corners draws, with the winding that glTF defines."""
+    if mode == TRIANGLES:
+        return corners[: len(corners) // 3 * 3].reshape(-1, 3)
+    if mode not in (STRIP, FAN) or len(corners) < 3:
+        return np.empty((0, 3), np.int64)
+    first = np.arange(len(corners) - 2)
+    if mode == FAN:
+        return corners[np.stack([first + 1, first + 2, np.zeros_like(first)], axis=1)]
+    odd = first % 2
+    faces = corners[np.stack([first, first + 1 + odd, first + 2 - odd], axis=1)]
+    a, b, c = faces.T
+    # Triangles that repeat a corner only join parts of the strip.
+    whole: NDArray[np.int64] = faces[(a != b) & (b != c) & (c != a)]
+    return whole

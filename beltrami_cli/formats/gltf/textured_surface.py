@@ -1,0 +1,278 @@
+"""The triangles of a glTF file with the texture coordinates of one slot, and the images of that slot."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from beltrami_cli.errors import InputError
+from beltrami_cli.formats.gltf.geometry import (
+    TRIANGLES,
+    attribute_accessor,
+    drawing,
+    drawing_mode,
+    drawn,
+    in_world,
+    position_accessor,
+)
+from beltrami_cli.formats.gltf.textures import looks, texture_uses
+from beltrami_cli.formats.model_folder import UnfitReferenceError, remedy_for
+from beltrami_cli.surface.records import Texture, TexturedSurface
+
+if TYPE_CHECKING:
+    from collections.abc import Hashable, Iterable, Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from beltrami_cli.formats.gltf.accessors import Accessors
+    from beltrami_cli.formats.gltf.entries import Entry
+    from beltrami_cli.formats.gltf.geometry import Placement
+    from beltrami_cli.formats.gltf.textures import Images, TextureUse
+    from beltrami_cli.surface.records import Slot, Wrap
+
+_MOST_ROWS = np.iinfo(np.int32).max
+
+
+def gather_textured(
+    root: Entry, accessors: Accessors, places: Sequence[Placement], images: Images, slot: Slot
+) -> tuple[TexturedSurface, list[str]]:
+    """Gather all triangles of a file and the images that one slot shows on them, with notices for the user."""
+    shown = _SlotImages(images, slot)
+    gathering = _Gathering(accessors, shown, texture_uses(root, slot))
+    for mesh, placement in zip(root.entries("meshes"), places, strict=True):
+        for primitive in mesh.entries("primitives"):
+            gathering.take(primitive, placement)
+    if not len(shown):
+        bare = f"a {slot} texture, but no texture coordinates for it" if gathering.counts["bare"] else ""
+        cause = shown.obstacle() or f"it has {bare or f'no {slot} texture'}"
+        raise InputError(root.name, cause, remedy_for(cause))
+    return gathering.surface(), shown.notices() + _notices(gathering.counts, slot)
+
+
+def image_key(image: int) -> str:
+    """Return the key of an image's texture, under which a new image is handed back."""
+    return f"image {image}"
+
+
+@dataclass
+class _ShownImage:
+    """An image that the surface shows, by the number of its texture, and who uses it."""
+
+    number: int
+    data: bytes
+    wraps: list[tuple[Wrap, Wrap]] = field(default_factory=list)
+    materials: list[str] = field(default_factory=list)
+    alpha_hides: bool = False
+
+
+class _SlotImages:
+    """The images that are shown in one slot, collected while triangles are."""
+
+    def __init__(self, images: Images, slot: Slot) -> None:
+        self._images, self._slot = images, slot
+        self._shown: dict[int, _ShownImage] = {}
+        self._missing: dict[str, list[str]] = {}
+
+    def __len__(self) -> int:
+        return len(self._shown)
+
+    def image(self, use: TextureUse) -> int | None:
+        """Return the image of a texture; None, and the reason is kept, if it cannot be shown."""
+        place = self._images.textures[use.texture].place
+        try:
+            image = self._images.canonical(self._images.shown(use.texture))
+            if image not in self._shown:
+                place = self._images.entries[image].place
+                self._shown[image] = _ShownImage(len(self._shown), self._images.data(image))
+        except UnfitReferenceError as error:
+            materials = self._missing.setdefault(f"{place}: {error}", [])
+            if use.material not in materials:
+                materials.append(use.material)
+            return None
+        return image
+
+    def show(self, image: int, use: TextureUse) -> int:
+        """Note that triangles show an image; return the texture's number."""
+        shown = self._shown[image]
+        shown.wraps.append(self._images.wrap(use.texture))
+        shown.alpha_hides |= use.alpha_hides
+        if use.material not in shown.materials:
+            shown.materials.append(use.material)
+        return shown.number
+
+    def textures(self) -> tuple[Texture, ...]:
+        """Return the images in the order of their numbers."""
+        return tuple(
+            Texture(
+                key=image_key(image),
+                name=self._images.name(image),
+                data=shown.data,
+                materials=tuple(shown.materials),
+                wrap=shown.wraps[0],
+                alpha_hides=shown.alpha_hides,
+            )
+            for image, shown in self._shown.items()
+        )
+
+    def obstacle(self) -> str | None:
+        """Return why an image cannot be shown, if there is such an image."""
+        if not self._missing:
+            return None
+        return f"its {self._slot} texture cannot be read: {next(iter(self._missing))}"
+
+    def notices(self) -> list[str]:
+        """Return what the user should know."""
+        left = [
+            f"The {self._slot} texture of {', '.join(map(repr, materials))} is left as it is: {reason}."
+            for reason, materials in self._missing.items()
+        ]
+        mixed = [
+            f"The {self._slot} image {self._images.name(image)!r} is used with several wrap modes; the first is "
+            "followed."
+            for image, shown in self._shown.items()
+            if len(set(shown.wraps)) > 1
+        ]
+        return left + mixed
+
+
+@dataclass
+class _Part:
+    """Triangles over one accessor of positions in one place and one look."""
+
+    position: int
+    placement: Placement
+    look: int
+    faces: list[NDArray[np.int64]] = field(default_factory=list)
+    uv: list[NDArray[np.float64]] = field(default_factory=list)
+    texture: list[NDArray[np.int32]] = field(default_factory=list)
+
+    def add(self, faces: NDArray[np.int64], uv: NDArray[np.float64], texture: int) -> None:
+        """Add triangles with the texture coordinates of their corners and the number of their texture."""
+        self.faces.append(faces)
+        self.uv.append(uv)
+        self.texture.append(np.full(len(uv), texture, np.int32))
+
+
+class _Gathering:
+    """Parts while primitives are being taken one by one."""
+
+    def __init__(
+        self, accessors: Accessors, shown: _SlotImages, materials: Sequence[Sequence[TextureUse]]
+    ) -> None:
+        self.accessors, self.shown, self.materials = accessors, shown, materials
+        self.parts: dict[Hashable, _Part] = {}
+        self.counts = dict.fromkeys(("instanced", "bare"), 0)
+        self._seen: set[Hashable] = set()
+        self._decoded: dict[int, NDArray[np.float64]] = {}
+
+    def take(self, primitive: Entry, placement: Placement) -> None:
+        """Take one primitive: its triangles where they stand first, with all textures that they can have."""
+        if drawing_mode(primitive) < TRIANGLES:
+            return
+        if "POSITION" not in primitive.entry("attributes"):
+            return  # it draws nothing
+        position = position_accessor(primitive, self.accessors)
+        count = self.accessors[position].count
+        faces = drawn(primitive, self.accessors, count, placement)
+        if not len(faces):
+            return
+        for look, use in looks(primitive, self.materials):
+            image = self._image(primitive, use)
+            if look and image is None:
+                continue
+            place = self.accessors.identity(position), placement.matrix.tobytes(), placement.space, look
+            repeated = self._repeated(primitive, position, use)
+            self.counts["instanced"] += not look and image is not None and (placement.nodes > 1 or repeated)
+            if repeated:
+                continue
+            part = self.parts.setdefault(place, _Part(position, placement, look))
+            if use is None or image is None:
+                part.add(faces, np.zeros((len(faces), 3, 2)), -1)
+            else:
+                uv = self._coordinates(primitive, use, count)[faces]
+                part.add(faces, uv, self.shown.show(image, use))
+
+    def _repeated(self, primitive: Entry, position: int, use: TextureUse | None) -> bool:
+        """Return whether the same triangles were taken with the same texture before, there or elsewhere."""
+        key: list[Hashable] = [self.accessors.identity(position), drawing(primitive, self.accessors)]
+        if use is not None:
+            coordinates = self._coordinate_accessor(primitive, use)
+            key += [use.texture, use.transform]
+            key.append(None if coordinates is None else self.accessors.identity(coordinates))
+        repeated = tuple(key) in self._seen
+        self._seen.add(tuple(key))
+        return repeated
+
+    def _image(self, primitive: Entry, use: TextureUse | None) -> int | None:
+        """Return the image that a texture shows on a primitive, if it can."""
+        if use is None:
+            return None
+        if use.coordinates not in primitive.entry("attributes"):
+            self.counts["bare"] += 1
+            return None
+        return self.shown.image(use)
+
+    def _coordinate_accessor(self, primitive: Entry, use: TextureUse) -> int | None:
+        if use.coordinates not in primitive.entry("attributes"):
+            return None
+        return attribute_accessor(primitive, use.coordinates, self.accessors)
+
+    def _coordinates(self, primitive: Entry, use: TextureUse, count: int) -> NDArray[np.float64]:
+        """Return the texture coordinates of all vertices, shape (count, 2), transform applied."""
+        index = attribute_accessor(primitive, use.coordinates, self.accessors)
+        accessor = self.accessors[index]
+        if accessor.shape != "VEC2" or accessor.component.name == "uint32" or accessor.count != count:
+            cause = f"is {accessor.count} {accessor.shape} of {accessor.component.name}"
+            attributes = primitive.entry("attributes")
+            raise attributes.fault(use.coordinates, f"{cause}, not {count} texture coordinates")
+        uv = use.placed(self._values(index))
+        if not np.isfinite(uv).all():
+            raise use.info.fault("extensions", "its transform moves texture coordinates to infinity")
+        return uv
+
+    def _values(self, index: int) -> NDArray[np.float64]:
+        if index not in self._decoded:
+            self._decoded[index] = self.accessors.values(index)
+        return self._decoded[index]
+
+    def surface(self) -> TexturedSurface:
+        """Return what was gathered, without vertices that no triangle uses."""
+        positions, faces, spaces, rows = [], [], [], 0
+        space_of = _spaces(self.parts.values())
+        for part in self.parts.values():
+            corners = np.concatenate(part.faces)
+            used = np.zeros(self.accessors[part.position].count, bool)
+            used[corners] = True
+            faces.append((np.cumsum(used) - 1 + rows)[corners])
+            rows += int(np.count_nonzero(used))
+            if rows > _MOST_ROWS:
+                raise self.accessors[part.position].entry.fault("", f"more than {_MOST_ROWS} vertices")
+            values = self._values(part.position)[used]
+            positions.append(in_world(values, part.placement, self.accessors, part.position))
+            spaces.append(np.full(len(values), space_of[part.placement.space, part.look], np.int32))
+        return TexturedSurface(
+            positions=np.concatenate(positions),
+            faces=np.concatenate(faces).astype(np.int32),
+            uv=np.concatenate([uv for part in self.parts.values() for uv in part.uv]),
+            texture_of=np.concatenate([number for part in self.parts.values() for number in part.texture]),
+            textures=self.shown.textures(),
+            space_of=np.concatenate(spaces) if len(space_of) > 1 else None,
+        )
+
+
+def _spaces(parts: Iterable[_Part]) -> dict[tuple[int, int], int]:
+    """Return a number for every look in every space: triangles of different ones do not meet."""
+    found: dict[tuple[int, int], int] = {}
+    for part in parts:
+        found.setdefault((part.placement.space, part.look), len(found))
+    return found
+
+
+def _notices(counts: Mapping[str, int], slot: Slot) -> list[str]:
+    sentences = {
+        "instanced": "{} textured part(s) are shown at several places; each is smoothed once, at its first place.",
+        "bare": f"{{}} primitive(s) have no texture coordinates for their {slot} texture.",
+    }
+    return [sentence.format(n) for key, sentence in sentences.items() if (n := counts[key])]
