@@ -3,66 +3,54 @@
 from __future__ import annotations
 
 import dataclasses
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli.view.rendering.camera import Window, fitted, orientation
-from beltrami_cli.view.rendering.details import richest_window
-from beltrami_cli.view.rendering.image_view import ImageView
-from beltrami_cli.view.rendering.sheet import Background, Panel, arranged, detail_size, is_lost_on_white
+from beltrami_cli.surface.colour_values import linear_to_srgb
+from beltrami_cli.view.camera import centred_window, fitted, orientation, part_of
+from beltrami_cli.view.sheet import Background, Panel, arranged, detail_size, is_lost_on_white
+from beltrami_cli.view.views import ImageView
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
-    from beltrami_cli.view.rendering.camera import Camera
+    from beltrami_cli.view.camera import Camera, Window
     from beltrami_cli.view.settings import RenderSettings
     from beltrami_cli.view.views import Drawable
 
-    Draw = Callable[[Window, tuple[int, int]], NDArray[np.float32]]
+    Draw = Callable[[tuple[int, int], Window], NDArray[np.float32]]
+    Progress = Callable[[str, int, int], None]
 
-_ALIKE = 0.1  # of the size of the first model that boxes of others may differ by and be seen by one camera
+_ALIKE = 0.1  # boxes that differ by less than this, in sizes of the first, are seen by one camera
+_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+_COVERED = 0.98  # of a detail, at least, if there is any such place
+_STEPS = 8  # places tried along each side of a detail
 
 
 def draw_views(
     views: Sequence[Drawable],
     labels: Sequence[str],
     settings: RenderSettings,
-    progress: Callable[[str, int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> NDArray[np.uint8]:
-    """Draw all views, and arrange them.
-
-    Parameters
-    ----------
-    views : sequence of Drawable
-        What is drawn.
-    labels : sequence of str
-        One for each, which may be empty.
-    settings : RenderSettings
-        The camera, the light, the layout.
-    progress : callable, optional
-        Called with a label, the views drawn and the views to draw; may raise to stop.
-
-    Returns
-    -------
-    ndarray of uint8, shape (H, W, 3), or (H, W, 4) on no background
-        sRGB, and opacity.
-    """
+    """Draw all views, each with a label that may be empty, and arrange them: sRGB, with opacity on no background."""
     panels = draw_panels(views, labels, settings, progress)
     turns = max(1, settings.turntable)
     if settings.stacked and settings.turntable:  # the turns of a model below each other
         panels = [panel for turn in range(turns) for panel in panels[turn::turns]]
-    columns = turns if settings.turntable else len(views)
-    return arranged(panels, _columns(columns, len(views), settings), background_of(settings, panels))
+    across, down = (turns, len(views)) if settings.turntable else (len(views), 1)
+    return arranged(panels, down if settings.stacked else across, background_of(settings, panels))
 
 
 def draw_panels(
     views: Sequence[Drawable],
     labels: Sequence[str],
     settings: RenderSettings,
-    progress: Callable[[str, int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> list[Panel]:
     """Draw all views with their details: of every model one after the other all its turns."""
     turns = max(1, settings.turntable)
@@ -70,31 +58,26 @@ def draw_panels(
     for turn in range(turns):
         azimuth = settings.azimuth + 360 * turn / turns
         drawers += _drawers(views, dataclasses.replace(settings, azimuth=azimuth))
-    whole = _zoomed(settings.zoom)
+    whole = centred_window(settings.zoom)
     drawn = []
     for done, draw in enumerate(drawers):
         if progress is not None:
             progress("views", done, len(drawers))
-        drawn.append(draw(whole, settings.size))
+        drawn.append(draw(settings.size, whole))
     windows = _detail_windows(drawn[len(views) - 1], settings)
     side = detail_size(settings.size[0], len(windows))
-    panels = [
-        Panel(
-            drawn[turn * len(views) + number],
-            labels[number] if turn == 0 else "",
-            [drawers[turn * len(views) + number](_inside(whole, window), (side, side)) for window in windows],
-            windows,
-        )
-        for number in range(len(views))
-        for turn in range(turns)
-    ]
+    panels = []
+    for number, turn in np.ndindex(len(views), turns):
+        at = turn * len(views) + number
+        details = [drawers[at]((side, side), part_of(whole, window)) for window in windows]
+        panels.append(Panel(drawn[at], labels[number] if turn == 0 else "", details, windows))
     if progress is not None:
         progress("views", len(drawers), len(drawers))
     return panels
 
 
 def with_fixed_crops(view: Drawable, settings: RenderSettings) -> RenderSettings:
-    """Return settings in which details that choose themselves are where there is most to see in one view."""
+    """Return settings whose automatic details are fixed to where there is most to see in one view."""
     if all(crop.centre is not None for crop in settings.crops):
         return settings
     plain = dataclasses.replace(settings, crops=())
@@ -116,10 +99,31 @@ def background_of(settings: RenderSettings, panels: Sequence[Panel]) -> Backgrou
     return Background(opacity=0.0) if colour is None else Background(colour)
 
 
-def _columns(turns: int, files: int, settings: RenderSettings) -> int:
-    if settings.turntable:
-        return files if settings.stacked else turns
-    return 1 if settings.stacked else files
+def richest_window(view: NDArray[np.float32], side: float) -> Window:
+    """Return the square window, the first of equals, that the model fills and in which brightness varies most.
+
+    `view` is linear light times opacity, and opacity; `side` is a fraction of the shorter side of the view.
+    """
+    height, width = view.shape[:2]
+    square = max(1, round(side * min(width, height)))
+    brightness = linear_to_srgb(np.clip(view[..., :3].astype(np.float64) @ _LUMINANCE, 0, 1))
+    cover = view[..., 3].astype(np.float64)
+    sums = [_sums(values, square) for values in (cover, cover * brightness, cover * np.square(brightness))]
+    stride = max(1, square // _STEPS)
+    share, first, second = (values[::stride, ::stride] / square**2 for values in sums)
+    mean = first / np.maximum(share, 1e-9)
+    variance = second / np.maximum(share, 1e-9) - mean**2
+    filled = share >= min(_COVERED, share.max())
+    best = np.unravel_index(int(np.argmax(np.where(filled, variance, -1))), share.shape)
+    upper, left = (int(index) * stride for index in best)
+    return left / width, upper / height, (left + square) / width, (upper + square) / height
+
+
+def _sums(values: NDArray[np.float64], square: int) -> NDArray[np.float64]:
+    """Return the sum over each square that fits, by its upper left corner."""
+    table = np.pad(values, [(1, 0), (1, 0)]).cumsum(axis=0).cumsum(axis=1)
+    near, far = slice(None, -square), slice(square, None)
+    return np.asarray(table[far, far] - table[near, far] - table[far, near] + table[near, near])
 
 
 def _drawers(views: Sequence[Drawable], settings: RenderSettings) -> list[Draw]:
@@ -130,7 +134,7 @@ def _drawers(views: Sequence[Drawable], settings: RenderSettings) -> list[Draw]:
     drawers: list[Draw] = []
     for view in views:
         if isinstance(view, ImageView):
-            drawers.append(_draw_image(view))
+            drawers.append(view.draw)
             continue
         box = np.stack([view.positions.min(axis=0), view.positions.max(axis=0)])
         if shared is None or not _is_alike(box, shared[1]):
@@ -138,37 +142,16 @@ def _drawers(views: Sequence[Drawable], settings: RenderSettings) -> list[Draw]:
             shared = shared or (camera, box)
         else:
             camera = shared[0]
-        drawers.append(_draw_model(view, camera, lit=settings.lit))
+        drawers.append(partial(view.draw, camera, lit=settings.lit))
     return drawers
-
-
-def _draw_image(view: ImageView) -> Draw:
-    return lambda window, size: view.draw(size, window)
-
-
-def _draw_model(view: Drawable, camera: Camera, *, lit: bool) -> Draw:
-    assert not isinstance(view, ImageView)
-    return lambda window, size: view.draw(camera, size, window, lit=lit)
 
 
 def _is_alike(box: NDArray[np.float64], other: NDArray[np.float64]) -> bool:
     return bool(np.abs(box - other).max() <= _ALIKE * np.ptp(other, axis=0).max())
 
 
-def _zoomed(zoom: float) -> Window:
-    half = 0.5 / zoom
-    return 0.5 - half, 0.5 - half, 0.5 + half, 0.5 + half
-
-
-def _inside(window: Window, part: Window) -> Window:
-    """Return a part of a window as a window of the whole."""
-    width, height = window[2] - window[0], window[3] - window[1]
-    left, upper = window[0] + part[0] * width, window[1] + part[1] * height
-    return left, upper, left + (part[2] - part[0]) * width, upper + (part[3] - part[1]) * height
-
-
 def _detail_windows(view: NDArray[np.float32], settings: RenderSettings) -> list[Window]:
-    """Return where details are; those that choose themselves look at the last file."""
+    """Return where details are; automatic ones are chosen in the view of the last file."""
     width, height = settings.size
     shorter = min(width, height)
     windows = []

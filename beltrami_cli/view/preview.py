@@ -11,8 +11,8 @@ from beltrami_cli.formats.image.recognition import is_image
 from beltrami_cli.jobs.writing.output import Output
 from beltrami_cli.view.drawing import draw_views
 from beltrami_cli.view.file import encoded, picture_suffix
-from beltrami_cli.view.rendering.tracing import require_embree
 from beltrami_cli.view.settings import Crop, RenderSettings
+from beltrami_cli.view.tracing import require_embree
 from beltrami_cli.view.views import open_view
 
 if TYPE_CHECKING:

@@ -24,9 +24,9 @@ from beltrami_cli.samples.settings.level_set import LevelSetSettings
 from beltrami_cli.samples.settings.smooth import DEFAULTS
 from beltrami_cli.view.drawing import background_of, draw_panels, with_fixed_crops
 from beltrami_cli.view.file import encoded, picture_suffix
-from beltrami_cli.view.rendering.sheet import Panel, arranged
 from beltrami_cli.view.report.page import PAGES, asset, page_from, picture_tag, table
 from beltrami_cli.view.settings import MOST_PIXELS, RenderSettings
+from beltrami_cli.view.sheet import Panel, arranged
 from beltrami_cli.view.views import open_view
 
 if TYPE_CHECKING:

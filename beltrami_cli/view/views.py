@@ -1,10 +1,11 @@
-"""From files to what can be drawn: painted surfaces, points, images."""
+"""What is seen of a file: a painted surface, points drawn as discs, or an image."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.access import read_source
@@ -15,10 +16,8 @@ from beltrami_cli.samples.settings.smooth import DEFAULTS, SmoothSettings
 from beltrami_cli.samples.textures.colours import COLOUR_SLOTS
 from beltrami_cli.surface.colour_values import srgb_to_linear
 from beltrami_cli.surface.geometry import triangle_areas
-from beltrami_cli.view.rendering.cloud_view import CloudView
-from beltrami_cli.view.rendering.image_view import ImageView
-from beltrami_cli.view.rendering.paint import TexturePaint, VertexPaint
-from beltrami_cli.view.rendering.surface_view import SurfaceView
+from beltrami_cli.view.paint import Pyramid, TexturePaint, VertexPaint
+from beltrami_cli.view.tracing import SAMPLES, SurfaceView
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -26,36 +25,88 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.access import Access
     from beltrami_cli.formats.document import Document
     from beltrami_cli.surface.records import PaintedVertices, Slot
+    from beltrami_cli.view.camera import Camera, Window
+    from beltrami_cli.view.paint import Sheet
     from beltrami_cli.view.settings import RenderSettings
 
-Drawable = SurfaceView | CloudView | ImageView
-_FAR = 128  # powers of two, beyond which a model is brought nearer; its fourth powers then stay within 2^256
+_FAR = 128  # models beyond 2^128 or below 2^-128 are rescaled, which keeps their fourth powers within 2^256
 _RGB = ("red", "green", "blue")
+_NEIGHBOURS = 4  # on a square grid, all at one distance
+_SHARE = 0.75  # of the distance to the last of them: a little more than half the diagonal of the grid
+_LARGEST = 3.0  # times the median radius
+_LONE = 0.02  # radius in widths of the view of a place without neighbours
+_SMALLEST = 0.75  # radius in samples, below which points would fall between them
+
+
+class CloudView:
+    """Points in linear light, as small discs that face the eye, to be looked at from anywhere."""
+
+    def __init__(self, positions: NDArray[np.float64], colours: NDArray[np.float64]) -> None:
+        self.positions = positions
+        self._colours = colours.astype(np.float32)
+        self._radii = disc_radii(positions)
+
+    def draw(
+        self, camera: Camera, size: tuple[int, int], window: Window, *, lit: bool
+    ) -> NDArray[np.float32]:
+        """Draw as `SurfaceView.draw` does; points have no normals, so that no lamp shines on them."""
+        width, height = (side * SAMPLES for side in size)
+        places, depths = camera.project(self.positions)
+        share = np.array([window[2] - window[0], window[3] - window[1]])
+        at = (places - window[:2]) / share * (width, height)
+        radii = self._radii / camera.breadth(depths) / share[0] * width
+        radii[self._radii == 0] = _LONE * width
+        radii = np.maximum(radii, _SMALLEST)
+        near = (depths > 0) & (at > -radii[:, None]).all(axis=1)
+        near &= (at < np.array([width, height]) + radii[:, None]).all(axis=1)
+        chosen = np.flatnonzero(near)
+        # The farthest first: of what is written to one place, the last stays.
+        chosen = chosen[np.lexsort((chosen, -depths[chosen]))]
+        image = _discs(at[chosen], radii[chosen], self._colours[chosen], (width, height))
+        return np.asarray(image.reshape(size[1], SAMPLES, size[0], SAMPLES, 4).mean(axis=(1, 3)), np.float32)
+
+
+class ImageView:
+    """An image, which looks the same from everywhere."""
+
+    def __init__(self, sheet: Sheet) -> None:
+        self._pyramid = Pyramid.of(sheet)
+
+    def draw(self, size: tuple[int, int], window: Window) -> NDArray[np.float32]:
+        """Draw a window of a view that the image fills as far as its proportions allow.
+
+        The result is as of `SurfaceView.draw`. At its own size the image is unchanged; enlarged, texels are squares.
+        """
+        height, width = self._pyramid.levels[0].shape[:2]
+        view = np.array(size) / [window[2] - window[0], window[3] - window[1]]
+        scale = min(view[0] / width, view[1] / height)
+        shown = np.array([width, height]) * scale
+        corner = np.round((view - shown) / 2)
+        samples = SAMPLES if scale != 1 else 1
+        axes = [
+            (np.arange(size[k] * samples) + 0.5) / samples + window[k] * view[k] - corner[k] for k in (0, 1)
+        ]
+        x, y = (axis.ravel() for axis in np.meshgrid(axes[0] / shown[0], axes[1] / shown[1]))
+        inside = (x >= 0) & (x < 1) & (y >= 0) & (y < 1)
+        uv = np.column_stack([x, y])[inside]
+        if scale >= 1:  # squares, so that single pixels can be judged
+            uv = (np.floor(uv * (width, height)) + 0.5) / (width, height)
+        seen = np.zeros((len(x), 4), np.float32)
+        texels = np.full(len(uv), 1 / (scale * samples) ** 2)
+        colours = self._pyramid.look_up(uv, ("clamp", "clamp"), texels)
+        colours[:, :3] *= colours[:, 3:]
+        seen[inside] = colours
+        blocks = seen.reshape(size[1], samples, size[0], samples, 4)
+        return np.asarray(blocks.mean(axis=(1, 3)), np.float32)
+
+
+Drawable = SurfaceView | CloudView | ImageView
 
 
 def open_view(
     source: str, settings: RenderSettings, access: Access, reading: SmoothSettings = DEFAULTS
 ) -> Drawable:
-    """Read a file as what is seen of it.
-
-    Parameters
-    ----------
-    source : str
-        A model, points or an image; "-" for standard input.
-    settings : RenderSettings
-        What is shown of models that have both textures and vertex colours.
-    access : Access
-        What may be read.
-    reading : SmoothSettings
-        How level sets are read.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read, or has no colours of the kind that is asked for.
-    ProcessingError
-        If the package that draws surfaces is not installed.
-    """
+    """Read a file, or "-" for standard input, as what is seen of it; `reading` says how level sets are read."""
     data = read_source(source, access)
     name = "<stdin>" if source == "-" else source
     if is_image(data, name):
@@ -64,21 +115,16 @@ def open_view(
     slot: Slot = settings.slot  # type: ignore[assignment]
     has_texture = slot in document.slots()
     if settings.on == "texture" and not has_texture:
-        raise InputError(name, f"it has no {slot} texture", "leave out --on")
+        raise InputError(name, f"it has no {slot} texture", "leave out --show")
     if has_texture and settings.on != "vertices":
         return _textured(document, slot)
     return _painted(document.painted())
 
 
 def sheet_of(picture: Picture, *, is_data: bool = False) -> NDArray[np.float32]:
-    """Return an image in linear light with opacity, shape (H, W, 4).
+    """Return an image in linear light with opacity, (H, W, 4); data are shown as if they were display values.
 
-    Parameters
-    ----------
-    picture : Picture
-        Floats are clipped to what can be shown; what is no finite number is transparent.
-    is_data : bool
-        Whether the numbers are no colours, and are shown as if they were display values.
+    Floats are clipped to what can be shown, and what is not finite is transparent.
     """
     values = to_float(picture) if is_data else without_alpha(picture, to_float(picture))
     channels = picture.colour if len(picture.colour) == 3 else picture.colour[:1] * 3
@@ -89,6 +135,40 @@ def sheet_of(picture: Picture, *, is_data: bool = False) -> NDArray[np.float32]:
     opacity = np.clip(values[..., picture.alpha], 0, 1)[..., None] if picture.alpha is not None else 1.0
     opacity = np.where(seen, opacity, 0).astype(np.float32)
     return np.concatenate([light, np.nan_to_num(opacity)], axis=2).astype(np.float32)
+
+
+def light_of(painted: PaintedVertices) -> NDArray[np.float64]:
+    """Return vertex colours in linear light, (V, 3); channels other than red, green and blue are shown as grey."""
+    is_rgb = set(_RGB) <= set(painted.channels)
+    chosen = [painted.channels.index(name) for name in _RGB] if is_rgb else [0, 0, 0]
+    colours = np.clip(painted.colours[:, chosen].astype(np.float64), 0, 1)
+    return np.asarray(srgb_to_linear(colours) if painted.encoding == "srgb" else colours, np.float64)
+
+
+def within_reach(positions: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return positions, times a power of two if squares of areas would overflow or underflow otherwise.
+
+    A picture shows no difference, and models that are alike are scaled alike.
+    """
+    largest = np.max(np.abs(positions), where=np.isfinite(positions), initial=0.0)
+    exponent = np.frexp(largest)[1]
+    if abs(exponent) < _FAR:
+        return positions
+    return np.asarray(np.ldexp(positions, -_FAR * round(exponent / _FAR)), np.float64)
+
+
+def disc_radii(positions: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the radius of each disc, so that neighbours leave no holes in a surface; 0 for a single place."""
+    places, which = np.unique(positions, axis=0, return_inverse=True)
+    if len(places) < 2:
+        return np.zeros(len(positions))
+    found: NDArray[np.float64] = np.asarray(
+        cKDTree(places).query(places, k=min(_NEIGHBOURS + 1, len(places)))[0]
+    )
+    radii = _SHARE * found[:, -1]
+    # Points far from all others would hide what is around them.
+    limited = np.minimum(radii, _LARGEST * np.median(radii))
+    return np.asarray(limited[which.reshape(-1)], np.float64)
 
 
 def _textured(document: Document, slot: Slot) -> SurfaceView:
@@ -109,21 +189,27 @@ def _painted(painted: PaintedVertices) -> SurfaceView | CloudView:
     return CloudView(positions[finite], light[finite])
 
 
-def within_reach(positions: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return positions times a power of two where squares of areas would leave the range of numbers.
-
-    Others are returned as they are. A picture shows no difference, and models that are alike are scaled alike.
-    """
-    largest = np.max(np.abs(positions), where=np.isfinite(positions), initial=0.0)
-    exponent = np.frexp(largest)[1]
-    if abs(exponent) < _FAR:
-        return positions
-    return np.asarray(np.ldexp(positions, -_FAR * round(exponent / _FAR)), np.float64)
-
-
-def light_of(painted: PaintedVertices) -> NDArray[np.float64]:
-    """Return vertex colours in linear light, shape (V, 3); what is no red, green and blue is grey."""
-    is_rgb = set(_RGB) <= set(painted.channels)
-    chosen = [painted.channels.index(name) for name in _RGB] if is_rgb else [0, 0, 0]
-    colours = np.clip(painted.colours[:, chosen].astype(np.float64), 0, 1)
-    return np.asarray(srgb_to_linear(colours) if painted.encoding == "srgb" else colours, np.float64)
+def _discs(
+    at: NDArray[np.float64],
+    radii: NDArray[np.float64],
+    colours: NDArray[np.float32],
+    size: tuple[int, int],
+) -> NDArray[np.float32]:
+    """Return discs drawn over each other, (height, width, 4); later ones are nearer and hide earlier ones."""
+    width, height = size
+    front = np.full(width * height, -1, np.int64)  # the number of the disc that is seen
+    reach = int(np.ceil(radii.max(initial=0)))
+    corner = np.floor(at).astype(np.int64)
+    for down in range(-reach, reach + 1):
+        for right in range(-reach, reach + 1):
+            cell = corner + np.array([right, down])
+            off = cell + 0.5 - at
+            inside = np.einsum("kx,kx->k", off, off) <= radii**2
+            inside &= ((cell >= 0) & (cell < (width, height))).all(axis=1)
+            discs = np.flatnonzero(inside)
+            np.maximum.at(front, cell[discs, 1] * width + cell[discs, 0], discs)
+    image = np.zeros((width * height, 4), np.float32)
+    filled = front >= 0
+    image[filled, :3] = colours[front[filled]]
+    image[filled, 3] = 1
+    return image.reshape(height, width, 4)

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beltrami_cli.surface.colour_values import srgb_to_linear
-from beltrami_cli.view.rendering.camera import WHOLE, fitted, orientation
-from beltrami_cli.view.rendering.paint import VertexPaint
-from beltrami_cli.view.rendering.sheet import Background, displayed
-from beltrami_cli.view.rendering.surface_view import SurfaceView
+from beltrami_cli.view.camera import WHOLE, fitted, orientation
+from beltrami_cli.view.paint import VertexPaint
+from beltrami_cli.view.sheet import Background, displayed
+from beltrami_cli.view.tracing import SurfaceView
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

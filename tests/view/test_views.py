@@ -10,16 +10,13 @@ import pytest
 from beltrami_cli.surface.colour_values import linear_to_srgb
 from beltrami_cli.surface.geometry import triangle_areas
 from beltrami_cli.surface.records import Texture, TexturedSurface
-from beltrami_cli.view.drawing import draw_views
-from beltrami_cli.view.rendering.camera import WHOLE, fitted, orientation
-from beltrami_cli.view.rendering.cloud_view import CloudView
-from beltrami_cli.view.rendering.details import richest_window
-from beltrami_cli.view.rendering.image_view import ImageView
-from beltrami_cli.view.rendering.paint import TexturePaint, VertexPaint
-from beltrami_cli.view.rendering.sheet import Background, Panel, arranged, displayed, is_lost_on_white
-from beltrami_cli.view.rendering.surface_view import AMBIENT, LAMP, SurfaceView
+from beltrami_cli.view.camera import WHOLE, fitted, orientation
+from beltrami_cli.view.drawing import draw_views, richest_window
+from beltrami_cli.view.paint import TexturePaint, VertexPaint
 from beltrami_cli.view.settings import RenderSettings
-from beltrami_cli.view.views import within_reach
+from beltrami_cli.view.sheet import Background, Panel, arranged, displayed, is_lost_on_white
+from beltrami_cli.view.tracing import AMBIENT, LAMP, SurfaceView
+from beltrami_cli.view.views import CloudView, ImageView, within_reach
 from oracles import surfaces
 
 pytest.importorskip("embreex")

@@ -9,7 +9,8 @@ import numpy as np
 
 from beltrami_cli.jobs.colour_map import colour_by_value
 from beltrami_cli.surface.colour_values import linear_to_srgb
-from beltrami_cli.view.rendering.details import richest_window
+from beltrami_cli.view.camera import pixels_of
+from beltrami_cli.view.drawing import richest_window
 from beltrami_cli.view.report.page import data_address, picture_tag
 
 if TYPE_CHECKING:
@@ -103,15 +104,15 @@ def swipe(before: NDArray[np.float32], after: NDArray[np.float32], name: str) ->
     seen = after.copy()
     seen[..., :3] *= seen[..., 3:]
     window = richest_window(seen, min(1.0, _CROP / min(height, width)))
-    left, right = (round(window[k] * width) for k in (0, 2))
-    upper, lower = (round(window[k] * height) for k in (1, 3))
-    cut = [sheet[upper:lower, left:right] for sheet in (before, after)]
+    rows, columns = pixels_of(window, width, height)
+    cut = [sheet[rows, columns] for sheet in (before, after)]
     sources = [
         data_address(np.rint(255 * np.asarray(linear_to_srgb(part[..., :3]))).astype(np.uint8))
         for part in cut
     ]
-    zoom = max(1, _CROP // max(1, right - left))
-    shape = f'width="{(right - left) * zoom}" height="{(lower - upper) * zoom}"'
+    shown_height, shown_width = cut[1].shape[:2]
+    zoom = max(1, _CROP // max(1, shown_width))
+    shape = f'width="{shown_width * zoom}" height="{shown_height * zoom}"'
     title = html.escape(name, quote=True)
     images = "".join(
         f'<img {shape} style="max-width:none" alt="{title}, {when}" src="{source}">'
@@ -119,6 +120,7 @@ def swipe(before: NDArray[np.float32], after: NDArray[np.float32], name: str) ->
     )
     return (
         f'<figure><div class="swipe">{images}<span class="line"></span></div>'
-        f'<input type="range" min="0" max="100" value="50" aria-label="swipe" style="width:{(right - left) * zoom}px">'
-        f"<figcaption>{title}: {right - left} x {lower - upper} pixels at {left}, {upper}</figcaption></figure>"
+        f'<input type="range" min="0" max="100" value="50" aria-label="swipe" style="width:{shown_width * zoom}px">'
+        f"<figcaption>{title}: {shown_width} x {shown_height} pixels at {columns.start}, {rows.start}"
+        "</figcaption></figure>"
     )

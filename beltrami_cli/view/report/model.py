@@ -12,9 +12,8 @@ import numpy as np
 from beltrami_cli.formats.image import read_image
 from beltrami_cli.samples.textures.colours import COLOUR_SLOTS
 from beltrami_cli.surface.colour_values import linear_to_srgb
-from beltrami_cli.view.rendering.cloud_view import disc_radii
 from beltrami_cli.view.report.page import data_address
-from beltrami_cli.view.views import light_of, sheet_of
+from beltrami_cli.view.views import disc_radii, light_of, sheet_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -1,8 +1,6 @@
-"""Cameras: where they look from, and how they are placed so that all of a model is seen.
+"""Cameras: where they look from, how they are placed to see all of a model, and windows onto parts of their views.
 
-Notes
------
-View coordinates are x to the right, y up, z towards the eye. A camera of a field of view of 0 is orthographic.
+View coordinates are x to the right, y up, z towards the eye.
 """
 
 from __future__ import annotations
@@ -15,7 +13,7 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-_SMALLEST = 1e-13  # of how far away from the origin a model lies: what does not get lost in rounding
+_SMALLEST = 1e-13  # of the distance from the origin: smaller models are lost in rounding
 _MARGIN = 0.92  # of the shorter side of a view that a model fills
 
 # Rows: what is to the right, up and towards the eye in a view from the front, by the axis that points up.
@@ -26,42 +24,44 @@ _FRONT = {
 }
 
 Window = tuple[float, float, float, float]
-"""Part of a view: left, upper, right and lower border, in shares of its width and height."""
+"""Part of a view: left, upper, right and lower border, as fractions of its width and height."""
 
 WHOLE: Window = (0.0, 0.0, 1.0, 1.0)
 
 
+def centred_window(zoom: float) -> Window:
+    """Return the middle of a view, which is enlarged by `zoom`."""
+    half = 0.5 / zoom
+    return 0.5 - half, 0.5 - half, 0.5 + half, 0.5 + half
+
+
+def part_of(window: Window, part: Window) -> Window:
+    """Return a part of a window as a window of the whole view."""
+    width, height = window[2] - window[0], window[3] - window[1]
+    left, upper = window[0] + part[0] * width, window[1] + part[1] * height
+    return left, upper, left + (part[2] - part[0]) * width, upper + (part[3] - part[1]) * height
+
+
+def pixels_of(window: Window, width: int, height: int) -> tuple[slice, slice]:
+    """Return the rows and columns of an image of a view that a window covers."""
+    left, right = (round(window[k] * width) for k in (0, 2))
+    upper, lower = (round(window[k] * height) for k in (1, 3))
+    return slice(max(upper, 0), lower), slice(max(left, 0), right)
+
+
 @dataclass(frozen=True)
 class Camera:
-    """A camera.
+    """A camera, perspective or orthographic."""
 
-    Attributes
-    ----------
-    rotation : ndarray of float64, shape (3, 3)
-        Rows are the directions of view coordinates.
-    place : ndarray of float64, shape (3,)
-        In view coordinates: the eye, or for an orthographic camera a point in the middle of the view, before the model.
-    reach : ndarray of float64, shape (2,)
-        Half the width and height that are seen: at a distance of 1 from the eye, or anywhere if orthographic.
-    is_orthographic : bool
-        Whether all rays are parallel.
-    """
-
-    rotation: NDArray[np.float64]
-    place: NDArray[np.float64]
-    reach: NDArray[np.float64]
+    rotation: NDArray[np.float64]  # (3, 3): rows are the directions of view coordinates
+    place: NDArray[np.float64]  # (3,), view coordinates: the eye; orthographic: a point in front of the model
+    reach: NDArray[np.float64]  # (2,): half the width and height seen at distance 1; orthographic: anywhere
     is_orthographic: bool
 
     def rays(
         self, columns: NDArray[np.float64], rows: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return where rays start and their unit directions, shape (K, 3) each.
-
-        Parameters
-        ----------
-        columns, rows : ndarray of float64, shape (K,)
-            Places in the view in shares of its width and height; (0, 0) is its upper left corner.
-        """
+        """Return origins and unit directions of rays, (K, 3) each, through places in fractions of the view."""
         across = np.column_stack([2 * columns - 1, 1 - 2 * rows]) * self.reach
         if self.is_orthographic:
             starts = self.place + np.column_stack([across, np.zeros(len(across))])
@@ -73,7 +73,7 @@ class Camera:
         return starts @ self.rotation, directions @ self.rotation
 
     def project(self, positions: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the places of points in the view, shape (K, 2), in shares of it, and their depths, shape (K,)."""
+        """Return where points are in the view, (K, 2), as fractions of it, and their depths, (K,)."""
         seen = positions @ self.rotation.T - self.place
         depth = -seen[:, 2]
         scale = 1.0 if self.is_orthographic else np.maximum(depth, 1e-300)[:, None]
@@ -81,7 +81,7 @@ class Camera:
         return np.column_stack([(1 + across[:, 0]) / 2, (1 - across[:, 1]) / 2]), depth
 
     def breadth(self, distances: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the width of the whole view at distances from where rays start, in units of the model."""
+        """Return the width of the whole view at distances from the origins of rays, in units of the model."""
         width: NDArray[np.float64] = (
             2 * self.reach[0] * (np.ones_like(distances) if self.is_orthographic else distances)
         )
@@ -89,17 +89,7 @@ class Camera:
 
 
 def orientation(azimuth: float, elevation: float, up: str = "y") -> NDArray[np.float64]:
-    """Return the rotation to view coordinates, shape (3, 3).
-
-    Parameters
-    ----------
-    azimuth : float
-        Degrees that the eye goes to the right around the model, from the front.
-    elevation : float
-        Degrees that it goes up.
-    up : {"x", "y", "z"}
-        Which axis of the model points up.
-    """
+    """Return the rotation to view coordinates, (3, 3), of an eye to the right of the front and above, in degrees."""
     (c, s), (d, e) = ((np.cos(angle), np.sin(angle)) for angle in np.radians((azimuth, elevation)))
     around = np.array([[c, 0, -s], [0, 1, 0], [s, 0, c]])
     over = np.array([[1, 0, 0], [0, d, -e], [0, e, d]])
@@ -107,7 +97,7 @@ def orientation(azimuth: float, elevation: float, up: str = "y") -> NDArray[np.f
 
 
 def size_between(low: NDArray[np.float64], high: NDArray[np.float64]) -> float:
-    """Return the longest side of a bounding box, or what counts as that where all lies at one place."""
+    """Return the longest side of a bounding box, or a small positive number for a single point."""
     farthest = float(np.abs([low, high]).max())
     return max(float((high - low).max()), _SMALLEST * farthest, float(np.finfo(float).tiny))
 
@@ -115,18 +105,10 @@ def size_between(low: NDArray[np.float64], high: NDArray[np.float64]) -> float:
 def fitted(
     positions: NDArray[np.float64], rotation: NDArray[np.float64], field: float, aspect: float
 ) -> Camera:
-    """Place a camera so that it sees all points, and they fill the view.
+    """Place a camera so that all points, at least one, are seen and fill the view.
 
-    Parameters
-    ----------
-    positions : ndarray of float64, shape (V, 3)
-        The points, at least one.
-    rotation : ndarray of float64, shape (3, 3)
-        Where it looks from, as `orientation` gives it.
-    field : float
-        Field of view along the shorter side, in degrees; 0: orthographic.
-    aspect : float
-        Width of the view by its height.
+    `field` is the angle of view along the shorter side in degrees, 0 for an orthographic camera; `aspect` is the width
+    of the view by its height.
     """
     seen = positions @ rotation.T
     low, high = seen.min(axis=0), seen.max(axis=0)

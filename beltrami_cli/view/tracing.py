@@ -1,47 +1,85 @@
-"""Views of painted triangles."""
+"""Painted triangles drawn by ray tracing, with Embree.
+
+I. Wald, S. Woop, C. Benthin, G. S. Johnson, M. Ernst, "Embree: a kernel framework for efficient CPU ray tracing",
+ACM Transactions on Graphics 33(4), 2014, doi:10.1145/2601097.2601199.
+"""
 
 from __future__ import annotations
 
+import importlib
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from beltrami_cli.errors import ProcessingError
 from beltrami_cli.surface.geometry import vertex_normals
 from beltrami_cli.surface.grouping import group_equal_rows
-from beltrami_cli.view.rendering.tracing import Tracer
+from beltrami_cli.view.camera import size_between
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from beltrami_cli.view.rendering.camera import Camera, Window
-    from beltrami_cli.view.rendering.paint import Paint
+    from beltrami_cli.view.camera import Camera, Window
+    from beltrami_cli.view.paint import Paint
 
 SAMPLES = 3  # rays along a side of each pixel
-AMBIENT = 0.35  # of the light comes from everywhere
+AMBIENT = 0.35  # share of the light that comes from everywhere
+# Towards the lamp, in view coordinates: at the upper left, behind the eye.
 LAMP = np.array([-0.4, 0.5, 0.77]) / np.linalg.norm([-0.4, 0.5, 0.77])
-"""Towards the lamp, in view coordinates: at the upper left, behind the eye."""
 
-_CREASE = np.cos(
-    np.radians(40)
-)  # a corner whose normal leans further away from the triangle's is on a crease
-_BLOCK = 1 << 18  # rays at a time, which bounds the memory
-_LAYERS = 16  # of transparent surfaces that are looked through
+_CREASE = np.cos(np.radians(40))  # smoothed normals further than this from the triangle's are not used
+_BLOCK = 1 << 16  # rays at a time, which bounds the memory; larger blocks leave the processor's cache
+_LAYERS = 16  # transparent surfaces behind each other
 _STEP = 1e-5  # behind a transparent surface the ray goes on, in sizes of the model
 
 
-class SurfaceView:
-    """A painted surface, to be looked at from anywhere.
+class Tracer:
+    """Triangles, (F, 3), of finite positions, (V, 3), that rays can be cast at."""
 
-    Parameters
-    ----------
-    positions : ndarray of float64, shape (V, 3)
-        Vertices.
-    faces : ndarray of int32, shape (F, 3)
-        Triangles, at least one; seen from both sides.
-    paint : Paint
-        Their colours.
-    """
+    def __init__(self, positions: NDArray[np.float64], faces: NDArray[np.int32]) -> None:
+        scenes, meshes = require_embree()
+        low, high = positions.min(axis=0), positions.max(axis=0)
+        # Embree computes in single precision: around the middle and of unit size, large coordinates lose no digits.
+        self._middle = (low + high) / 2
+        self.size = size_between(low, high)
+        self._scene = scenes.EmbreeScene(robust=True)
+        vertices = np.ascontiguousarray(self._normalised(positions))
+        self._mesh = meshes.TriangleMesh(self._scene, vertices, np.ascontiguousarray(faces, np.int32))
+
+    def cast(
+        self, starts: NDArray[np.float64], directions: NDArray[np.float64]
+    ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
+        """Return faces hit first, or -1, barycentric weights and distances along unit directions."""
+        found = self._scene.run(
+            np.ascontiguousarray(self._normalised(starts)),
+            np.ascontiguousarray(directions, np.float32),
+            output=1,
+        )
+        u, v = found["u"].astype(np.float64), found["v"].astype(np.float64)
+        weights = np.column_stack([1 - u - v, u, v])
+        return found["primID"].astype(np.int64), weights, found["tfar"].astype(np.float64) * self.size
+
+    def _normalised(self, positions: NDArray[np.float64]) -> NDArray[np.float32]:
+        return np.asarray((positions - self._middle) / self.size, np.float32)
+
+
+def require_embree() -> tuple[Any, Any]:
+    """Import the two modules that cast rays, or raise a ProcessingError that names the extra."""
+    try:
+        return (
+            importlib.import_module("embreex.rtcore_scene"),
+            importlib.import_module("embreex.mesh_construction"),
+        )
+    except ImportError as error:
+        raise ProcessingError(
+            "to draw surfaces, the package embreex is needed; "
+            "install it with: pip install 'beltrami-cli[render]'"
+        ) from error
+
+
+class SurfaceView:
+    """A painted surface of at least one triangle, seen from both sides, to be looked at from anywhere."""
 
     def __init__(self, positions: NDArray[np.float64], faces: NDArray[np.int32], paint: Paint) -> None:
         self.positions = positions[np.unique(faces)]
@@ -51,24 +89,10 @@ class SurfaceView:
     def draw(
         self, camera: Camera, size: tuple[int, int], window: Window, *, lit: bool
     ) -> NDArray[np.float32]:
-        """Draw a part of a view.
+        """Draw a window of a view, `size` = (width, height) pixels: linear light times opacity, and opacity.
 
-        Parameters
-        ----------
-        camera : Camera
-            Where it is looked from.
-        size : (int, int)
-            Width and height in pixels.
-        window : Window
-            Which part of the view.
-        lit : bool
-            Whether a lamp shines: colours times 0.35 + 0.65 max(0, n . l), in linear light, with the normal n on the
-            side of the eye and the direction l towards the lamp. Otherwise colours are as they are.
-
-        Returns
-        -------
-        ndarray of float32, shape (height, width, 4)
-            Linear light times opacity, and opacity: the mean of 9 rays for each pixel.
+        Each pixel is the mean of 9 rays. If lit, a lamp multiplies colours by 0.35 + 0.65 max(0, n . l) in linear
+        light, with the normal n on the side of the eye and the direction l towards the lamp.
         """
         width, height = size
         rows_at_once = max(1, _BLOCK // (width * SAMPLES**2))
@@ -94,7 +118,7 @@ class SurfaceView:
         *,
         lit: bool,
     ) -> NDArray[np.float64]:
-        """Return what rays see, shape (K, 4), through everything transparent."""
+        """Return what rays see, (K, 4), through everything transparent."""
         seen = np.zeros((len(starts), 4))
         active = np.arange(len(starts))
         travelled = np.zeros(len(starts))
@@ -141,7 +165,7 @@ class SurfaceView:
 
     @cached_property
     def _corner_normals(self) -> NDArray[np.float64]:
-        """Normals of the corners of triangles, shape (F, 3, 3): smooth, but for creases."""
+        """Normals of the corners of triangles, (F, 3, 3): smooth, except at creases."""
         place_of, _ = group_equal_rows(*self._all.T)
         smooth = vertex_normals(self._all, self._faces, place_of).astype(np.float64)[self._faces]
         flat = self._face_normals[:, None, :]

@@ -1,4 +1,8 @@
-"""What surfaces are painted with, in linear light, at any point of their triangles."""
+"""What surfaces are painted with: colours in linear light at any point of their triangles.
+
+Textures are averaged where they are seen from afar, by L. Williams, "Pyramidal parametrics", SIGGRAPH 1983,
+doi:10.1145/800059.801126.
+"""
 
 from __future__ import annotations
 
@@ -28,30 +32,15 @@ class Paint(Protocol):
     def __call__(
         self, faces: NDArray[np.int64], weights: NDArray[np.float64], footprints: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Return linear red, green, blue and opacity at points, shape (K, 4).
+        """Return linear red, green, blue and opacity, (K, 4), at points of faces with barycentric weights, (K, 3).
 
-        Parameters
-        ----------
-        faces : ndarray of int64, shape (K,)
-            Which triangle.
-        weights : ndarray of float64, shape (K, 3)
-            Barycentric.
-        footprints : ndarray of float64, shape (K,)
-            Area of the surface that the point stands for, in squared units of the model.
+        `footprints` are the areas that the points stand for, in squared units of the model.
         """
         ...
 
 
 class VertexPaint:
-    """Colours at vertices, between which light is interpolated linearly.
-
-    Parameters
-    ----------
-    faces : ndarray of int32, shape (F, 3)
-        Triangles.
-    colours : ndarray of float64, shape (V, 3)
-        Linear light.
-    """
+    """Linear light at vertices, (V, 3), interpolated between them."""
 
     def __init__(self, faces: NDArray[np.int32], colours: NDArray[np.float64]) -> None:
         self._faces, self._colours = faces, colours
@@ -66,17 +55,7 @@ class VertexPaint:
 
 
 class TexturePaint:
-    """Textures, looked up bilinearly; in smaller copies of themselves where a point stands for several texels.
-
-    Parameters
-    ----------
-    surface : TexturedSurface
-        The triangles, where they lie in the textures, and how these repeat.
-    sheets : sequence of ndarray of float32, shape (H, W, 4)
-        The textures in linear light, with opacity.
-    areas : ndarray of float64, shape (F,)
-        Areas of the triangles, in squared units of the model.
-    """
+    """Textures, looked up bilinearly; in smaller copies of themselves where a point stands for several texels."""
 
     def __init__(self, surface: TexturedSurface, sheets: Sequence[Sheet], areas: NDArray[np.float64]) -> None:
         self._surface = surface
@@ -110,17 +89,9 @@ class TexturePaint:
 
 @dataclass(frozen=True)
 class Pyramid:
-    """An image, and its copies of half the size down to a single texel.
+    """An image, and its copies of half the size down to a single texel."""
 
-    Attributes
-    ----------
-    levels : list of ndarray of float32, shape (H, W, 4)
-        In linear light with opacity; the largest first.
-    is_opaque : bool
-        Whether nothing can be looked through.
-    """
-
-    levels: list[Sheet]
+    levels: list[Sheet]  # the largest first
     is_opaque: bool
 
     @classmethod
@@ -134,25 +105,7 @@ class Pyramid:
     def look_up(
         self, uv: NDArray[np.float64], wrap: tuple[Wrap, Wrap], texels: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Interpolate, in the levels whose texels are as large as the area that each place stands for.
-
-        Parameters
-        ----------
-        uv : ndarray of float64, shape (K, 2)
-            Places, v down.
-        wrap : tuple of two of {"repeat", "mirror", "clamp"}
-            What lies beyond the image.
-        texels : ndarray of float64, shape (K,)
-            Area that each place stands for, in texels of the first level.
-
-        Returns
-        -------
-        ndarray of float64, shape (K, 4)
-
-        References
-        ----------
-        .. [1] L. Williams, "Pyramidal parametrics", SIGGRAPH 1983, doi:10.1145/800059.801126.
-        """
+        """Interpolate at places, (K, 2), v down, that stand for areas of `texels`, (K,), of the first level; (K, 4)."""
         level = np.clip(np.log2(np.maximum(texels, 1)) / 2, 0, len(self.levels) - 1)
         lower = np.floor(level).astype(int)
         part = level - lower

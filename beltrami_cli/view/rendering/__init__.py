@@ -1,1 +1,0 @@
-"""Pictures of painted surfaces, points and images, drawn by the processor alone."""

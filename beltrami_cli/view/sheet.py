@@ -1,0 +1,186 @@
+"""Several views in one picture: in rows and columns, with labels above them and enlarged details below."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from beltrami_cli.errors import ProcessingError
+from beltrami_cli.surface.colour_values import linear_to_srgb, srgb_to_linear
+from beltrami_cli.view.camera import pixels_of
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from beltrami_cli.view.camera import Window
+
+# Frames of details, distinct for the colour-blind too. M. Okabe, K. Ito, "Color universal design" (2008).
+_FRAMES = np.array([[230, 159, 0], [0, 158, 115], [86, 180, 233], [204, 121, 167], [213, 94, 0]]) / 255
+_DARK, _LIGHT = 0.1, 0.95  # greys of letters
+# Linear light above which a channel looks white, and the share of an outline that may be so white.
+_NEARLY_WHITE, _LOST = 0.85, 0.25
+_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+_FONT = "DroidSans"  # which OpenImageIO contains
+
+
+@dataclass(frozen=True)
+class Background:
+    """What is behind models: display values from 0 to 1; an opacity of 0 makes a picture with an alpha channel."""
+
+    colour: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    opacity: float = 1.0
+
+    @property
+    def ink(self) -> float:
+        """The grey of letters that is easiest to read on it."""
+        return _DARK if self.opacity == 0 or np.dot(self.colour, _LUMINANCE) > 0.4 else _LIGHT
+
+
+@dataclass(frozen=True)
+class Panel:
+    """A view with a label above it and details below it, and where in the view these are.
+
+    Pictures have the shape (H, W, 4): linear light times opacity, and opacity.
+    """
+
+    view: NDArray[np.float32]
+    label: str = ""
+    details: Sequence[NDArray[np.float32]] = ()
+    windows: Sequence[Window] = ()
+
+
+def is_lost_on_white(views: Sequence[NDArray[np.float32]]) -> bool:
+    """Return whether more than a quarter of the outlines of what is drawn could not be seen on white."""
+    from scipy.ndimage import binary_erosion
+
+    outline, white = 0, 0
+    for view in views:
+        shown = view[..., 3] > 0.5
+        drawn = view[shown & ~binary_erosion(shown, border_value=1)]
+        outline += len(drawn)
+        white += int(np.count_nonzero((drawn[:, :3] >= _NEARLY_WHITE * drawn[:, 3:]).all(axis=1)))
+    return white > _LOST * outline
+
+
+def arranged(panels: Sequence[Panel | None], columns: int, background: Background) -> NDArray[np.uint8]:
+    """Put panels of one size into rows and columns, as sRGB (H, W, 3), or with opacity (H, W, 4) on no background.
+
+    None is an empty place; the first panel must not be one.
+    """
+    present = [panel for panel in panels if panel is not None]
+    width = present[0].view.shape[1]
+    gap = _gap(width)
+    labelled = any(panel.label for panel in present)
+    pictures = [_drawn(panel, background, labelled=labelled) for panel in present]
+    blank = _blank(pictures[0].shape[0], width, background)
+    remaining = iter(pictures)
+    drawn = [blank if panel is None else next(remaining) for panel in panels]
+    rows = []
+    for first in range(0, len(drawn), columns):
+        row = drawn[first : first + columns]
+        row += [blank] * (min(columns, len(drawn)) - len(row))
+        rows.append(_joined(row, gap, background, axis=1))
+    sheet = _joined(rows, gap, background, axis=0)
+    return np.rint(255 * np.clip(sheet if background.opacity == 0 else sheet[..., :3], 0, 1)).astype(np.uint8)
+
+
+def detail_size(width: int, count: int) -> int:
+    """Return the side in pixels of details that stand below a view of a width."""
+    return int((width - (count - 1) * _gap(width)) // max(count, 2))
+
+
+def displayed(view: NDArray[np.float32], background: Background) -> NDArray[np.float64]:
+    """Return a view in front of a background as display values with opacity, (H, W, 4)."""
+    light, opacity = view[..., :3].astype(np.float64), view[..., 3:].astype(np.float64)
+    if background.opacity == 0:
+        light = np.divide(light, opacity, out=np.zeros_like(light), where=opacity > 0)
+        return np.concatenate([linear_to_srgb(np.clip(light, 0, 1)), opacity], axis=2)
+    # Partly covered pixels are mixed with the background in linear light, as the eye does.
+    behind = np.asarray(srgb_to_linear(np.array(background.colour)), np.float64)
+    mixed = linear_to_srgb(np.clip(light + (1 - opacity) * behind, 0, 1))
+    return np.concatenate([mixed, np.ones_like(opacity)], axis=2)
+
+
+def _gap(width: int) -> int:
+    return max(2, width // 80)
+
+
+def _drawn(panel: Panel, background: Background, *, labelled: bool) -> NDArray[np.float64]:
+    """Return the label, the view with frames, and the details of a panel, one below the other."""
+    view = displayed(panel.view, background)
+    height, width = view.shape[:2]
+    thickness = max(2, width // 250)
+    for number, window in enumerate(panel.windows):
+        _draw_frame(view[pixels_of(window, width, height)], thickness, number)
+    parts = [_label(panel.label, width, background)] if labelled else []
+    parts.append(view)
+    if panel.details:
+        details = [displayed(detail, background) for detail in panel.details]
+        for number, detail in enumerate(details):
+            _draw_frame(detail, thickness, number)
+        row = _joined(details, _gap(width), background, axis=1)
+        rest = width - row.shape[1]
+        sides = [_blank(len(row), part, background) for part in (rest // 2, rest - rest // 2)]
+        parts += [_blank(_gap(width), width, background), np.concatenate([sides[0], row, sides[1]], axis=1)]
+    return np.concatenate(parts)
+
+
+def _label(text: str, width: int, background: Background) -> NDArray[np.float64]:
+    letters = max(11, round(min(width, 900) / 26))
+    strip = _blank(round(1.8 * letters), width, background)
+    if not text:
+        return strip
+    cover = _lettering(text, (width, len(strip)), letters)[..., None]
+    return strip * (1 - cover) + np.array([background.ink] * 3 + [1.0]) * cover
+
+
+def _lettering(text: str, size: tuple[int, int], height: int) -> NDArray[np.float32]:
+    """Return how much of each pixel of a strip a line of text in its middle covers, 0 to 1.
+
+    A text that is too long loses its beginning: names of files differ at their end.
+    """
+    import OpenImageIO
+
+    words, start = text, 0
+    box = _text_box(words, height)
+    while box.width > 0.96 * size[0] and start < len(text):
+        start += 1
+        words = "..." + text[start:]
+        box = _text_box(words, height)
+    strip = OpenImageIO.ImageBuf(OpenImageIO.ImageSpec(*size, 1, "float"))
+    x = (size[0] - box.width) // 2 - box.xbegin
+    y = round(size[1] / 2 + 0.36 * height)  # the base line; small letters and capitals look centred
+    if not OpenImageIO.ImageBufAlgo.render_text(strip, x, y, words, height, _FONT, (1.0,)):
+        raise ProcessingError(f"labels cannot be drawn ({strip.geterror()}); use --no-labels")
+    return np.clip(np.asarray(strip.get_pixels(OpenImageIO.FLOAT), np.float32)[..., 0], 0, 1)
+
+
+def _text_box(text: str, height: int) -> Any:
+    import OpenImageIO
+
+    return OpenImageIO.ImageBufAlgo.text_size(text, height, _FONT)
+
+
+def _blank(height: int, width: int, background: Background) -> NDArray[np.float64]:
+    return np.tile(np.array([*background.colour, background.opacity]), (height, width, 1))
+
+
+def _joined(
+    parts: Sequence[NDArray[np.float64]], gap: int, background: Background, axis: int
+) -> NDArray[np.float64]:
+    """Put parts next to each other, with gaps between them."""
+    height, width = parts[0].shape[:2]
+    between = _blank(gap, width, background) if axis == 0 else _blank(height, gap, background)
+    pieces = [piece for part in parts for piece in (between, part)]
+    return np.concatenate(pieces[1:], axis=axis)
+
+
+def _draw_frame(picture: NDArray[np.float64], thickness: int, number: int) -> None:
+    """Draw the border of a picture inside it, in place."""
+    inner = picture[thickness:-thickness, thickness:-thickness].copy()
+    picture[..., :3], picture[..., 3] = _FRAMES[number % len(_FRAMES)], 1
+    picture[thickness:-thickness, thickness:-thickness] = inner
