@@ -181,6 +181,28 @@ def unused(path: str, taken: set[str]) -> str:
     return path
 
 
+def reserve(path: str, taken: set[str]) -> str:
+    """Return a path as `unused` does, and add it to the taken ones."""
+    new = unused(path, taken)
+    taken.add(new.casefold())
+    return new
+
+
+def name_of_new_image(
+    path: str, suffix: str, models: tuple[str, str], taken: set[str], *, keeps: bool
+) -> str:
+    """Return, and reserve, the path of an image that replaces another: the old one's, if that may be kept.
+
+    Otherwise it is named after the new one of two models, which are given by their stems.
+    """
+    inside = path_inside(path)
+    new = with_suffix(inside if keeps else renamed(inside, *models), suffix)
+    if keeps and new == path:
+        taken.add(new.casefold())
+        return new
+    return reserve(new, taken)
+
+
 def new_reference(name: str, path: str, new: str) -> bytes:
     """Return how a file names another after its move from `path` to `new`: with the folder as it wrote it in `name`.
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -18,6 +18,12 @@ Spans = dict[tuple[int, int], bytes]
 
 _SOLID = bytes(character not in b" \t\n\v\f\r" for character in range(256))
 _BLOCK = 1 << 16  # tokens exchanged at a time, which bounds the memory that the pieces take
+
+
+def blocks(count: int, size: int) -> Iterator[slice]:
+    """Split the numbers from 0 to `count` into slices of `size`, the last one shorter."""
+    for first in range(0, count, size):
+        yield slice(first, min(first + size, count))
 
 
 def find_tokens(text: bytes) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -74,8 +80,7 @@ def exchange_tokens(
     whole = memoryview(text)
     pieces: list[bytes | memoryview] = []
     done = 0
-    for first in range(0, len(starts), _BLOCK):
-        block = slice(first, min(first + _BLOCK, len(starts)))
+    for block in blocks(len(starts), _BLOCK):
         begins, stops = starts[block].tolist(), ends[block].tolist()
         kept = [text[a:b] for a, b in zip([done, *stops[:-1]], begins, strict=True)]
         pieces.append(b"".join(chain.from_iterable(zip(kept, spell(block), strict=True))))
@@ -91,6 +96,14 @@ def exchange_spans(data: bytes, spans: Spans) -> bytes:
         pieces += [data[done:start], new]
         done = end
     return b"".join([*pieces, data[done:]]) if spans else data
+
+
+def shifted(places: NDArray[np.int64], spans: Spans) -> NDArray[np.int64]:
+    """Return where places outside the spans are after these were exchanged."""
+    ordered = sorted(spans.items())
+    growth = np.cumsum([0, *(len(new) - (end - start) for (start, end), new in ordered)])
+    moved: NDArray[np.int64] = places + growth[np.searchsorted([start for (start, _), _ in ordered], places)]
+    return moved
 
 
 def zeroed(data: bytes, starts: NDArray[np.int64], size: int) -> bytes:

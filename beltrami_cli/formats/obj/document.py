@@ -12,19 +12,15 @@ import numpy as np
 from beltrami_cli.errors import InputError, UnpaintedError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.colours import full_scale
-from beltrami_cli.formats.document import NO_IMAGES, Document, Written
+from beltrami_cli.formats.document import NO_IMAGES, PLACEHOLDER, Document, Fingerprint, NamedImage, Written
 from beltrami_cli.formats.model_folder import ModelFolder
-from beltrami_cli.formats.obj.anatomy import take_apart
 from beltrami_cli.formats.obj.materials import Materials
-from beltrami_cli.formats.obj.normals import read_normals
-from beltrami_cli.formats.obj.polygons import among
-from beltrami_cli.formats.obj.polypaint import repainted_entries
-from beltrami_cli.formats.obj.renumbering import new_colours, new_positions, renumbered
-from beltrami_cli.formats.obj.repainting import repainted, shifted
-from beltrami_cli.formats.obj.scanning import Scan, scan_file
+from beltrami_cli.formats.obj.patching import new_colours, new_positions, renumbered, repainted
+from beltrami_cli.formats.obj.scan import Scan, among, read_normals, scan_file
 from beltrami_cli.formats.obj.statements import Statements
 from beltrami_cli.formats.obj.texturing import gather_textured, read_coordinates
-from beltrami_cli.formats.tokens import Spans, exchange_spans
+from beltrami_cli.formats.obj.vertices import repainted_entries
+from beltrami_cli.formats.tokens import Spans, exchange_spans, exchange_tokens, shifted, zeroed
 from beltrami_cli.surface.polygons import triangulate
 from beltrami_cli.surface.records import MeshContents, MovedVertices, PaintedVertices
 
@@ -33,29 +29,19 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from beltrami_cli.formats.document import Bytes, Fingerprint
+    from beltrami_cli.formats.document import Bytes
+    from beltrami_cli.formats.obj.materials import Library
     from beltrami_cli.formats.obj.texturing import Coordinates
     from beltrami_cli.surface.records import ImageFile, Slot, TexturedSurface
 
 _CHANNELS = ("red", "green", "blue")
 _STALE = "The vertices moved, but the normals ('vn') are as they were; make them anew, or leave them out."
 _SLOTS: tuple[Slot, ...] = ("baseColor", "emissive", "normal")
+_BYTES_OF_POLYPAINT = 6  # behind two digits of the mask
 
 
 class ObjDocument(Document):
-    """A Wavefront OBJ file with colours behind the positions of its vertices.
-
-    Parameters
-    ----------
-    data : bytes
-        The file.
-    name : str
-        Its name for messages.
-    folder : pathlib.Path or None
-        Where it lies, for the files that its materials name.
-    access : Access
-        What may be read.
-    """
+    """A Wavefront OBJ file with colours behind the positions of its vertices."""
 
     format: ClassVar[str] = "obj"
 
@@ -66,7 +52,7 @@ class ObjDocument(Document):
         if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
             raise InputError(name, "it is text in UTF-16", "save it as UTF-8")
         self._data = data
-        self._beside = ModelFolder(folder, access)
+        self._folder = ModelFolder(folder, access)
         self._textured: dict[Slot, TexturedSurface] = {}
 
     def painted(self) -> PaintedVertices:
@@ -92,7 +78,7 @@ class ObjDocument(Document):
         return "text" if self._scan.polypaint is None else "uint8"
 
     def has_vertex_colours(self) -> bool:
-        """Tell whether any vertex has a colour."""
+        """Return whether any vertex has a colour."""
         return bool(self._scan.vertices.coloured.size)
 
     def slots(self) -> tuple[Slot, ...]:
@@ -105,7 +91,7 @@ class ObjDocument(Document):
             vertices = self._scan.vertices
             mesh = vertices.positions, self._scan.corners, self._scan.offsets
             surface, notices = gather_textured(
-                mesh, self._coordinates, self._materials, self._beside, slot, self.name
+                mesh, self._coordinates, self._materials, self._folder, slot, self.name
             )
             self._textured[slot] = surface
             self.notices += notices
@@ -147,7 +133,7 @@ class ObjDocument(Document):
         """Check nothing: any number can be exchanged in a text."""
 
     def has_normals_by_vertex(self) -> bool:
-        """Tell that normals are not of vertices, but of the corners of polygons."""
+        """Return False: normals are not of vertices, but of the corners of polygons."""
         return False
 
     def attributes(self) -> tuple[str, ...]:
@@ -176,9 +162,7 @@ class ObjDocument(Document):
         vertices = self._scan.vertices
         corners, offsets = self._polygons
         alpha = vertices.alpha
-        if (
-            alpha is not None and alpha.max() > 1
-        ):  # ModelFolder colours of 0..255 opacity may still be of 0..1.
+        if alpha is not None and alpha.max() > 1:  # Beside colours of 0..255 opacity may still be of 0..1.
             alpha = alpha / self._scale
         return MeshContents(
             positions=vertices.positions[vertices.coloured],
@@ -193,7 +177,7 @@ class ObjDocument(Document):
 
     def fingerprint(self) -> Fingerprint:
         """Take the file and its libraries apart; see `Document.fingerprint`."""
-        return take_apart(
+        return _take_apart(
             self._data, self._scan, self._colours if self.has_vertex_colours() else None, self._materials
         )
 
@@ -238,7 +222,7 @@ class ObjDocument(Document):
 
     @cached_property
     def _materials(self) -> Materials:
-        materials = Materials(self._beside, self._scan.libraries)
+        materials = Materials(self._folder, self._scan.libraries)
         self.notices += materials.notices
         return materials
 
@@ -251,3 +235,34 @@ class ObjDocument(Document):
         if self._scan.libraries:
             cause += ", only materials"
         return UnpaintedError(self.name, cause, "export the mesh with vertex colours (v x y z r g b)")
+
+
+def _take_apart(
+    data: bytes, scan: Scan, colours: NDArray[np.float32] | None, materials: Materials
+) -> Fingerprint:
+    """Take an OBJ file apart: its text, that of each library, and the images that these name; colours if it has any."""
+    if scan.polypaint is not None:
+        data = zeroed(data, scan.polypaint.starts + 2, _BYTES_OF_POLYPAINT)
+    mentions: Spans = {(a, b): PLACEHOLDER for library in materials.libraries for _, a, b in library.mentions}
+    text = exchange_spans(data, mentions)
+    if colours is not None and scan.polypaint is None:
+        starts, ends = (
+            np.sort(shifted(tokens[:, 3:].ravel(), mentions))
+            for tokens in (scan.vertices.token_starts, scan.vertices.token_ends)
+        )
+        pieces = exchange_tokens(text, starts, ends, lambda block: [PLACEHOLDER] * (block.stop - block.start))
+        text = b"".join(pieces)
+    parts, paintings = {"statements": text}, {}
+    for number, library in enumerate(materials.libraries):
+        parts[f"material library {number + 1}"] = _without_names(library)
+        for index, (found, path) in enumerate(library.maps):
+            if path is not None:
+                label = f"material {found.material!r}, {found.keyword} ({number + 1}.{index + 1})"
+                paintings[label] = NamedImage(found.name, materials.read(path))
+    return Fingerprint(parts, {} if colours is None else {"vertex colours": colours}, paintings)
+
+
+def _without_names(library: Library) -> bytes:
+    """Return a library with a placeholder for the names of the images that are there."""
+    spans: Spans = {(found.start, found.end): PLACEHOLDER for found, path in library.maps if path is not None}
+    return exchange_spans(library.data, spans)

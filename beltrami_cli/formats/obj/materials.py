@@ -1,4 +1,9 @@
-"""The materials of an OBJ file, from all its libraries, and the files that they need."""
+"""The materials of an OBJ file: its libraries (MTL), their texture maps, and the files that these name.
+
+References
+----------
+.. [1] Wavefront Technologies, "Advanced Visualizer manual, appendix B2: MTL material format".
+"""
 
 from __future__ import annotations
 
@@ -16,68 +21,114 @@ from beltrami_cli.formats.model_folder import (
     UnfitReferenceError,
     is_outside,
 )
-from beltrami_cli.formats.obj.libraries import SLOTS, Map, read_maps
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from beltrami_cli.surface.records import Slot
 
-_LARGEST = 1 << 24  # bytes of a material file that are read
-_MOST_NOTICES = 20
+SLOTS: dict[str, Slot] = {
+    "map_kd": "baseColor",
+    "map_ke": "emissive",
+    "norm": "normal",
+    "map_bump": "normal",
+    "bump": "normal",
+}
+"""What is painted by the maps of a keyword; the first keyword that a material has is the one that counts."""
+
+# Possessive (++), so that lines of a million blanks or digits are not tried again from each of them.
+_STATEMENT = re.compile(
+    rb"^[ \t]*+(newmtl|(?!map_aat\b)map_\w+|bump|disp|decal|refl|norm)[ \t]++([^\r\n]*[^\s])",
+    re.IGNORECASE | re.MULTILINE,
+)
+_NUMBERS = rb"(?:[ \t]++[-+]?(?:\d++\.?\d*+|\.\d++)(?:e[-+]?\d++)?(?=[ \t])){1,3}"
+_OPTION = re.compile(
+    rb"-(?:([ost])(" + _NUMBERS + rb")|mm(?:[ \t]+\S+){2}|(\w+)[ \t]+(\S+))[ \t]+", re.IGNORECASE
+)
 _END_OF_NAME = re.compile(r"\.mtl(?=\s|$)", re.IGNORECASE)
 _WORD = re.compile(r"\S+")
+
+_LARGEST = 1 << 24  # bytes of a material file that are read
+_MOST_NOTICES = 20
+
+
+@dataclass(frozen=True)
+class Map:
+    """A texture map of a material."""
+
+    material: str
+    keyword: str  # "map_kd" and so on, in lower case
+    name: str  # of the file, as the library spells it
+    start: int  # where the name stands in the library
+    end: int
+    scale: tuple[float, float] = (1.0, 1.0)  # texture coordinates (v up) are multiplied by this
+    offset: tuple[float, float] = (0.0, 0.0)  # and this is added
+    clamped: bool = False  # whether the image is not repeated
+
+
+def read_maps(text: bytes) -> tuple[list[str], list[Map]]:
+    """Return the names of the materials of a library, and all its maps, in file order."""
+    materials: list[str] = []
+    maps = []
+    for match in _STATEMENT.finditer(text):
+        keyword = match[1].lower().decode("ascii")
+        if keyword == "newmtl":
+            materials.append(os.fsdecode(match[2]))
+        else:
+            maps.append(_read_map(materials[-1] if materials else "", keyword, match[2], match.start(2)))
+    return materials, maps
+
+
+def _read_map(material: str, keyword: str, rest: bytes, start: int) -> Map:
+    """Read options up to the file name, which may hold blanks and stand in quotes."""
+    scale, offset, clamped = (1.0, 1.0), (0.0, 0.0), False
+    at = 0
+    while option := _OPTION.match(rest, at):
+        at = option.end()
+        numbers = option[1].lower() if option[1] else b""  # none, if what follows is no number
+        if numbers == b"s":
+            scale = _pair(option[2], 1.0)
+        elif numbers == b"o":
+            offset = _pair(option[2], 0.0)
+        elif option[3] and option[3].lower() == b"clamp":
+            clamped = option[4].lower() == b"on"
+    name = rest[at:]
+    if len(name) > 2 and name[:1] == name[-1:] == b'"':
+        name, at = name[1:-1], at + 1
+    begin = start + at
+    return Map(material, keyword, os.fsdecode(name), begin, begin + len(name), scale, offset, clamped)
+
+
+def _pair(numbers: bytes, default: float) -> tuple[float, float]:
+    values = [*(float(number) for number in numbers.split()), default]
+    return values[0], values[1]
 
 
 @dataclass(frozen=True)
 class Library:
-    """A material file.
+    """A material file."""
 
-    Attributes
-    ----------
-    path : str
-        Relative to the folder of the model.
-    data : bytes
-        Its content.
-    materials : frozenset of str
-        Names of its materials.
-    maps : tuple of (Map, str or None)
-        Its maps in file order, each with the path of its file if that can be used.
-    mentions : tuple of (str, int, int)
-        Its name in the OBJ file wherever that is, and from where to where it stands there.
-    """
-
-    path: str
+    path: str  # relative to the folder of the model
     data: bytes
-    materials: frozenset[str]
-    maps: tuple[tuple[Map, str | None], ...]
-    mentions: tuple[tuple[str, int, int], ...]
+    materials: frozenset[str]  # their names
+    maps: tuple[
+        tuple[Map, str | None], ...
+    ]  # in file order, each with the path of its file if that can be used
+    mentions: tuple[
+        tuple[str, int, int], ...
+    ]  # its name in the OBJ file, and from where to where it stands there
 
 
 class Materials:
     """Existing files that an OBJ file names, directly or through its materials.
 
-    Parameters
-    ----------
-    beside : ModelFolder
-        The folder in which the OBJ file lies.
-    statements : sequence of (bytes, int)
-        What stands behind its `mtllib` keywords, and where in the file.
-
-    Attributes
-    ----------
-    paths : list of str
-        Regular files inside the folder, relative to it, "/" separates.
-    libraries : list of Library
-        In the order in which they are named first.
-    notices : list of str
-        One sentence for each file that is missing or lies elsewhere, and so is left alone.
+    `statements` are what stands behind its `mtllib` keywords, each with where it stands in the file.
     """
 
-    def __init__(self, beside: ModelFolder, statements: Sequence[tuple[bytes, int]]) -> None:
-        self.paths: list[str] = []
-        self.notices: list[str] = []
-        self._beside = beside
+    def __init__(self, folder: ModelFolder, statements: Sequence[tuple[bytes, int]]) -> None:
+        self.paths: list[str] = []  # of regular files inside the folder, relative to it, "/" separates
+        self.notices: list[str] = []  # one sentence for each file that is missing or lies elsewhere
+        self._folder = folder
         self._reasons: dict[str, str] = {}
         self._listed: set[str] = set()
         mentions: dict[str, list[tuple[str, int, int]]] = {}
@@ -104,7 +155,7 @@ class Materials:
     def read(self, path: str) -> bytes:
         """Return the content of a file that was found; InputError if it has become unreadable."""
         try:
-            return self._beside.read(path)
+            return self._folder.read(path)
         except OSError as error:
             raise InputError(path, f"cannot be read ({error.strerror})") from error
 
@@ -117,7 +168,7 @@ class Materials:
         return sum(used == path for library in self.libraries for _, used in library.maps)
 
     def affected(self, slot: Slot, path: str) -> Iterator[tuple[Library, Map]]:
-        """Give all maps by which an image is seen in a slot.
+        """Yield all maps by which an image is seen in a slot.
 
         With the base colour go maps of the same material to the same file for ambient light and opacity: they
         show the same paint, and its alpha does not change.
@@ -139,11 +190,11 @@ class Materials:
                     self._shown[found.material, slot] = found, path
 
     def _names(self, text: bytes, start: int) -> Iterator[tuple[str, int]]:
-        """Split the names of several libraries, which may hold blanks; give each with its place."""
+        """Split the names of several libraries, which may hold blanks; yield each with its place."""
         whole = os.fsdecode(text)
         if len(whole) > 2 and whole[0] == whole[-1] == '"':
             whole, start = whole[1:-1], start + 1
-        if self._beside.find(whole) is not None:
+        if self._folder.find(whole) is not None:
             yield whole, start
             return
         done = 0
@@ -154,7 +205,7 @@ class Materials:
 
     def _read(self, path: str, mentions: list[tuple[str, int, int]]) -> Library:
         try:
-            data = self._beside.read(path, _LARGEST + 1)
+            data = self._folder.read(path, _LARGEST + 1)
         except OSError as error:
             self.notices.append(f"'{path}' cannot be read ({error.strerror}){LEFT_ALONE}")
             data = b""
@@ -169,19 +220,19 @@ class Materials:
     def _found(self, name: str, within: PurePosixPath) -> str | None:
         """Return the path of a file, adding it once, or None with a notice if it is not there."""
         try:
-            path = self._beside.locate(name, within)
+            path = self._folder.locate(name, within)
         except UnfitReferenceError as error:
-            self._tell(name, str(error), LEFT_ALONE)
+            self._notice(name, str(error), LEFT_ALONE)
             return None
         if is_outside(path):
-            self._tell(name, LEFT_OUTSIDE)
+            self._notice(name, LEFT_OUTSIDE)
         elif path not in self._listed:
             self._listed.add(path)
             self.paths.append(path)
         return path
 
-    def _tell(self, name: str, reason: str, behind: str = "") -> None:
-        """Give notice of a file, once; of a million files, of the first few."""
+    def _notice(self, name: str, reason: str, behind: str = "") -> None:
+        """Add a notice about a file, once; of a million files, about the first few."""
         if name in self._reasons:
             return
         self._reasons[name] = reason
@@ -192,7 +243,7 @@ class Materials:
 
 
 def _split(names: str) -> Iterator[tuple[int, int]]:
-    """Give where each of several names of libraries stands: up to .mtl or, behind the last of these, each word."""
+    """Yield where each of several names of libraries stands: up to .mtl or, behind the last of these, each word."""
     at = 0
     for match in _END_OF_NAME.finditer(names):
         begin = at + len(names[at : match.end()]) - len(names[at : match.end()].lstrip())

@@ -13,12 +13,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.tokens import find_tokens, read_numbers
+from beltrami_cli.formats.tokens import blocks, find_tokens, read_numbers
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from numpy.typing import NDArray
+
+_INDICES = {b"v": (0, "vertex"), b"vt": (1, "texture coordinates"), b"vn": (2, "normal")}
+"""How many "/" stand before the index of each kind in a corner, and what it refers to."""
 
 _DIGITS = 18  # of an index, no more than an int64 can hold
 _LINE_END = re.compile(rb"[\r\n]")
@@ -29,19 +30,7 @@ _BLOCK = 1 << 18  # indices read at a time, which bounds the memory for their di
 class Statements:
     """The lines of a file that say something, as ranges of tokens.
 
-    Parameters
-    ----------
-    data : bytes
-        The file.
-    name : str
-        Its name for messages.
-
-    Attributes
-    ----------
-    starts, ends : ndarray of int64, shape (T,)
-        Token t is ``data[starts[t]:ends[t]]``.
-    heads, stops : ndarray of int64, shape (S,)
-        Statement s has the keyword `heads[s]` and the tokens up to `stops[s]`.
+    Token t is ``data[starts[t]:ends[t]]``. Statement s has the keyword `heads[s]` and the tokens up to `stops[s]`.
     """
 
     def __init__(self, data: bytes, name: str) -> None:
@@ -65,20 +54,7 @@ class Statements:
         return chosen
 
     def arguments(self, chosen: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return the tokens behind the keywords of statements, and where each statement's begin therein.
-
-        Parameters
-        ----------
-        chosen : ndarray of int64, shape (N,)
-            Statements.
-
-        Returns
-        -------
-        tokens : ndarray of int64, shape (K,)
-            Their arguments one after the other.
-        offsets : ndarray of int64, shape (N + 1,)
-            Statement n has ``tokens[offsets[n]:offsets[n + 1]]``.
-        """
+        """Return the K tokens behind the keywords of N statements, and the N + 1 offsets of each statement's."""
         firsts = self.heads[chosen] + 1
         sizes = self.stops[chosen] - firsts
         offsets = np.zeros(len(chosen) + 1, np.int64)
@@ -101,26 +77,48 @@ class Statements:
             raise self.error(tokens[len(values)], "is no number")
         return values
 
-    def indices(self, tokens: NDArray[np.int64]) -> NDArray[np.int64]:
+    def finite_numbers(self, tokens: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Read tokens as `numbers` does; InputError if one is not finite."""
+        values = self.numbers(tokens)
+        finite = np.isfinite(values)
+        if not finite.all():
+            raise self.error(tokens[int(np.argmin(finite))], "is not a finite number")
+        return values
+
+    def corners(self, keyword: bytes) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+        """Return what the K corners of all polygons refer to among the statements of a keyword: `v`, `vt` or `vn`.
+
+        These are rows from 0, -1 where a corner has no index; with the tokens of the corners, and the P + 1 offsets of
+        polygons. Indices count from 1, negative ones back from the last such statement before the polygon.
+        """
+        targets, polygons = self.select(keyword), self.select(b"f")
+        tokens, offsets = self.arguments(polygons)
+        place, what = _INDICES[keyword]
+        index = self._indices_behind(tokens, place) if place else self._first_indices(tokens)
+        before = np.repeat(np.searchsorted(targets, polygons), np.diff(offsets))
+        rows = np.where(index < 0, before + index, index - 1)
+        outside = (rows < 0) | (rows >= len(targets))
+        if place:
+            outside &= index != 0
+        if outside.any():
+            cause = f"refers to no {what}, of which there are {len(targets)}"
+            raise self.error(tokens[int(np.argmax(outside))], cause)
+        return np.where(index == 0, -1, rows), tokens, offsets
+
+    def _first_indices(self, tokens: NDArray[np.int64]) -> NDArray[np.int64]:
         """Read the whole numbers that tokens have before their first "/"; InputError if one has none."""
         values = np.empty(len(tokens), np.int64)
-        for block in _blocks(len(tokens)):
+        for block in blocks(len(tokens), _BLOCK):
             values[block], _ = self._whole(tokens[block], self.starts[tokens[block]], "is no vertex index")
         return values
 
-    def second_indices(self, tokens: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Read the whole numbers that tokens have behind their first "/"; 0 where there is none."""
-        return self._indices_behind(tokens, 1, "texture coordinates")
-
-    def third_indices(self, tokens: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Read the whole numbers that tokens have behind their second "/"; 0 where there is none."""
-        return self._indices_behind(tokens, 2, "a normal")
-
-    def _indices_behind(self, tokens: NDArray[np.int64], slash: int, of: str) -> NDArray[np.int64]:
+    def _indices_behind(self, tokens: NDArray[np.int64], slash: int) -> NDArray[np.int64]:
+        """Read the whole numbers that tokens have behind their first or second "/"; 0 where there is none."""
+        of = "texture coordinates" if slash == 1 else "a normal"
         values = np.zeros(len(tokens), np.int64)
         ends = np.full(slash, len(self._characters))
         slashes = np.append(np.flatnonzero(self._characters == ord("/")), ends)
-        for block in _blocks(len(tokens)):
+        for block in blocks(len(tokens), _BLOCK):
             chosen = tokens[block]
             begins = slashes[np.searchsorted(slashes[:-slash], self.starts[chosen]) + slash - 1] + 1
             given = begins < self.ends[chosen]
@@ -173,11 +171,6 @@ class Statements:
         """Return the number of the line that a token stands on, from 1."""
         before = self._data[: int(self.starts[token])]
         return max(before.count(b"\n"), before.count(b"\r")) + 1
-
-
-def _blocks(count: int) -> Iterator[slice]:
-    for first in range(0, count, _BLOCK):
-        yield slice(first, min(first + _BLOCK, count))
 
 
 def _plain(data: bytes) -> bytes:

@@ -24,61 +24,32 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Coordinates:
-    """What an OBJ file says about textures, polygon by polygon.
+    """What an OBJ file says about textures, polygon by polygon."""
 
-    Attributes
-    ----------
-    values : ndarray of float64, shape (N, 2)
-        The `vt` statements: u to the right, v up.
-    corners : ndarray of int64, shape (K,)
-        Row of `values` of every corner, -1 where it has none.
-    names : list of str
-        Materials.
-    material_of : ndarray of int64, shape (P,)
-        Index into `names` for every polygon, -1 where it has none.
-    """
-
-    values: NDArray[np.float64]
-    corners: NDArray[np.int64]
-    names: list[str]
-    material_of: NDArray[np.int64]
+    values: NDArray[np.float64]  # (N, 2), the `vt` statements: u to the right, v up
+    corners: NDArray[np.int64]  # (K,) row of `values` of every corner, -1 where it has none
+    names: list[str]  # of materials
+    material_of: NDArray[np.int64]  # (P,) index into `names` of every polygon, -1 where it has none
 
 
 def read_coordinates(statements: Statements, materials: Materials) -> Coordinates:
-    """Read texture coordinates and the materials of polygons.
-
-    Raises
-    ------
-    InputError
-        If an index is none or out of range, or a coordinate is not a finite number, with the line.
-    """
-    given, polygons = statements.select(b"vt"), statements.select(b"f")
+    """Read texture coordinates and the materials of polygons."""
+    given = statements.select(b"vt")
     tokens, offsets = statements.arguments(given)
-    numbers = np.append(statements.numbers(tokens), 0.0)
+    numbers = np.append(statements.finite_numbers(tokens), 0.0)
     sizes = np.diff(offsets)
     if (sizes == 0).any():
         bad = given[int(np.argmin(sizes))]
         raise statements.error(statements.heads[bad], "has no numbers behind it")
-    if not np.isfinite(numbers).all():
-        raise statements.error(tokens[int(np.argmin(np.isfinite(numbers)))], "is not a finite number")
     values = np.column_stack([numbers[offsets[:-1]], numbers[np.where(sizes > 1, offsets[:-1] + 1, -1)]])
-    corner_tokens, corner_offsets = statements.arguments(polygons)
-    before = np.repeat(np.searchsorted(given, polygons), np.diff(corner_offsets))
-    index = statements.second_indices(corner_tokens)
-    corners = np.where(index < 0, before + index, index - 1)
-    outside = (index != 0) & ((corners < 0) | (corners >= len(given)))
-    if outside.any():
-        cause = f"refers to no texture coordinates, of which there are {len(given)}"
-        raise statements.error(corner_tokens[int(np.argmax(outside))], cause)
-    names, material_of = _materials_of(statements, polygons, materials)
-    return Coordinates(values, np.where(index == 0, -1, corners), names, material_of)
+    corners, _, _ = statements.corners(b"vt")
+    names, material_of = _materials_of(statements, materials)
+    return Coordinates(values, corners, names, material_of)
 
 
-def _materials_of(
-    statements: Statements, polygons: NDArray[np.int64], materials: Materials
-) -> tuple[list[str], NDArray[np.int64]]:
+def _materials_of(statements: Statements, materials: Materials) -> tuple[list[str], NDArray[np.int64]]:
     """Return all names behind `usemtl`, and which of them holds for each polygon."""
-    switches = statements.select(b"usemtl")
+    switches, polygons = statements.select(b"usemtl"), statements.select(b"f")
     texts = [statements.rest(switch)[0] for switch in switches]
     known = {os.fsencode(name) for library in materials.libraries for name in library.materials}
     # Names may hold a "#", and a comment may follow them.
@@ -103,40 +74,16 @@ def gather_textured(
     mesh: tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.int64]],
     coordinates: Coordinates,
     materials: Materials,
-    beside: ModelFolder,
+    folder: ModelFolder,
     slot: Slot,
     name: str,
 ) -> tuple[TexturedSurface, list[str]]:
-    """Gather all triangles, and the images that one slot of their materials shows.
+    """Gather all triangles, the images that one slot of their materials shows, and notices.
 
-    Parameters
-    ----------
-    mesh : tuple of ndarray
-        Positions of all vertices, shape (V, 3), and corners and offsets of all polygons as for `triangulate`.
-    coordinates : Coordinates
-        From the same file.
-    materials : Materials
-        Its materials.
-    beside : ModelFolder
-        Where its files lie.
-    slot : Slot
-        Which maps of the materials.
-    name : str
-        The file's name for messages.
-
-    Returns
-    -------
-    surface : TexturedSurface
-    notices : list of str
-        What the user should be told.
-
-    Raises
-    ------
-    InputError
-        If no polygon shows a texture in this slot.
+    `mesh` are the positions of all vertices, (V, 3), and the corners and offsets of polygons as for `triangulate`.
     """
     positions, corners, offsets = mesh
-    palette = _Palette(materials, beside, slot, len(coordinates.names))
+    palette = _Palette(materials, folder, slot, len(coordinates.names))
     for material in np.unique(coordinates.material_of).tolist():
         palette.take(material, coordinates.names[material] if material >= 0 else "")
     cut, polygon = triangulate_corners(positions, corners, offsets)
@@ -161,8 +108,8 @@ def gather_textured(
 class _Palette:
     """The images of one slot by material; arrays are indexed by material, -1 being the last row."""
 
-    def __init__(self, materials: Materials, beside: ModelFolder, slot: Slot, count: int) -> None:
-        self._materials, self._beside, self.slot = materials, beside, slot
+    def __init__(self, materials: Materials, folder: ModelFolder, slot: Slot, count: int) -> None:
+        self._materials, self._folder, self.slot = materials, folder, slot
         self._painted: dict[str, _Painted] = {}
         self._missing: dict[str, list[str]] = {}
         self.texture_of = np.full(count + 1, -1, np.int64)
@@ -186,7 +133,7 @@ class _Palette:
     def _loaded(self, path: str) -> bool:
         if path not in self._painted:
             try:
-                data = self._beside.read(path)
+                data = self._folder.read(path)
             except OSError:
                 return False
             self._painted[path] = _Painted(len(self._painted), data)

@@ -1,8 +1,17 @@
-"""The `v` statements of an OBJ file: positions, and the colours that the text custom adds to them."""
+"""The vertices of an OBJ file: positions, and the colours that are common behind them or come from ZBrush.
+
+Numbers of a `v` line: six are x y z r g b, and eight x y z w r g b a. Seven are x y z r g b a, unless all such lines
+of the file have 1 as the fourth number and not all of them 1 as the seventh: then they are x y z w r g b. With three
+to five numbers a vertex has no colour.
+
+ZBrush's polypaint stands in comments, as MMRRGGBB in hexadecimal digits. MM is a mask, which is kept. Lines start with
+``#MRGB`` and hold up to 64 entries, in the order of the `v` lines.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import re
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,57 +26,32 @@ if TYPE_CHECKING:
 _SIZES = (3, 4, 5, 6, 7, 8)
 _PLAIN, _ALPHA_OR_WEIGHT, _BOTH = 6, 7, 8  # numbers of a vertex with colours
 
+MARK = b"#MRGB"
+_LINE = re.compile(rb"^[ \t]*#MRGB[ \t]+(\S*)", re.MULTILINE)
+_DIGITS = 8  # of an entry of polypaint
+_UPPER, _LOWER = (np.frombuffer(digits, np.uint8) for digits in (b"0123456789ABCDEF", b"0123456789abcdef"))
+# By ASCII code, the value of a hexadecimal digit, 255 for anything else.
+_VALUES = np.full(256, 255, np.uint8)
+_VALUES[_UPPER] = _VALUES[_LOWER] = np.arange(16)
+
 
 @dataclass(frozen=True)
 class Vertices:
-    """The vertices of a file.
+    """The vertices of a file."""
 
-    Attributes
-    ----------
-    positions : ndarray of float64, shape (N, 3)
-        All vertices.
-    coloured : ndarray of int64, shape (V,)
-        Which of them have colours, in file order.
-    colours : ndarray of float64, shape (V, 3)
-        The numbers in the file.
-    alpha : ndarray of float64, shape (V,), or None
-        The numbers in the file, if all coloured vertices have one.
-    token_starts, token_ends : ndarray of int64, shape (V, 6)
-        Where the positions and the colours of coloured vertices stand in the file.
-    notice : str
-        How numbers were understood that can mean two things, or empty.
-    """
-
-    positions: NDArray[np.float64]
-    coloured: NDArray[np.int64]
-    colours: NDArray[np.float64]
-    alpha: NDArray[np.float64] | None
-    token_starts: NDArray[np.int64]
+    positions: NDArray[np.float64]  # (N, 3) of all vertices
+    coloured: NDArray[np.int64]  # (V,) which of them have colours, in file order
+    colours: NDArray[np.float64]  # (V, 3) the numbers in the file
+    alpha: NDArray[np.float64] | None  # (V,) the numbers in the file, if all coloured vertices have one
+    token_starts: NDArray[
+        np.int64
+    ]  # (V, 6) where positions and colours of coloured vertices stand in the file
     token_ends: NDArray[np.int64]
-    notice: str
+    notice: str  # how numbers were understood that can mean two things, or empty
 
 
 def read_vertices(statements: Statements, name: str) -> Vertices:
-    """Read all vertices.
-
-    Parameters
-    ----------
-    statements : Statements
-        The file.
-    name : str
-        Its name for messages.
-
-    Raises
-    ------
-    InputError
-        If there are none, or one is not made of 3 to 8 finite numbers, with the line.
-
-    Notes
-    -----
-    Six numbers are x y z r g b and eight x y z w r g b a. Seven are x y z r g b a, unless all such vertices
-    of the file have 1 as the fourth and not all of them 1 as the seventh: then they are x y z w r g b.
-    With three to five numbers a vertex has no colour.
-    """
+    """Read all vertices; InputError names the line of one that is not made of 3 to 8 finite numbers."""
     chosen = statements.select(b"v")
     if not chosen.size:
         raise InputError(name, "there are no vertices ('v' lines)", "is this a Wavefront OBJ file?")
@@ -78,9 +62,7 @@ def read_vertices(statements: Statements, name: str) -> Vertices:
         bad = int(np.argmax(strange))
         line = statements.line(statements.heads[chosen[bad]])
         raise InputError(name, f"line {line}: a vertex has 3 to 8 numbers, not {sizes[bad]}")
-    values = statements.numbers(tokens)
-    if not np.isfinite(values).all():
-        raise statements.error(tokens[int(np.argmin(np.isfinite(values)))], "is not a finite number")
+    values = statements.finite_numbers(tokens)
     weights, notice = _weights(values, offsets, sizes)
     coloured = np.flatnonzero(sizes >= _PLAIN)
     colour_at = (
@@ -105,10 +87,65 @@ def read_vertices(statements: Statements, name: str) -> Vertices:
 def _weights(
     values: NDArray[np.float64], offsets: NDArray[np.int64], sizes: NDArray[np.int64]
 ) -> tuple[bool, str]:
-    """Tell whether the fourth of seven numbers is a weight, and the sentence about it."""
+    """Return whether the fourth of seven numbers is a weight, and a notice about it."""
     firsts = offsets[:-1][sizes == _ALPHA_OR_WEIGHT]
     if not firsts.size:
         return False, ""
     weights = bool((values[firsts + 3] == 1).all() and (values[firsts + 6] != 1).any())
     meaning = "x y z w r g b" if weights else "x y z r g b a"
     return weights, f"Vertices of seven numbers are taken for {meaning}."
+
+
+@dataclass(frozen=True)
+class Polypaint:
+    """The entries of a file."""
+
+    colours: NDArray[np.uint8]  # (N, 3)
+    starts: NDArray[np.int64]  # (N,) where the first digit of every entry stands in the file
+
+
+def read_polypaint(data: bytes, vertices: int, name: str) -> Polypaint | None:
+    """Read all entries of an OBJ file; None if it has none."""
+    lines = [match.span(1) for match in _LINE.finditer(data)]
+    if not lines:
+        return None
+    starts = np.concatenate([np.arange(begin, end, _DIGITS) for begin, end in lines])
+    text = np.frombuffer(data, np.uint8)
+    if len(starts) != vertices:
+        cause = f"there are {len(starts)} colours in its #MRGB lines, but {vertices} vertices"
+        raise InputError(name, cause, "export the mesh again")
+    for begin, end in lines:
+        if (end - begin) % _DIGITS or (_VALUES[text[begin:end]] > 15).any():
+            line = data.count(b"\n", 0, begin) + 1
+            raise InputError(
+                name, f"line {line}: its #MRGB colours are not of {_DIGITS} hexadecimal digits each"
+            )
+    digits = _VALUES[text[starts[:, None] + np.arange(2, _DIGITS)]].reshape(-1, 3, 2)
+    return Polypaint(digits[:, :, 0] * np.uint8(16) + digits[:, :, 1], starts)
+
+
+def painted_by(paint: Polypaint, vertices: Vertices, statements: Statements) -> Vertices:
+    """Return vertices without colours of their own with those of the polypaint; only positions have tokens."""
+    tokens, offsets = statements.arguments(statements.select(b"v"))
+    places = tokens[offsets[:-1, None] + np.arange(3)]
+    return replace(
+        vertices,
+        coloured=np.arange(len(vertices.positions)),
+        colours=paint.colours.astype(np.float64),
+        token_starts=statements.starts[places],
+        token_ends=statements.ends[places],
+    )
+
+
+def repainted_entries(
+    data: bytes, starts: NDArray[np.int64], colours: NDArray[np.float32], changed: NDArray[np.bool_]
+) -> bytes:
+    """Exchange the digits of the colours that changed, (N, 3), rounded to 8 bit; every other byte stays."""
+    text = np.frombuffer(data, np.uint8).copy()
+    written = text[starts[:, None] + np.arange(_DIGITS)]
+    digits = _LOWER if (written >= ord("a")).any() else _UPPER
+    rows, channels = np.nonzero(changed)
+    values = np.rint(np.clip(colours[rows, channels].astype(np.float64), 0, 1) * 255).astype(np.uint8)
+    places = starts[rows] + 2 + 2 * channels
+    text[places], text[places + 1] = digits[values >> 4], digits[values & 15]
+    return text.tobytes()

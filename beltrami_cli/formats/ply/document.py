@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
@@ -10,55 +11,41 @@ import numpy as np
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
-from beltrami_cli.formats.document import NO_IMAGES, Document, Written
+from beltrami_cli.formats.document import NO_IMAGES, PLACEHOLDER, Document, Fingerprint, NamedImage, Written
 from beltrami_cli.formats.model_folder import ModelFolder, is_outside
-from beltrami_cli.formats.ply.anatomy import take_apart
-from beltrami_cli.formats.ply.attributes import NORMAL, POSITION, attribute_names, read_attribute
 from beltrami_cli.formats.ply.header import read_header
-from beltrami_cli.formats.ply.moving import moved_changes, require_real
-from beltrami_cli.formats.ply.paint import find_paint, finite_columns, read_colours, store_colours
-from beltrami_cli.formats.ply.patching import Change, patch_body
-from beltrami_cli.formats.ply.polygons import read_polygons
-from beltrami_cli.formats.ply.range_grid import read_grid
-from beltrami_cli.formats.ply.repainting import renamed_images
-from beltrami_cli.formats.ply.summary import facts_of, left_out
-from beltrami_cli.formats.ply.tables import read_tables
+from beltrami_cli.formats.ply.patching import Change, moved_changes, patch_body, renamed_images, require_real
+from beltrami_cli.formats.ply.polygons import VERTEX_LISTS, read_grid, read_polygons
+from beltrami_cli.formats.ply.tables import indices, read_tables
 from beltrami_cli.formats.ply.texturing import find_coordinates, gather_textured, read_comments
-from beltrami_cli.formats.tokens import exchange_spans
+from beltrami_cli.formats.ply.vertex_properties import (
+    NORMAL,
+    POSITION,
+    attribute_names,
+    find_paint,
+    finite_columns,
+    read_attribute,
+    read_colours,
+    store_colours,
+)
+from beltrami_cli.formats.tokens import exchange_spans, exchange_tokens, find_tokens, zeroed
 from beltrami_cli.surface.polygons import triangulate
 from beltrami_cli.surface.records import MeshContents, MovedVertices, PaintedVertices
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Collection, Mapping, Sequence
 
     from numpy.typing import NDArray
 
-    from beltrami_cli.formats.document import Fingerprint
-    from beltrami_cli.formats.ply.paint import Colours, Paint
+    from beltrami_cli.formats.ply.header import Header
     from beltrami_cli.formats.ply.tables import Table
     from beltrami_cli.formats.ply.texturing import TextureComment
+    from beltrami_cli.formats.ply.vertex_properties import Colours, Paint
     from beltrami_cli.surface.records import ImageFile, Slot, TexturedSurface
 
 
 class PlyDocument(Document):
-    """A PLY file, text or binary.
-
-    Parameters
-    ----------
-    data : bytes
-        The file.
-    name : str
-        Its name for messages.
-    folder : pathlib.Path or None
-        Where it lies, for the images that its comments name.
-    access : Access
-        What may be read.
-
-    Raises
-    ------
-    InputError
-        If it is not a PLY file or its header is damaged.
-    """
+    """A PLY file, text or binary."""
 
     format: ClassVar[str] = "ply"
 
@@ -71,7 +58,7 @@ class PlyDocument(Document):
     ) -> None:
         super().__init__(name)
         self._data = data
-        self._beside = ModelFolder(folder, access)
+        self._folder = ModelFolder(folder, access)
         self._header = read_header(data, name)
 
     def painted(self) -> PaintedVertices:
@@ -100,7 +87,7 @@ class PlyDocument(Document):
         return read_grid(self._data[: self._header.end], self._tables, self.name)
 
     def has_vertex_colours(self) -> bool:
-        """Tell whether the vertices have colours."""
+        """Return whether the vertices have colours."""
         try:
             return bool(self._paint.names)
         except InputError:
@@ -120,7 +107,7 @@ class PlyDocument(Document):
     @cached_property
     def _textured(self) -> TexturedSurface:
         mesh = self._positions, *self._polygons
-        surface, notices = gather_textured(mesh, self._tables, self._images, self._beside, self.name)
+        surface, notices = gather_textured(mesh, self._tables, self._images, self._folder, self.name)
         self.notices += notices
         return surface
 
@@ -187,7 +174,7 @@ class PlyDocument(Document):
             stored=str(np.dtype(self._paint.type)),
             alpha=self._alpha(),
             normals=self._normals() if has_normals else None,
-            left_out=left_out(
+            left_out=_left_out(
                 self._header,
                 {*POSITION, *self._paint.names, self._paint.alpha, *(NORMAL if has_normals else ())},
             ),
@@ -195,19 +182,28 @@ class PlyDocument(Document):
 
     def facts(self) -> dict[str, object]:
         """Return what the header says."""
-        return facts_of(self._header)
+        elements = self._header.elements
+        return {
+            "format": self.format,
+            "encoding": self._header.encoding,
+            "elements": {element.name: element.count for element in elements},
+            "properties": {
+                element.name: [known.name for known in element.properties] for element in elements
+            },
+            "comments": self._header.comments,
+        }
 
     def fingerprint(self) -> Fingerprint:
         """Take the file apart; see `Document.fingerprint`."""
         painted = self.has_vertex_colours()
-        return take_apart(
+        return _take_apart(
             self._data,
             self._header,
             self._tables,
             self._paint if painted else None,
             self._colours.values if painted else None,
             self._images,
-            self._beside,
+            self._folder,
         )
 
     @cached_property
@@ -216,7 +212,7 @@ class PlyDocument(Document):
 
     @cached_property
     def _images(self) -> list[TextureComment]:
-        comments = read_comments(self._data[: self._header.end], self._beside)
+        comments = read_comments(self._data[: self._header.end], self._folder)
         self.notices += [f"'{comment.name}' {comment.reason}" for comment in comments if comment.reason]
         return comments
 
@@ -225,7 +221,7 @@ class PlyDocument(Document):
         element = self._header.element("vertex")
         if element is None or element.count == 0:
             raise InputError(self.name, "there are no vertices", "nothing in it can be smoothed")
-        missing = set(POSITION) - {known.name for known in element.properties if not known.count}
+        missing = set(POSITION) - element.scalars.keys()
         if missing:
             raise InputError(self.name, f"vertices have no property {', '.join(sorted(missing))}")
         return self._tables["vertex"]
@@ -233,7 +229,7 @@ class PlyDocument(Document):
     @cached_property
     def _kinds(self) -> dict[str, str]:
         """The types of the scalar properties of vertices."""
-        return {known.name: known.type for known in self._vertices.element.properties if not known.count}
+        return self._vertices.element.scalars
 
     @cached_property
     def _paint(self) -> Paint:
@@ -266,7 +262,7 @@ class PlyDocument(Document):
         if not self._paint.alpha:
             return None
         alpha = self._columns((self._paint.alpha,), "alpha")[:, 0]
-        kind = next(p.type for p in self._vertices.element.properties if p.name == self._paint.alpha)
+        kind = self._kinds[self._paint.alpha]
         scale = float(np.iinfo(kind).max) if kind[0] != "f" else 1.0
         if kind == self._paint.type:
             scale = self._colours.scale
@@ -275,3 +271,71 @@ class PlyDocument(Document):
     def _normals(self) -> NDArray[np.float32]:
         largest = np.finfo(np.float32).max
         return np.clip(self._columns(NORMAL, "normal"), -largest, largest).astype(np.float32)
+
+
+def _left_out(header: Header, used: Collection[str]) -> tuple[str, ...]:
+    """Return what is in a file but some properties of the vertices, and the vertices of faces."""
+    dropped = []
+    for element in header.elements:
+        known = used if element.name == "vertex" else VERTEX_LISTS.get(element.name, ())
+        others = [other.name for other in element.properties if other.name not in known]
+        if element.name != "vertex" and element.name not in VERTEX_LISTS:
+            dropped.append(f"element {element.name}")
+        elif others:
+            dropped.append(f"{element.name} properties {', '.join(others)}")
+    return (*dropped, *(["comments"] if header.comments else []))
+
+
+def _take_apart(
+    data: bytes,
+    header: Header,
+    tables: Mapping[str, Table],
+    paint: Paint | None,
+    colours: NDArray[np.float32] | None,
+    images: Sequence[TextureComment],
+    folder: ModelFolder,
+) -> Fingerprint:
+    """Take a PLY file apart: header, elements, and what stands behind them."""
+    spans = {(image.start, image.end): PLACEHOLDER for image in images if image.path is not None}
+    parts = {"header": exchange_spans(data[: header.end], spans)}
+    places = [] if paint is None else [indices(tables["vertex"].places(name)) for name in paint.names]
+    hidden = np.concatenate([np.empty(0, np.int64), *places])
+    starts = [table.start for table in tables.values()]
+    stop = [*tables.values()][-1].stop if tables else 0
+    if header.order:
+        body = zeroed(data, hidden, np.dtype(paint.type).itemsize if paint else 0)
+        bounds, end = [*starts, stop], len(data)
+    else:
+        text = data[header.end :]
+        body, token_starts = _blanked_text(text, hidden)
+        edges = np.append(token_starts, len(body))
+        bounds, end = edges[np.minimum([*starts, stop], len(edges) - 1)].tolist(), len(body)
+    for name, (first, last) in zip(tables, pairwise(bounds), strict=True):
+        parts[f"element {name}"] = body[first:last]
+    parts["what follows the last element"] = body[bounds[-1] : end] if tables else data[header.end :]
+    return Fingerprint(
+        parts, {} if colours is None else {"vertex colours": colours}, _paintings(images, folder)
+    )
+
+
+def _blanked_text(text: bytes, hidden: NDArray[np.int64]) -> tuple[bytes, NDArray[np.int64]]:
+    """Return a text with a placeholder for some of its tokens, and where every token starts in it."""
+    starts, ends = find_tokens(text)
+    order = np.sort(hidden)
+    pieces = exchange_tokens(
+        text, starts[order], ends[order], lambda block: [PLACEHOLDER] * (block.stop - block.start)
+    )
+    shorter = np.zeros(len(starts) + 1, np.int64)
+    shorter[order + 1] = ends[order] - starts[order] - len(PLACEHOLDER)
+    return b"".join(pieces), starts - np.cumsum(shorter)[:-1]
+
+
+def _paintings(images: Sequence[TextureComment], folder: ModelFolder) -> dict[str, NamedImage]:
+    found = {}
+    for number, image in enumerate(images):
+        if image.path is not None:
+            try:
+                found[f"texture {number}"] = NamedImage(image.name, folder.read(image.path))
+            except OSError as error:
+                raise InputError(image.name, f"cannot be read ({error.strerror})") from error
+    return found

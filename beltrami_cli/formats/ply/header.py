@@ -53,27 +53,25 @@ class Element:
     count: int
     properties: tuple[Property, ...] = ()
 
+    @property
+    def scalars(self) -> dict[str, str]:
+        """The types of the scalar properties by their names."""
+        return {known.name: known.type for known in self.properties if not known.count}
+
+    @property
+    def lists(self) -> list[Property]:
+        """The properties that are lists."""
+        return [known for known in self.properties if known.count]
+
 
 @dataclass(frozen=True)
 class Header:
-    """What a PLY file announces.
+    """What a PLY file announces."""
 
-    Attributes
-    ----------
-    encoding : str
-        "ascii", "binary_little_endian" or "binary_big_endian".
-    elements : tuple of Element
-        The tables in file order.
-    comments : int
-        Number of comment and obj_info lines.
-    end : int
-        Offset of the first byte behind the header.
-    """
-
-    encoding: str
-    elements: tuple[Element, ...]
-    comments: int
-    end: int
+    encoding: str  # "ascii", "binary_little_endian" or "binary_big_endian"
+    elements: tuple[Element, ...]  # in file order
+    comments: int  # how many comment and obj_info lines there are
+    end: int  # offset of the first byte behind the header
 
     @property
     def order(self) -> str:
@@ -86,20 +84,7 @@ class Header:
 
 
 def read_header(data: bytes, name: str) -> Header:
-    """Read the header of a PLY file.
-
-    Parameters
-    ----------
-    data : bytes
-        The file.
-    name : str
-        Its name for messages.
-
-    Raises
-    ------
-    InputError
-        If this is not a PLY file or its header is damaged, with the line.
-    """
+    """Read the header of a PLY file; InputError names the line that is damaged."""
     if data[:3] != b"ply" or data[3:4] not in (b"\n", b"\r", b" ", b"\t"):
         raise InputError(name, "not a PLY file, which would start with the line 'ply'")
     lines = _Lines(name)

@@ -1,4 +1,4 @@
-"""New values of some vertex properties in the body of a PLY file, every other byte staying as it is."""
+"""What is new in a PLY file: values of vertex properties in its body, and images with their names in comments."""
 
 from __future__ import annotations
 
@@ -7,58 +7,36 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from beltrami_cli.formats.ply.body import values_in_bytes
-from beltrami_cli.formats.ply.tables import indices
+from beltrami_cli.errors import InputError
+from beltrami_cli.formats.model_folder import name_of_new_image, new_reference
+from beltrami_cli.formats.ply.tables import indices, values_in_bytes
+from beltrami_cli.formats.ply.vertex_properties import NORMAL, POSITION, attribute_names
 from beltrami_cli.formats.tokens import exchange_tokens, find_tokens
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
 
     from beltrami_cli.formats.document import Bytes
     from beltrami_cli.formats.ply.header import Header
     from beltrami_cli.formats.ply.tables import Table
+    from beltrami_cli.formats.ply.texturing import TextureComment
+    from beltrami_cli.formats.tokens import Spans
+    from beltrami_cli.surface.records import ImageFile, MovedVertices, Slot
 
 
 @dataclass(frozen=True)
 class Change:
-    """New values of one property.
+    """New values of one property."""
 
-    Attributes
-    ----------
-    name : str
-        The property, a scalar.
-    rows : ndarray of bool, shape (V,)
-        Which vertices change.
-    values : ndarray, shape (number of these,)
-        Their new values, in the property's type.
-    """
-
-    name: str
-    rows: NDArray[np.bool_]
-    values: NDArray[Any]
+    name: str  # the property, a scalar
+    rows: NDArray[np.bool_]  # (V,) which vertices change
+    values: NDArray[Any]  # their new values, in the property's type
 
 
 def patch_body(data: bytes, header: Header, vertices: Table, changes: Sequence[Change]) -> list[Bytes]:
-    """Exchange values in the body.
-
-    Parameters
-    ----------
-    data : bytes
-        The file.
-    header : Header
-        Its header.
-    vertices : Table
-        The vertex element with its rows.
-    changes : sequence of Change
-        What is new; each property once, and at least one value in all.
-
-    Returns
-    -------
-    list of bytes-like
-        The new body, in pieces.
-    """
+    """Exchange values in the body, at least one, each property once; every other byte stays. Return it in pieces."""
     if not header.order:
         return [*_patch_text(data[header.end :], vertices, changes)]
     patched = bytearray(data)
@@ -96,3 +74,55 @@ def _spelled(values: NDArray[Any]) -> list[bytes]:
         return [b"%d" % value for value in values.tolist()]
     spelled: list[bytes] = values.astype("S32").tolist()  # the shortest that reads back the same
     return spelled
+
+
+def require_real(kinds: Mapping[str, str], names: tuple[str, ...], file: str) -> None:
+    """Refuse properties that are whole numbers."""
+    whole = [name for name in names if kinds[name][0] != "f"]
+    if whole:
+        cause = f"the coordinates {', '.join(whole)} are whole numbers, which cannot hold smoothed positions"
+        raise InputError(file, cause, "store them as float or double")
+
+
+def moved_changes(vertices: Table, kinds: Mapping[str, str], places: MovedVertices) -> list[Change]:
+    """Return what changes when vertices move, for `patch_body`."""
+    changes = list(_changes(vertices, kinds, POSITION, places.positions))
+    if places.normals is not None and "normal" in attribute_names(kinds, ()):
+        changes += _changes(vertices, kinds, NORMAL, places.normals)
+    return changes
+
+
+def _changes(
+    vertices: Table, kinds: Mapping[str, str], names: tuple[str, ...], new: NDArray[Any]
+) -> Iterator[Change]:
+    for name, column in zip(names, new.T, strict=True):
+        old = vertices.scalars(name)
+        rows = (column != old) & ~np.isnan(column)
+        yield Change(name, rows, column[rows].astype(kinds[name]))
+
+
+def renamed_images(
+    comments: Sequence[TextureComment],
+    images: Mapping[tuple[Slot, str], ImageFile],
+    source: str,
+    stem: str,
+    *,
+    moved: bool,
+) -> tuple[dict[str, Bytes], Spans, frozenset[str]]:
+    """Return new image files, new names by where old ones stand in the header, and the old files that nothing names.
+
+    `source` is the stem of the PLY file's name; the others are as for `Document.patch`.
+    """
+    taken = {comment.path.casefold() for comment in comments if comment.path is not None}
+    sidecars: dict[str, Bytes] = {}
+    spans: Spans = {}
+    superseded: set[str] = set()
+    for (_, path), image in images.items():
+        new = name_of_new_image(path, image.suffix, (source, stem), taken, keeps=moved)
+        sidecars[new] = image.data
+        if new != path:
+            superseded.add(path)
+        for comment in comments:
+            if comment.path == path and new != path:
+                spans[comment.start, comment.end] = new_reference(comment.name, path, new)
+    return sidecars, spans, frozenset(superseded)

@@ -1,7 +1,15 @@
-"""The polygons of a PLY file: faces, and triangle strips unrolled."""
+"""The polygons of a PLY file: faces, triangle strips unrolled, or the regular grid that vertices were measured on.
+
+References
+----------
+.. [1] The Stanford 3D Scanning Repository, on range data: the element range_grid, with obj_info num_cols and num_rows.
+.. [2] R. Rusu, S. Cousins, "3D is here: Point Cloud Library (PCL)", ICRA 2011; its files have an element camera, whose
+   viewportx and viewporty are the width and height of an organised cloud.
+"""
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,36 +23,20 @@ if TYPE_CHECKING:
 
     from beltrami_cli.formats.ply.tables import Table
 
-VERTEX_LISTS = {"face": ("vertex_indices", "vertex_index"), "tristrips": ("vertex_indices", "vertex_index")}
+_LISTS = ("vertex_indices", "vertex_index")
+VERTEX_LISTS = {"face": _LISTS, "tristrips": _LISTS}
 """The lists of vertices by element, each under its two names."""
+
+_ELEMENT = "range_grid"
+_CAMERA = ("viewportx", "viewporty")
+_COLUMNS, _ROWS = ("num_cols", "width", "columns", "cols"), ("num_rows", "height", "rows")
+_SIZE = re.compile(rb"^(?:obj_info|comment)[ \t]+(\w+)[ \t:=]+(\d{1,9})[ \t]*\r?$", re.MULTILINE)
 
 
 def read_polygons(
     tables: Mapping[str, Table], vertices: int, name: str
 ) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
-    """Read the faces, and behind them the triangles of strips.
-
-    Parameters
-    ----------
-    tables : mapping of str to Table
-        The elements of the file.
-    vertices : int
-        Number of vertices V.
-    name : str
-        The file's name for messages.
-
-    Returns
-    -------
-    corners : ndarray of int32, shape (K,)
-        The corners of all polygons, each in [0, V).
-    offsets : ndarray of int64, shape (P + 1,)
-        Where each polygon starts.
-
-    Raises
-    ------
-    InputError
-        If an index is out of range, or the elements have no list of vertices.
-    """
+    """Read the faces, and behind them the triangles of strips: (K,) corners and (P + 1,) offsets of polygons."""
     corners, offsets = _vertex_lists(tables, "face", name)
     _check(corners, offsets, vertices, 0, "face", name)
     strips, ends = _vertex_lists(tables, "tristrips", name)
@@ -62,8 +54,8 @@ def _vertex_lists(
     table = tables.get(element)
     if table is None or table.element.count == 0:
         return np.empty(0, np.int64), np.zeros(1, np.int64)
-    for known in table.element.properties:
-        if known.count and known.name in VERTEX_LISTS[element]:
+    for known in table.element.lists:
+        if known.name in VERTEX_LISTS[element]:
             if known.type[0] == "f":
                 raise InputError(name, f"the {known.name} of element '{element}' are not whole numbers")
             return table.lists(known.name)
@@ -105,3 +97,55 @@ def _unroll(strips: NDArray[np.int64], ends: NDArray[np.int64]) -> NDArray[np.in
     proper = (since[2:] >= 2) & (triangles >= 0).all(axis=1) & (a != b) & (b != c) & (c != a)
     kept: NDArray[np.int64] = triangles[proper]
     return kept
+
+
+def read_grid(header: bytes, tables: Mapping[str, Table], name: str) -> NDArray[np.int64] | None:
+    """Return the vertices in their places on the grid, (H, W), -1 where nothing was measured; None if there is no grid.
+
+    Faces count more than a grid.
+    """
+    if any(tables[other].element.count for other in ("face", "tristrips") if other in tables):
+        return None
+    vertices = tables["vertex"].element.count
+    sizes = {word.decode().lower(): int(number) for word, number in _SIZE.findall(header)}
+    columns = next((sizes[word] for word in _COLUMNS if word in sizes), 0)
+    rows = next((sizes[word] for word in _ROWS if word in sizes), 0)
+    if _ELEMENT in tables:
+        return _listed(tables[_ELEMENT], rows, columns, vertices, name)
+    if "camera" in tables and tables["camera"].element.count == 1 and not (rows and columns):
+        columns, rows = _viewport(tables["camera"])
+    if min(rows, columns) < 2 or rows * columns != vertices:
+        return None
+    return np.arange(vertices).reshape(rows, columns)
+
+
+def _listed(table: Table, rows: int, columns: int, vertices: int, name: str) -> NDArray[np.int64]:
+    """Read the element that lists a vertex, or none, for every place of the grid, row by row."""
+    places = table.element.count
+    if rows * columns != places:
+        raise InputError(
+            name,
+            f"element {_ELEMENT} has {places} places, but obj_info num_cols and num_rows say {columns} and {rows}",
+            "repair the header, or leave the element out",
+        )
+    known = next((p.name for p in table.element.lists if p.name in _LISTS), None)
+    if known is None:
+        raise InputError(name, f"element {_ELEMENT} has no list vertex_indices")
+    items, offsets = table.lists(known)
+    lengths = np.diff(offsets)
+    if items.size and (items.min() < 0 or items.max() >= vertices or lengths.max() > 1):
+        raise InputError(name, f"element {_ELEMENT} names vertices that are not there, or several at a place")
+    if len(np.unique(items)) < len(items):
+        raise InputError(name, f"element {_ELEMENT} has a vertex at several places")
+    grid = np.full(places, -1, np.int64)
+    grid[lengths == 1] = items
+    return grid.reshape(rows, columns)
+
+
+def _viewport(camera: Table) -> tuple[int, int]:
+    """Return width and height of the cloud, or zeros."""
+    whole = {name for name, kind in camera.element.scalars.items() if kind[0] != "f"}
+    if not whole.issuperset(_CAMERA):
+        return 0, 0
+    width, height = (int(camera.scalars(name)[0]) for name in _CAMERA)
+    return width, height

@@ -1,4 +1,9 @@
-"""The elements of a PLY file as tables, and where every value of them stands."""
+"""The elements of a PLY file as tables, and where every value of them stands in its body.
+
+Binary bodies and text are read in one way, by counting in units: bytes of a binary body, tokens of a text. A scalar
+takes as many units as its type has bytes (one unit, in a text), and what stands at a unit is a look into an array that
+has a value at every unit.
+"""
 
 from __future__ import annotations
 
@@ -10,15 +15,70 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.ply.body import BinaryBody, TextBody
+from beltrami_cli.formats.tokens import read_numbers
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from numpy.typing import NDArray
 
-    from beltrami_cli.formats.ply.body import Body
     from beltrami_cli.formats.ply.header import Element, Header, Property
+
+
+def values_in_bytes(data: bytes | bytearray, kind: str) -> NDArray[Any]:
+    """Return the overlapping values that start at every byte; writable if the data are."""
+    size = np.dtype(kind).itemsize
+    return np.ndarray((max(len(data) - size + 1, 0),), kind, data, strides=(1,))
+
+
+class Body:
+    """A binary body; units are bytes, counted from the start of the file."""
+
+    def __init__(self, data: bytes, header: Header, name: str) -> None:
+        self.name = name
+        self.start, self.stop = header.end, len(data)
+        self._data, self._order = data, header.order
+
+    def size(self, kind: str) -> int:
+        """Return how many units a scalar takes."""
+        return np.dtype(kind).itemsize
+
+    def view(self, kind: str) -> NDArray[Any]:
+        """Return an array that has at every unit the value which would start there."""
+        return values_in_bytes(self._data, self._order + kind)
+
+    def checked(self, values: NDArray[Any], kind: str, where: str) -> NDArray[Any]:
+        """Return values from `view` in their type; InputError if they cannot be of it."""
+        return values.astype(kind)
+
+
+class TextBody(Body):
+    """A body of text; units are tokens."""
+
+    def __init__(self, data: bytes, header: Header, name: str) -> None:
+        super().__init__(data, header, name)
+        self._values = read_numbers(data[header.end :])
+        self.start, self.stop = 0, len(self._values)
+
+    def size(self, kind: str) -> int:
+        """Return 1: a scalar is a token."""
+        return 1
+
+    def view(self, kind: str) -> NDArray[Any]:
+        """Return the values of all tokens."""
+        return self._values
+
+    def checked(self, values: NDArray[Any], kind: str, where: str) -> NDArray[Any]:
+        """Return values in their type; InputError if one cannot be of it."""
+        if kind[0] == "f":
+            return values
+        limits = np.iinfo(kind)
+        fits = (values == np.rint(values)) & (values >= limits.min) & (values <= limits.max)
+        if not fits.all():
+            row = int(np.argmin(fits))
+            raise InputError(self.name, f"{where}: {values[row]:g} in row {row} is no {np.dtype(kind)}")
+        return values.astype(kind)
+
 
 Places = slice | np.ndarray[Any, np.dtype[np.int64]]
 
@@ -30,28 +90,17 @@ def indices(places: Places) -> NDArray[np.int64]:
 
 @dataclass(frozen=True)
 class Table:
-    """The rows of one element.
-
-    Attributes
-    ----------
-    body : Body
-        Where they stand.
-    element : Element
-        What they are.
-    start : int
-        Unit of the first row.
-    counts : ndarray of int64, shape (N, L)
-        Lengths of the L lists of every row; a broadcast view if all rows are alike, one row if L is 0.
-    """
+    """The rows of one element."""
 
     body: Body
     element: Element
-    start: int
+    start: int  # unit of the first row
     counts: NDArray[np.int64]
+    """Lengths of the L lists of every row, (N, L); a broadcast view if all rows are alike, one row if L is 0."""
 
     @cached_property
     def _lists(self) -> list[Property]:
-        return [known for known in self.element.properties if known.count]
+        return self.element.lists
 
     @cached_property
     def _alike(self) -> bool:
@@ -100,7 +149,7 @@ class Table:
 
     def scalars(self, name: str) -> NDArray[Any]:
         """Return a scalar property of all rows, shape (N,), in its type (float64 for floats in text)."""
-        kind = next(known.type for known in self.element.properties if known.name == name)
+        kind = self.element.scalars[name]
         if self.element.count == 0:
             return np.empty(0, kind)
         values = self.body.view(kind)[self.places(name)]
@@ -122,23 +171,8 @@ class Table:
 
 
 def read_tables(data: bytes, header: Header, name: str) -> Mapping[str, Table]:
-    """Find the rows of all elements.
-
-    Parameters
-    ----------
-    data : bytes
-        The file.
-    header : Header
-        Its header.
-    name : str
-        The file's name for messages.
-
-    Raises
-    ------
-    InputError
-        If the file ends before its last row, or a list has a negative length.
-    """
-    body: Body = BinaryBody(data, header, name) if header.order else TextBody(data, header, name)
+    """Find the rows of all elements; InputError if the file ends before its last row, or a list is damaged."""
+    body = Body(data, header, name) if header.order else TextBody(data, header, name)
     tables: dict[str, Table] = {}
     at = body.start
     for element in header.elements:
@@ -150,7 +184,7 @@ def read_tables(data: bytes, header: Header, name: str) -> Mapping[str, Table]:
 
 def _list_lengths(body: Body, element: Element, start: int) -> NDArray[np.int64]:
     """Return the lengths of the L lists of every row, shape (N, L), checking that the body has the rows."""
-    lists = sum(bool(known.count) for known in element.properties)
+    lists = len(element.lists)
     least = sum(body.size(known.count or known.type) for known in element.properties)
     if least * element.count > body.stop - start:
         raise _cut_off(body, element)
@@ -160,7 +194,7 @@ def _list_lengths(body: Body, element: Element, start: int) -> NDArray[np.int64]
     alike = Table(body, element, start, np.broadcast_to(first, (element.count, lists)))
     if alike.stop <= body.stop and all(
         (body.view(known.count)[alike.places(known.name)] == first[0, number]).all()
-        for number, known in enumerate(known for known in element.properties if known.count)
+        for number, known in enumerate(element.lists)
     ):
         return alike.counts
     return _walk(body, element, start, element.count)

@@ -1,6 +1,6 @@
 """Textures of PLY files: comments name the images, vertices or faces have the coordinates.
 
-There is no standard, only custom: MeshLab, VCG and photogrammetry programs write ``comment TextureFile NAME``, and
+There is no standard: MeshLab, VCG and photogrammetry programs write ``comment TextureFile NAME``, and
 the coordinates as the list `texcoord` of faces, or as two properties of vertices; v points up.
 """
 
@@ -21,7 +21,7 @@ from beltrami_cli.formats.model_folder import (
     is_outside,
     remedy_for,
 )
-from beltrami_cli.formats.ply.paint import finite_columns
+from beltrami_cli.formats.ply.vertex_properties import finite_columns
 from beltrami_cli.surface.polygons import triangulate_corners
 from beltrami_cli.surface.records import Texture, TexturedSurface
 
@@ -41,35 +41,23 @@ _NUMBER = "texnumber"
 
 @dataclass(frozen=True)
 class TextureComment:
-    """A comment that names an image.
+    """A comment that names an image."""
 
-    Attributes
-    ----------
-    name : str
-        The file, as it is named there.
-    path : str or None
-        The file relative to the model's folder, if it can be used.
-    start, end : int
-        Where the name stands in the PLY file.
-    reason : str
-        What the user should know of the file, to be put behind its name; or empty.
-    """
-
-    name: str
-    path: str | None
-    start: int
+    name: str  # of the file, as the comment spells it
+    path: str | None  # relative to the model's folder, if it can be used
+    start: int  # where the name stands in the PLY file
     end: int
-    reason: str = ""
+    reason: str = ""  # why it is not used or not copied, to be put behind its name; or empty
 
 
-def read_comments(header: bytes, beside: ModelFolder) -> list[TextureComment]:
+def read_comments(header: bytes, folder: ModelFolder) -> list[TextureComment]:
     """Return the comments that name images, in the order in which they are numbered."""
     found = []
     for match in _COMMENT.finditer(header):
         name = os.fsdecode(match[1])
         try:
-            path: str | None = beside.locate(name)
-            reason = LEFT_OUTSIDE if is_outside(beside.locate(name)) else ""
+            path: str | None = folder.locate(name)
+            reason = LEFT_OUTSIDE if is_outside(folder.locate(name)) else ""
         except UnfitReferenceError as error:
             path, reason = None, f"{error}{LEFT_ALONE}"
         found.append(TextureComment(name, path, *match.span(1), reason))
@@ -78,44 +66,22 @@ def read_comments(header: bytes, beside: ModelFolder) -> list[TextureComment]:
 
 def find_coordinates(tables: Mapping[str, Table]) -> tuple[str, ...]:
     """Return the properties that are texture coordinates: a list of faces, two of vertices, or none."""
-    if "face" in tables and any(p.name == _OF_FACES and p.count for p in tables["face"].element.properties):
+    if "face" in tables and any(known.name == _OF_FACES for known in tables["face"].element.lists):
         return (_OF_FACES,)
-    known = {p.name for p in tables["vertex"].element.properties if not p.count}
-    return next((names for names in _OF_VERTICES if known.issuperset(names)), ())
+    known = tables["vertex"].element.scalars
+    return next((names for names in _OF_VERTICES if known.keys() >= set(names)), ())
 
 
 def gather_textured(
     mesh: tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.int64]],
     tables: Mapping[str, Table],
     comments: Sequence[TextureComment],
-    beside: ModelFolder,
+    folder: ModelFolder,
     name: str,
 ) -> tuple[TexturedSurface, list[str]]:
-    """Gather all triangles with their texture coordinates, and the images.
+    """Gather all triangles with their texture coordinates, the images, and notices.
 
-    Parameters
-    ----------
-    mesh : tuple of ndarray
-        Positions of all vertices, shape (V, 3), and corners and offsets of all polygons as for `triangulate`.
-    tables : mapping of str to Table
-        The elements of the file.
-    comments : sequence of TextureComment
-        Its images.
-    beside : ModelFolder
-        Where its files lie.
-    name : str
-        The file's name for messages.
-
-    Returns
-    -------
-    surface : TexturedSurface
-    notices : list of str
-        What the user should be told.
-
-    Raises
-    ------
-    InputError
-        If no face shows a texture, or coordinates or numbers of textures are damaged.
+    `mesh` are the positions of all vertices, (V, 3), and the corners and offsets of polygons as for `triangulate`.
     """
     positions, corners, offsets = mesh
     properties = find_coordinates(tables)
@@ -123,7 +89,7 @@ def gather_textured(
         cause = "no texture coordinates" if comments else "no 'comment TextureFile' that names an image"
         raise InputError(name, f"it has no texture: {cause}")
     numbers, notices = _numbers(tables, len(offsets) - 1, len(comments), name)
-    textures, of_number, unreadable = _load(comments, beside)
+    textures, of_number, unreadable = _load(comments, folder)
     notices += unreadable
     if properties == (_OF_FACES,):
         values, bare = _face_coordinates(tables["face"], offsets, name)
@@ -148,7 +114,7 @@ def _numbers(
     """Return the number of every polygon's texture, -1 for none; strips, which have no number, show the first."""
     numbers = np.zeros(polygons, np.int64)
     face = tables.get("face")
-    if face is None or not any(p.name == _NUMBER and not p.count for p in face.element.properties):
+    if face is None or _NUMBER not in face.element.scalars:
         several = f"It names {textures} textures but not which face shows which; the first is taken for all."
         return numbers, [several] if textures > 1 else []
     given = face.scalars(_NUMBER)
@@ -161,7 +127,7 @@ def _numbers(
 
 
 def _load(
-    comments: Sequence[TextureComment], beside: ModelFolder
+    comments: Sequence[TextureComment], folder: ModelFolder
 ) -> tuple[tuple[Texture, ...], NDArray[np.int64], list[str]]:
     """Return each image once, which of them every number means (the last row: -1), and those that are unreadable."""
     textures: dict[str, tuple[int, Texture]] = {}
@@ -172,7 +138,7 @@ def _load(
             continue
         if comment.path not in textures:
             try:
-                data = beside.read(comment.path)
+                data = folder.read(comment.path)
             except OSError as error:
                 unreadable.append(f"'{comment.name}' cannot be read ({error.strerror}){LEFT_ALONE}")
                 continue

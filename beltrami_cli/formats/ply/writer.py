@@ -1,4 +1,9 @@
-"""Writing a whole mesh as a binary PLY file."""
+"""Writing a whole mesh as a little-endian PLY file: with colours, with one texture, or with numbers at its vertices.
+
+Positions become floats if that loses nothing, otherwise doubles. Colours keep 8 or 16 bit and become floats from any
+other type. They are display values, so linear ones go through the sRGB transfer function; from 8 bit they become
+16 bit, as the steps near black would merge otherwise.
+"""
 
 from __future__ import annotations
 
@@ -8,16 +13,17 @@ import numpy as np
 
 from beltrami_cli.formats.colours import display_colours, left_out
 from beltrami_cli.formats.document import Written
-from beltrami_cli.formats.ply.body import values_in_bytes
 from beltrami_cli.formats.ply.header import TYPES
-from beltrami_cli.formats.ply.paint import store_colours
+from beltrami_cli.formats.ply.tables import values_in_bytes
+from beltrami_cli.formats.ply.vertex_properties import store_colours
+from beltrami_cli.surface.geometry import shortest_type
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
-    from beltrami_cli.surface.records import MeshContents
+    from beltrami_cli.surface.records import MeshContents, TexturedMesh
 
 _NAMES = {code: name for name, code in reversed(TYPES.items())}
 _INTEGERS = {"uint8": "u1", "uint16": "u2"}  # the stored types that remain as they are
@@ -25,26 +31,7 @@ _MANY = 255  # corners that a list whose count is a uchar can have
 
 
 def write_ply(contents: MeshContents, stem: str) -> Written:
-    """Write a mesh as a little-endian PLY file.
-
-    Parameters
-    ----------
-    contents : MeshContents
-        The mesh.
-    stem : str
-        Name of the file without folder and extension; not needed, as there is only one file.
-
-    Returns
-    -------
-    Written
-        The file, and what it does not hold of the mesh or holds in another way.
-
-    Notes
-    -----
-    Positions become floats if that loses nothing, otherwise doubles. Colours keep 8 or 16 bit and become
-    floats from any other type. PLY colours are display values by custom, so linear ones go through the sRGB
-    transfer function; from 8 bit they become 16 bit, as the steps near black would merge otherwise.
-    """
+    """Write a mesh with colours of vertices; there is one file, so that `stem` does not matter."""
     colours, notices = display_colours(contents)
     kind = _INTEGERS.get(contents.stored, "f4")
     if contents.encoding == "linear" and kind == "u1":
@@ -54,38 +41,62 @@ def write_ply(contents: MeshContents, stem: str) -> Written:
         colours = np.column_stack([colours, contents.alpha])
     columns = [("x", "y", "z"), ("nx", "ny", "nz"), ("red", "green", "blue", "alpha")[: colours.shape[1]]]
     scale = 1.0 if kind == "f4" else float(np.iinfo(kind).max)
-    blocks = [shortest(contents.positions), contents.normals, store_colours(colours, scale, kind)]
-    properties, rows = vertex_element(columns, blocks)
-    announced, polygons = face_element(contents.corners, contents.offsets)
-    header = [
-        "ply",
-        "format binary_little_endian 1.0",
-        f"element vertex {len(rows)}",
-        *properties,
-        *announced,
+    blocks = [shortest_type(contents.positions), contents.normals, store_colours(colours, scale, kind)]
+    properties, rows = _vertex_element(columns, blocks)
+    announced, polygons = _face_element(contents.corners, contents.offsets)
+    header = _header([*properties, *announced]).encode()
+    return Written([header, rows.tobytes(), polygons], notices=(*notices, *left_out(contents)))
+
+
+def write_textured_ply(mesh: TexturedMesh, stem: str) -> Written:
+    """Write a mesh and its texture as MeshLab and photogrammetry programs do; the image is named after `stem`."""
+    positions = shortest_type(mesh.positions)
+    properties, rows = _vertex_element([("x", "y", "z")], [positions])
+    faces = np.empty(
+        len(mesh.faces), [("corners", "u1"), ("vertices", "<i4", 3), ("numbers", "u1"), ("uv", "<f4", (3, 2))]
+    )
+    faces["corners"], faces["vertices"] = 3, mesh.faces
+    faces["numbers"], faces["uv"] = 6, mesh.uv * [1, -1] + [0, 1]
+    image = stem + mesh.image.suffix
+    announced = [
+        f"element face {len(faces)}",
+        "property list uchar int vertex_indices",
+        "property list uchar float texcoord",
     ]
-    text = "".join(f"{line}\n" for line in [*header, "end_header"])
-    return Written([text.encode(), rows.tobytes(), polygons], notices=(*notices, *left_out(contents)))
+    header = _header([f"comment TextureFile {image}", *properties, *announced])
+    return Written([header.encode(), rows.tobytes(), faces.tobytes()], {image: mesh.image.data})
 
 
-def shortest(positions: NDArray[np.float64]) -> NDArray[np.float32] | NDArray[np.float64]:
-    """Return positions as floats if that loses nothing."""
-    with np.errstate(over="ignore"):  # Beyond float32 they become infinite, which is not equal.
-        single = positions.astype(np.float32)
-    return single if bool((single == positions).all()) else positions
+def write_scalars_as_ply(
+    positions: NDArray[np.float64],
+    faces: NDArray[np.int32],
+    shades: NDArray[np.uint8],
+    scalars: Mapping[str, NDArray[np.float32]],
+    comments: Sequence[str] = (),
+) -> Written:
+    """Write triangles whose vertices have a colour, (V, 3), and a property of each name, (V,).
+
+    Programs that draw fields read this. Comments are lines of the header, without line breaks.
+    """
+    names = [("x", "y", "z"), ("red", "green", "blue"), *((name,) for name in scalars)]
+    blocks = [shortest_type(positions), shades, *(values[:, None] for values in scalars.values())]
+    properties, rows = _vertex_element(names, blocks)
+    announced, polygons = _face_element(faces.ravel(), 3 * np.arange(len(faces) + 1))
+    header = _header([*(f"comment {line}" for line in comments), *properties, *announced])
+    return Written([header.encode("ascii", "replace"), rows.tobytes(), polygons])
 
 
-def vertex_element(
+def _header(lines: Sequence[str]) -> str:
+    whole = ["ply", "format binary_little_endian 1.0", *lines, "end_header"]
+    return "".join(f"{line}\n" for line in whole)
+
+
+def _vertex_element(
     columns: Sequence[tuple[str, ...]], blocks: Sequence[NDArray[Any] | None]
 ) -> tuple[list[str], NDArray[np.void]]:
-    """Return the property lines and the rows of the vertex element.
+    """Return the lines and the rows of the vertex element.
 
-    Parameters
-    ----------
-    columns : sequence of tuple of str
-        Names of properties, block by block.
-    blocks : sequence of ndarray of shape (V, number of the names), or None
-        Their values, which become properties of the array's type; None: these properties are left out.
+    `blocks` are the values of the names in `columns`, (V, number of names), or None where these are left out.
     """
     fields = [
         (name, values.dtype.str[1:])
@@ -99,19 +110,12 @@ def vertex_element(
         if values is not None:
             for column, name in enumerate(names):
                 rows[name] = values[:, column]
-    return [f"property {_NAMES[kind]} {name}" for name, kind in fields], rows
+    properties = [f"property {_NAMES[kind]} {name}" for name, kind in fields]
+    return [f"element vertex {count}", *properties], rows
 
 
-def face_element(corners: NDArray[np.int32], offsets: NDArray[np.int64]) -> tuple[list[str], bytearray]:
-    """Return the lines and the rows of the face element; none of either for a cloud of points.
-
-    Parameters
-    ----------
-    corners : ndarray of int32, shape (K,)
-        The corners of all polygons one after the other.
-    offsets : ndarray of int64, shape (P + 1,)
-        Polygon p has the corners from offsets[p] to offsets[p + 1].
-    """
+def _face_element(corners: NDArray[np.int32], offsets: NDArray[np.int64]) -> tuple[list[str], bytearray]:
+    """Return the lines and the rows of the face element; none of either for a cloud of points."""
     sizes = np.diff(offsets)
     if not sizes.size:
         return [], bytearray()

@@ -94,7 +94,7 @@ def draw_vertices(pair: PairedColours, document: Document, target: str) -> tuple
     """
     if Path(target).suffix.lower() != ".ply":
         raise UsageError(f"{target}: the map of vertices is drawn as .ply; end its name so")
-    from beltrami_cli.formats.ply.scalar_writer import write_scalars_as_ply
+    from beltrami_cli.formats.ply.writer import write_scalars_as_ply
 
     painted, scale = document.painted(), _scale([pair])
     values = np.full(len(painted.positions), np.nan, np.float32)

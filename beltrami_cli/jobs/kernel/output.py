@@ -96,7 +96,7 @@ def _as_csv(columns: dict[str, NDArray[np.generic]]) -> str:
 
 
 def _mesh(view: MeshView, radius: float, facts: dict[str, object]) -> Written:
-    from beltrami_cli.formats.ply.scalar_writer import write_scalars_as_ply
+    from beltrami_cli.formats.ply.writer import write_scalars_as_ply
 
     shades = as_bytes(colour_by_value(_nearness(view, radius), view.shades, np.isfinite(view.distances)))
     scalars = {"distance": view.distances, "weight": view.weights}

@@ -1,4 +1,4 @@
-"""Which vertex properties of a PLY file are colours, and what their numbers mean."""
+"""Which vertex properties of a PLY file are colours, what their numbers mean, and what other properties there are."""
 
 from __future__ import annotations
 
@@ -9,13 +9,18 @@ import numpy as np
 
 from beltrami_cli.errors import InputError, UnpaintedError
 from beltrami_cli.formats.colours import full_scale, intensity_scale
+from beltrami_cli.surface.geometry import unit_vectors
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from numpy.typing import NDArray
 
     from beltrami_cli.formats.ply.header import Element, Header
     from beltrami_cli.formats.ply.tables import Table
 
+POSITION = ("x", "y", "z")
+NORMAL = ("nx", "ny", "nz")
 _COLOURS = (
     (("red", "green", "blue"), "alpha"),
     (("diffuse_red", "diffuse_green", "diffuse_blue"), "diffuse_alpha"),
@@ -29,24 +34,12 @@ _INTENSITIES_OF_POINTS = (_INTENSITY, "Intensity", "scalar_intensity", "scalar_I
 
 @dataclass(frozen=True)
 class Paint:
-    """The colour properties of the vertices.
+    """The colour properties of the vertices."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        The properties in the file, red, green, blue or grey alone.
-    alpha : str
-        The property of the opacity, or empty.
-    type : str
-        NumPy code of the type that all colours have.
-    any_range : bool
-        Whether they are intensities, of which any number may be full scale.
-    """
-
-    names: tuple[str, ...]
-    alpha: str
-    type: str
-    any_range: bool = False
+    names: tuple[str, ...]  # in the file: red, green and blue, or grey alone
+    alpha: str  # the property of the opacity, or empty
+    type: str  # NumPy code of the type that all colours have
+    any_range: bool = False  # whether they are intensities, of which any number may be full scale
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -57,23 +50,8 @@ class Paint:
 
 
 def find_paint(header: Header, vertices: Table, name: str) -> Paint:
-    """Find the colour properties.
-
-    Parameters
-    ----------
-    header : Header
-        The file's header, for the message when there are none.
-    vertices : Table
-        The vertex element with its rows.
-    name : str
-        The file's name for messages.
-
-    Raises
-    ------
-    InputError
-        If there are none, or they are signed or of several types.
-    """
-    types = {known.name: known.type for known in vertices.element.properties if not known.count}
+    """Find the colour properties; InputError if there are none, or they are signed or of several types."""
+    types = vertices.element.scalars
     for names, alpha in _COLOURS:
         if all(known in types for known in names):
             kinds = {types[known] for known in names}
@@ -117,40 +95,15 @@ def _unpainted(header: Header, vertices: Element, name: str) -> UnpaintedError:
 
 @dataclass(frozen=True)
 class Colours:
-    """Colours as read.
+    """Colours as read."""
 
-    Attributes
-    ----------
-    values : ndarray of float32, shape (V, C)
-        Full scale 1.
-    scale : float
-        The stored number that is full scale.
-    notice : str
-        What to tell the user about it, or empty.
-    """
-
-    values: NDArray[np.float32]
-    scale: float
-    notice: str
+    values: NDArray[np.float32]  # (V, C), full scale 1
+    scale: float  # the stored number that is full scale
+    notice: str  # about the scale, or empty
 
 
 def read_colours(vertices: Table, paint: Paint, name: str) -> Colours:
-    """Read the colours of all vertices.
-
-    Parameters
-    ----------
-    vertices : Table
-        At least one row.
-    paint : Paint
-        Which properties.
-    name : str
-        The file's name for messages.
-
-    Raises
-    ------
-    InputError
-        If a colour is not finite, or full scale cannot be known.
-    """
+    """Read the colours of all vertices, of which there is one at least."""
     values = np.empty((vertices.element.count, len(paint.names)), np.float32)
     if paint.type[0] == "u":
         columns = [vertices.scalars(known) for known in paint.names]
@@ -172,17 +125,7 @@ def _integer_scale(columns: list[NDArray[Any]], kind: str) -> tuple[float, str]:
 
 
 def store_colours(values: NDArray[np.float32], scale: float, kind: str) -> NDArray[Any]:
-    """Round colours to their stored type, once, to the nearest.
-
-    Parameters
-    ----------
-    values : ndarray of float32, any shape
-        Full scale 1; clipped to what the type holds if it is an integer.
-    scale : float
-        The stored number that is full scale.
-    kind : str
-        NumPy code of the type.
-    """
+    """Round colours of full scale 1 to their stored type, to the nearest; integers are clipped to their range."""
     wide = values.astype(np.float64)
     if kind[0] == "f":
         return (wide * scale).astype(kind)
@@ -202,3 +145,17 @@ def finite_columns(vertices: Table, names: tuple[str, ...], what: str, name: str
             name, f"the {what} of vertex {int(np.argmin(finite))} is not finite", "repair the file"
         )
     return values
+
+
+def attribute_names(kinds: Mapping[str, str], colours: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the names of attributes: "normal" if there are three real components of one, and single properties."""
+    others = tuple(name for name in kinds if name not in (*POSITION, *colours))
+    real = all(kinds.get(name, "")[:1] == "f" for name in NORMAL)
+    return (*(("normal",) if real else ()), *others)
+
+
+def read_attribute(vertices: Table, name: str, file: str) -> NDArray[np.float64]:
+    """Read an attribute of all vertices, shape (V, G); normals become unit vectors."""
+    if name != "normal":
+        return finite_columns(vertices, (name,), name, file)
+    return unit_vectors(finite_columns(vertices, NORMAL, name, file))

@@ -1,0 +1,195 @@
+"""What is new in an OBJ file: numbers on its `v` lines, and images, with the libraries and lines that name them."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import PurePosixPath
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from beltrami_cli.formats.model_folder import (
+    is_outside,
+    name_of_new_image,
+    new_reference,
+    path_inside,
+    reserve,
+)
+from beltrami_cli.formats.tokens import Spans, exchange_spans, exchange_tokens
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from beltrami_cli.formats.document import Bytes
+    from beltrami_cli.formats.obj.materials import Library, Map, Materials
+    from beltrami_cli.surface.records import ImageFile, Slot
+
+_DECIMALS = {1.0: (6, 9), 255.0: (4, 7)}  # by full scale, the least that lose nothing and the most of float32
+_DIGITS = 8  # of the largest coordinate, at least: a little more than float32 has
+_MOST_DECIMALS = 17
+
+
+@dataclass(frozen=True)
+class NewNumbers:
+    """Tokens of a file and the numbers that replace them."""
+
+    starts: NDArray[np.int64]  # (K,) where the tokens stand
+    ends: NDArray[np.int64]
+    values: NDArray[np.float64]
+    decimals: int
+
+
+def new_colours(
+    data: bytes,
+    starts: NDArray[np.int64],
+    ends: NDArray[np.int64],
+    colours: NDArray[np.float32],
+    changed: NDArray[np.bool_],
+    scale: float,
+) -> NewNumbers:
+    """Spell the colours that changed, all of shape (V, 3), as the old ones are, within what is sensible.
+
+    `scale` is the stored number that is full scale, 1 or 255; `starts` and `ends` are where the colours stand.
+    """
+    values = colours[changed].astype(np.float64) * scale
+    decimals = 0
+    found = _most_decimals(data, starts, ends) if len(values) else 0
+    if found < 0 and scale != 1:
+        values = np.clip(np.rint(values), 0, scale)
+    else:
+        least, most = _DECIMALS[scale]
+        decimals = min(max(found, least), most)
+    return NewNumbers(starts[changed], ends[changed], values, decimals)
+
+
+def new_positions(
+    data: bytes,
+    starts: NDArray[np.int64],
+    ends: NDArray[np.int64],
+    positions: NDArray[np.float64],
+    changed: NDArray[np.bool_],
+) -> NewNumbers:
+    """Spell the coordinates that changed with as many decimals as the old ones, and no less than float32 has."""
+    largest = float(np.abs(positions).max(initial=0)) or 1.0
+    enough = _DIGITS - 1 - int(np.floor(np.log10(largest)))
+    found = _most_decimals(data, starts, ends) if changed.any() else 0
+    decimals = min(max(found, enough, 0), _MOST_DECIMALS)
+    return NewNumbers(starts[changed], ends[changed], positions[changed], decimals)
+
+
+def renumbered(data: bytes, parts: Sequence[NewNumbers]) -> list[Bytes]:
+    """Exchange tokens for numbers, each token once, and keep every other byte; return the file in pieces."""
+    starts = np.concatenate([part.starts for part in parts])
+    if not len(starts):
+        return [data]
+    ends = np.concatenate([part.ends for part in parts])
+    values = np.concatenate([part.values for part in parts])
+    decimals = np.repeat([part.decimals for part in parts], [len(part.starts) for part in parts])
+    order = np.argsort(starts)
+
+    def spell(block: slice) -> list[bytes]:
+        chosen = order[block]
+        pairs = zip(decimals[chosen].tolist(), values[chosen].tolist(), strict=True)
+        return [b"%.*f" % pair for pair in pairs]
+
+    return [*exchange_tokens(data, starts[order], ends[order], spell)]
+
+
+def _most_decimals(data: bytes, starts: NDArray[np.int64], ends: NDArray[np.int64]) -> int:
+    """Return how many characters stand behind the point at most; negative if no token has one."""
+    points = np.append(np.flatnonzero(np.frombuffer(data, np.uint8) == ord(".")), len(data))
+    return int((ends - points[np.searchsorted(points, starts)] - 1).max())
+
+
+def repainted(
+    materials: Materials,
+    images: Mapping[tuple[Slot, str], ImageFile],
+    source: str,
+    stem: str,
+    *,
+    moved: bool,
+) -> tuple[dict[str, Bytes], Spans, frozenset[str]]:
+    """Return the new files beside an OBJ file, new names in it, and which old files nothing names any more.
+
+    `source` is the stem of its name; the others are as for `Document.patch`.
+    """
+    taken = {path.casefold() for path in materials.paths}
+    sidecars: dict[str, Bytes] = {}
+    edits, superseded = _take_images(materials, images, (source, stem), sidecars, taken, moved=moved)
+    spans: Spans = {}
+    for library in materials.libraries:
+        if library.path not in edits:
+            continue
+        new = library.path
+        if not is_outside(new) and exchange_spans(library.data, edits[new]) == library.data:
+            continue
+        if is_outside(library.path):
+            _take_along(materials, library, edits[library.path], sidecars, taken)
+        if not moved or is_outside(library.path):
+            new = reserve(str(PurePosixPath(path_inside(library.path)).with_name(f"{stem}.mtl")), taken)
+            for name, start, end in library.mentions:
+                spans[start, end] = new_reference(name, library.path, new)
+            superseded.add(library.path)
+        sidecars[new] = exchange_spans(library.data, edits[library.path])
+    return sidecars, spans, frozenset(superseded)
+
+
+def _take_images(
+    materials: Materials,
+    images: Mapping[tuple[Slot, str], ImageFile],
+    models: tuple[str, str],
+    sidecars: dict[str, Bytes],
+    taken: set[str],
+    *,
+    moved: bool,
+) -> tuple[dict[str, Spans], set[str]]:
+    """Put new images among the sidecars; return new names by library, and the old images that nothing names then."""
+    edits: dict[str, Spans] = {}
+    renamings: dict[str, int] = {}
+    for (path, image), slots in _by_file(images).items():
+        # What two slots show alike is one file; with the base colour go maps that are of other slots, too.
+        affected = list(
+            {id(found): (of, found) for s in slots for of, found in materials.affected(s, path)}.values()
+        )
+        # Its name is free only if no map that keeps the old image has it.
+        keeps = moved and len(affected) == materials.uses(path)
+        new = name_of_new_image(path, image.suffix, models, taken, keeps=keeps)
+        sidecars[new] = image.data
+        renamings[path] = renamings.get(path, 0) + (len(affected) if new != path else 0)
+        for library, found in affected:
+            edits.setdefault(library.path, {})[found.start, found.end] = _spelled(found, path, new, library)
+    return edits, {path for path, count in renamings.items() if count == materials.uses(path)}
+
+
+def _by_file(images: Mapping[tuple[Slot, str], ImageFile]) -> dict[tuple[str, ImageFile], list[Slot]]:
+    """Return the slots in which an image is replaced by a file."""
+    slots: dict[tuple[str, ImageFile], list[Slot]] = {}
+    for (slot, path), image in images.items():
+        slots.setdefault((path, image), []).append(slot)
+    return slots
+
+
+def _spelled(found: Map, path: str, new: str, library: Library) -> bytes:
+    """Return how a library names an image that was at one path and is to be at another."""
+    if is_outside(path) or is_outside(library.path):
+        home = PurePosixPath(path_inside(library.path)).parent
+        return os.fsencode("../" * len(home.parts) + new)
+    return new_reference(found.name, path, new)
+
+
+def _take_along(
+    materials: Materials, library: Library, edits: Spans, sidecars: dict[str, Bytes], taken: set[str]
+) -> None:
+    """Make a library from outside the folder, which is written inside, find its other images from there."""
+    copies: dict[str, str] = {}
+    for found, path in library.maps:
+        if path is None or (found.start, found.end) in edits:
+            continue
+        if path not in copies:
+            copies[path] = reserve(path_inside(path), taken) if is_outside(path) else path
+            if is_outside(path):
+                sidecars[copies[path]] = materials.read(path)
+        edits[found.start, found.end] = os.fsencode(copies[path])
