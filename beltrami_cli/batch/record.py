@@ -47,9 +47,10 @@ class Record:
         self.path = path
         if not resume and not overwrite and Path(path).exists():
             raise OutputError(path, "exists already", "--resume goes on from it, --overwrite starts anew")
-        self._output = Output(path, overwrite=True)
+        self._output = Output(path, overwrite=resume or overwrite, what="report")
         self._latest = _read(path) if resume and Path(path).exists() else {}
         self.close([])  # without the line that the end of a run cut off
+        self._output.overwrite = True  # from now on it is ours
 
     def latest(self, job: Job) -> Outcome | None:
         """Return what was last written of a job's output."""

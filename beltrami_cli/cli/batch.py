@@ -131,7 +131,8 @@ def command(
     requests = plan(inputs, out_dir, suffix, output_format)
     jobs = jobs_for(requests, smoothing, outside=allow_outside, overwrite=overwrite)
     path = report_path or _report_in(out_dir)
-    _refuse_report(path, [*inputs, *(name for job in jobs for name in (job.source, job.target))])
+    named = (name for job in jobs for name in (job.source, job.target, *job.settings.files_besides()))
+    _refuse_report(path, [*inputs, *named])
     with _crew(scheduler, pieces, at_once, max_memory, messages) as crew, Display(jobs, messages) as display:
         outcomes = run_batch(
             jobs,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -16,6 +15,7 @@ from beltrami_cli.errors import OutputError, UsageError
 if TYPE_CHECKING:
     from beltrami_cli.formats.access import Access
     from beltrami_cli.jobs.smooth.report import SmoothReport
+    from beltrami_cli.jobs.writing.files import FileSet
     from beltrami_cli.jobs.writing.output import Output
     from beltrami_cli.samples.settings.smooth import SmoothSettings
     from beltrami_cli.view.preview import Preview
@@ -99,15 +99,21 @@ def command(
     settings = options.settings_from(smoothing)
     unwrap = options.unwrapping_from(smoothing)
     messages = Messages(quiet=quiet, verbose=verbose)
-    report_file = None if report_path is None else _open_report(report_path, source, target, overwrite)
     from beltrami_cli.jobs.smooth.file import smooth_file
+    from beltrami_cli.jobs.writing.files import FileSet
 
-    with options.reading_from(smoothing, source) as access, messages.progress() as progress:
-        preview = None
+    with (
+        options.reading_from(smoothing, source) as access,
+        messages.progress() as progress,
+        FileSet([source, target]) as files,
+    ):
+        preview, report_file = None, None
+        if report_path is not None:
+            report_file = _open_report(report_path, overwrite, files)
         if preview_path is not None:
-            preview = _open_preview(
-                preview_path, source, target, settings, access, overwrite, dry_run=dry_run
-            )
+            if dry_run:
+                raise UsageError("--preview draws OUTPUT, which --dry-run does not write")
+            preview = _open_preview(preview_path, source, target, settings, access, overwrite, files)
         report = smooth_file(
             source,
             target,
@@ -118,26 +124,26 @@ def command(
             dry_run=dry_run,
             progress=progress,
             access=access,
+            files=files,
         )
         if preview is not None:
             preview.draw()
-    if report_file is not None:
-        _write_report(report_file, report)
+        if report_file is not None:
+            _write_report(report_file, report)
+        files.put_in_place()
     if not settings.kernel.iterations:
         tell_unchanged(messages, report, unwrapped=unwrap is not None, dry_run=dry_run)
         return
     tell(messages, report, dry_run=dry_run)
 
 
-def _open_report(path: str, source: str, target: str, overwrite: bool) -> Output:
+def _open_report(path: str, overwrite: bool, files: FileSet) -> Output:
     """Check that a report can be written before anything is computed."""
     from beltrami_cli.jobs.writing.output import Output
 
     if path == "-":
         raise OutputError(path, "the report is a file; standard output is for OUTPUT", "name a file")
-    if Path(path).resolve() in (Path(source).resolve(), Path(target).resolve()):
-        raise OutputError(path, "the report would replace INPUT or OUTPUT", "choose another name")
-    return Output(path, overwrite=overwrite)
+    return Output(path, overwrite=overwrite, what="report", files=files)
 
 
 def _open_preview(
@@ -147,15 +153,12 @@ def _open_preview(
     settings: SmoothSettings,
     access: Access,
     overwrite: bool,
-    *,
-    dry_run: bool,
+    files: FileSet,
 ) -> Preview:
     """Check that a preview can be drawn before anything is computed."""
-    if dry_run:
-        raise UsageError("--preview draws OUTPUT, which --dry-run does not write")
     from beltrami_cli.view.preview import Preview
 
-    return Preview(path, source, target, settings, access, overwrite=overwrite)
+    return Preview(path, source, target, settings, access, overwrite=overwrite, files=files)
 
 
 def _write_report(output: Output, report: SmoothReport) -> None:
@@ -163,12 +166,4 @@ def _write_report(output: Output, report: SmoothReport) -> None:
 
     from beltrami_cli.formats.document import Written
 
-    # Files beside OUTPUT are named relative to it.
-    folder = Path(report.output).resolve().parent
-    if output.path in {(folder / name).resolve() for name in report.written[1:]}:
-        raise OutputError(
-            output.target,
-            "the report would replace a file of OUTPUT, which is written",
-            "choose another name",
-        )
     output.write(Written(main=[(json.dumps(asdict(report), indent=2) + "\n").encode()]))

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from beltrami_cli.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
 # Without O_NONBLOCK, opening a FIFO that nobody writes to would wait for ever.
 _OPENING = (
@@ -37,12 +37,21 @@ class Access:
         depends on.
     bring : callable or None
         Called with the path of every sidecar before it is looked for, so that it can be fetched from elsewhere.
+    instead : mapping of Path to Path
+        Files that are read in place of others, by name in the resolved folder: new ones that are not in place yet.
     """
 
     outside: bool = False
     memory: int | None = None
     note: Callable[[Path, bytes], None] | None = field(default=None, compare=False)
     bring: Callable[[Path], None] | None = field(default=None, compare=False)
+    instead: Mapping[Path, Path] = field(default_factory=dict, compare=False)
+
+    def found_at(self, path: Path) -> Path:
+        """Return where a file is read."""
+        if not self.instead:
+            return path
+        return self.instead.get(Path(os.path.realpath(path.parent), path.name), path)
 
 
 EVERYTHING_INSIDE = Access()
@@ -55,7 +64,7 @@ class NotRegularError(OSError):
 
 def read_regular(path: Path, access: Access, most: int = -1) -> bytes:
     """Return a regular file's content, or its first `most` bytes, never waiting for a writer; OSError if it cannot."""
-    descriptor = os.open(path, _OPENING)
+    descriptor = os.open(access.found_at(path), _OPENING)
     with os.fdopen(descriptor, "rb") as file:
         status = os.fstat(descriptor)
         if not stat.S_ISREG(status.st_mode):
@@ -63,7 +72,7 @@ def read_regular(path: Path, access: Access, most: int = -1) -> bytes:
         if most < 0 and access.memory is not None and status.st_size > access.memory:
             raise OSError(errno.EFBIG, f"its {status.st_size} bytes are more than the memory it may take")
         data = file.read(most)
-    if most < 0 and access.note is not None:
+    if access.note is not None and not 0 <= most <= len(data):  # otherwise there may be more of it
         access.note(path, data)
     return data
 

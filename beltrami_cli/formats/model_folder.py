@@ -76,7 +76,7 @@ class ModelFolder:
         if self.access.bring is not None:
             self.access.bring(self._folder / path)
         try:
-            is_file = stat.S_ISREG((self._folder / path).stat().st_mode)
+            is_file = stat.S_ISREG(self.access.found_at(self._folder / path).stat().st_mode)
             there = (self._folder / path).resolve()
         except (FileNotFoundError, NotADirectoryError):
             alike = None if is_outside(path) else self._like_named(path)

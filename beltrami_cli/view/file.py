@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from beltrami_cli.errors import OutputError, UsageError
+from beltrami_cli.errors import UsageError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.document import Written
 from beltrami_cli.formats.image import format_of_suffix, write_image
@@ -69,8 +69,8 @@ def render_file(
     suffix = picture_suffix(path)
     labels = _labels(names, settings)
     _check_size(len(names), settings)
-    _check_target(names, path)
-    output = Output(path, overwrite=overwrite)
+    output = Output(path, overwrite=overwrite, what="picture", reads=names)
+    access = output.files.watching(access)
     views = [open_view(name, settings, access) for name in names]
     picture = draw_views(views, labels, settings, progress)
     output.write(encoded(picture, path, suffix))
@@ -112,8 +112,3 @@ def _check_size(files: int, settings: RenderSettings) -> None:
         raise UsageError(
             f"all views have {pixels} pixels together, but at most {MOST_PIXELS} are drawn; lower --size"
         )
-
-
-def _check_target(names: Sequence[str], target: str) -> None:
-    if target != "-" and Path(target).resolve() in {Path(name).resolve() for name in names if name != "-"}:
-        raise OutputError(target, "it is one of the files to be drawn", "name a picture as the last argument")

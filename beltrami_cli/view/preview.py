@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from beltrami_cli.errors import OutputError, UsageError
+from beltrami_cli.errors import UsageError
 from beltrami_cli.formats.access import read_regular
 from beltrami_cli.formats.image.recognition import is_image
 from beltrami_cli.jobs.writing.output import Output
@@ -17,8 +17,8 @@ from beltrami_cli.view.views import open_view
 
 if TYPE_CHECKING:
     from beltrami_cli.formats.access import Access
+    from beltrami_cli.jobs.writing.files import FileSet
     from beltrami_cli.samples.settings.smooth import SmoothSettings
-    from beltrami_cli.view.views import Drawable
 
 _HEAD = 1 << 16  # bytes that tell images from others
 _LABELS = ("before", "after")
@@ -39,17 +39,17 @@ class Preview:
         What may be read.
     overwrite : bool
         Whether the picture may replace a file.
+    files : FileSet
+        What the picture belongs to, with what is written of the target.
 
     Raises
     ------
     UsageError
         If there is no file to draw, or the picture's name is of no image.
     OutputError
-        If the picture cannot be written, or would replace one of the files.
+        If the picture cannot be written, or would replace a file of the run.
     ProcessingError
         If the package that draws surfaces is not installed.
-    InputError
-        If `target` replaces `source`, which is then read at once, and cannot be read.
     """
 
     def __init__(
@@ -61,30 +61,24 @@ class Preview:
         access: Access,
         *,
         overwrite: bool,
+        files: FileSet,
     ) -> None:
         if "-" in (source, target):
             raise UsageError("--preview draws INPUT and OUTPUT, which must be files and not pipes")
-        resolved = [Path(name).resolve() for name in (source, target)]
-        if path != "-" and Path(path).resolve() in resolved:
-            raise OutputError(path, "the preview would replace INPUT or OUTPUT", "choose another name")
+        self._output = Output(path, overwrite=overwrite, what="preview", files=files)
         self._path, self._suffix = path, picture_suffix(path)
         self._source, self._target = source, target
         self._reading, self._access = settings, access
         self._looks = _looks(settings)
-        self._output = Output(path, overwrite=overwrite)
         if not is_image(_head(source, access), source):
             require_embree()  # before anything is computed
-        self._before = self._open_source() if resolved[0] == resolved[1] else None
 
     def draw(self) -> None:
-        """Draw and write the picture, after `target` was written."""
-        before = self._open_source() if self._before is None else self._before
-        after = open_view(self._target, self._looks, self._access)
+        """Draw and write the picture, after `target` was written aside."""
+        before = open_view(self._source, self._looks, self._access, self._reading)
+        after = open_view(self._target, self._looks, self._output.files.with_staged(self._access))
         picture = draw_views([before, after], _LABELS, self._looks)
         self._output.write(encoded(picture, self._path, self._suffix))
-
-    def _open_source(self) -> Drawable:
-        return open_view(self._source, self._looks, self._access, self._reading)
 
 
 def _looks(settings: SmoothSettings) -> RenderSettings:

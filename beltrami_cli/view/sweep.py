@@ -121,7 +121,9 @@ def sweep_file(
     _check(name, len(trials), looks)
     is_page = Path(path).suffix.lower() in PAGES
     suffix = "" if is_page else picture_suffix(path, ", or .html for a page")
-    output = Output(path, overwrite=overwrite)
+    known = [name] if reference is None else [name, os.fspath(reference)]
+    output = Output(path, overwrite=overwrite, what="sheet", reads=known)
+    access = output.files.watching(access)
     shown = [] if reference is None else [("reference", os.fspath(reference), DEFAULTS)]
     shown.append(("before", name, trials[0][1]))
     panels: list[Panel] = []

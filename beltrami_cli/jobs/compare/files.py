@@ -134,7 +134,9 @@ def compare_files(
     output = None
     if target is not None:
         require_map(target)
-        output = Output(target, overwrite=overwrite)
+        output = Output(target, overwrite=overwrite, what="map", reads=names)
+        output.files.guard(settings.files_besides())
+        access = output.files.watching(access)
     paired = _pair(names, settings, weights, access)
     _require_samples(paired.parts, _shown(names[0]))
     parts = [{"name": pair.name, "kind": pair.kind, **figures([pair])} for pair in paired.parts]

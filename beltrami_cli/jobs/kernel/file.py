@@ -49,7 +49,8 @@ def kernel_file(
             f"{target}: a kernel is written as .ply, .png, .csv, .json or .npz; end the name in one"
         )
     location = read_location(at)
-    output = Output(target, overwrite=overwrite, is_text=suffix == ".csv")
+    output = Output(target, overwrite=overwrite, is_text=suffix == ".csv", what="kernel", reads=[source])
+    access = output.files.watching(access)
     # What is restored of clipped colours comes after the averages of all iterations, and is none of them.
     kernel = dataclasses.replace(settings.kernel, iterations=iteration - 1, clipping="keep", free=())
     settings = dataclasses.replace(settings, kernel=kernel)

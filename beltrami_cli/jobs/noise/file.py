@@ -108,6 +108,7 @@ def noise_file(
     """
     source, target = os.fspath(source), os.fspath(target)
     output = Output(target, overwrite=overwrite)
+    output.files.guard(settings.files_besides(source))
     data = read_source(source, access)
     if is_image(data, source):
         refuse_options_of_level_sets(settings, source)

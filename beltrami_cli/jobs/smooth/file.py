@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.document import Document
     from beltrami_cli.jobs.bake.settings import BakeSettings
     from beltrami_cli.jobs.smooth.report import SmoothReport
+    from beltrami_cli.jobs.writing.files import FileSet
     from beltrami_cli.samples.textures.smooth import SlotReport
     from beltrami_cli.samples.vertices.result import SmoothResult
     from beltrami_cli.surface.records import ImageFile, Slot
@@ -44,6 +45,7 @@ def smooth_file(
     dry_run: bool = False,
     progress: Callable[[str, int, int], None] | None = None,
     access: Access = EVERYTHING_INSIDE,
+    files: FileSet | None = None,
 ) -> SmoothReport:
     """Smooth the colours of a mesh file, in its vertices or textures, or of an image, and change nothing else.
 
@@ -66,6 +68,8 @@ def smooth_file(
         Called with a label of what is being smoothed, the work done so far and the work to do; may raise to stop.
     access : Access
         What may be read.
+    files : FileSet, optional
+        The files of the run, if there are others that are put in place together with `target`: by the caller.
 
     Returns
     -------
@@ -87,9 +91,13 @@ def smooth_file(
         return smooth_unwrapped(
             source, target, settings, unwrap,
             format=format, overwrite=overwrite, dry_run=dry_run, progress=progress, access=access,
+            files=files,
         )  # fmt: skip
     watch = Stopwatch()
-    output = None if dry_run else Output(target, overwrite=overwrite)
+    output = None if dry_run else Output(target, overwrite=overwrite, files=files)
+    if output is not None:
+        output.files.guard(settings.files_besides(source))
+        access = output.files.watching(access)
     with watch.stage("read"):
         data = read_source(source, access)
     if is_image(data, source):
@@ -126,11 +134,11 @@ def smooth_file(
         written = companions.complete(written, access)
         if output is not None:
             output.write(written)
-    files = [] if output is None else [target, *written.sidecars]
+    names = [] if output is None else [target, *written.sidecars]
     # Several slots say the same of one surface.
     warnings = list(dict.fromkeys([*document.notices, *work.notices, *notices, *written.notices]))
     return make_report(
-        source, target, target_format, document, settings, vertices, slots, watch, files, warnings
+        source, target, target_format, document, settings, vertices, slots, watch, names, warnings
     )
 
 

@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from beltrami_cli.jobs.bake.new_texture import NewTexture
     from beltrami_cli.jobs.bake.settings import BakeSettings
     from beltrami_cli.jobs.smooth.report import SmoothReport
+    from beltrami_cli.jobs.writing.files import FileSet
     from beltrami_cli.samples.settings.smooth import SmoothSettings
     from beltrami_cli.samples.textures.smooth import SlotReport
     from beltrami_cli.samples.vertices.result import SmoothResult
@@ -64,12 +65,13 @@ def smooth_unwrapped(
     dry_run: bool = False,
     progress: Progress = None,
     access: Access = EVERYTHING_INSIDE,
+    files: FileSet | None = None,
 ) -> SmoothReport:
     """Smooth the base colour, or else the vertex colours, in a new texture, and write a new file with that.
 
     Parameters
     ----------
-    source, target, settings, format, overwrite, dry_run, progress, access
+    source, target, settings, format, overwrite, dry_run, progress, access, files
         As for `smooth_file`.
     wanted : BakeSettings
         How the texture is made.
@@ -85,7 +87,10 @@ def smooth_unwrapped(
     """
     _check(settings)
     watch = Stopwatch()
-    output = None if dry_run else Output(target, overwrite=overwrite)
+    output = None if dry_run else Output(target, overwrite=overwrite, files=files)
+    if output is not None:
+        output.files.guard(settings.files_besides(source))
+        access = output.files.watching(access)
     stem = Path(target).stem
     with watch.stage("read"):
         document = open_input(source, settings, access)
@@ -108,10 +113,10 @@ def smooth_unwrapped(
         written = write_textured(done.made.mesh(done.image), target_format, stem)
         if output is not None:
             output.write(written)
-    files = [] if output is None else [target, *written.sidecars]
+    names = [] if output is None else [target, *written.sidecars]
     warnings = [*document.notices, *done.notices, *written.notices]
     return make_report(
-        source, target, target_format, document, settings, done.vertices, done.slots, watch, files, warnings
+        source, target, target_format, document, settings, done.vertices, done.slots, watch, names, warnings
     )
 
 

@@ -10,39 +10,43 @@ from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING
 
 from beltrami_cli.errors import OutputError
-from beltrami_cli.jobs.writing.replacing import check_writable, replace_together
+from beltrami_cli.jobs.writing.files import FileSet
+from beltrami_cli.jobs.writing.replacing import check_writable
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Iterator
 
-    from beltrami_cli.formats.document import Written
+    from beltrami_cli.formats.document import Bytes, Written
 
 
 class Output:
-    """Where a result goes.
+    """Where a result, a report or a picture goes: `target` is a path, or "-" for standard output.
 
-    Parameters
-    ----------
-    target : str
-        Path, or "-" for standard output.
-    overwrite : bool
-        Whether existing files may be replaced.
-    is_text : bool
-        Whether a terminal can show it.
-
-    Raises
-    ------
-    OutputError
-        If `target` exists and must not be replaced, or its folder cannot be written to.
+    `what` it is, for messages: OUTPUT may replace the file that it was made of, all else replaces nothing that is read.
+    `files` is the set that it belongs to, which somebody else puts in place; without one, `write` does so at once.
+    OutputError if it exists and must not be replaced, or its folder cannot be written to.
     """
 
-    def __init__(self, target: str, *, overwrite: bool, is_text: bool = False) -> None:
-        self.target = target
-        self.overwrite = overwrite
+    def __init__(
+        self,
+        target: str,
+        *,
+        overwrite: bool,
+        is_text: bool = False,
+        what: str = "OUTPUT",
+        files: FileSet | None = None,
+        reads: Iterable[str] = (),
+    ) -> None:
+        self.target, self.overwrite, self.what = target, overwrite, what
+        self.is_result = what == "OUTPUT"
         self.is_stdout = target == "-"
         # A link is followed, so that what it points to is replaced and the link stays.
         self.path = Path(os.path.realpath(target))
         self.is_device = not self.is_stdout and _is_special(self.path)
+        self._sidecars: tuple[str, ...] = ()
+        self._is_alone = files is None
+        self.files = FileSet(reads) if files is None else files
+        self.files.add(self)
         if self.is_stdout:
             if sys.stdout.isatty() and not is_text:
                 raise OutputError(
@@ -52,24 +56,21 @@ class Output:
             self._check_file(self.path)
             self._check_folder()
 
+    def paths(self) -> Iterator[tuple[str, Path]]:
+        """Give the files that are known to be written, with the names that the user knows them by."""
+        if not (self.is_stdout or self.is_device):
+            yield self.target, self.path
+            for name in self._sidecars:
+                yield self._named(self.path.parent / name), self.path.parent / name
+
     @property
     def folder(self) -> Path | None:
         """Folder of the output; None for standard output and devices, which hold one file only."""
         return None if self.is_stdout or self.is_device else self.path.parent
 
     def check_sidecars(self, names: Iterable[str]) -> None:
-        """Check that files beside the output may be written.
-
-        Parameters
-        ----------
-        names : iterable of str
-            Paths relative to the output's folder.
-
-        Raises
-        ------
-        OutputError
-            If one exists and must not be replaced, or the output has no folder to put them in.
-        """
+        """Check that files beside the output, by paths relative to its folder, may be written; OutputError if not."""
+        names = self._sidecars = tuple(names)
         for name in names:
             if self.folder is None:
                 raise OutputError(
@@ -83,27 +84,35 @@ class Output:
             ):  # No reader gives such a name; this is the last door.
                 raise OutputError(name, "would be written outside the output's folder")
             self._check_file(self.folder / name)
+        self.files.check()
 
     def write(self, written: Written) -> None:
-        """Write all files, each complete under its name or not at all.
+        """Write all files, or, in a set of others, write them aside; OutputError leaves all files as they were."""
+        if not self._is_alone:
+            self._stage(written)
+            return
+        with self.files:
+            self._stage(written)
+            self.files.put_in_place()
 
-        Raises
-        ------
-        OutputError
-            If anything cannot be written; then all existing files are as they were.
-        """
+    def _stage(self, written: Written) -> None:
         self.check_sidecars(written.sidecars)
+        if self.is_stdout or self.is_device:
+            self.files.stage_stream(lambda: self._write_stream(written.main))
+            return
+        files = {self.path.parent / name: [data] for name, data in written.sidecars.items()}
+        names = {path: self._named(path) for path in files} | {self.path: self.target}
+        self.files.stage(self, {**files, self.path: written.main}, names)
+
+    def _write_stream(self, pieces: Iterable[Bytes]) -> None:
         try:
             if self.is_stdout:
-                for piece in written.main:
+                for piece in pieces:
                     sys.stdout.buffer.write(piece)
                 sys.stdout.buffer.flush()
-            elif self.is_device:
-                with self.path.open("wb") as file:
-                    file.writelines(written.main)
             else:
-                files = {self.path.parent / name: [data] for name, data in written.sidecars.items()}
-                replace_together({**files, self.path: written.main})
+                with self.path.open("wb") as file:
+                    file.writelines(pieces)
         except OSError as error:
             if isinstance(error, BrokenPipeError):
                 # What is still in the buffer must not be tried again when the interpreter ends.

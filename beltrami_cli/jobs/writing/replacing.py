@@ -1,7 +1,7 @@
-"""Files that belong together, written all or none, whatever happens on the way.
+"""Writing files aside and putting them in place: the steps that `files.FileSet` is made of.
 
-Every file is written under a temporary name beside its place; then all are renamed, which needs no more room on the
-disk. If a rename fails, those before it are undone. Signals that would end the process wait until nothing is half done.
+To put written files in place needs no more room on the disk. If it fails for one, those before it are undone. Signals
+that would end the process wait until nothing is half done.
 """
 
 from __future__ import annotations
@@ -12,10 +12,11 @@ import shutil
 import signal
 import stat
 import threading
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping
+    from collections.abc import Callable, Iterable, Iterator, Sequence
     from pathlib import Path
 
     from beltrami_cli.formats.document import Bytes
@@ -23,28 +24,25 @@ if TYPE_CHECKING:
 _ENDINGS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 
 
-def replace_together(files: Mapping[Path, Iterable[Bytes]]) -> None:
-    """Write several files, each complete under its name and all of them or none.
+@dataclass(frozen=True)
+class Aside:
+    """A file that is written under a temporary name, the place where it belongs, and whether it may replace a file."""
 
-    Parameters
-    ----------
-    files : mapping of Path to iterable of bytes-like
-        What they shall hold, in pieces. The last one is renamed last, so that it never names files that are not there.
+    temporary: Path
+    path: Path
+    overwrite: bool
 
-    Raises
-    ------
-    OSError
-        If anything cannot be written; then all is as it was, folders included.
-    """
-    with endings_held() as deliver, contextlib.ExitStack() as cleaning:
-        temporaries = {}
-        for path, pieces in files.items():
-            _make_folder(path.parent, cleaning)
-            temporaries[path] = temporary_beside(path)
-            cleaning.callback(temporaries[path].unlink, missing_ok=True)
-            _write_file(temporaries[path], pieces, path, deliver)
-        _rename_together(temporaries)
-        cleaning.pop_all()
+
+def put_together(files: Sequence[Aside]) -> None:
+    """Give all files their names, in this order, or none; OSError names the file that cannot be put in place."""
+    with contextlib.ExitStack() as tidying, contextlib.ExitStack() as undoing:
+        for file in files:
+            try:
+                _put(file, tidying, undoing)
+            except OSError as error:
+                error.filename = str(file.path)
+                raise
+        undoing.pop_all()
 
 
 def check_writable(folder: Path) -> None:
@@ -91,15 +89,38 @@ def endings_held() -> Iterator[Callable[[], None]]:
             signal.raise_signal(number)
 
 
-def _make_folder(folder: Path, cleaning: contextlib.ExitStack) -> None:
+def make_folder(folder: Path, cleaning: contextlib.ExitStack) -> None:
     """Make a folder with all above it; they are removed again when the stack unwinds."""
     missing = []
     while not folder.exists():
         missing.append(folder)
         folder = folder.parent
     for each in reversed(missing):
-        each.mkdir()
+        try:
+            each.mkdir()
+        except FileExistsError:  # another process was faster
+            if not each.is_dir():
+                raise
+            continue
         cleaning.callback(_remove_empty, each)
+
+
+def write_aside(file: Aside, pieces: Iterable[Bytes], deliver: Callable[[], None]) -> None:
+    """Write a file under its temporary name, with the mode that a new file gets, or that of the file it replaces."""
+    mode = stat.S_IMODE(file.path.stat().st_mode) if file.overwrite and file.path.exists() else None
+    descriptor = os.open(
+        file.temporary,
+        os.O_CREAT | os.O_EXCL | os.O_WRONLY | getattr(os, "O_BINARY", 0),
+        0o666 if mode is None else mode,
+    )
+    with os.fdopen(descriptor, "wb") as opened:
+        for piece in pieces:
+            deliver()
+            opened.write(piece)
+        opened.flush()
+        os.fsync(descriptor)
+    if mode is not None:
+        file.temporary.chmod(mode)
 
 
 def _remove_empty(folder: Path) -> None:
@@ -107,40 +128,48 @@ def _remove_empty(folder: Path) -> None:
         folder.rmdir()
 
 
-def _write_file(temporary: Path, pieces: Iterable[Bytes], final: Path, deliver: Callable[[], None]) -> None:
-    # The mode that a new file gets, or that of the file to be replaced.
-    mode = stat.S_IMODE(final.stat().st_mode) if final.exists() else None
-    descriptor = os.open(
-        temporary,
-        os.O_CREAT | os.O_EXCL | os.O_WRONLY | getattr(os, "O_BINARY", 0),
-        0o666 if mode is None else mode,
-    )
-    with os.fdopen(descriptor, "wb") as file:
-        for piece in pieces:
-            deliver()
-            file.write(piece)
-        file.flush()
-        os.fsync(descriptor)
-    if mode is not None:
-        temporary.chmod(mode)
+def _put(file: Aside, tidying: contextlib.ExitStack, undoing: contextlib.ExitStack) -> None:
+    """Give a file its name; one stack removes what is needed no longer, the other undoes it all."""
+    path = file.path
+    if not file.overwrite:
+        _put_new(file.temporary, path)
+        undoing.callback(path.unlink, missing_ok=True)
+    elif path.exists():
+        kept = temporary_beside(path)
+        tidying.callback(kept.unlink, missing_ok=True)
+        _keep(path, kept)
+        file.temporary.replace(path)
+        undoing.callback(kept.replace, path)
+    else:
+        file.temporary.replace(path)
+        undoing.callback(path.unlink, missing_ok=True)
 
 
-def _rename_together(temporaries: Mapping[Path, Path]) -> None:
-    """Rename all temporaries to the files that they become, or none."""
-    *others, last = temporaries
-    with contextlib.ExitStack() as tidying, contextlib.ExitStack() as undoing:
-        for path in others:
-            if path.exists():
-                kept = temporary_beside(path)
-                tidying.callback(kept.unlink, missing_ok=True)
-                _keep(path, kept)
-                temporaries[path].replace(path)
-                undoing.callback(kept.replace, path)
-            else:
-                temporaries[path].replace(path)
-                undoing.callback(path.unlink)
-        temporaries[last].replace(last)
-        undoing.pop_all()
+def _put_new(temporary: Path, path: Path) -> None:
+    """Give a file a name that nobody has; FileExistsError if somebody has it, or takes it at this moment."""
+    try:
+        os.link(temporary, path)
+    except FileExistsError:
+        if not _is_same(temporary, path):  # on NFS the link may have been made, and only the answer lost
+            raise
+    except OSError:  # no file can have two names there
+        # Only one process can make the empty file, and may then replace it.
+        os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY))
+        try:
+            temporary.replace(path)
+        except OSError:
+            path.unlink()
+            raise
+        return
+    with contextlib.suppress(OSError):  # the file is in place, whether or not its other name goes
+        temporary.unlink()
+
+
+def _is_same(one: Path, other: Path) -> bool:
+    try:
+        return one.samefile(other)
+    except OSError:
+        return False
 
 
 def _keep(path: Path, kept: Path) -> None:

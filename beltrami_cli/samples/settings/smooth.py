@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Literal, get_args
 
 from beltrami_cli.errors import UsageError
@@ -120,6 +121,13 @@ class SmoothSettings:
             raise UsageError("the space oklab mixes the channels, so --channels cannot choose among them")
         if self.space == "oklab" and self.embedding.metric_channels:
             raise UsageError("the space oklab mixes the channels, so --metric-channels can only be none")
+
+    def files_besides(self, source: str | None = None) -> list[str]:
+        """Return the files that are named here, besides the one that is smoothed."""
+        image, level_set = self.image, self.level_set
+        names = (image.height, image.positions, image.mask, level_set.colours, *self.embedding.guides)
+        own = None if source in (None, "-") else Path(str(source)).resolve()
+        return [str(name) for name in names if Path(str(name)).is_file() and Path(str(name)).resolve() != own]
 
 
 DEFAULTS = SmoothSettings()

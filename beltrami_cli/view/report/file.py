@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from beltrami_cli.errors import InputError, OutputError, UsageError
+from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access, read_source
 from beltrami_cli.formats.document import Written
 from beltrami_cli.formats.image import read_image
@@ -97,11 +97,11 @@ def report_file(
     names, path = [os.fspath(before), os.fspath(after)], os.fspath(target)
     if "-" in names:
         raise UsageError("BEFORE and AFTER must be files and not pipes")
-    if path != "-" and Path(path).resolve() in {Path(name).resolve() for name in names}:
-        raise OutputError(path, "it is one of the files to be shown", "name a page as the last argument")
     if path != "-" and Path(path).suffix.lower() not in PAGES:
         raise UsageError(f"{path}: the report is a page; end its name in {' or '.join(PAGES)}")
-    output = Output(path, overwrite=overwrite, is_text=True)
+    known = names if parameters is None else [*names, os.fspath(parameters)]
+    output = Output(path, overwrite=overwrite, is_text=True, what="page", reads=known)
+    access = output.files.watching(access)
     told = "" if parameters is None else _parameters(os.fspath(parameters), access)
     data = read_source(names[0], access), read_source(names[1], access)
     if any(is_image(each, name) for each, name in zip(data, names, strict=True)):

@@ -1,0 +1,145 @@
+"""All files of a run are put in place together or not at all, and none replaces another or what is read."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from beltrami_cli.errors import OutputError
+from beltrami_cli.formats.document import Written
+from beltrami_cli.jobs.writing.files import FileSet
+from beltrami_cli.jobs.writing.output import Output
+from cli.commands import SAMPLES, beltrami
+from hostile.folders import snapshot
+
+NOISY = SAMPLES / "nonmanifold-noisy.ply"
+QUICK = ("-n", "1", "--beta", "8", "--fast")
+FULL = Path("/dev/full")
+
+
+def refused(folder: Path, *arguments: object) -> str:
+    """Run a command that must end with code 4, one line, and everything as it was; return the line."""
+    before = snapshot(folder)
+    run = beltrami(*arguments, cwd=folder)
+    assert (run.returncode, run.stderr.count(b"\n")) == (4, 1), run.stderr
+    assert snapshot(folder) == before
+    return run.stderr.decode()
+
+
+@pytest.fixture
+def textured(tmp_path: Path) -> Path:
+    """Return a folder with a model of three files."""
+    folder = tmp_path / "textured"
+    folder.mkdir()
+    for path in SAMPLES.glob("mirrored-noisy*"):
+        shutil.copy(path, folder)
+    return folder
+
+
+@pytest.mark.skipif(not FULL.exists(), reason="there is no device that is always full")
+@pytest.mark.parametrize("option", ["--report", "--preview"])
+@pytest.mark.parametrize("exists", [False, True])
+def test_what_cannot_be_written_leaves_output_as_it_was(option: str, exists: bool, tmp_path: Path) -> None:
+    if exists:
+        (tmp_path / "out.ply").write_text("precious")
+    link = tmp_path / "full.png"  # a preview needs a name that tells its format
+    link.symlink_to(FULL)
+    line = refused(tmp_path, "smooth", NOISY, "out.ply", *QUICK, option, link, "--overwrite")
+    assert "No space left" in line
+
+
+def test_a_report_whose_folder_disappears_leaves_everything_as_it_was(tmp_path: Path) -> None:
+    (tmp_path / "gone").mkdir()
+    (tmp_path / "out.ply").write_text("precious")
+    with FileSet() as files:
+        report = Output(str(tmp_path / "gone" / "r.json"), overwrite=True, what="report", files=files)
+        output = Output(str(tmp_path / "out.ply"), overwrite=True, files=files)
+        output.write(Written([b"new"]))
+        report.write(Written([b"new"]))
+        shutil.rmtree(tmp_path / "gone")
+        with pytest.raises(OutputError, match="cannot be written"):
+            files.put_in_place()
+    assert [path.name for path in tmp_path.iterdir()] == ["out.ply"]
+    assert (tmp_path / "out.ply").read_text() == "precious"
+
+
+def test_what_is_not_put_in_place_is_removed(tmp_path: Path) -> None:
+    with FileSet() as files:
+        output = Output(str(tmp_path / "out.obj"), overwrite=False, files=files)
+        output.write(Written([b"new"], {"new/a.png": b"new"}))
+        assert len(list(tmp_path.rglob("*.tmp"))) == 2
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("option", "names"),
+    [
+        ("--report", ("noisy.obj", "noisy.mtl", "noisy.png", "out.obj", "out.mtl", "out.png")),
+        ("--preview", ("noisy.png", "out.png")),
+    ],
+)
+def test_a_report_or_preview_replaces_nothing_that_is_read_or_written(
+    option: str, names: tuple[str, ...], textured: Path
+) -> None:
+    run = ("smooth", "mirrored-noisy.obj", "out.obj", *QUICK, "--overwrite")
+    assert beltrami(*run, cwd=textured).returncode == 0
+    for name in names:
+        refused(textured, *run, option, name.replace("noisy", "mirrored-noisy"))
+
+
+@pytest.mark.parametrize("exists", [False, True])
+def test_a_report_and_a_preview_are_two_files(exists: bool, tmp_path: Path) -> None:
+    if exists:
+        (tmp_path / "both.png").write_text("precious")
+    (tmp_path / "link").symlink_to(tmp_path)
+    two = ("--report", "both.png", "--preview", "link/both.png")
+    assert "would replace" in refused(tmp_path, "smooth", NOISY, "out.ply", *QUICK, *two, "--overwrite")
+
+
+def test_output_does_not_replace_a_guide(tmp_path: Path) -> None:
+    for name in ("photo.png", "guide.png"):
+        shutil.copy(SAMPLES / "mirrored-noisy.png", tmp_path / name)
+    guided = ("smooth", "photo.png", "guide.png", *QUICK, "--guide", "guide.png", "--overwrite")
+    assert "would replace" in refused(tmp_path, *guided)
+    assert beltrami(*guided[:2], "photo.png", *guided[3:], cwd=tmp_path).returncode == 0
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("compare", "a.ply", "b.ply", "--map", "b.ply"),
+        ("kernel", "a.ply", "a.ply", "--at", "7"),
+        ("render", "picture.png", "picture.png"),
+        ("sweep", "a.ply", "sheet.html", "--beta", "4", "--reference", "sheet.html"),
+        ("report", "a.ply", "b.ply", "page.html", "--parameters", "page.html"),
+    ],
+)
+def test_no_command_replaces_what_it_reads(arguments: tuple[str, ...], tmp_path: Path) -> None:
+    for name in ("a.ply", "b.ply", "sheet.html", "page.html"):
+        shutil.copy(NOISY, tmp_path / name)
+    shutil.copy(SAMPLES / "mirrored-noisy.png", tmp_path / "picture.png")
+    refused(tmp_path, *arguments, "--overwrite")
+
+
+def test_a_map_does_not_replace_a_texture_of_what_it_compares(textured: Path) -> None:
+    shutil.copytree(textured, textured / "other")
+    compared = ("compare", "mirrored-noisy.obj", "other/mirrored-noisy.obj")
+    refused(textured, *compared, "--map", "other/mirrored-noisy.png", "--overwrite")
+    assert beltrami(*compared, "--map", "map.png", cwd=textured).returncode == 0
+
+
+@pytest.mark.parametrize("target", ["new/mirrored-noisy.obj", "beside.obj", "mirrored-noisy.obj"])
+def test_a_preview_is_drawn_of_files_that_are_not_in_place_yet(target: str, textured: Path) -> None:
+    (textured / "new").mkdir()
+    (textured.parent / "before").mkdir()
+    before = shutil.copytree(textured, textured.parent / "before" / "model")
+    smooth = ("smooth", "mirrored-noisy.obj", target, *QUICK, "--preview", "p.png", "--overwrite")
+    run = beltrami(*smooth, cwd=textured)
+    assert run.returncode == 0, run.stderr
+    drawn = ("render", before / "mirrored-noisy.obj", target, "expected.png", "--crop", "auto")
+    run = beltrami(*drawn, "--label", "before", "--label", "after", cwd=textured)
+    assert run.returncode == 0, run.stderr
+    assert (textured / "p.png").read_bytes() == (textured / "expected.png").read_bytes()
+    assert not list(textured.rglob("*.tmp"))

@@ -1,0 +1,121 @@
+"""Two runs on one output at the same time, without --overwrite: exactly one of them writes it, and says so."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import shutil
+import subprocess
+import sys
+from typing import TYPE_CHECKING
+
+import pytest
+
+from beltrami_cli.errors import OutputError
+from beltrami_cli.formats.document import Written
+from beltrami_cli.jobs.writing.output import Output
+from cli.commands import COMMAND, SAMPLES
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+# Starts writing when the parent says so, as if all before it had been computed already.
+WRITER = """
+import sys
+from beltrami_cli.errors import OutputError
+from beltrami_cli.formats.document import Written
+from beltrami_cli.jobs.writing.output import Output
+
+if sys.argv[3] == "no links":
+    import errno, os
+
+    def link(*_, **__):
+        raise PermissionError(errno.EPERM, "Operation not permitted")
+
+    os.link = link
+output = Output(sys.argv[1], overwrite=False)
+content = sys.argv[2].encode() * 100_000
+print("ready", flush=True)
+sys.stdin.readline()
+try:
+    output.write(Written([content], {"a.mtl": content, "maps/a.png": content}))
+except OutputError as error:
+    assert "exists already" in str(error)
+    sys.exit(error.exit_code)
+"""
+
+
+def end_together(processes: list[subprocess.Popen[str]]) -> list[int]:
+    for process in processes:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "ready\n"
+    for process in processes:
+        assert process.stdin is not None
+        process.stdin.write("go\n")
+        process.stdin.flush()
+    errors = [process.communicate(timeout=60)[1] for process in processes]
+    assert not any("Traceback" in error for error in errors), errors
+    return [process.returncode for process in processes]
+
+
+@pytest.mark.parametrize("links", ["links", "no links"])
+def test_of_two_that_write_at_the_same_time_one_wins(links: str, tmp_path: Path) -> None:
+    for attempt in range(6):
+        folder = tmp_path / str(attempt)
+        folder.mkdir()
+        processes = [
+            subprocess.Popen(
+                [sys.executable, "-P", "-c", WRITER, str(folder / "out.obj"), letter, links],
+                stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+            )
+            for letter in "AB"
+        ]  # fmt: skip
+        codes = end_together(processes)
+        assert sorted(codes) == [0, 4]
+        winner = "AB"[codes.index(0)]
+        files = {path for path in folder.rglob("*") if path.is_file()}
+        assert {path.relative_to(folder).as_posix() for path in files} == {"out.obj", "a.mtl", "maps/a.png"}
+        assert {path.read_text()[0] for path in files} == {winner}
+
+
+def test_of_two_commands_one_says_done(tmp_path: Path) -> None:
+    for attempt in range(2):
+        target = tmp_path / f"out{attempt}.ply"
+        command = [*COMMAND, "smooth", str(SAMPLES / "terrain-noisy.ply"), str(target), "-n"]
+        pair = [
+            subprocess.Popen([*command, count, "--fast"], stderr=subprocess.PIPE, text=True) for count in "12"
+        ]
+        said = [process.communicate(timeout=120)[1] for process in pair]
+        assert sorted(process.returncode for process in pair) == [0, 4], said
+        assert sum("mean change" in each for each in said) == 1
+        assert sum("exists already" in each for each in said) == 1
+    assert not list(tmp_path.glob(".*"))
+
+
+def test_of_two_batches_one_says_done(tmp_path: Path) -> None:
+    shutil.copy(SAMPLES / "nonmanifold-noisy.ply", tmp_path / "a.ply")
+    command = [*COMMAND, "batch", "a.ply", "--out-dir", "out", "-n", "1"]
+    pair = [subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True) for _ in range(2)]
+    said = [process.communicate(timeout=120)[1] for process in pair]
+    assert sorted(process.returncode for process in pair) == [0, 4], said
+    lines = (tmp_path / "out" / "batch.jsonl").read_text().splitlines()
+    assert [json.loads(line)["status"] for line in lines] == ["done"]
+
+
+@pytest.mark.parametrize("links", [True, False])
+def test_a_name_that_is_taken_at_the_last_moment_is_left_alone(
+    links: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if not links:
+
+        def link(*_: object, **__: object) -> None:
+            raise OSError(errno.EOPNOTSUPP, "Operation not supported")
+
+        monkeypatch.setattr(os, "link", link)
+    output = Output(str(tmp_path / "out.obj"), overwrite=False)
+    (tmp_path / "out.obj").write_text("of somebody else")
+    with pytest.raises(OutputError, match=r"out\.obj: exists already"):
+        output.write(Written([b"new"], {"a.mtl": b"new", "maps/a.png": b"new"}))
+    assert [path.name for path in tmp_path.iterdir()] == ["out.obj"]
+    assert (tmp_path / "out.obj").read_text() == "of somebody else"
