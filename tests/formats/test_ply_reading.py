@@ -1,4 +1,4 @@
-"""PLY files are read as trimesh reads them where it is right, and as the format says elsewhere."""
+"""PLY files are read as trimesh reads them where it is right; intensities are colours of any type and range."""
 
 from __future__ import annotations
 
@@ -86,3 +86,53 @@ def test_what_conversion_drops_is_listed() -> None:
 def test_the_same_record_at_every_call() -> None:
     document = PlyDocument(build(coloured()).data, "x.ply")
     assert document.painted() is document.painted()
+
+
+def scan(kind, values, name="intensity"):
+    properties = [("x", "float"), ("y", "float"), ("z", "float"), (name, kind), ("label", "uchar")]
+    return [Table("vertex", properties, [[i, i, 0, value, 7] for i, value in enumerate(values)])]
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+@pytest.mark.parametrize(
+    ("kind", "values", "expected", "new", "stored"),
+    [
+        ("float", [0, 0.5, 1], [0, 0.5, 1], 0.25, 0.25),
+        ("float", [0, 1000.5, -2001], [0, 0.5, -1], 0.25, 500.25),
+        ("double", [0, 51, 255], [0, 0.2, 1], 0.4, 102),
+        ("short", [-2048, 1024, 2047], [-1, 0.5, 2047 / 2048], -0.25, -512),
+        ("ushort", [0, 13107, 65535], [0, 0.2, 1], 0.4, 26214),
+        ("uchar", [0, 51, 255], [0, 0.2, 1], 0.4, 102),
+        ("int", [0, 4095, 65535], [0, 4095 / 65535, 1], 0.4, 26214),
+    ],
+)
+def test_intensities_of_points_are_of_any_type_and_range(encoding, kind, values, expected, new, stored):
+    data = build(scan(kind, values), encoding).data
+    document = PlyDocument(data, "x.ply")
+    painted = document.painted()
+    assert len(painted.channels) == 1
+    assert np.allclose(painted.colours[:, 0], expected, atol=1e-4)
+    colours = painted.colours.copy()
+    assert b"".join(document.patch(colours, "x", moved=False).main) == data
+    colours[1] = new
+    values = [values[0], stored, values[2]]
+    result = b"".join(document.patch(colours, "x", moved=False).main)
+    raw = load_ply(io.BytesIO(result))["metadata"]["_ply_raw"]["vertex"]["data"]
+    assert np.allclose(raw["intensity"].ravel().astype(float), values, atol=1e-3)
+    assert PlyDocument(result, "x.ply").fingerprint().parts == document.fingerprint().parts
+
+
+@pytest.mark.parametrize("name", ["scalar_Intensity", "reflectance", "Intensity"])
+def test_other_names_of_intensities_are_known_where_there_are_no_faces(name):
+    tables = scan("float", [3, 5, 9], name)
+    assert PlyDocument(build(tables).data, "x.ply").painted().channels == ("intensity",)
+    tables.append(Table("face", [("vertex_indices", "uchar int")], [[[0, 1, 2]]]))
+    assert not PlyDocument(build(tables).data, "x.ply").has_vertex_colours()
+
+
+def test_colours_count_more_than_intensities():
+    tables = scan("float", [3, 5, 9])
+    tables[0].properties += [("red", "uchar"), ("green", "uchar"), ("blue", "uchar")]
+    for row in tables[0].rows:
+        row += [1, 2, 3]
+    assert PlyDocument(build(tables).data, "x.ply").painted().channels == ("red", "green", "blue")

@@ -104,6 +104,12 @@ def test_stl_without_colours_or_damaged_is_refused() -> None:
         opened(bytes(bad), "x.stl").painted()
 
 
+@pytest.mark.parametrize("name", ["x.xaml", "x.3dxml", "x.step"])
+def test_formats_without_a_reader_are_refused(name: str) -> None:
+    with pytest.raises(InputError, match="no known format"):
+        opened(b"<GeometryModel3D></GeometryModel3D>", name)
+
+
 def test_off_with_its_counts_right_behind_the_mark() -> None:
     assert (
         len(

@@ -1,4 +1,4 @@
-"""Customs of OBJ and MTL files as programs write them: each is read, and nothing but colours comes out changed."""
+"""Dialects of OBJ and MTL files as programs write them: each is read, and nothing but colours comes out changed."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def write_everything(folder: Path, newline: str = "\n") -> Path:
 
 
 @pytest.mark.parametrize("newline", ["\n", "\r\n"])
-def test_all_customs_together_in_another_folder(newline: str, tmp_path: Path) -> None:
+def test_all_dialects_together_in_another_folder(newline: str, tmp_path: Path) -> None:
     model = write_everything(tmp_path / "in", newline)
     (tmp_path / "out").mkdir()
     report = smooth_file(model, tmp_path / "out" / "model.obj")
@@ -80,7 +80,7 @@ def test_all_customs_together_in_another_folder(newline: str, tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("newline", ["\n", "\r\n"])
-def test_all_customs_together_beside_the_source(newline: str, tmp_path: Path) -> None:
+def test_all_dialects_together_beside_the_source(newline: str, tmp_path: Path) -> None:
     model = write_everything(tmp_path, newline)
     before = snapshot(tmp_path)
     smooth_file(model, tmp_path / "clean.obj")
