@@ -20,7 +20,7 @@ from formats.ply_files import ENCODINGS, Table, build, coloured
 from formats.read_only_files import OBJECT, coff, model, stl, threemf
 from fuzz.targets import SEPARATOR
 
-CORE = ("triangulated", "parametric", "atlas")
+CORE = ("triangulated", "grid", "atlas")
 CORPUS = Path(__file__).with_name("corpus")
 PICTURE = encode(np.random.default_rng(1).integers(0, 256, (4, 4, 3), np.uint8), "png")
 SQUARE = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\n"

@@ -8,7 +8,7 @@
 
 namespace beltrami::atlas {
 
-// Keeps a piece of memory as long as anybody has it.
+// A piece of memory, kept as long as it is referred to.
 using Memory = std::shared_ptr<void>;
 // Called from the calling thread only.
 using Allocate = std::function<Memory(std::size_t bytes)>;

@@ -7,12 +7,10 @@
 #include <tuple>
 #include <vector>
 
-#include "atlas/bands.hpp"
 #include "atlas/cells.hpp"
 #include "atlas/charts.hpp"
 #include "atlas/layout.hpp"
 #include "atlas/lengths.hpp"
-#include "atlas/near_borders.hpp"
 #include "atlas/ownership.hpp"
 #include "atlas/windows.hpp"
 #include "parallel.hpp"
@@ -20,7 +18,7 @@
 namespace beltrami::atlas {
 namespace {
 
-// Small charts make small bands; so many at once are worth handing to a thread.
+// Small charts make small bands: one alone is too little work for a thread.
 constexpr std::size_t bands_per_chunk = 8;
 constexpr std::size_t cells_per_chunk = 1 << 20;
 
@@ -130,7 +128,7 @@ class Builder {
     });
   }
 
-  // Calls visit(begin, end) for the kinds of many cells at a time, and lets the caller in in between.
+  // Calls visit(begin, end) for the kinds of many cells at a time, and polls in between.
   template <class Visit>
   void for_each_chunk(const Visit& visit) const {
     for (std::size_t cell = 0; cell < atlas_.kind.size; cell += 4 * cells_per_chunk) {
@@ -224,8 +222,7 @@ class Builder {
 Atlas make_atlas(const Surface& surface, std::int64_t margin, unsigned threads, const Allocate& allocate,
                  const Poll& poll) {
   if (margin < 1) throw std::invalid_argument("the margin must be at least one cell");
-  const auto& textures = surface.textures;
-  if (!textures.empty() && textures.back().texel(0, textures.back().height) > std::numeric_limits<Index>::max())
+  if (surface.texel_count() > std::numeric_limits<Index>::max())
     throw std::length_error("the textures have more than 2^31 texels together");
   const Mesh mesh = make_mesh(surface);
   const Charts charts = make_charts(mesh);

@@ -8,7 +8,7 @@
 namespace beltrami::atlas {
 namespace {
 
-// A face that is thinner than so many texels holds few of them, and cannot tell alone how far apart they are.
+// A face thinner than this many texels holds too few of them to measure how far apart they are.
 constexpr double thin = 2;
 
 // Marks what is within `margin` columns of a mark.
@@ -230,7 +230,7 @@ Plane Cells::plane_at(Edge edge, Point2 place) const {
   return plane;
 }
 
-// From an owned cell to the next one in space, as its neighbours tell, or its face if there are none.
+// From an owned cell to the next one in space: from its neighbours, or from its face if it has none.
 Point3 Cells::step_at(std::int64_t x, std::int64_t y, Point2 step) const {
   const auto right = static_cast<std::int64_t>(step.x), down = static_cast<std::int64_t>(step.y);
   const bool ahead = is_owned(x + right, y + down), behind = is_owned(x - right, y - down);

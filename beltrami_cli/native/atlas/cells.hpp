@@ -6,12 +6,10 @@
 #include <span>
 #include <vector>
 
-#include "atlas/bands.hpp"
+#include "atlas/borders.hpp"
 #include "atlas/connections.hpp"
-#include "atlas/face_map.hpp"
 #include "atlas/layout.hpp"
 #include "atlas/lookup.hpp"
-#include "atlas/nearest_border.hpp"
 #include "atlas/unfolding.hpp"
 
 namespace beltrami::atlas {

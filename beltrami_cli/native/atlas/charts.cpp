@@ -5,35 +5,20 @@
 #include <numeric>
 #include <tuple>
 
+#include "disjoint_sets.hpp"
+
 namespace beltrami::atlas {
 namespace {
 
-class Sets {
- public:
-  explicit Sets(std::size_t count) : parent_(count) { std::iota(parent_.begin(), parent_.end(), 0); }
-  Index find(Index item) {
-    while (at(item) != item) item = at(item) = at(at(item));
-    return item;
-  }
-  void unite(Index a, Index b) {
-    const Index root_a = find(a), root_b = find(b);
-    at(std::max(root_a, root_b)) = std::min(root_a, root_b);
-  }
-
- private:
-  Index& at(Index item) { return parent_[static_cast<std::size_t>(item)]; }
-  std::vector<Index> parent_;
-};
-
 void number_charts(const Mesh& mesh, Charts& charts) {
-  Sets sets(mesh.size());
+  DisjointSets sets(mesh.size());
   for (std::size_t edge = 0; edge < mesh.twins.size(); ++edge)
     if (mesh.twins[edge] != none && mesh.seams[edge] == 0)
       sets.unite(static_cast<Index>(edge / 3), mesh.twins[edge] / 3);
   charts.chart_of.resize(mesh.size());
   for (std::size_t face = 0; face < mesh.size(); ++face) {
     // A root is the least face of its set, so it has its number already.
-    const Index root = sets.find(static_cast<Index>(face));
+    const Index root = sets.root(static_cast<Index>(face));
     if (root == static_cast<Index>(face)) {
       charts.chart_of[face] = static_cast<Index>(charts.areas.size());
       charts.areas.push_back(0);
@@ -88,11 +73,11 @@ void name_runs(const Mesh& mesh, std::vector<SeamEdge>& edges) {
   const auto find = [&](std::pair<Index, Index> end) {
     return static_cast<Index>(std::lower_bound(places.begin(), places.end(), end) - places.begin());
   };
-  Sets sets(places.size());
+  DisjointSets sets(places.size());
   for (const auto& edge : edges)
     if (edge.low == edge.high) sets.unite(find(ends(edge)[0]), find(ends(edge)[1]));
   for (auto& edge : edges)
-    if (edge.low == edge.high) edge.run = sets.find(find(ends(edge)[0]));
+    if (edge.low == edge.high) edge.run = sets.root(find(ends(edge)[0]));
 }
 
 void number_seams(const Mesh& mesh, Charts& charts) {

@@ -53,9 +53,8 @@ class Touched {
 
  private:
   void visit(Edge edge) {
-    const auto& corners = mesh_.texels[static_cast<std::size_t>(edge / 3)];
-    const auto k = static_cast<std::size_t>(edge % 3);
-    if (!touch(from_, to_, corners[k], corners[next(k)])) return;
+    const auto [a, b] = mesh_.ends(edge);
+    if (!touch(from_, to_, a, b)) return;
     const Edge twin = mesh_.twins[static_cast<std::size_t>(edge)];
     if (twin == none) {
       meets_open_ = true;

@@ -1,6 +1,7 @@
 #include "atlas/layout.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <stdexcept>
 
@@ -27,6 +28,83 @@ std::int64_t block_side(const std::vector<Rectangle>& rectangles) {
   double area = 0;
   for (const Rectangle& rectangle : rectangles) area += static_cast<double>(rectangle.width * rectangle.height);
   return std::max<std::int64_t>(1, static_cast<std::int64_t>(std::ceil(std::sqrt(area) / blocks_a_side)));
+}
+
+// Calls visit(begin, end) for the runs of a row that are owned; is_owned(i) for columns i in [0, width).
+template <class IsOwned, class Visit>
+void visit_runs(std::int64_t width, const IsOwned& is_owned, const Visit& visit) {
+  for (std::int64_t begin = 0; begin < width;) {
+    while (begin < width && !is_owned(begin)) ++begin;
+    std::int64_t end = begin;
+    while (end < width && is_owned(end)) ++end;
+    if (begin < end) visit(begin, end);
+    begin = end;
+  }
+}
+
+void set(std::uint64_t* row, std::int64_t first, std::int64_t last) {
+  for (std::int64_t i = first; i <= last; ++i) row[i / 64] |= std::uint64_t{1} << (i % 64);
+}
+
+// The blocks of the rectangle, `block` cells a side, that hold a cell within `margin` rows and columns of an owned one.
+Bits make_footprint(const Mesh& mesh, const Windows& windows, const Ownership& ownership, const Rectangle& rectangle,
+                    std::int64_t margin, std::int64_t block) {
+  Bits footprint((rectangle.height + block - 1) / block, (rectangle.width + block - 1) / block);
+  const Window& window = windows.windows[static_cast<std::size_t>(rectangle.window)];
+  const Texture& grid = mesh.surface->textures[static_cast<std::size_t>(window.texture)];
+  const std::int64_t left = rectangle.x + margin, width = rectangle.width - 2 * margin;
+  const bool wraps = left < 0 || left + width > grid.width;
+  for (std::int64_t y = margin; y < rectangle.height - margin; ++y) {
+    const Index* texels = ownership.window.data() + grid.texel(0, wrapped(rectangle.y + y, grid.height, grid.wrap_y));
+    const auto mark = [&](std::int64_t begin, std::int64_t end) {  // owned columns, from the margin on
+      for (std::int64_t row = (y - margin) / block; row <= (y + margin) / block; ++row)
+        set(footprint.row(row), begin / block, (end - 1 + 2 * margin) / block);
+    };
+    if (wraps)
+      visit_runs(width, [&](std::int64_t i) {
+        return texels[wrapped(left + i, grid.width, grid.wrap_x)] == rectangle.window;
+      }, mark);
+    else
+      visit_runs(width, [&](std::int64_t i) { return texels[left + i] == rectangle.window; }, mark);
+  }
+  return footprint;
+}
+
+// High enough that the row that neighbouring bands both look at costs little, low enough that a band fits the cache.
+constexpr std::int64_t rows_per_band = 64;
+
+// The bands [first, last] of a rectangle that a shape comes near to.
+struct Span {
+  std::int64_t first = 0, last = -1;
+};
+
+Span bands_near(const Rectangle& rectangle, std::span<const Point2> shape, double reach) {
+  double left = shape[0].x, right = left, top = shape[0].y, bottom = top;
+  for (const Point2 p : shape) {
+    left = std::min(left, p.x);
+    right = std::max(right, p.x);
+    top = std::min(top, p.y);
+    bottom = std::max(bottom, p.y);
+  }
+  const auto x = static_cast<double>(rectangle.x), y = static_cast<double>(rectangle.y);
+  const auto width = static_cast<double>(rectangle.width), height = static_cast<double>(rectangle.height);
+  if (right + reach < x || left - reach > x + width || bottom + reach < y || top - reach > y + height) return {};
+  const auto row = [&](double place) {
+    return static_cast<std::int64_t>(std::floor(std::clamp(place - y, 0.0, height - 1)));
+  };
+  // The row below a band is looked at, too.
+  return {std::max<std::int64_t>(row(top - reach) - 1, 0) / rows_per_band, row(bottom + reach) / rows_per_band};
+}
+
+// Lists numbers by band; the visitor calls its argument with (band, number), twice in the same way.
+template <class Visitor>
+void list_by_band(std::size_t bands, const Visitor& visit, std::vector<std::size_t>& offsets, std::vector<Index>& list) {
+  offsets.assign(bands + 1, 0);
+  visit([&](std::size_t band, Index) { ++offsets[band + 1]; });
+  for (std::size_t band = 0; band < bands; ++band) offsets[band + 1] += offsets[band];
+  list.resize(offsets.back());
+  auto cursor = offsets;
+  visit([&](std::size_t band, Index number) { list[cursor[band]++] = number; });
 }
 
 }  // namespace
@@ -73,6 +151,44 @@ Point2 Plan::owned_place(std::int64_t texel, const Texture& grid) const {
   const auto window = static_cast<std::size_t>(ownership.window[static_cast<std::size_t>(texel)]);
   const Place place = place_of(windows.windows[window], texel, grid);
   return {static_cast<double>(place.x), static_cast<double>(place.y)};
+}
+
+Bands make_bands(const Plan& plan, double reach) {
+  Bands result;
+  std::vector<std::size_t> first_band;
+  for (std::size_t i = 0; i < plan.layout.rectangles.size(); ++i) {
+    first_band.push_back(result.bands.size());
+    const std::int64_t height = plan.layout.rectangles[i].height;
+    for (std::int64_t top = 0; top < height; top += rows_per_band)
+      result.bands.push_back({static_cast<Index>(i), top, std::min(top + rows_per_band, height)});
+  }
+  const auto visit_near = [&](std::size_t i, std::span<const Point2> shape, double distance, Index number, const auto& put) {
+    const Span near = bands_near(plan.layout.rectangles[i], shape, distance);
+    for (std::int64_t band = near.first; band <= near.last; ++band)
+      put(first_band[i] + static_cast<std::size_t>(band), number);
+  };
+  const auto chart_of = [&](std::size_t i) {
+    const auto window = static_cast<std::size_t>(plan.layout.rectangles[i].window);
+    return static_cast<std::size_t>(plan.windows.windows[window].chart);
+  };
+  const auto visit_borders = [&](const auto& put) {
+    for (std::size_t i = 0; i < first_band.size(); ++i)
+      for (Index b = plan.charts.border_offsets[chart_of(i)]; b < plan.charts.border_offsets[chart_of(i) + 1]; ++b) {
+        const Edge edge = plan.charts.borders[static_cast<std::size_t>(b)].edge;
+        visit_near(i, plan.mesh.ends(edge), reach, b, put);
+      }
+  };
+  const auto visit_faces = [&](const auto& put) {
+    for (std::size_t i = 0; i < first_band.size(); ++i) {
+      const auto window = static_cast<std::size_t>(plan.layout.rectangles[i].window);
+      if (plan.windows.windows[window].alone && plan.ownership.loser[chart_of(i)] == 0) continue;
+      for (const Index face : plan.charts.faces_of(chart_of(i)))
+        visit_near(i, plan.mesh.texels[static_cast<std::size_t>(face)], 0, face, put);
+    }
+  };
+  list_by_band(result.bands.size(), visit_borders, result.border_offsets, result.borders);
+  list_by_band(result.bands.size(), visit_faces, result.face_offsets, result.faces);
+  return result;
 }
 
 }  // namespace beltrami::atlas

@@ -1,16 +1,24 @@
-// Where the windows lie on the canvas.
+// Where the windows lie on the canvas, and the bands of rows that are worked on one by one.
 #pragma once
 
 #include <cstdint>
+#include <span>
 #include <vector>
 
-#include "atlas/footprint.hpp"
+#include "atlas/borders.hpp"
 #include "atlas/mesh.hpp"
-#include "atlas/near_borders.hpp"
 #include "atlas/ownership.hpp"
 #include "atlas/windows.hpp"
 
 namespace beltrami::atlas {
+
+// The rectangle of a window: what it owns and a margin on all sides.
+struct Rectangle {
+  Index window = none;
+  std::int64_t x = 0, y = 0;            // its upper left cell, in the texture's plane
+  std::int64_t width = 0, height = 0;
+  std::int64_t row = 0, column = 0;     // its upper left cell, on the canvas
+};
 
 // Rectangles may overlap on the canvas, but not the cells within the margin of what their windows own.
 struct Layout {
@@ -32,10 +40,32 @@ struct Plan {
   const NearBorders& near_borders;
   std::int64_t margin;
 
-  // The canvas cell of a texel that somebody owns.
+  // The canvas cell of a texel that a window owns.
   std::int64_t cell_of(std::int64_t texel, const Texture& grid) const;
   // The place in the texture's plane at which the owner has the texel.
   Point2 owned_place(std::int64_t texel, const Texture& grid) const;
 };
+
+struct Band {
+  Index rectangle = none;
+  std::int64_t top = 0, bottom = 0;  // rows of the rectangle; the row at the bottom is looked at but not made
+};
+
+// Rectangles cut in bands, and what of the surface each band needs.
+struct Bands {
+  std::vector<Band> bands;
+  // Borders near each band, and faces that may cover cells of it which belong to another window.
+  std::vector<std::size_t> border_offsets, face_offsets;
+  std::vector<Index> borders, faces;
+
+  std::span<const Index> borders_of(std::size_t band) const {
+    return std::span(borders).subspan(border_offsets[band], border_offsets[band + 1] - border_offsets[band]);
+  }
+  std::span<const Index> faces_of(std::size_t band) const {
+    return std::span(faces).subspan(face_offsets[band], face_offsets[band + 1] - face_offsets[band]);
+  }
+};
+
+Bands make_bands(const Plan& plan, double reach);
 
 }  // namespace beltrami::atlas

@@ -3,12 +3,11 @@
 #include <cmath>
 
 #include "atlas/connections.hpp"
-#include "atlas/face_map.hpp"
 
 namespace beltrami::atlas {
 namespace {
 
-// Rounding in single-precision coordinates and in unfolding is less, and no interpolation tells the difference.
+// Rounding in single-precision coordinates and in unfolding is less, and too small to change an interpolated value.
 constexpr double on_centre = 1e-4;
 // Sub-texel faces may have no texel around a point of theirs, but one close by.
 constexpr double farthest_substitute = 1.5;

@@ -11,8 +11,8 @@
 namespace beltrami::atlas {
 
 struct Sample {
-  std::array<Index, 4> cells;  // owned
-  std::array<float, 4> weights;        // with the sum 1
+  std::array<Index, 4> cells;    // owned
+  std::array<float, 4> weights;  // with the sum 1
   Point3 position;
   bool near_open;  // whether an open edge may be near
 };
@@ -20,11 +20,11 @@ struct Sample {
 Point3 position_of(const Mesh& mesh, const Landing& landing);
 
 // The texels around the landing in the texture of its face, if they belong to its chart; of a face without area in
-// the image, the texels that it shows, whosoever they are. A point on a texel's centre is that texel. Empty if there is
+// the image, the texels that it shows, of any chart. A point on a texel's centre is that texel. Empty if there is
 // no such texel near.
 std::optional<Sample> look_up(const Plan& plan, const Landing& landing);
 
-// The texel at a place of a chart's plane, which a face of the chart covers. Empty if nobody owns it.
+// The texel at a place of a chart's plane, which a face of the chart covers. Empty if no window owns it.
 std::optional<Sample> stand_in(const Plan& plan, Index face, std::int64_t x, std::int64_t y, Point3 position);
 
 }  // namespace beltrami::atlas

@@ -41,7 +41,7 @@ void search_columns(const unsigned char* marked, std::size_t height, std::size_t
 // The lower envelope of the parabolas (x - column)^2 + height^2 over some columns of a row.
 class Envelope {
  public:
-  // Takes columns [begin, end), of which `nearest` tells the nearest marked row.
+  // Takes columns [begin, end), whose nearest marked rows are in `nearest`.
   void build(std::int64_t row, std::int64_t begin, std::int64_t end, const std::int32_t* nearest) {
     parts_.clear();
     for (std::int64_t column = begin; column < end; ++column) {
@@ -87,7 +87,7 @@ void search_row(const bool* wanted, const std::int32_t* nearest, std::int64_t ro
                 Envelope& envelope, NearestMarks& found) {
   const bool* const end = wanted + width;
   for (const bool* first = std::find(wanted, end, true); first != end;) {
-    // What is wanted at most so far apart shares an envelope, of all columns that may hold a mark of theirs.
+    // Wanted texels at most 2 reach apart share an envelope, of all columns that may hold a mark of theirs.
     const bool* last = first;
     for (const bool* next = first + 1; next < end && next - last <= 2 * reach; ++next)
       if (*next) last = next;
@@ -110,7 +110,7 @@ NearestMarks nearest_marked(const bool* marked, const bool* wanted, std::int64_t
                             std::int64_t reach, unsigned threads) {
   reach = std::min(reach, height + width);  // farther than that is nothing
   const auto rows = static_cast<std::size_t>(height), columns = static_cast<std::size_t>(width);
-  // Compilers lay loops over bytes side by side, but not over truths.
+  // Compilers vectorise loops over bytes, but not over bool.
   const auto* const bytes = reinterpret_cast<const unsigned char*>(marked);
   std::unique_ptr<std::int32_t[]> nearest(new std::int32_t[rows * columns]);
   parallel_chunks(columns, columns_per_chunk, threads, [&](std::size_t begin, std::size_t end, unsigned) {

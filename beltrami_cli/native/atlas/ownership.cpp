@@ -17,9 +17,7 @@ class Painter {
  public:
   Painter(const Mesh& mesh, const Charts& charts, const Windows& windows, const Allocate& allocate, const Poll& poll)
       : mesh_(mesh), charts_(charts), windows_(windows), poll_(poll) {
-    const auto& textures = mesh.surface->textures;
-    const auto texels =
-        static_cast<std::size_t>(textures.empty() ? 0 : textures.back().texel(0, textures.back().height));
+    const auto texels = static_cast<std::size_t>(mesh.surface->texel_count());
     for (Array<Index>* array : {&result_.window, &result_.face}) {
       *array = Array<Index>(texels, allocate);
       std::fill(array->data(), array->data() + texels, none);
@@ -27,8 +25,8 @@ class Painter {
     result_.extents.resize(windows.windows.size());
     result_.loser.assign(charts.size(), 0);
     overlapped_.assign(texels, false);
-    covered_in_.assign(textures.size(), 0);
-    overlapped_in_.assign(textures.size(), 0);
+    covered_in_.assign(mesh.surface->textures.size(), 0);
+    overlapped_in_.assign(mesh.surface->textures.size(), 0);
   }
 
   Ownership paint() {
@@ -68,7 +66,7 @@ class Painter {
     const Window& window = windows_.windows[index];
     const Texture& grid = grid_of(window);
     const auto row = static_cast<std::size_t>(grid.texel(0, wrapped(y, grid.height, grid.wrap_y)));
-    rest(end - begin);
+    poll_after(end - begin);
     std::int32_t column = wrapped(begin, grid.width, grid.wrap_x);
     const bool backwards = grid.wrap_x == Wrap::mirror && unwrapped(0, window.x, grid.width, grid.wrap_x) != window.x;
     const auto count = static_cast<std::size_t>(end - begin);
@@ -86,7 +84,7 @@ class Painter {
     }
   }
 
-  // Claims texels that follow each other, as long as nobody owns any of them.
+  // Claims texels that follow each other, if none of them is owned.
   bool claim_whole(std::size_t index, Index face, std::size_t first, std::size_t count) {
     Index* const owners = result_.window.data() + first;
     if (std::any_of(owners, owners + count, [](Index owner) { return owner != none; })) return false;
@@ -97,8 +95,8 @@ class Painter {
     return true;
   }
 
-  // Lets the caller in every now and then.
-  void rest(std::int64_t texels) {
+  // Polls every few million texels.
+  void poll_after(std::int64_t texels) {
     since_poll_ += texels;
     if (since_poll_ < texels_per_poll) return;
     since_poll_ = 0;
@@ -130,11 +128,9 @@ class Painter {
   }
 
   void paint_border(std::size_t index, Edge edge) {
-    const auto face = static_cast<std::size_t>(edge / 3), k = static_cast<std::size_t>(edge % 3);
-    const auto& corners = mesh_.texels[face];
     const Window& window = windows_.windows[index];
     const Texture& grid = grid_of(window);
-    const Point2 a = corners[k], b = corners[next(k)];
+    const auto [a, b] = mesh_.ends(edge);
     const bool upright = std::abs(b.y - a.y) >= std::abs(b.x - a.x);
     const double from = upright ? a.y : a.x, to = upright ? b.y : b.x;
     const double across_from = upright ? a.x : a.y, across_to = upright ? b.x : b.y;
@@ -146,7 +142,7 @@ class Painter {
       const double t = from == to ? 0 : std::clamp((along - from) / (to - from), 0.0, 1.0);
       const double across = across_from + t * (across_to - across_from), nearest = std::nearbyint(across);
       if (std::abs(across - nearest) > on_edge) continue;
-      claim_point(index, static_cast<Index>(face), static_cast<std::int64_t>(upright ? nearest : along),
+      claim_point(index, edge / 3, static_cast<std::int64_t>(upright ? nearest : along),
                   static_cast<std::int64_t>(upright ? along : nearest));
     }
   }

@@ -65,7 +65,8 @@ class Canvas {
       if (run.length > longest_[static_cast<std::size_t>(row + run.row)]) return -1;
     // Columns beyond the last one possible are blocked from the start.
     for (std::size_t word = 0; word < words_; ++word) {
-      const std::int64_t open = std::clamp<std::int64_t>(columns_ - shape.columns + 1 - 64 * static_cast<std::int64_t>(word), 0, 64);
+      const std::int64_t first = 64 * static_cast<std::int64_t>(word);
+      const std::int64_t open = std::clamp<std::int64_t>(columns_ - shape.columns + 1 - first, 0, 64);
       blocked_[word] = open == 64 ? 0 : ~std::uint64_t{0} << open;
     }
     for (const Run& run : runs)

@@ -5,9 +5,19 @@
 #include <span>
 #include <vector>
 
-#include "atlas/footprint.hpp"
-
 namespace beltrami::atlas {
+
+// A picture of bits, rows of whole words.
+struct Bits {
+  std::int64_t rows = 0, columns = 0;
+  std::vector<std::uint64_t> words;
+
+  Bits(std::int64_t row_count, std::int64_t column_count)
+      : rows(row_count), columns(column_count), words(static_cast<std::size_t>(row_count * words_a_row())) {}
+  std::int64_t words_a_row() const { return (columns + 63) / 64; }
+  std::uint64_t* row(std::int64_t i) { return words.data() + i * words_a_row(); }
+  const std::uint64_t* row(std::int64_t i) const { return words.data() + i * words_a_row(); }
+};
 
 struct Spot {
   std::int64_t row, column;

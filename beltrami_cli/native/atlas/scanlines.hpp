@@ -7,7 +7,7 @@
 #include <cstdint>
 #include <utility>
 
-#include "atlas/points.hpp"
+#include "atlas/mesh.hpp"
 
 namespace beltrami::atlas {
 

@@ -122,8 +122,8 @@ void Plane::correct(Point3 right, Point3 down) {
   const double height = std::sqrt(dot(aside, aside));
   if (!(height > 0)) return;
   const Point3 y = (1 / height) * aside;
-  const Point2 told{dot(step, x), height}, own = at(origin_ + out), difference = own - told;
-  if (dot(difference, difference) <= contradiction * contradiction * dot(told, told)) return;
+  const Point2 measured{dot(step, x), height}, own = at(origin_ + out), difference = own - measured;
+  if (dot(difference, difference) <= contradiction * contradiction * dot(measured, measured)) return;
   right_ = {dot(right, x), dot(right, y)};
   down_ = {dot(down, x), dot(down, y)};
   corrected_ = true;

@@ -36,7 +36,7 @@ class Plane {
   double thickness() const;
   // The unit vector across the edge, in texels.
   Point2 across() const;
-  // Takes what texels near the edge tell, their steps in space to the right and down, if the face contradicts them.
+  // Uses the steps in space from a texel near the edge to the right and down instead of the face, if it contradicts them.
   void correct(Point3 right, Point3 down);
   // Of a place in the texture's plane, and of the edge's point nearest to it.
   Point2 at(Point2 place) const;

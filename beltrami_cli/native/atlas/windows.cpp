@@ -120,7 +120,7 @@ class Maker {
     struct Run {
       std::size_t begin, end;
       double area, from_middle = 0;
-      // Windows as full as each other are told apart by where they lie: in the middle the chart goes on on all sides.
+      // Equally full windows are ranked by where they lie: in the middle the chart goes on on all sides.
       auto rank(double full) const { return std::tuple(-std::llround(1000 * area / full), from_middle); }
     };
     std::vector<Run> runs;

@@ -1,14 +1,12 @@
-#include "bindings/atlas.hpp"
-
+// Atlases and nearest texels for Python.
 #include <nanobind/stl/tuple.h>
 
-#include <algorithm>
 #include <tuple>
 #include <vector>
 
 #include "atlas/atlas.hpp"
 #include "atlas/nearest_texel.hpp"
-#include "bindings/arrays.hpp"
+#include "bindings/bindings.hpp"
 
 namespace beltrami::bindings {
 namespace {
@@ -94,14 +92,9 @@ nb::dict build_atlas(const Matrix<double>& positions, const Matrix<Index>& faces
   atlas::Surface surface{positions.data(), static_cast<Index>(positions.shape(0)), {faces.data(), faces.size()},
                          uv.data(), {texture_of.data(), texture_of.size()}, textures_of(grids)};
   atlas::Atlas made;
-  PythonPoll poll(progress);
-  try {
-    const nb::gil_scoped_release unlock;
-    made = atlas::make_atlas(surface, margin, threads, allocate_by(empty), poll.poll());
-  } catch (const Cancelled&) {
-    poll.rethrow();
-    throw;
-  }
+  run_polled(progress, [&](const Poll& poll) {
+    made = atlas::make_atlas(surface, margin, threads, allocate_by(empty), poll);
+  });
   return to_dict(made);
 }
 
@@ -114,12 +107,7 @@ auto nearest_marked(const Matrix<bool>& marked, const Matrix<bool>& wanted, std:
     found = atlas::nearest_marked(marked.data(), wanted.data(), static_cast<std::int64_t>(height),
                                   static_cast<std::int64_t>(width), reach, threads);
   }
-  const auto copy_of = [](const std::vector<std::int64_t>& numbers) {
-    std::unique_ptr<std::int64_t[]> copy(new std::int64_t[numbers.size()]);
-    std::copy(numbers.begin(), numbers.end(), copy.get());
-    return give<std::int64_t, nb::ndim<1>>(std::move(copy), {numbers.size()});
-  };
-  return std::make_tuple(copy_of(found.texels), copy_of(found.marks));
+  return std::make_tuple(give_copy(found.texels), give_copy(found.marks));
 }
 
 }  // namespace

@@ -1,6 +1,4 @@
-// Rows of colours, for Python: stored among the pixels of an image, and looked at for what was cut off.
-#include "bindings/colours.hpp"
-
+// Rows of colours for Python: moved to the planes of a canvas and back, stored among the pixels of an image, and their limits.
 #include <nanobind/stl/tuple.h>
 #include <nanobind/stl/vector.h>
 
@@ -8,15 +6,48 @@
 #include <tuple>
 #include <vector>
 
-#include "bindings/arrays.hpp"
-#include "colours/limits.hpp"
-#include "colours/storing.hpp"
+#include "bindings/bindings.hpp"
+#include "colours/colours.hpp"
 
 namespace beltrami::bindings {
 namespace {
 
+using OpenStack = nb::ndarray<float, nb::ndim<3>, nb::c_contig, nb::device::cpu>;
+using OpenMatrix = nb::ndarray<float, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
 template <class Sample>
 using Pixels = nb::ndarray<Sample, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
+
+// Throws if there is not a row a cell, or a cell lies outside.
+template <class Index, class Planes, class Rows>
+void check(const Planes& planes, const Vector<Index>& cells, const Rows& rows) {
+  if (rows.shape(0) != cells.size() || rows.shape(1) != planes.shape(0))
+    throw nb::value_error("a row a cell, and a colour a plane, are needed");
+  const std::size_t size = planes.shape(1) * planes.shape(2);
+  bool outside = false;
+  for (std::size_t i = 0; i < cells.size(); ++i)
+    outside |= cells.data()[i] < 0 || static_cast<std::size_t>(cells.data()[i]) >= size;
+  if (outside) throw nb::index_error("a cell lies outside the canvas");
+}
+
+template <class Value, class Planes>
+colours::Planes<Value> planes_of(const Planes& planes) {
+  return {planes.data(), planes.shape(1) * planes.shape(2), planes.shape(0)};
+}
+
+// No cell may be named twice.
+template <class Index>
+void put_colours(const OpenStack& planes, const Vector<Index>& cells, const Matrix<float>& rows, unsigned threads) {
+  check(planes, cells, rows);
+  const nb::gil_scoped_release unlock;
+  colours::put<Index>(planes_of<float>(planes), {cells.data(), cells.size()}, rows.data(), threads);
+}
+
+template <class Index>
+void take_colours(const Stack& planes, const Vector<Index>& cells, const OpenMatrix& rows, unsigned threads) {
+  check(planes, cells, rows);
+  const nb::gil_scoped_release unlock;
+  colours::take<Index>(planes_of<const float>(planes), {cells.data(), cells.size()}, rows.data(), threads);
+}
 
 template <class Sample, class Index>
 auto store_colours(const Pixels<Sample>& table, const Vector<Index>& pixels, const Matrix<float>& colours,
@@ -53,6 +84,13 @@ auto find_limits(const Matrix<float>& colours) {
   return rows;
 }
 
+template <class Index>
+void bind_moves(nb::module_& module) {
+  using namespace nb::literals;
+  module.def("put_colours", &put_colours<Index>, "planes"_a.noconvert(), "cells"_a.noconvert(), "colours"_a, "threads"_a);
+  module.def("take_colours", &take_colours<Index>, "planes"_a, "cells"_a.noconvert(), "colours"_a.noconvert(), "threads"_a);
+}
+
 template <class Sample, class Index>
 void bind_store(nb::module_& module) {
   using namespace nb::literals;
@@ -64,6 +102,8 @@ void bind_store(nb::module_& module) {
 
 void bind_colours(nb::module_& module) {
   using namespace nb::literals;
+  bind_moves<std::int32_t>(module);
+  bind_moves<std::int64_t>(module);
   bind_store<std::uint8_t, std::int32_t>(module);
   bind_store<std::uint8_t, std::int64_t>(module);
   bind_store<std::uint16_t, std::int32_t>(module);

@@ -1,10 +1,8 @@
 // Local triangulation of points for Python.
-#include "bindings/points.hpp"
-
 #include <algorithm>
 #include <span>
 
-#include "bindings/arrays.hpp"
+#include "bindings/bindings.hpp"
 #include "points/local_triangulation.hpp"
 
 namespace beltrami::bindings {
@@ -33,9 +31,7 @@ auto add_stars(LocalTriangulation& triangulation, const Vector<Index>& rows, con
     const nb::gil_scoped_release unlock;
     unsettled = triangulation.add_stars(given, last, threads);
   }
-  std::unique_ptr<Index[]> copy(new Index[unsettled.size()]);
-  std::copy(unsettled.begin(), unsettled.end(), copy.get());
-  return give<Index, nb::ndim<1>>(std::move(copy), {unsettled.size()});
+  return give_copy(unsettled);
 }
 
 auto faces(const LocalTriangulation& triangulation) {
@@ -44,9 +40,7 @@ auto faces(const LocalTriangulation& triangulation) {
     const nb::gil_scoped_release unlock;
     found = triangulation.faces();
   }
-  std::unique_ptr<Index[]> corners(new Index[3 * found.size()]);
-  for (std::size_t i = 0; i < found.size(); ++i) std::copy(found[i].begin(), found[i].end(), corners.get() + 3 * i);
-  return give<Index, nb::shape<-1, 3>>(std::move(corners), {found.size(), 3});
+  return give_rows(found);
 }
 
 }  // namespace

@@ -1,12 +1,15 @@
-// The triangulated kernel for Python.
-#include "bindings/triangulated.hpp"
-
+// Triangulated manifolds for Python: both solvers, by fast marching and along segments, and orders of vertices.
 #include <nanobind/stl/optional.h>
+#include <nanobind/stl/tuple.h>
 
-#include "bindings/manifold_arrays.hpp"
+#include <array>
+#include <span>
+#include <tuple>
+
+#include "bindings/bindings.hpp"
 #include "triangulated/fast_marching.hpp"
-#include "triangulated/morton_order.hpp"
-#include "triangulated/neighbour_means.hpp"
+#include "triangulated/metric.hpp"
+#include "triangulated/segment_kernel.hpp"
 #include "triangulated/short_time_kernel.hpp"
 #include "triangulated/stencils.hpp"
 #include "triangulated/topology.hpp"
@@ -16,46 +19,62 @@ namespace beltrami::bindings {
 namespace {
 
 using namespace beltrami::triangulated;
+using Numbers = std::optional<Vector<float>>;  // one a vertex, if there are any
+
+template <class T>
+Rows<T> rows_of(const Matrix<T>& matrix) {
+  return {matrix.data(), matrix.shape(1)};
+}
+
+const float* data_of(const Numbers& numbers) { return numbers ? numbers->data() : nullptr; }
+
+std::span<const Index> corners_of(const Matrix<Index>& faces) {
+  if (faces.shape(1) != 3) throw nb::value_error("faces must have three corners");
+  return {faces.data(), faces.size()};
+}
+
+void require_rows(std::size_t rows, Index vertex_count) {
+  if (rows != static_cast<std::size_t>(vertex_count)) throw nb::value_error("one row a vertex is needed");
+}
+
+void require_rows(const Numbers& numbers, Index vertex_count) {
+  if (numbers) require_rows(numbers->shape(0), vertex_count);
+}
 
 class TriangulatedManifold {
  public:
   TriangulatedManifold(const Matrix<Index>& faces, Index vertex_count) {
-    if (faces.shape(1) != 3) throw nb::value_error("faces must have three corners");
+    const auto corners = corners_of(faces);
     const nb::gil_scoped_release unlock;
-    topology_ = make_topology({faces.data(), faces.size()}, vertex_count);
+    topology_ = make_topology(corners, vertex_count);
     stencils_ = make_stencils(topology_);
   }
 
-  void update_metric(const Matrix<double>& positions, const Matrix<float>& colours, double beta,
-                     const std::optional<Vector<float>>& scales, unsigned threads, bool unfold) {
-    require_rows(positions.shape(0), topology_.vertex_count);
-    require_rows(colours.shape(0), topology_.vertex_count);
-    if (scales) require_rows(scales->shape(0), topology_.vertex_count);
+  Index vertex_count() const { return topology_.vertex_count; }
+
+  void update_metric(const Matrix<double>& positions, const Matrix<float>& colours, double beta, const Numbers& scales,
+                     unsigned threads, bool unfold) {
+    require_rows(positions.shape(0), vertex_count());
+    require_rows(colours.shape(0), vertex_count());
+    require_rows(scales, vertex_count());
     const nb::gil_scoped_release unlock;
-    const auto squared = squared_edge_lengths(topology_, rows_of(positions), rows_of(colours), beta,
-                                              scales ? scales->data() : nullptr, threads);
+    const auto squared =
+        squared_edge_lengths(topology_, rows_of(positions), rows_of(colours), beta, data_of(scales), threads);
     update_stencils(stencils_, topology_, squared, unfold ? ObtuseCorners::unfold : ObtuseCorners::edges_only, threads);
   }
 
-  auto smooth(const Matrix<float>& colours, const std::optional<Vector<float>>& weights, float time_step, float radius,
-              std::size_t max_samples, unsigned threads, const nb::object& progress) const {
-    require_rows(colours.shape(0), topology_.vertex_count);
-    if (weights) require_rows(weights->shape(0), topology_.vertex_count);
-    const KernelParameters parameters{time_step, radius, max_samples};
-    return run_kernel(colours, progress, [&](float* smoothed, const Poll& poll) {
-      return triangulated::smooth(stencils_, rows_of(colours), weights ? weights->data() : nullptr, parameters, smoothed,
-                                  threads, poll);
-    });
+  KernelStatistics smooth(Rows<float> colours, const float* weights, const KernelParameters& parameters, float* smoothed,
+                          unsigned threads, const Poll& poll) const {
+    return triangulated::smooth(stencils_, colours, weights, parameters, smoothed, threads, poll);
   }
 
-  auto distances(Index source, float radius, std::size_t max_samples) const {
-    if (source < 0 || source >= topology_.vertex_count) throw nb::index_error("the source is not a vertex");
+  std::vector<Reached> distances(Index source, float radius, std::size_t max_samples) const {
     FastMarching marching(stencils_);
-    return give_reached(marching.march(source, radius, max_samples));
+    const auto reached = marching.march(source, radius, max_samples);
+    return {reached.begin(), reached.end()};
   }
 
-  auto edges() const { return give_edges(topology_.edges); }
-
+  const std::vector<std::array<Index, 2>>& edges() const { return topology_.edges; }
   std::int64_t obtuse_corners() const { return stencils_.obtuse_corners; }
   std::size_t split_corners() const { return stencils_.splits.size(); }
 
@@ -64,19 +83,76 @@ class TriangulatedManifold {
   Stencils stencils_;
 };
 
-auto give_order(const std::vector<Index>& order) {
-  std::unique_ptr<Index[]> copy(new Index[order.size()]);
-  std::copy(order.begin(), order.end(), copy.get());
-  return give<Index, nb::ndim<1>>(std::move(copy), {order.size()});
+class SegmentManifold {
+ public:
+  SegmentManifold(const Matrix<Index>& faces, Index vertex_count) {
+    const auto corners = corners_of(faces);
+    const nb::gil_scoped_release unlock;
+    kernel_.emplace(corners, vertex_count);
+  }
+
+  Index vertex_count() const { return kernel_->vertex_count(); }
+
+  void update_metric(const Matrix<double>& positions, const Matrix<float>& colours, double beta, const Numbers& scales,
+                     unsigned threads) {
+    require_rows(positions.shape(0), vertex_count());
+    require_rows(colours.shape(0), vertex_count());
+    require_rows(scales, vertex_count());
+    const nb::gil_scoped_release unlock;
+    kernel_->update_metric(rows_of(positions), rows_of(colours), beta, data_of(scales), threads);
+  }
+
+  KernelStatistics smooth(Rows<float> colours, const float* weights, const KernelParameters& parameters, float* smoothed,
+                          unsigned threads, const Poll& poll) {
+    return kernel_->smooth(colours, weights, parameters, smoothed, threads, poll);
+  }
+
+  std::vector<Reached> distances(Index source, float radius, std::size_t max_samples) const {
+    return kernel_->distances(source, radius, max_samples);
+  }
+
+  const std::vector<std::array<Index, 2>>& edges() const { return kernel_->edges(); }
+
+ private:
+  std::optional<SegmentKernel> kernel_;
+};
+
+// The rows of smoothed colours, the samples that all kernels held, and the kernels cut short.
+template <class Manifold>
+auto smooth_manifold(Manifold& manifold, const Matrix<float>& colours, const Numbers& weights, float time_step,
+                     float radius, std::size_t max_samples, unsigned threads, const nb::object& progress) {
+  require_rows(colours.shape(0), manifold.vertex_count());
+  require_rows(weights, manifold.vertex_count());
+  std::unique_ptr<float[]> smoothed(new float[colours.size()]);
+  KernelStatistics statistics;
+  run_polled(progress, [&](const Poll& poll) {
+    statistics = manifold.smooth(rows_of(colours), data_of(weights), {time_step, radius, max_samples}, smoothed.get(),
+                                 threads, poll);
+  });
+  return std::make_tuple(give<float, nb::ndim<2>>(std::move(smoothed), {colours.shape(0), colours.shape(1)}),
+                         statistics.samples, statistics.truncated);
+}
+
+// Vertices, and their distances.
+template <class Manifold>
+auto manifold_distances(const Manifold& manifold, Index source, float radius, std::size_t max_samples) {
+  if (source < 0 || source >= manifold.vertex_count()) throw nb::index_error("the source is not a vertex");
+  const auto reached = manifold.distances(source, radius, max_samples);
+  std::vector<Index> vertices;
+  std::vector<float> distances;
+  for (const auto& [vertex, distance] : reached) {
+    vertices.push_back(vertex);
+    distances.push_back(distance);
+  }
+  return std::make_tuple(give_copy(vertices), give_copy(distances));
 }
 
 auto morton_order_of(const Matrix<double>& positions) {
-  return give_order(morton_order(rows_of(positions), static_cast<Index>(positions.shape(0))));
+  return give_copy(morton_order(rows_of(positions), static_cast<Index>(positions.shape(0))));
 }
 
 auto vertex_order_of(const Matrix<double>& positions, const Matrix<Index>& faces) {
-  if (faces.shape(1) != 3) throw nb::value_error("faces must have three corners");
-  return give_order(vertex_order(rows_of(positions), {faces.data(), faces.size()}, static_cast<Index>(positions.shape(0))));
+  return give_copy(vertex_order(rows_of(positions), corners_of(faces), static_cast<Index>(positions.shape(0))));
 }
 
 // See neighbour_means; a row a vertex.
@@ -84,9 +160,11 @@ auto neighbour_means_of(const Matrix<float>& values, const Matrix<Index>& edges,
                         const Vector<double>& totals) {
   const std::size_t count = totals.size(), width = values.shape(1);
   require_rows(values.shape(0), static_cast<Index>(count));
-  if (edges.shape(1) != 2 || edges.shape(0) != weights.size()) throw nb::value_error("each edge needs two ends and a weight");
+  if (edges.shape(1) != 2 || edges.shape(0) != weights.size())
+    throw nb::value_error("each edge needs two ends and a weight");
   for (std::size_t i = 0; i < edges.size(); ++i)
-    if (edges.data()[i] < 0 || static_cast<std::size_t>(edges.data()[i]) >= count) throw nb::index_error("an edge has no such vertex");
+    if (edges.data()[i] < 0 || static_cast<std::size_t>(edges.data()[i]) >= count)
+      throw nb::index_error("an edge has no such vertex");
   std::unique_ptr<float[]> means(new float[count * width]);
   {
     const nb::gil_scoped_release unlock;
@@ -96,6 +174,17 @@ auto neighbour_means_of(const Matrix<float>& values, const Matrix<Index>& edges,
   return give<float, nb::ndim<2>>(std::move(means), {count, width});
 }
 
+// What both solvers have in common.
+template <class Manifold>
+void bind_manifold(nb::class_<Manifold>& bound) {
+  using namespace nb::literals;
+  bound.def(nb::init<const Matrix<Index>&, Index>(), "faces"_a, "vertex_count"_a)
+      .def("smooth", &smooth_manifold<Manifold>, "colours"_a, "weights"_a.none(), "time_step"_a, "radius"_a,
+           "max_samples"_a, "threads"_a, "progress"_a.none())
+      .def("distances", &manifold_distances<Manifold>, "source"_a, "radius"_a, "max_samples"_a)
+      .def("edges", [](const Manifold& manifold) { return give_rows(manifold.edges()); });
+}
+
 }  // namespace
 
 void bind_triangulated(nb::module_& module) {
@@ -103,16 +192,17 @@ void bind_triangulated(nb::module_& module) {
   module.def("morton_order", &morton_order_of, "positions"_a);
   module.def("neighbour_means", &neighbour_means_of, "values"_a, "edges"_a, "weights"_a, "totals"_a);
   module.def("vertex_order", &vertex_order_of, "positions"_a, "faces"_a);
-  nb::class_<TriangulatedManifold>(module, "TriangulatedManifold")
-      .def(nb::init<const Matrix<Index>&, Index>(), "faces"_a, "vertex_count"_a)
+  nb::class_<TriangulatedManifold> marched(module, "TriangulatedManifold");
+  bind_manifold(marched);
+  marched
       .def("update_metric", &TriangulatedManifold::update_metric, "positions"_a, "colours"_a, "beta"_a, "scales"_a.none(),
            "threads"_a, "unfold"_a = true)
-      .def("smooth", &TriangulatedManifold::smooth, "colours"_a, "weights"_a.none(), "time_step"_a, "radius"_a,
-           "max_samples"_a, "threads"_a, "progress"_a.none())
-      .def("distances", &TriangulatedManifold::distances, "source"_a, "radius"_a, "max_samples"_a)
-      .def("edges", &TriangulatedManifold::edges)
       .def_prop_ro("obtuse_corners", &TriangulatedManifold::obtuse_corners)
       .def_prop_ro("split_corners", &TriangulatedManifold::split_corners);
+  nb::class_<SegmentManifold> segments(module, "SegmentManifold");
+  bind_manifold(segments);
+  segments.def("update_metric", &SegmentManifold::update_metric, "positions"_a, "colours"_a, "beta"_a, "scales"_a.none(),
+               "threads"_a);
 }
 
 }  // namespace beltrami::bindings

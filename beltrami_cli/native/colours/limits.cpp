@@ -1,4 +1,4 @@
-#include "colours/limits.hpp"
+#include "colours/colours.hpp"
 
 #include <algorithm>
 #include <cstdint>

@@ -1,4 +1,4 @@
-#include "colours/moving.hpp"
+#include "colours/colours.hpp"
 
 #include <cstdint>
 
@@ -29,7 +29,8 @@ void move_rows(const Planes<Value>& planes, std::span<const Index> cells, Row* r
     Row* const own = rows + row * channels;
     if (Channels != 0 && row + run <= cells.size() && are_in_a_row(cells.data() + row)) {
       for (std::size_t i = 0; i < run; ++i)
-        for (std::size_t channel = 0; channel < channels; ++channel) move(first[channel * planes.size + i], own[i * channels + channel]);
+        for (std::size_t channel = 0; channel < channels; ++channel)
+          move(first[channel * planes.size + i], own[i * channels + channel]);
       row += run;
     } else {
       for (std::size_t channel = 0; channel < channels; ++channel) move(first[channel * planes.size], own[channel]);

@@ -1,4 +1,4 @@
-#include "colours/storing.hpp"
+#include "colours/colours.hpp"
 
 #include <algorithm>
 #include <cstdlib>
@@ -46,7 +46,7 @@ struct Sums {
   }
 };
 
-// Sums of bytes fit into half as many bits, of which twice as many are added at a time; of so many at most.
+// Sums over a line of bytes fit into 32 bits, of which vector instructions add twice as many at a time.
 template <class Sample>
 using LineSum = std::conditional_t<sizeof(Sample) == 1, std::uint32_t, std::uint64_t>;
 constexpr std::size_t longest_line = 1 << 16;
@@ -57,7 +57,8 @@ template <class Sample, class Index>
 void store_whole(const std::int32_t* now, std::span<const Index> pixels, std::size_t width, Sample* samples, Moved& moved) {
   for (std::size_t row = 0; row < pixels.size();) {
     std::size_t run = 1;
-    while (row + run < pixels.size() && pixels[row + run] == pixels[row] + static_cast<Index>(run) && (run + 1) * width <= longest_line)
+    while (row + run < pixels.size() && pixels[row + run] == pixels[row] + static_cast<Index>(run) &&
+           (run + 1) * width <= longest_line)
       ++run;
     Sample* const line = samples + static_cast<std::size_t>(pixels[row]) * width;
     Sums<LineSum<Sample>, Sample> sums;

@@ -21,11 +21,11 @@ constexpr std::size_t few = 8, many = 22;
 // Few points look flatter than they are: their flatness is multiplied by 1 + this / their number.
 constexpr double doubt = 8;
 
-// Points whose second spread is a smaller part of the first lie in a line, and do not tell where the surface is.
+// Points whose second spread is a smaller part of the first lie in a line, which many planes contain.
 constexpr double in_line = 0.02;
 
 // Neighbours count if the way to them makes at most this sine with the tangent plane (53 degrees: on the edge of a box
-// the plane is tilted by 45), and if they are at most so many spacings above or below it.
+// the plane is tilted by 45), and if they are at most `highest` spacings above or below it.
 constexpr double steepest = 0.8;
 constexpr double highest = 1;
 
@@ -157,8 +157,8 @@ class Finder {
       if (squared_radius <= limit)
         triangles_.push_back({point, star_[i].point, star_[(i + 1) % star_.size()].point});
     }
-    // A circle through the point reaches twice its radius: farther neighbours cannot be inside. A star that is open has
-    // room for more, on the rim of the cloud as well as between the dense lines of a scanner.
+    // A circle through the point reaches twice its radius: farther neighbours cannot be inside. A star that is open may
+    // get more, on the rim of the cloud as well as between the dense lines of a scanner.
     if (largest < infinity && 4 * std::min(largest, limit) <= squared_reach_ && !star_.empty()) settled_ = true;
   }
 

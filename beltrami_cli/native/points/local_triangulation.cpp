@@ -1,12 +1,112 @@
 #include "points/local_triangulation.hpp"
 
 #include <algorithm>
+#include <limits>
+#include <span>
 #include <utility>
 
-#include "points/agreement.hpp"
-#include "points/outliers.hpp"
+#include "disjoint_sets.hpp"
+#include "points/tangent_plane.hpp"
 
 namespace beltrami::points {
+namespace {
+
+// Points as many times as far from their neighbours as most points of the cloud are lone: they may be outliers.
+constexpr double far_apart = 4;
+
+// Points at random in space have a flatness around 0.7, those on a surface with noise of half a spacing one around 0.3.
+constexpr double not_flat = 0.25;
+
+// Flakes have fewer points.
+constexpr Index few_together = 16;
+
+Vector between(const double* positions, Index from, Index to) {
+  const double* a = positions + 3 * static_cast<std::size_t>(from);
+  const double* b = positions + 3 * static_cast<std::size_t>(to);
+  return {b[0] - a[0], b[1] - a[1], b[2] - a[2]};
+}
+
+// Square of the radius of the circle around a triangle in space, |a|^2 |b|^2 |c|^2 / (4 |a x b|^2).
+double squared_radius(const double* positions, const Triangle& triangle) {
+  const Vector a = between(positions, triangle[0], triangle[1]), b = between(positions, triangle[0], triangle[2]);
+  const Vector c = between(positions, triangle[1], triangle[2]);
+  const Vector normal{a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]};
+  const double area = 4 * dot(normal, normal);
+  if (area <= 0) return std::numeric_limits<double>::infinity();
+  return dot(a, a) * dot(b, b) / area * dot(c, c);
+}
+
+Triangle with_ascending_corners(Triangle triangle) {
+  std::sort(triangle.begin(), triangle.end());
+  return triangle;
+}
+
+bool is_too_large(const double* positions, std::span<const double> spacing, const Triangle& triangle) {
+  double least = std::numeric_limits<double>::infinity();
+  for (const Index corner : triangle) least = std::min(least, spacing[static_cast<std::size_t>(corner)]);
+  const double limit = largest_radius * least;
+  return !(squared_radius(positions, triangle) <= limit * limit);
+}
+
+// Each triangle that is kept once, its corners ascending, in lexicographic order. in_stars: as in `Stars`, of all points,
+// each with three different corners in [0, spacing.size()).
+std::vector<Triangle> agreed_triangles(const double* positions, std::span<const double> spacing,
+                                       std::span<const Triangle> in_stars) {
+  std::vector<Triangle> sorted;
+  sorted.reserve(in_stars.size());
+  for (const Triangle& triangle : in_stars)
+    if (!is_too_large(positions, spacing, triangle)) sorted.push_back(with_ascending_corners(triangle));
+  std::sort(sorted.begin(), sorted.end());
+  std::vector<char> joined(spacing.size(), 0);
+  std::vector<Triangle> kept;
+  for (std::size_t i = 0; i + 1 < sorted.size(); ++i) {
+    if (sorted[i] != sorted[i + 1] || (!kept.empty() && kept.back() == sorted[i])) continue;
+    kept.push_back(sorted[i]);
+    for (const Index corner : sorted[i]) joined[static_cast<std::size_t>(corner)] = 1;
+  }
+  for (const Triangle& triangle : in_stars)
+    if (!joined[static_cast<std::size_t>(triangle[0])] && !is_too_large(positions, spacing, triangle))
+      kept.push_back(with_ascending_corners(triangle));
+  std::sort(kept.begin(), kept.end());
+  kept.erase(std::unique(kept.begin(), kept.end()), kept.end());
+  return kept;
+}
+
+// Marks the lone points, which may still be on a surface that is sampled sparsely. distance: as in `Stars`, of all points.
+std::vector<char> find_lone_points(std::span<const double> distance) {
+  std::vector<char> lone(distance.size(), 0);
+  std::vector<double> sorted(distance.begin(), distance.end());
+  if (sorted.empty()) return lone;
+  const auto middle = sorted.begin() + static_cast<std::ptrdiff_t>(sorted.size() / 2);
+  std::nth_element(sorted.begin(), middle, sorted.end());
+  for (std::size_t point = 0; point < distance.size(); ++point) lone[point] = distance[point] > far_apart * *middle;
+  return lone;
+}
+
+// Whether a lone point with this flatness (as in `Stars`) is strewn in space rather than on a surface.
+bool is_strewn(double flatness) { return flatness > not_flat; }
+
+// Removes the triangles of flakes: a few lone points that are joined to no others.
+void remove_flakes(std::vector<Triangle>& triangles, std::span<const char> lone) {
+  DisjointSets pieces(lone.size());
+  for (const auto& [a, b, c] : triangles) {
+    pieces.unite(a, b);
+    pieces.unite(a, c);
+  }
+  std::vector<Index> size(lone.size(), 0);    // [root]
+  std::vector<char> settled(lone.size(), 0);  // [root]: whether a point of its piece is not lone
+  for (std::size_t point = 0; point < lone.size(); ++point) {
+    const auto root = static_cast<std::size_t>(pieces.root(static_cast<Index>(point)));
+    ++size[root];
+    if (!lone[point]) settled[root] = 1;
+  }
+  std::erase_if(triangles, [&](const Triangle& triangle) {
+    const auto root = static_cast<std::size_t>(pieces.root(triangle[0]));
+    return size[root] < few_together && !settled[root];
+  });
+}
+
+}  // namespace
 
 LocalTriangulation::LocalTriangulation(std::vector<double> positions)
     : positions_(std::move(positions)),

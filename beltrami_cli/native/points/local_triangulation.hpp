@@ -1,4 +1,9 @@
-// Triangles of a surface that is known only by points: the stars of all points, as far as these agree.
+// Triangles of a surface that is known only by points: the stars of all points, each in its own plane, as far as these
+// agree, without outliers.
+//
+// Kept are the triangles in the stars of at least two of their corners, and for points that this leaves with nothing all of
+// their own star; without those larger than `largest_radius` times the spacing of the densest of their corners, and those
+// without area. Outliers are points far from others that are strewn in space, and small pieces of such points alone.
 #pragma once
 
 #include <vector>

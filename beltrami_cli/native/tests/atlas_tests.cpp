@@ -1,7 +1,6 @@
 // Tests of the atlas without Python, meant to be run under the sanitizers: any triangles with any texture coordinates.
 #include <cmath>
 #include <cstdio>
-#include <cstdlib>
 #include <cstring>
 #include <limits>
 #include <random>
@@ -9,17 +8,11 @@
 
 #include "atlas/atlas.hpp"
 #include "atlas/packing.hpp"
+#include "tests/check.hpp"
 
 using namespace beltrami::atlas;
 
 namespace {
-
-void check(bool holds, const char* what, int line) {
-  if (holds) return;
-  std::fprintf(stderr, "atlas_tests.cpp:%d: not true: %s\n", line, what);
-  std::exit(1);
-}
-#define CHECK(condition) check((condition), #condition, __LINE__)
 
 struct Soup {
   std::vector<double> positions, uv;

@@ -3,27 +3,18 @@
 #include <cmath>
 #include <cstdint>
 #include <cstdio>
-#include <cstdlib>
 #include <limits>
 #include <numeric>
 #include <random>
 #include <vector>
 
 #include "atlas/nearest_texel.hpp"
-#include "colours/limits.hpp"
-#include "colours/moving.hpp"
-#include "colours/storing.hpp"
+#include "colours/colours.hpp"
+#include "tests/check.hpp"
 
 using namespace beltrami;
 
 namespace {
-
-void check(bool holds, const char* what, int line) {
-  if (holds) return;
-  std::fprintf(stderr, "colours_tests.cpp:%d: not true: %s\n", line, what);
-  std::exit(1);
-}
-#define CHECK(condition) check((condition), #condition, __LINE__)
 
 // Some of the numbers from 0 on, each once; in order they have runs.
 template <class Index>

@@ -3,14 +3,15 @@
 #include <atomic>
 #include <cmath>
 #include <cstdio>
-#include <cstdlib>
 #include <random>
 #include <vector>
 
 #include "parallel.hpp"
+#include "tests/check.hpp"
+#include "tests/meshes.hpp"
 #include "triangulated/fast_marching.hpp"
 #include "triangulated/metric.hpp"
-#include "triangulated/morton_order.hpp"
+#include "triangulated/vertex_order.hpp"
 #include "triangulated/short_time_kernel.hpp"
 #include "triangulated/stencils.hpp"
 #include "triangulated/topology.hpp"
@@ -20,64 +21,20 @@ using namespace beltrami::triangulated;
 
 namespace {
 
-void check(bool holds, const char* what, int line) {
-  if (holds) return;
-  std::fprintf(stderr, "core_tests.cpp:%d: not true: %s\n", line, what);
-  std::exit(1);
-}
-#define CHECK(condition) check((condition), #condition, __LINE__)
-
-struct Mesh {
-  std::vector<double> positions;  // three a vertex
-  std::vector<float> colours;     // three a vertex
-  std::vector<Index> faces;       // three a face
-  Index vertex_count() const { return static_cast<Index>(positions.size() / 3); }
-};
-
 struct Image {
   Image(const Mesh& mesh, double beta, ObtuseCorners obtuse, unsigned threads)
       : topology(make_topology(mesh.faces, mesh.vertex_count())), stencils(make_stencils(topology)) {
     const auto squared =
-        squared_edge_lengths(topology, {mesh.positions.data(), 3}, {mesh.colours.data(), 3}, beta, nullptr, threads);
+        squared_edge_lengths(topology, mesh.position_rows(), mesh.colour_rows(), beta, nullptr, threads);
     update_stencils(stencils, topology, squared, obtuse, threads);
   }
   Topology topology;
   Stencils stencils;
 };
 
-// A square grid of side x side vertices in the plane.
-Mesh make_grid(int side) {
-  Mesh mesh;
-  for (int y = 0; y < side; ++y)
-    for (int x = 0; x < side; ++x) {
-      mesh.positions.insert(mesh.positions.end(), {static_cast<double>(x), static_cast<double>(y), 0.0});
-      mesh.colours.insert(mesh.colours.end(), {0.25F, 0.5F, 0.75F});
-      if (x + 1 < side && y + 1 < side) {
-        const Index a = y * side + x;
-        mesh.faces.insert(mesh.faces.end(), {a, a + 1, a + side, a + 1, a + side + 1, a + side});
-      }
-    }
-  return mesh;
-}
-
-// Any triangles over few vertices: repeated vertices, duplicate and non-manifold faces, coincident points.
-Mesh make_soup(std::mt19937& random) {
-  Mesh mesh;
-  const auto vertices = static_cast<Index>(1 + random() % 40);
-  const auto faces = random() % 120;
-  for (Index v = 0; v < vertices; ++v)
-    for (int axis = 0; axis < 3; ++axis) {
-      mesh.positions.push_back(static_cast<double>(random() % 5) * (random() % 3 == 0 ? 1e-9 : 1.0));
-      mesh.colours.push_back(static_cast<float>(random() % 256) / 255.0F);
-    }
-  for (unsigned long f = 0; f < 3 * faces; ++f)
-    mesh.faces.push_back(static_cast<Index>(random() % static_cast<unsigned long>(vertices)));
-  return mesh;
-}
-
 std::vector<float> smoothed(const Mesh& mesh, const Image& image, unsigned threads, std::size_t max_samples) {
   std::vector<float> result(mesh.colours.size());
-  smooth(image.stencils, {mesh.colours.data(), 3}, nullptr, {1.0F, 4.3F, max_samples}, result.data(), threads);
+  smooth(image.stencils, mesh.colour_rows(), nullptr, {1.0F, 4.3F, max_samples}, result.data(), threads);
   return result;
 }
 
@@ -114,7 +71,7 @@ void random_soups_keep_the_range_for_any_number_of_threads() {
     const auto [low, high] = std::minmax_element(mesh.colours.begin(), mesh.colours.end());
     for (const float value : result) CHECK(value >= *low - 1e-6F && value <= *high + 1e-6F);
     CHECK(result == smoothed(mesh, Image(mesh, beta, obtuse, 3), 3, trial % 5 == 0 ? 3 : 1000));
-    const auto order = morton_order({mesh.positions.data(), 3}, mesh.vertex_count());
+    const auto order = morton_order(mesh.position_rows(), mesh.vertex_count());
     auto sorted = order;
     std::sort(sorted.begin(), sorted.end());
     for (std::size_t i = 0; i < sorted.size(); ++i) CHECK(sorted[i] == static_cast<Index>(i));
@@ -126,7 +83,7 @@ void constants_are_fixed_points_and_threads_do_not_matter() {
   const Image flat(mesh, 10, ObtuseCorners::unfold, 2);
   CHECK(smoothed(mesh, flat, 2, 1000) == mesh.colours);
   std::mt19937 random(3);
-  for (float& value : mesh.colours) value = static_cast<float>(random() % 256) / 255.0F;
+  for (float& value : mesh.colours) value = random_colour(random);
   const Image noisy(mesh, 10, ObtuseCorners::unfold, 2);
   const auto one = smoothed(mesh, noisy, 1, 1000);
   CHECK(one != mesh.colours);

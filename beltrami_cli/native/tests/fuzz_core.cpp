@@ -9,8 +9,8 @@
 #include <vector>
 
 #include "atlas/atlas.hpp"
-#include "parametric/window_march.hpp"
-#include "parametric/window_sweep.hpp"
+#include "grid/window_march.hpp"
+#include "grid/window_sweep.hpp"
 #include "triangulated/metric.hpp"
 #include "triangulated/short_time_kernel.hpp"
 #include "triangulated/stencils.hpp"
@@ -92,8 +92,8 @@ void fuzz_triangulated(Bytes& bytes) {
   require_range(colours, result.data());
 }
 
-void fuzz_parametric(Bytes& bytes) {
-  using namespace beltrami::parametric;
+void fuzz_grid(Bytes& bytes) {
+  using namespace beltrami::grid;
   const std::size_t rows = 1 + bytes.below(24), columns = 1 + bytes.below(40), cells = rows * columns;
   const std::size_t channels = 1 + bytes.below(3);
   const SweepParameters parameters{bytes.parameter(0.01F, 9), bytes.parameter(0, 20), bytes.parameter(0, 200),
@@ -101,7 +101,10 @@ void fuzz_parametric(Bytes& bytes) {
   const int radius = 1 + static_cast<int>(bytes.below(7));
   const bool by_metric = bytes.below(2), scaled = bytes.below(2);
   std::vector<std::uint8_t> kind(cells);
-  for (auto& cell : kind) cell = static_cast<std::uint8_t>(bytes.empty() ? owned : bytes.below(16) < 13 ? owned : bytes.below(2) ? halo : empty);
+  for (auto& cell : kind) {
+    cell = owned;
+    if (!bytes.empty() && bytes.below(16) >= 13) cell = bytes.below(2) ? halo : empty;
+  }
   std::vector<float> lengths(direction_count * cells), scale(cells), colours(channels * cells);
   for (float& length : lengths) {
     const double any = std::abs(bytes.number());
@@ -116,7 +119,8 @@ void fuzz_parametric(Bytes& bytes) {
   std::vector<float> result(colours.size());
   smooth_by_sweeps(grid, planes, planes, parameters, make_window_program(radius), result.data(), 1);
   require_range(colours, result.data());
-  smooth_by_marching(grid, planes, planes, parameters, radius, by_metric ? Scheme::metric : Scheme::triangles, result.data(), 1);
+  const Scheme scheme = by_metric ? Scheme::metric : Scheme::triangles;
+  smooth_by_marching(grid, planes, planes, parameters, radius, scheme, result.data(), 1);
   require_range(colours, result.data());
 }
 
@@ -154,7 +158,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   Bytes bytes(data, size);
   switch (bytes.take<std::uint8_t>() % 3) {
     case 0: fuzz_triangulated(bytes); break;
-    case 1: fuzz_parametric(bytes); break;
+    case 1: fuzz_grid(bytes); break;
     default: fuzz_atlas(bytes);
   }
   return 0;

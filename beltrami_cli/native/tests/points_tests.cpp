@@ -2,7 +2,6 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
-#include <cstdlib>
 #include <numeric>
 #include <random>
 #include <set>
@@ -12,17 +11,11 @@
 #include "points/local_stars.hpp"
 #include "points/local_triangulation.hpp"
 #include "points/tangent_plane.hpp"
+#include "tests/check.hpp"
 
 using namespace beltrami::points;
 
 namespace {
-
-void check(bool holds, const char* what, int line) {
-  if (holds) return;
-  std::fprintf(stderr, "points_tests.cpp:%d: not true: %s\n", line, what);
-  std::exit(1);
-}
-#define CHECK(condition) check((condition), #condition, __LINE__)
 
 double uniform(std::mt19937& random) { return std::uniform_real_distribution<double>(-1, 1)(random); }
 
@@ -143,7 +136,8 @@ std::vector<Triangle> triangulated(const std::vector<double>& positions, std::si
     const auto squared = [&](Index other) {
       double sum = 0;
       for (std::size_t axis = 0; axis < 3; ++axis)
-        sum += std::pow(positions[3 * static_cast<std::size_t>(other) + axis] - positions[3 * static_cast<std::size_t>(row) + axis], 2);
+        sum += std::pow(positions[3 * static_cast<std::size_t>(other) + axis] -
+                            positions[3 * static_cast<std::size_t>(row) + axis], 2);
       return sum;
     };
     std::sort(others.begin(), others.end(), [&](Index a, Index b) { return squared(a) < squared(b); });

@@ -2,60 +2,16 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
-#include <cstdlib>
 #include <random>
 #include <vector>
 
+#include "tests/check.hpp"
+#include "tests/meshes.hpp"
 #include "triangulated/segment_kernel.hpp"
 
 using namespace beltrami::triangulated;
 
 namespace {
-
-void check(bool holds, const char* what, int line) {
-  if (holds) return;
-  std::fprintf(stderr, "segment_tests.cpp:%d: not true: %s\n", line, what);
-  std::exit(1);
-}
-#define CHECK(condition) check((condition), #condition, __LINE__)
-
-struct Mesh {
-  std::vector<double> positions;  // three a vertex
-  std::vector<float> colours;     // `channels` a vertex
-  std::vector<Index> faces;       // three a face
-  std::size_t channels = 3;
-  Index vertex_count() const { return static_cast<Index>(positions.size() / 3); }
-};
-
-// A square grid in the plane with random colours.
-Mesh make_grid(int side, std::size_t channels, std::mt19937& random) {
-  Mesh mesh{{}, {}, {}, channels};
-  for (int y = 0; y < side; ++y)
-    for (int x = 0; x < side; ++x) {
-      mesh.positions.insert(mesh.positions.end(), {static_cast<double>(x), static_cast<double>(y), 0.0});
-      for (std::size_t c = 0; c < channels; ++c) mesh.colours.push_back(static_cast<float>(random() % 256) / 255.0F);
-      if (x + 1 < side && y + 1 < side) {
-        const Index a = y * side + x;
-        mesh.faces.insert(mesh.faces.end(), {a, a + 1, a + side, a + 1, a + side + 1, a + side});
-      }
-    }
-  return mesh;
-}
-
-// Any triangles over few vertices: repeated vertices, duplicate and non-manifold faces, coincident points.
-Mesh make_soup(std::mt19937& random) {
-  Mesh mesh{{}, {}, {}, 1 + random() % 7};
-  const auto vertices = static_cast<Index>(1 + random() % 40);
-  for (Index v = 0; v < vertices; ++v) {
-    for (int axis = 0; axis < 3; ++axis)
-      mesh.positions.push_back(static_cast<double>(random() % 5) * (random() % 3 == 0 ? 1e-9 : 1.0));
-    for (std::size_t c = 0; c < mesh.channels; ++c)
-      mesh.colours.push_back(static_cast<float>(random() % 256) / 255.0F);
-  }
-  for (unsigned long corner = 3 * (random() % 120); corner > 0; --corner)
-    mesh.faces.push_back(static_cast<Index>(random() % static_cast<unsigned long>(vertices)));
-  return mesh;
-}
 
 struct Result {
   std::vector<float> colours;
@@ -64,8 +20,8 @@ struct Result {
 
 Result smoothed(const Mesh& mesh, SegmentKernel& kernel, double beta, const KernelParameters& parameters, unsigned threads) {
   Result result{std::vector<float>(mesh.colours.size()), {}};
-  const Rows<float> colours{mesh.colours.data(), mesh.channels};
-  kernel.update_metric({mesh.positions.data(), 3}, colours, beta, nullptr, threads);
+  const Rows<float> colours = mesh.colour_rows();
+  kernel.update_metric(mesh.position_rows(), colours, beta, nullptr, threads);
   result.statistics = kernel.smooth(colours, nullptr, parameters, result.colours.data(), threads);
   return result;
 }
@@ -91,10 +47,9 @@ Result by_marches(const Mesh& mesh, const SegmentKernel& kernel, const KernelPar
 }
 
 void distances_on_a_grid_are_exact_to_neighbours_and_nearly_so_beyond() {
-  std::mt19937 random(1);
-  const Mesh mesh = make_grid(9, 1, random);
+  const Mesh mesh = make_grid(9, 1);
   SegmentKernel kernel(mesh.faces, mesh.vertex_count());
-  kernel.update_metric({mesh.positions.data(), 3}, {mesh.colours.data(), 1}, 0, nullptr, 1);
+  kernel.update_metric(mesh.position_rows(), mesh.colour_rows(), 0, nullptr, 1);
   for (const auto& [vertex, distance] : kernel.distances(40, 100, 1000)) {
     const int x = vertex % 9 - 4, y = vertex / 9 - 4;
     const auto truth = static_cast<float>(std::hypot(x, y));
@@ -108,7 +63,7 @@ void distances_on_a_grid_are_exact_to_neighbours_and_nearly_so_beyond() {
 void soups_give_what_single_marches_give_on_any_number_of_threads() {
   std::mt19937 random(7);
   for (int trial = 0; trial < 1000; ++trial) {
-    const Mesh mesh = make_soup(random);
+    const Mesh mesh = make_soup(random, 1 + random() % 7);
     const double beta = trial % 3 == 0 ? 0 : 5;
     const KernelParameters parameters{1.0F, 4.3F, 1000};
     SegmentKernel kernel(mesh.faces, mesh.vertex_count()), other(mesh.faces, mesh.vertex_count());
@@ -124,7 +79,8 @@ void soups_give_what_single_marches_give_on_any_number_of_threads() {
 
 void regions_follow_positions_and_grow_beyond_what_sources_share() {
   std::mt19937 random(3);
-  Mesh mesh = make_grid(60, 4, random);
+  Mesh mesh = make_grid(60, 4);
+  for (float& value : mesh.colours) value = random_colour(random);
   SegmentKernel kernel(mesh.faces, mesh.vertex_count());
   for (const float radius : {3.0F, 40.0F, 2.0F}) {
     const KernelParameters parameters{radius * radius / 18, radius, 100};

@@ -11,13 +11,13 @@
 #include <limits>
 #include <utility>
 
-#include "parametric/lanes.hpp"
+#include "lanes.hpp"
 #include "triangulated/group_sweep.hpp"
 
 namespace beltrami::triangulated::BELTRAMI_VARIANT {
 namespace {
 
-using namespace beltrami::parametric::BELTRAMI_VARIANT;
+using namespace beltrami::lanes::BELTRAMI_VARIANT;
 
 constexpr std::size_t parts = group_size / lane_count;
 
@@ -53,9 +53,9 @@ class GroupDistances {
   std::size_t size() const { return size_; }
 
   // Passes changes on, vertex by vertex, until there are none: then every distance is that of the shortest path, whatever
-  // the order, as sums along a path are rounded in the same way for all. Returns whether there was room.
+  // the order, as sums along a path are rounded in the same way for all. Returns false if the region is too large.
   bool find(const VertexGroup& group) {
-    make_room(group_size);
+    reserve(group_size);
     for (std::size_t lane = 0; lane < group.sources.size(); ++lane) {
       add(group.sources[lane]);
       scratch_.region[lane].lane[lane] = 0;
@@ -71,7 +71,7 @@ class GroupDistances {
   }
 
  private:
-  void make_room(std::size_t size) {
+  void reserve(std::size_t size) {
     if (scratch_.region.size() >= size) return;
     size = std::max(size, 2 * scratch_.region.size());
     scratch_.region.resize(size);
@@ -131,7 +131,7 @@ class GroupDistances {
     const std::uint32_t begin = offset[0], end = offset[1];
     fits_ = size_ + (end - begin) <= largest_region;
     if (!fits_) return false;
-    make_room(size_ + (end - begin));
+    reserve(size_ + (end - begin));
     // Kept at hand: what is stored might change these pointers, for all that the compiler knows.
     RegionPlace* const region = scratch_.region.data();
     const std::uint16_t* const places = scratch_.place.data();

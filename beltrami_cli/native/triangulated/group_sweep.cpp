@@ -1,5 +1,4 @@
-// Compiled several times, with BELTRAMI_VARIANT naming the namespace and the compiler's flags the instruction set.
-// Contraction to fused multiply-add is off for all, so that every variant gives the same bits.
+// Compiled once for each instruction set, see instruction_set.hpp.
 #include "triangulated/group_sweep.hpp"
 
 #include <algorithm>
@@ -97,7 +96,8 @@ class GroupAverage {
     std::array<Numbers, channels> centres{}, averages;
     std::array<float, channels> low, high;
     for (std::size_t c = 0; c < channels; ++c) {
-      for (std::size_t lane = 0; lane < sources_.size(); ++lane) centres[c].lane[lane] = job_.colours[sources_[lane]][first + c];
+      for (std::size_t lane = 0; lane < sources_.size(); ++lane)
+        centres[c].lane[lane] = job_.colours[sources_[lane]][first + c];
       low[c] = high[c] = centres[c].lane[0];
     }
     for (const Index vertex : vertices())

@@ -7,6 +7,7 @@
 #include <optional>
 #include <vector>
 
+#include "instruction_set.hpp"
 #include "triangulated/metric.hpp"
 #include "triangulated/segments.hpp"
 #include "triangulated/short_time_kernel.hpp"
@@ -36,20 +37,12 @@ struct GroupScratch {
   std::vector<Index> vertices;       // [place]
 };
 
-// Writes the smoothed colours of up to 16 sources. Nothing is written, or told, if they reach too many vertices.
+// Writes the smoothed colours of up to 16 sources. Writes nothing and returns nothing if they reach too many
+// vertices.
 using SweepGroup = std::optional<KernelStatistics> (*)(const GroupJob& job, const VertexGroup& group,
                                                        GroupScratch& scratch);
 
-namespace baseline {
-std::optional<KernelStatistics> sweep_group(const GroupJob& job, const VertexGroup& group, GroupScratch& scratch);
-}
-#ifdef BELTRAMI_X86_VARIANTS
-namespace x86_64_v3 {
-std::optional<KernelStatistics> sweep_group(const GroupJob& job, const VertexGroup& group, GroupScratch& scratch);
-}
-namespace x86_64_v4 {
-std::optional<KernelStatistics> sweep_group(const GroupJob& job, const VertexGroup& group, GroupScratch& scratch);
-}
-#endif
+BELTRAMI_DECLARE_VARIANTS(
+    std::optional<KernelStatistics> sweep_group(const GroupJob& job, const VertexGroup& group, GroupScratch& scratch))
 
 }  // namespace beltrami::triangulated

@@ -1,22 +1,22 @@
-// Compiled several times, with BELTRAMI_VARIANT naming the namespace and the compiler's flags the instruction set.
-// Contraction to fused multiply-add is off for all, so that every variant gives the same bits.
+// Compiled once for each instruction set, see instruction_set.hpp.
 #include "triangulated/length_sweep.hpp"
 
 #include <algorithm>
 
-#include "parametric/lanes.hpp"
+#include "lanes.hpp"
 
 namespace beltrami::triangulated::BELTRAMI_VARIANT {
 namespace {
 
-using namespace beltrami::parametric::BELTRAMI_VARIANT;
+using namespace beltrami::lanes::BELTRAMI_VARIANT;
 
 inline Lanes gather(const float* from, const Index* at) {
 #if defined(__AVX512F__)
   return reinterpret_cast<Lanes>(
       _mm512_mask_i32gather_ps(_mm512_setzero_ps(), 0xffff, _mm512_loadu_si512(at), from, sizeof(float)));
 #elif defined(__AVX2__)
-  return reinterpret_cast<Lanes>(_mm256_i32gather_ps(from, _mm256_loadu_si256(reinterpret_cast<const __m256i*>(at)), sizeof(float)));
+  const __m256i places = _mm256_loadu_si256(reinterpret_cast<const __m256i*>(at));
+  return reinterpret_cast<Lanes>(_mm256_i32gather_ps(from, places, sizeof(float)));
 #else
   std::array<float, lane_count> values;
   for (std::size_t i = 0; i < lane_count; ++i) values[i] = from[at[i]];

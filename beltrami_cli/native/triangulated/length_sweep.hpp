@@ -5,12 +5,13 @@
 #include <cstddef>
 #include <vector>
 
+#include "instruction_set.hpp"
 #include "triangulated/metric.hpp"
 #include "triangulated/segments.hpp"
 
 namespace beltrami::triangulated {
 
-// A metric and the segments that are straight in it. Tables of edges have room for sixteen more.
+// A metric and the segments that are straight in it. Tables of edges have sixteen spare entries.
 struct LengthTables {
   std::vector<std::array<Index, 2>> edges;
   TrianglePlanes planes;
@@ -28,16 +29,6 @@ struct LengthSweep {
   void (*cross_edges)(LengthTables& tables, std::size_t begin, std::size_t end);
 };
 
-namespace baseline {
-extern const LengthSweep length_sweep;
-}
-#ifdef BELTRAMI_X86_VARIANTS
-namespace x86_64_v3 {
-extern const LengthSweep length_sweep;
-}
-namespace x86_64_v4 {
-extern const LengthSweep length_sweep;
-}
-#endif
+BELTRAMI_DECLARE_VARIANTS(extern const LengthSweep length_sweep)
 
 }  // namespace beltrami::triangulated

@@ -3,6 +3,7 @@
 // manifolds" (2007), eq. (1). On a triangulation the induced metric is known by its edge lengths.
 #pragma once
 
+#include <array>
 #include <cstddef>
 #include <span>
 #include <vector>
@@ -23,5 +24,10 @@ struct Rows {
 // positive numbers for all vertices, |dX|^2 is multiplied by the scales of both ends: lengths in local units.
 std::vector<double> squared_edge_lengths(const Topology& topology, Rows<double> positions, Rows<float> colours,
                                          double beta, const float* scales, unsigned threads);
+
+// Means over the neighbours of each vertex, for the regularised metric:
+// (v_p + sum over the edges pq of w_pq v_q) / total_p for each vertex p and each channel, in rows as wide as the values.
+void neighbour_means(Rows<float> values, std::span<const std::array<Index, 2>> edges, const float* weights,
+                     std::span<const double> totals, float* means);
 
 }  // namespace beltrami::triangulated

@@ -2,11 +2,11 @@
 
 #include <algorithm>
 #include <array>
+#include <bit>
+#include <functional>
 #include <memory>
 
 #include "triangulated/group_sweep.hpp"
-#include "triangulated/kernel_average.hpp"
-#include "triangulated/sweep_variants.hpp"
 
 namespace beltrami::triangulated {
 namespace {
@@ -22,12 +22,49 @@ struct Worker {
   KernelStatistics statistics;
 };
 
-void add(KernelStatistics& total, const KernelStatistics& more) {
-  total.samples += more.samples;
-  total.truncated += more.truncated;
+}  // namespace
+
+SegmentMarch::SegmentMarch(const Segments& segments)
+    : segments_(segments), nodes_(static_cast<std::size_t>(segments.vertex_count())) {}
+
+std::span<const Reached> SegmentMarch::march(Index source, float radius, std::size_t max_count) {
+  heap_.clear();
+  reached_.clear();
+  truncated_ = false;
+  radius_ = radius;
+  if (++mark_ == 0) {
+    std::fill(nodes_.begin(), nodes_.end(), Node{});
+    mark_ = 1;
+  }
+  relax(source, 0);
+  while (!heap_.empty()) {
+    std::pop_heap(heap_.begin(), heap_.end(), std::greater<>());
+    const std::uint64_t key = heap_.back();
+    heap_.pop_back();
+    const auto vertex = static_cast<Index>(key & 0xffffffffU);
+    const float distance = nodes_[static_cast<std::size_t>(vertex)].distance;
+    // A vertex is pushed again each time that its distance falls; all but its first pop are stale.
+    if (std::bit_cast<std::uint32_t>(distance) != static_cast<std::uint32_t>(key >> 32)) continue;
+    if (reached_.size() == max_count) {
+      truncated_ = true;
+      break;
+    }
+    reached_.push_back({vertex, distance});
+    const auto row = static_cast<std::size_t>(vertex);
+    for (std::uint32_t i = segments_.offsets[row]; i < segments_.offsets[row + 1]; ++i)
+      relax(segments_.targets[i], distance + segments_.lengths[i]);
+  }
+  return reached_;
 }
 
-}  // namespace
+void SegmentMarch::relax(Index target, float distance) {
+  if (!(distance <= radius_)) return;
+  Node& node = nodes_[static_cast<std::size_t>(target)];
+  if (node.mark == mark_ && node.distance <= distance) return;
+  node = {distance, mark_};
+  heap_.push_back(std::uint64_t{std::bit_cast<std::uint32_t>(distance)} << 32 | static_cast<std::uint32_t>(target));
+  std::push_heap(heap_.begin(), heap_.end(), std::greater<>());
+}
 
 SegmentKernel::SegmentKernel(std::span<const Index> face_corners, Index vertex_count)
     : lengths_(make_topology(face_corners, vertex_count, Links::left_out)) {}
@@ -40,7 +77,7 @@ void SegmentKernel::update_metric(Rows<double> positions, Rows<float> colours, d
 
 KernelStatistics SegmentKernel::smooth(Rows<float> colours, const float* weights, const KernelParameters& parameters,
                                        float* smoothed, unsigned threads, const Poll& poll) {
-  const SweepGroup sweep = choose_sweep();
+  const SweepGroup sweep = BELTRAMI_VARIANT_OF(sweep_group, choose_instruction_set());
   const GroupJob job{&lengths_.segments(), colours, weights, parameters, smoothed};
   const auto useful = static_cast<unsigned>(std::clamp<std::size_t>(threads, 1, groups_.count() / groups_per_chunk + 1));
   std::vector<std::unique_ptr<Worker>> workers(useful);
@@ -52,7 +89,7 @@ KernelStatistics SegmentKernel::smooth(Rows<float> colours, const float* weights
         for (std::size_t group = begin; group < end; ++group) {
           const VertexGroup members = groups_.group(group);
           if (const auto done = sweep(job, members, worker.scratch)) {
-            add(worker.statistics, *done);
+            worker.statistics += *done;
             continue;
           }
           if (!worker.marching) worker.marching = std::make_unique<SegmentMarch>(lengths_.segments());
@@ -62,7 +99,7 @@ KernelStatistics SegmentKernel::smooth(Rows<float> colours, const float* weights
       poll ? Poll([&](std::size_t done) { return poll(std::min(done * group_size, groups_.members.size())); }) : Poll());
   KernelStatistics statistics;
   for (const auto& worker : workers)
-    if (worker) add(statistics, worker->statistics);
+    if (worker) statistics += worker->statistics;
   return statistics;
 }
 
@@ -71,16 +108,16 @@ void SegmentKernel::march_group(std::span<const Index> sources, Rows<float> colo
                                 KernelStatistics& statistics) const {
   std::vector<double> sums(colours.width);
   for (const Index source : sources) {
-    const auto samples = marching.march({&source, 1}, parameters.radius, parameters.max_samples);
+    const auto samples = marching.march(source, parameters.radius, parameters.max_samples);
     average(samples, colours, weights, 1 / (4 * parameters.time_step), sums,
             smoothed + static_cast<std::size_t>(source) * colours.width);
-    add(statistics, {static_cast<std::int64_t>(samples.size()), marching.truncated() ? 1 : 0});
+    statistics += {static_cast<std::int64_t>(samples.size()), marching.truncated() ? 1 : 0};
   }
 }
 
 std::vector<Reached> SegmentKernel::distances(Index source, float radius, std::size_t max_count) const {
   SegmentMarch marching(lengths_.segments());
-  const auto reached = marching.march({&source, 1}, radius, max_count);
+  const auto reached = marching.march(source, radius, max_count);
   return {reached.begin(), reached.end()};
 }
 

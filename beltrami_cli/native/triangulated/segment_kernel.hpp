@@ -3,16 +3,47 @@
 // A. Spira, R. Kimmel, N. Sochen, "A short time Beltrami kernel for smoothing images on manifolds" (2007), eqs. (8) and (9).
 #pragma once
 
+#include <cstdint>
 #include <span>
 #include <vector>
 
 #include "parallel.hpp"
+#include "triangulated/fast_marching.hpp"
 #include "triangulated/segment_lengths.hpp"
-#include "triangulated/segment_march.hpp"
 #include "triangulated/short_time_kernel.hpp"
 #include "triangulated/vertex_groups.hpp"
 
 namespace beltrami::triangulated {
+
+// Shortest paths along segments from one source, by Dijkstra's algorithm. The scratch memory, 8 bytes a vertex, is reused
+// between marches.
+class SegmentMarch {
+ public:
+  explicit SegmentMarch(const Segments& segments);
+
+  // Vertices within `radius` of the source in order of distance, the source first; at most `max_count`.
+  // Valid until the next call.
+  std::span<const Reached> march(Index source, float radius, std::size_t max_count);
+
+  // Whether the last march was ended by max_count while vertices within the radius were still waiting.
+  bool truncated() const { return truncated_; }
+
+ private:
+  struct Node {
+    float distance = 0;
+    std::uint32_t mark = 0;  // of the march that found the distance
+  };
+
+  void relax(Index target, float distance);
+
+  const Segments& segments_;
+  std::vector<Node> nodes_;
+  std::vector<std::uint64_t> heap_;  // distance bits in the high half, vertex in the low half
+  std::vector<Reached> reached_;
+  std::uint32_t mark_ = 0;
+  float radius_ = 0;
+  bool truncated_ = false;
+};
 
 class SegmentKernel {
  public:
@@ -21,7 +52,7 @@ class SegmentKernel {
   Index vertex_count() const { return lengths_.segments().vertex_count(); }
   const std::vector<std::array<Index, 2>>& edges() const { return lengths_.edges(); }
 
-  // Renews all lengths; groups and regions only if positions or scales have changed. As squared_edge_lengths().
+  // Renews all lengths; groups only if positions or scales have changed. As squared_edge_lengths().
   void update_metric(Rows<double> positions, Rows<float> colours, double beta, const float* scales, unsigned threads);
 
   // As smooth() of fast marching. Bit-identical for any number of threads and any instruction set; the distances do not

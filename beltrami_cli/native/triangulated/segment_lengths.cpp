@@ -5,7 +5,6 @@
 #include <utility>
 
 #include "parallel.hpp"
-#include "triangulated/sweep_variants.hpp"
 
 namespace beltrami::triangulated {
 namespace {
@@ -51,7 +50,7 @@ bool SegmentLengths::have_changed(Rows<double> positions, const float* scales) {
 bool SegmentLengths::update(Rows<double> positions, Rows<float> colours, double beta, const float* scales,
                             unsigned threads) {
   const bool changed = have_changed(positions, scales);
-  const LengthSweep& sweep = choose_length_sweep();
+  const LengthSweep& sweep = BELTRAMI_VARIANT_OF(length_sweep, choose_instruction_set());
   const auto squared_beta = static_cast<float>(beta * beta);
   const std::size_t edge_count = tables_.edges.size(), face_count = tables_.planes.count;
   parallel_chunks(edge_count, items_per_chunk, threads, [&](std::size_t begin, std::size_t end, unsigned) {

@@ -1,10 +1,8 @@
 #include "triangulated/short_time_kernel.hpp"
 
 #include <algorithm>
+#include <cmath>
 #include <vector>
-
-#include "triangulated/fast_marching.hpp"
-#include "triangulated/kernel_average.hpp"
 
 namespace beltrami::triangulated {
 namespace {
@@ -21,6 +19,25 @@ struct Worker {
 };
 
 }  // namespace
+
+void average(std::span<const Reached> samples, Rows<float> colours, const float* weights, float quarter_inverse_t,
+             std::vector<double>& sums, float* smoothed) {
+  const float* centre = colours[samples.front().vertex];
+  std::fill(sums.begin(), sums.end(), 0.0);
+  double total = 0;
+  for (const auto& [vertex, distance] : samples) {
+    float kernel = std::exp(-distance * distance * quarter_inverse_t);
+    if (weights != nullptr) kernel *= weights[vertex];
+    const float* colour = colours[vertex];
+    total += static_cast<double>(kernel);
+    for (std::size_t channel = 0; channel < sums.size(); ++channel)
+      sums[channel] += static_cast<double>(kernel * (colour[channel] - centre[channel]));
+  }
+  for (std::size_t channel = 0; channel < sums.size(); ++channel) {
+    const double change = total > 0 ? sums[channel] / total : 0;
+    smoothed[channel] = static_cast<float>(static_cast<double>(centre[channel]) + change);
+  }
+}
 
 KernelStatistics smooth(const Stencils& stencils, Rows<float> colours, const float* weights,
                         const KernelParameters& parameters, float* smoothed, unsigned threads, const Poll& poll,
@@ -42,16 +59,12 @@ KernelStatistics smooth(const Stencils& stencils, Rows<float> colours, const flo
           const auto samples =
               worker.marching.march(static_cast<Index>(source), parameters.radius, parameters.max_samples);
           average(samples, colours, weights, quarter_inverse_t, worker.sums, smoothed + source * colours.width);
-          worker.statistics.samples += static_cast<std::int64_t>(samples.size());
-          worker.statistics.truncated += worker.marching.truncated() ? 1 : 0;
+          worker.statistics += {static_cast<std::int64_t>(samples.size()), worker.marching.truncated() ? 1 : 0};
         }
       },
       poll);
   KernelStatistics statistics;
-  for (const auto& worker : workers) {
-    statistics.samples += worker.statistics.samples;
-    statistics.truncated += worker.statistics.truncated;
-  }
+  for (const auto& worker : workers) statistics += worker.statistics;
   return statistics;
 }
 

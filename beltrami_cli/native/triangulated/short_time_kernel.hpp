@@ -7,6 +7,8 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <span>
+#include <vector>
 
 #include "parallel.hpp"
 #include "triangulated/fast_marching.hpp"
@@ -24,7 +26,18 @@ struct KernelParameters {
 struct KernelStatistics {
   std::int64_t samples = 0;    // sum over all kernels of how many samples each held
   std::int64_t truncated = 0;  // kernels that max_samples cut short
+
+  KernelStatistics& operator+=(const KernelStatistics& more) {
+    samples += more.samples;
+    truncated += more.truncated;
+    return *this;
+  }
 };
+
+// The average of eq. (9) over the samples of one kernel: of differences from the first sample, the centre, so that a
+// constant is a fixed point to the last bit. sums: scratch, one number a channel. weights: w_q, or nullptr for 1.
+void average(std::span<const Reached> samples, Rows<float> colours, const float* weights, float quarter_inverse_t,
+             std::vector<double>& sums, float* smoothed);
 
 // Reads all colours before writing any (Jacobi): `smoothed`, vertex_count rows of colours.width, must not overlap them.
 // weights: w_q >= 0 of every vertex, or nullptr for 1. Where all weights of a kernel are zero the colour stays.

@@ -5,6 +5,11 @@
 // origin, B at (c, 0) and C at (k c, h) the same plane wave reads
 //     phi(C) = phi(A) + k u + s,   s = sqrt(h^2 - n u^2),   u = phi(B) - phi(A),   n = h^2 / c^2,
 // and it comes from within the triangle if   k s > n u   and   (k - 1) s < n u.
+//
+// Their section 4 splits obtuse corners by unfolding: at an obtuse corner C of a triangle ABC the triangles beyond the edge
+// AB are unfolded into the plane of ABC, one after the other, until a vertex D falls into the section of directions that
+// make acute angles with both CA and CB. D then supports C in two acute stencils, (A, D) and (D, B). Only edge lengths
+// enter.
 #pragma once
 
 #include <array>
@@ -44,6 +49,16 @@ struct Stencils {
 };
 
 enum class ObtuseCorners { unfold, edges_only };
+
+// A split as it is found, before the splits are grouped by their support.
+struct FoundSplit {
+  Index support;
+  SplitLink link;
+};
+
+// Groups splits by their support, in the order of the chunks in which they were found. split_offsets must have one entry for
+// each vertex, and one more.
+void group_splits(Stencils& stencils, const std::vector<std::vector<FoundSplit>>& chunks);
 
 // Takes over the topology's lists of links and slots, which nothing else reads: they are empty afterwards.
 Stencils make_stencils(Topology& topology);

@@ -79,7 +79,7 @@ std::vector<Index> pair_corners(Topology& topology) {
   std::vector<Corner> first(topology.edges.size(), none);
   topology.twins.assign(3 * topology.faces.size(), none);
   for (Corner corner = 0; corner < static_cast<Corner>(topology.twins.size()); ++corner) {
-    const auto edge = static_cast<std::size_t>(topology.face_edges[static_cast<std::size_t>(corner / 3)][static_cast<std::size_t>(corner % 3)]);
+    const auto edge = static_cast<std::size_t>(topology.edge_facing(corner));
     const Index earlier = face_count[edge]++;
     if (earlier == 0) {
       first[edge] = corner;

@@ -29,6 +29,10 @@ struct Topology {
   std::vector<Corner> twins;                     // [corner]: corner facing the same edge from the other side,
                                                  // none at boundary and non-manifold edges
 
+  Index edge_facing(Corner corner) const {
+    return face_edges[static_cast<std::size_t>(corner / 3)][static_cast<std::size_t>(corner % 3)];
+  }
+
   // Links: directed edges grouped by their origin; vertex v owns links [link_offsets[v], link_offsets[v + 1]).
   std::vector<Index> link_offsets;
   std::vector<Index> link_targets;

@@ -119,7 +119,8 @@ void for_each_inner(const Segments& segments, std::span<const Index> members, co
 
 void list_inner_segments(VertexGroups& groups, const Segments& segments, unsigned threads) {
   std::vector<std::uint32_t> numbers(groups.members.size());  // [vertex]: its place among the members
-  for (std::size_t i = 0; i < numbers.size(); ++i) numbers[static_cast<std::size_t>(groups.members[i])] = static_cast<std::uint32_t>(i);
+  for (std::size_t i = 0; i < numbers.size(); ++i)
+    numbers[static_cast<std::size_t>(groups.members[i])] = static_cast<std::uint32_t>(i);
   groups.inner_offsets.assign(groups.count() + 1, 0);
   const auto for_each_group = [&](const auto& body) {
     parallel_chunks(groups.count(), groups_per_block, threads, [&](std::size_t begin, std::size_t end, unsigned) {

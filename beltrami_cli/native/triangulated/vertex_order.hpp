@@ -1,4 +1,5 @@
-// An order in which neighbouring vertices of a mesh lie close in memory, whatever order they are given in.
+// Orders in which neighbouring vertices lie close in memory, whatever order they are given in: marches and sweeps go from
+// neighbour to neighbour.
 #pragma once
 
 #include <span>
@@ -8,9 +9,12 @@
 
 namespace beltrami::triangulated {
 
-// A permutation of [0, vertex_count), new position -> vertex: along a Z-order curve through space; or breadth first along
-// faces where neighbours in space are not neighbours on the surface. Positions must be finite. Throws
-// std::invalid_argument if an index of a face's corner is outside [0, vertex_count).
+// The vertices along a Z-order curve through the first (at most three) coordinates: a permutation of
+// [0, vertex_count), new position -> vertex. Positions must be finite.
+std::vector<Index> morton_order(Rows<double> positions, Index vertex_count);
+
+// The Morton order; where neighbours in space are not neighbours on the surface, breadth first along faces. Positions must be
+// finite. Throws std::invalid_argument if an index of a face's corner is outside [0, vertex_count).
 std::vector<Index> vertex_order(Rows<double> positions, std::span<const Index> face_corners, Index vertex_count);
 
 }  // namespace beltrami::triangulated

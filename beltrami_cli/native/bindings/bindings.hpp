@@ -1,0 +1,101 @@
+// What the bindings share: array types, handing memory over, polling for signals and progress; and what each file binds.
+#pragma once
+
+#include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
+
+#include <algorithm>
+#include <initializer_list>
+#include <memory>
+#include <optional>
+#include <vector>
+
+#include "parallel.hpp"
+
+namespace beltrami::bindings {
+
+namespace nb = nanobind;
+
+void bind_atlas(nb::module_& module);
+void bind_colours(nb::module_& module);
+void bind_grid(nb::module_& module);
+void bind_points(nb::module_& module);
+void bind_triangulated(nb::module_& module);
+
+template <class T>
+using Matrix = nb::ndarray<const T, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
+template <class T>
+using Vector = nb::ndarray<const T, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+using Stack = nb::ndarray<const float, nb::ndim<3>, nb::c_contig, nb::device::cpu>;
+template <class T, class Shape>
+using Result = nb::ndarray<nb::numpy, T, Shape, nb::c_contig>;
+
+// Hands memory to NumPy without a copy.
+template <class T, class Shape>
+Result<T, Shape> give(std::unique_ptr<T[]> data, std::initializer_list<std::size_t> shape) {
+  T* raw = data.release();
+  nb::capsule owner(raw, [](void* memory) noexcept { delete[] static_cast<T*>(memory); });
+  return Result<T, Shape>(raw, shape, owner);
+}
+
+// A copy for NumPy.
+template <class T>
+auto give_copy(const std::vector<T>& numbers) {
+  std::unique_ptr<T[]> copy(new T[numbers.size()]);
+  std::copy(numbers.begin(), numbers.end(), copy.get());
+  return give<T, nb::ndim<1>>(std::move(copy), {numbers.size()});
+}
+
+// A copy for NumPy, with a row for each tuple of N numbers.
+template <class T, std::size_t N>
+auto give_rows(const std::vector<std::array<T, N>>& rows) {
+  std::unique_ptr<T[]> copy(new T[N * rows.size()]);
+  for (std::size_t i = 0; i < rows.size(); ++i) std::copy(rows[i].begin(), rows[i].end(), copy.get() + N * i);
+  return give<T, nb::shape<-1, static_cast<nb::ssize_t>(N)>>(std::move(copy), {rows.size(), N});
+}
+
+// A poll that lets Python handle signals and report progress; what it raises is kept for after the join.
+class PythonPoll {
+ public:
+  explicit PythonPoll(const nb::object& progress) : progress_(progress) {}
+  Poll poll() {
+    return [this](std::size_t done) {
+      const nb::gil_scoped_acquire lock;
+      if (PyErr_CheckSignals() != 0) {
+        error_.emplace();
+        return false;
+      }
+      if (progress_.is_none()) return true;
+      try {
+        progress_(done);
+      } catch (nb::python_error& error) {
+        error_.emplace(error);
+        return false;
+      }
+      return true;
+    };
+  }
+  // Called with the lock held.
+  void rethrow() {
+    if (error_) throw nb::python_error(*error_);
+  }
+
+ private:
+  const nb::object& progress_;
+  std::optional<nb::python_error> error_;
+};
+
+// Runs work(poll) without the interpreter lock; throws what Python raised meanwhile.
+template <class Work>
+void run_polled(const nb::object& progress, const Work& work) {
+  PythonPoll poll(progress);
+  try {
+    const nb::gil_scoped_release unlock;
+    work(poll.poll());
+  } catch (const Cancelled&) {
+    poll.rethrow();
+    throw;
+  }
+}
+
+}  // namespace beltrami::bindings

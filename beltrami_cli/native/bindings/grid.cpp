@@ -1,0 +1,165 @@
+// Grids for Python: the kernel, and what it is prepared with.
+#include <nanobind/stl/optional.h>
+#include <nanobind/stl/string.h>
+#include <nanobind/stl/tuple.h>
+
+#include <algorithm>
+#include <cmath>
+
+#include "bindings/bindings.hpp"
+#include "grid/haar_tiles.hpp"
+#include "grid/local_means.hpp"
+#include "grid/repeats.hpp"
+#include "grid/window_march.hpp"
+#include "grid/window_sweep.hpp"
+#include "instruction_set.hpp"
+
+namespace beltrami::bindings {
+namespace {
+
+using namespace beltrami::grid;
+using Cells = nb::ndarray<const std::uint8_t, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
+using Plane = nb::ndarray<const float, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
+using Filled = nb::ndarray<const bool, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
+
+Planes planes_of(const Stack& stack, const Grid& grid) {
+  if (stack.shape(1) != grid.rows || stack.shape(2) != grid.columns)
+    throw nb::value_error("planes must have the grid's shape");
+  return {stack.data(), stack.shape(0)};
+}
+
+Grid grid_of(const Cells& kind, const Stack& squared_lengths, const std::optional<Plane>& scale,
+             const std::optional<Cells>& repeats = {}) {
+  const Grid grid{kind.shape(0), kind.shape(1), kind.data(), squared_lengths.data(), scale ? scale->data() : nullptr,
+                  repeats ? repeats->data() : nullptr};
+  if (repeats && (repeats->shape(0) != grid.rows || repeats->shape(1) != grid.columns))
+    throw nb::value_error("the repeats must have the grid's shape");
+  if (scale && (scale->shape(0) != grid.rows || scale->shape(1) != grid.columns))
+    throw nb::value_error("the scale must have the grid's shape");
+  if (planes_of(squared_lengths, grid).channels != direction_count)
+    throw nb::value_error("four planes of lengths are needed");
+  return grid;
+}
+
+Scheme march_of(const std::string& scheme) { return scheme == "metric" ? Scheme::metric : Scheme::triangles; }
+
+// One kernel iteration on a grid. scheme: "sweep" (window of the given radius), "triangles" or "metric" (heap march).
+auto smooth_grid(const Cells& kind, const Stack& squared_lengths, const std::optional<Plane>& scale,
+                 const std::optional<Cells>& repeats, const Stack& metric, const Stack& colours, float beta,
+                 float time_step, float radius, int window_radius, const std::string& scheme, int repairs,
+                 unsigned threads, const nb::object& progress) {
+  const Grid grid = grid_of(kind, squared_lengths, scale, repeats);
+  const Planes metric_planes = planes_of(metric, grid), colour_planes = planes_of(colours, grid);
+  const SweepParameters parameters{time_step, radius, beta, repairs};
+  std::unique_ptr<float[]> smoothed(new float[colours.size()]);
+  std::int64_t samples = 0;
+  run_polled(progress, [&](const Poll& poll) {
+    if (scheme == "sweep")
+      samples = smooth_by_sweeps(grid, metric_planes, colour_planes, parameters, make_window_program(window_radius),
+                                 smoothed.get(), threads, poll);
+    else
+      samples = smooth_by_marching(grid, metric_planes, colour_planes, parameters, window_radius, march_of(scheme),
+                                   smoothed.get(), threads, poll);
+  });
+  return std::make_tuple(give<float, nb::ndim<3>>(std::move(smoothed), {colours.shape(0), colours.shape(1), colours.shape(2)}),
+                         samples);
+}
+
+// The distances of one kernel over its window, with the arguments of smooth_grid; the cell is a flat index.
+auto grid_distances(const Cells& kind, const Stack& squared_lengths, const std::optional<Plane>& scale, const Stack& metric,
+                    float beta, float radius, int window_radius, const std::string& scheme, int repairs, std::size_t cell) {
+  const Grid grid = grid_of(kind, squared_lengths, scale);
+  const Planes metric_planes = planes_of(metric, grid);
+  if (cell >= grid.cells() || grid.kind[cell] != owned) throw nb::index_error("the cell holds no sample");
+  if (window_radius < 1) throw nb::value_error("the window must have a radius");
+  const SweepParameters parameters{1, radius, beta, repairs};
+  const auto side = 2 * static_cast<std::size_t>(window_radius) + 1;
+  std::unique_ptr<float[]> distances(new float[side * side]);
+  {
+    const nb::gil_scoped_release unlock;
+    if (scheme == "sweep")
+      distances_by_sweeps(grid, metric_planes, parameters, make_window_program(window_radius), cell, distances.get());
+    else
+      distances_by_marching(grid, metric_planes, parameters, window_radius, march_of(scheme), cell, distances.get());
+  }
+  return give<float, nb::ndim<2>>(std::move(distances), {side, side});
+}
+
+auto convolve_planes(const Stack& planes, const Vector<float>& taps, unsigned threads) {
+  if (taps.size() % 2 == 0) throw nb::value_error("an odd number of taps is needed");
+  std::unique_ptr<float[]> result(new float[planes.size()]);
+  {
+    const nb::gil_scoped_release unlock;
+    convolve(planes.data(), planes.shape(0), planes.shape(1), planes.shape(2), {taps.data(), taps.size()},
+                         result.get(), threads);
+  }
+  return give<float, nb::ndim<3>>(std::move(result), {planes.shape(0), planes.shape(1), planes.shape(2)});
+}
+
+// See measure_tiles; returns counts, shape (bands, tiles), and measures, shape (measures, planes, bands, tiles).
+auto measure_haar_tiles(const Stack& planes, const Filled& filled, const Vector<std::int64_t>& first_rows) {
+  const FilledPlanes all{planes.data(), planes.shape(0), planes.shape(1), planes.shape(2), filled.data()};
+  if (filled.shape(0) != all.rows || filled.shape(1) != all.columns)
+    throw nb::value_error("planes must have the grid's shape");
+  for (std::size_t i = 0; i < first_rows.size(); ++i)
+    if (first_rows.data()[i] < 0 || static_cast<std::size_t>(first_rows.data()[i]) >= all.rows)
+      throw nb::index_error("a band starts outside the grid");
+  const std::size_t bands = first_rows.size(), tiles = tiles_across(all.columns);
+  std::unique_ptr<std::int32_t[]> counts(new std::int32_t[bands * tiles]);
+  std::unique_ptr<double[]> measures(new double[tile_measures * all.count * bands * tiles]);
+  {
+    const nb::gil_scoped_release unlock;
+    measure_tiles(all, {first_rows.data(), bands}, counts.get(), measures.get());
+  }
+  return std::make_tuple(give<std::int32_t, nb::ndim<2>>(std::move(counts), {bands, tiles}),
+                         give<double, nb::ndim<4>>(std::move(measures), {tile_measures, all.count, bands, tiles}));
+}
+
+// What makes local units of squared lengths to the right and below, see local_scale.
+auto local_scale_of(const Plane& right, const Plane& below, int window_radius) {
+  const std::size_t rows = right.shape(0), columns = right.shape(1);
+  if (below.shape(0) != rows || below.shape(1) != columns) throw nb::value_error("both planes must have one shape");
+  std::unique_ptr<float[]> scale(new float[rows * columns]);
+  {
+    const nb::gil_scoped_release unlock;
+    local_scale(rows, columns, right.data(), below.data(), window_radius, scale.get());
+  }
+  return give<float, nb::ndim<2>>(std::move(scale), {rows, columns});
+}
+
+// How often halo cells show the same sample, see count_repeats; cells, sources and seams have a row a halo cell.
+auto halo_repeats(std::size_t rows, std::size_t columns, const Vector<std::int64_t>& cells,
+                  const Vector<std::int64_t>& sources, const Vector<std::int32_t>& seams, int reach, unsigned threads) {
+  if (sources.size() != cells.size() || seams.size() != cells.size())
+    throw nb::value_error("one row a halo cell is needed");
+  for (std::size_t i = 0; i < cells.size(); ++i)
+    if (cells.data()[i] < 0 || static_cast<std::size_t>(cells.data()[i]) >= rows * columns)
+      throw nb::index_error("a halo cell lies outside the grid");
+  if (!std::is_sorted(cells.data(), cells.data() + cells.size())) throw nb::value_error("the cells must ascend");
+  std::unique_ptr<std::uint8_t[]> repeats(new std::uint8_t[rows * columns]);
+  {
+    const nb::gil_scoped_release unlock;
+    count_repeats(rows, columns, {cells.data(), sources.data(), seams.data(), cells.size()}, reach, repeats.get(), threads);
+  }
+  return give<std::uint8_t, nb::ndim<2>>(std::move(repeats), {rows, columns});
+}
+
+}  // namespace
+
+void bind_grid(nb::module_& module) {
+  using namespace nb::literals;
+  module.def("smooth_grid", &smooth_grid, "kind"_a, "squared_lengths"_a, "scale"_a.none(), "repeats"_a.none(),
+             "metric"_a, "colours"_a, "beta"_a, "time_step"_a, "radius"_a, "window_radius"_a, "scheme"_a, "repairs"_a,
+             "threads"_a, "progress"_a.none());
+  module.def("grid_distances", &grid_distances, "kind"_a, "squared_lengths"_a, "scale"_a.none(), "metric"_a, "beta"_a,
+             "radius"_a, "window_radius"_a, "scheme"_a, "repairs"_a, "cell"_a);
+  module.def("halo_repeats", &halo_repeats, "rows"_a, "columns"_a, "cells"_a, "sources"_a, "seams"_a, "reach"_a,
+             "threads"_a);
+  module.def("local_scale", &local_scale_of, "right"_a, "below"_a, "window_radius"_a);
+  module.def("convolve", &convolve_planes, "planes"_a, "taps"_a, "threads"_a);
+  module.attr("HAAR_TILE") = tile_side;
+  module.def("measure_haar_tiles", &measure_haar_tiles, "planes"_a, "filled"_a, "first_rows"_a);
+  module.def("sweep_instruction_set", [] { return name_of(choose_instruction_set()); });
+}
+
+}  // namespace beltrami::bindings

@@ -1,0 +1,51 @@
+// Rows of colours: what stands at their limits, moving them to the planes of a canvas and back, and storing them as integers
+// among the pixels of an image.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <span>
+#include <vector>
+
+namespace beltrami::colours {
+
+// The range of one channel and how many of its values are 0 and 1, full scale. Without values the range is from infinity to
+// minus infinity.
+struct Limits {
+  float least, most;
+  std::size_t at_0, at_1;
+};
+
+// Looks at `count` rows of `channels` values each.
+std::vector<Limits> find_limits(const float* values, std::size_t count, std::size_t channels);
+
+// Planes of `size` cells each, one a channel.
+template <class Value>
+struct Planes {
+  Value* values;
+  std::size_t size, channels;
+};
+
+// Rows are numbered as the cells, which lie on the canvas, and none of which is named twice.
+template <class Index>
+void put(const Planes<float>& planes, std::span<const Index> cells, const float* rows, unsigned threads);
+template <class Index>
+void take(const Planes<const float>& planes, std::span<const Index> cells, float* rows, unsigned threads);
+
+// How far stored numbers moved: sums that are exact, so the same in any order.
+struct Moved {
+  std::uint64_t total = 0, squares = 0, largest = 0;
+};
+
+// Colours of full scale 1, a row a pixel; a column of them for each entry of `channels`.
+struct Rows {
+  const float* values;
+  std::span<const std::int32_t> channels;  // of the pixel
+};
+
+// Stores rows at some pixels of an image with `width` channels each, rounded to the nearest, the even of two. What is
+// beyond the range is clipped; what is no number becomes 0. No pixel may be named twice.
+template <class Sample, class Index>
+Moved store(const Rows& rows, std::span<const Index> pixels, std::size_t width, Sample* samples, unsigned threads);
+
+}  // namespace beltrami::colours

@@ -1,0 +1,98 @@
+#include "grid/local_means.hpp"
+
+#include <algorithm>
+#include <cfloat>
+#include <vector>
+
+#include "exp_log.hpp"
+#include "parallel.hpp"
+
+namespace beltrami::grid {
+namespace {
+
+// Adds weight * values to sums.
+void accumulate(const float* values, float weight, std::size_t count, float* sums) {
+  for (std::size_t i = 0; i < count; ++i) sums[i] += weight * values[i];
+}
+
+// Logarithms of the lengths of edges, and how many edges there are: of the two axes at a cell, or of many such.
+struct Sums {
+  std::vector<float> logarithms, counts;
+  explicit Sums(std::size_t size) : logarithms(size), counts(size) {}
+};
+
+bool is_length(float squared) { return (squared >= FLT_MIN) & (squared <= FLT_MAX); }
+
+void take_logarithms(const float* right, const float* below, std::size_t count, float* logarithms, float* counts) {
+  for (std::size_t i = 0; i < count; ++i) {
+    const bool goes_right = is_length(right[i]), goes_below = is_length(below[i]);
+    logarithms[i] = logarithm(goes_right ? right[i] : 1.0F) + logarithm(goes_below ? below[i] : 1.0F);
+    counts[i] = (goes_right ? 1.0F : 0.0F) + (goes_below ? 1.0F : 0.0F);
+  }
+}
+
+}  // namespace
+
+void convolve(const float* planes, std::size_t count, std::size_t rows, std::size_t columns, std::span<const float> taps,
+              float* result, unsigned threads) {
+  const std::size_t reach = taps.size() / 2;
+  // A chunk is some rows of a plane; a line of means down columns has zeros on both sides.
+  const std::size_t height = std::max<std::size_t>(1, (std::size_t{1} << 16) / std::max<std::size_t>(1, columns));
+  parallel_chunks(count * rows, height, threads, [&](std::size_t begin, std::size_t end, unsigned) {
+    std::vector<float> line(columns + 2 * reach, 0.0F);
+    for (std::size_t i = begin; i < end; ++i) {
+      const std::size_t row = i % rows;
+      std::fill(line.begin(), line.end(), 0.0F);
+      for (std::size_t tap = 0; tap < taps.size(); ++tap)
+        if (row + tap >= reach && row + tap < rows + reach)
+          accumulate(planes + (i + tap - reach) * columns, taps[tap], columns, line.data() + reach);
+      float* means = result + i * columns;
+      std::fill(means, means + columns, 0.0F);
+      for (std::size_t tap = 0; tap < taps.size(); ++tap) accumulate(line.data() + tap, taps[tap], columns, means);
+    }
+  });
+}
+
+void local_scale(std::size_t rows, std::size_t columns, const float* right, const float* below, int window_radius,
+                 float* scale) {
+  const auto reach = static_cast<std::size_t>(window_radius);
+  // Sums over the window's rows, one a column, move down with the window; those over its columns along the row. The rows
+  // in the window are kept. In doubles, what is added and taken away again leaves nothing.
+  const std::size_t held = 2 * reach + 1;
+  Sums kept(held * columns), window(columns);
+  // Beyond both ends there is nothing.
+  std::vector<double> padded(columns + held), padded_counts(columns + held);
+  double *down = padded.data() + reach + 1, *counts_down = padded_counts.data() + reach + 1;
+  const auto move = [&](std::size_t row, bool in) {
+    float* logarithms = kept.logarithms.data() + row % held * columns;
+    float* counts = kept.counts.data() + row % held * columns;
+    if (in) take_logarithms(right + row * columns, below + row * columns, columns, logarithms, counts);
+    const double sign = in ? 1 : -1;
+    for (std::size_t column = 0; column < columns; ++column) {
+      down[column] += sign * static_cast<double>(logarithms[column]);
+      counts_down[column] += sign * static_cast<double>(counts[column]);
+    }
+  };
+  for (std::size_t row = 0; row < std::min(reach, rows); ++row) move(row, true);
+  for (std::size_t row = 0; row < rows; ++row) {
+    if (row > reach) move(row - reach - 1, false);
+    if (row + reach < rows) move(row + reach, true);
+    double logarithm_sum = 0, count = 0;
+    for (std::size_t column = 0; column < std::min(reach, columns); ++column) {
+      logarithm_sum += down[column];
+      count += counts_down[column];
+    }
+    for (std::size_t column = 0; column < columns; ++column) {
+      logarithm_sum += padded[column + held] - padded[column];
+      count += padded_counts[column + held] - padded_counts[column];
+      window.logarithms[column] = static_cast<float>(logarithm_sum);
+      window.counts[column] = static_cast<float>(count);  // whole, so it comes out exactly
+    }
+    for (std::size_t column = 0; column < columns; ++column) {
+      const float edges = window.counts[column] < 1.0F ? 1.0F : window.counts[column];  // without any the sum is 0
+      scale[row * columns + column] = exponential(-window.logarithms[column] / edges);
+    }
+  }
+}
+
+}  // namespace beltrami::grid

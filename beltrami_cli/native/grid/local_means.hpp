@@ -1,0 +1,21 @@
+// Means over the cells around every cell of a grid: of colours, for the regularised metric; and of lengths, for a unit of
+// length that follows a sampling whose density varies.
+#pragma once
+
+#include <cstddef>
+#include <span>
+
+namespace beltrami::grid {
+
+// Convolves planes of rows * columns cells with the taps (an odd number of them) down columns and along rows. Beyond the
+// grid's borders everything is 0.
+void convolve(const float* planes, std::size_t count, std::size_t rows, std::size_t columns, std::span<const float> taps,
+              float* result, unsigned threads);
+
+// For every cell 1 / (mean squared length of the edges to the right and below) over a square window about it; 1 where
+// the window holds no edge with a length. The mean is geometric: the few long edges over a slit, or short ones in a
+// fold, do not move it far. right, below, scale: rows * columns; infinite, or 0, where there is no edge.
+void local_scale(std::size_t rows, std::size_t columns, const float* right, const float* below, int window_radius,
+                 float* scale);
+
+}  // namespace beltrami::grid

@@ -1,0 +1,36 @@
+// Grids as stencils for the heap march: the reference that the window sweep is tested against, the kernel of windows
+// too large for it, and the scheme of the paper to the letter.
+//
+// A. Spira, R. Kimmel, "An efficient solution to the eikonal equation on parametric manifolds", Interfaces and Free
+// Boundaries 6 (2004): the four quadrants around a grid point are its stencils; where the metric makes a quadrant obtuse, a
+// grid point (i, j) within it supports two acute ones. All lengths come from the metric g at the updated point.
+#pragma once
+
+#include <cstddef>
+#include <vector>
+
+#include "grid/grid.hpp"
+#include "triangulated/stencils.hpp"
+
+namespace beltrami::grid {
+
+using triangulated::Index;
+
+enum class Scheme {
+  triangles,  // the eight triangles around a cell, as in the window sweep
+  metric      // quadrants, split by the metric
+};
+
+// The non-empty cells of a grid, numbered row by row.
+struct CellNumbers {
+  std::vector<Index> number_of;  // [cell], none where empty
+  std::vector<std::size_t> cell_of;
+};
+
+CellNumbers number_cells(const Grid& grid);
+
+// Stencils between the non-empty cells for the metric that `metric` colours induce.
+triangulated::Stencils make_grid_stencils(const Grid& grid, const CellNumbers& numbers, Planes metric, float beta,
+                                          Scheme scheme, unsigned threads);
+
+}  // namespace beltrami::grid

@@ -1,0 +1,118 @@
+#include "grid/window_sweep.hpp"
+
+#include <algorithm>
+#include <cstdlib>
+#include <limits>
+#include <numeric>
+#include <vector>
+
+#include "grid/sweep_tile.hpp"
+#include "instruction_set.hpp"
+
+namespace beltrami::grid {
+namespace {
+
+// The planes of a tile, about 32 floats a cell, stay in the second-level cache (some 0.5 MB).
+constexpr std::size_t tile_rows = 32, tile_columns = 96;
+
+std::vector<Tile> cut_into_tiles(const Grid& grid) {
+  std::vector<Tile> tiles;
+  // A band of a canvas has rows without owned cells above it, and its own rows are as many as those of whole tiles.
+  const std::uint8_t* first = std::find(grid.kind, grid.kind + grid.cells(), owned);
+  const std::size_t top = static_cast<std::size_t>(first - grid.kind) / std::max<std::size_t>(1, grid.columns);
+  for (std::size_t row = top; row < grid.rows; row += tile_rows)
+    for (std::size_t column = 0; column < grid.columns; column += tile_columns) {
+      const Tile tile{row, column, std::min(tile_rows, grid.rows - row), std::min(tile_columns, grid.columns - column)};
+      bool used = false;
+      for (std::size_t y = row; y < row + tile.rows && !used; ++y) {
+        const std::uint8_t* kind = grid.kind + y * grid.columns + column;
+        used = std::find(kind, kind + tile.columns, owned) != kind + tile.columns;
+      }
+      if (used) tiles.push_back(tile);
+    }
+  return tiles;
+}
+
+SweepTile choose_sweep() { return BELTRAMI_VARIANT_OF(sweep_tile, choose_instruction_set()); }
+
+int squared_length(Offset offset) { return offset.x * offset.x + offset.y * offset.y; }
+
+class Window {
+ public:
+  explicit Window(int radius) : radius_(radius) {}
+  bool holds(Offset offset) const { return std::max(std::abs(offset.x), std::abs(offset.y)) <= radius_; }
+  int slot(Offset offset) const { return (offset.y + radius_) * (2 * radius_ + 1) + offset.x + radius_; }
+
+  std::vector<Offset> rings() const {
+    std::vector<Offset> offsets;
+    for (int y = -radius_; y <= radius_; ++y)
+      for (int x = -radius_; x <= radius_; ++x)
+        if (x != 0 || y != 0) offsets.push_back({x, y});
+    std::stable_sort(offsets.begin(), offsets.end(),
+                     [](Offset a, Offset b) { return squared_length(a) < squared_length(b); });
+    return offsets;
+  }
+
+ private:
+  int radius_;
+};
+
+template <class Usable>
+Target make_target(const Window& window, Offset offset, Usable usable) {
+  Target target{window.slot(offset), offset, {}, {}};
+  for (const Offset step : neighbours)
+    if (usable(offset + step)) {
+      const auto [plane, cell] = edge_place(offset, step);
+      target.edges.push_back({window.slot(offset + step), plane, cell});
+    }
+  for (std::size_t i = 0; i < stencil_classes.size(); ++i) {
+    const Offset axis = offset + stencil_classes[i].axis, diagonal = offset + stencil_classes[i].diagonal;
+    if (usable(axis) && usable(diagonal))
+      target.triangles.push_back({window.slot(axis), window.slot(diagonal), i});
+  }
+  return target;
+}
+
+}  // namespace
+
+WindowProgram make_window_program(int radius) {
+  const Window window(radius);
+  WindowProgram program{radius, {}, {}};
+  for (const Offset offset : window.rings()) {
+    const auto nearer = [&](Offset other) { return squared_length(other) < squared_length(offset); };
+    const auto inside = [&](Offset other) { return window.holds(other) && !(other == Offset{0, 0}); };
+    program.outward.push_back(make_target(window, offset, nearer));
+    program.repair.push_back(make_target(window, offset, inside));
+  }
+  return program;
+}
+
+std::int64_t smooth_by_sweeps(const Grid& grid, Planes metric, Planes colours, const SweepParameters& parameters,
+                              const WindowProgram& program, float* smoothed, unsigned threads, const Poll& poll) {
+  std::copy(colours.data, colours.data + colours.channels * grid.cells(), smoothed);
+  const auto tiles = cut_into_tiles(grid);
+  const SweepTile sweep = choose_sweep();
+  const TileJob job{&grid, metric, colours, &parameters, &program, smoothed};
+  std::vector<TileScratch> scratch(std::max(1U, threads));
+  std::vector<std::int64_t> samples(tiles.size());
+  parallel_chunks(
+      tiles.size(), 1, threads,
+      [&](std::size_t begin, std::size_t end, unsigned worker) {
+        for (std::size_t i = begin; i < end; ++i) samples[i] = sweep(job, tiles[i], scratch[worker]);
+      },
+      poll ? Poll([&](std::size_t done) { return poll(done * grid.cells() / tiles.size()); }) : Poll());
+  return std::accumulate(samples.begin(), samples.end(), std::int64_t{0});
+}
+
+void distances_by_sweeps(const Grid& grid, Planes metric, const SweepParameters& parameters, const WindowProgram& program,
+                         std::size_t cell, float* distances) {
+  const std::size_t side = 2 * static_cast<std::size_t>(program.radius) + 1;
+  TileScratch scratch;
+  const TileJob job{&grid, metric, {nullptr, 0}, &parameters, &program, nullptr, distances};
+  choose_sweep()(job, {cell / grid.columns, cell % grid.columns, 1, 1}, scratch);
+  const float reach = std::min(parameters.radius, longest_radius);
+  std::replace_if(distances, distances + side * side, [&](float distance) { return !(distance <= reach); },
+                  std::numeric_limits<float>::infinity());
+}
+
+}  // namespace beltrami::grid

@@ -1,0 +1,65 @@
+// One iteration of the short-time Beltrami kernel on a grid, by sweeps over a window of fixed order.
+//
+// A. Spira, R. Kimmel, N. Sochen, "A short time Beltrami kernel for smoothing images on manifolds" (2007), eqs. (8), (9).
+// The distances solve the discrete eikonal equation of fast marching, but without a heap: the cells of the window
+// are updated in an order fixed beforehand, so that sixteen neighbouring centres go through the same operations
+// side by side in the lanes of vector registers.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <vector>
+
+#include "grid/grid.hpp"
+#include "parallel.hpp"
+
+namespace beltrami::grid {
+
+// The window has 2 radius + 1 cells a side; slot (y + radius) * side + x + radius is the cell at offset (x, y).
+struct EdgeStep {
+  int from;         // slot
+  Direction plane;  // where the edge's length is kept
+  Offset cell;      // relative to the window's centre
+};
+
+struct TriangleStep {
+  int axis, diagonal;  // slots
+  std::size_t stencil_class;
+};
+
+struct Target {
+  int slot;
+  Offset offset;
+  std::vector<EdgeStep> edges;
+  std::vector<TriangleStep> triangles;
+};
+
+// Targets ring by ring outwards, by distance in the plane. The first pass takes only supports that come earlier, which
+// already hold distances; the second takes all that lie in the window, and repairs paths that bend around colour edges.
+struct WindowProgram {
+  int radius;
+  std::vector<Target> outward, repair;
+};
+
+WindowProgram make_window_program(int radius);
+
+struct SweepParameters {
+  float time_step;  // t, squared length
+  float radius;     // sqrt(-4 t ln threshold), length
+  float beta;       // lengths per unit of colour
+  int repairs;      // passes over all stencils after the outward one
+};
+
+// Distances come from `metric` colours, averages are taken over `colours`; both have grid.cells() values a plane.
+// Writes the owned cells of `smoothed` (planes as in colours) and copies the others. Returns the sum over owned cells of how
+// many samples each kernel held. Bit-identical for any number of threads and any instruction set. The poll counts cells of
+// the grid; throws Cancelled if it asks to stop.
+std::int64_t smooth_by_sweeps(const Grid& grid, Planes metric, Planes colours, const SweepParameters& parameters,
+                              const WindowProgram& program, float* smoothed, unsigned threads, const Poll& poll = {});
+
+// Distances from one owned cell, as smooth_by_sweeps takes them: (2 program.radius + 1)^2 values, row by row, infinite
+// beyond parameters.radius. The time step has no effect.
+void distances_by_sweeps(const Grid& grid, Planes metric, const SweepParameters& parameters, const WindowProgram& program,
+                         std::size_t cell, float* distances);
+
+}  // namespace beltrami::grid
