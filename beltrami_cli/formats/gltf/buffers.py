@@ -7,15 +7,17 @@ from functools import partial
 from typing import TYPE_CHECKING, Literal
 
 from beltrami_cli.formats.gltf.compression import Packed, read_packed, unpacked
+from beltrami_cli.formats.gltf.entries import objects
 from beltrami_cli.formats.gltf.uris import is_data, read, relative_name
 from beltrami_cli.formats.model_folder import UnfitReferenceError, remedy_for
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator, Sequence
 
     from beltrami_cli.formats.document import Bytes
     from beltrami_cli.formats.gltf.container import Container
     from beltrami_cli.formats.gltf.entries import Entry
+    from beltrami_cli.formats.gltf.json_text import Tree
     from beltrami_cli.formats.model_folder import ModelFolder
 
 Source = Literal["chunk", "data", "file", "nowhere", "decoded"]
@@ -94,7 +96,7 @@ class Buffers:
 
     def viewed(self, view: View) -> bytes:
         """Return the bytes of a view, decompressed."""
-        return bytes(self.stored(view.buffer)[view.offset : view.offset + view.length])
+        return bytes(self.stored(view.buffer)[view.offset : view.end])
 
     @property
     def bytes_at_hand(self) -> int:
@@ -109,11 +111,14 @@ class View:
     buffer: int
     offset: int
     length: int
-    stride: int  # 0: elements without gaps
+    stride: int = 0  # 0: elements without gaps
     packed: Packed | None = None
-    fallback: tuple[int, int] | None = (
-        None  # buffer and offset where the file may have the bytes uncompressed
-    )
+    fallback: tuple[int, int] | None = None  # buffer and offset of the bytes uncompressed, if there are any
+
+    @property
+    def end(self) -> int:
+        """The byte after the last."""
+        return self.offset + self.length
 
 
 def read_views(root: Entry, buffers: Buffers) -> list[View]:
@@ -138,3 +143,29 @@ def read_views(root: Entry, buffers: Buffers) -> list[View]:
 
 def _decompressed(packed: Packed, buffers: Buffers) -> bytes:
     return unpacked(packed, buffers.stored(packed.buffer))
+
+
+def named_places(tree: Tree, lengths: Sequence[int]) -> Iterator[tuple[tuple[int, str | None], View]]:
+    """Give the bytes that views and their extensions name, with the view's index and extension."""
+    for index, view in enumerate(objects(tree.get("bufferViews"))):
+        for name, holder in [(None, view), *view.get("extensions", {}).items()]:
+            if not isinstance(holder, dict):
+                continue
+            buffer, offset, length = (holder.get(key, 0) for key in ("buffer", "byteOffset", "byteLength"))
+            if isinstance(buffer, int) and isinstance(offset, int) and isinstance(length, int):
+                inside = 0 <= buffer < len(lengths) and offset >= 0 and length > 0
+                if "buffer" in holder and inside and offset + length <= lengths[buffer]:
+                    yield (index, name), View(buffer, offset, length)
+
+
+def named_views(value: object) -> Iterator[int]:
+    """Give every member called "bufferView", in images and in extensions that we do not know."""
+    if isinstance(value, dict):
+        index = value.get("bufferView")
+        if isinstance(index, int):
+            yield index
+        for child in value.values():
+            yield from named_views(child)
+    elif isinstance(value, list):
+        for child in value:
+            yield from named_views(child)

@@ -44,8 +44,6 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.gltf.json_text import Tree
     from beltrami_cli.surface.records import ImageFile, Slot, TexturedSurface
 
-_COUNTED = ("scenes", "nodes", "meshes", "materials", "images", "textures", "skins", "animations")
-
 
 class GltfDocument(Document):
     """An opened glTF file, in either form."""
@@ -183,27 +181,27 @@ class GltfDocument(Document):
         return Fingerprint(parts, colours, images)
 
     def facts(self) -> dict[str, object]:  # noqa: D102
-        asset = self.root.entry("asset")
-        counts = {kind: len(self.root.entries(kind)) for kind in _COUNTED}
+        root, asset = self.root, self.root.entry("asset")
         primitives = [primitive for _, primitive in primitives_of(self.container.tree)]
         named = {primitive.get("attributes", {}).get("COLOR_0", -1) for primitive in primitives}
-        colours = [self._colour_facts(index) for index in sorted(named) if 0 <= index < len(self.accessors)]
         return {
             "generator": asset.text("generator"),
             "version": asset.text("version"),
-            "scenes": counts["scenes"],
-            "nodes": counts["nodes"],
-            "meshes": counts["meshes"],
+            "scenes": len(root.entries("scenes")),
+            "nodes": len(root.entries("nodes")),
+            "meshes": len(root.entries("meshes")),
             "primitives": len(primitives),
-            "colour accessors": colours,
-            "materials": counts["materials"],
-            "images": counts["images"],
-            "textures": counts["textures"],
+            "colour accessors": [
+                self._colour_facts(index) for index in sorted(named) if 0 <= index < len(self.accessors)
+            ],
+            "materials": len(root.entries("materials")),
+            "images": len(self.images),
+            "textures": len(self.images.textures),
             "slots": list(self.slots()),
-            "skins": counts["skins"],
-            "animations": counts["animations"],
-            "extensions used": self.root.texts("extensionsUsed"),
-            "extensions required": self.root.texts("extensionsRequired"),
+            "skins": len(root.entries("skins")),
+            "animations": len(root.entries("animations")),
+            "extensions used": root.texts("extensionsUsed"),
+            "extensions required": root.texts("extensionsRequired"),
         }
 
     def _colour_facts(self, index: int) -> dict[str, object]:

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.gltf.accessors import padded_elements
+from beltrami_cli.formats.gltf.buffers import named_places, named_views
 from beltrami_cli.formats.gltf.compression import repacked
-from beltrami_cli.formats.gltf.sharing import named_places, named_views
 from beltrami_cli.formats.gltf.uris import data_uri
 
 if TYPE_CHECKING:
@@ -123,6 +123,6 @@ def _unshared(edit: Edit, own: tuple[int, str | None], buffer: int, start: int, 
     """Return whether no other view, and no other extension of a view, names any of these bytes."""
     canonical = edit.accessors.buffers.canonical
     return not any(
-        place != own and canonical(part.buffer) == buffer and part.start < end and start < part.end
+        place != own and canonical(part.buffer) == buffer and part.offset < end and start < part.end
         for place, part in named_places(edit.container.tree, edit.accessors.buffers.lengths)
     )

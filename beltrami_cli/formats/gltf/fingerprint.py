@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, Any
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.document import NamedImage
+from beltrami_cli.formats.gltf.buffers import named_views
+from beltrami_cli.formats.gltf.columns import used_otherwise
 from beltrami_cli.formats.gltf.compression import DRACO
 from beltrami_cli.formats.gltf.entries import objects, primitives_of
-from beltrami_cli.formats.gltf.sharing import named_views, used_otherwise
 from beltrami_cli.formats.gltf.textures import FOREIGN, WEBP
 from beltrami_cli.formats.model_folder import UnfitReferenceError
 

@@ -6,7 +6,7 @@ from collections import Counter, defaultdict
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from beltrami_cli.formats.gltf.sharing import named_places, named_views
+from beltrami_cli.formats.gltf.buffers import named_places, named_views
 from beltrami_cli.formats.gltf.uris import data_uri
 
 if TYPE_CHECKING:
@@ -136,7 +136,7 @@ def _spans(edit: Edit, buffer: int) -> list[tuple[int | None, tuple[int, int]]]:
     lengths = [entry["byteLength"] for entry in tree["buffers"]]
     for (index, extension), part in named_places(tree, lengths):
         if part.buffer in same:
-            spans.append((None if extension else index, (part.start, part.end)))
+            spans.append((None if extension else index, (part.offset, part.end)))
     # Another buffer over the same file keeps its length, and so all of its bytes.
     return spans + [(None, (0, lengths[index])) for index in same - {buffer}]
 

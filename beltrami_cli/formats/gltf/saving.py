@@ -136,9 +136,7 @@ def _place_images(edit: Edit, stem: str, *, moved: bool) -> dict[str, Bytes]:
         old = relative_name(entries[index]["uri"], outside=True)
         key = old, index < known, file
         if key not in chosen:
-            keeps = (
-                moved and index < known
-            )  # images that were added never keep the name that they were copied with
+            keeps = moved and index < known  # a copy of an image never keeps the name of that
             name = with_suffix(
                 path_inside(old) if keeps else renamed(path_inside(old), source, stem), file.suffix
             )

@@ -198,9 +198,10 @@ class _Gathering:
         """Return whether the same triangles were taken with the same texture before, there or elsewhere."""
         key: list[Hashable] = [self.accessors.identity(position), drawing(primitive, self.accessors)]
         if use is not None:
-            coordinates = self._coordinate_accessor(primitive, use)
             key += [use.texture, use.transform]
-            key.append(None if coordinates is None else self.accessors.identity(coordinates))
+            if use.coordinates in primitive.entry("attributes"):
+                coordinates = attribute_accessor(primitive, use.coordinates, self.accessors)
+                key.append(self.accessors.identity(coordinates))
         repeated = tuple(key) in self._seen
         self._seen.add(tuple(key))
         return repeated
@@ -213,11 +214,6 @@ class _Gathering:
             self.counts["bare"] += 1
             return None
         return self.shown.image(use)
-
-    def _coordinate_accessor(self, primitive: Entry, use: TextureUse) -> int | None:
-        if use.coordinates not in primitive.entry("attributes"):
-            return None
-        return attribute_accessor(primitive, use.coordinates, self.accessors)
 
     def _coordinates(self, primitive: Entry, use: TextureUse, count: int) -> NDArray[np.float64]:
         """Return the texture coordinates of all vertices, shape (count, 2), transform applied."""

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.formats.gltf.accessors import quantised
-from beltrami_cli.formats.gltf.columns import exchange
-from beltrami_cli.formats.gltf.sharing import Column
+from beltrami_cli.formats.gltf.columns import Column, exchange
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Sequence
