@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from beltrami_cli.errors import BeltramiError, InputError, OutputError, ProcessingError, UsageError
     from beltrami_cli.flow.parameters import KernelParameters
-    from beltrami_cli.jobs.inspect.file import inspect_file
+    from beltrami_cli.jobs.inspect import inspect_file
     from beltrami_cli.jobs.smooth.file import smooth_file
     from beltrami_cli.jobs.smooth.report import SmoothReport
     from beltrami_cli.samples.images.arrays import ImageResult
@@ -36,7 +36,7 @@ _HOME_OF = {
     "SmoothSettings": "samples.settings.smooth",
     "TextureSettings": "samples.settings.smooth",
     "UsageError": "errors",
-    "inspect_file": "jobs.inspect.file",
+    "inspect_file": "jobs.inspect",
     "smooth": "samples.vertices.arrays",
     "smooth_file": "jobs.smooth.file",
     "smooth_image": "samples.images.smooth",

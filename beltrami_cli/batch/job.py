@@ -11,7 +11,7 @@ from importlib.metadata import version
 from typing import TYPE_CHECKING, Any, Literal
 
 if TYPE_CHECKING:
-    from beltrami_cli.jobs.bake.settings import BakeSettings
+    from beltrami_cli.samples.settings.bake import BakeSettings
     from beltrami_cli.samples.settings.smooth import SmoothSettings
 
 Status = Literal["started", "done", "skipped", "failed", "not started"]

@@ -8,10 +8,10 @@ import click
 
 from beltrami_cli.cli import options
 from beltrami_cli.cli.console import Messages, counted
-from beltrami_cli.jobs.bake.settings import BakeSettings
+from beltrami_cli.samples.settings.bake import BakeSettings
 
 if TYPE_CHECKING:
-    from beltrami_cli.jobs.bake.settings import BakeTo
+    from beltrami_cli.samples.settings.bake import BakeTo
 
 EPILOG = """\b
 Examples:
@@ -58,7 +58,7 @@ def command(
     """
     settings = BakeSettings(size, padding, keep_uv, max_unwrap_faces)
     messages = Messages(quiet=quiet, verbose=verbose)
-    from beltrami_cli.jobs.bake.file import bake_file
+    from beltrami_cli.jobs.bake import bake_file
 
     with options.reading_from(reading, source) as access, messages.progress() as progress:
         report = bake_file(

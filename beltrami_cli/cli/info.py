@@ -29,7 +29,7 @@ Examples:
 def command(source: str, as_json: bool, verbose: int, **smoothing: Any) -> None:
     """Show what is coloured in FILE and how, how noisy it is, and what smoothing it would do."""
     settings = options.settings_from(smoothing)
-    from beltrami_cli.jobs.inspect.file import inspect_file
+    from beltrami_cli.jobs.inspect import inspect_file
 
     with options.reading_from(smoothing, source) as access:
         facts = inspect_file(source, settings, access)

@@ -24,7 +24,7 @@ import numpy as np
 from beltrami_cli._native import build_atlas as build_native_atlas
 from beltrami_cli.errors import ProcessingError
 from beltrami_cli.surface import large_arrays
-from beltrami_cli.surface.grouping import group_equal_rows
+from beltrami_cli.surface.grouping import group_places
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -163,10 +163,7 @@ def build_atlas(
     surface: TexturedSurface, sizes: Sequence[tuple[int, int]], margin: int, threads: int = 1
 ) -> Atlas:
     """Lay out the charts of a textured surface, and continue each by `margin` cells over its seams."""
-    columns = list(surface.positions.T)
-    if surface.space_of is not None:
-        columns.append(surface.space_of)
-    place_of, first = group_equal_rows(*columns)
+    place_of, first = group_places(surface.positions, surface.space_of)
     grids = _grids(surface, sizes)
     try:
         made = build_native_atlas(

@@ -41,6 +41,13 @@ def group_equal_rows(*columns: NDArray[Any]) -> tuple[NDArray[np.int32], NDArray
     return _number_by_first(order, new)
 
 
+def group_places(
+    positions: NDArray[np.float64], space_of: NDArray[np.int32] | None
+) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Find the distinct positions, each in its space, as `group_equal_rows` does."""
+    return group_equal_rows(*positions.T, *([] if space_of is None else [space_of]))
+
+
 def distinct_corners(*columns: NDArray[np.generic]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Find the distinct rows of a table, numbered by the order of their values: a row of each, and numbers."""
     order = np.lexsort(columns[::-1])

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli.surface.grouping import group_equal_rows
+from beltrami_cli.surface.grouping import group_places
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -36,10 +36,7 @@ BLOCK = 1 << 17  # points asked for at a time, which bounds the memory that thei
 def faces_of_points(painted: PaintedVertices, threads: int) -> NDArray[np.int32]:
     """Find triangles between painted points in at most three dimensions, whose own faces do not count."""
     # Coincident points are each a corner of the triangles that their place has.
-    columns = list(painted.positions.T)
-    if painted.space_of is not None:
-        columns.append(painted.space_of)
-    place_of, first = group_equal_rows(*columns)
+    place_of, first = group_places(painted.positions, painted.space_of)
     spaces = None if painted.space_of is None else painted.space_of[first]
     faces = _triangulate_spaces(painted.positions[first], spaces, threads)
     return first[faces] if len(first) == len(place_of) else _with_copies(faces, place_of, painted.colours)

@@ -18,7 +18,7 @@ import numpy as np
 
 from beltrami_cli.errors import InputError, ProcessingError
 from beltrami_cli.surface.geometry import triangle_areas
-from beltrami_cli.surface.grouping import group_equal_rows
+from beltrami_cli.surface.grouping import group_places
 from beltrami_cli.surface.worker_process import working
 
 if TYPE_CHECKING:
@@ -67,7 +67,7 @@ def unwrap(
     whole = np.flatnonzero(_with_area(unit, rows))
     if not len(whole):
         raise InputError(name, "it has no triangle with an area", "nothing in it can be unwrapped")
-    place_of, first = group_equal_rows(*positions[used].T, *([] if space_of is None else [space_of[used]]))
+    place_of, first = group_places(positions[used], None if space_of is None else space_of[used])
     # Edges of about one unit are what xatlas' fixed tolerances suit.
     scaled = (np.sqrt(len(whole)) * unit[first]).astype(np.float32)
     triangles = place_of[rows[whole]].astype(np.uint32)

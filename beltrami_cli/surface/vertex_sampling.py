@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli.surface.grouping import group_equal_rows
+from beltrami_cli.surface.grouping import group_equal_rows, group_places
 from beltrami_cli.surface.records import SampledSurface
 
 if TYPE_CHECKING:
@@ -49,10 +49,7 @@ def sample_vertices(
     painted: PaintedVertices, colours: NDArray[np.float32]
 ) -> tuple[SampledSurface, VertexSampling]:
     """Make samples of painted vertices whose colours in the working space are given."""
-    place_columns = list(painted.positions.T)
-    if painted.space_of is not None:
-        place_columns.append(painted.space_of)
-    place_of, first_of_place = group_equal_rows(*place_columns)
+    place_of, first_of_place = group_places(painted.positions, painted.space_of)
     if len(first_of_place) == len(place_of):  # nothing is split: the vertices are the samples
         every = np.arange(len(place_of), dtype=np.int32)
         no_walls = np.empty((0, 3), np.int32)

@@ -9,7 +9,7 @@ import pytest
 import beltrami_cli
 from beltrami_cli.errors import InputError
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.jobs.inspect.file import inspect_file
+from beltrami_cli.jobs.inspect import inspect_file
 from beltrami_cli.jobs.kernel.file import kernel_file
 from beltrami_cli.jobs.smooth.file import smooth_file
 from beltrami_cli.samples.settings.image import ImageSettings

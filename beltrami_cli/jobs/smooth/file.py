@@ -26,9 +26,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from beltrami_cli.formats.document import Document
-    from beltrami_cli.jobs.bake.settings import BakeSettings
     from beltrami_cli.jobs.smooth.report import SmoothReport
     from beltrami_cli.jobs.writing.files import FileSet
+    from beltrami_cli.samples.settings.bake import BakeSettings
     from beltrami_cli.samples.textures.smooth import SlotReport
     from beltrami_cli.samples.vertices.result import SmoothResult
     from beltrami_cli.surface.records import ImageFile, Slot

@@ -13,8 +13,7 @@ from beltrami_cli.errors import UsageError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.image.reading import measure_image
 from beltrami_cli.formats.registry import sidecar_names, write_textured
-from beltrami_cli.jobs.bake.from_textures import texels_of, texture_from_textures
-from beltrami_cli.jobs.bake.from_vertices import texture_from_vertices
+from beltrami_cli.jobs.new_texture import texels_of, texture_from_textures, texture_from_vertices
 from beltrami_cli.jobs.opening import open_input
 from beltrami_cli.jobs.smooth.reporting import make_report
 from beltrami_cli.jobs.smooth.stopwatch import Stopwatch
@@ -31,10 +30,10 @@ if TYPE_CHECKING:
 
     from beltrami_cli.flow.embedding import Guide
     from beltrami_cli.formats.document import Document
-    from beltrami_cli.jobs.bake.new_texture import NewTexture
-    from beltrami_cli.jobs.bake.settings import BakeSettings
+    from beltrami_cli.jobs.new_texture import NewTexture
     from beltrami_cli.jobs.smooth.report import SmoothReport
     from beltrami_cli.jobs.writing.files import FileSet
+    from beltrami_cli.samples.settings.bake import BakeSettings
     from beltrami_cli.samples.settings.smooth import SmoothSettings
     from beltrami_cli.samples.textures.smooth import SlotReport
     from beltrami_cli.samples.vertices.result import SmoothResult

@@ -1,4 +1,4 @@
-"""What baking is told, with the defaults; light enough for the command line to import."""
+"""How a new texture is made, with the defaults; light enough for the command line to import."""
 
 from __future__ import annotations
 
@@ -13,29 +13,13 @@ _SMALLEST, _LARGEST = 16, 16384  # sides of a texture: less is of no use, graphi
 
 @dataclass(frozen=True)
 class BakeSettings:
-    """How a new texture is made.
+    """How a new texture is made; UsageError if a value is out of its range."""
 
-    Attributes
-    ----------
-    size : int or None
-        Its longest side in texels. None: a texel is about half as long as an edge, or as large as in the old texture.
-    padding : int
-        Texels between charts.
-    keep_uv : bool
-        Whether the texture coordinates of the file are used rather than new ones.
-    max_unwrap_faces : int
-        Larger meshes are not unwrapped: the time grows faster than their size.
-
-    Raises
-    ------
-    UsageError
-        If a value is out of its range.
-    """
-
+    # Longest side in texels. None: a texel is about half as long as an edge, or as large as in the old texture.
     size: int | None = None
-    padding: int = 4
-    keep_uv: bool = False
-    max_unwrap_faces: int = 100_000
+    padding: int = 4  # texels between charts
+    keep_uv: bool = False  # whether the texture coordinates of the file are used rather than new ones
+    max_unwrap_faces: int = 100_000  # larger meshes are not unwrapped: the time grows faster than their size
 
     def __post_init__(self) -> None:
         if self.size is not None and not _SMALLEST <= self.size <= _LARGEST:

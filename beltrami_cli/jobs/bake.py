@@ -1,23 +1,34 @@
-"""Vertex colours for a document, from its textures."""
+"""Move the colours of a file from its vertices to a texture, or back."""
 
 from __future__ import annotations
 
+import os
+from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli.formats.image import read_image, to_float, without_alpha
+from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
+from beltrami_cli.formats.image import read_image
+from beltrami_cli.formats.registry import open_document, sidecar_names, write_contents, write_textured
+from beltrami_cli.jobs.new_texture import as_rgba, texture_from_vertices
+from beltrami_cli.jobs.writing.output import Output
+from beltrami_cli.samples.memory_check import require_room_for_textures
+from beltrami_cli.samples.selection import choose_format
+from beltrami_cli.samples.settings.bake import DEFAULT_BAKE, BakeSettings, BakeTo
+from beltrami_cli.samples.settings.smooth import DEFAULTS
 from beltrami_cli.surface.colour_values import linear_to_srgb
-from beltrami_cli.surface.grouping import distinct_corners, group_equal_rows
+from beltrami_cli.surface.grouping import distinct_corners, group_equal_rows, group_places
 from beltrami_cli.surface.lookup import look_up, noise_around
 from beltrami_cli.surface.records import MeshContents
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
-    from beltrami_cli.formats.document import Document
+    from beltrami_cli.formats.document import Document, Written
     from beltrami_cli.formats.image import Picture
     from beltrami_cli.surface.records import Encoding, TexturedSurface
 
@@ -27,30 +38,77 @@ _MEDIAN = 1.4826  # from the median magnitude to the standard deviation
 _FINENESS = ("uint8", "uint16", "float16", "float32")
 
 
-def vertex_colours_from_textures(document: Document) -> tuple[MeshContents, tuple[str, ...]]:
-    """Look the base colour up at every vertex.
+@dataclass(frozen=True)
+class BakeReport:
+    """What was done."""
 
-    Where a seam runs through a vertex its sides are looked up each, and if they agree within the noise the vertex has
-    their mean. Otherwise there is a real colour edge, and the vertex stays split.
+    input: str
+    output: str
+    format: str  # the format written
+    counts: dict[str, int]  # of triangles, charts or coloured vertices, by their names in the singular
+    texture: str  # what kind of texture was made, in words; empty if none was
+    written: list[str]
+    warnings: list[str]
 
-    Raises
-    ------
-    InputError
-        If there is no texture, or it cannot be decoded.
 
-    Returns
-    -------
-    contents : MeshContents
-        Coincident vertices of one colour are one.
-    notices : tuple of str
-        What the user should know.
-    """
+def bake_file(
+    source: str | os.PathLike[str],
+    target: str | os.PathLike[str],
+    to: BakeTo,
+    settings: BakeSettings = DEFAULT_BAKE,
+    *,
+    format: str | None = None,  # noqa: A002 -- the name of the option
+    overwrite: bool = False,
+    progress: Callable[[str, int, int], None] | None = None,
+    access: Access = EVERYTHING_INSIDE,
+) -> BakeReport:
+    """Write a new file whose colours are in a texture, or in the vertices."""
+    source, target = os.fspath(source), os.fspath(target)
+    output = Output(target, overwrite=overwrite)
+    document = open_document(source, access)
+    kind, stem = choose_format(document, target, format), Path(target).stem
+    output.check_sidecars(sidecar_names(kind, stem, ".png" if to == "texture" else None))
+    if to == "texture":
+        written, counts, texture, notices = _to_texture(document, kind, stem, settings, progress)
+    else:
+        require_room_for_textures(document, ("baseColor",), DEFAULTS.textures, access)
+        written, counts, notices = _to_vertices(document, kind, stem)
+        texture = ""
+    output.write(written)
+    warnings = [*document.notices, *notices, *written.notices]
+    return BakeReport(source, target, kind, counts, texture, [target, *written.sidecars], warnings)
+
+
+def _to_texture(
+    document: Document,
+    kind: str,
+    stem: str,
+    settings: BakeSettings,
+    progress: Callable[[str, int, int], None] | None,
+) -> tuple[Written, dict[str, int], str, tuple[str, ...]]:
+    made = texture_from_vertices(document, settings, progress)
+    height, width, _ = made.pixels.shape
+    counts = {"triangle": len(made.faces), **({} if made.charts is None else {"chart": made.charts})}
+    depth = "an 8-bit" if made.pixels.itemsize == 1 else "a 16-bit"
+    written = write_textured(made.mesh(made.encoded()), kind, stem)
+    return written, counts, f"{depth} texture of {width} x {height}", made.notices
+
+
+def _to_vertices(document: Document, kind: str, stem: str) -> tuple[Written, dict[str, int], tuple[str, ...]]:
+    contents, notices = _colours_from_textures(document)
+    counts = {"coloured vertex": len(contents.positions), "triangle": len(contents.offsets) - 1}
+    return write_contents(contents, kind, stem), counts, notices
+
+
+def _colours_from_textures(document: Document) -> tuple[MeshContents, tuple[str, ...]]:
+    """Look the base colour up at every vertex."""
+    # Where a seam runs through a vertex each side is looked up, and if they agree within the noise the vertex has
+    # their mean. Otherwise there is a real colour edge, and the vertex stays split.
     surface = document.textured("baseColor")
     pictures = [read_image(texture.data, texture.name) for texture in surface.textures]
     corners, textured = surface.faces.ravel(), np.repeat(surface.texture_of >= 0, 3)
     values, noise = _seen(surface, pictures)
-    columns = [*surface.positions.T, *([] if surface.space_of is None else [surface.space_of])]
-    place = group_equal_rows(*columns)[0][corners]
+    place = group_places(surface.positions, surface.space_of)[0][corners]
     uv = np.where(textured[:, None], surface.uv.reshape(-1, 2), 0.0)
     side, _ = group_equal_rows(place, np.repeat(surface.texture_of, 3), *uv.T)
     jumps = _spread(values, place, textured) > _ALIKE + _SIGMAS * noise
@@ -84,14 +142,11 @@ def _seen(
     common = _encoding(pictures)
     for index, picture in enumerate(pictures):
         mine = texture_of == index
-        image, wrap = without_alpha(picture, to_float(picture)), surface.textures[index].wrap
-        alpha = [] if picture.alpha is None else [picture.alpha]
-        channels = [*picture.colour] * (3 // len(picture.colour)) + alpha
-        found = look_up(image, uv[mine], wrap, picture.alpha)[:, channels]
+        image, wrap = as_rgba(picture), surface.textures[index].wrap
+        found = look_up(image, uv[mine], wrap, None if picture.alpha is None else 3)
         if picture.encoding != common:
             found[:, :3] = linear_to_srgb(found[:, :3])
-        values[mine, : len(channels)] = found
-        residues[mine, : len(channels)] = noise_around(image, uv[mine], wrap)[:, channels]
+        values[mine], residues[mine] = found, noise_around(image, uv[mine], wrap)
     known = residues[texture_of >= 0]
     return values, _MEDIAN * np.median(np.abs(known), axis=0) if len(known) else np.zeros(4)
 

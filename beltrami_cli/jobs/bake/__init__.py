@@ -1,1 +1,0 @@
-"""Move colours between textures and vertices."""

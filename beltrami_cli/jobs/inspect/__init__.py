@@ -1,1 +1,0 @@
-"""What is coloured in a file, and what smoothing would do with it."""

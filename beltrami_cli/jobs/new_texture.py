@@ -1,0 +1,251 @@
+"""A new texture for a mesh: from its vertex colours, or from the textures that it has."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from beltrami_cli.errors import InputError
+from beltrami_cli.formats.image import read_image, to_float, without_alpha, write_image
+from beltrami_cli.formats.image.picture import new_picture
+from beltrami_cli.surface.baking import bake, interpolated, overlap, texels_for_vertices
+from beltrami_cli.surface.colour_values import linear_to_srgb
+from beltrami_cli.surface.lookup import look_up
+from beltrami_cli.surface.polygons import triangulate
+from beltrami_cli.surface.records import Texture, TexturedMesh, TexturedSurface
+from beltrami_cli.surface.unwrap import unwrap
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from numpy.typing import NDArray
+
+    from beltrami_cli.formats.document import Document
+    from beltrami_cli.formats.image import Picture
+    from beltrami_cli.samples.settings.bake import BakeSettings
+    from beltrami_cli.surface.records import Encoding, ImageFile, MeshContents
+    from beltrami_cli.surface.unwrap import Unwrapped
+
+    Progress = Callable[[str, int, int], None] | None
+    Depth = type[np.uint8] | type[np.uint16]
+
+_ON_A_LEVEL = 0.05  # of an 8-bit step: numbers this close to levels came from 8 bits
+_SHARED = 0.01  # share of texels at several places that rounding at the edges of charts may make
+
+
+@dataclass(frozen=True)
+class NewTexture:
+    """A mesh with a texture that is made for it."""
+
+    positions: NDArray[np.float64]
+    faces: NDArray[np.int32]
+    uv: NDArray[np.float64]  # as in `TexturedMesh`
+    space_of: NDArray[np.int32] | None  # as in `PaintedVertices`
+    pixels: NDArray[Any]  # uint8 or uint16, (H, W, 3) or (H, W, 4): the texture, sRGB
+    charts: int | None  # how many, if it was unwrapped
+    notices: tuple[str, ...]
+
+    def encoded(self, suffix: str | None = None, jpeg_quality: int = 98, *, small: bool = False) -> ImageFile:
+        """Return the texture as a file, PNG by default; options as for `write_image`."""
+        picture = new_picture(self.pixels, "the new texture")
+        return write_image(picture, self.pixels, suffix=suffix, jpeg_quality=jpeg_quality, small=small)
+
+    def surface(self) -> TexturedSurface:
+        """Return the textured surface, as a document would."""
+        texture = Texture("new", "the new texture", self.encoded().data, wrap=("clamp", "clamp"))
+        texture_of = np.zeros(len(self.faces), np.int32)
+        return TexturedSurface(self.positions, self.faces, self.uv, texture_of, (texture,), self.space_of)
+
+    def mesh(self, image: ImageFile) -> TexturedMesh:
+        """Return the mesh with the texture as a file, for the writers."""
+        alpha = self.pixels[..., 3:]
+        transparent = bool(alpha.size and (alpha < alpha.max()).any())
+        return TexturedMesh(self.positions, self.faces, self.uv, image, transparent)
+
+
+def texture_from_vertices(
+    document: Document,
+    wanted: BakeSettings,
+    progress: Progress = None,
+    colours: NDArray[np.float32] | None = None,
+) -> NewTexture:
+    """Spread the vertex colours, or others, shape (V, C), in their stead, over the texels of a texture."""
+    # They are interpolated as the numbers that are stored (in glTF linear light), and rounded once.
+    contents = document.contents()
+    faces = triangulate(contents.positions, contents.corners, contents.offsets)
+    if not len(faces):
+        raise InputError(
+            document.name, "it has no triangles", "a texture needs a surface; mesh the points first"
+        )
+    space_of = document.painted().space_of
+    charts = None
+    if wanted.keep_uv:
+        uv, size = _kept_uv(document, contents.positions[faces], wanted.size)
+    else:
+        texels = texels_for_vertices(contents.positions, faces)
+        made = _unwrapped(document, contents.positions, faces, space_of, texels, wanted, progress)
+        uv, size, charts = made.uv, made.size, made.charts
+    dtype = _depth(contents)
+    if colours is not None:
+        contents = dataclasses.replace(contents, colours=colours)
+    values = _vertex_values(contents)
+    corners = values[faces]
+
+    def shade(owners: NDArray[np.int64], weights: NDArray[np.float64]) -> NDArray[Any]:
+        return _rounded(_as_srgb(interpolated(corners, owners, weights), contents.encoding), dtype)
+
+    pixels = bake(uv, size, shade, values.shape[1], dtype)
+    return NewTexture(contents.positions, faces, uv, space_of, pixels, charts, tuple(_left_behind(contents)))
+
+
+def texture_from_textures(
+    document: Document,
+    wanted: BakeSettings,
+    progress: Progress = None,
+    smoothed: Mapping[str, ImageFile] | None = None,
+) -> NewTexture:
+    """Move all base colour textures, or others by their keys in their stead, to one new atlas."""
+    old = document.textured("baseColor")
+    new = [(smoothed or {}).get(texture.key) for texture in old.textures]
+    pictures = [
+        read_image(texture.data if file is None else file.data, texture.name)
+        for texture, file in zip(old.textures, new, strict=True)
+    ]
+    sizes = np.array([picture.pixels.shape[1::-1] for picture in pictures])
+    texels = texels_of(old, sizes)
+    made = _unwrapped(document, old.positions, old.faces, old.space_of, texels, wanted, progress)
+    channels = 4 if any(picture.alpha is not None for picture in pictures) else 3
+    images = [as_rgba(picture) for picture in pictures]
+    dtype = np.uint8 if all(picture.stored == "uint8" for picture in pictures) else np.uint16
+
+    def shade(owners: NDArray[np.int64], weights: NDArray[np.float64]) -> NDArray[Any]:
+        seen = np.ones((len(owners), 4))
+        uv = interpolated(old.uv, owners, _within(weights))
+        for index, (picture, texture) in enumerate(zip(pictures, old.textures, strict=True)):
+            mine = old.texture_of[owners] == index
+            values = look_up(images[index], uv[mine], texture.wrap, None if picture.alpha is None else 3)
+            seen[mine] = _as_srgb(values, picture.encoding)
+        return _rounded(seen[:, :channels], dtype)
+
+    pixels = bake(made.uv, made.size, shade, channels, dtype)
+    notices = _what_textures_lose(document, old, pictures)
+    return NewTexture(old.positions, old.faces, made.uv, old.space_of, pixels, made.charts, notices)
+
+
+def _unwrapped(
+    document: Document,
+    positions: NDArray[np.float64],
+    faces: NDArray[np.int32],
+    space_of: NDArray[np.int32] | None,
+    texels: float,
+    wanted: BakeSettings,
+    progress: Progress,
+) -> Unwrapped:
+    return unwrap(
+        positions,
+        faces,
+        wanted.size,
+        wanted.padding,
+        document.name,
+        space_of=space_of,
+        most_faces=wanted.max_unwrap_faces,
+        texels=texels,
+        progress=None if progress is None else lambda done, total: progress("unwrapping", done, total),
+    )
+
+
+def _kept_uv(
+    document: Document, corners: NDArray[np.float64], side: int | None
+) -> tuple[NDArray[np.float64], tuple[int, int]]:
+    """Return the document's own texture coordinates, if no texel is at two places, and the texture's size."""
+    surface = document.textured("baseColor")
+    cause = ""
+    if surface.faces.shape[0] != len(corners) or (surface.positions[surface.faces] != corners).any():
+        cause = "not all of its triangles have vertex colours"
+    elif len(surface.textures) > 1 or (surface.texture_of < 0).any():
+        cause = "its triangles do not all show one texture"
+    elif surface.uv.min() < 0 or surface.uv.max() > 1:
+        cause = "its texture coordinates leave the image"
+    if not cause:
+        height, width = read_image(surface.textures[0].data, surface.textures[0].name).pixels.shape[:2]
+        scale = 1.0 if side is None else side / max(width, height)
+        size = max(1, round(width * scale)), max(1, round(height * scale))
+        if overlap(surface.uv, size) <= _SHARED:
+            return surface.uv, size
+        cause = "its charts overlap in the image"
+    raise InputError(document.name, f"its texture coordinates cannot be kept: {cause}", "leave out --keep-uv")
+
+
+def _vertex_values(contents: MeshContents) -> NDArray[np.float32]:
+    colours = contents.colours
+    colours = np.repeat(colours, 3, axis=1) if colours.shape[1] == 1 else colours
+    if contents.alpha is None or (contents.alpha >= 1).all():
+        return colours
+    return np.column_stack([colours, contents.alpha])
+
+
+def _depth(contents: MeshContents) -> Depth:
+    """Return the type of the texture: that of the colours, or what holds them where they are text or linear light."""
+    if contents.encoding == "srgb" and contents.stored in ("uint8", "uint16"):
+        return np.uint8 if contents.stored == "uint8" else np.uint16
+    levels = 255 * _as_srgb(_vertex_values(contents).astype(np.float64), contents.encoding)
+    return np.uint8 if np.abs(levels - np.rint(levels)).max(initial=0) < _ON_A_LEVEL else np.uint16
+
+
+def _left_behind(contents: MeshContents) -> list[str]:
+    left = [*contents.left_out, *(["normals"] if contents.normals is not None else [])]
+    notices = [f"Not in the new file: {'; '.join(left)}."] if left else []
+    if np.any(np.diff(contents.offsets) > 3):
+        notices.append("Quads and polygons are cut into triangles.")
+    if contents.colours.size and (contents.colours.min() < 0 or contents.colours.max() > 1):
+        notices.append("Colours outside [0, 1] are clipped.")
+    return notices
+
+
+def _what_textures_lose(document: Document, old: TexturedSurface, pictures: list[Picture]) -> tuple[str, ...]:
+    notices = [
+        f"{document.format.upper()} content other than triangles and the base colour is not in the new file."
+    ]
+    bare = int((old.texture_of < 0).sum())
+    notices += [f"{bare} triangles have no texture, and are white in the new one."] if bare else []
+    if any(picture.encoding == "linear" for picture in pictures):
+        notices.append("Float textures become 16-bit sRGB, clipped to 0..1.")
+    return tuple(notices)
+
+
+def texels_of(surface: TexturedSurface, sizes: NDArray[np.int64]) -> float:
+    """Return how many texels the textured triangles have together."""
+    painted = surface.texture_of >= 0
+    corners = surface.uv[painted] * sizes[surface.texture_of[painted]][:, None]
+    one, two = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    return float(np.abs(one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0]).sum() / 2)
+
+
+def as_rgba(picture: Picture) -> NDArray[np.float32]:
+    """Return a picture as red, green, blue and opacity of full scale 1."""
+    values = without_alpha(picture, to_float(picture))
+    colour = values[..., [*picture.colour] * (3 // len(picture.colour))]
+    alpha = np.ones_like(values[..., :1]) if picture.alpha is None else values[..., [picture.alpha]]
+    return np.concatenate([colour, alpha], axis=2)
+
+
+def _within(weights: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Move places beside a triangle into it: what its texture shows there belongs to something else."""
+    inside: NDArray[np.float64] = np.clip(weights, 0, 1)
+    inside /= np.maximum(inside.sum(axis=1, keepdims=True), 1)
+    return inside
+
+
+def _as_srgb(values: NDArray[np.float64], encoding: Encoding) -> NDArray[np.float64]:
+    """Return colours, shape (N, 3) or (N, 4) with opacity, as display values."""
+    if encoding == "srgb":
+        return values
+    return np.column_stack([linear_to_srgb(values[:, :3]), values[:, 3:]])
+
+
+def _rounded(values: NDArray[np.float64], dtype: Depth) -> NDArray[Any]:
+    """Round values of full scale 1 to a type, clipping them to its range."""
+    return np.rint(np.clip(values, 0, 1) * np.iinfo(dtype).max).astype(dtype)
