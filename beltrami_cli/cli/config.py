@@ -30,8 +30,15 @@ What counts, first to last:
   2. variables of the environment: BELTRAMI_, the command, the option in capitals with _ for -, such as
      BELTRAMI_SMOOTH_BETA=8; flags are 1 or 0, options that may be repeated have spaces between values
   3. the file that --config or BELTRAMI_CONFIG names; or else beltrami.toml, or pyproject.toml with
-     [tool.beltrami], in the working folder or the nearest one above it
+     [tool.beltrami], in the working folder or the nearest one above it, up to the home folder, the
+     root of a repository (.git) or the border of a file system
   4. the defaults
+
+\b
+A file that was only found sets parameters of the method and of how results are encoded. Options that
+name files or a scheduler, allow something or lift a limit (--report, --overwrite, --out-dir ...) are
+refused in it. It is not read if it, or a link to it, belongs to somebody else than you and root, or
+if others may write to it.
 
 \b
 beltrami.toml (in pyproject.toml the tables are [tool.beltrami] and [tool.beltrami.smooth]):

@@ -8,16 +8,21 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from beltrami_cli.cli.console import printable
+from beltrami_cli.cli.found_configuration import (
+    MAY_BE_SET,
+    SHARED_NAME,
+    UntrustedError,
+    candidates,
+    mentions_us,
+    read_found,
+)
 from beltrami_cli.cli.named_values import options_of, plain, values_for
 from beltrami_cli.cli.variables import long_name
 from beltrami_cli.errors import InputError, UsageError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping
-
-OWN_NAME, SHARED_NAME = "beltrami.toml", "pyproject.toml"
-# A file that merely lies in a folder above, as in an archive from elsewhere, must not allow these.
-_TO_BE_NAMED = {"allow_outside", "overwrite"}
 
 
 @dataclass(frozen=True)
@@ -64,7 +69,7 @@ class Configuration:
         Raises
         ------
         UsageError
-            If there is no such option, or it cannot have the value.
+            If there is no such option, it cannot have the value, or the file was only found and may not set it.
         """
         try:
             for table in set(self.tables) - set(names):
@@ -86,14 +91,15 @@ class Configuration:
         return values
 
     def _check(self, command: click.Command, values: Mapping[str, object]) -> None:
-        """Raise ValueError if a value does not fit its option, or needs to be given more deliberately."""
+        """Raise ValueError if a value does not fit its option, or may not be set by such a file."""
         context = click.Context(command)
         for option in command.params:
             if option.name not in values:
                 continue
-            if option.name in _TO_BE_NAMED and values[option.name] and not self.is_named:
+            if not self.is_named and option.name not in MAY_BE_SET:
                 raise ValueError(
-                    f"--{long_name(option)} counts only in a file that --config or BELTRAMI_CONFIG names"
+                    f"{long_name(option)} may not be set by a file that was only found, since it is no parameter of "
+                    f"the method; give it on the command line, or name the file: --config {self.path}"
                 )
             try:
                 option.type_cast_value(context, values[option.name])
@@ -108,7 +114,7 @@ def load(named: str | None) -> Configuration:
     ----------
     named : str or None
         A file; None: beltrami.toml, or pyproject.toml with a table [tool.beltrami], in the working folder or the
-        nearest one above it.
+        nearest one above it, as far as `found_configuration.candidates` looks.
 
     Raises
     ------
@@ -120,21 +126,48 @@ def load(named: str | None) -> Configuration:
         if table is None:
             raise InputError(named, "it has no table [tool.beltrami]", "add one, or name another file")
         return _sorted(named, table, is_named=True)
-    here = Path.cwd()
-    for folder in (here, *here.parents):
-        for path in (folder / OWN_NAME, folder / SHARED_NAME):
-            if path.is_file() and (table := _table(path)) is not None:
-                return _sorted(str(path), table, is_named=False)
+    try:
+        here = Path.cwd()
+    except OSError:  # the folder was removed
+        return Configuration()
+    for path in candidates(here):
+        table = _found_table(path)
+        if table is not None:
+            return _sorted(str(path), table, is_named=False)
     return Configuration()
 
 
+def _found_table(path: Path) -> dict[str, object] | None:
+    """Return what a file says that was found; a line tells the user if it is not to be trusted."""
+    try:
+        return _parsed(path, read_found(path))
+    except UntrustedError as error:
+        if mentions_us(path):
+            remedy = f"to have it read, name it: --config {path}"
+            click.echo(printable(f"warning: {path} is not read, because {error}; {remedy}"), err=True)
+        return None
+    except OSError as error:
+        raise _unreadable(path, error) from error
+
+
 def _table(path: Path) -> dict[str, object] | None:
+    try:
+        return _parsed(path, path.read_bytes())
+    except OSError as error:
+        raise _unreadable(path, error) from error
+
+
+def _unreadable(path: Path, error: Exception) -> InputError:
+    return InputError(str(path), f"cannot be read ({error})", "mend it, or leave it out")
+
+
+def _parsed(path: Path, data: bytes) -> dict[str, object] | None:
     import tomllib
 
     try:
-        tree = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:  # also what is no UTF-8, and no TOML
-        raise InputError(str(path), f"cannot be read ({error})", "mend it, or leave it out") from error
+        tree = tomllib.loads(data.decode("utf-8"))
+    except ValueError as error:  # what is no UTF-8, and no TOML
+        raise _unreadable(path, error) from error
     tool = tree.get("tool", {})
     if isinstance(tool, dict) and "beltrami" in tool:
         tree = tool["beltrami"]

@@ -15,22 +15,25 @@ _LOCAL = ["--host", "127.0.0.1", "--no-dashboard"]
 class Cluster:
     """A scheduler, whose address is in a file, and workers that can be killed and replaced."""
 
-    def __init__(self, folder):
+    def __init__(self, folder, *options):
         self.folder, self.address = folder, folder / "scheduler.json"
         self._processes, self._workers = [], {}
-        self._start("scheduler", "--port", "0", "--scheduler-file", self.address)
+        self._start("scheduler", "--port", "0", "--scheduler-file", self.address, *options)
 
     def grow(self, count):
         """Have so many workers, which are named by numbers."""
         for name in [name for name, process in self._workers.items() if process.poll() is not None]:
             del self._workers[name]
         while len(self._workers) < count:
-            name = f"worker{len(self._processes)}"
-            place = ("--local-directory", self.folder / name, "--name", name)
-            file = ("--scheduler-file", self.address)
-            self._workers[name] = self._start("worker", *file, "--nthreads", "1", "--no-nanny", *place)
+            self.start_worker()
         with self.client() as client:
             client.wait_for_workers(count, timeout=60)
+
+    def start_worker(self):
+        name = f"worker{len(self._processes)}"
+        place = ("--local-directory", self.folder / name, "--name", name)
+        file = ("--scheduler-file", self.address)
+        self._workers[name] = self._start("worker", *file, "--nthreads", "1", "--no-nanny", *place)
 
     def client(self):
         from distributed import Client

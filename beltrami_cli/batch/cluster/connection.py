@@ -40,6 +40,7 @@ def connected(address: str) -> Iterator[Any]:
     """
     try:
         from distributed import Client
+        from distributed.security import Security
     except ImportError as error:
         raise ProcessingError(
             "--scheduler needs Dask, which is not installed; pip install 'beltrami-cli[cluster]'"
@@ -50,7 +51,9 @@ def connected(address: str) -> Iterator[Any]:
     try:
         where = _address_in(address) if address.endswith(".json") else address
         _require_listener(where)
-        client = Client(where, timeout=_PATIENCE, set_as_default=False)
+        security = Security()  # certificates, and whether they are required, from Dask's own configuration
+        _require_encryption(where, security)
+        client = Client(where, timeout=_PATIENCE, set_as_default=False, security=security)
     except (OSError, ValueError, KeyError) as error:
         cause = " ".join(f"{type(error).__name__}: {error}".split())[:200]
         raise ProcessingError(
@@ -65,6 +68,17 @@ def connected(address: str) -> Iterator[Any]:
 def _address_in(path: str) -> str:
     """Return what a scheduler wrote into a file."""
     return str(json.loads(Path(path).read_text(encoding="utf-8"))["address"])
+
+
+def _require_encryption(address: str, security: Any) -> None:
+    """Raise ValueError if encryption is asked for without certificates, or required and not asked for."""
+    is_encrypted = address.startswith("tls://")
+    if is_encrypted and security.get_connection_args("client").get("ssl_context") is None:
+        raise ValueError(
+            "TLS needs distributed.comm.tls in Dask's configuration: ca-file, client.cert and client.key"
+        )
+    if security.require_encryption and not is_encrypted:
+        raise ValueError("encryption is required by Dask's configuration, and the address is not tls://")
 
 
 def _require_listener(address: str) -> None:

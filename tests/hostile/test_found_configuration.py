@@ -1,0 +1,196 @@
+"""A configuration that merely lies in a folder: it sets parameters of the method, and nothing that could do harm."""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import subprocess
+from pathlib import Path
+
+import click
+import pytest
+
+from beltrami_cli.cli import found_configuration
+from beltrami_cli.cli.configuration import load
+from beltrami_cli.cli.found_configuration import MAY_BE_SET, candidates
+from beltrami_cli.cli.main import COMMANDS, defaults_from, group
+from beltrami_cli.cli.variables import long_name
+from beltrami_cli.errors import UsageError
+from cli.commands import COMMAND, SAMPLES
+from hostile.folders import snapshot
+
+NOISY = SAMPLES / "nonmanifold-noisy.ply"
+QUICK = ("-n", "1", "--fast")
+NEVER = (
+    "scheduler", "pieces", "report_path", "preview_path", "map_to", "out_dir", "suffix", "resume", "overwrite",
+    "allow_outside", "guides", "height", "positions", "mask", "colours", "reference", "parameters", "max_memory",
+    "max_voxels", "max_unwrap_faces", "at_once",
+)  # fmt: skip
+
+
+@pytest.fixture(autouse=True)
+def _files_of_ones_own():
+    before = os.umask(0o022)
+    yield
+    os.umask(before)
+
+
+def run(folder: Path, *arguments: object, **variables: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [*COMMAND, *map(str, arguments)], cwd=folder, env={**os.environ, **variables}, capture_output=True, text=True,
+        check=False, timeout=120,
+    )  # fmt: skip
+
+
+def options_of(name: str) -> list[click.Option]:
+    command = group.get_command(click.Context(group), name)
+    assert command is not None
+    return [each for each in command.params if isinstance(each, click.Option) and not each.is_eager]
+
+
+@pytest.mark.parametrize("name", sorted(COMMANDS))
+@pytest.mark.parametrize("table", ["", "[{}]\n", "[tool.beltrami.{}]\n"])
+def test_every_option_that_is_not_listed_is_refused_in_a_line_that_names_the_way_out(
+    name: str, table: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    path = tmp_path / ("pyproject.toml" if "tool" in table else "beltrami.toml")
+    for option in options_of(name):
+        if option.name in MAY_BE_SET:
+            continue
+        value = "true" if option.is_flag else '"x"'
+        path.write_text(f"{table.format(name)}{long_name(option)} = {value}\n")
+        with pytest.raises(UsageError) as refused:
+            defaults_from(load(None), name)
+        told = str(refused.value)
+        assert all(word in told for word in (str(path), long_name(option), "--config"))
+        assert "\n" not in told
+
+
+def test_what_may_be_set_exists_and_is_harmless() -> None:
+    known = {option.name for name in COMMANDS for option in options_of(name)}
+    assert known >= MAY_BE_SET
+    assert known >= set(NEVER)
+    assert not MAY_BE_SET & set(NEVER)
+
+
+def test_no_scheduler_is_connected_to(tmp_path: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        server.settimeout(0.5)
+        address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
+        (tmp_path / "beltrami.toml").write_text(f'[batch]\nscheduler = "{address}"\n')
+        done = run(tmp_path, "batch", NOISY, "--out-dir", "out", *QUICK)
+        with pytest.raises(TimeoutError):
+            server.accept()
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    assert not (tmp_path / "out").exists()
+
+
+def test_no_file_is_clobbered(tmp_path: Path) -> None:
+    (tmp_path / "profile").write_text("precious")
+    (tmp_path / "out.ply").write_text("old")
+    (tmp_path / "pyproject.toml").write_text('[tool.beltrami.smooth]\nreport = "profile"\n')
+    before = snapshot(tmp_path)
+    done = run(tmp_path, "smooth", NOISY, "out.ply", *QUICK, "--overwrite")
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    assert snapshot(tmp_path) == before
+
+
+def test_a_named_file_and_variables_may_set_everything(tmp_path: Path) -> None:
+    (tmp_path / "named.toml").write_text('[smooth]\nreport = "r.json"\noverwrite = true\n')
+    for number, (arguments, variables) in enumerate(
+        (
+            (("--config", "named.toml"), {}),
+            ((), {"BELTRAMI_CONFIG": "named.toml"}),
+            ((), {"BELTRAMI_SMOOTH_REPORT": "r.json", "BELTRAMI_SMOOTH_OVERWRITE": "1"}),
+        )
+    ):
+        (tmp_path / "r.json").unlink(missing_ok=True)
+        (tmp_path / "out.ply").write_text("old")
+        done = run(tmp_path, *arguments, "smooth", NOISY, "out.ply", *QUICK, **variables)
+        assert done.returncode == 0, (number, done.stderr)
+        assert json.loads((tmp_path / "r.json").read_text())["output"] == "out.ply"
+
+
+@pytest.mark.parametrize("name", ["beltrami.toml", "pyproject.toml"])
+@pytest.mark.parametrize("mode", [0o664, 0o646, 0o666])
+def test_what_others_may_write_to_is_not_read(name: str, mode: int, tmp_path: Path) -> None:
+    path = tmp_path / name
+    path.write_text("[tool.beltrami.smooth]\nbeta = 3\nreport = 'x'\n")
+    path.chmod(mode)
+    done = run(tmp_path, "config")
+    assert (done.returncode, done.stderr.count("\n")) == (0, 1)
+    assert str(path) in done.stderr
+    assert "others than its owner" in done.stderr
+    assert "beta" not in done.stdout
+    path.write_text("[tool.beltrami.smooth]\nbeta = 3\n")
+    assert "beta = 3" in run(tmp_path, "--config", path, "config").stdout
+    path.chmod(0o644)
+    assert "beta = 3" in run(tmp_path, "config").stdout
+
+
+def test_a_project_of_others_that_does_not_mention_this_program_needs_no_word(tmp_path: Path) -> None:
+    (tmp_path / "pyproject.toml").write_text("[project]\nname = 'other'\n")
+    (tmp_path / "pyproject.toml").chmod(0o666)
+    assert run(tmp_path, "config").stderr == ""
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() != 0, reason="only root can give files away")
+@pytest.mark.parametrize("is_link", [False, True])
+def test_what_belongs_to_another_user_is_not_read(is_link: bool, tmp_path: Path) -> None:
+    path = tmp_path / "beltrami.toml"
+    target = tmp_path / "target.toml" if is_link else path
+    target.write_text("[smooth]\nbeta = 3\n")
+    if is_link:
+        path.symlink_to(target)
+        assert "beta = 3" in run(tmp_path, "config").stdout
+    os.chown(path, 65534, 65534, follow_symlinks=False)  # of a link: the link alone
+    done = run(tmp_path, "config")
+    assert "belongs to another user" in done.stderr
+    assert "beta" not in done.stdout
+
+
+def test_files_of_this_user_and_of_root_are_read_and_no_others(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "beltrami.toml").write_text("beta = 3\n")
+    owner = (tmp_path / "beltrami.toml").stat().st_uid
+    assert load(None).common == {"beta": 3}
+    monkeypatch.setattr(os, "geteuid", lambda: owner + 1)
+    assert load(None).common == ({"beta": 3} if owner == 0 else {})
+
+
+def test_the_search_ends_at_home_and_at_the_root_of_a_repository(tmp_path: Path) -> None:
+    deep = tmp_path / "home" / "repository" / "deep"
+    deep.mkdir(parents=True)
+    (tmp_path / "beltrami.toml").write_text("[smooth]\nbeta = 3\n")
+    home = {"HOME": str(tmp_path / "home")}
+    assert "beta" not in run(deep, "config", **home).stdout
+    assert "beta = 3" in run(deep, "config", HOME=str(tmp_path)).stdout
+    (tmp_path / "home" / "beltrami.toml").write_text("[smooth]\nbeta = 4\n")
+    assert "beta = 4" in run(deep, "config", **home).stdout
+    (deep.parent / ".git").mkdir()
+    assert "beta" not in run(deep, "config", **home).stdout
+    (deep.parent / "beltrami.toml").write_text("[smooth]\nbeta = 5\n")
+    assert "beta = 5" in run(deep, "config", **home).stdout
+
+
+def test_the_search_ends_at_the_border_of_a_file_system(monkeypatch: pytest.MonkeyPatch) -> None:
+    mount = Path("/dev/shm")
+    if not mount.is_dir() or mount.stat().st_dev == mount.parent.stat().st_dev:
+        pytest.skip("there is no other file system")
+    monkeypatch.setattr(Path, "is_file", lambda _: True)
+    monkeypatch.setattr(found_configuration, "_home", lambda: None)
+    assert {path.parent for path in candidates(mount)} == {mount}
+
+
+def test_a_working_folder_that_was_removed_has_no_configuration(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    gone = tmp_path / "gone"
+    gone.mkdir()
+    monkeypatch.chdir(gone)
+    gone.rmdir()
+    assert load(None).path is None
