@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -14,6 +15,8 @@ from beltrami_cli.cli.painting import choosing, painting_from
 
 if TYPE_CHECKING:
     from beltrami_cli.flow.parameters import Weights
+    from beltrami_cli.jobs.compare.files import Comparison
+    from beltrami_cli.jobs.compare.limits import Verdict
 
 EPILOG = """\b
 Examples:
@@ -25,7 +28,7 @@ Examples:
   beltrami compare truth.ply clean.ply --map differences.ply
 
 \b
-What is told, for each texture and for the vertices, and for all together:
+What is measured, for each texture and for the vertices, and for all together:
   PSNR       10 log10 (1 / mean squared error) over samples and channels, full scale 1
   SSIM       structural similarity of images, and of textures where the surface covers the whole window
   dE         Delta E 2000 from colour to colour: mean, 95th percentile, worst. 1 can hardly be seen
@@ -39,6 +42,10 @@ Exit codes: 0 all limits are kept, or none given; 1 a limit is broken; 3 one can
 vertices (only steps over seams are kept where there is no seam); otherwise as `beltrami`.
 See docs/ci.md for GitHub Actions and Makefiles.
 """
+
+_COLUMNS = (
+    "part", "samples", "PSNR dB", "SSIM", "dE mean", "dE 95 %", "dE worst", "seams: dB", "seams: dE", "jump /255",
+)  # fmt: skip
 
 
 @click.command("compare", epilog=EPILOG)
@@ -82,7 +89,7 @@ def command(
     verbose: int,
     **painting: Any,
 ) -> int:
-    """Tell how far the colours of TEST are from those of REFERENCE, and fail if they are further than allowed.
+    """Measure how far the colours of TEST are from those of REFERENCE, and fail if they are further than allowed.
 
     Both are files of one model, with the same triangles, vertices and sizes of textures, or two images of one size;
     formats and types may differ. Of textures the texels count that the surface covers.
@@ -104,14 +111,12 @@ def command(
             overwrite=overwrite,
             access=access,
         )
-    from beltrami_cli.cli.comparison import describe, show
-
     if as_json:
         from dataclasses import asdict
 
         click.echo(json.dumps(asdict(comparison), indent=2))
     elif not quiet:
-        show(comparison)
+        _show(comparison)
     for notice in comparison.notices:
         messages.warn(notice)
     if map_to is not None:
@@ -120,5 +125,89 @@ def command(
         )
     for verdict in comparison.limits:
         if not verdict.kept:
-            click.echo(printable(f"beltrami: {test}: {describe(verdict)}"), err=True)
+            click.echo(printable(f"beltrami: {test}: {_describe(verdict)}"), err=True)
     return 0 if comparison.passed else 1
+
+
+def _show(comparison: Comparison) -> None:
+    """Print the figures of all parts, the worst sample, and how the limits were kept."""
+    rows = [_row(part["name"], part) for part in comparison.parts]
+    if len(rows) > 1:
+        rows.append(_row("all", comparison.overall))
+    _table(_COLUMNS, rows)
+    worst = comparison.overall["worst"]
+    if worst is not None and worst["error"] > 0:
+        click.echo(printable(f"worst sample: {_worst(worst)}"))
+    for verdict in comparison.limits:
+        click.echo(printable(f"{'ok' if verdict.kept else 'BROKEN':>6}  {_describe(verdict)}"))
+
+
+def _describe(verdict: Verdict) -> str:
+    """Say what was measured, and what was allowed."""
+    scale, unit = {"min_psnr": (1.0, " dB"), "max_seam_jump": (255.0, "/255")}.get(verdict.limit, (1.0, ""))
+    measured = "infinite" if verdict.measured is None else f"{scale * verdict.measured:.4g}{unit}"
+    word = "at least" if verdict.limit.startswith("min") else "at most"
+    name = {
+        "min_psnr": "PSNR",
+        "min_ssim": "SSIM",
+        "max_delta_e": "mean Delta E 2000",
+        "max_seam_jump": "colour step over seams beyond the reference's",
+    }[verdict.limit]
+    return f"{verdict.part}: {name} {measured}, allowed {word} {scale * verdict.allowed:.4g}{unit}"
+
+
+def _row(name: str, part: dict[str, Any]) -> list[str]:
+    looks, near, jump = part["delta_e"], part["near_seams"], part["seam_jump"]
+    psnr = (
+        _number(part["psnr"], "{:.2f}") if part["psnr"] is not None else "equal" if part["samples"] else "-"
+    )
+    near_psnr = "-" if near is None else "equal" if near["psnr"] is None else f"{near['psnr']:.2f}"
+    return [
+        name,
+        str(part["samples"]),
+        psnr,
+        _number(part["ssim"], "{:.4f}"),
+        *(_number(None if looks is None else looks[key], "{:.2f}") for key in ("mean", "p95", "worst")),
+        near_psnr,
+        _number(None if near is None else near["delta_e"], "{:.2f}"),
+        _number(None if jump is None else 255 * jump["change"], "{:+.2f}"),
+    ]
+
+
+def _number(value: float | None, form: str) -> str:
+    return "-" if value is None else form.format(value)
+
+
+def _worst(worst: dict[str, Any]) -> str:
+    place = (
+        f"vertex {worst['vertex']}" if "vertex" in worst else f"{worst['part']} at {worst['x']},{worst['y']}"
+    )
+    colours = (", ".join(f"{255 * value:.0f}" for value in worst[which]) for which in ("reference", "test"))
+    looks = "" if worst["delta_e"] is None else f", Delta E {worst['delta_e']:.1f}"
+    return (
+        f"{place}, off by {255 * worst['error']:.1f}/255{looks}: {' became '.join(f'({c})' for c in colours)}"
+    )
+
+
+def _table(head: tuple[str, ...], rows: list[list[str]]) -> None:
+    rows = [[printable(cell) for cell in row] for row in rows]
+    if sys.stdout.isatty():
+        from rich import box
+        from rich.console import Console
+        from rich.table import Table
+        from rich.text import Text
+
+        table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
+        for number, name in enumerate(head):
+            table.add_column(name, justify="right" if number else "left", overflow="fold")
+        for row in rows:
+            table.add_row(*map(Text, row))
+        Console().print(table)
+        return
+    widths = [max(len(row[number]) for row in (list(head), *rows)) for number in range(len(head))]
+    for row in (list(head), *rows):
+        first, *others = (
+            cell.rjust(width) if number else cell.ljust(width)
+            for number, (cell, width) in enumerate(zip(row, widths, strict=True))
+        )
+        click.echo("  ".join([first, *others]))

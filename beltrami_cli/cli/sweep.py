@@ -58,7 +58,7 @@ def _values(kind: type[int] | type[float]) -> Callable[..., tuple[float, ...] | 
 @click.argument("source", metavar="INPUT")
 @click.argument("target", metavar="OUT.png|OUT.html")
 @click.option(
-    "--reference", metavar="FILE", help="The same without noise: tell how near to it each result is."
+    "--reference", metavar="FILE", help="The same without noise: measure how near to it each result is."
 )
 @options.smoothing
 @looking
@@ -77,7 +77,7 @@ def command(
 ) -> None:
     """Smooth INPUT with every combination of parameters, and show all results in one picture or page.
 
-    The first views are the reference, if there is one, and INPUT as it is; each other tells its parameters.
+    The first views are the reference, if there is one, and INPUT as it is; the others show their parameters.
     """
     messages = Messages(quiet=quiet, verbose=verbose)
     looks = {name: given.pop(name) for name in LOOKS}

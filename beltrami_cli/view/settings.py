@@ -1,4 +1,4 @@
-"""What a rendering job is told, with the defaults; light enough for the command line to import."""
+"""The parameters of pictures with their defaults; light enough for the command line to import."""
 
 from __future__ import annotations
 
@@ -27,28 +27,15 @@ LONGEST_SIDE = 16384
 
 @dataclass(frozen=True)
 class Crop:
-    """An enlarged detail.
+    """An enlarged detail."""
 
-    Attributes
-    ----------
-    side : float
-        Of the square, in shares of the shorter side of the view.
-    centre : (float, float) or None
-        Its middle in shares of the view's width and height, from the upper left; None: where there is most to see.
-    """
-
-    side: float = 0.2
+    side: float = 0.2  # of the square, as a fraction of the shorter side of the view
+    # Its middle in fractions of the view's width and height, from the upper left; None: where there is most to see.
     centre: tuple[float, float] | None = None
 
     @classmethod
     def parse(cls, text: str) -> Crop:
-        """Read ``auto``, ``auto,SIDE``, ``X,Y`` or ``X,Y,SIDE``.
-
-        Raises
-        ------
-        UsageError
-            If it is none of these, or out of range.
-        """
+        """Read ``auto``, ``auto,SIDE``, ``X,Y`` or ``X,Y,SIDE``; UsageError for anything else."""
         words = [word.strip() for word in text.split(",")]
         automatic = words[0] == "auto"
         try:
@@ -65,57 +52,22 @@ class Crop:
 
 @dataclass(frozen=True)
 class RenderSettings:
-    """What `render_file` is told.
+    """The camera, the light and the layout of a picture; UsageError if a value is out of its range."""
 
-    Attributes
-    ----------
-    size : (int, int)
-        Width and height of each view in pixels.
-    azimuth, elevation : float
-        Where the eye is, in degrees: to the right around the model from its front, and upwards.
-    up : {"x", "y", "z"}
-        Which axis of the model points up.
-    fov : float
-        Field of view in degrees along the shorter side; 0: parallel rays.
-    zoom : float
-        How much larger than what fits the view.
-    lit : bool
-        Whether a lamp shows the shape; otherwise colours are as they are.
-    background : str
-        ``white``, ``grey``, ``black``, ``#rrggbb`` or ``transparent``; ``auto``: white, or grey behind what is white.
-    slot : str or None
-        Which textures are shown; None: base colour, or vertex colours where there is none.
-    on : {"auto", "vertices", "texture"}
-        What is shown of models that have both.
-    turntable : int
-        Views all around in equal steps; 0: one view.
-    crops : tuple of Crop
-        Details, drawn enlarged below each view.
-    labels : tuple of str or None
-        One for each file; None: the names of the files, if there are several. Empty: none.
-    stacked : bool
-        Whether files are shown below each other, and not side by side.
-
-    Raises
-    ------
-    UsageError
-        If a value is out of its range.
-    """
-
-    size: tuple[int, int] = (640, 640)
-    azimuth: float = 0.0
-    elevation: float = 0.0
-    up: Axis = "y"
-    fov: float = 30.0
-    zoom: float = 1.0
-    lit: bool = False
-    background: str = "auto"
-    slot: str = "baseColor"
-    on: Literal["auto", "vertices", "texture"] = "auto"
-    turntable: int = 0
-    crops: tuple[Crop, ...] = ()
-    labels: tuple[str, ...] | None = None
-    stacked: bool = False
+    size: tuple[int, int] = (640, 640)  # width and height of each view in pixels
+    azimuth: float = 0.0  # of the eye, in degrees to the right around the model from its front
+    elevation: float = 0.0  # of the eye, in degrees upwards
+    up: Axis = "y"  # the axis of the model that points up
+    fov: float = 30.0  # field of view in degrees along the shorter side; 0: parallel rays
+    zoom: float = 1.0  # how much larger than what fits the view
+    lit: bool = False  # by a lamp that shows the shape; otherwise colours are as they are
+    background: str = "auto"  # a name, #rrggbb or transparent; auto: white, or grey behind what is white
+    slot: str = "baseColor"  # the textures that are shown
+    on: Literal["auto", "vertices", "texture"] = "auto"  # what is shown of models that have both
+    turntable: int = 0  # views all around in equal steps; 0: one view
+    crops: tuple[Crop, ...] = ()  # details, drawn enlarged below each view
+    labels: tuple[str, ...] | None = None  # one for each file; None: names of several files; empty: none
+    stacked: bool = False  # files below each other, and not side by side
 
     def __post_init__(self) -> None:
         if min(self.size) < 16 or max(self.size) > LONGEST_SIDE:

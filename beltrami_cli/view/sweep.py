@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import html
-import json
 import os
 import tempfile
 from dataclasses import dataclass
@@ -24,7 +23,7 @@ from beltrami_cli.samples.settings.level_set import LevelSetSettings
 from beltrami_cli.samples.settings.smooth import DEFAULTS
 from beltrami_cli.view.drawing import background_of, draw_panels, with_fixed_crops
 from beltrami_cli.view.file import encoded, picture_suffix
-from beltrami_cli.view.report.page import PAGES, asset, page_from, picture_tag, table
+from beltrami_cli.view.pages import PAGES, asset, page_from, picture_tag, script_json, table
 from beltrami_cli.view.settings import MOST_PIXELS, RenderSettings
 from beltrami_cli.view.sheet import Panel, arranged
 from beltrami_cli.view.views import open_view
@@ -235,7 +234,7 @@ def _page(name: str, trials: Sequence[Trial], panels: Sequence[Panel], looks: Re
     for trial in trials:
         cells = [f"{trial.parameters[key]:g}" for key in parameters]
         rows.append(cells + [f"{trial.figures[key]:.3f}" if key in trial.figures else "" for key in figures])
-    data = json.dumps([dataclasses.asdict(trial) for trial in trials]).replace("<", "\\u003c")
+    data = script_json([dataclasses.asdict(trial) for trial in trials])
     title = html.escape(f"Sweep of {Path(name).name}")
     summary = f"{len(trials)} trials." + (
         "" if best is None else f" Best: {html.escape(trials[best].label)}."

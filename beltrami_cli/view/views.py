@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from beltrami_cli.formats.access import Access
     from beltrami_cli.formats.document import Document
-    from beltrami_cli.surface.records import PaintedVertices, Slot
+    from beltrami_cli.surface.records import PaintedVertices, Slot, Texture
     from beltrami_cli.view.camera import Camera, Window
     from beltrami_cli.view.paint import Sheet
     from beltrami_cli.view.settings import RenderSettings
@@ -137,6 +137,11 @@ def sheet_of(picture: Picture, *, is_data: bool = False) -> NDArray[np.float32]:
     return np.concatenate([light, np.nan_to_num(opacity)], axis=2).astype(np.float32)
 
 
+def texture_sheet(texture: Texture, slot: Slot) -> NDArray[np.float32]:
+    """Return a texture of a slot in linear light with opacity, (H, W, 4)."""
+    return sheet_of(read_image(texture.data, texture.name), is_data=slot not in COLOUR_SLOTS)
+
+
 def light_of(painted: PaintedVertices) -> NDArray[np.float64]:
     """Return vertex colours in linear light, (V, 3); channels other than red, green and blue are shown as grey."""
     is_rgb = set(_RGB) <= set(painted.channels)
@@ -173,8 +178,7 @@ def disc_radii(positions: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def _textured(document: Document, slot: Slot) -> SurfaceView:
     surface = document.textured(slot)
-    pictures = [read_image(texture.data, texture.name) for texture in surface.textures]
-    sheets = [sheet_of(picture, is_data=slot not in COLOUR_SLOTS) for picture in pictures]
+    sheets = [texture_sheet(texture, slot) for texture in surface.textures]
     positions = within_reach(surface.positions)
     areas = triangle_areas(positions, surface.faces)
     return SurfaceView(positions, surface.faces, TexturePaint(surface, sheets, areas))

@@ -14,7 +14,7 @@ from beltrami_cli.formats.image import read_image
 from beltrami_cli.formats.ply import write_ply
 from beltrami_cli.jobs.compare.paired_colours import PairedColours
 from beltrami_cli.surface.records import MeshContents
-from beltrami_cli.view.report.charts import histogram
+from beltrami_cli.view.charts import histogram
 from cli.commands import SAMPLES, beltrami
 from formats.image_files import encode
 

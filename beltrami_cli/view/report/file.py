@@ -25,11 +25,10 @@ from beltrami_cli.jobs.writing.output import Output
 from beltrami_cli.samples.memory_check import require_room_for_textures
 from beltrami_cli.samples.selection import choose_work
 from beltrami_cli.samples.settings.smooth import DEFAULTS, SmoothSettings
-from beltrami_cli.samples.textures.colours import COLOUR_SLOTS
-from beltrami_cli.view.report.charts import histogram, seam_map, swipe
-from beltrami_cli.view.report.model import ModelPacker, bounding_box
-from beltrami_cli.view.report.page import PAGES, asset, page_from, table
-from beltrami_cli.view.views import sheet_of
+from beltrami_cli.view.charts import histogram, seam_map, swipe
+from beltrami_cli.view.models import ModelPacker, bounding_box
+from beltrami_cli.view.pages import PAGES, asset, page_from, table
+from beltrami_cli.view.views import sheet_of, texture_sheet
 
 if TYPE_CHECKING:
     from beltrami_cli.formats.document import Document
@@ -136,7 +135,7 @@ def _of_models(
         found.pairs += [pair for pair, _ in paired]
         found.seams += [drawn for pair, size in paired if (drawn := seam_map(pair, size))]
         found.crops += _crops(one, other, slot, _MOST_CROPS - len(found.crops))
-    packer = ModelPacker(bounding_box([one, other], shown))
+    packer = ModelPacker(bounding_box(one, shown))
     for document in (one, other):
         packer.add(document, shown)
     found.models = packer.as_json()
@@ -148,9 +147,7 @@ def _crops(one: Document, other: Document, slot: Slot, most: int) -> list[str]:
     made: list[str] = []
     for old, new in zip(one.textured(slot).textures, other.textured(slot).textures, strict=True):
         if len(made) < most and old.data != new.data:
-            is_data = slot not in COLOUR_SLOTS
-            sheets = [sheet_of(read_image(each.data, each.name), is_data=is_data) for each in (old, new)]
-            made.append(swipe(sheets[0], sheets[1], new.name or slot))
+            made.append(swipe(texture_sheet(old, slot), texture_sheet(new, slot), new.name or slot))
     return made
 
 

@@ -4,20 +4,15 @@ from __future__ import annotations
 
 import base64
 import hashlib
-import json
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from beltrami_cli.formats.image import read_image
-from beltrami_cli.samples.textures.colours import COLOUR_SLOTS
 from beltrami_cli.surface.colour_values import linear_to_srgb
-from beltrami_cli.view.report.page import data_address
-from beltrami_cli.view.views import disc_radii, light_of, sheet_of
+from beltrami_cli.view.pages import data_address, script_json
+from beltrami_cli.view.views import disc_radii, light_of, texture_sheet
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from numpy.typing import NDArray
 
     from beltrami_cli.formats.document import Document
@@ -27,13 +22,7 @@ _MIME = {b"\x89PNG": "image/png", b"\xff\xd8\xff": "image/jpeg"}
 
 
 class ModelPacker:
-    """Collects what models consist of; what several have in common is kept once.
-
-    Parameters
-    ----------
-    box : ndarray of float64, shape (2, 3)
-        Bounding box of the first model, which is centred and scaled to a longest side of 1.
-    """
+    """Collects what models consist of, with equal arrays once; `box`, (2, 3), is centred and scaled to a size of 1."""
 
     def __init__(self, box: NDArray[np.float64]) -> None:
         self._middle = box.mean(axis=0)
@@ -44,17 +33,15 @@ class ModelPacker:
 
     def add(self, document: Document, slot: Slot | None) -> None:
         """Add a model with the textures of a slot, or with its vertex colours."""
-        packed = (
-            self._painted(document.painted())
-            if slot is None
-            else self._textured(document.textured(slot), slot)
-        )
-        self._models.append(packed)
+        if slot is None:
+            self._models.append(self._painted(document.painted()))
+        else:
+            self._models.append(self._textured(document.textured(slot), slot))
 
     def as_json(self) -> str:
         """Return everything as JSON that can stand in a script element."""
         everything = {"buffers": self._buffers, "textures": self._textures, "models": self._models}
-        return json.dumps(everything).replace("<", "\\u003c")
+        return script_json(everything)
 
     def _painted(self, painted: PaintedVertices) -> list[dict[str, Any]]:
         light = np.rint(light_of(painted) * 65535).astype(np.uint16)
@@ -72,7 +59,7 @@ class ModelPacker:
 
     def _textured(self, surface: TexturedSurface, slot: Slot) -> list[dict[str, Any]]:
         first = len(self._textures)
-        self._textures += [_packed(texture, is_data=slot not in COLOUR_SLOTS) for texture in surface.textures]
+        self._textures += [_packed(texture, slot) for texture in surface.textures]
         parts = []
         for number in np.unique(surface.texture_of).tolist():
             mine = surface.texture_of == number
@@ -96,21 +83,20 @@ class ModelPacker:
         return key
 
 
-def bounding_box(documents: Sequence[Document], slot: Slot | None) -> NDArray[np.float64]:
-    """Return the least and greatest coordinates of the first model, shape (2, 3)."""
-    first = documents[0]
-    positions = first.painted().positions if slot is None else first.textured(slot).positions
+def bounding_box(document: Document, slot: Slot | None) -> NDArray[np.float64]:
+    """Return the least and greatest coordinates of a model, (2, 3)."""
+    positions = document.painted().positions if slot is None else document.textured(slot).positions
     positions = positions[np.isfinite(positions).all(axis=1)]
     return np.stack([positions.min(axis=0), positions.max(axis=0)])
 
 
-def _packed(texture: Texture, *, is_data: bool) -> dict[str, Any]:
-    """Return a texture as it is, if browsers show its format, or else as PNG."""
+def _packed(texture: Texture, slot: Slot) -> dict[str, Any]:
+    """Return a texture as it is if browsers show its format, or else as PNG."""
     mime = next((mime for mark, mime in _MIME.items() if texture.data.startswith(mark)), None)
     if mime is not None:
         source = f"data:{mime};base64,{base64.b64encode(texture.data).decode()}"
     else:
-        sheet = sheet_of(read_image(texture.data, texture.name), is_data=is_data)
+        sheet = texture_sheet(texture, slot)
         shown = np.concatenate([linear_to_srgb(sheet[..., :3]), sheet[..., 3:]], axis=2)
         source = data_address(np.rint(255 * shown).astype(np.uint8))
     return {"source": source, "wrap": texture.wrap, "hides": texture.alpha_hides}

@@ -11,7 +11,7 @@ from beltrami_cli.jobs.colour_map import colour_by_value
 from beltrami_cli.surface.colour_values import linear_to_srgb
 from beltrami_cli.view.camera import pixels_of
 from beltrami_cli.view.drawing import richest_window
-from beltrami_cli.view.report.page import data_address, picture_tag
+from beltrami_cli.view.pages import data_address, picture_tag
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -21,11 +21,11 @@ if TYPE_CHECKING:
     from beltrami_cli.jobs.compare.paired_colours import PairedColours
 
 _CROP = 384  # pixels a side
-_LONGEST = 768  # of a seam map
+_LONGEST = 768  # pixels, of a seam map
 _WIDTH, _HEIGHT = 720, 220
 _INK = {3: ("#d62728", "#2ca02c", "#1f77b4"), 1: ("#888888",)}
 _STEPS = 64
-_FEW = 4.0  # 255ths, within which changes are those of finer types
+_FEW = 4.0  # 255ths; larger changes are counted in bins of whole numbers
 _WHITE = 1.0
 
 
@@ -36,12 +36,7 @@ def histogram(pairs: Sequence[PairedColours]) -> str:
         pair.test.astype(np.float64) - pair.reference for pair in pairs if pair.test.shape[1] == widest
     ]
     change = 255 * np.concatenate(changes)
-    wanted = max(1.0, float(np.percentile(np.abs(change), 99.5))) if change.size else 1.0
-    # Changes of 8-bit colours are whole numbers: each bin holds as many of them. An odd number of bins of an odd number
-    # of values has none of these on its edges, where rounding would throw it to either side.
-    step = -(-2 * wanted // _STEPS) // 2 * 2 + 1 if wanted > _FEW else 2 * wanted / _STEPS
-    bins = 2 * int(wanted // step) + 1
-    reach = step * bins / 2
+    bins, reach = _bins(change)
     inside = np.clip(change, -reach, reach)
     counts = [np.histogram(channel, bins, (-reach, reach))[0] for channel in inside.T]
     most = max(1, max(int(count.max()) for count in counts))
@@ -62,16 +57,20 @@ def histogram(pairs: Sequence[PairedColours]) -> str:
     )
 
 
-def seam_map(pair: PairedColours, size: tuple[int, int]) -> str:
-    """Return a picture of what lies near the seams of a texture, by how much it changed; empty without seams.
+def _bins(change: NDArray[np.float64]) -> tuple[int, float]:
+    """Return the number of bins of a histogram of changes in 255ths, and its largest change.
 
-    Parameters
-    ----------
-    pair : PairedColours
-        A texture.
-    size : (int, int)
-        Its rows and columns.
+    Changes of 8-bit colours are whole numbers: each bin holds equally many of them. An odd number of bins of an odd
+    number of values has none of these on its edges, where rounding would throw it to either side.
     """
+    wanted = max(1.0, float(np.percentile(np.abs(change), 99.5))) if change.size else 1.0
+    step = -(-2 * wanted // _STEPS) // 2 * 2 + 1 if wanted > _FEW else 2 * wanted / _STEPS
+    bins = 2 * int(wanted // step) + 1
+    return bins, step * bins / 2
+
+
+def seam_map(pair: PairedColours, size: tuple[int, int]) -> str:
+    """Return a picture of how much a texture, `size` = (rows, columns), changed near its seams; empty without seams."""
     if pair.near_seams is None or not pair.near_seams.any():
         return ""
     stride = max(1, -(-max(size) // _LONGEST))
@@ -91,15 +90,7 @@ def seam_map(pair: PairedColours, size: tuple[int, int]) -> str:
 
 
 def swipe(before: NDArray[np.float32], after: NDArray[np.float32], name: str) -> str:
-    """Return a part of two images at full size, one over the other, where there is most to see.
-
-    Parameters
-    ----------
-    before, after : ndarray of float32, shape (H, W, 4)
-        Linear light, and opacity.
-    name : str
-        For people.
-    """
+    """Return the part of two images, (H, W, 4), with most to see, at full size and one over the other."""
     height, width = after.shape[:2]
     seen = after.copy()
     seen[..., :3] *= seen[..., 3:]
