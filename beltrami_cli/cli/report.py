@@ -65,13 +65,13 @@ def command(
     from dataclasses import replace
 
     from beltrami_cli.samples.settings.smooth import DEFAULTS
-    from beltrami_cli.view.report.file import report_file
+    from beltrami_cli.view.report import report_file
 
     chosen = options.names_in(slots, "--slots")
     settings = replace(DEFAULTS, on=on, space=space, textures=replace(DEFAULTS.textures, slots=chosen))
     with options.reading_from(reading, before) as access:
-        told = report_file(
+        found = report_file(
             before, after, target, settings, parameters=parameters, overwrite=overwrite, access=access
         )
-    psnr = "nothing differs" if told["psnr"] is None else f"{told['psnr']:.2f} dB from one to the other"
-    messages.say(f"{target}: {counted(told['samples'], 'sample')}, {psnr}")
+    psnr = "nothing differs" if found["psnr"] is None else f"{found['psnr']:.2f} dB from one to the other"
+    messages.say(f"{target}: {counted(found['samples'], 'sample')}, {psnr}")

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from beltrami_cli.jobs.writing.files import FileSet
     from beltrami_cli.jobs.writing.output import Output
     from beltrami_cli.samples.settings.smooth import SmoothSettings
-    from beltrami_cli.view.preview import Preview
+    from beltrami_cli.view.render import Preview
 
 EPILOG = """\b
 Examples:
@@ -156,7 +156,7 @@ def _open_preview(
     files: FileSet,
 ) -> Preview:
     """Check that a preview can be drawn before anything is computed."""
-    from beltrami_cli.view.preview import Preview
+    from beltrami_cli.view.render import Preview
 
     return Preview(path, source, target, settings, access, overwrite=overwrite, files=files)
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import html
-import os
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,18 +21,18 @@ from beltrami_cli.jobs.writing.output import Output
 from beltrami_cli.samples.settings.level_set import LevelSetSettings
 from beltrami_cli.samples.settings.smooth import DEFAULTS
 from beltrami_cli.view.drawing import background_of, draw_panels, with_fixed_crops
-from beltrami_cli.view.file import encoded, picture_suffix
 from beltrami_cli.view.pages import PAGES, asset, page_from, picture_tag, script_json, table
+from beltrami_cli.view.render import encoded, picture_suffix
 from beltrami_cli.view.settings import MOST_PIXELS, RenderSettings
 from beltrami_cli.view.sheet import Panel, arranged
 from beltrami_cli.view.views import open_view
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
     from beltrami_cli.samples.settings.smooth import SmoothSettings
-
-    Progress = Callable[[str, int, int], None]
+    from beltrami_cli.view.drawing import Progress
+    from beltrami_cli.view.sheet import Background
 
 _FIGURES = {
     "psnr": "PSNR, dB",
@@ -46,15 +45,9 @@ MOST_TRIALS = 200
 
 @dataclass(frozen=True)
 class Trial:
-    """What one set of parameters makes of a file.
+    """What one set of the swept parameters makes of a file, and its known figures against a reference, if there is one.
 
-    Attributes
-    ----------
-    parameters : dict
-        Those that were swept, by their names.
-    figures : dict
-        Against the reference: "psnr" and "psnr_near_seams" in dB, "ssim", "delta_e" (the mean); without what cannot be
-        told, and empty without a reference.
+    Figures are "psnr" and "psnr_near_seams" in dB, "ssim", and "delta_e" (the mean).
     """
 
     parameters: dict[str, float]
@@ -68,66 +61,33 @@ class Trial:
 
 
 def sweep_file(
-    source: str | os.PathLike[str],
-    target: str | os.PathLike[str],
+    source: str,
+    target: str,
     trials: Sequence[tuple[dict[str, float], SmoothSettings]],
     looks: RenderSettings,
     *,
     columns: int,
-    reference: str | os.PathLike[str] | None = None,
+    reference: str | None = None,
     overwrite: bool = False,
     progress: Progress | None = None,
     access: Access = EVERYTHING_INSIDE,
 ) -> list[Trial]:
-    """Smooth a file with several sets of parameters, and write a picture or a page of all results.
+    """Smooth a file with several settings, and write a picture, or a page (.html), of all results.
 
-    Parameters
-    ----------
-    source : path
-        What `smooth_file` reads; no pipe, for it is read again and again.
-    target : path
-        An image, or a page (.html).
-    trials : sequence of (dict, SmoothSettings)
-        What differs, by the names that are shown, and the settings.
-    looks : RenderSettings
-        How results are drawn.
-    columns : int
-        How many stand side by side in an image.
-    reference : path, optional
-        The same without noise, which each result is compared with.
-    overwrite : bool
-        Whether an existing file may be replaced.
-    progress : callable, optional
-        Called with a label, the trials done and the trials to do; may raise to stop.
-    access : Access
-        What may be read.
-
-    Returns
-    -------
-    list of Trial
-        In the order of `trials`.
-
-    Raises
-    ------
-    UsageError
-        If `source` is a pipe, there are too many trials, or the name of `target` tells no format.
-    InputError
-        If a file cannot be read, or the reference is not like it.
-    OutputError
-        If the target cannot be written.
+    Each trial is what differs, by the names that are shown, and the settings. `columns` results stand side by side in a
+    picture. The reference is the same file without noise.
     """
-    name, path = os.fspath(source), os.fspath(target)
-    _check(name, len(trials), looks)
-    is_page = Path(path).suffix.lower() in PAGES
-    suffix = "" if is_page else picture_suffix(path, ", or .html for a page")
-    known = [name] if reference is None else [name, os.fspath(reference)]
-    output = Output(path, overwrite=overwrite, what="sheet", reads=known)
+    _check(source, len(trials), looks)
+    is_page = Path(target).suffix.lower() in PAGES
+    suffix = "" if is_page else picture_suffix(target, ", or .html for a page")
+    known = [source] if reference is None else [source, reference]
+    output = Output(target, overwrite=overwrite, what="sheet", reads=known)
     access = output.files.watching(access)
-    shown = [] if reference is None else [("reference", os.fspath(reference), DEFAULTS)]
-    shown.append(("before", name, trials[0][1]))
+    shown = [] if reference is None else [("reference", reference, DEFAULTS)]
+    shown.append(("before", source, trials[0][1]))
     panels: list[Panel] = []
-    for label, path_shown, reading in shown:
-        view = open_view(path_shown, looks, access, reading)
+    for label, path, reading in shown:
+        view = open_view(path, looks, access, reading)
         if not panels:
             looks = with_fixed_crops(view, looks)
         panels += draw_panels([view], [label], looks)
@@ -135,15 +95,15 @@ def sweep_file(
     for number, (parameters, settings) in enumerate(trials):
         if progress is not None:
             progress("trials", number, len(trials))
-        trial, panel = _tried(name, parameters, settings, looks, reference, access)
+        trial, panel = _tried(source, parameters, settings, looks, reference, access)
         done.append(trial)
         panels.append(panel)
     if is_page:
-        output.write(Written(main=[_page(name, done, panels, looks)]))
+        output.write(Written(main=[_page(source, done, panels, looks)]))
     else:
         empty = [None] * (-len(shown) % columns)  # trials begin in a row of their own
         placed = [*panels[: len(shown)], *empty, *panels[len(shown) :]]
-        output.write(encoded(arranged(placed, columns, background_of(looks, panels)), path, suffix))
+        output.write(encoded(arranged(placed, columns, background_of(looks, panels)), target, suffix))
     return done
 
 
@@ -162,7 +122,7 @@ def _tried(
     parameters: dict[str, float],
     settings: SmoothSettings,
     looks: RenderSettings,
-    reference: str | os.PathLike[str] | None,
+    reference: str | None,
     access: Access,
 ) -> tuple[Trial, Panel]:
     """Smooth the file once, measure and draw the result, and throw it away."""
@@ -170,7 +130,7 @@ def _tried(
         result = str(Path(folder) / f"result{_suffix(source, access)}")
         smooth_file(source, result, settings, access=access)
         try:
-            figures = {} if reference is None else _figures(os.fspath(reference), result, settings, access)
+            figures = {} if reference is None else _figures(reference, result, settings, access)
         except InputError as error:
             # The user knows of no result: it is unlike the reference as the source is.
             name = source if error.name == result else error.name
@@ -210,7 +170,7 @@ def _figures(reference: str, result: str, settings: SmoothSettings, access: Acce
 
 
 def best_of(trials: Sequence[Trial]) -> int | None:
-    """Return the number of the trial with the highest PSNR; None: there is nothing to compare with."""
+    """Return the number of the trial with the highest PSNR, or None without a reference."""
     known = [
         (trial.figures["psnr"], -number) for number, trial in enumerate(trials) if "psnr" in trial.figures
     ]
@@ -219,27 +179,37 @@ def best_of(trials: Sequence[Trial]) -> int | None:
 
 def _page(name: str, trials: Sequence[Trial], panels: Sequence[Panel], looks: RenderSettings) -> bytes:
     best = best_of(trials)
-    first = len(panels) - len(trials)
-    drawn, background = [], background_of(looks, panels)
-    for number, panel in enumerate(panels):
-        picture = arranged([dataclasses.replace(panel, label="")], 1, background)
-        mark = ' class="best"' if best is not None and number == first + best else ""
-        caption = html.escape(panel.label)
-        drawn.append(
-            f"<figure{mark}>{picture_tag(picture, panel.label)}<figcaption>{caption}</figcaption></figure>"
-        )
+    marked = None if best is None else len(panels) - len(trials) + best
+    background = background_of(looks, panels)
+    views = [_view(panel, background, is_best=number == marked) for number, panel in enumerate(panels)]
+    summary = f"{len(trials)} trials."
+    if best is not None:
+        summary += f" Best: {html.escape(trials[best].label)}."
+    return page_from(
+        "sweep.html",
+        title=html.escape(f"Sweep of {Path(name).name}"),
+        style=asset("style.css"),
+        summary=summary,
+        figures="\n".join(views),
+        table=table(_rows(trials)),
+        json=script_json([dataclasses.asdict(trial) for trial in trials]),
+    )
+
+
+def _view(panel: Panel, background: Background, *, is_best: bool) -> str:
+    """Return a view as an element of a page, with its label as text."""
+    picture = arranged([dataclasses.replace(panel, label="")], 1, background)
+    mark = ' class="best"' if is_best else ""
+    caption = f"<figcaption>{html.escape(panel.label)}</figcaption>"
+    return f"<figure{mark}>{picture_tag(picture, panel.label)}{caption}</figure>"
+
+
+def _rows(trials: Sequence[Trial]) -> list[list[str]]:
+    """Return the parameters and figures of all trials, below their names."""
     parameters = sorted({key for trial in trials for key in trial.parameters})
     figures = [key for key in _FIGURES if any(key in trial.figures for trial in trials)]
     rows = [[*parameters, *(_FIGURES[key] for key in figures)]]
     for trial in trials:
         cells = [f"{trial.parameters[key]:g}" for key in parameters]
         rows.append(cells + [f"{trial.figures[key]:.3f}" if key in trial.figures else "" for key in figures])
-    data = script_json([dataclasses.asdict(trial) for trial in trials])
-    title = html.escape(f"Sweep of {Path(name).name}")
-    summary = f"{len(trials)} trials." + (
-        "" if best is None else f" Best: {html.escape(trials[best].label)}."
-    )
-    return page_from(
-        "sweep.html",
-        title=title, style=asset("style.css"), summary=summary, figures="\n".join(drawn), table=table(rows), json=data,
-    )  # fmt: skip
+    return rows

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import html
 import json
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -36,6 +35,9 @@ if TYPE_CHECKING:
     from beltrami_cli.surface.records import Slot
 
 _MOST_CROPS = 8
+_COLUMNS = [
+    "part", "samples", "PSNR, dB", "SSIM", "Delta E 2000, mean", "worst", "mean change, /255", "seam steps, /255",
+]  # fmt: skip
 _VIEWER = """<h2>The model</h2>
 <div id="viewer"><span class="name">before</span><span class="name right">after</span><span class="line"></span></div>
 <input type="range" id="swipe" min="0" max="100" value="50" step="0.1" aria-label="swipe between before and after">
@@ -53,61 +55,34 @@ class _Found:
 
 
 def report_file(
-    before: str | os.PathLike[str],
-    after: str | os.PathLike[str],
-    target: str | os.PathLike[str],
+    before: str,
+    after: str,
+    target: str,
     settings: SmoothSettings = DEFAULTS,
     *,
-    parameters: str | os.PathLike[str] | None = None,
+    parameters: str | None = None,
     overwrite: bool = False,
     access: Access = EVERYTHING_INSIDE,
 ) -> dict[str, Any]:
-    """Write a page that needs nothing else, on what changed between two files.
+    """Write a page on what changed between two models or images that differ in colours only; return all figures.
 
-    Parameters
-    ----------
-    before, after : path
-        Two models, or two images, alike in everything but colours.
-    target : path
-        The page; "-" for standard output.
-    settings : SmoothSettings
-        Which colours are shown: `on`, the first of the slots, and the space that they are compared in.
-    parameters : path, optional
-        What `smooth` wrote with ``--report``, to be shown.
-    overwrite : bool
-        Whether an existing file may be replaced.
-    access : Access
-        What may be read.
-
-    Returns
-    -------
-    dict
-        The figures of all parts together; see `paired_colours.figures`.
-
-    Raises
-    ------
-    UsageError
-        If both files are pipes.
-    InputError
-        If a file cannot be read, or the two are not alike.
-    OutputError
-        If the page cannot be written.
+    `parameters` is a file that `smooth` wrote with ``--report``.
     """
-    names, path = [os.fspath(before), os.fspath(after)], os.fspath(target)
+    names = [before, after]
     if "-" in names:
         raise UsageError("BEFORE and AFTER must be files and not pipes")
-    if path != "-" and Path(path).suffix.lower() not in PAGES:
-        raise UsageError(f"{path}: the report is a page; end its name in {' or '.join(PAGES)}")
-    known = names if parameters is None else [*names, os.fspath(parameters)]
-    output = Output(path, overwrite=overwrite, is_text=True, what="page", reads=known)
+    if target != "-" and Path(target).suffix.lower() not in PAGES:
+        raise UsageError(f"{target}: the report is a page; end its name in {' or '.join(PAGES)}")
+    known = names if parameters is None else [*names, parameters]
+    output = Output(target, overwrite=overwrite, is_text=True, what="page", reads=known)
     access = output.files.watching(access)
-    told = "" if parameters is None else _parameters(os.fspath(parameters), access)
-    data = read_source(names[0], access), read_source(names[1], access)
+    shown = "" if parameters is None else _parameters(parameters, access)
+    data = read_source(before, access), read_source(after, access)
     if any(is_image(each, name) for each, name in zip(data, names, strict=True)):
         found = _of_images(data, names, settings, access)
     else:
         found = _of_models(data, names, settings, access)
-    output.write(Written(main=[_page(names, found, told)]))
+    output.write(Written(main=[_page(names, found, shown)]))
     return figures(found.pairs)
 
 
@@ -154,70 +129,65 @@ def _crops(one: Document, other: Document, slot: Slot, most: int) -> list[str]:
 def _parameters(path: str, access: Access) -> str:
     """Return what a report of `smooth` says, as a table."""
     try:
-        told = json.loads(read_source(path, access))
-        rows = [[str(key), _told(value)] for key, value in told["parameters"].items()]
-        stages = [[f"seconds to {stage}", f"{spent['wall']:.2f}"] for stage, spent in told["stages"].items()]
+        report = json.loads(read_source(path, access))
+        rows = [[str(key), _in_words(value)] for key, value in report["parameters"].items()]
+        stages = [
+            [f"seconds to {stage}", f"{spent['wall']:.2f}"] for stage, spent in report["stages"].items()
+        ]
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         remedy = "give the file that `beltrami smooth --report` wrote"
         raise InputError(path, "it is no report of beltrami smooth", remedy) from error
     return f"<h2>Parameters</h2>\n{table([['parameter', 'value'], *rows, *stages])}"
 
 
-def _told(value: Any) -> str:
+def _in_words(value: Any) -> str:
     if isinstance(value, dict):
-        return ", ".join(f"{key}: {_told(each)}" for key, each in value.items() if each not in (None, [], ()))
+        known = {key: each for key, each in value.items() if each not in (None, [], ())}
+        return ", ".join(f"{key}: {_in_words(each)}" for key, each in known.items())
     return ", ".join(map(str, value)) if isinstance(value, list) else str(value)
 
 
 def _page(names: list[str], found: _Found, parameters: str) -> bytes:
-    scripts = ""
+    model, scripts = "", ""
     if found.models:
+        model = _VIEWER
         scripts = (
             f'<script type="application/json" id="models">{found.models}</script>\n'
             f"<script>{asset('three.js')}</script>\n<script>{asset('viewer.js')}</script>"
         )
     short = [Path(name).name for name in names]
-    crops = "\n".join(found.crops)
-    seams = "\n".join(found.seams)
     return page_from(
         "report.html",
         title=html.escape(f"{short[0]} and {short[1]}"),
         style=asset("style.css"),
         summary=html.escape(f"Before: {names[0]}. After: {names[1]}."),
-        model=_VIEWER if found.models else "",
-        crops=f"<h2>{'Textures' if found.models else 'The image'} at full size</h2>\n{crops}"
-        if crops
-        else "",
+        model=model,
+        crops=_section(f"{'Textures' if found.models else 'The image'} at full size", found.crops),
         figures=table(_rows(found.pairs)),
         histogram=histogram(found.pairs),
-        seams=f"<h2>Seams, by how much they changed</h2>\n{seams}" if seams else "",
+        seams=_section("Seams, by how much they changed", found.seams),
         parameters=parameters,
         scripts=scripts,
     )
 
 
+def _section(title: str, parts: list[str]) -> str:
+    """Return parts of a page under a heading, or nothing without parts."""
+    body = "\n".join(parts)
+    return f"<h2>{title}</h2>\n{body}" if body else ""
+
+
 def _rows(pairs: list[PairedColours]) -> list[list[str]]:
     """Return the figures of each part, and of all together."""
-    rows = [
-        [
-            "part",
-            "samples",
-            "PSNR, dB",
-            "SSIM",
-            "Delta E 2000, mean",
-            "worst",
-            "mean change, /255",
-            "seam steps, /255",
-        ]
-    ]
+    rows = [_COLUMNS]
     parts = [(pair.name, [pair]) for pair in pairs]
     for name, chosen in [*parts, *([("all", pairs)] if len(pairs) > 1 else [])]:
-        told: dict[str, Any] = figures(chosen)
-        delta_e, jump = told["delta_e"] or {}, told["seam_jump"] or {}
+        found: dict[str, Any] = figures(chosen)
+        delta_e, jump = found["delta_e"] or {}, found["seam_jump"] or {}
         change = np.concatenate([np.abs(pair.test - pair.reference).ravel() for pair in chosen])
         rows.append(
             [
-                name, str(told["samples"]), _psnr(told), _number(told["ssim"], 3),
+                name, str(found["samples"]), _psnr(found), _number(found["ssim"], 3),
                 _number(delta_e.get("mean"), 2), _number(delta_e.get("worst"), 1),
                 _number(255 * float(change.mean()) if change.size else None, 2),
                 f"{255 * jump['reference']:.2f} to {255 * jump['test']:.2f}" if jump else "",
@@ -226,8 +196,8 @@ def _rows(pairs: list[PairedColours]) -> list[list[str]]:
     return rows
 
 
-def _psnr(told: dict[str, Any]) -> str:
-    return "equal" if told["samples"] and told["psnr"] is None else _number(told["psnr"], 2)
+def _psnr(found: dict[str, Any]) -> str:
+    return "equal" if found["samples"] and found["psnr"] is None else _number(found["psnr"], 2)
 
 
 def _number(value: float | None, digits: int) -> str:

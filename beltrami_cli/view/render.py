@@ -1,0 +1,129 @@
+"""Draw files in one picture: any files, or what a smoothing reads and writes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from beltrami_cli.errors import UsageError
+from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access, read_regular
+from beltrami_cli.formats.document import Written
+from beltrami_cli.formats.image import format_of_suffix, write_image
+from beltrami_cli.formats.image.picture import new_picture
+from beltrami_cli.formats.image.recognition import is_image
+from beltrami_cli.jobs.writing.output import Output
+from beltrami_cli.view.drawing import draw_views
+from beltrami_cli.view.settings import DEFAULT_RENDER, MOST_PIXELS, Crop, RenderSettings
+from beltrami_cli.view.tracing import require_embree
+from beltrami_cli.view.views import open_view
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from beltrami_cli.jobs.writing.files import FileSet
+    from beltrami_cli.samples.settings.smooth import SmoothSettings
+    from beltrami_cli.view.drawing import Progress
+
+_HEAD = 1 << 16  # bytes that distinguish images from other files
+
+
+def render_file(
+    sources: Sequence[str],
+    target: str,
+    settings: RenderSettings = DEFAULT_RENDER,
+    *,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+    access: Access = EVERYTHING_INSIDE,
+) -> tuple[int, int]:
+    """Draw models, points and images side by side, write the picture, and return its width and height."""
+    suffix = picture_suffix(target)
+    labels = _labels(sources, settings)
+    _check_size(len(sources), settings)
+    output = Output(target, overwrite=overwrite, what="picture", reads=sources)
+    access = output.files.watching(access)
+    views = [open_view(source, settings, access) for source in sources]
+    picture = draw_views(views, labels, settings, progress)
+    output.write(encoded(picture, target, suffix))
+    return picture.shape[1], picture.shape[0]
+
+
+class Preview:
+    """Draws INPUT and OUTPUT of a smoothing, with the detail in which there is most to see.
+
+    What would make it fail is found when it is made, before anything is computed.
+    """
+
+    def __init__(
+        self,
+        path: str,
+        source: str,
+        target: str,
+        settings: SmoothSettings,
+        access: Access,
+        *,
+        overwrite: bool,
+        files: FileSet,
+    ) -> None:
+        if "-" in (source, target):
+            raise UsageError("--preview draws INPUT and OUTPUT, which must be files and not pipes")
+        self._output = Output(path, overwrite=overwrite, what="preview", files=files)
+        self._suffix = picture_suffix(path)
+        self._source, self._target = source, target
+        self._reading, self._access = settings, access
+        self._looks = RenderSettings(
+            on="vertices" if settings.on == "vertices" else "auto",
+            slot=settings.textures.slots[0],
+            crops=(Crop(),),
+        )
+        if not is_image(_head(source, access), source):
+            require_embree()
+
+    def draw(self) -> None:
+        """Draw and write the picture, after OUTPUT was written aside."""
+        before = open_view(self._source, self._looks, self._access, self._reading)
+        after = open_view(self._target, self._looks, self._output.files.with_staged(self._access))
+        picture = draw_views([before, after], ["before", "after"], self._looks)
+        self._output.write(encoded(picture, self._output.target, self._suffix))
+
+
+def picture_suffix(target: str, others: str = "") -> str:
+    """Return the extension, with the dot, of an image that can be written; `others` is what else could be made."""
+    suffix = ".png" if target == "-" else Path(target).suffix.lower()
+    if format_of_suffix(suffix) is None:
+        raise UsageError(f"{target}: its extension is of no image format; call it .png{others}")
+    return suffix
+
+
+def encoded(picture: NDArray[np.uint8], target: str, suffix: str) -> Written:
+    """Return a picture as the file that it is written as."""
+    file = write_image(new_picture(picture, target), picture, suffix=suffix, small=True)
+    return Written(main=[file.data])
+
+
+def _labels(names: Sequence[str], settings: RenderSettings) -> list[str]:
+    labels = settings.labels
+    if labels is None:
+        return [Path(name).name for name in names] if len(names) > 1 else [""]
+    if labels and len(labels) != len(names):
+        raise UsageError(f"there are {len(labels)} labels for {len(names)} files; give one --label for each")
+    return list(labels) or [""] * len(names)
+
+
+def _check_size(files: int, settings: RenderSettings) -> None:
+    pixels = files * max(1, settings.turntable) * settings.size[0] * settings.size[1]
+    if pixels > MOST_PIXELS:
+        raise UsageError(
+            f"all views have {pixels} pixels together, but at most {MOST_PIXELS} are drawn; lower --size"
+        )
+
+
+def _head(source: str, access: Access) -> bytes:
+    """Return the first bytes of a file, or none if it cannot be read, which is reported when it is smoothed."""
+    try:
+        return read_regular(Path(source), access, _HEAD)
+    except OSError:
+        return b""

@@ -1,1 +1,0 @@
-"""A page with a model before and after."""
