@@ -71,10 +71,10 @@ def report_file(
     names = [before, after]
     if "-" in names:
         raise UsageError("BEFORE and AFTER must be files and not pipes")
-    if target != "-" and Path(target).suffix.lower() not in PAGES:
-        raise UsageError(f"{target}: the report is a page; end its name in {' or '.join(PAGES)}")
     known = names if parameters is None else [*names, parameters]
     output = Output(target, overwrite=overwrite, is_text=True, what="page", reads=known)
+    if target != "-" and Path(target).suffix.lower() not in PAGES:
+        raise UsageError(f"{target}: the report is a page; end its name in {' or '.join(PAGES)}")
     access = output.files.watching(access)
     shown = "" if parameters is None else _parameters(parameters, access)
     data = read_source(before, access), read_source(after, access)

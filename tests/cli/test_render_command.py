@@ -8,42 +8,24 @@ import sys
 import numpy as np
 import pytest
 
-from beltrami_cli.formats.gltf.writer import write_glb
-from beltrami_cli.formats.image import read_image
-from beltrami_cli.formats.ply import write_ply
-from beltrami_cli.surface.records import MeshContents
 from cli.commands import SAMPLES, beltrami
-from formats.image_files import encode
+from cli.pictures import painted_square, pixels, plain_image
 
 pytest.importorskip("embreex")
 
 
-def pixels(path):
-    return read_image(path.read_bytes(), path.name).pixels
-
-
-def quad(colours, encoding="srgb"):
-    """A square with a colour at each corner."""
-    positions = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
-    corners, offsets = np.array([0, 1, 2, 0, 2, 3], np.int32), np.array([0, 3, 6])
-    return MeshContents(positions, corners, offsets, np.float32(colours), encoding, "float32")
-
-
-def saved(path, written):
-    path.write_bytes(b"".join(bytes(piece) for piece in written.main))
-    return path
+def rendered(*arguments):
+    run = beltrami("render", *arguments)
+    assert run.returncode == 0, run.stderr
 
 
 def test_colours_come_out_as_they_are_shown_whatever_the_file_stores(tmp_path):
     srgb = np.array([200, 100, 30]) / 255
     light = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
-    ply = saved(tmp_path / "a.ply", write_ply(quad(np.tile(srgb, (4, 1))), "a"))
-    glb = saved(tmp_path / "a.glb", write_glb(quad(np.tile(light, (4, 1)), "linear"), "a"))
-    png = tmp_path / "a.png"
-    png.write_bytes(encode(np.tile(np.uint8([200, 100, 30]), (8, 8, 1)), "png"))
+    ply, glb = painted_square(tmp_path / "a.ply", srgb), painted_square(tmp_path / "a.glb", light)
+    png = plain_image(tmp_path / "a.png", [200, 100, 30])
     out = tmp_path / "out.png"
-    run = beltrami("render", ply, glb, png, out, "--size", 50, "--no-labels")
-    assert run.returncode == 0, run.stderr
+    rendered(ply, glb, png, out, "--size", 50, "--no-labels")
     image = pixels(out)
     assert image.shape == (50, 154, 3)
     for left in (0, 52, 104):
@@ -54,8 +36,8 @@ def test_views_stand_side_by_side_with_labels_details_and_one_camera(tmp_path):
     files = [SAMPLES / f"nonmanifold-{kind}.ply" for kind in ("noisy", "clean")]
     both, one = tmp_path / "both.png", tmp_path / "one.png"
     looks = ("--size", "160x120", "--view", "three-quarter", "--lit")
-    assert beltrami("render", *files, both, *looks, "--crop", "auto", "--crop", "0.5,0.5,0.3").returncode == 0
-    assert beltrami("render", files[1], one, *looks).returncode == 0
+    rendered(*files, both, *looks, "--crop", "auto", "--crop", "0.5,0.5,0.3")
+    rendered(files[1], one, *looks)
     image, alone = pixels(both), pixels(one)
     assert alone.shape == (120, 160, 3)
     strip, detail, gap = round(1.8 * 11), 79, 2
@@ -65,15 +47,15 @@ def test_views_stand_side_by_side_with_labels_details_and_one_camera(tmp_path):
     framed = (image[strip : strip + 120, 162:] != alone).any(axis=2)
     assert 0 < framed.mean() < 0.1  # nothing but the frames of the details
     stacked = tmp_path / "stacked.png"
-    assert beltrami("render", *files, stacked, *looks, "--stacked", "--no-labels").returncode == 0
+    rendered(*files, stacked, *looks, "--stacked", "--no-labels")
     assert (pixels(stacked)[122:] == alone).all()
 
 
 def test_a_turntable_goes_all_around(tmp_path):
     around, back = tmp_path / "around.png", tmp_path / "back.png"
     sample = SAMPLES / "head-clean.ply"
-    assert beltrami("render", sample, around, "--turntable", 4, "--size", 64).returncode == 0
-    assert beltrami("render", sample, back, "--view", "back", "--size", 64).returncode == 0
+    rendered(sample, around, "--turntable", 4, "--size", 64)
+    rendered(sample, back, "--view", "back", "--size", 64)
     assert (pixels(around)[:, 2 * 66 : 2 * 66 + 64] == pixels(back)).all()
     assert (pixels(around)[:, :64] != pixels(back)).any()
 
@@ -81,7 +63,7 @@ def test_a_turntable_goes_all_around(tmp_path):
 def test_two_runs_give_the_same_bytes_also_through_a_pipe(tmp_path):
     sample, out = SAMPLES / "torus-two-noisy.gltf", tmp_path / "a.png"
     looks = ("--size", 90, "--lit", "--background", "transparent")
-    assert beltrami("render", sample, out, *looks).returncode == 0
+    rendered(sample, out, *looks)
     assert out.read_bytes() == beltrami("render", sample, "-", *looks).stdout
     assert pixels(out).shape == (90, 90, 4)
     assert pixels(out)[0, 0, 3] == 0
@@ -134,8 +116,7 @@ def test_wrong_values_end_in_one_line(arguments, code, said, tmp_path):
 
 
 def test_an_input_is_never_replaced(tmp_path):
-    source = tmp_path / "a.png"
-    source.write_bytes(encode(np.zeros((20, 20, 3), np.uint8), "png"))
+    source = plain_image(tmp_path / "a.png", [0, 0, 0])
     kept = source.read_bytes()
     run = beltrami("render", source, source, "--overwrite")
     assert run.returncode == 4
@@ -152,7 +133,7 @@ def test_a_preview_shows_both_also_when_the_input_is_replaced(tmp_path):
     assert run.returncode == 0, run.stderr
     files = (SAMPLES / "nonmanifold-noisy.ply", source, expected)
     labels = ("--label", "before", "--label", "after")
-    assert beltrami("render", *files, "--crop", "auto", *labels).returncode == 0
+    rendered(*files, "--crop", "auto", *labels)
     assert preview.read_bytes() == expected.read_bytes()
 
 

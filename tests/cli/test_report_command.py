@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import shutil
@@ -11,45 +12,35 @@ import numpy as np
 import pytest
 
 from beltrami_cli.formats.image import read_image
-from beltrami_cli.formats.ply import write_ply
 from beltrami_cli.jobs.compare.paired_colours import PairedColours
-from beltrami_cli.surface.records import MeshContents
 from beltrami_cli.view.charts import histogram
 from cli.commands import SAMPLES, beltrami
-from formats.image_files import encode
+from cli.pictures import painted_square, plain_image, textured_square
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-RED, BLUE = (255, 0, 0), (0, 0, 255)
-
-
-def square(path, colour):
-    positions = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
-    corners, offsets = np.array([0, 1, 2, 0, 2, 3], np.int32), np.array([0, 3, 6])
-    colours = np.tile(np.float32(colour) / 255, (4, 1))
-    written = write_ply(MeshContents(positions, corners, offsets, colours, "srgb", "uint8"), path.stem)
-    path.write_bytes(b"".join(bytes(piece) for piece in written.main))
-    return path
-
-
-def textured_square(path, texture):
-    path.with_suffix(".png").write_bytes(encode(np.uint8(texture).repeat(16, 0).repeat(16, 1), "png"))
-    path.with_suffix(".mtl").write_text(f"newmtl m\nmap_Kd {path.stem}.png\n")
-    lines = [f"mtllib {path.stem}.mtl", "usemtl m"]
-    lines += [f"v {x} {y} 0\nvt {x} {y}" for x, y in ((0, 0), (1, 0), (1, 1), (0, 1))]
-    path.write_text("\n".join([*lines, "f 1/1 2/2 3/3 4/4"]) + "\n")
-    return path
+FLAGS = [
+    "--no-sandbox",  # which root has none of
+    "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
+    "--disable-background-networking", "--disable-component-update", "--disable-sync",
+]  # fmt: skip
+RED, BLUE, WHITE = (255, 0, 0), (0, 0, 255), (255, 255, 255)
 
 
 @pytest.fixture(scope="module")
 def browser():
     if CHROMIUM is None:
-        pytest.skip("there is no Chromium")
+        pytest.skip("there is no Chromium; on Debian, install it with: apt install chromium")
     playwright = pytest.importorskip("playwright.sync_api")
-    flags = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
     with playwright.sync_playwright() as running:
-        started = running.chromium.launch(executable_path=CHROMIUM, args=flags)
+        started = running.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
         yield started
         started.close()
+
+
+def reported(before, after, page):
+    run = beltrami("report", before, after, page)
+    assert run.returncode == 0, run.stderr
+    return page
 
 
 class Viewer:
@@ -63,6 +54,10 @@ class Viewer:
         self.page.goto(path.as_uri())
         self.page.wait_for_selector("#viewer[data-ready=yes]", timeout=60_000)
         self.box = self.page.locator("#viewer").bounding_box()
+
+    def halves(self):
+        """The colours to the left and to the right of the middle."""
+        return self.pixel(-0.2, 0.1), self.pixel(0.2, 0.1)
 
     def pixel(self, right, up):
         """The colour at a place from the middle, in heights of the view."""
@@ -84,21 +79,16 @@ class Viewer:
 
 
 def test_the_swipe_parts_both_models_and_one_camera_turns_them(browser, tmp_path):
-    files = square(tmp_path / "a.ply", RED), square(tmp_path / "b.ply", BLUE)
-    page = tmp_path / "page.html"
-    run = beltrami("report", *files, page)
-    assert run.returncode == 0, run.stderr
+    files = painted_square(tmp_path / "a.ply", (1, 0, 0)), painted_square(tmp_path / "b.ply", (0, 0, 1))
+    page = reported(*files, tmp_path / "page.html")
     viewer = Viewer(browser, page)
-    assert (viewer.pixel(-0.2, 0.1), viewer.pixel(0.2, 0.1)) == (RED, BLUE)
-    viewer.swipe_to(100)
-    assert (viewer.pixel(-0.2, 0.1), viewer.pixel(0.2, 0.1)) == (RED, RED)
-    viewer.swipe_to(0)
-    assert (viewer.pixel(-0.2, 0.1), viewer.pixel(0.2, 0.1)) == (BLUE, BLUE)
-    viewer.swipe_to(50)
+    for at, colours in ((50, (RED, BLUE)), (100, (RED, RED)), (0, (BLUE, BLUE)), (50, (RED, BLUE))):
+        viewer.swipe_to(at)
+        assert viewer.halves() == colours
     viewer.turn(90)  # seen from its edge, the square is gone
-    assert (viewer.pixel(-0.2, 0.1), viewer.pixel(0.2, 0.1)) == ((255, 255, 255), (255, 255, 255))
+    assert viewer.halves() == (WHITE, WHITE)
     viewer.turn(90)  # from behind
-    assert (viewer.pixel(-0.2, 0.1), viewer.pixel(0.2, 0.1)) == (RED, BLUE)
+    assert viewer.halves() == (RED, BLUE)
     assert viewer.errors == []
     assert [url for url in viewer.requests if not url.startswith(("data:", "blob:"))] == [page.as_uri()]
 
@@ -107,10 +97,7 @@ def test_textures_lie_the_right_way_up_in_their_own_colours(browser, tmp_path):
     colours = np.array([[[200, 100, 30], [20, 90, 160]], [[10, 20, 30], [250, 240, 60]]])
     before = textured_square(tmp_path / "a.obj", colours)
     after = textured_square(tmp_path / "b.obj", 255 - colours)
-    page = tmp_path / "page.html"
-    run = beltrami("report", before, after, page)
-    assert run.returncode == 0, run.stderr
-    viewer = Viewer(browser, page)
+    viewer = Viewer(browser, reported(before, after, tmp_path / "page.html"))
     for end, shown in ((100, colours), (0, 255 - colours)):
         viewer.swipe_to(end)
         for row, up in ((0, 0.2), (1, -0.2)):
@@ -126,21 +113,18 @@ def test_textures_lie_the_right_way_up_in_their_own_colours(browser, tmp_path):
     assert viewer.errors == []
 
 
-def test_points_are_drawn_and_images_have_a_swipe_without_models(browser, tmp_path):
+def test_points_are_drawn(browser, tmp_path):
     grid = np.stack(np.meshgrid(np.arange(20), np.arange(20)), axis=2).reshape(-1, 2)
     clouds = []
     for name, colour in (("a", "255 0 0"), ("b", "0 0 255")):
         clouds.append(tmp_path / f"{name}.xyz")
         clouds[-1].write_text("".join(f"{x} {y} {(x + y) % 2 / 50} {colour}\n" for x, y in grid))
-    page = tmp_path / "page.html"
-    assert beltrami("report", *clouds, page).returncode == 0
-    viewer = Viewer(browser, page)
-    assert (viewer.pixel(-0.2, 0.1), viewer.pixel(0.2, 0.1)) == (RED, BLUE)
-    images = [tmp_path / "a.png", tmp_path / "b.png"]
-    for path, colour in zip(images, (RED, BLUE), strict=True):
-        path.write_bytes(encode(np.tile(np.uint8(colour), (40, 40, 1)), "png"))
-    assert beltrami("report", *images, page, "--overwrite").returncode == 0
-    text = page.read_text()
+    assert Viewer(browser, reported(*clouds, tmp_path / "page.html")).halves() == (RED, BLUE)
+
+
+def test_images_have_a_swipe_without_models(tmp_path):
+    images = plain_image(tmp_path / "a.png", RED), plain_image(tmp_path / "b.png", BLUE)
+    text = reported(*images, tmp_path / "page.html").read_text()
     assert 'id="viewer"' not in text
     assert text.count('class="swipe"') == 1
 
@@ -162,30 +146,25 @@ def test_changes_by_whole_numbers_are_counted_evenly(largest):
 def test_a_name_that_is_no_text_is_shown_as_far_as_it_goes(tmp_path):
     knot = tmp_path / os.fsdecode(b"kn\xfft.ply")
     shutil.copy(SAMPLES / "knot-clean.ply", knot)
-    run = beltrami("report", knot, knot, tmp_path / "page.html")
-    assert run.returncode == 0, run.stderr
-    assert "kn?t.ply" in (tmp_path / "page.html").read_text(encoding="utf-8")
+    page = reported(knot, knot, tmp_path / "page.html")
+    assert "kn?t.ply" in page.read_text(encoding="utf-8")
 
 
 def test_equal_colours_are_called_equal(tmp_path):
-    page = tmp_path / "page.html"
     knot = SAMPLES / "knot-clean.ply"
-    assert beltrami("report", knot, knot, page).returncode == 0
-    assert "<td>equal</td>" in page.read_text()
+    assert "<td>equal</td>" in reported(knot, knot, tmp_path / "page.html").read_text()
 
 
 def test_figures_and_parameters_are_those_of_the_other_commands(tmp_path):
-    source, target, told = SAMPLES / "head-tex-noisy.glb", tmp_path / "a.glb", tmp_path / "run.json"
-    assert beltrami("smooth", source, target, "-n", 1, "--beta", 7.25, "--report", told).returncode == 0
+    source, target, record = SAMPLES / "head-tex-noisy.glb", tmp_path / "a.glb", tmp_path / "run.json"
+    assert beltrami("smooth", source, target, "-n", 1, "--beta", 7.25, "--report", record).returncode == 0
     page = tmp_path / "page.html"
-    run = beltrami("report", source, target, page, "--parameters", told)
+    run = beltrami("report", source, target, page, "--parameters", record)
     assert run.returncode == 0, run.stderr
     text = page.read_text()
     assert "<td>beta</td><td>7.25</td>" in text
-    psnr = next(
-        line for line in beltrami("compare", source, target, "--json").stdout.split(b"\n") if b"psnr" in line
-    )
-    assert f"{float(psnr.split(b':')[1].strip(b' ,')):.2f} dB".encode() in run.stderr
+    compared = json.loads(beltrami("compare", source, target, "--json").stdout)
+    assert f"{compared['overall']['psnr']:.2f} dB".encode() in run.stderr
     assert "<h2>Seams" in text
     assert "<svg" in text
 

@@ -7,8 +7,8 @@ import re
 
 import pytest
 
-from beltrami_cli.formats.image import read_image
 from cli.commands import SAMPLES, beltrami
+from cli.pictures import pixels
 
 pytest.importorskip("embreex")
 NOISY, CLEAN = (SAMPLES / f"nonmanifold-{kind}.ply" for kind in ("noisy", "clean"))
@@ -28,8 +28,8 @@ def test_a_page_has_all_combinations_with_the_figures_of_smooth_and_compare(tmp_
     assert not re.search(r'(src|href)="(?!data:)', text)  # nothing is fetched
     by_hand = tmp_path / "by-hand.ply"
     assert beltrami("smooth", NOISY, by_hand, "--beta", 12, "-n", 3, "--metric-steps", 1).returncode == 0
-    told = json.loads(beltrami("compare", CLEAN, by_hand, "--json").stdout)
-    assert trials[swept.index((12, 3, 1))]["figures"]["psnr"] == pytest.approx(told["overall"]["psnr"])
+    compared = json.loads(beltrami("compare", CLEAN, by_hand, "--json").stdout)
+    assert trials[swept.index((12, 3, 1))]["figures"]["psnr"] == pytest.approx(compared["overall"]["psnr"])
     best = max(trials, key=lambda trial: trial["figures"]["psnr"])
     assert f"best beta {best['parameters']['beta']:g}, n {best['parameters']['n']:g}".encode() in run.stderr
 
@@ -40,11 +40,11 @@ def test_a_picture_begins_the_trials_in_a_row_of_their_own(tmp_path):
     assert beltrami("sweep", NOISY, sheet, "-t", "1,2,4", "--size", 64).returncode == 0
     assert beltrami("smooth", NOISY, smooth, "-t", 1).returncode == 0
     assert beltrami("render", smooth, one, "--size", 64).returncode == 0
-    image = read_image(sheet.read_bytes(), "").pixels
+    image = pixels(sheet)
     strip, gap = 20, 2
     assert image.shape == (2 * (strip + 64) + gap, 3 * 64 + 2 * gap, 3)
     assert (image[: strip + 64, 66:] == 255).all()
-    assert (image[-64:, :64] == read_image(one.read_bytes(), "").pixels).all()
+    assert (image[-64:, :64] == pixels(one)).all()
 
 
 @pytest.mark.parametrize(

@@ -23,16 +23,16 @@ pytest.importorskip("embreex")
 
 FRONT = orientation(0, 0)
 FILLED = 0.92  # of a view
+INSIDE = (0.2, 0.2, 0.8, 0.8)
 
 
-def square(z=0.0, colour=(1.0, 1.0, 1.0)):
+def square(z=0.0):
     corners = np.array([[-1.0, -1, z], [1, -1, z], [1, 1, z], [-1, 1, z]])
-    faces = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
-    return corners, faces, np.tile(np.array(colour), (4, 1))
+    return corners, np.array([[0, 1, 2], [0, 2, 3]], np.int32)
 
 
-def textured_square(sheet, alpha_hides=True, z=0.0):
-    corners, faces, _ = square(z)
+def textured_square(sheet, alpha_hides=True):
+    corners, faces = square()
     uv = ((corners[:, :2] * (1, -1) + 1) / 2)[faces]
     texture = Texture("0", "a.png", b"", wrap=("clamp", "clamp"), alpha_hides=alpha_hides)
     surface = TexturedSurface(corners, faces, uv, np.zeros(2, np.int32), (texture,))
@@ -42,6 +42,10 @@ def textured_square(sheet, alpha_hides=True, z=0.0):
 
 def front_camera(view, field=0.0):
     return fitted(view.positions, FRONT, field, 1.0)
+
+
+def seen_from_the_front(view, side, window=INSIDE):
+    return view.draw(front_camera(view), (side, side), window, lit=False)
 
 
 def sphere(colour=1.0):
@@ -98,9 +102,7 @@ def test_a_texture_that_faces_the_camera_is_reproduced_pixel_by_pixel(field):
 def test_a_texture_seen_from_afar_is_averaged_and_not_sampled():
     checks = np.indices((256, 256)).sum(axis=0) % 2
     sheet = np.dstack([checks] * 3 + [np.ones_like(checks)])
-    image = textured_square(sheet).draw(
-        front_camera(textured_square(sheet)), (16, 16), (0.1, 0.1, 0.9, 0.9), lit=False
-    )
+    image = seen_from_the_front(textured_square(sheet), 16, (0.1, 0.1, 0.9, 0.9))
     assert image[..., 0] == pytest.approx(np.full((16, 16), 0.5), abs=0.02)
 
 
@@ -108,23 +110,22 @@ def test_what_is_transparent_shows_what_is_behind():
     half = np.full((4, 4, 4), 0.5)
     half[..., :3] = (1.0, 0, 0)
     front = textured_square(half)
-    camera = front_camera(front)
-    alone = front.draw(camera, (9, 9), (0.2, 0.2, 0.8, 0.8), lit=False)
+    alone = seen_from_the_front(front, 9)
     assert alone == pytest.approx(np.broadcast_to([0.5, 0, 0, 0.5], (9, 9, 4)), abs=1e-6)
-    behind, faces, _ = square(-1.0)
+    behind, faces = square(-1.0)
     corners = np.concatenate([front.positions, behind])
     both = np.concatenate([faces, faces + 4])
     uv = np.concatenate([((front.positions[:, :2] * (1, -1) + 1) / 2)[faces]] * 2)
     texture = Texture("0", "a.png", b"")
     surface = TexturedSurface(corners, both, uv, np.array([0, 0, -1, -1], np.int32), (texture,))
     paint = TexturePaint(surface, [half.astype(np.float32)], triangle_areas(corners, both))
-    seen = SurfaceView(corners, both, paint).draw(camera, (9, 9), (0.2, 0.2, 0.8, 0.8), lit=False)
+    seen = SurfaceView(corners, both, paint).draw(front_camera(front), (9, 9), INSIDE, lit=False)
     grey = seen[4, 4, 1] / 0.5  # of what has no texture
     assert seen == pytest.approx(
         np.broadcast_to([0.5 + grey / 2, grey / 2, grey / 2, 1], (9, 9, 4)), abs=1e-6
     )
     opaque = textured_square(half, alpha_hides=False)
-    assert opaque.draw(camera, (4, 4), (0.2, 0.2, 0.8, 0.8), lit=False)[..., 3].min() == 1
+    assert seen_from_the_front(opaque, 4)[..., 3].min() == 1
 
 
 def test_half_covered_pixels_are_mixed_in_light_and_whole_ones_keep_every_byte():
@@ -175,7 +176,7 @@ def test_near_points_hide_far_ones_and_neighbours_leave_no_holes():
     for order in (slice(None), slice(None, None, -1)):
         view = CloudView(np.concatenate([near, far])[order], colours[order])
         for size in (40, 300):
-            image = view.draw(front_camera(view), (size, size), (0.1, 0.1, 0.9, 0.9), lit=False)
+            image = seen_from_the_front(view, size, (0.1, 0.1, 0.9, 0.9))
             assert image == pytest.approx(np.broadcast_to([1.0, 0, 0, 1], image.shape))
 
 

@@ -1,0 +1,43 @@
+"""Small files to draw, and the pixels that are drawn of them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from beltrami_cli.formats.gltf.writer import write_glb
+from beltrami_cli.formats.image import read_image
+from beltrami_cli.formats.ply import write_ply
+from beltrami_cli.surface.records import MeshContents
+from formats.image_files import encode
+
+CORNERS = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
+
+
+def pixels(path):
+    return read_image(path.read_bytes(), path.name).pixels
+
+
+def painted_square(path, colour):
+    """Write a square of one colour, 0 to 1, as PLY in sRGB or as GLB in linear light."""
+    corners, offsets = np.array([0, 1, 2, 0, 2, 3], np.int32), np.array([0, 3, 6])
+    write, encoding = (write_glb, "linear") if path.suffix == ".glb" else (write_ply, "srgb")
+    colours = np.tile(np.float32(colour), (4, 1))
+    written = write(MeshContents(CORNERS, corners, offsets, colours, encoding, "float32"), path.stem)
+    path.write_bytes(b"".join(bytes(piece) for piece in written.main))
+    return path
+
+
+def textured_square(path, texture):
+    """Write a square as OBJ, with a texture whose texels, (H, W, 3), are enlarged by 16."""
+    path.with_suffix(".png").write_bytes(encode(np.uint8(texture).repeat(16, 0).repeat(16, 1), "png"))
+    path.with_suffix(".mtl").write_text(f"newmtl m\nmap_Kd {path.stem}.png\n")
+    lines = [f"mtllib {path.stem}.mtl", "usemtl m"]
+    lines += [f"v {x:g} {y:g} 0\nvt {x:g} {y:g}" for x, y, _ in CORNERS]
+    path.write_text("\n".join([*lines, "f 1/1 2/2 3/3 4/4"]) + "\n")
+    return path
+
+
+def plain_image(path, colour, size=40):
+    """Write an image of one 8-bit colour."""
+    path.write_bytes(encode(np.tile(np.uint8(colour), (size, size, 1)), "png"))
+    return path
