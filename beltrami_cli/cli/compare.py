@@ -15,8 +15,8 @@ from beltrami_cli.cli.painting import choosing, painting_from
 
 if TYPE_CHECKING:
     from beltrami_cli.flow.parameters import Weights
+    from beltrami_cli.jobs.compare.figures import Verdict
     from beltrami_cli.jobs.compare.files import Comparison
-    from beltrami_cli.jobs.compare.limits import Verdict
 
 EPILOG = """\b
 Examples:
@@ -96,8 +96,8 @@ def command(
     """
     settings = painting_from(painting)
     messages = Messages(quiet=quiet, verbose=verbose)
+    from beltrami_cli.jobs.compare.figures import Limits
     from beltrami_cli.jobs.compare.files import compare_files
-    from beltrami_cli.jobs.compare.limits import Limits
 
     limits = Limits(min_psnr, min_ssim, max_delta_e, max_seam_jump)
     with options.reading_from(painting, reference) as access:

@@ -22,34 +22,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Difference:
-    """Something that differs.
+    """Something that differs."""
 
-    Attributes
-    ----------
-    what : str
-        Its place in the file.
-    detail : str
-        How it differs.
-    of_colour : bool
-        Whether it is a colour or an image, which may differ.
-    """
-
-    what: str
-    detail: str
-    of_colour: bool
+    what: str  # its place in the file
+    detail: str  # how it differs
+    of_colour: bool  # whether it is a colour or an image, which may differ
 
 
 @dataclass(frozen=True)
 class CheckReport:
-    """The outcome of a comparison; `dataclasses.asdict` gives JSON types.
-
-    Attributes
-    ----------
-    before, after, format : str
-        The files, and what both are.
-    differences : list of Difference
-        Everything that differs.
-    """
+    """The outcome of a comparison; `dataclasses.asdict` gives JSON types."""
 
     before: str
     after: str
@@ -65,26 +47,7 @@ class CheckReport:
 def check_files(
     before: str | os.PathLike[str], after: str | os.PathLike[str], access: Access = EVERYTHING_INSIDE
 ) -> CheckReport:
-    """Compare a file with what was made of it.
-
-    Parameters
-    ----------
-    before, after : path
-        Two files of one format: PLY, OBJ, glTF or GLB, with what lies beside them.
-    access : Access
-        What may be read.
-
-    Returns
-    -------
-    CheckReport
-
-    Raises
-    ------
-    InputError
-        If one cannot be read.
-    UsageError
-        If they are of different formats.
-    """
+    """Compare a file with what was made of it, in the same format."""
     documents = [open_document(os.fspath(source), access) for source in (before, after)]
     formats = [document.format for document in documents]
     if formats[0] != formats[1]:
@@ -112,7 +75,7 @@ def _of_colours(old: Fingerprint, new: Fingerprint) -> list[Difference]:
 
 
 def _amount(before: NDArray[np.float32], after: NDArray[np.float32]) -> str:
-    """Tell how many rows of colours differ, and by how much."""
+    """Say how many rows of colours differ, and by how much."""
     change = np.abs(after.astype(np.float64) - before)
     rows = np.count_nonzero(change.any(axis=1))
     mean, largest = 255 * change.mean(), 255 * change.max()
@@ -162,7 +125,7 @@ def _missing(is_new: bool) -> str:
 
 
 def _first(old: bytes, new: bytes) -> str:
-    """Tell where two parts begin to differ: by the line in text, otherwise by the byte."""
+    """Say where two parts begin to differ: by the line in text, otherwise by the byte."""
     length = min(len(old), len(new))
     differing = np.flatnonzero(np.frombuffer(old, np.uint8, length) != np.frombuffer(new, np.uint8, length))
     at = int(differing[0]) if differing.size else length

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,34 +11,18 @@ from beltrami_cli.formats.access import read_source
 from beltrami_cli.formats.registry import document_of, kind_of
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from beltrami_cli.formats.access import Access
     from beltrami_cli.formats.document import Document
+    from beltrami_cli.formats.image import Picture
+    from beltrami_cli.samples.images.colours import ImageColours
     from beltrami_cli.samples.settings.smooth import SmoothSettings
 
 
 def open_input(source: str, settings: SmoothSettings, access: Access) -> Document:
-    """Read a file, or standard input, as the document that it is.
-
-    Parameters
-    ----------
-    source : str
-        Path, or "-" for standard input.
-    settings : SmoothSettings
-        Which surface in a volume is meant, where its colours are, and how many threads there are.
-    access : Access
-        What may be read.
-
-    Returns
-    -------
-    Document
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read, or is of none of the formats.
-    UsageError
-        If settings of level sets are given, and it is none.
-    """
+    """Read a file, or standard input, as the document that it is."""
     return document_from(read_source(source, access), source, settings, access)
 
 
@@ -56,3 +41,35 @@ def refuse_options_of_level_sets(settings: SmoothSettings, name: str) -> None:
     """Raise UsageError if there are any, for a file that is no level set."""
     if settings.level_set.given:
         raise UsageError(f"{', '.join(settings.level_set.given)}: for level sets, and {name} is none")
+
+
+def coloured_vertices(document: Document) -> NDArray[np.bool_]:
+    """Return which vertices of a document have a place and a colour of their own, shape (V,)."""
+    import numpy as np
+
+    from beltrami_cli.samples.vertices.level_set import LevelSetDocument
+
+    painted = document.painted()
+    valid = np.asarray(np.isfinite(painted.positions).all(axis=1))
+    if isinstance(document, LevelSetDocument):  # whose vertices without colours are in no triangle
+        found = np.zeros(len(valid), bool)
+        found[painted.faces] = True
+        valid &= found
+    return valid
+
+
+def open_pixels(
+    picture: Picture, settings: SmoothSettings, access: Access
+) -> tuple[ImageColours, NDArray[np.bool_]]:
+    """Return the colours of a picture, and where it has no hole, shape (H, W)."""
+    # Holes are where the mask says so, values are not finite, or nothing is seen. Further channels than colours take
+    # part only where the settings name them.
+    from beltrami_cli.samples.images.colours import ImageColours
+    from beltrami_cli.samples.images.surface import read_surface
+
+    if settings.channels is None:
+        names = ("red", "green", "blue") if len(picture.colour) == 3 else ("grey",)
+        settings = dataclasses.replace(settings, channels=names)
+    colours = ImageColours(picture, settings)
+    surface = read_surface(picture, settings.image, access)
+    return colours, surface.valid & colours.usable() & colours.visible()

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from beltrami_cli.jobs.compare.paired_colours import PairedColours
+    from beltrami_cli.jobs.compare.figures import ComparedColours
 
 _CROP = 384  # pixels a side
 _LONGEST = 768  # pixels, of a seam map
@@ -29,7 +29,7 @@ _FEW = 4.0  # 255ths; larger changes are counted in bins of whole numbers
 _WHITE = 1.0
 
 
-def histogram(pairs: Sequence[PairedColours]) -> str:
+def histogram(pairs: Sequence[ComparedColours]) -> str:
     """Return a drawing of how often channels changed by how much, in steps of 1/255."""
     widest = max(pair.test.shape[1] for pair in pairs)
     changes = [
@@ -69,15 +69,15 @@ def _bins(change: NDArray[np.float64]) -> tuple[int, float]:
     return bins, step * bins / 2
 
 
-def seam_map(pair: PairedColours, size: tuple[int, int]) -> str:
+def seam_map(pair: ComparedColours) -> str:
     """Return a picture of how much a texture, `size` = (rows, columns), changed near its seams; empty without seams."""
-    if pair.near_seams is None or not pair.near_seams.any():
+    if pair.size is None or pair.near_seams is None or not pair.near_seams.any():
         return ""
-    stride = max(1, -(-max(size) // _LONGEST))
-    small = tuple(-(-side // stride) for side in size)
+    stride = max(1, -(-max(pair.size) // _LONGEST))
+    small = tuple(-(-side // stride) for side in pair.size)
     amount = np.abs(pair.test.astype(np.float64) - pair.reference).max(axis=1)
     largest = max(float(amount[pair.near_seams].max()), 1 / 255)
-    columns, rows = pair.place.T // stride
+    columns, rows = pair.index.T // stride
     values, covered = np.full(small, -1.0, np.float32), np.zeros(small, bool)
     covered[rows, columns] = True
     near = pair.near_seams

@@ -15,10 +15,8 @@ from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access, read_source
 from beltrami_cli.formats.document import Written
 from beltrami_cli.formats.image import read_image
 from beltrami_cli.formats.image.recognition import is_image
-from beltrami_cli.jobs.compare.images import pair_images
-from beltrami_cli.jobs.compare.paired_colours import figures
-from beltrami_cli.jobs.compare.textures import pair_slot
-from beltrami_cli.jobs.compare.vertices import pair_vertices
+from beltrami_cli.jobs.compare.figures import figures
+from beltrami_cli.jobs.compare.parts import compare_images, compare_textures, compare_vertices
 from beltrami_cli.jobs.opening import document_from
 from beltrami_cli.jobs.writing.output import Output
 from beltrami_cli.samples.memory_check import require_room_for_textures
@@ -31,7 +29,7 @@ from beltrami_cli.view.views import sheet_of, texture_sheet
 
 if TYPE_CHECKING:
     from beltrami_cli.formats.document import Document
-    from beltrami_cli.jobs.compare.paired_colours import PairedColours
+    from beltrami_cli.jobs.compare.figures import ComparedColours
     from beltrami_cli.surface.records import Slot
 
 _MOST_CROPS = 8
@@ -48,7 +46,7 @@ _VIEWER = """<h2>The model</h2>
 class _Found:
     """What two files have in common, and the parts of the page that show it."""
 
-    pairs: list[PairedColours] = dataclasses.field(default_factory=list)
+    pairs: list[ComparedColours] = dataclasses.field(default_factory=list)
     crops: list[str] = dataclasses.field(default_factory=list)
     seams: list[str] = dataclasses.field(default_factory=list)
     models: str = ""
@@ -89,7 +87,7 @@ def report_file(
 def _of_images(
     data: tuple[bytes, bytes], names: list[str], settings: SmoothSettings, access: Access
 ) -> _Found:
-    pair, _ = pair_images(data, (names[0], names[1]), settings, access)
+    pair = compare_images(data, (names[0], names[1]), settings, access)
     sheets = [sheet_of(read_image(each, name, finite=False)) for each, name in zip(data, names, strict=True)]
     return _Found([pair], [swipe(sheets[0], sheets[1], Path(names[1]).name)])
 
@@ -104,11 +102,11 @@ def _of_models(
     found = _Found()
     shown: Slot | None = None if work.vertices and settings.on != "both" else work.slots[0]
     if work.vertices:
-        found.pairs.append(pair_vertices(one, other, settings, "uniform")[0])
+        found.pairs.append(compare_vertices(one, other, settings, "uniform")[0])
     for slot in work.slots:
-        paired = pair_slot(one, other, slot, settings, "uniform", access)
-        found.pairs += [pair for pair, _ in paired]
-        found.seams += [drawn for pair, size in paired if (drawn := seam_map(pair, size))]
+        paired = compare_textures(one, other, slot, settings, "uniform", access)
+        found.pairs += paired
+        found.seams += [drawn for pair in paired if (drawn := seam_map(pair))]
         found.crops += _crops(one, other, slot, _MOST_CROPS - len(found.crops))
     packer = ModelPacker(bounding_box(one, shown))
     for document in (one, other):
@@ -177,7 +175,7 @@ def _section(title: str, parts: list[str]) -> str:
     return f"<h2>{title}</h2>\n{body}" if body else ""
 
 
-def _rows(pairs: list[PairedColours]) -> list[list[str]]:
+def _rows(pairs: list[ComparedColours]) -> list[list[str]]:
     """Return the figures of each part, and of all together."""
     rows = [_COLUMNS]
     parts = [(pair.name, [pair]) for pair in pairs]

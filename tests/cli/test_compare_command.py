@@ -15,8 +15,8 @@ import pytest
 
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.formats.registry import open_document
+from beltrami_cli.jobs.compare.figures import Limits, check_limits
 from beltrami_cli.jobs.compare.files import compare_files
-from beltrami_cli.jobs.compare.limits import Limits, judge
 from beltrami_cli.jobs.noise.file import noise_file
 from beltrami_cli.jobs.noise.settings import NoiseSettings
 from beltrami_cli.samples.settings.smooth import SmoothSettings
@@ -291,7 +291,7 @@ def test_where_no_seam_is_nothing_jumps_and_a_seam_that_cannot_be_measured_is_no
     assert "--max-seam-jump is kept" in told.notices[0]
     part = {"name": "narrow", "samples": 4, "near_seams": {"samples": 4}, "seam_jump": None}
     with pytest.raises(InputError, match="--max-seam-jump cannot be tested"):
-        judge([part], Limits(max_seam_jump=1.0), "t.obj")
+        check_limits([part], Limits(max_seam_jump=1.0), "t.obj")
 
 
 def test_a_surface_without_area_has_no_samples_by_area(tmp_path):

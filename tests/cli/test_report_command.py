@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from beltrami_cli.formats.image import read_image
-from beltrami_cli.jobs.compare.paired_colours import PairedColours
+from beltrami_cli.jobs.compare.figures import ComparedColours
 from beltrami_cli.view.charts import histogram
 from cli.commands import SAMPLES, beltrami
 from cli.pictures import painted_square, plain_image, textured_square
@@ -136,7 +136,7 @@ def test_changes_by_whole_numbers_are_counted_evenly(largest):
     before = np.where(change < 0, 250, 5)
     colours = [(values / np.float32(255)).astype(np.float32) for values in (before, before + change)]
     flat = np.zeros(len(change))
-    drawn = histogram([PairedColours("x", "vertices", *colours, flat.astype(np.int64), flat + 1, None)])
+    drawn = histogram([ComparedColours("x", "vertices", *colours, flat.astype(np.int64), flat + 1, None)])
     (points,) = re.findall(r'<polyline [^>]*points="([^"]*)"', drawn)
     heights = [float(point.split(",")[1]) for point in points.split()]
     assert len(set(heights[2:-2])) == 1

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from beltrami_cli.jobs.compare.colour_difference import cie_lab, delta_e_2000
-from beltrami_cli.jobs.compare.paired_colours import PairedColours, figures
-from beltrami_cli.jobs.compare.structural_similarity import structural_similarity
+from beltrami_cli.jobs.compare.figures import ComparedColours, figures
+from beltrami_cli.jobs.compare.measures import cie_lab, delta_e_2000, structural_similarity
 from beltrami_cli.samples.textures.places import near_seams, seam_steps, texel_areas
 from beltrami_cli.surface.atlas import build_atlas
 from beltrami_cli.surface.geometry import triangle_areas
@@ -97,7 +96,7 @@ def test_structural_similarity_takes_no_notice_of_what_does_not_count():
 
 def pair(reference, test, weights, **more):
     place = np.arange(len(reference), dtype=np.int64)
-    return PairedColours("p", "vertices", reference, test, place, np.asarray(weights, float), None, **more)
+    return ComparedColours("p", "vertices", reference, test, place, np.asarray(weights, float), None, **more)
 
 
 def test_weights_count_and_the_parts_make_the_whole():

@@ -11,9 +11,9 @@ from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access, read_source
 from beltrami_cli.formats.image.recognition import is_image
 from beltrami_cli.formats.registry import kind_of
-from beltrami_cli.jobs.compare.limits import Limits, Verdict, judge
-from beltrami_cli.jobs.compare.map import draw_images, draw_vertices, require_map
-from beltrami_cli.jobs.compare.paired_colours import figures
+from beltrami_cli.jobs.compare.figures import Limits, Verdict, check_limits, figures
+from beltrami_cli.jobs.compare.map import draw_map, require_map
+from beltrami_cli.jobs.compare.parts import compare_images, compare_textures, compare_vertices
 from beltrami_cli.jobs.opening import document_from, refuse_options_of_level_sets
 from beltrami_cli.jobs.writing.output import Output
 from beltrami_cli.samples.memory_check import require_room_for_textures
@@ -23,8 +23,8 @@ from beltrami_cli.samples.settings.smooth import DEFAULTS
 
 if TYPE_CHECKING:
     from beltrami_cli.flow.parameters import Weights
-    from beltrami_cli.formats.document import Document, Written
-    from beltrami_cli.jobs.compare.paired_colours import PairedColours
+    from beltrami_cli.formats.document import Document
+    from beltrami_cli.jobs.compare.figures import ComparedColours
     from beltrami_cli.samples.settings.smooth import SmoothSettings
 
 _UNLIMITED = Limits()
@@ -32,56 +32,18 @@ _UNLIMITED = Limits()
 
 @dataclass(frozen=True)
 class Comparison:
-    """How two files differ; `dataclasses.asdict` gives JSON types.
-
-    Attributes
-    ----------
-    reference, test : str
-        The files.
-    weights, space : str
-        What a sample counts, and what colours were taken as.
-    parts : list of dict
-        The figures of each texture, of the image, or of the vertices; see `figures`, and "name" and "kind".
-    overall : dict
-        Those of all parts together.
-    limits : list of Verdict
-        How each part keeps to each limit.
-    passed : bool
-        Whether all do.
-    map_scale : float or None
-        The Delta E that the brightest colour of the map stands for.
-    notices : list of str
-        What the user should know, one sentence each.
-    """
+    """How two files differ; `dataclasses.asdict` gives JSON types."""
 
     reference: str
     test: str
-    weights: str
-    space: str
-    parts: list[dict[str, Any]]
-    overall: dict[str, Any]
+    weights: str  # what a sample counts
+    space: str  # what colours were taken as
+    parts: list[dict[str, Any]]  # "name", "kind" and figures of each texture, the image, or the vertices
+    overall: dict[str, Any]  # those of all parts together
     limits: list[Verdict]
-    passed: bool
-    map_scale: float | None
+    passed: bool  # whether each part keeps to each limit
+    map_scale: float | None  # the Delta E that the brightest colour of the map stands for
     notices: list[str]
-
-
-@dataclass
-class _Paired:
-    """What was found of two files: parts, the sizes of images or the model of vertices, and notices."""
-
-    images: list[tuple[PairedColours, tuple[int, int]]]
-    vertices: tuple[PairedColours, Document] | None
-    notices: list[str]
-
-    @property
-    def parts(self) -> list[PairedColours]:
-        return [*([self.vertices[0]] if self.vertices else []), *(pair for pair, _ in self.images)]
-
-    def map(self, target: str) -> tuple[Written, float]:
-        if self.vertices and (not self.images or target.lower().endswith(".ply")):
-            return draw_vertices(*self.vertices, target)
-        return draw_images(self.images, target)
 
 
 def compare_files(
@@ -95,38 +57,7 @@ def compare_files(
     overwrite: bool = False,
     access: Access = EVERYTHING_INSIDE,
 ) -> Comparison:
-    """Compare the colours of two files of one model, or of two images.
-
-    Parameters
-    ----------
-    reference, test : path
-        What `smooth_file` reads; one may be "-".
-    limits : Limits
-        What each part is held to.
-    settings : SmoothSettings
-        Which colours, and the space that they are compared in; the kernel has no meaning.
-    weights : {"uniform", "area"}
-        Whether each sample counts once, or by its area on the surface.
-    map_to : path, optional
-        Where to draw the differences: .png, or .ply for vertices.
-    overwrite : bool
-        Whether an existing map may be replaced.
-    access : Access
-        What may be read.
-
-    Returns
-    -------
-    Comparison
-
-    Raises
-    ------
-    UsageError
-        If settings contradict each other or the files.
-    InputError
-        If a file cannot be read, the two are not alike in anything but colours, or a limit cannot be measured.
-    OutputError
-        If the map cannot be written.
-    """
+    """Compare the colours of two files of one model, or of two images."""
     names = os.fspath(reference), os.fspath(test)
     if names == ("-", "-"):
         raise UsageError("only one of REFERENCE and TEST can be standard input")
@@ -137,51 +68,54 @@ def compare_files(
         output = Output(target, overwrite=overwrite, what="map", reads=names)
         output.files.guard(settings.files_besides())
         access = output.files.watching(access)
-    paired = _pair(names, settings, weights, access)
-    _require_samples(paired.parts, _shown(names[0]))
-    parts = [{"name": pair.name, "kind": pair.kind, **figures([pair])} for pair in paired.parts]
-    verdicts, untested = judge(parts, limits, _shown(names[1]))
+    parts, model, notices = _compare(names, settings, weights, access)
+    _require_samples(parts, _shown(names[0]))
+    described = [{"name": part.name, "kind": part.kind, **figures([part])} for part in parts]
+    verdicts, untested = check_limits(described, limits, _shown(names[1]))
     scale = None
     if output is not None and target is not None:
-        written, scale = paired.map(target)
+        written, scale = draw_map(parts, model, target)
         output.write(written)
     return Comparison(
         *names,
         weights,
         settings.space,
-        parts,
-        figures(paired.parts),
+        described,
+        figures(parts),
         verdicts,
         all(verdict.kept for verdict in verdicts),
         scale,
-        [*paired.notices, *_left_out(paired.parts), *untested],
+        [*notices, *_left_out(parts), *untested],
     )
 
 
-def _require_samples(parts: list[PairedColours], name: str) -> None:
+def _require_samples(parts: list[ComparedColours], name: str) -> None:
     """Raise InputError if nothing can be compared, or what counts by its area has none."""
-    if not sum(len(pair.reference) for pair in parts):
+    if not sum(len(part.reference) for part in parts):
         raise InputError(
             name,
             "nothing of it can be compared: no texel that the surface covers, or no pixel, can be seen",
             "choose something else with --on, --slots or --mask",
         )
-    for pair in parts:
-        if len(pair.weights) and not pair.weights.sum() > 0:
-            cause = f"{pair.name}: the surface has no area that samples could stand for"
+    for part in parts:
+        if len(part.weights) and not part.weights.sum() > 0:
+            cause = f"{part.name}: the surface has no area that samples could stand for"
             raise InputError(name, cause, "use --weights uniform")
 
 
-def _left_out(parts: list[PairedColours]) -> list[str]:
+def _left_out(parts: list[ComparedColours]) -> list[str]:
     """Say of which parts nothing is compared."""
     return [
-        f"{pair.name} is not compared, because no texel of it is both covered by the surface and visible"
-        for pair in parts
-        if not len(pair.reference)
+        f"{part.name} is not compared, because no texel of it is both covered by the surface and visible"
+        for part in parts
+        if not len(part.reference)
     ]
 
 
-def _pair(names: tuple[str, str], settings: SmoothSettings, weights: Weights, access: Access) -> _Paired:
+def _compare(
+    names: tuple[str, str], settings: SmoothSettings, weights: Weights, access: Access
+) -> tuple[list[ComparedColours], Document | None, list[str]]:
+    """Return the parts, vertices first, the reference if it is a model, and notices."""
     data = read_source(names[0], access), read_source(names[1], access)
     shown = _shown(names[0]), _shown(names[1])
     images = [is_image(each, name) for each, name in zip(data, names, strict=True)]
@@ -191,11 +125,11 @@ def _pair(names: tuple[str, str], settings: SmoothSettings, weights: Weights, ac
             shown[1], f"it is {kinds[1]}, but {shown[0]} is {kinds[0]}", "compare two files of one kind"
         )
     if images[0]:
-        from beltrami_cli.jobs.compare.images import pair_images
-
         refuse_options_of_level_sets(settings, shown[0])
-        return _Paired([pair_images(data, shown, settings, access)], None, [])
-    return _pair_models(_open(names, data, settings, access), settings, weights, access)
+        return [compare_images(data, shown, settings, access)], None, []
+    documents = _open(names, data, settings, access)
+    parts, notices = _compare_models(documents, settings, weights, access)
+    return parts, documents[0], notices
 
 
 def _shown(name: str) -> str:
@@ -215,22 +149,18 @@ def _open(
     return one, other
 
 
-def _pair_models(
+def _compare_models(
     documents: tuple[Document, Document], settings: SmoothSettings, weights: Weights, access: Access
-) -> _Paired:
+) -> tuple[list[ComparedColours], list[str]]:
     reference, test = documents
     work = choose_work(reference, settings)
-    paired = _Paired([], None, [f"{reference.name}: {notice}" for notice in work.notices])
+    parts, notices = [], [f"{reference.name}: {notice}" for notice in work.notices]
     if work.vertices:
-        from beltrami_cli.jobs.compare.vertices import pair_vertices
-
-        pair, notices = pair_vertices(reference, test, settings, weights)
-        paired.vertices = pair, reference
-        paired.notices += [f"{test.name}: {notice}" for notice in notices]
+        part, moved = compare_vertices(reference, test, settings, weights)
+        parts.append(part)
+        notices += [f"{test.name}: {notice}" for notice in moved]
     for slot in work.slots:
-        from beltrami_cli.jobs.compare.textures import pair_slot
-
         for document in documents:
             require_room_for_textures(document, work.slots, settings.textures, access)
-        paired.images += pair_slot(reference, test, slot, settings, weights, access)
-    return paired
+        parts += compare_textures(reference, test, slot, settings, weights, access)
+    return parts, notices

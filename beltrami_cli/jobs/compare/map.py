@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
 from beltrami_cli.errors import UsageError
 from beltrami_cli.formats.document import Written
-from beltrami_cli.jobs.colour_map import colour_by_value
+from beltrami_cli.jobs.colour_map import as_bytes, colour_by_value
 from beltrami_cli.samples.settings.smooth import IMAGE_SUFFIXES
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from beltrami_cli.formats.document import Document
-    from beltrami_cli.jobs.compare.paired_colours import PairedColours
+    from beltrami_cli.jobs.compare.figures import ComparedColours
 
 # The brightest colour stands for this Delta E 2000 at least: 1 can hardly be seen.
 _LEAST = 1.0
@@ -32,36 +32,25 @@ def require_map(target: str) -> None:
         raise UsageError(f"{target}: a map is drawn as .png, or of vertices as .ply; end the name in one")
 
 
-def draw_images(parts: Sequence[tuple[PairedColours, tuple[int, int]]], target: str) -> tuple[Written, float]:
-    """Draw the differences of images or textures side by side, grey where nothing is compared.
+def draw_map(parts: Sequence[ComparedColours], model: Document | None, target: str) -> tuple[Written, float]:
+    """Draw the images and textures among parts, or else the vertices of a model; return the scale, too."""
+    # The scale is the Delta E, or 100 times the error of data, that the brightest colour stands for.
+    images = [part for part in parts if part.kind != "vertices"]
+    if len(images) < len(parts) and (not images or target.lower().endswith(".ply")):
+        return _draw_vertices(parts[0], cast("Document", model), target)
+    return _draw_images(images, target)
 
-    Parameters
-    ----------
-    parts : sequence of (PairedColours, (int, int))
-        With the rows and columns of each.
-    target : str
-        Its extension chooses the format.
 
-    Returns
-    -------
-    written : Written
-        One file.
-    scale : float
-        The Delta E (or 100 times the error of data) that the brightest colour stands for.
-
-    Raises
-    ------
-    UsageError
-        If the extension is of a mesh.
-    """
+def _draw_images(parts: Sequence[ComparedColours], target: str) -> tuple[Written, float]:
+    """Draw the differences of images or textures side by side, grey where nothing is compared."""
     suffix = Path(target).suffix.lower()
     if suffix == ".ply":
         raise UsageError(f"{target}: the map of images and textures is drawn as .png; end its name so")
     from beltrami_cli.formats.image import write_image
     from beltrami_cli.formats.image.picture import new_picture
 
-    scale = _scale([pair for pair, _ in parts])
-    drawn = [_image_of(pair, size, scale) for pair, size in parts]
+    scale = _scale(parts)
+    drawn = [_image_of(part, scale) for part in parts]
     height = max(len(panel) for panel in drawn)
     columns = []
     for panel in drawn:
@@ -70,67 +59,46 @@ def draw_images(parts: Sequence[tuple[PairedColours, tuple[int, int]]], target: 
     return Written([write_image(new_picture(pixels, target), pixels, suffix=suffix).data]), scale
 
 
-def draw_vertices(pair: PairedColours, document: Document, target: str) -> tuple[Written, float]:
-    """Draw the differences of vertices as a mesh, with the properties delta_e and error (NaN where none is compared).
-
-    Parameters
-    ----------
-    pair : PairedColours
-        Of vertices.
-    document : Document
-        The reference.
-    target : str
-        Must end in .ply.
-
-    Returns
-    -------
-    written, scale
-        As for `draw_images`.
-
-    Raises
-    ------
-    UsageError
-        If the extension is another.
-    """
+def _draw_vertices(part: ComparedColours, document: Document, target: str) -> tuple[Written, float]:
+    """Draw the differences of vertices as a mesh, with delta_e and error (NaN where nothing is compared)."""
     if Path(target).suffix.lower() != ".ply":
         raise UsageError(f"{target}: the map of vertices is drawn as .ply; end its name so")
     from beltrami_cli.formats.ply.writer import write_scalars_as_ply
 
-    painted, scale = document.painted(), _scale([pair])
+    painted, scale = document.painted(), _scale([part])
     values = np.full(len(painted.positions), np.nan, np.float32)
     errors = values.copy()
-    values[pair.place] = _amount(pair)
-    errors[pair.place] = np.abs(pair.test - pair.reference).max(axis=1)
+    values[part.index] = _amount(part)
+    errors[part.index] = np.abs(part.test - part.reference).max(axis=1)
     held = np.isfinite(values)
-    shades = _bytes(colour_by_value(values / np.float32(scale), np.ones((len(values), 3), np.float32), held))
+    shades = as_bytes(
+        colour_by_value(values / np.float32(scale), np.ones((len(values), 3), np.float32), held)
+    )
     scalars = {"delta_e": values, "error": errors}
-    if pair.delta_e is None:
+    if part.delta_e is None:
         del scalars["delta_e"]
     places = np.nan_to_num(painted.positions)
     return write_scalars_as_ply(places, painted.faces, shades, scalars), scale
 
 
-def _amount(pair: PairedColours) -> NDArray[np.float64]:
-    if pair.delta_e is not None:
-        return pair.delta_e
-    return np.asarray(100 * np.abs(pair.test - pair.reference).max(axis=1), np.float64)
+def _amount(part: ComparedColours) -> NDArray[np.float64]:
+    if part.delta_e is not None:
+        return part.delta_e
+    return np.asarray(100 * np.abs(part.test - part.reference).max(axis=1), np.float64)
 
 
-def _scale(pairs: Sequence[PairedColours]) -> float:
-    return max(_LEAST, *(float(_amount(pair).max(initial=0)) for pair in pairs))
+def _scale(parts: Sequence[ComparedColours]) -> float:
+    return max(_LEAST, *(float(_amount(part).max(initial=0)) for part in parts))
 
 
-def _image_of(pair: PairedColours, size: tuple[int, int], scale: float) -> NDArray[np.uint8]:
+def _image_of(part: ComparedColours, scale: float) -> NDArray[np.uint8]:
+    size = cast("tuple[int, int]", part.size)
     values, held = np.zeros(size, np.float32), np.zeros(size, bool)
-    columns, rows = pair.place.T
-    values[rows, columns] = _amount(pair) / scale
+    columns, rows = part.index.T
+    values[rows, columns] = _amount(part) / scale
     held[rows, columns] = True
-    return _bytes(colour_by_value(values, np.ones((*size, 3), np.float32), held))
+    return as_bytes(colour_by_value(values, np.ones((*size, 3), np.float32), held))
 
 
 def _padded(panel: NDArray[np.uint8], height: int) -> NDArray[np.uint8]:
     return np.pad(panel, ((0, height - len(panel)), (0, 0), (0, 0)), constant_values=255)
-
-
-def _bytes(colours: NDArray[np.float64]) -> NDArray[np.uint8]:
-    return np.rint(255 * colours).astype(np.uint8)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,9 +9,8 @@ import numpy as np
 from beltrami_cli.formats.document import Written
 from beltrami_cli.formats.image import check_writable, is_exact, label_of, losses, read_image, write_image
 from beltrami_cli.jobs.noise.kinds import add_noise
-from beltrami_cli.samples.images.colours import ImageColours
+from beltrami_cli.jobs.opening import open_pixels
 from beltrami_cli.samples.images.prepare import refuse_options_of_meshes
-from beltrami_cli.samples.images.surface import read_surface
 from beltrami_cli.samples.memory_check import require_room
 
 if TYPE_CHECKING:
@@ -88,23 +86,3 @@ def lossy_notice(picture: Picture, suffix: str | None, remedy: str) -> tuple[str
     return (
         f"{picture.name}: {kind} is not exact and takes some of the noise away, most of all in hues; {remedy}",
     )
-
-
-def open_pixels(
-    picture: Picture, settings: SmoothSettings, access: Access
-) -> tuple[ImageColours, NDArray[np.bool_]]:
-    """Find the colours of a picture, without further channels unless the settings name them, and its holes.
-
-    Returns
-    -------
-    colours : ImageColours
-        The way from pixels to samples and back.
-    valid : ndarray of bool, shape (H, W)
-        False at holes: where the mask says so, values are not finite, or nothing is seen.
-    """
-    if settings.channels is None:
-        names = ("red", "green", "blue") if len(picture.colour) == 3 else ("grey",)
-        settings = dataclasses.replace(settings, channels=names)
-    colours = ImageColours(picture, settings)
-    surface = read_surface(picture, settings.image, access)
-    return colours, surface.valid & colours.usable() & colours.visible()

@@ -8,9 +8,9 @@ import numpy as np
 
 from beltrami_cli.flow.colour_space import from_space, to_space
 from beltrami_cli.jobs.noise.kinds import add_noise
+from beltrami_cli.jobs.opening import coloured_vertices
 from beltrami_cli.samples.vertices.channels import choose_channels
-from beltrami_cli.samples.vertices.level_set import LevelSetDocument
-from beltrami_cli.surface.grouping import group_equal_rows
+from beltrami_cli.surface.grouping import group_places
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.document import Document
     from beltrami_cli.jobs.noise.settings import NoiseSettings
     from beltrami_cli.samples.settings.smooth import SmoothSettings
-    from beltrami_cli.surface.records import PaintedVertices
 
 
 def noisy_vertices(
@@ -51,7 +50,9 @@ def noisy_vertices(
     channels = choose_channels(painted, settings).changing
     rows = np.flatnonzero(coloured_vertices(document))
     before = to_space(painted.colours[rows][:, channels], painted.encoding, settings.space)
-    after = add_noise(before, places_of(painted, rows), noise)
+    spaces = None if painted.space_of is None else painted.space_of[rows]
+    place, _ = group_places(painted.positions[rows], spaces)
+    after = add_noise(before, place, noise)
     back = from_space(after, painted.encoding, settings.space)
     colours = painted.colours.copy()
     changed = colours[rows]
@@ -59,22 +60,3 @@ def noisy_vertices(
     changed[:, channels] = np.where(after != before, back, changed[:, channels])
     colours[rows] = changed
     return colours, after - before
-
-
-def coloured_vertices(document: Document) -> NDArray[np.bool_]:
-    """Tell which vertices of a document have a place and a colour of their own, shape (V,)."""
-    painted = document.painted()
-    valid = np.asarray(np.isfinite(painted.positions).all(axis=1))
-    if isinstance(document, LevelSetDocument):  # whose vertices without colours are in no triangle
-        found = np.zeros(len(valid), bool)
-        found[painted.faces] = True
-        valid &= found
-    return valid
-
-
-def places_of(painted: PaintedVertices, rows: NDArray[np.intp]) -> NDArray[np.int32]:
-    """Give some vertices the number of the place that they stand at, shape (S,)."""
-    columns = list(painted.positions[rows].T)
-    if painted.space_of is not None:
-        columns.append(painted.space_of[rows])
-    return group_equal_rows(*columns)[0]

@@ -1,12 +1,14 @@
-"""How different two colours look: CIEDE2000.
+"""How different colours and images look: CIEDE2000 and structural similarity.
 
 References
 ----------
 .. [1] G. Sharma, W. Wu, E. Dalal, "The CIEDE2000 color-difference formula: implementation notes, supplementary test
    data, and mathematical observations", Color Research and Application 30 (2005), doi:10.1002/col.20070; the numbers
-   of equations are of this paper.
+   of equations are of this paper, except for those of SSIM.
 .. [2] IEC 61966-2-1:1999, sRGB: the primaries and the white point D65.
 .. [3] CIE 15:2004, "Colorimetry": L*a*b*.
+.. [4] Z. Wang, A. Bovik, H. Sheikh, E. Simoncelli, "Image quality assessment: from error visibility to structural
+   similarity", IEEE Transactions on Image Processing 13 (2004), doi:10.1109/TIP.2003.819861: SSIM.
 """
 
 from __future__ import annotations
@@ -24,20 +26,13 @@ _CUBE_ROOT_FROM = (6 / 29) ** 3
 _25_TO_7 = 25.0**7
 # Half a turn in degrees, and what rounding adds to the difference of hues that are exactly opposite.
 _OPPOSITE = 180 + 1e-9
+# Section III-C of [4]: a Gaussian window of 11 x 11 with a deviation of 1.5, K1 and K2; full scale is 1.
+_RADIUS, _DEVIATION = 5, 1.5
+_C1, _C2 = 0.01**2, 0.03**2
 
 
 def cie_lab(linear: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Convert linear sRGB to CIE L*a*b* under D65.
-
-    Parameters
-    ----------
-    linear : ndarray of float, shape (S, 3)
-        Full scale 1. Negative light counts as none.
-
-    Returns
-    -------
-    ndarray of float64, shape (S, 3)
-    """
+    """Convert linear sRGB to CIE L*a*b* under D65."""
     xyz = np.maximum(linear, 0).astype(np.float64) @ (_XYZ / _XYZ.sum(axis=1, keepdims=True)).T
     f = np.where(xyz > _CUBE_ROOT_FROM, np.cbrt(xyz), xyz * (29 / 6) ** 2 / 3 + 4 / 29)
     x, y, z = f.T
@@ -45,18 +40,7 @@ def cie_lab(linear: NDArray[np.floating]) -> NDArray[np.float64]:
 
 
 def delta_e_2000(one: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Compute the CIEDE2000 difference of pairs of colours [1]_, with k_L = k_C = k_H = 1.
-
-    Parameters
-    ----------
-    one, other : ndarray of float64, shape (S, 3)
-        CIE L*a*b*.
-
-    Returns
-    -------
-    ndarray of float64, shape (S,)
-        About 1 is the least that can be seen.
-    """
+    """Compute the CIEDE2000 difference of pairs of colours [1]_, with k_L = k_C = k_H = 1."""
     (l1, c1, h1), (l2, c2, h2) = _with_hue(one, other)
     dl, dc = l2 - l1, c2 - c1  # eqs. (8), (9)
     turn = np.where(np.abs(h2 - h1) <= _OPPOSITE, h2 - h1, h2 - h1 - 360 * np.sign(h2 - h1))
@@ -99,3 +83,31 @@ def _mean_hue(h1: NDArray[np.float64], h2: NDArray[np.float64]) -> NDArray[np.fl
     total = h1 + h2
     around = np.where(total < 360, total + 360, total - 360)
     return np.asarray(np.where(np.abs(h1 - h2) <= _OPPOSITE, total, around) / 2, np.float64)
+
+
+def structural_similarity(
+    reference: NDArray[np.float32], test: NDArray[np.float32], counts: NDArray[np.bool_]
+) -> float | None:
+    """Compute the mean SSIM, eqs. (13) and (17) of [4], over all windows that hold only pixels that count."""
+    from scipy.ndimage import minimum_filter
+
+    whole = minimum_filter(counts, 2 * _RADIUS + 1, mode="constant", cval=False)
+    if not whole.any():
+        return None
+    channels = zip(np.moveaxis(reference, 2, 0), np.moveaxis(test, 2, 0), strict=True)
+    return float(np.mean([_of_channel(one, other)[whole].mean() for one, other in channels]))
+
+
+def _of_channel(one: NDArray[np.float32], other: NDArray[np.float32]) -> NDArray[np.float64]:
+    x, y = one.astype(np.float64), other.astype(np.float64)
+    mean_x, mean_y = _windowed(x), _windowed(y)
+    variances = _windowed(x * x) - mean_x**2 + _windowed(y * y) - mean_y**2
+    covariance = _windowed(x * y) - mean_x * mean_y
+    alike = (2 * mean_x * mean_y + _C1) * (2 * covariance + _C2)
+    return np.asarray(alike / ((mean_x**2 + mean_y**2 + _C1) * (variances + _C2)), np.float64)
+
+
+def _windowed(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    from scipy.ndimage import gaussian_filter
+
+    return np.asarray(gaussian_filter(values, _DEVIATION, radius=_RADIUS), np.float64)
