@@ -1,85 +1,72 @@
-"""Which files a batch is about, and where their results go."""
+"""Which files a batch is about: from files, folders, globs, URLs and manifests; and the names of their outputs.
+
+A manifest lists files with parameters for each: TOML with a table [[files]] for each file, and options for all above
+them; CSV with a line of names first; or JSON lines. Every file has an input, may have an output, and options by the
+names they have on the command line.
+"""
 
 from __future__ import annotations
 
+import csv
+import io
+import json
+import tomllib
 from dataclasses import dataclass, field
 from pathlib import Path, PurePath
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from beltrami_cli.batch.manifest import is_manifest, read_manifest
-from beltrami_cli.batch.storage import find_at, is_url, joined, place_of, without_scheme
+from beltrami_cli.batch.storage import (
+    find_at,
+    fixed_part,
+    has_magic,
+    is_url,
+    joined,
+    place_of,
+    without_scheme,
+)
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.formats.registry import OUTPUT_FORMATS
 from beltrami_cli.samples.settings.smooth import IMAGE_FORMATS, IMAGE_SUFFIXES
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
+    from collections.abc import Callable, Iterable, Iterator, Mapping
 
 # What a folder stands for: models and points. Its images may be their textures, and are named by themselves.
 MODEL_SUFFIXES = tuple(f".{name}" for name in OUTPUT_FORMATS)
-_MAGIC = set("*?[")
 _WRITABLE = {*MODEL_SUFFIXES, *IMAGE_SUFFIXES, *(f".{name}" for name in IMAGE_FORMATS)}
+_WAY_OUT = "see beltrami batch --help for what a manifest looks like"
 
 
 @dataclass(frozen=True)
 class Request:
-    """One file of a batch.
-
-    Attributes
-    ----------
-    source, target : str
-        Where from, where to.
-    options : mapping of str to object
-        What a manifest says for this file, by the names of options of `smooth`.
-    origin : str
-        Which line of which manifest that is.
-    folder : Path
-        What paths among the options are relative to.
-    """
+    """One file of a batch."""
 
     source: str
     target: str
     options: Mapping[str, object] = field(default_factory=dict)
+    """What a manifest says for this file, by the names of options of `smooth`."""
     origin: str = ""
+    """The manifest and the line or entry, for messages."""
     folder: Path = Path()
+    """What paths among the options are relative to."""
 
 
 def plan(inputs: Iterable[str], out_dir: str, suffix: str, extension: str | None) -> list[Request]:
-    """Find the files that inputs stand for, and name their outputs.
+    """Find the files that inputs stand for, and name their outputs; UsageError if two would be the same file.
 
-    Parameters
-    ----------
-    inputs : iterable of str
-        Files; globs; folders, for all models in them and below; manifests. All but manifests may be URLs.
-    out_dir : str
-        Folder of the outputs, or its URL. What lies below a folder or the fixed part of a glob keeps its place
-        below it.
-    suffix : str
-        Put between the name and the extension; or, with the extension of a format in it, instead of the extension.
-    extension : str or None
-        Format of the outputs; None: as the input.
-
-    Returns
-    -------
-    list of Request
-
-    Raises
-    ------
-    InputError
-        If there is no such file.
-    UsageError
-        If two outputs are the same file, or an output is its input.
+    What lies below a folder or the fixed part of a glob keeps its place below `out_dir`. `suffix` is put between name
+    and extension, or replaces the extension if it has one of a format. `extension` None: as the input.
     """
     requests = []
     out_dir = without_scheme(out_dir)
     for text in map(without_scheme, inputs):
         if text == "-":
             raise UsageError("a batch is of files, and - is none; beltrami smooth takes a pipe")
-        if is_manifest(text):
+        if _is_manifest(text):
             requests += list(_of_manifest(text, out_dir, suffix, extension))
         else:
             requests += [
-                Request(source, joined(out_dir, result_name(place, suffix, extension)))
+                Request(source, joined(out_dir, _result_name(place, suffix, extension)))
                 for source, place in (_found_at if is_url(text) else _found)(text, out_dir)
             ]
     if not requests:
@@ -89,7 +76,7 @@ def plan(inputs: Iterable[str], out_dir: str, suffix: str, extension: str | None
     return requests
 
 
-def result_name(place: PurePath, suffix: str, extension: str | None) -> PurePath:
+def _result_name(place: PurePath, suffix: str, extension: str | None) -> PurePath:
     """Return the place of an output below the folder of all, from that of its input."""
     ending = Path(f"x{suffix}").suffix.lower()
     if ending in _WRITABLE and extension is None:
@@ -103,12 +90,12 @@ def _found(text: str, out_dir: str) -> Iterator[tuple[str, PurePath]]:
     if path.is_dir():
         inside = sorted(each for each in path.rglob("*") if each.suffix.lower() in MODEL_SUFFIXES)
         found = [(each, each.relative_to(path)) for each in inside if _is_input(each, path, results)]
-    elif path.exists() or not _MAGIC & set(text):
+    elif path.exists() or not has_magic(text):
         if not path.is_file():
             raise InputError(text, "there is no such file", "check the path")
         found = [(path, Path(path.name))]
     else:
-        root = _fixed_part(path)
+        root = Path(fixed_part(path))
         named = sorted(root.glob(str(path.relative_to(root))))
         found = [(each, each.relative_to(root)) for each in named if _is_input(each, root, results)]
     if not found:
@@ -121,7 +108,7 @@ def _found_at(url: str, out_dir: str) -> Iterator[tuple[str, PurePath]]:
     found = [
         (source, place)
         for source, place in find_at(url)
-        if (source == url or _MAGIC & set(url) or place.suffix.lower() in MODEL_SUFFIXES)
+        if (source == url or has_magic(url) or place.suffix.lower() in MODEL_SUFFIXES)
         and not _is_hidden(place)
         and not (is_url(out_dir) and source.startswith(f"{out_dir.rstrip('/')}/") and source != url)
     ]
@@ -135,30 +122,13 @@ def _is_hidden(place: PurePath) -> bool:
 
 
 def _is_input(path: Path, root: Path, out_dir: Path | None) -> bool:
-    """Tell whether a file that was found is meant: results of an earlier run and hidden files are not."""
+    """Return whether a file that was found is meant: results of an earlier run and hidden files are not."""
     hidden = _is_hidden(path.relative_to(root))
     if out_dir is None:
         return path.is_file() and not hidden
     inner, outer = out_dir.resolve(), root.resolve()
     is_result = inner != outer and inner.is_relative_to(outer) and path.resolve().is_relative_to(inner)
     return path.is_file() and not hidden and not is_result
-
-
-def _fixed_part(pattern: Path) -> Path:
-    fixed = next(number for number, part in enumerate(pattern.parts) if _MAGIC & set(part))
-    return Path(*pattern.parts[:fixed])
-
-
-def _of_manifest(text: str, out_dir: str, suffix: str, extension: str | None) -> Iterator[Request]:
-    folder = Path(text).parent
-    for row in read_manifest(text):
-        name = without_scheme(row.input)
-        source = name if is_url(name) else str(folder / name)
-        if not is_url(source) and not Path(source).is_file():
-            raise InputError(source, "there is no such file", f"check {row.origin}")
-        own_name = PurePath(name.rpartition("/")[2] if is_url(name) else Path(name).name)
-        place = PurePath(row.output) if row.output else result_name(own_name, suffix, extension)
-        yield Request(source, joined(out_dir, place), row.options, row.origin, folder)
 
 
 def _refuse_clashes(requests: Iterable[Request]) -> None:
@@ -173,3 +143,82 @@ def _refuse_clashes(requests: Iterable[Request]) -> None:
                 f"{other.source} and {request.source} would both become {request.target}; give their folder "
                 "instead, or a manifest with outputs"
             )
+
+
+# ---- manifests
+
+
+def _is_manifest(path: str) -> bool:
+    return Path(path).suffix.lower() in _READERS
+
+
+def _of_manifest(path: str, out_dir: str, suffix: str, extension: str | None) -> Iterator[Request]:
+    folder = Path(path).parent
+    for origin, entry in _entries(path):
+        source_text, target_text, options = _parts_of(entry, origin)
+        name = without_scheme(source_text)
+        source = name if is_url(name) else str(folder / name)
+        if not is_url(source) and not Path(source).is_file():
+            raise InputError(source, "there is no such file", f"check {origin}")
+        own_name = PurePath(name.rpartition("/")[2] if is_url(name) else Path(name).name)
+        place = PurePath(target_text) if target_text else _result_name(own_name, suffix, extension)
+        yield Request(source, joined(out_dir, place), options, origin, folder)
+
+
+def _entries(path: str) -> list[tuple[str, object]]:
+    """Read a manifest: the origin, for messages, and the table of every file."""
+    try:
+        text = Path(path).read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(path, f"cannot be read ({error})", "check the path, and that it is UTF-8") from error
+    try:
+        found = list(_READERS[Path(path).suffix.lower()](text))
+    except (ValueError, csv.Error, RecursionError) as error:
+        raise InputError(path, f"the manifest cannot be read ({error})", _WAY_OUT) from error
+    if not found:
+        raise InputError(path, "the manifest names no files", _WAY_OUT)
+    return [(f"{path}, {where}", entry) for where, entry in found]
+
+
+def _parts_of(entry: object, origin: str) -> tuple[str, str, dict[str, object]]:
+    """Return the input, the output, which may be empty, and the options that are not."""
+    if not isinstance(entry, dict):
+        raise InputError(origin, "there is no table of names and values", _WAY_OUT)
+    options = {key: value for key, value in entry.items() if value not in ("", None)}
+    source, target = options.pop("input", None), options.pop("output", "")
+    if not isinstance(source, str) or not isinstance(target, str):
+        raise InputError(origin, "it has no input, or one that is no text", _WAY_OUT)
+    return source, target, options
+
+
+def _from_toml(text: str) -> Iterator[tuple[str, dict[str, Any]]]:
+    tree = tomllib.loads(text)
+    files = tree.pop("files", None)
+    if not isinstance(files, list) or not all(isinstance(each, dict) for each in files):
+        raise ValueError("there is no table [[files]]")
+    for number, entry in enumerate(files, 1):
+        yield f"file {number}", {**tree, **entry}
+
+
+def _from_csv(text: str) -> Iterator[tuple[str, dict[str, Any]]]:
+    table = csv.DictReader(io.StringIO(text, newline=""), strict=True)
+    if "input" not in (table.fieldnames or ()):
+        raise ValueError("the first line has no column called input")
+    for entry in table:
+        if None in entry:
+            raise ValueError(f"line {table.line_num} has more columns than the first")
+        yield f"line {table.line_num}", entry
+
+
+def _from_json_lines(text: str) -> Iterator[tuple[str, Any]]:
+    for number, line in enumerate(text.split("\n"), 1):
+        if line.strip():
+            yield f"line {number}", json.loads(line)
+
+
+_READERS: dict[str, Callable[[str], Iterator[tuple[str, Any]]]] = {
+    ".toml": _from_toml,
+    ".csv": _from_csv,
+    ".jsonl": _from_json_lines,
+    ".ndjson": _from_json_lines,
+}

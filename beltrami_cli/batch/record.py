@@ -1,4 +1,4 @@
-"""The report of a batch as JSON lines, which is also what a later run goes on from."""
+"""The record of a batch: its report as JSON lines, from which a later run resumes."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from beltrami_cli.batch.job import Outcome
+from beltrami_cli.batch.item import Outcome
 from beltrami_cli.batch.storage import exists, hash_at, is_url, place_of
 from beltrami_cli.errors import InputError, OutputError
 from beltrami_cli.formats.document import Written
@@ -18,29 +18,15 @@ from beltrami_cli.jobs.writing.output import Output
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from beltrami_cli.batch.job import Job
+    from beltrami_cli.batch.item import Item
 
 _TEMPORARY = re.compile(r"\..+\.[0-9a-f]{12}\.tmp")  # as `replacing.temporary_beside` names them
 
 
 class Record:
-    """The report as it grows: a line when a file is started, and one when it is finished.
+    """A report as it grows: a line when a file is started, and one when it is finished.
 
-    Parameters
-    ----------
-    path : str
-        The file; "-" is no place for it.
-    resume : bool
-        Whether to go on from what is there.
-    overwrite : bool
-        Whether to replace what is there.
-
-    Raises
-    ------
-    InputError
-        If what is there cannot be read.
-    OutputError
-        If it cannot be written.
+    `resume`: go on from what is there; InputError if that cannot be read. `overwrite`: replace it.
     """
 
     def __init__(self, path: str, *, resume: bool, overwrite: bool) -> None:
@@ -52,12 +38,12 @@ class Record:
         self.close([])  # without the line that the end of a run cut off
         self._output.overwrite = True  # from now on it is ours
 
-    def latest(self, job: Job) -> Outcome | None:
-        """Return what was last written of a job's output."""
-        return self._latest.get(place_of(job.target))
+    def latest(self, item: Item) -> Outcome | None:
+        """Return the last line of an item's output."""
+        return self._latest.get(place_of(item.target))
 
     def add(self, outcome: Outcome) -> None:
-        """Write a line, at once and for good."""
+        """Write a line, and wait until it is on the disk."""
         self._latest[place_of(outcome.output)] = outcome
         try:
             with Path(self.path).open("a", encoding="utf-8") as file:
@@ -76,16 +62,16 @@ class Record:
         )
 
 
-def is_done(job: Job, outcome: Outcome | None) -> bool:
-    """Tell whether an earlier run did the job, and nothing that it depends on has changed since."""
+def is_done(item: Item, outcome: Outcome | None) -> bool:
+    """Return whether an earlier run did the item, and nothing that it depends on has changed since."""
     if outcome is None or outcome.status not in ("done", "skipped"):
         return False
-    same = outcome.parameters_sha256 == job.parameters and place_of(job.source) == place_of(outcome.input)
+    same = outcome.parameters_sha256 == item.parameters and place_of(item.source) == place_of(outcome.input)
     return same and _holds(outcome.read) and _holds(outcome.written)
 
 
 def is_ours(outcome: Outcome | None) -> bool:
-    """Tell whether the files at the place of an output are as an earlier run left them, and may be replaced."""
+    """Return whether the files at the place of an output are as an earlier run left them, and may be replaced."""
     if outcome is None:
         return False
     if outcome.status == "started":  # it looked that there were none
@@ -95,7 +81,7 @@ def is_ours(outcome: Outcome | None) -> bool:
     )
 
 
-def tidy(outcome: Outcome | None) -> None:
+def remove_leftovers(outcome: Outcome | None) -> None:
     """Remove what a run that was killed left half written beside its output."""
     if outcome is None or outcome.status != "started" or is_url(outcome.output):
         return

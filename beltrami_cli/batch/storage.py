@@ -1,15 +1,23 @@
-"""Files of a batch by name: on this machine, or at URLs that fsspec knows."""
+"""Files by name: on this machine, or at URLs that fsspec opens.
+
+A file at a URL is smoothed on a copy: it is downloaded into a folder of this machine, with what it names beside it, and
+the results are uploaded.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import os
 import re
+import tempfile
+import uuid
 from pathlib import Path, PurePath, PurePosixPath
 from typing import TYPE_CHECKING, Any
 from urllib.parse import unquote
 
 from beltrami_cli.errors import InputError, OutputError
+from beltrami_cli.formats.access import Access
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -18,10 +26,12 @@ _URL = re.compile(r"[a-z][a-z0-9+.-]+://", re.IGNORECASE)
 _HERE = re.compile(r"(?:file|local)://", re.IGNORECASE)
 _MAGIC = set("*?[")
 _CHUNK = 1 << 20
+# Where a file appears only once it is whole; elsewhere it is uploaded under another name and renamed.
+_WHOLE_OR_NOT = frozenset({"s3", "s3a", "gs", "gcs", "abfs", "abfss", "az", "adl", "memory"})
 
 
 def is_url(name: str) -> bool:
-    """Tell whether a name is a URL of another place than this machine's own files."""
+    """Return whether a name is a URL of another place than this machine's own files."""
     return bool(_URL.match(name)) and not _HERE.match(name)
 
 
@@ -36,6 +46,17 @@ def place_of(name: str) -> str:
     return name if is_url(name) else os.path.realpath(name)
 
 
+def has_magic(pattern: str) -> bool:
+    """Return whether a name is a glob."""
+    return bool(_MAGIC & set(pattern))
+
+
+def fixed_part(pattern: PurePath) -> PurePath:
+    """Return the folder that all files of a glob are in."""
+    fixed = next(number for number, part in enumerate(pattern.parts) if has_magic(part))
+    return type(pattern)(*pattern.parts[:fixed])
+
+
 def joined(folder: str, place: PurePath) -> str:
     """Return the name of a file in a folder, either of which may be a URL."""
     if is_url(folder):
@@ -44,27 +65,21 @@ def joined(folder: str, place: PurePath) -> str:
 
 
 def filesystem(url: str) -> tuple[Any, str]:
-    """Return what fsspec opens a URL with, and the path in it.
-
-    Raises
-    ------
-    InputError
-        If fsspec, or its plug-in for such URLs, is not installed, or it does not know them.
-    """
+    """Return the fsspec file system of a URL, and the path in it; InputError if there is none for it."""
     try:
         from fsspec.core import url_to_fs
     except ImportError as error:
         cause = "URLs need fsspec, which is not installed"
         raise InputError(url, cause, "pip install 'beltrami-cli[cluster]'") from error
     try:
-        filesystem, path = url_to_fs(url)
+        files, path = url_to_fs(url)
     except (ImportError, ValueError) as error:
         raise InputError(url, f"cannot be opened ({error})", "install the plug-in of fsspec") from error
-    return filesystem, path
+    return files, path
 
 
 def exists(name: str) -> bool:
-    """Tell whether there is a file, or a folder, of that name."""
+    """Return whether there is a file, or a folder, of that name."""
     if not is_url(name):
         return Path(name).exists()
     files, path = filesystem(name)
@@ -72,13 +87,7 @@ def exists(name: str) -> bool:
 
 
 def make_folder_of(name: str) -> None:
-    """Make the folder that a file is to be written into.
-
-    Raises
-    ------
-    OutputError
-        If that fails.
-    """
+    """Make the folder that a file is to be written into; OutputError if that fails."""
     try:
         if is_url(name):
             files, path = filesystem(name)
@@ -104,22 +113,11 @@ def hash_at(name: str) -> str:
 
 
 def find_at(url: str) -> Iterator[tuple[str, PurePosixPath]]:
-    """Give the URLs of the files that a URL stands for, and their places below its folder or fixed part.
-
-    Parameters
-    ----------
-    url : str
-        Of a file, of a folder, or a glob.
-
-    Raises
-    ------
-    InputError
-        If it cannot be listed.
-    """
+    """Give the URLs of the files that a file, folder or glob stands for, and their places below its fixed part."""
     files, path = filesystem(url)
     try:
-        if _MAGIC & set(path):
-            names, root = files.glob(path), _fixed_part(path)
+        if has_magic(path):
+            names, root = files.glob(path), str(fixed_part(PurePosixPath(path)))
         elif files.isfile(path):
             names, root = [path], path.rpartition("/")[0]
         else:
@@ -131,6 +129,89 @@ def find_at(url: str) -> Iterator[tuple[str, PurePosixPath]]:
         yield files.unstrip_protocol(name), PurePosixPath(name).relative_to(root or "")
 
 
-def _fixed_part(pattern: str) -> str:
-    parts = pattern.split("/")
-    return "/".join(parts[: next(number for number, part in enumerate(parts) if _MAGIC & set(part))])
+class Stage:
+    """Copies, in `folder`, of the files of an item whose source, target or both are URLs.
+
+    `source` and `target` are the names of the copies. `read` has the SHA-256 of what was read, by its original name.
+    """
+
+    def __init__(self, source: str, target: str, folder: Path) -> None:
+        self._original_source, self._original_target = source, target
+        self._from, _, source_name = source.rpartition("/")
+        self._to, _, target_name = target.rpartition("/")
+        self._inside = folder / "in"
+        # What lies in one folder stays in one, so that files beside a model are left alone or copied as they would be.
+        self._outside = self._inside if self._from == self._to else folder / "out"
+        for each in (self._inside, self._outside):
+            each.mkdir(exist_ok=True)
+        self.source = str(self._inside / source_name) if is_url(source) else source
+        self.target = str(self._outside / target_name) if is_url(target) else target
+        self.read: dict[str, str] = {}
+
+    def access(self, outside: bool, memory: int | None) -> Access:
+        """Return what may be read: a file that the source names is downloaded as soon as it is looked for."""
+        return Access(outside, memory, self._note, self.bring if is_url(self._original_source) else None)
+
+    def bring(self, path: Path) -> None:
+        """Download a file to where it is looked for, if there is one at the source's place."""
+        if not path.is_relative_to(self._inside) or path.exists():
+            return
+        files, there = filesystem(self._url_of(path))
+        try:
+            if files.isfile(there):
+                path.parent.mkdir(parents=True, exist_ok=True)
+                files.get_file(there, str(path))
+        except OSError as error:
+            raise InputError(self._original_source, f"cannot be brought ({error})", "try again") from error
+
+    def send(self, names: list[str], overwrite: bool) -> dict[str, str]:
+        """Upload what was made, the model last, to the place of the target; return the hashes by URL."""
+        own = Path(self.target)
+        made = [*(self._outside / name for name in names), own]
+        urls = {path: f"{self._to}/{path.relative_to(self._outside).as_posix()}" for path in made}
+        for url in urls.values():
+            if not overwrite and exists(url):
+                remedy = "choose another --out-dir or --suffix, or --overwrite"
+                raise OutputError(url, "exists already", remedy)
+        try:
+            for path, url in urls.items():
+                _upload(path, url)
+        except OSError as error:
+            raise OutputError(self._original_target, f"cannot be written ({error})", "try again") from error
+        return {url: hashlib.sha256(path.read_bytes()).hexdigest() for path, url in urls.items()}
+
+    def with_original_names(self, message: str) -> str:
+        """Return a message with the names that the user knows."""
+        message = message.replace(self.source, self._original_source)
+        return message.replace(self.target, self._original_target)
+
+    def _url_of(self, path: Path) -> str:
+        return f"{self._from}/{path.relative_to(self._inside).as_posix()}"
+
+    def _note(self, path: Path, data: bytes) -> None:
+        is_copy = path.is_relative_to(self._inside) and is_url(self._original_source)
+        name = self._url_of(path) if is_copy else str(path.absolute())
+        self.read[name] = hashlib.sha256(data).hexdigest()
+
+
+@contextlib.contextmanager
+def staged(source: str, target: str) -> Iterator[Stage]:
+    """Download the source, if it is a URL, and remove all copies in the end."""
+    with tempfile.TemporaryDirectory(prefix="beltrami-") as name:
+        stage = Stage(source, target, Path(name).resolve())
+        if is_url(source):
+            stage.bring(Path(stage.source))
+        yield stage
+
+
+def _upload(path: Path, url: str) -> None:
+    files, there = filesystem(url)
+    files.makedirs(there.rpartition("/")[0], exist_ok=True)
+    schemes = {files.protocol} if isinstance(files.protocol, str) else {*files.protocol}
+    if _WHOLE_OR_NOT & schemes:
+        files.put_file(str(path), there)
+        return
+    folder, _, name = there.rpartition("/")
+    beside = f"{folder}/.{name}.{uuid.uuid4().hex[:12]}.tmp"
+    files.put_file(str(path), beside)
+    files.mv(beside, there)

@@ -1,4 +1,4 @@
-"""Processes that smooth one file at a time; one that dies takes only its file with it.
+"""Processes that smooth one file at a time; one that dies fails only its own file.
 
 The pool of the standard library fails everything when a process dies, as it does when the system runs out of memory.
 Here each has a pipe of its own to the process that leads, which alone decides, in one thread.
@@ -15,8 +15,7 @@ from dataclasses import dataclass
 from multiprocessing.connection import wait
 from typing import TYPE_CHECKING, Any, NoReturn, cast
 
-from beltrami_cli.batch.doing import do_job
-from beltrami_cli.batch.job import Attempt, failed
+from beltrami_cli.batch.item import Attempt, do_item, failed
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -24,14 +23,14 @@ if TYPE_CHECKING:
     from multiprocessing.context import SpawnProcess
     from types import FrameType
 
-    from beltrami_cli.batch.job import Job
+    from beltrami_cli.batch.item import Item
 
-_PATIENCE = 5.0  # seconds that a process has to tidy up when it is asked to end
+_GRACE = 5.0  # seconds that a process has to clean up when it is asked to end
 _PAUSE = 0.1  # seconds between two messages on progress
 
 
-class _Ending(BaseException):
-    """The worker shall end, or the process that leads it is gone."""
+class _Stopped(BaseException):
+    """The process that this one works for is gone."""
 
 
 @dataclass
@@ -42,17 +41,7 @@ class _Worker:
 
 
 class Workers:
-    """Up to a number of processes, to be used as a context; what still runs at its end is stopped.
-
-    Parameters
-    ----------
-    count : int
-        Processes at once.
-    memory : int or None
-        Bytes that each may take; None: as many as there are.
-    threads : int
-        For each file.
-    """
+    """Up to `count` processes, each with `memory` bytes, as an `Executor`; what still runs at its end is stopped."""
 
     queues = False
 
@@ -67,11 +56,11 @@ class Workers:
         return self
 
     def __exit__(self, *_: object) -> None:
-        everybody = [*self._idle, *self._busy.values()]
-        for worker in everybody:
+        workers = [*self._idle, *self._busy.values()]
+        for worker in workers:
             worker.process.terminate()
-        deadline = time.monotonic() + _PATIENCE
-        for worker in everybody:
+        deadline = time.monotonic() + _GRACE
+        for worker in workers:
             worker.process.join(max(0.0, deadline - time.monotonic()))
             if worker.process.is_alive():
                 worker.process.kill()
@@ -88,51 +77,45 @@ class Workers:
         """Whether any process has something to do."""
         return bool(self._busy)
 
-    def start(self, key: int, job: Job) -> None:
-        """Give a job to a process that has none."""
+    def start(self, key: int, item: Item) -> None:
+        """Give an item to a process that has none."""
         while True:
-            worker = self._idle.pop() if self._idle else self._hire()
+            worker = self._idle.pop() if self._idle else self._start_process()
             try:
-                worker.pipe.send((job, self._memory))
+                worker.pipe.send((item, self._memory))
                 break
             except OSError:  # it died while it had nothing to do
                 worker.process.join()
         worker.key = key
         self._busy[worker.pipe] = worker
 
-    def answers(self, jobs: Callable[[int], Job]) -> Iterator[tuple[int, Attempt | tuple[str, int, int]]]:
-        """Wait, and give what processes tell: of a key either how far it is, or what came of it.
-
-        Parameters
-        ----------
-        jobs : callable
-            Gives the job of a key.
-        """
+    def events(self, items: Callable[[int], Item]) -> Iterator[tuple[int, Attempt | tuple[str, int, int]]]:
+        """Wait, and give for a key either its progress or its result; `items` gives the item of a key."""
         for pipe in wait(list(self._busy)):
             worker = self._busy[cast("Connection[Any, Any]", pipe)]
             try:
-                told: Attempt | tuple[str, int, int] = worker.pipe.recv()
+                event: Attempt | tuple[str, int, int] = worker.pipe.recv()
             except (EOFError, OSError):
-                told = self._bury(worker, jobs(worker.key))
+                event = self._remove_dead(worker, items(worker.key))
             else:
-                if isinstance(told, Attempt):
+                if isinstance(event, Attempt):
                     self._idle.append(self._busy.pop(worker.pipe))
-            yield worker.key, told
+            yield worker.key, event
 
-    def _hire(self) -> _Worker:
+    def _start_process(self) -> _Worker:
         ours, theirs = self._context.Pipe()
         process = self._context.Process(target=_work, args=(theirs,), daemon=True)
         process.start()
-        theirs.close()  # so that the end of the process is the end of the pipe
+        theirs.close()  # so that the pipe ends with the process
         return _Worker(process, ours)
 
-    def _bury(self, worker: _Worker, job: Job) -> Attempt:
+    def _remove_dead(self, worker: _Worker, item: Item) -> Attempt:
         self._busy.pop(worker.pipe).pipe.close()
         worker.process.join()
         code = worker.process.exitcode or 0
         how = f"by signal {-code}" if code < 0 else f"with code {code}"
-        cause = f"{job.source}: the process that worked on it ended {how}; there may be too little memory"
-        return Attempt(failed(job, cause, 1), wants_memory=True)
+        cause = f"{item.source}: the process that worked on it ended {how}; there may be too little memory"
+        return Attempt(failed(item, cause, 1), wants_memory=True)
 
 
 def _work(pipe: Connection[Any, Any]) -> None:
@@ -145,19 +128,19 @@ def _work(pipe: Connection[Any, Any]) -> None:
         nonlocal last
         if time.monotonic() - last >= _PAUSE:
             last = time.monotonic()
-            _tell(pipe, (label, done, total))
+            _send(pipe, (label, done, total))
 
-    with contextlib.suppress(EOFError, ConnectionError, _Ending):
+    with contextlib.suppress(EOFError, ConnectionError, _Stopped):
         while True:
-            job, memory = pipe.recv()
-            _tell(pipe, do_job(job, memory, progress))
+            item, memory = pipe.recv()
+            _send(pipe, do_item(item, memory, progress))
 
 
-def _tell(pipe: Connection[Any, Any], message: object) -> None:
+def _send(pipe: Connection[Any, Any], message: object) -> None:
     try:
         pipe.send(message)
-    except OSError:  # Nobody is left to work for, and no error of a file.
-        raise _Ending from None
+    except OSError:  # the other end is closed, which is no error of a file
+        raise _Stopped from None
 
 
 def _end(number: int, frame: FrameType | None) -> NoReturn:

@@ -16,8 +16,8 @@ from beltrami_cli.errors import OutputError, ProcessingError, UsageError
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from beltrami_cli.batch.job import Outcome
-    from beltrami_cli.batch.run import Crew
+    from beltrami_cli.batch.item import Outcome
+    from beltrami_cli.batch.run import Executor
 
 EPILOG = """\b
 Examples:
@@ -133,7 +133,10 @@ def command(
     path = report_path or _report_in(out_dir)
     named = (name for job in jobs for name in (job.source, job.target, *job.settings.files_besides()))
     _refuse_report(path, [*inputs, *named])
-    with _crew(scheduler, pieces, at_once, max_memory, messages) as crew, Display(jobs, messages) as display:
+    with (
+        _executor(scheduler, pieces, at_once, max_memory, messages) as executor,
+        Display(jobs, messages) as display,
+    ):
         outcomes = run_batch(
             jobs,
             Record(path, resume=resume, overwrite=overwrite),  # once there is somebody to do anything
@@ -141,7 +144,7 @@ def command(
             at_once=at_once or KernelParameters().thread_count,
             memory=max_memory or memory_of_machine(),
             fail_fast=fail_fast,
-            crew=crew,
+            executor=executor,
         )
     if not quiet:
         show_table(outcomes)
@@ -161,22 +164,24 @@ def _refuse_report(path: str, others: Sequence[str]) -> None:
 
 
 @contextlib.contextmanager
-def _crew(
+def _executor(
     scheduler: str | None, pieces: int | None, at_once: int | None, memory: int | None, messages: Messages
-) -> Iterator[Crew | None]:
+) -> Iterator[Executor | None]:
     """Give those who do the files on other machines; None: they are done on this one."""
     if scheduler is None:
         yield None
         return
-    from beltrami_cli.batch.cluster.connection import connected
-    from beltrami_cli.batch.cluster.files import ClusterCrew
-    from beltrami_cli.batch.cluster.split_files import SplittingCrew
+    from beltrami_cli.batch.cluster_connection import connected
+    from beltrami_cli.batch.cluster_files import ClusterExecutor
+    from beltrami_cli.batch.cluster_partitions import PartitionExecutor
 
     with connected(scheduler) as client:
         if not client.nthreads():
             messages.say(f"{scheduler} has no workers yet; the files wait for them")
         yield (
-            ClusterCrew(client, at_once, memory) if pieces is None else SplittingCrew(client, pieces, memory)
+            ClusterExecutor(client, at_once, memory)
+            if pieces is None
+            else PartitionExecutor(client, pieces, memory)
         )
 
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from rich.progress import Progress, TaskID
 
-    from beltrami_cli.batch.job import Attempt, Job, Outcome
+    from beltrami_cli.batch.item import Attempt, Item, Outcome
 
 _WIDTH = 140  # of the table, where it goes to a file
 _COLOURS = {"done": "green", "skipped": "dim", "failed": "bold red", "not started": "yellow"}
@@ -26,13 +26,13 @@ class Display:
 
     Parameters
     ----------
-    jobs : sequence of Job
+    jobs : sequence of Item
         All files.
     messages : Messages
         How much the user wants to hear.
     """
 
-    def __init__(self, jobs: Sequence[Job], messages: Messages) -> None:
+    def __init__(self, jobs: Sequence[Item], messages: Messages) -> None:
         self._jobs, self._messages = jobs, messages
         self._bar: Progress | None = None
         self._lines: dict[int, TaskID] = {}

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 from click.core import ParameterSource
 
-from beltrami_cli.batch.job import Job
+from beltrami_cli.batch.item import Item
 from beltrami_cli.cli import options
 from beltrami_cli.cli.file_options import OF_A_FILE
 from beltrami_cli.cli.named_values import options_of, values_for
@@ -26,7 +26,7 @@ _PATHS = ("height", "positions", "mask", "colours")  # always a file; a guide ma
 
 def jobs_for(
     requests: Iterable[Request], values: dict[str, Any], *, outside: bool, overwrite: bool
-) -> list[Job]:
+) -> list[Item]:
     """Make the jobs of a batch.
 
     Parameters
@@ -36,7 +36,7 @@ def jobs_for(
     values : dict
         Values of the options that `options.smoothing` and `options.unwrapping` add, in the current context.
     outside, overwrite : bool
-        As for `Job`.
+        As for `Item`.
 
     Raises
     ------
@@ -52,7 +52,7 @@ def jobs_for(
         except (click.UsageError, UsageError, ValueError) as error:
             cause = error.format_message() if isinstance(error, click.UsageError) else str(error)
             raise UsageError(f"{request.origin}: {cause}") from error
-        jobs.append(Job(request.source, request.target, settings, unwrap, outside, overwrite))
+        jobs.append(Item(request.source, request.target, settings, unwrap, outside, overwrite))
     return jobs
 
 

@@ -15,9 +15,9 @@ from pathlib import Path
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from beltrami_cli.batch.cluster.files import ClusterCrew
-from beltrami_cli.batch.cluster.pieces import OnCluster
-from beltrami_cli.batch.job import Job
+from beltrami_cli.batch.cluster_files import ClusterExecutor
+from beltrami_cli.batch.cluster_partitions import ClusterRunner
+from beltrami_cli.batch.item import Item
 from beltrami_cli.batch.record import Record
 from beltrami_cli.batch.run import run_batch
 from beltrami_cli.flow.beltrami_flow import BeltramiFlow
@@ -50,13 +50,13 @@ def many_files(client):
     settings = SmoothSettings(dataclasses.replace(FIXED, iterations=60))
     with tempfile.TemporaryDirectory() as folder:
         jobs = [
-            Job(str(SAMPLES / "knot-noisy.ply"), f"{folder}/{number}.ply", settings)
+            Item(str(SAMPLES / "knot-noisy.ply"), f"{folder}/{number}.ply", settings)
             for number in range(FILES)
         ]
         record = Record(f"{folder}/batch.jsonl", resume=False, overwrite=False)
         start = time.perf_counter()
         outcomes = run_batch(
-            jobs, record, Silent(), at_once=1, memory=None, crew=ClusterCrew(client, None, None)
+            jobs, record, Silent(), at_once=1, memory=None, executor=ClusterExecutor(client, None, None)
         )
         assert all(outcome.status == "done" for outcome in outcomes)
         return time.perf_counter() - start
@@ -84,7 +84,7 @@ def in_eight_pieces(make):
     """Return what runs a flow, made before, in eight pieces; the time is of its iterations, from cut to joined."""
 
     def run(client):
-        with in_partitions(8, OnCluster(client)):
+        with in_partitions(8, ClusterRunner(client)):
             flow = make()
             start = time.perf_counter()
             flow.run()

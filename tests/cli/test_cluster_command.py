@@ -10,14 +10,14 @@ import sys
 import numpy as np
 import pytest
 
-from beltrami_cli.batch.cluster.pieces import OnCluster
+from beltrami_cli.batch.cluster_partitions import ClusterRunner
 from beltrami_cli.cli.main import group
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.partitions import in_partitions
 from cli.commands import COMMAND, SAMPLES, beltrami
 from cli.dask_cluster import Cluster
 from hostile.textured_models import write_model
-from properties.test_pieces import FIXED, SURFACE, smooth_mesh
+from properties.test_partitions import FIXED, SURFACE, smooth_mesh
 
 pytest.importorskip("distributed")
 
@@ -117,7 +117,7 @@ def test_a_surface_in_partitions_outlives_a_worker(cluster):
             cluster.kill(min(cluster._workers))
             killed.append(done)
 
-    with cluster.client() as client, in_partitions(3, OnCluster(client)):
+    with cluster.client() as client, in_partitions(3, ClusterRunner(client)):
         parts = smooth_mesh(SURFACE, parameters, progress)
     assert killed
     assert np.array_equal(parts.colours, whole.colours)
@@ -210,14 +210,13 @@ def test_nothing_is_sent_over_what_is_there(tmp_path):
     memory = fsspec.filesystem("memory")
     memory.pipe_file("/there/in/a.ply", (SAMPLES / "terrain-noisy.ply").read_bytes())
     memory.pipe_file("/there/out/a.ply", b"mine")
-    from beltrami_cli.batch.doing import do_job
-    from beltrami_cli.batch.job import Job
+    from beltrami_cli.batch.item import Item, do_item
     from beltrami_cli.samples.settings.smooth import SmoothSettings
 
-    job = Job(
+    item = Item(
         "memory://there/in/a.ply", "memory://there/out/a.ply", SmoothSettings(KernelParameters(**FIXED))
     )
-    attempt = do_job(job, None)
+    attempt = do_item(item, None)
     assert attempt.outcome.status == "failed"
     assert "memory://there/out/a.ply: exists already" in attempt.outcome.error
     assert memory.cat_file("/there/out/a.ply") == b"mine"

@@ -13,7 +13,7 @@ from beltrami_cli.flow.grid_manifold import GridManifold
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.samples.images.grid_flow import grid_flow
 from beltrami_cli.surface.atlas import build_atlas
-from properties.test_pieces import FIXED, ON_GRIDS, noisy
+from properties.test_partitions import FIXED, ON_GRIDS, noisy
 from properties.test_slits import SIDE, TEXELS, cut_plane
 from properties.textured_planes import smoothed, texel_flow
 

@@ -22,22 +22,7 @@ _PATIENCE = 15.0  # seconds for a scheduler to answer
 
 @contextlib.contextmanager
 def connected(address: str) -> Iterator[Any]:
-    """Connect to a scheduler, and leave it in the end.
-
-    Parameters
-    ----------
-    address : str
-        Such as tcp://host:8786, or the path of a file (.json) in which a scheduler wrote where it is.
-
-    Yields
-    ------
-    distributed.Client
-
-    Raises
-    ------
-    ProcessingError
-        If Dask is not installed, or no scheduler answers.
-    """
+    """Give a distributed.Client of a scheduler: at tcp://HOST:PORT, or where a file (.json) that it wrote says."""
     try:
         from distributed import Client
         from distributed.security import Security
@@ -45,7 +30,7 @@ def connected(address: str) -> Iterator[Any]:
         raise ProcessingError(
             "--scheduler needs Dask, which is not installed; pip install 'beltrami-cli[cluster]'"
         ) from error
-    # What goes wrong is told by us, in one line.
+    # What goes wrong is reported by us, in one line.
     for name in ("distributed", "distributed.client", "distributed.comm"):
         logging.getLogger(name).setLevel(logging.CRITICAL)
     try:
@@ -82,7 +67,7 @@ def _require_encryption(address: str, security: Any) -> None:
 
 
 def _require_listener(address: str) -> None:
-    """Raise ValueError or OSError if an address is none, or nobody listens there: a client would try for long."""
+    """Raise ValueError or OSError if nobody listens at an address, where a client would try for long."""
     parts = urlsplit(address if "://" in address else f"tcp://{address}")
     if parts.scheme == "inproc":
         return

@@ -1,0 +1,191 @@
+"""Files on the workers of a Dask scheduler: one task for each."""
+
+from __future__ import annotations
+
+import dataclasses
+import queue
+import time
+import uuid
+from functools import partial
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from beltrami_cli.batch.cluster_connection import LOST
+from beltrami_cli.batch.item import Attempt, do_item, failed
+from beltrami_cli.batch.storage import is_url, place_of
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from beltrami_cli.batch.item import Item
+
+_POLL = 1.0  # seconds between two checks that the scheduler is still there
+_PAUSE = 0.3  # seconds between two messages on progress
+
+
+class ClusterExecutor:
+    """Has every file done by some worker; an `Executor`.
+
+    A file whose worker dies is given to another one by the scheduler, until that happened too often (its setting
+    distributed.scheduler.allowed-failures). `at_once` None: all files are given to the scheduler, whose workers do one
+    for each of their threads. `memory` (bytes for each file) None: by the limits of the workers.
+    """
+
+    queues = True
+
+    def __init__(self, client: Any, at_once: int | None, memory: int | None) -> None:
+        self.threads: int | None = 1  # a worker does as many files at once as it has threads
+        self._client, self._at_once, self._memory = client, at_once, memory
+        self._topic = f"beltrami-{uuid.uuid4().hex}"
+        self._events: queue.SimpleQueue[tuple[int, tuple[str, int, int] | None]] = queue.SimpleQueue()
+        self._futures: dict[int, Any] = {}
+
+    def __enter__(self) -> ClusterExecutor:
+        self._client.subscribe_topic(self._topic, self._note)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._client.cancel(list(self._futures.values()), force=True)
+        self._client.unsubscribe_topic(self._topic)
+
+    @property
+    def is_full(self) -> bool:
+        """Whether as many files are in work as may be."""
+        return self._at_once is not None and len(self._futures) >= self._at_once
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether any file is in work."""
+        return bool(self._futures)
+
+    def start(self, key: int, item: Item) -> None:
+        """Give a file to the scheduler."""
+        future = self._client.submit(
+            _do_on_worker, _portable(item), self._memory, self._topic, key, version("beltrami-cli"),
+            key=f"{self._topic}-{key}", pure=False,
+        )  # fmt: skip
+        self._futures[key] = future
+        future.add_done_callback(partial(self._end, key))
+
+    def events(self, items: Callable[[int], Item]) -> Iterator[tuple[int, Attempt | tuple[str, int, int]]]:
+        """Wait, and give for a key either its progress or its result."""
+        try:
+            key, progress = self._events.get(timeout=_POLL)
+        except queue.Empty:
+            if self._client.status != "running" and self._client.status != "connecting":
+                for key in list(self._futures):
+                    yield key, self._lost(key, items(key), LOST)
+            return
+        if key not in self._futures:
+            return
+        yield key, progress or self._attempt(key, items(key))
+
+    def _attempt(self, key: int, item: Item) -> Attempt:
+        from distributed import CancelledError, KilledWorker
+
+        future = self._futures[key]
+        try:
+            attempt: Attempt = future.result(timeout=60)
+        except KilledWorker as error:
+            # The last of them died with this file in work: it may be what they died of.
+            cause = f"every worker that had it in work died, the last one at {error.last_worker.address}"
+            return self._lost(key, item, f"{cause}; there may be too little memory")
+        except CancelledError:
+            return self._lost(key, item, f"{LOST}, or the work was cancelled there")
+        except Exception as error:
+            return self._lost(key, item, " ".join(f"{type(error).__name__}: {error}".split()))
+        del self._futures[key]
+        sent = _portable(item)
+        outcome = dataclasses.replace(
+            attempt.outcome,
+            input=item.source,
+            output=item.target,
+            parameters_sha256=item.parameters,
+            error=attempt.outcome.error.replace(sent.source, item.source).replace(sent.target, item.target),
+        )
+        return dataclasses.replace(attempt, outcome=outcome)
+
+    def _lost(self, key: int, item: Item, cause: str) -> Attempt:
+        del self._futures[key]
+        return Attempt(failed(item, f"{item.source}: {cause}", 1))
+
+    def _note(self, event: tuple[float, list[Any]]) -> None:
+        key, label, done, total = event[1]
+        self._events.put((key, (label, done, total)))
+
+    def _end(self, key: int, future: Any) -> None:
+        self._events.put((key, None))
+
+
+def _portable(item: Item) -> Item:
+    """Return the item with paths that mean the same everywhere, if the files are on shared storage."""
+    settings = item.settings
+    guides = tuple(_absolute(guide) for guide in settings.embedding.guides)
+    image = dataclasses.replace(
+        settings.image,
+        **{name: _absolute(getattr(settings.image, name)) for name in ("height", "positions", "mask")},
+    )
+    level_set = dataclasses.replace(settings.level_set, colours=_absolute(settings.level_set.colours))
+    return dataclasses.replace(
+        item,
+        source=item.source if is_url(item.source) else str(Path(item.source).absolute()),
+        target=place_of(item.target),
+        settings=dataclasses.replace(
+            settings,
+            embedding=dataclasses.replace(settings.embedding, guides=guides),
+            image=image,
+            level_set=level_set,
+        ),
+    )
+
+
+def _absolute(value: Any) -> Any:
+    """Return the absolute path where a setting names a file."""
+    return str(Path(value).absolute()) if isinstance(value, str) and Path(value).is_file() else value
+
+
+# ---- on a worker
+
+
+class _Cancelled(BaseException):
+    """The result is no longer wanted."""
+
+
+def _do_on_worker(item: Item, memory: int | None, topic: str, key: int, client_version: str) -> Attempt:
+    """Smooth one file in the process of a worker; progress goes to `topic`.
+
+    `memory` (bytes) None: the worker's share of its own limit.
+    """
+    from distributed import get_client, get_worker
+
+    worker = get_worker()
+    if version("beltrami-cli") != client_version:  # which might not give the same bytes
+        cause = f"the worker {worker.address} has version {version('beltrami-cli')}"
+        error = f"{item.source}: {cause}, not {client_version}; install the same everywhere"
+        return Attempt(failed(item, error, 1))
+    # A worker that died may have written the file already, which was not there when the item was given out.
+    client, place = get_client(), [topic, str(key)]
+    again = client.get_metadata(place, default=None) is not None
+    client.set_metadata(place, worker.address)
+    limit = worker.memory_manager.memory_limit
+    if memory is None and limit:
+        memory = limit // worker.state.nthreads
+    last, task = 0.0, worker.get_current_task()
+
+    def progress(label: str, done: int, total: int) -> None:
+        nonlocal last
+        if time.monotonic() - last < _PAUSE:
+            return
+        last = time.monotonic()
+        state = worker.state.tasks.get(task)
+        if state is None or state.state == "cancelled":
+            raise _Cancelled
+        worker.log_event(topic, [key, label, done, total])
+
+    own = dataclasses.replace(item, overwrite=item.overwrite or again)
+    # Threads share the memory of a process, which can then not be limited for one of them.
+    try:
+        return do_item(own, memory, progress, is_alone=worker.state.nthreads == 1)
+    except _Cancelled:
+        return Attempt(failed(item, f"{item.source}: given up", 1))

@@ -1,0 +1,235 @@
+"""Partitions of one surface on the workers of a Dask scheduler.
+
+Between iterations each borrows values from others, from worker to worker. If a worker dies, what it held is gone, and
+the surface is begun again on the others.
+"""
+
+from __future__ import annotations
+
+import queue
+import threading
+import time
+from dataclasses import dataclass
+from importlib.metadata import version
+from typing import TYPE_CHECKING, Any
+
+from beltrami_cli.batch.cluster_connection import LOST
+from beltrami_cli.batch.item import Attempt, do_item
+from beltrami_cli.errors import ProcessingError
+from beltrami_cli.flow.partitions import (
+    Advance,
+    Joined,
+    TooNarrowError,
+    collect,
+    in_partitions,
+    joined,
+    plan_loans,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from beltrami_cli.batch.item import Item
+    from beltrami_cli.flow.partitions import Loan, Partition
+
+_TRIES = 5  # of a surface, after workers died
+_PAUSE = 0.1  # seconds between two messages on progress
+_GRACE = 5.0  # seconds that a file has to end when it is given up
+
+
+class _Cancelled(BaseException):
+    """The result is no longer wanted."""
+
+
+class PartitionExecutor:
+    """Reads, cuts, joins and writes one file at a time here, and has its partitions smoothed by workers; an `Executor`.
+
+    Every surface is cut into `count` partitions. `memory` is for a file on this machine, in bytes.
+    """
+
+    queues = False
+    threads: int | None = None
+
+    def __init__(self, client: Any, count: int, memory: int | None) -> None:
+        self._runner, self._count, self._memory = ClusterRunner(client), count, memory
+        self._events: queue.SimpleQueue[tuple[int, Attempt | tuple[str, int, int]]] = queue.SimpleQueue()
+        self._thread: threading.Thread | None = None
+        self._ended = threading.Event()
+
+    def __enter__(self) -> PartitionExecutor:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._ended.set()
+        if self._thread is not None:
+            self._thread.join(_GRACE)  # it waits for workers, of which there may be none
+
+    @property
+    def is_full(self) -> bool:
+        """Whether a file is in work."""
+        return self._thread is not None
+
+    @property
+    def is_busy(self) -> bool:
+        """The same."""
+        return self._thread is not None
+
+    def start(self, key: int, item: Item) -> None:
+        """Begin with a file, in a thread, so that its progress can be shown."""
+        self._thread = threading.Thread(target=self._do, args=(key, item), daemon=True)
+        self._thread.start()
+
+    def events(self, items: Callable[[int], Item]) -> Iterator[tuple[int, Attempt | tuple[str, int, int]]]:
+        """Wait, and give for a key either its progress or its result."""
+        key, event = self._events.get()
+        if isinstance(event, Attempt) and self._thread is not None:
+            self._thread.join()
+            self._thread = None
+        yield key, event
+
+    def _do(self, key: int, item: Item) -> None:
+        last = 0.0
+
+        def progress(label: str, done: int, total: int) -> None:
+            nonlocal last
+            if self._ended.is_set():
+                raise _Cancelled
+            if time.monotonic() - last >= _PAUSE:
+                last = time.monotonic()
+                self._events.put((key, (label, done, total)))
+
+        try:
+            with in_partitions(self._count, self._runner):
+                self._events.put((key, do_item(item, self._memory, progress, is_alone=False)))
+        except _Cancelled:
+            pass
+
+
+@dataclass(frozen=True)
+class _Portion:
+    """A partition, what it borrows, and the version of the program that cut it, as they are sent to a worker."""
+
+    partition: Partition
+    loans: list[Loan]
+    version: str
+
+
+class ClusterRunner:
+    """Runs partitions on workers; a `Runner`, which raises ProcessingError if workers die again and again."""
+
+    def __init__(self, client: Any) -> None:
+        self._client = client
+
+    def run(
+        self,
+        partitions: Sequence[Partition],
+        values: NDArray[np.float32],
+        iterations: int,
+        progress: Callable[[int, int], None] | None,
+    ) -> Joined:
+        """Run all iterations, as `Runner` says."""
+        from distributed import CancelledError, KilledWorker
+
+        for _ in range(_TRIES):
+            self._require_scheduler(None)
+            try:
+                return self._run(partitions, values, iterations, progress)
+            except (CancelledError, KilledWorker) as error:
+                last = error
+            except Exception as error:  # many kinds, as Dask itself is not ready for it everywhere
+                self._require_scheduler(error)
+                raise
+        cause = " ".join(str(last).split())
+        raise ProcessingError(
+            f"workers died {_TRIES} times with pieces of the surface ({cause}); there may be too little memory there"
+        )
+
+    def _require_scheduler(self, error: Exception | None) -> None:
+        if self._client.status != "running":
+            raise ProcessingError(LOST) from error
+
+    def _run(
+        self,
+        partitions: Sequence[Partition],
+        values: NDArray[np.float32],
+        iterations: int,
+        progress: Callable[[int, int], None] | None,
+    ) -> Joined:
+        places = self._choose_workers(len(partitions))
+        loans, own_version = plan_loans(partitions, len(values)), version("beltrami-cli")
+        sent, steps = [], []
+        for partition, plan, place in zip(partitions, loans, places, strict=True):
+            sent.append(self._send(_Portion(partition, plan, own_version), place))
+            steps.append(self._send(Advance(values[partition.owned], 0, 0), place))
+        samples, truncated = 0.0, 0
+        for iteration in range(iterations):
+            # Small arrays, so that a worker is sent no more of a partition than it needs.
+            lent = [[self._submit(_lend, steps[loan.lender], loan.rows) for loan in plan] for plan in loans]
+            steps = [
+                self._submit(
+                    _advance, sent[number], steps[number], lent[number], iteration, values.shape[1],
+                    workers=[places[number]], allow_other_workers=True,
+                )
+                for number in range(len(partitions))
+            ]  # fmt: skip
+            counts = self._wait(steps, iteration, iterations, progress)
+            samples += sum(each[0] for each in counts)
+            truncated += sum(each[1] for each in counts)
+        own = self._client.gather([self._submit(_values, step) for step in steps])
+        return Joined(joined(partitions, own, values), samples, truncated)
+
+    def _wait(
+        self,
+        steps: Sequence[Any],
+        iteration: int,
+        iterations: int,
+        progress: Callable[[int, int], None] | None,
+    ) -> list[tuple[float, int]]:
+        """Wait for an iteration; return the samples held and the kernels cut short of every partition."""
+        from distributed import as_completed
+
+        counts = [self._submit(_counts, step) for step in steps]
+        for number, (_, (_, _, is_exact)) in enumerate(
+            as_completed(counts, with_results=True, loop=self._client.loop), 1
+        ):
+            if not is_exact:
+                raise TooNarrowError
+            if progress is not None:
+                progress(iteration * len(steps) + number, iterations * len(steps))
+        return [(samples, truncated) for samples, truncated, _ in self._client.gather(counts)]
+
+    def _choose_workers(self, count: int) -> list[str]:
+        """Choose a worker for every partition, each in turn."""
+        self._client.wait_for_workers(1)
+        workers = sorted(self._client.nthreads())
+        return [workers[number % len(workers)] for number in range(count)]
+
+    def _send(self, value: Any, place: str) -> Any:
+        return self._client.scatter(value, workers=[place], hash=False)
+
+    def _submit(self, function: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
+        return self._client.submit(function, *arguments, pure=False, **options)
+
+
+def _advance(
+    sent: _Portion, step: Advance, lent: list[NDArray[np.float32]], iteration: int, width: int
+) -> Advance:
+    if version("beltrami-cli") != sent.version:
+        raise ProcessingError(f"a worker has version {version('beltrami-cli')}, not {sent.version}")
+    borrowed = collect(sent.loans, lent, width)
+    return sent.partition.advance(step.values, borrowed, iteration, sent.partition.threads or 1)
+
+
+def _lend(step: Advance, rows: NDArray[np.int64]) -> NDArray[np.float32]:
+    return step.values[rows]
+
+
+def _counts(step: Advance) -> tuple[float, int, bool]:
+    return step.samples, step.truncated, step.is_exact
+
+
+def _values(step: Advance) -> NDArray[np.float32]:
+    return step.values

@@ -1,0 +1,164 @@
+"""One file of a batch: what is to be done, doing it, and what came of it."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import os
+import time
+import traceback
+from dataclasses import dataclass, field
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from beltrami_cli.batch.storage import hash_at, is_url, staged
+from beltrami_cli.errors import BeltramiError, InputError
+from beltrami_cli.formats.access import Access
+from beltrami_cli.jobs.memory import limited_memory
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from beltrami_cli.samples.settings.bake import BakeSettings
+    from beltrami_cli.samples.settings.smooth import SmoothSettings
+
+    Progress = Callable[[str, int, int], None]
+    """Called with a label, the work done and the work to do."""
+
+Status = Literal["started", "done", "skipped", "failed", "not started"]
+
+
+@dataclass(frozen=True)
+class Item:
+    """A file to be smoothed; it can be sent to another process."""
+
+    source: str
+    target: str
+    settings: SmoothSettings
+    unwrap: BakeSettings | None = None
+    outside: bool = False
+    """Whether files are followed that the model names beyond its own folder."""
+    overwrite: bool = False
+
+    @property
+    def parameters(self) -> str:
+        """Hash of all that the result depends on besides the files: the settings and the version of this program."""
+        settings = dataclasses.asdict(self.settings)
+        del settings["kernel"]["threads"]  # the result is the same for any number
+        unwrap = None if self.unwrap is None else dataclasses.asdict(self.unwrap)
+        everything = [version("beltrami-cli"), settings, unwrap, self.outside]
+        return hashlib.sha256(json.dumps(everything, sort_keys=True).encode()).hexdigest()
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of one file; as JSON it is a line of the record."""
+
+    input: str
+    output: str
+    status: Status
+    """"skipped": what an earlier run did still holds."""
+    parameters_sha256: str = ""
+    time: float = field(default_factory=time.time)
+    """When this was written, in seconds since 1970."""
+    seconds: float = 0.0
+    error: str = ""
+    exit_code: int = 0
+    """That of `beltrami smooth` for the same file."""
+    read: dict[str, str] = field(default_factory=dict)
+    """SHA-256 of every file that was read, by its name; likewise `written`."""
+    written: dict[str, str] = field(default_factory=dict)
+    report: dict[str, object] | None = None
+    """The report of `beltrami smooth`."""
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """What a worker answers: the outcome, whether more memory might help, and where an unforeseen error arose."""
+
+    outcome: Outcome
+    wants_memory: bool = False
+    traceback: str = ""
+
+
+def outcome_of(item: Item, status: Status, **values: Any) -> Outcome:
+    """Return an outcome with the names and parameters of an item."""
+    return Outcome(item.source, item.target, status, parameters_sha256=item.parameters, **values)
+
+
+def failed(item: Item, error: str, exit_code: int, seconds: float = 0.0) -> Outcome:
+    """Return the outcome of an item that failed."""
+    return outcome_of(item, "failed", seconds=round(seconds, 3), error=error, exit_code=exit_code)
+
+
+def do_item(
+    item: Item, memory: int | None, progress: Progress | None = None, *, is_alone: bool = True
+) -> Attempt:
+    """Smooth one file within `memory` bytes; any failure of the file is returned, not raised.
+
+    `is_alone`: the process does nothing else, so its memory can be limited. Otherwise only what can be refused
+    beforehand is refused.
+    """
+    start = time.monotonic()
+    try:
+        with limited_memory(memory if is_alone else None, item.source):
+            at_urls = is_url(item.source) or is_url(item.target)
+            done = (_done_at_urls if at_urls else _done)(item, memory, progress)
+        return Attempt(dataclasses.replace(done, seconds=round(time.monotonic() - start, 3)))
+    except BeltramiError as error:
+        # Whatever refuses a file for want of memory names the option as the way out.
+        wants_memory = isinstance(error, InputError) and "--max-memory" in error.remedy
+        message = str(error)
+        if item.source not in message and item.target not in message:
+            message = f"{item.source}: {message}"
+        outcome = failed(item, message, error.exit_code, time.monotonic() - start)
+        return Attempt(outcome, wants_memory)
+    except Exception as error:  # even a mistake of ours is of this file only
+        cause = " ".join(f"{item.source}: unexpected error: {type(error).__name__}: {error}".split())
+        message = f"{cause}; run again with -vv and report it"
+        return Attempt(failed(item, message, 1, time.monotonic() - start), traceback=traceback.format_exc())
+
+
+def _done(item: Item, memory: int | None, progress: Progress | None) -> Outcome:
+    from beltrami_cli.jobs.smooth.file import smooth_file
+
+    read: dict[str, str] = {}
+
+    def note(path: Path, data: bytes) -> None:
+        read[str(path.absolute())] = hashlib.sha256(data).hexdigest()
+
+    report = smooth_file(
+        item.source, item.target, item.settings, unwrap=item.unwrap, overwrite=item.overwrite,
+        progress=progress, access=Access(outside=item.outside, memory=memory, note=note),
+    )  # fmt: skip
+    written = _hashes(item.target, report.written[1:])
+    return outcome_of(item, "done", read=read, written=written, report=dataclasses.asdict(report))
+
+
+def _done_at_urls(item: Item, memory: int | None, progress: Progress | None) -> Outcome:
+    from beltrami_cli.jobs.smooth.file import smooth_file
+
+    with staged(item.source, item.target) as stage:
+        try:
+            report = smooth_file(
+                stage.source, stage.target, item.settings, unwrap=item.unwrap,
+                overwrite=item.overwrite or is_url(item.target),
+                progress=progress, access=stage.access(item.outside, memory),
+            )  # fmt: skip
+        except BeltramiError as error:
+            error.args = (stage.with_original_names(str(error)),)
+            raise
+        beside = report.written[1:]
+        report = dataclasses.replace(
+            report, input=item.source, output=item.target, written=[item.target, *beside]
+        )
+        to_url = is_url(item.target)
+        written = stage.send(beside, item.overwrite) if to_url else _hashes(item.target, beside)
+        return outcome_of(item, "done", read=stage.read, written=written, report=dataclasses.asdict(report))
+
+
+def _hashes(target: str, beside: list[str]) -> dict[str, str]:
+    output = Path(os.path.realpath(target))
+    return {str(file): hash_at(str(file)) for file in [output, *(output.parent / name for name in beside)]}
