@@ -3,22 +3,13 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from pathlib import Path
 
 import numpy as np
 
-from formats.gltf_files import CODES, unpacked
+from formats.gltf_files import CODES
 
 WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 SIZES = {code: int(name[1]) for name, code in CODES.items()}
-
-
-def opened(path):
-    """Return the tree and the buffers of a file; None for those that have no bytes."""
-    path = Path(path)
-    files = {file.relative_to(path.parent).as_posix(): file.read_bytes() for file in path.parent.rglob("*.*")}
-    files |= {name.replace(" ", "%20"): data for name, data in files.items()}
-    return unpacked(path.read_bytes(), files)
 
 
 def json_differences(old, new, place=""):
@@ -80,7 +71,7 @@ def byte_differences(before, after):
 
     What nothing uses at the end of a buffer is padding, which may differ.
     """
-    (old, old_buffers), (_, new_buffers) = before, after
+    (old, old_buffers, *_), (_, new_buffers, *_) = before, after
     found = set()
     where = uses(old)
     for index, octets in enumerate(old_buffers):

@@ -2,25 +2,19 @@
 
 from __future__ import annotations
 
+import json
+
 import DracoPy
 import meshoptimizer
 import numpy as np
 
-from formats.gltf_files import Textured
+from formats.gltf_files import Textured, grid, numbers
 
 SIDE = 6
-ROWS, COLUMNS = np.divmod(np.arange(SIDE * SIDE), SIDE)
+COLUMNS, ROWS, FACES = grid(SIDE)
 GRID = np.stack([COLUMNS, ROWS, (ROWS * COLUMNS) % 3], axis=1).astype("<f4")
 UV = GRID[:, :2].astype("f8") / (SIDE - 1)
-CORNERS = np.array(
-    [
-        (a, b, c)
-        for row in range(SIDE - 1)
-        for first in range(row * SIDE, row * SIDE + SIDE - 1)
-        for a, b, c in ((first, first + 1, first + SIDE), (first + 1, first + SIDE + 1, first + SIDE))
-    ],
-    "<u4",
-)
+CORNERS = FACES.astype("<u4")
 DRACO = "KHR_draco_mesh_compression"
 
 
@@ -123,6 +117,24 @@ def packed_attribute(
 def padded(array):
     octets = np.ascontiguousarray(array).view(np.uint8).reshape(len(array), -1)
     return np.pad(octets, ((0, 0), (0, -octets.shape[1] % 4)))
+
+
+def decompressed(tree, buffers):
+    """Return the stored numbers of all accessors, whose views are compressed without filters, by the library itself."""
+    tree, buffers = json.loads(json.dumps(tree)), list(buffers)
+    for view in tree["bufferViews"]:
+        for packed in view.get("extensions", {}).values():
+            start, count, stride = packed["byteOffset"], packed["count"], packed["byteStride"]
+            data = bytes(buffers[packed["buffer"]][start : start + packed["byteLength"]])
+            if packed["mode"] == "ATTRIBUTES":
+                octets = meshoptimizer.decode_vertex_buffer(
+                    count, stride, data, np.dtype(f"V{stride}")
+                ).tobytes()
+            else:
+                octets = meshoptimizer.decode_index_buffer(count, 4, data).astype(f"<u{stride}").tobytes()
+            view |= {"buffer": len(buffers), "byteOffset": 0}
+            buffers.append(octets)
+    return [numbers(tree, buffers, index) for index in range(len(tree["accessors"]))]
 
 
 def meshopt_model(colours, *, indices="<u2", mode="TRIANGLES", **more):

@@ -1,13 +1,16 @@
-"""glTF files made byte by byte for tests, and a plain reader that shares no code with the package."""
+"""glTF files made byte by byte for tests, and a plain reader that shares no code with the package's."""
 
 from __future__ import annotations
 
 import base64
+import contextlib
 import json
 import struct
 from pathlib import Path
 
 import numpy as np
+
+from beltrami_cli.errors import InputError
 
 CODES = {"i1": 5120, "u1": 5121, "i2": 5122, "u2": 5123, "u4": 5125, "f4": 5126}
 TYPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
@@ -162,6 +165,14 @@ def unpacked(data, files=None):
     return tree, buffers
 
 
+def opened(path):
+    """Return the tree and the buffers of a file, and the files beside it by the URIs that may name them."""
+    path = Path(path)
+    files = {file.relative_to(path.parent).as_posix(): file.read_bytes() for file in path.parent.rglob("*.*")}
+    files |= {name.replace(" ", "%20"): data for name, data in files.items()}
+    return *unpacked(path.read_bytes(), files), files
+
+
 def numbers(tree, buffers, index):
     """Return the stored numbers of an accessor, element by element."""
     accessor = tree["accessors"][index]
@@ -186,9 +197,30 @@ def numbers(tree, buffers, index):
     return found
 
 
+def grid(side):
+    """Return the columns and rows of the vertices of a grid, and its triangles."""
+    rows, columns = np.divmod(np.arange(side * side), side)
+    first = np.arange(side * (side - 1)).reshape(-1, side)[:, :-1].ravel()
+    lower = np.stack([first, first + 1, first + side], axis=1)
+    upper = np.stack([first + 1, first + side + 1, first + side], axis=1)
+    return columns, rows, np.stack([lower, upper], axis=1).reshape(-1, 3)
+
+
 def gltf_files(folder):
     """Return the glTF files in a folder and all below it."""
     return sorted(file for file in Path(folder).rglob("*") if file.suffix in (".glb", ".gltf"))
+
+
+@contextlib.contextmanager
+def only_input_errors():
+    """Allow input errors, whose message is one line, and no others."""
+    try:
+        yield
+    except InputError as error:
+        message = str(error)
+    else:
+        message = ""
+    assert "\n" not in message
 
 
 def joined(written):

@@ -7,7 +7,7 @@ import json
 import numpy as np
 
 from beltrami_cli.surface.records import ImageFile
-from formats.gltf_files import JPEG, PNG, SLOT_PATHS, WEBP, Textured, joined, picture, unpacked
+from formats.gltf_files import JPEG, PNG, SLOT_PATHS, WEBP, Textured, joined, opened, picture, unpacked
 
 HEADS = {".png": PNG, ".jpg": JPEG, ".webp": WEBP}
 MEDIA = {".png": "image/png", ".jpg": "image/jpeg", ".webp": "image/webp"}
@@ -35,8 +35,7 @@ def copied(document, source, folder):
 
 def shown(path):
     """Return the bytes that every textureInfo of a file shows, by material and slot, the plain way."""
-    files = {file.relative_to(path.parent).as_posix(): file.read_bytes() for file in path.parent.rglob("*.*")}
-    tree, buffers = unpacked(path.read_bytes(), files)
+    tree, buffers, files = opened(path)
     found = {}
     for number, material in enumerate(tree.get("materials", [])):
         for slot, keys in SLOT_PATHS.items():
@@ -61,16 +60,12 @@ def image_bytes(tree, buffers, files, index):
         return buffers[view["buffer"]][start : start + view["byteLength"]]
     if image["uri"].startswith("data:"):
         return unpacked(json.dumps({"buffers": [{"uri": image["uri"], "byteLength": 1}]}).encode())[1][0]
-    return files[image["uri"].replace("%20", " ")]
+    return files[image["uri"]]
 
 
 def check_rest(source, path):
     """What is neither an image nor a texture is the same, and every other view holds the same bytes."""
-    trees = []
-    for file in (source, path):
-        files = {f.relative_to(file.parent).as_posix(): f.read_bytes() for f in file.parent.rglob("*.*")}
-        trees.append(unpacked(file.read_bytes(), files))
-    (old, old_buffers), (new, new_buffers) = trees
+    (old, old_buffers, _), (new, new_buffers, _) = opened(source), opened(path)
     pictures = {image.get("bufferView") for image in old["images"]}
     assert all(view["byteOffset"] % 4 == 0 for view in new["bufferViews"][len(old["bufferViews"]) :])
     for index, view in enumerate(old["bufferViews"]):

@@ -4,22 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from formats.gltf_files import Textured
+from formats.gltf_files import Textured, grid
 from formats.image_files import encode, noise
 
 SIDE = 5
-ROWS, COLUMNS = np.divmod(np.arange(SIDE * SIDE), SIDE)
+COLUMNS, ROWS, FACES = grid(SIDE)
 GRID = np.stack([COLUMNS, ROWS, np.sin(COLUMNS)], axis=1).astype("<f4")
 UV = np.ascontiguousarray(GRID[:, :2] / (SIDE - 1))
-CORNERS = np.array(
-    [
-        (a, b, c)
-        for row in range(SIDE - 1)
-        for first in range(row * SIDE, row * SIDE + SIDE - 1)
-        for a, b, c in ((first, first + 1, first + SIDE), (first + 1, first + SIDE + 1, first + SIDE))
-    ],
-    "<u2",
-)
+CORNERS = FACES.astype("<u2")
 STRIP = np.concatenate(
     [[first, first + SIDE] for first in range(SIDE)] + [[2 * SIDE - 1, SIDE]]
     + [[first + SIDE, first + 2 * SIDE] for first in range(SIDE)]
