@@ -13,27 +13,29 @@ from beltrami_cli.batch.item import Outcome
 from beltrami_cli.batch.storage import exists, hash_at, is_url, place_of
 from beltrami_cli.errors import InputError, OutputError
 from beltrami_cli.formats.document import Written
-from beltrami_cli.jobs.writing.output import Output
+from beltrami_cli.jobs.writing.output import Output, Overwrite
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from beltrami_cli.batch.item import Item
 
+_HEAD = re.compile(rb'\{"input": ".*", "output": ".*", "status": "')
 _TEMPORARY = re.compile(r"\..+\.[0-9a-f]{12}\.tmp")  # as `replacing.temporary_beside` names them
 
 
 class Record:
     """A report as it grows: a line when a file is started, and one when it is finished.
 
-    `resume`: go on from what is there; InputError if that cannot be read. `overwrite`: replace it.
+    `resume`: go on from what is there; InputError if that cannot be read.
+    `overwrite`: replace it, or only another record ("own").
     """
 
-    def __init__(self, path: str, *, resume: bool, overwrite: bool) -> None:
+    def __init__(self, path: str, *, resume: bool, overwrite: Overwrite) -> None:
         self.path = path
         if not resume and not overwrite and Path(path).exists():
             raise OutputError(path, "exists already", "--resume goes on from it, --overwrite starts anew")
-        self._output = Output(path, overwrite=resume or overwrite, what="report")
+        self._output = Output(path, overwrite=resume or overwrite, what="report", is_own=_is_record)
         self._latest = _read(path) if resume and Path(path).exists() else {}
         self.close([])  # without the line that the end of a run cut off
         self._output.overwrite = True  # from now on it is ours
@@ -89,6 +91,10 @@ def remove_leftovers(outcome: Outcome | None) -> None:
     for path in folder.glob(".*.tmp"):
         if _TEMPORARY.fullmatch(path.name) and path.stat().st_mtime >= outcome.time - 1:
             path.unlink(missing_ok=True)
+
+
+def _is_record(head: bytes) -> bool:
+    return _HEAD.match(head) is not None
 
 
 def _holds(hashes: dict[str, str]) -> bool:

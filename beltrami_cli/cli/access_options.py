@@ -6,6 +6,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 import click
+from click.core import ParameterSource
 
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.registry import OUTPUT_FORMATS
@@ -14,6 +15,8 @@ from beltrami_cli.samples.settings.smooth import IMAGE_FORMATS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
+
+    from beltrami_cli.jobs.writing.output import Overwrite
 
 
 def _size(context: click.Context, parameter: click.Parameter, text: str | None) -> int | None:
@@ -49,6 +52,16 @@ quiet = click.option("-q", "--quiet", is_flag=True, help="Print nothing but erro
 verbose = click.option(
     "-v", "--verbose", count=True, help="Print what is done; twice: also where an error arose."
 )
+
+
+def overwrite_at(option: str, *, overwrite: bool) -> Overwrite:
+    """Tell whether the file that an option names may be replaced.
+
+    One that this program did not write may be only if the command line itself names it and says --overwrite.
+    """
+    sources = [click.get_current_context().get_parameter_source(name) for name in (option, "overwrite")]
+    is_direct = all(source is ParameterSource.COMMANDLINE for source in sources)
+    return "own" if overwrite and not is_direct else overwrite
 
 
 def reading(command: Callable[..., Any]) -> Callable[..., Any]:

@@ -139,7 +139,9 @@ def command(
     ):
         outcomes = run_batch(
             jobs,
-            Record(path, resume=resume, overwrite=overwrite),  # once there is somebody to do anything
+            Record(
+                path, resume=resume, overwrite=options.overwrite_at("report_path", overwrite=overwrite)
+            ),  # once there is somebody to do anything
             display,
             at_once=at_once or KernelParameters().thread_count,
             memory=max_memory or memory_of_machine(),

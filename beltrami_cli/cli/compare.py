@@ -70,7 +70,11 @@ _COLUMNS = (
     metavar="OUT.png|OUT.ply",
     help="Draw where colours differ: a picture, or a mesh of vertices.",
 )
-@click.option("--overwrite", is_flag=True, help="Replace the map if it exists.")
+@click.option(
+    "--overwrite",
+    is_flag=True,
+    help="Replace the map if it exists; what is no map, only if --map is given beside it.",
+)
 @options.reading
 @options.quiet
 @options.verbose
@@ -108,7 +112,7 @@ def command(
             settings,
             weights=weights,
             map_to=map_to,
-            overwrite=overwrite,
+            overwrite=options.overwrite_at("map_to", overwrite=overwrite),
             access=access,
         )
     if as_json:

@@ -10,6 +10,7 @@ from beltrami_cli.cli import surface_options as surface
 from beltrami_cli.cli.access_options import (
     output_format,
     overwrite,
+    overwrite_at,
     quiet,
     reading,
     reading_from,
@@ -57,6 +58,7 @@ __all__ = [
     "names_in",
     "output_format",
     "overwrite",
+    "overwrite_at",
     "padding",
     "quiet",
     "reading",

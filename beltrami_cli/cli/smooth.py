@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.access import Access
     from beltrami_cli.jobs.smooth.report import SmoothReport
     from beltrami_cli.jobs.writing.files import FileSet
-    from beltrami_cli.jobs.writing.output import Output
+    from beltrami_cli.jobs.writing.output import Output, Overwrite
     from beltrami_cli.samples.settings.smooth import SmoothSettings
     from beltrami_cli.view.render import Preview
 
@@ -61,11 +61,14 @@ with --beta. If edges soften, raise --beta, or say --strength gentle; if noise s
 @options.overwrite
 @click.option("--dry-run", is_flag=True, help="Compute and report, but write no OUTPUT.")
 @click.option(
-    "--report", "report_path", metavar="FILE.json", help="Write parameters, counts, timings and changes."
-)
+    "--report", "report_path", metavar="FILE.json",
+    help="Write parameters, counts, timings and changes. --overwrite replaces what is no report only if this option is "
+    "on the command line, too.",
+)  # fmt: skip
 @click.option(
     "--preview", "preview_path", metavar="FILE.png",
-    help="Draw INPUT and OUTPUT side by side, with a detail; `beltrami render` draws others.",
+    help="Draw INPUT and OUTPUT side by side, with a detail; `beltrami render` draws others. It replaces files as "
+    "--report does.",
 )  # fmt: skip
 @options.quiet
 @options.verbose
@@ -109,11 +112,16 @@ def command(
     ):
         preview, report_file = None, None
         if report_path is not None:
-            report_file = _open_report(report_path, overwrite, files)
+            report_file = _open_report(
+                report_path, options.overwrite_at("report_path", overwrite=overwrite), files
+            )
         if preview_path is not None:
             if dry_run:
                 raise UsageError("--preview draws OUTPUT, which --dry-run does not write")
-            preview = _open_preview(preview_path, source, target, settings, access, overwrite, files)
+            preview = _open_preview(
+                preview_path, source, target, settings, access,
+                options.overwrite_at("preview_path", overwrite=overwrite), files,
+            )  # fmt: skip
         report = smooth_file(
             source,
             target,
@@ -137,13 +145,14 @@ def command(
     tell(messages, report, dry_run=dry_run)
 
 
-def _open_report(path: str, overwrite: bool, files: FileSet) -> Output:
+def _open_report(path: str, overwrite: Overwrite, files: FileSet) -> Output:
     """Check that a report can be written before anything is computed."""
+    from beltrami_cli.jobs.smooth.report import is_report
     from beltrami_cli.jobs.writing.output import Output
 
     if path == "-":
         raise OutputError(path, "the report is a file; standard output is for OUTPUT", "name a file")
-    return Output(path, overwrite=overwrite, what="report", files=files)
+    return Output(path, overwrite=overwrite, what="report", is_own=is_report, files=files)
 
 
 def _open_preview(
@@ -152,7 +161,7 @@ def _open_preview(
     target: str,
     settings: SmoothSettings,
     access: Access,
-    overwrite: bool,
+    overwrite: Overwrite,
     files: FileSet,
 ) -> Preview:
     """Check that a preview can be drawn before anything is computed."""

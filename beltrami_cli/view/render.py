@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,7 +12,7 @@ from beltrami_cli.formats.document import Written
 from beltrami_cli.formats.image import format_of_suffix, write_image
 from beltrami_cli.formats.image.picture import new_picture
 from beltrami_cli.formats.image.recognition import is_image
-from beltrami_cli.jobs.writing.output import Output
+from beltrami_cli.jobs.writing.output import Output, Overwrite
 from beltrami_cli.view.drawing import draw_views
 from beltrami_cli.view.settings import DEFAULT_RENDER, MOST_PIXELS, Crop, RenderSettings
 from beltrami_cli.view.tracing import require_embree
@@ -27,6 +28,10 @@ if TYPE_CHECKING:
     from beltrami_cli.samples.settings.smooth import SmoothSettings
     from beltrami_cli.view.drawing import Progress
 
+# A preview has no mark, and its bytes shall stay. But all have this head: their size, 8 bits of RGB, and no metadata.
+_SIZE = (1288, 1013)
+_PNG = struct.pack(">8sI4sIIBBBBB", b"\x89PNG\r\n\x1a\n", 13, b"IHDR", *_SIZE, 8, 2, 0, 0, 0)
+_KIND = slice(37, 41)  # of the second block of a PNG file
 _HEAD = 1 << 16  # bytes that distinguish images from other files
 
 
@@ -65,12 +70,12 @@ class Preview:
         settings: SmoothSettings,
         access: Access,
         *,
-        overwrite: bool,
+        overwrite: Overwrite,
         files: FileSet,
     ) -> None:
         if "-" in (source, target):
             raise UsageError("--preview draws INPUT and OUTPUT, which must be files and not pipes")
-        self._output = Output(path, overwrite=overwrite, what="preview", files=files)
+        self._output = Output(path, overwrite=overwrite, what="preview", is_own=is_preview, files=files)
         self._suffix = picture_suffix(path)
         self._source, self._target = source, target
         self._reading, self._access = settings, access
@@ -88,6 +93,11 @@ class Preview:
         after = open_view(self._target, self._looks, self._output.files.with_staged(self._access))
         picture = draw_views([before, after], ["before", "after"], self._looks)
         self._output.write(encoded(picture, self._output.target, self._suffix))
+
+
+def is_preview(head: bytes) -> bool:
+    """Tell by its first bytes whether a file can be a preview, as PNG."""
+    return head.startswith(_PNG) and head[_KIND] == b"IDAT"
 
 
 def picture_suffix(target: str, others: str = "") -> str:

@@ -12,10 +12,10 @@ from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access, read_source
 from beltrami_cli.formats.image.recognition import is_image
 from beltrami_cli.formats.registry import kind_of
 from beltrami_cli.jobs.compare.figures import Limits, Verdict, check_limits, figures
-from beltrami_cli.jobs.compare.map import draw_map, require_map
+from beltrami_cli.jobs.compare.map import draw_map, is_map, require_map
 from beltrami_cli.jobs.compare.parts import compare_images, compare_textures, compare_vertices
 from beltrami_cli.jobs.opening import document_from, refuse_options_of_level_sets
-from beltrami_cli.jobs.writing.output import Output
+from beltrami_cli.jobs.writing.output import Output, Overwrite
 from beltrami_cli.samples.memory_check import require_room_for_textures
 from beltrami_cli.samples.selection import choose_work
 from beltrami_cli.samples.settings.level_set import LevelSetSettings
@@ -54,7 +54,7 @@ def compare_files(
     *,
     weights: Weights = "uniform",
     map_to: str | os.PathLike[str] | None = None,
-    overwrite: bool = False,
+    overwrite: Overwrite = False,
     access: Access = EVERYTHING_INSIDE,
 ) -> Comparison:
     """Compare the colours of two files of one model, or of two images."""
@@ -65,7 +65,7 @@ def compare_files(
     output = None
     if target is not None:
         require_map(target)
-        output = Output(target, overwrite=overwrite, what="map", reads=names)
+        output = Output(target, overwrite=overwrite, what="map", is_own=is_map, reads=names)
         output.files.guard(settings.files_besides())
         access = output.files.watching(access)
     parts, model, notices = _compare(names, settings, weights, access)

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 # The brightest colour stands for this Delta E 2000 at least: 1 can hardly be seen.
 _LEAST = 1.0
 _GAP = 8  # pixels between images
+_SCALAR = b"\nproperty uchar blue\nproperty float "  # of the header, where the numbers follow the colours
 _SUFFIXES = (".ply", *IMAGE_SUFFIXES)
 
 
@@ -30,6 +31,11 @@ def require_map(target: str) -> None:
     """Raise UsageError if the name of a map ends in no format that one is drawn in."""
     if Path(target).suffix.lower() not in _SUFFIXES:
         raise UsageError(f"{target}: a map is drawn as .png, or of vertices as .ply; end the name in one")
+
+
+def is_map(head: bytes) -> bool:
+    """Tell by its first bytes whether a file is a map of vertices; pictures have no mark."""
+    return head.startswith(b"ply\n") and _SCALAR in head.partition(b"end_header\n")[0]
 
 
 def draw_map(parts: Sequence[ComparedColours], model: Document | None, target: str) -> tuple[Written, float]:

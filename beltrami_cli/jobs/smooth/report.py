@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
+
+_HEAD = re.compile(rb'\{\n  "input": ".*",\n  "output": ".*",\n  "format": "\w+",\n  "parameters": \{')
 
 if TYPE_CHECKING:
     from beltrami_cli.samples.textures.smooth import SlotReport
@@ -126,3 +129,8 @@ class SmoothReport:
     written: list[str]
     warnings: list[str]
     image: ImageReport | None = None
+
+
+def is_report(head: bytes) -> bool:
+    """Tell by its first bytes whether a file is a `SmoothReport` as JSON."""
+    return _HEAD.match(head) is not None

@@ -7,22 +7,27 @@ import os
 import stat
 import sys
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from beltrami_cli.errors import OutputError
 from beltrami_cli.jobs.writing.files import FileSet
 from beltrami_cli.jobs.writing.replacing import check_writable
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Callable, Iterable, Iterator
 
     from beltrami_cli.formats.document import Bytes, Written
+
+# "own": only files that this program wrote, as far as that can be seen in them.
+Overwrite = bool | Literal["own"]
+_HEAD = 1 << 16  # bytes in which it is seen
 
 
 class Output:
     """Where a result, a report or a picture goes: `target` is a path, or "-" for standard output.
 
     `what` it is, for messages: OUTPUT may replace the file that it was made of, all else replaces nothing that is read.
+    `is_own` recognises what this program wrote by its first bytes, for `overwrite="own"`.
     `files` is the set that it belongs to, which somebody else puts in place; without one, `write` does so at once.
     OutputError if it exists and must not be replaced, or its folder cannot be written to.
     """
@@ -31,13 +36,14 @@ class Output:
         self,
         target: str,
         *,
-        overwrite: bool,
+        overwrite: Overwrite,
         is_text: bool = False,
         what: str = "OUTPUT",
+        is_own: Callable[[bytes], bool] = lambda head: False,
         files: FileSet | None = None,
         reads: Iterable[str] = (),
     ) -> None:
-        self.target, self.overwrite, self.what = target, overwrite, what
+        self.target, self.overwrite, self.what = target, bool(overwrite), what
         self.is_result = what == "OUTPUT"
         self.is_stdout = target == "-"
         # A link is followed, so that what it points to is replaced and the link stays.
@@ -54,6 +60,8 @@ class Output:
                 )
         elif not self.is_device:
             self._check_file(self.path)
+            if overwrite == "own":
+                self._require_own(is_own)
             self._check_folder()
 
     def paths(self) -> Iterator[tuple[str, Path]]:
@@ -133,6 +141,19 @@ class Output:
             raise OutputError(name, "is a folder", "name a file")
         if exists and not self.overwrite:
             raise OutputError(name, "exists already", "choose another name, or --overwrite")
+
+    def _require_own(self, is_own: Callable[[bytes], bool]) -> None:
+        try:
+            with self.path.open("rb") as file:
+                head = file.read(_HEAD)
+        except FileNotFoundError:
+            return
+        except OSError:
+            head = b"?"
+        if head and not is_own(head):
+            cause = f"exists, and is no {self.what} of this program as far as can be seen"
+            remedy = "choose another name, or give it on the command line together with --overwrite"
+            raise OutputError(self.target, cause, remedy)
 
     def _check_folder(self) -> None:
         folder = self._named(self.path.parent)

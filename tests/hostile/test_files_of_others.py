@@ -1,0 +1,92 @@
+"""A report, preview or map replaces a file of others only if it and `--overwrite` are both on the command line."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+from typing import TYPE_CHECKING
+
+import pytest
+
+from beltrami_cli.jobs.compare.map import is_map
+from beltrami_cli.jobs.smooth.report import is_report
+from beltrami_cli.view.render import is_preview
+from cli.commands import COMMAND, SAMPLES, beltrami
+from hostile.folders import snapshot
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+NOISY = SAMPLES / "nonmanifold-noisy.ply"
+QUICK = ("-n", "1", "--fast")
+SMOOTH = ("smooth", NOISY, "out.ply", *QUICK)
+COMPARE = ("compare", NOISY, NOISY)
+BATCH = ("batch", NOISY, "--out-dir", "out", *QUICK)
+NAMED = {
+    "report": (SMOOTH, "BELTRAMI_SMOOTH_REPORT", "file.json"),
+    "preview": (SMOOTH, "BELTRAMI_SMOOTH_PREVIEW", "file.png"),
+    "map": (COMPARE, "BELTRAMI_COMPARE_MAP", "file.ply"),
+    "record": (BATCH, "BELTRAMI_BATCH_REPORT", "file.jsonl"),
+}
+OPTIONS = {"report": "--report", "preview": "--preview", "map": "--map", "record": "--report"}
+
+
+def run(folder: Path, *arguments: object, **variables: str) -> subprocess.CompletedProcess[bytes]:
+    return subprocess.run(
+        [*COMMAND, *map(str, arguments)], cwd=folder, env={**os.environ, **variables}, capture_output=True,
+        check=False, timeout=120,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", NAMED)
+def test_a_file_of_others_is_replaced_only_if_the_command_line_names_it(kind: str, tmp_path: Path) -> None:
+    arguments, variable, name = NAMED[kind]
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out.ply").write_text("old")
+    file = tmp_path / name
+    file.write_text("precious")
+    before = snapshot(tmp_path)
+    table = f"[{arguments[0]}]\n{variable.rpartition('_')[2].lower()} = {json.dumps(name)}\n"
+    configuration = tmp_path.parent / f"{tmp_path.name}.toml"
+    configuration.write_text(table)
+    overwriting = {variable.rpartition("_")[0] + "_OVERWRITE": "1"}
+    for given, variables in (
+        (("--overwrite",), {variable: name}),
+        ((OPTIONS[kind], name), overwriting),
+        ((), {variable: name, **overwriting}),
+        (("--overwrite",), {"BELTRAMI_CONFIG": str(configuration)}),
+    ):
+        done = run(tmp_path, *arguments, *given, **variables)
+        assert (done.returncode, done.stderr.count(b"\n")) == (4, 1), done.stderr
+        assert b"no " in done.stderr
+        assert b"--overwrite" in done.stderr
+        assert snapshot(tmp_path) == before
+    done = run(tmp_path, *arguments, OPTIONS[kind], name, "--overwrite")
+    assert done.returncode == 0, done.stderr
+    assert file.read_bytes()[:8] != b"precious"
+    # From now on it is one of ours.
+    again = run(tmp_path, *arguments, "--overwrite", **{variable: name})
+    assert again.returncode == 0, again.stderr
+    file.write_bytes(b"")  # in which nothing can be lost
+    assert run(tmp_path, *arguments, "--overwrite", **{variable: name}).returncode == 0
+    assert file.stat().st_size
+    assert (
+        run(tmp_path, *arguments, **{variable: name}).returncode == 4
+    )  # without --overwrite nothing is replaced
+
+
+def test_what_is_like_one_of_ours_is_not_taken_for_one(tmp_path: Path) -> None:
+    shutil.copy(NOISY, tmp_path / "in.ply")
+    shutil.copy(SAMPLES / "mirrored-noisy.png", tmp_path / "photo.png")
+    for source, target in (("in.ply", "out.ply"), ("photo.png", "out.png")):
+        said = beltrami("smooth", source, target, *QUICK, "--preview", f"{target}.png", cwd=tmp_path)
+        assert said.returncode == 0, said.stderr
+        assert is_preview((tmp_path / f"{target}.png").read_bytes())
+    for name in ("photo.png", "out.png", "in.ply"):
+        head = (tmp_path / name).read_bytes()
+        assert not is_preview(head)
+        assert not is_map(head)
+    for text in ("{}", '{\n  "input": "a"\n}', "[]", "# ~/.bashrc", '{"input": "a", "output": "b"}'):
+        assert not is_report(text.encode())
