@@ -22,7 +22,7 @@ def group_equal_rows(*columns: NDArray[Any]) -> tuple[NDArray[np.int32], NDArray
     words = [_as_words(column) for column in columns]
     hashed = np.zeros(len(words[0]), np.uint64)
     for word in words:
-        hashed = _mix(hashed ^ word)
+        hashed = mix_bits(hashed ^ word)
     ascending = np.sort(hashed)
     if not np.any(ascending[1:] == ascending[:-1]):  # as in most files; to sort alone is quick
         every = np.arange(len(hashed), dtype=np.int32)
@@ -80,7 +80,8 @@ def _as_words(column: NDArray[Any]) -> NDArray[np.uint64]:
     return column.astype(np.int64).view(np.uint64)
 
 
-def _mix(word: NDArray[np.uint64]) -> NDArray[np.uint64]:
+def mix_bits(word: NDArray[np.uint64]) -> NDArray[np.uint64]:
+    """Scatter the bits of words, each to another word."""
     word = word + _INCREMENT
     word = (word ^ (word >> np.uint64(30))) * _MIX_1
     word = (word ^ (word >> np.uint64(27))) * _MIX_2

@@ -60,7 +60,7 @@ def test_smooth_colours_go_to_a_texture_and_come_back(extension, sphere, tmp_pat
     assert painted.stored == "uint8"
     assert len(painted.faces) == len(old.faces)
     assert np.abs(places - old_places).max() < 1e-6
-    # The bound of tests/sampling/test_bake.py, and three roundings to 8 bits.
+    # The bound of tests/surface/test_bake.py, and three roundings to 8 bits.
     edge = surfaces.mean_edge_length(old.positions, old.faces)
     assert np.abs(colours - old_colours).max() < 1.6 * edge**2 / 2 + 1.5 / 255
 

@@ -58,11 +58,11 @@ def test_a_file_is_equal_to_itself(name, similarity):
     limits = Limits(min_psnr=200, min_ssim=similarity, max_delta_e=0, max_seam_jump=0)
     comparison = compare_files(SAMPLES / name, SAMPLES / name, limits)
     assert comparison.passed
-    for told in (*comparison.parts, comparison.overall):
-        assert told["samples"] > 0
-        assert told["psnr"] is None
-        assert told["delta_e"] == {"mean": 0, "p95": 0, "worst": 0}
-        assert told["worst"]["error"] == 0
+    for compared in (*comparison.parts, comparison.overall):
+        assert compared["samples"] > 0
+        assert compared["psnr"] is None
+        assert compared["delta_e"] == {"mean": 0, "p95": 0, "worst": 0}
+        assert compared["worst"]["error"] == 0
 
 
 def test_an_offset_has_the_psnr_that_it_has(tmp_path):
@@ -70,10 +70,10 @@ def test_an_offset_has_the_psnr_that_it_has(tmp_path):
     one, other = picture(tmp_path / "a.png", pixels), picture(tmp_path / "b.png", pixels + 5)
     assert compare_files(one, other).overall["psnr"] == pytest.approx(psnr_of(5 / 255), abs=1e-4)
     one, other = board(tmp_path / "a.obj"), board(tmp_path / "b.obj", 655)
-    told = compare_files(one, other)
-    assert told.overall["psnr"] == pytest.approx(psnr_of(655 / 65535), abs=1e-4)
-    assert told.overall["near_seams"]["psnr"] == pytest.approx(told.overall["psnr"], abs=1e-4)
-    assert told.overall["seam_jump"]["change"] == pytest.approx(0, abs=1e-6)
+    compared = compare_files(one, other)
+    assert compared.overall["psnr"] == pytest.approx(psnr_of(655 / 65535), abs=1e-4)
+    assert compared.overall["near_seams"]["psnr"] == pytest.approx(compared.overall["psnr"], abs=1e-4)
+    assert compared.overall["seam_jump"]["change"] == pytest.approx(0, abs=1e-6)
 
 
 def test_one_wrong_vertex_is_found_and_counts_by_its_area(tmp_path):
@@ -81,10 +81,10 @@ def test_one_wrong_vertex_is_found_and_counts_by_its_area(tmp_path):
     colours = document.painted().colours.copy()
     colours[77, 1] = 1 - colours[77, 1]
     (tmp_path / "t.ply").write_bytes(b"".join(document.patch(colours, "t", moved=True).main))
-    told = compare_files(SAMPLES / "terrain-clean.ply", tmp_path / "t.ply")
-    error = told.overall["worst"]["error"]
-    assert told.overall["worst"]["vertex"] == 77
-    assert told.overall["psnr"] == pytest.approx(psnr_of(error / (3 * len(colours)) ** 0.5), abs=1e-3)
+    compared = compare_files(SAMPLES / "terrain-clean.ply", tmp_path / "t.ply")
+    error = compared.overall["worst"]["error"]
+    assert compared.overall["worst"]["vertex"] == 77
+    assert compared.overall["psnr"] == pytest.approx(psnr_of(error / (3 * len(colours)) ** 0.5), abs=1e-3)
     positions, faces = document.painted().positions, document.painted().faces
     sides = positions[faces[:, 1:]] - positions[faces[:, :1]]
     areas = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
@@ -99,9 +99,9 @@ def test_background_and_gutter_do_not_count(tmp_path):
     pixels = file.read_image("uint16")
     pixels[painted(np.ones((SIDE, SIDE, 3), np.uint16)) == 0] = 65535
     picture(other.with_suffix(".png"), pixels)
-    told = compare_files(one, other)
-    assert told.overall["psnr"] is None
-    assert told.overall["samples"] == SIDE**2
+    compared = compare_files(one, other)
+    assert compared.overall["psnr"] is None
+    assert compared.overall["samples"] == SIDE**2
 
 
 def test_a_step_at_seams_is_found_where_the_psnr_is_high(tmp_path):
@@ -110,11 +110,11 @@ def test_a_step_at_seams_is_found_where_the_psnr_is_high(tmp_path):
     step = 514 * (2 * parity - 1)[..., None]
     one, other = board(tmp_path / "a.obj"), board(tmp_path / "b.obj", step)
     limits = Limits(min_psnr=40, max_delta_e=2, max_seam_jump=2 / 255)
-    told = compare_files(one, other, limits)
-    assert told.overall["psnr"] == pytest.approx(psnr_of(2 / 255), abs=1e-3)
-    assert told.overall["seam_jump"]["change"] == pytest.approx(4 / 255, rel=1e-3)
-    assert [verdict.limit for verdict in told.limits if not verdict.kept] == ["max_seam_jump"]
-    assert not told.passed
+    compared = compare_files(one, other, limits)
+    assert compared.overall["psnr"] == pytest.approx(psnr_of(2 / 255), abs=1e-3)
+    assert compared.overall["seam_jump"]["change"] == pytest.approx(4 / 255, rel=1e-3)
+    assert [verdict.limit for verdict in compared.limits if not verdict.kept] == ["max_seam_jump"]
+    assert not compared.passed
 
 
 def test_a_limit_holds_for_each_texture_alone(tmp_path):
@@ -124,12 +124,12 @@ def test_a_limit_holds_for_each_texture_alone(tmp_path):
     path = tmp_path / "m" / "torus-two-clean-dough.png"
     pixels = OpenImageIO.ImageInput.open(str(path)).read_image("uint8")
     picture(path, pixels ^ 8)
-    told = compare_files(
+    compared = compare_files(
         SAMPLES / "torus-two-clean.gltf", tmp_path / "m" / "torus-two-clean.gltf", Limits(min_psnr=31)
     )
-    assert [verdict.kept for verdict in told.limits] == [True, False]
-    assert told.parts[1]["psnr"] == pytest.approx(psnr_of(8 / 255), abs=1e-3)
-    assert told.overall["psnr"] > 31
+    assert [verdict.kept for verdict in compared.limits] == [True, False]
+    assert compared.parts[1]["psnr"] == pytest.approx(psnr_of(8 / 255), abs=1e-3)
+    assert compared.overall["psnr"] > 31
 
 
 def test_formats_and_encodings_may_differ(tmp_path):
@@ -143,8 +143,8 @@ def test_a_level_set_is_compared_with_its_mesh(tmp_path):
     pytest.importorskip("skimage")
     source = sphere_file(tmp_path, 0.25)
     noise_file(source, tmp_path / "m.ply", NoiseSettings(0.1))
-    told = compare_files(source, tmp_path / "m.ply")
-    assert told.overall["psnr"] == pytest.approx(20, abs=1)
+    compared = compare_files(source, tmp_path / "m.ply")
+    assert compared.overall["psnr"] == pytest.approx(20, abs=1)
 
 
 @pytest.mark.parametrize(
@@ -194,15 +194,15 @@ def test_json_and_map(tmp_path):
     drawn = tmp_path / "map.png"
     run = beltrami("compare", CLEAN, NOISY, "--json", "--map", drawn, "--max-delta-e", 1, "--min-ssim", 0.1)
     assert run.returncode == 1
-    told = json.loads(run.stdout)
-    assert set(told) == {
+    compared = json.loads(run.stdout)
+    assert set(compared) == {
         *("reference", "test", "weights", "space", "parts", "overall"),
         *("limits", "passed", "map_scale", "notices"),
     }
     figures = {"samples", "psnr", "ssim", "delta_e", "worst", "near_seams", "seam_jump"}
-    assert set(told["overall"]) == figures
-    assert set(told["parts"][0]) == {"name", "kind", *figures}
-    assert [(limit["limit"], limit["kept"]) for limit in told["limits"]] == [
+    assert set(compared["overall"]) == figures
+    assert set(compared["parts"][0]) == {"name", "kind", *figures}
+    assert [(limit["limit"], limit["kept"]) for limit in compared["limits"]] == [
         ("min_ssim", True),
         ("max_delta_e", False),
     ]
@@ -210,18 +210,18 @@ def test_json_and_map(tmp_path):
     pixels = file.read_image("uint8").astype(int)
     assert pixels.shape == (416, 416, 3)
     coloured = np.ptp(pixels, axis=2) > 0
-    assert np.count_nonzero(coloured) == pytest.approx(told["overall"]["samples"], rel=0.01)
-    worst = told["overall"]["delta_e"]["worst"]
-    assert told["map_scale"] == pytest.approx(worst)
+    assert np.count_nonzero(coloured) == pytest.approx(compared["overall"]["samples"], rel=0.01)
+    worst = compared["overall"]["delta_e"]["worst"]
+    assert compared["map_scale"] == pytest.approx(worst)
 
 
 def test_vertices_are_drawn_as_a_mesh_with_their_differences(tmp_path):
     noise_file(SAMPLES / "knot-clean.ply", tmp_path / "n.ply", NoiseSettings(0.1))
     drawn = tmp_path / "map.ply"
-    told = compare_files(SAMPLES / "knot-clean.ply", tmp_path / "n.ply", map_to=drawn)
+    compared = compare_files(SAMPLES / "knot-clean.ply", tmp_path / "n.ply", map_to=drawn)
     document = open_document(str(drawn))
     found = document.attribute("delta_e")[:, 0]
-    assert found.mean() == pytest.approx(told.overall["delta_e"]["mean"], rel=1e-5)
+    assert found.mean() == pytest.approx(compared.overall["delta_e"]["mean"], rel=1e-5)
     lightness = document.painted().colours.sum(axis=1)
     assert lightness[found.argmax()] > lightness[found.argmin()] + 0.5
     with pytest.raises(UsageError, match=r"\.ply"):
@@ -286,9 +286,9 @@ def test_a_limit_must_be_measured_for_every_part(tmp_path):
 
 def test_where_no_seam_is_nothing_jumps_and_a_seam_that_cannot_be_measured_is_no_success(tmp_path):
     one = picture(tmp_path / "a.png", np.full((20, 20, 3), 9, np.uint8))
-    told = compare_files(one, one, Limits(max_seam_jump=0.0))
-    assert told.passed
-    assert "--max-seam-jump is kept" in told.notices[0]
+    compared = compare_files(one, one, Limits(max_seam_jump=0.0))
+    assert compared.passed
+    assert "--max-seam-jump is kept" in compared.notices[0]
     part = {"name": "narrow", "samples": 4, "near_seams": {"samples": 4}, "seam_jump": None}
     with pytest.raises(InputError, match="--max-seam-jump cannot be tested"):
         check_limits([part], Limits(max_seam_jump=1.0), "t.obj")

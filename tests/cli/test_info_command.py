@@ -1,4 +1,4 @@
-"""`beltrami info` tells what is there and what smoothing would do."""
+"""`beltrami info` describes what is there and what smoothing would do."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ def info(name, *options):
 
 
 def test_a_non_manifold_mesh_is_described():
-    told = info("nonmanifold-clean.ply")["surface"]
-    assert told["non_manifold_edges"] > 0
-    assert told["isolated_vertices"] == 1
-    assert told["duplicate_faces"] == 1
-    assert told["degenerate_faces"] == 1
-    assert told["hard_edge_samples"] > 0
+    facts = info("nonmanifold-clean.ply")["surface"]
+    assert facts["non_manifold_edges"] > 0
+    assert facts["isolated_vertices"] == 1
+    assert facts["duplicate_faces"] == 1
+    assert facts["degenerate_faces"] == 1
+    assert facts["hard_edge_samples"] > 0
 
 
 def test_a_closed_mesh_has_no_boundary_and_an_open_one_has():
@@ -33,12 +33,12 @@ def test_a_closed_mesh_has_no_boundary_and_an_open_one_has():
 
 @pytest.mark.parametrize("extension", ["ply", "obj", "glb"])
 def test_the_same_mesh_is_the_same_surface_in_every_format(extension):
-    told, reference = info(f"terrain-clean.{extension}")["surface"], info("terrain-clean.ply")["surface"]
+    facts, reference = info(f"terrain-clean.{extension}")["surface"], info("terrain-clean.ply")["surface"]
     for key in ("samples", "triangles", "edges", "boundary_edges", "isolated_vertices"):
-        assert told[key] == reference[key]
+        assert facts[key] == reference[key]
 
 
-def test_noise_is_told_in_units_of_full_scale():
+def test_noise_is_in_units_of_full_scale():
     noisy, clean = info("head-noisy.ply")["noise"], info("head-clean.ply")["noise"]
     for channel in ("red", "green", "blue"):
         # Clipping takes some away, the pattern adds some.
@@ -46,19 +46,19 @@ def test_noise_is_told_in_units_of_full_scale():
         assert clean[channel] < 3 / 255
 
 
-def test_a_larger_time_step_is_told_to_hold_more_samples():
+def test_a_larger_time_step_holds_more_samples():
     few, many = info("head-noisy.ply", "-t", "0.5")["smooth"], info("head-noisy.ply", "-t", "5")["smooth"]
     assert many["samples_per_kernel"] > 1.5 * few["samples_per_kernel"]
 
 
-def test_what_is_told_for_people_has_the_same_sections():
+def test_the_text_has_the_same_sections():
     run = beltrami("info", SAMPLES / "head-noisy.ply")
     for section in ("file", "colours", "surface", "noise", "smooth"):
         assert f"\n{section}\n" in f"\n{run.stdout.decode()}"
     assert run.stderr == b""
 
 
-def test_what_is_told_for_people_of_textures_says_what_would_be_chosen_and_how_sure_that_is():
+def test_the_text_on_textures_says_what_would_be_chosen_and_how_sure_that_is():
     noisy = beltrami("info", SAMPLES / "torus-two-noisy.gltf").stdout.decode()
     # Noise as `beltrami noise --sigma` takes it.
     (icing,) = re.findall(
@@ -83,8 +83,8 @@ def test_each_of_several_textures_has_its_own_noise_charts_and_pitch(tmp_path):
     for name in ("torus-two-noisy.gltf", "torus-two-noisy.bin", "torus-two-noisy-icing.png"):
         shutil.copy(SAMPLES / name, tmp_path)
     shutil.copy(SAMPLES / "torus-two-clean-dough.png", tmp_path / "torus-two-noisy-dough.png")
-    told = info(tmp_path / "torus-two-noisy.gltf", "--fast")
-    (slot,) = told["textures"]
+    facts = info(tmp_path / "torus-two-noisy.gltf", "--fast")
+    (slot,) = facts["textures"]
     icing, dough = slot["images"]
     assert min(icing["noise"].values()) > 15 / 255
     assert max(dough["noise"].values()) < 3 / 255
@@ -95,7 +95,7 @@ def test_each_of_several_textures_has_its_own_noise_charts_and_pitch(tmp_path):
     assert min(icing["pitch"], dough["pitch"]) <= slot["pitch"] <= max(icing["pitch"], dough["pitch"])
 
 
-def test_overlap_is_told_of_the_texture_that_has_it(tmp_path):
+def test_overlap_is_counted_for_the_texture_that_has_it(tmp_path):
     shutil.copy(SAMPLES / "mirrored-noisy.png", tmp_path / "shared.png")
     shutil.copy(SAMPLES / "mirrored-noisy.png", tmp_path / "own.png")
     (tmp_path / "both.mtl").write_text("newmtl one\nmap_Kd shared.png\nnewmtl other\nmap_Kd own.png\n")
@@ -121,7 +121,7 @@ def test_the_mesh_under_textures_is_described():
     assert closed["vertices"] - closed["coincident_vertices"] - closed["edges"] + closed["triangles"] == 2
 
 
-def test_textures_in_other_slots_are_told_of(tmp_path):
+def test_textures_in_other_slots_are_named(tmp_path):
     model = json.loads((SAMPLES / "torus-two-noisy.gltf").read_text())
     model["materials"][0]["emissiveTexture"] = {"index": 0}
     for name in ("torus-two-noisy.bin", "torus-two-noisy-icing.png", "torus-two-noisy-dough.png"):
@@ -142,14 +142,14 @@ def test_vertex_colours_beside_textures_are_described_and_said_to_stay(tmp_path)
     ]
     properties += ["float s", "float t"]
     header = "ply\nformat ascii 1.0\ncomment TextureFile scan-noisy.jpg\nelement vertex 4\n"
-    header += "".join(f"property {told}\n" for told in properties)
+    header += "".join(f"property {facts}\n" for facts in properties)
     header += "element face 1\nproperty list uchar int vertex_indices\nend_header\n"
     (tmp_path / "both.ply").write_text(header + corners + "4 0 1 2 3\n")
-    told = info(tmp_path / "both.ply", "--fast")
-    assert told["colours"]["greatest"] == pytest.approx([60 / 255, 90 / 255, 200 / 255])
-    assert told["surface"]["triangles"] == 2
-    assert "smooth" not in told
-    assert told["textures"][0]["images"][0]["name"] == "scan-noisy.jpg"
-    assert "--on both" in told["notices"][0]
+    facts = info(tmp_path / "both.ply", "--fast")
+    assert facts["colours"]["greatest"] == pytest.approx([60 / 255, 90 / 255, 200 / 255])
+    assert facts["surface"]["triangles"] == 2
+    assert "smooth" not in facts
+    assert facts["textures"][0]["images"][0]["name"] == "scan-noisy.jpg"
+    assert "--on both" in facts["notices"][0]
     assert "smooth" in info(tmp_path / "both.ply", "--fast", "--on", "both")
     assert "colours" not in info(tmp_path / "both.ply", "--fast", "--on", "texture")

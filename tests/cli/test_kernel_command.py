@@ -1,4 +1,4 @@
-"""`beltrami kernel` as a user runs it; what it writes is tested in tests/pipeline/test_kernel_file.py."""
+"""`beltrami kernel` as a user runs it; what it writes is tested in tests/jobs/test_kernel_file.py."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ def test_options_of_the_kernel_apply(tmp_path):
     assert run.returncode == 0, run.stderr
     facts = json.loads(target.read_text())
     assert (facts["t"], facts["beta"], facts["iteration"]) == (1.5, 0, 2)
-    told = run.stderr.decode()
-    assert told.startswith(f"{target}: kernel of the vertex 1234, {facts['samples']} samples")
-    assert "before: red" in told
+    printed = run.stderr.decode()
+    assert printed.startswith(f"{target}: kernel of the vertex 1234, {facts['samples']} samples")
+    assert "before: red" in printed
 
 
 def test_the_preset_is_the_papers(tmp_path):

@@ -1,4 +1,4 @@
-"""What one kernel is told to be is what smoothing averages by."""
+"""The kernel that is shown is what smoothing averages by."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def vertices_of(path):
     return trimesh.load(path, process=False).metadata["_ply_raw"]["vertex"]["data"]
 
 
-def study(source, at, tmp_path, settings=DEFAULTS, name="kernel.json", **options):
+def kernel_of(source, at, tmp_path, settings=DEFAULTS, name="kernel.json", **options):
     target = tmp_path / name
     kernel_file(source, target, at, settings, overwrite=True, **options)
     return json.loads(target.read_text()) if name.endswith(".json") else target
@@ -108,7 +108,7 @@ def mean_of(facts):
 @pytest.mark.parametrize("kernel", OF_VERTICES)
 def test_the_samples_of_a_vertex_give_what_smoothing_makes_of_it(kernel, folder, tmp_path):
     settings = as_data(OF_VERTICES[kernel])
-    facts = study(folder / "mesh.ply", "64", tmp_path, settings)
+    facts = kernel_of(folder / "mesh.ply", "64", tmp_path, settings)
     vertex = vertices_of(smoothed(folder / "mesh.ply", tmp_path / "out.ply", settings))[64]
     truth = [float(vertex[channel]) for channel in ("red", "green", "blue")]
     # float32 twice: what is stored, and the sums in the kernel.
@@ -121,7 +121,7 @@ def test_the_samples_of_a_range_image_give_what_smoothing_makes_of_it(kernel, fo
     settings = as_data(KERNELS[kernel])
     vertex = vertices_of(smoothed(folder / "range.ply", tmp_path / "out.ply", settings))[64]
     for at in ("64", f"{64 % 14},{64 // 14}"):
-        facts = study(folder / "range.ply", at, tmp_path, settings)
+        facts = kernel_of(folder / "range.ply", at, tmp_path, settings)
         assert facts["columns"]["vertex"][0] == 64
         truth = [float(vertex[channel]) for channel in ("red", "green", "blue")]
         np.testing.assert_allclose(mean_of(facts), truth, atol=1e-6)
@@ -134,7 +134,7 @@ def test_the_samples_of_a_pixel_give_what_smoothing_makes_of_it(kernel, surface,
     settings = as_data(KERNELS[kernel], **on)
     image = read_pixels(smoothed(folder / "image.exr", tmp_path / "out.exr", settings))
     for column, row in ((18, 11), (39, 0)):  # the second is in a corner, where the window is cut
-        facts = study(folder / "image.exr", f"{column},{row}", tmp_path, settings)
+        facts = kernel_of(folder / "image.exr", f"{column},{row}", tmp_path, settings)
         np.testing.assert_allclose(mean_of(facts), image[row, column], atol=1e-6)
         assert (facts["columns"]["x"][0], facts["columns"]["y"][0]) == (column, row)
         assert facts["unit_of_length"] == "pixel"
@@ -143,7 +143,7 @@ def test_the_samples_of_a_pixel_give_what_smoothing_makes_of_it(kernel, surface,
 @pytest.mark.parametrize("kernel", KERNELS)
 def test_the_samples_of_a_texel_give_what_smoothing_makes_of_it(kernel, tmp_path):
     source = SAMPLES / "head-tex-noisy.obj"
-    facts = study(source, "124px,124px", tmp_path, KERNELS[kernel])
+    facts = kernel_of(source, "124px,124px", tmp_path, KERNELS[kernel])
     smoothed(source, tmp_path / "out.obj", KERNELS[kernel])
     (image,) = tmp_path.glob("*.png")
     # The file has 8 bits.
@@ -153,7 +153,7 @@ def test_the_samples_of_a_texel_give_what_smoothing_makes_of_it(kernel, tmp_path
 def test_a_kernel_of_a_later_iteration_continues_those_before_it(folder, tmp_path):
     kernel = KernelParameters(iterations=3, beta=8.0, beta_growth=1.5, clipping="keep")
     settings = as_data(SmoothSettings(kernel))
-    facts = study(folder / "image.exr", "18,11", tmp_path, settings, iteration=3)
+    facts = kernel_of(folder / "image.exr", "18,11", tmp_path, settings, iteration=3)
     image = read_pixels(smoothed(folder / "image.exr", tmp_path / "out.exr", settings))
     np.testing.assert_allclose(mean_of(facts), image[11, 18], atol=1e-6)
     assert not facts["regularised_metric"]
@@ -162,8 +162,8 @@ def test_a_kernel_of_a_later_iteration_continues_those_before_it(folder, tmp_pat
 
 def test_a_kernel_that_is_cut_short_says_so(tmp_path):
     few = SmoothSettings(KernelParameters(beta=0.0, max_samples=20))
-    assert study(HEAD, "1234", tmp_path, few)["cut_short"]
-    assert not study(HEAD, "1234", tmp_path)["cut_short"]
+    assert kernel_of(HEAD, "1234", tmp_path, few)["cut_short"]
+    assert not kernel_of(HEAD, "1234", tmp_path)["cut_short"]
 
 
 @pytest.mark.parametrize(
@@ -173,7 +173,7 @@ def test_a_kernel_that_is_cut_short_says_so(tmp_path):
 )
 def test_weights_are_the_kernel_of_the_distances(source, at, tmp_path):
     settings = SmoothSettings(KernelParameters(t=1.7, threshold=0.05))
-    with np.load(study(source, at, tmp_path, settings, "kernel.npz")) as columns:
+    with np.load(kernel_of(source, at, tmp_path, settings, "kernel.npz")) as columns:
         distances, weights = columns["distance"].astype(float), columns["weight"]
         facts = json.loads(str(columns["facts"]))
     assert distances[0] == 0
@@ -185,8 +185,8 @@ def test_weights_are_the_kernel_of_the_distances(source, at, tmp_path):
 
 
 def test_a_mesh_to_look_at_holds_the_kernel_in_colours_and_its_surroundings_in_grey(tmp_path):
-    facts = study(HEAD, "1234", tmp_path, iteration=4)
-    rows = vertices_of(study(HEAD, "1234", tmp_path, name="kernel.ply", iteration=4))
+    facts = kernel_of(HEAD, "1234", tmp_path, iteration=4)
+    rows = vertices_of(kernel_of(HEAD, "1234", tmp_path, name="kernel.ply", iteration=4))
     held = np.isfinite(rows["distance"])
     assert 10 < np.count_nonzero(held) == facts["samples"] < len(rows)
     np.testing.assert_array_equal(np.sort(rows["distance"][held]), np.float32(facts["columns"]["distance"]))
@@ -199,26 +199,26 @@ def test_a_mesh_to_look_at_holds_the_kernel_in_colours_and_its_surroundings_in_g
 
 
 def test_the_whole_mesh_is_shown_on_demand(tmp_path):
-    whole = study(HEAD, "1234", tmp_path, name="whole.ply", whole=True)
+    whole = kernel_of(HEAD, "1234", tmp_path, name="whole.ply", whole=True)
     assert len(vertices_of(whole)) == len(vertices_of(HEAD))
 
 
 def test_a_position_chooses_the_vertex_nearest_to_it(tmp_path):
     row = vertices_of(HEAD)[1234]
     near = ",".join(str(float(row[axis]) + 1e-4) for axis in "xyz")
-    assert study(HEAD, near, tmp_path)["at"] == "vertex 1234"
+    assert kernel_of(HEAD, near, tmp_path)["at"] == "vertex 1234"
 
 
 def test_texture_coordinates_are_those_of_the_file(tmp_path):
     # glTF counts v from the upper side of the image, OBJ from the lower.
-    upper = study(TEXTURED, "0.3,0.2", tmp_path)["at"]
-    lower = study(SAMPLES / "head-tex-noisy.obj", "0.3,0.8", tmp_path)["at"]
+    upper = kernel_of(TEXTURED, "0.3,0.2", tmp_path)["at"]
+    lower = kernel_of(SAMPLES / "head-tex-noisy.obj", "0.3,0.8", tmp_path)["at"]
     assert upper.split()[1] == lower.split()[1]
 
 
 def test_a_picture_shows_painting_distances_and_weights_side_by_side(tmp_path):
-    facts = study(PICTURE, "100,300", tmp_path)
-    picture = read_pixels(study(PICTURE, "100,300", tmp_path, name="kernel.png"))
+    facts = kernel_of(PICTURE, "100,300", tmp_path)
+    picture = read_pixels(kernel_of(PICTURE, "100,300", tmp_path, name="kernel.png"))
     cells = 2 * (3 + 4) + 1  # the window of 7, and four beyond on each side
     side = len(picture)
     assert side % cells == 0
@@ -265,9 +265,9 @@ def test_places_that_are_none_are_usage_errors(source, at, target, words, tmp_pa
 def test_the_texel_that_an_error_proposes_has_a_kernel(tmp_path):
     with pytest.raises(UsageError) as raised:
         kernel_file(TEXTURED, tmp_path / "k.png", "0px,0px")
-    study(TEXTURED, str(raised.value).split("--at ")[-1], tmp_path)
+    kernel_of(TEXTURED, str(raised.value).split("--at ")[-1], tmp_path)
 
 
 def test_one_of_several_textures_is_chosen_by_a_glob(tmp_path):
-    facts = study(SEVERAL, "*icing*:0.3,0.3", tmp_path)
+    facts = kernel_of(SEVERAL, "*icing*:0.3,0.3", tmp_path)
     assert facts["columns"]["texture"][0] == "torus-two-noisy-icing.png"

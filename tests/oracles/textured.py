@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 
+from beltrami_cli.surface.atlas import HALO, OWNED
 from beltrami_cli.surface.records import Texture, TexturedSurface
 
 # The symmetries of the square, as matrices: rotations by 90 degrees, then the same mirrored.
@@ -34,6 +35,37 @@ def quads(columns, rows, side, flips):
             b, c, d = a + 1, a + columns + 1, a + columns + 2
             faces += [[a, b, d], [a, d, c]] if flips[row, column] else [[a, b, c], [b, d, c]]
     return positions.astype(float), np.array(faces, np.int32)
+
+
+def strips(spans, size, height=8):
+    """A plane cut in upright strips, each a chart from x to x in space, and from u to u in the image, in texels."""
+    positions, faces, corners = [], [], []
+    for (left, right), (first, last) in spans:
+        start = len(positions)
+        positions += [[left, 0, 0], [right, 0, 0], [right, height, 0], [left, height, 0]]
+        quad = np.array([[first, 4], [last, 4], [last, 4 + height], [first, 4 + height]], float)
+        faces += [[start, start + 1, start + 2], [start, start + 2, start + 3]]
+        corners += [quad[[0, 1, 2]], quad[[0, 2, 3]]]
+    return textured(positions, faces, corners, [size])
+
+
+def shown_texels(atlas):
+    """The texel that each cell of the canvas shows, for a halo cell the one that weighs most; -1 where it is empty."""
+    texel = np.full(atlas.kind.size, -1)
+    texel[atlas.owned_cells] = atlas.owned_texels
+    texel[atlas.halo_cells] = texel[atlas.halo_nearest]
+    return texel.reshape(atlas.kind.shape)
+
+
+def assert_sound(atlas, margin):
+    """Each covered texel is owned once, lists are those of the canvas, and its border is free of owned cells."""
+    flat = atlas.kind.reshape(-1)
+    assert np.array_equal(np.flatnonzero(flat == OWNED), atlas.owned_cells)
+    assert np.array_equal(np.flatnonzero(flat == HALO), atlas.halo_cells)
+    assert len(np.unique(atlas.owned_texels)) == len(atlas.owned_texels) == atlas.covered >= atlas.overlapped
+    outer = np.ones_like(atlas.kind, bool)
+    outer[margin:-margin, margin:-margin] = False
+    assert not (atlas.kind[outer] == OWNED).any()
 
 
 class CutPlane:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from beltrami_cli.surface.atlas import EMPTY, HALO, OWNED, build_atlas
-from oracles.textured import cube, quads, textured
+from oracles.textured import cube, quads, shown_texels, strips, textured
 
 RIGHT, BELOW = 0, 1
 
@@ -68,10 +68,7 @@ def test_nothing_is_beyond_an_open_boundary():
 def test_a_cylinder_is_periodic():
     atlas = build_atlas(cylinder(), [(42, 18)], 3)
     assert (atlas.charts, atlas.seams, atlas.seam_edges) == (1, 1, 1)
-    texels = np.full(atlas.kind.size, -1)
-    texels[atlas.owned_cells] = atlas.owned_texels
-    texels[atlas.halo_cells] = texels[atlas.halo_taps[:, 0]]
-    texels = texels.reshape(atlas.kind.shape)
+    texels = shown_texels(atlas)
     assert np.array_equal(atlas.halo_weights[:, 0], np.ones(8 * 6, np.float32))
     ring = texels[3:-3]
     assert np.array_equal(ring[:, :3], ring[:, 32:35])
@@ -106,10 +103,7 @@ def test_a_texture_that_tiles_needs_one_period_only_and_wraps():
     assert (atlas.charts, atlas.covered, atlas.overlapped) == (1, size * size, size * size)
     assert atlas.kind.shape == (size + 6, size + 6)
     assert (atlas.halo_seams == -1).all()
-    texels = np.full(atlas.kind.size, -1)
-    texels[atlas.owned_cells] = atlas.owned_texels
-    texels[atlas.halo_cells] = texels[atlas.halo_taps[:, 0]]
-    columns = texels.reshape(atlas.kind.shape)[8] % size
+    columns = shown_texels(atlas)[8] % size
     assert np.array_equal(np.diff(columns) % size, np.ones(size + 5))
     finite = atlas.squared_lengths[RIGHT][np.isfinite(atlas.squared_lengths[RIGHT])]
     assert np.allclose(finite, size**-2)
@@ -167,15 +161,8 @@ def test_vertices_are_joined_in_one_space_only():
 
 def test_the_walk_leads_over_charts_without_texels():
     """A strip thinner than a texel, in a chart of its own, lies between two squares."""
-    x = [0, 8, 8.125, 16.125]
-    positions = np.array([[a, b, 0] for b in (0, 8) for a in x], float)
-    faces, corners = [], []
-    for i, left in enumerate((4, 18.6, 30)):
-        faces += [[i, i + 1, i + 5], [i, i + 5, i + 4]]
-        right = left + x[i + 1] - x[i]
-        quad = np.array([[left, 4], [right, 4], [right, 12], [left, 12]])
-        corners += [quad[[0, 1, 2]], quad[[0, 2, 3]]]
-    atlas = build_atlas(textured(positions, faces, corners, [(48, 16)]), [(48, 16)], 3)
+    spans = [((0, 8), (4, 12)), ((8, 8.125), (18.6, 18.725)), ((8.125, 16.125), (30, 38))]
+    atlas = build_atlas(strips(spans, (48, 16)), [(48, 16)], 3)
     assert (atlas.charts, atlas.seams) == (3, 2)
     assert set(atlas.chart_of) == {0, 2}
     assert len(atlas.halo_cells) == 2 * 8 * 3

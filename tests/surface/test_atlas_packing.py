@@ -10,7 +10,7 @@ from beltrami_cli.surface.atlas import EMPTY, build_atlas
 from oracles.textured import quads, textured
 
 
-def strips(count, length=12, side=8):
+def stairs(count, length=12, side=8):
     """Charts aslant, as long as wide stairs of squares: their boxes are nearly empty."""
     positions, faces, corners = [], [], []
     square, (square_faces) = quads(1, 1, side, np.zeros((1, 1)))
@@ -26,7 +26,7 @@ def strips(count, length=12, side=8):
 
 @pytest.mark.parametrize("margin", [1, 3, 5])
 def test_charts_interlock_but_their_margins_do_not(margin):
-    surface, sizes = strips(9)
+    surface, sizes = stairs(9)
     atlas = build_atlas(surface, sizes, margin)
     assert (atlas.charts, atlas.overlapped) == (9, 0)
     near = np.zeros(atlas.kind.shape, int)
@@ -51,7 +51,7 @@ def test_charts_interlock_but_their_margins_do_not(margin):
 
 def test_texels_keep_their_neighbours_however_charts_are_packed():
     """The same chart alone, and among others that lie in its hollows."""
-    surface, sizes = strips(9)
+    surface, sizes = stairs(9)
     together = build_atlas(surface, sizes, 3)
     first = surface.positions[surface.faces[:, 0], 2] == 0
     alone = build_atlas(

@@ -1,26 +1,18 @@
-"""The halo where faces are thin in the image, or have no area there at all."""
+"""The halo where faces are thin or without area in the image; any triangles at all make a sound atlas."""
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from beltrami_cli.surface.atlas import build_atlas
-from oracles.textured import textured
+from beltrami_cli.surface.atlas import EMPTY, OWNED, build_atlas
+from oracles.textured import assert_sound, strips, textured
 
-MARGIN, HEIGHT = 3, 8
-
-
-def bands(spans):
-    """A plane cut in upright bands, each from x to x in space and from u to u in the image, in texels."""
-    positions, faces, corners = [], [], []
-    for (left, right), (first, last) in spans:
-        positions += [[left, 0, 0], [right, 0, 0], [right, HEIGHT, 0], [left, HEIGHT, 0]]
-        quad = np.array([[first, 4], [last, 4], [last, 4 + HEIGHT], [first, 4 + HEIGHT]], float)
-        start = len(positions) - 4
-        faces += [[start, start + 1, start + 2], [start, start + 2, start + 3]]
-        corners += [quad[[0, 1, 2]], quad[[0, 2, 3]]]
-    return textured(positions, faces, corners, [(64, 16)])
+MARGIN, HEIGHT, SIZE = 3, 8, (64, 16)
 
 
 def lengths_to_the_right(atlas):
@@ -48,7 +40,7 @@ def shown(atlas, place_of_column):
 def test_a_sliver_at_the_border_does_not_throw_the_halo_far_away():
     """The last fifth of a texel holds three texels' width of the surface; beyond it texels are as before."""
     atlas = build_atlas(
-        bands([((0, 13), (0, 13)), ((13, 16), (13, 13.2)), ((16, 40), (20, 44))]), [(64, 16)], MARGIN
+        strips([((0, 13), (0, 13)), ((13, 16), (13, 13.2)), ((16, 40), (20, 44))], SIZE), [SIZE], MARGIN
     )
     assert (atlas.charts, atlas.seams) == (2, 1)
     u, x = shown(atlas, lambda column: column + 0.5 - 4)
@@ -63,7 +55,7 @@ def test_a_sliver_at_the_border_does_not_throw_the_halo_far_away():
 def test_a_strip_without_area_in_the_image_shows_the_texels_that_it_is_painted_with(width):
     """All of the strip is painted with column 30 of the other chart, which lies far from it on the surface."""
     spans = [((0, 12), (0, 12)), ((12, 12 + width), (30.5, 30.5)), ((12 + width, 40), (20, 48 - width))]
-    atlas = build_atlas(bands(spans), [(64, 16)], MARGIN)
+    atlas = build_atlas(strips(spans, SIZE), [SIZE], MARGIN)
     u, x = shown(atlas, lambda column: column)
     assert len(u) == MARGIN * HEIGHT  # no gap
     over = u < 12 + width
@@ -74,6 +66,59 @@ def test_a_strip_without_area_in_the_image_shows_the_texels_that_it_is_painted_w
 def test_over_a_chart_too_small_for_texels_colours_come_from_beyond_it():
     """A strip that is three texels wide on the surface, but less than half of one in the image."""
     spans = [((0, 12), (0, 12)), ((12, 15), (55.05, 55.45)), ((15, 40), (20, 45))]
-    atlas = build_atlas(bands(spans), [(64, 16)], MARGIN)
+    atlas = build_atlas(strips(spans, SIZE), [SIZE], MARGIN)
     assert (atlas.charts, set(atlas.chart_of)) == (3, {0, 2})
     assert np.allclose(lengths_to_the_right(atlas), 1, atol=1e-5)  # no gap, and each at its own place
+
+
+@pytest.mark.parametrize(("slivers", "halo"), [(20, 2 * 8 * 3), (200, 0)])
+def test_slivers_at_a_seam_are_crossed_up_to_a_bound(slivers, halo):
+    """Two squares with thin strips between them, a quarter of a texel together, each a chart of its own."""
+    x = np.concatenate([[0.0], 8 + np.linspace(0, 0.25, slivers + 1), [16.25]])
+    # Strips stand where no texel has its centre.
+    first = np.array([4, *[16.6] * slivers, 24])
+    spans = zip(pairwise(x), zip(first, first + np.diff(x), strict=True), strict=True)
+    atlas = build_atlas(strips(spans, (40, 16)), [(40, 16)], 3)
+    assert atlas.covered == 2 * 64
+    assert len(atlas.halo_cells) == halo
+
+
+coordinates = st.one_of(
+    st.integers(-64, 64).map(lambda i: i / 2),
+    st.floats(-1, 33),
+    st.floats(-1e12, 1e12),
+    st.sampled_from((0.0, 1e-9, 8.0, np.inf, -np.inf, np.nan)),
+)
+
+
+@st.composite
+def soups(draw):
+    places, count = draw(st.integers(1, 8)), draw(st.integers(0, 12))
+    positions = draw(
+        st.lists(st.tuples(*[st.sampled_from((0.0, 1.0, 2.0, 1e-12))] * 3), min_size=places, max_size=places)
+    )
+    faces = draw(st.lists(st.tuples(*[st.integers(0, places - 1)] * 3), min_size=count, max_size=count))
+    corners = draw(st.lists(coordinates, min_size=6 * count, max_size=6 * count))
+    sizes = draw(st.lists(st.tuples(st.integers(1, 24), st.integers(1, 24)), min_size=1, max_size=2))
+    texture_of = draw(st.lists(st.integers(-1, len(sizes) - 1), min_size=count, max_size=count))
+    wrap = draw(st.tuples(*[st.sampled_from(("repeat", "mirror", "clamp"))] * 2))
+    return textured(positions, faces, corners, sizes, texture_of, wrap), sizes
+
+
+@given(soups(), st.integers(1, 7))
+@settings(max_examples=120, deadline=None)
+def test_every_covered_texel_is_owned_once_and_halos_draw_on_owned_cells(soup, margin):
+    surface, sizes = soup
+    atlas = build_atlas(surface, sizes, margin)
+    flat = atlas.kind.reshape(-1)
+    assert_sound(atlas, margin)
+    assert (flat[atlas.halo_taps] == OWNED).all()
+    assert (atlas.halo_weights >= 0).all()
+    assert np.allclose(atlas.halo_weights.sum(axis=1), 1, atol=1e-6)
+    assert np.isin(atlas.halo_seams, np.arange(-1, atlas.seams)).all()
+    lengths = atlas.squared_lengths
+    assert (lengths >= 0).all()
+    assert np.isinf(lengths[:, atlas.kind == EMPTY]).all()
+    outer = np.ones_like(atlas.kind, bool)
+    outer[margin:-margin, margin:-margin] = False
+    assert not (atlas.kind[outer] == OWNED).any()

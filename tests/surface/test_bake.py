@@ -1,4 +1,4 @@
-"""Baking and looking up: exact where it can be, first order elsewhere, and the same as by trying every texel."""
+"""Baking: exact where it can be, first order elsewhere, and the same as by trying every texel."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from beltrami_cli.surface.baking import bake, border_faces, cover, interpolated, overlap, texels_for_vertices
-from beltrami_cli.surface.lookup import look_up, noise_around
+from beltrami_cli.surface.lookup import look_up
 from beltrami_cli.surface.unwrap import unwrap
 from oracles import surfaces
 
@@ -141,40 +141,6 @@ def test_overlap_is_the_share_of_texels_at_several_places():
     assert overlap(uv, (64, 64)) == 0
     half = np.concatenate([uv * [0.5, 1], uv[:, :, ::-1] * [1, 1]])
     assert overlap(half, (64, 64)) == pytest.approx(0.5, abs=0.06)  # without the texels on edges
-
-
-@pytest.mark.parametrize("wrap", [CLAMP, ("repeat", "repeat"), ("mirror", "mirror"), ("repeat", "clamp")])
-def test_lookups_beyond_the_image_follow_the_wrap_mode(wrap):
-    random = np.random.default_rng(1)
-    image = random.random((5, 7, 2)).astype(np.float32)
-    modes = {"clamp": "edge", "repeat": "wrap", "mirror": "symmetric"}
-    padded = np.pad(image, ((15, 15), (0, 0), (0, 0)), modes[wrap[1]])
-    padded = np.pad(padded, ((0, 0), (21, 21), (0, 0)), modes[wrap[0]])
-    uv = random.uniform(-2.4, 3.4, (500, 2))
-    beside = (uv + 3) / 7  # the same place in the image that is continued
-    assert np.allclose(look_up(image, uv, wrap), look_up(padded, beside, CLAMP), atol=1e-6)
-
-
-def test_a_lookup_at_a_centre_gives_that_texel():
-    image = np.random.default_rng(2).random((4, 6, 3)).astype(np.float32)
-    y, x = np.mgrid[:4, :6]
-    uv = np.stack([(x + 0.5) / 6, (y + 0.5) / 4], axis=-1).reshape(-1, 2)
-    assert np.allclose(look_up(image, uv, CLAMP).reshape(image.shape), image, atol=1e-6)
-
-
-def test_invisible_texels_lend_no_colour():
-    image = np.array([[[0.2, 0.4, 0.6, 1.0], [9.0, 9.0, 9.0, 0.0]]], np.float32)
-    halfway = look_up(image, np.array([[0.5, 0.5]]), CLAMP, alpha=3)[0]
-    assert np.allclose(halfway, [0.2, 0.4, 0.6, 0.5])
-
-
-def test_noise_is_found_and_planes_have_none():
-    y, x = np.mgrid[:64, :64] / 64
-    plane = np.stack([x, y, x + y], axis=-1).astype(np.float32)
-    uv = np.random.default_rng(3).uniform(0.1, 0.9, (2000, 2))
-    assert np.abs(noise_around(plane, uv, CLAMP)).max() < 1e-5
-    noisy = plane + np.random.default_rng(4).normal(0, 0.05, plane.shape).astype(np.float32)
-    assert noise_around(noisy, uv, CLAMP).std() == pytest.approx(0.05, rel=0.1)
 
 
 def test_texels_half_as_long_as_edges_are_asked_for_in_any_unit():

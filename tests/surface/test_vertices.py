@@ -7,6 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import beltrami_cli
+from beltrami_cli.surface import grouping
 from beltrami_cli.surface.grouping import group_equal_rows
 from beltrami_cli.surface.records import PaintedVertices
 from beltrami_cli.surface.vertex_sampling import sample_vertices
@@ -41,9 +42,7 @@ def test_equal_rows_are_numbered_in_the_order_of_their_first(rows):
 
 
 def test_rows_with_equal_hashes_are_told_apart(monkeypatch):
-    from beltrami_cli.surface import grouping
-
-    monkeypatch.setattr(grouping, "_mix", lambda word: word & np.uint64(0))
+    monkeypatch.setattr(grouping, "mix_bits", lambda word: word & np.uint64(0))
     group_of, first = group_equal_rows(np.array([3, 1, 3, 2, 1]), np.array([0.0, 1.0, 0.0, 0.0, 2.0]))
     assert group_of.tolist() == [0, 1, 0, 2, 3]
     assert first.tolist() == [0, 1, 3, 4]
