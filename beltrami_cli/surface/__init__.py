@@ -1,1 +1,1 @@
-"""Frozen array records: what is passed between the rooms of the house, and its validation."""
+"""Records and geometry of surfaces, which all other packages share."""

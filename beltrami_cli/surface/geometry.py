@@ -69,8 +69,8 @@ def vertex_normals(
     angles = _angles(positions, faces, area)
     sums = _gathered(np.concatenate([angles[:, [corner]] * parts for corner in range(3)]), faces, group_of)
     length = np.linalg.norm(sums[:, :3], axis=1)
-    told = length > _CANCELLED * sums[:, 3]
-    normals = np.divide(sums[:, :3], length[:, None], out=np.zeros((len(sums), 3)), where=told[:, None])
+    known = length > _CANCELLED * sums[:, 3]
+    normals = np.divide(sums[:, :3], length[:, None], out=np.zeros((len(sums), 3)), where=known[:, None])
     return np.asarray(normals[group_of], np.float32)
 
 
@@ -123,7 +123,7 @@ def on_boundary(faces: NDArray[np.int32], count: int) -> NDArray[np.bool_]:
     # Triangles with the same three vertices count once, those that repeat a vertex not at all.
     corners = np.sort(faces.astype(np.int64), axis=1)
     corners = corners[(corners[:, 0] != corners[:, 1]) & (corners[:, 1] != corners[:, 2])]
-    # A triangle is told by its least edge and the third corner; both fit in 64 bits, one after the other.
+    # A triangle is identified by its least edge and the third corner; both fit in 64 bits, one after the other.
     least = corners[:, 0] * count + corners[:, 1]
     order = np.lexsort((corners[:, 2], least))
     corners, least = corners[order], least[order]

@@ -98,7 +98,7 @@ def _require_memory(crossings: int, shape: tuple[int, ...]) -> None:
 
 
 def _slabs(shape: tuple[int, ...], overlap: int) -> Iterator[tuple[int, int]]:
-    """Split the first index into ranges of a bounded number of voxels, which share so many layers."""
+    """Split the first index into ranges of a bounded number of voxels, which share some layers."""
     thickness = max(1, SLAB // (shape[1] * shape[2]))
     for first in range(0, shape[0] - overlap, thickness):
         yield first, min(first + thickness + overlap, shape[0])

@@ -62,8 +62,8 @@ class MeshContents:
     alpha: NDArray[np.float32] | None = None  # (V,): opacity in [0, 1]
     # Shape (V, 3): vertex normals, where the source has them per vertex.
     normals: NDArray[np.float32] | None = None
-    # What the source holds and this record does not ("materials", "animations", ...), for the message that
-    # tells the user what the conversion drops.
+    # What the source holds and this record does not ("materials", "animations", ...), for the
+    # notice of what the conversion drops.
     left_out: tuple[str, ...] = ()
 
 

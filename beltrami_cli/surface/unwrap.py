@@ -75,14 +75,12 @@ def unwrap(
     job = {"positions": scaled, "faces": triangles, "sizes": sizes, "texels": texels}
     corners, inner, charts = ask_worker(job, padding, progress)
     size = inner + 2 * padding
-    largest = corners.reshape(-1, 2).max(axis=0)
     if not np.isfinite(corners).all():
         raise ProcessingError(f"{name}: no texture coordinates can be found for it; repair the mesh first")
+    largest = corners.reshape(-1, 2).max(axis=0)
     if largest.max() > inner:
-        raise ProcessingError(
-            f"{name}: its {charts} charts do not fit on a texture of {size} texels with {padding} between them; "
-            "raise the size or lower the padding"
-        )
+        cause = f"its {charts} charts do not fit on a texture of {size} texels with {padding} between them"
+        raise ProcessingError(f"{name}: {cause}; raise the size or lower the padding")
     width, height = (_side(reach + 2 * padding, size) for reach in largest.tolist())
     uv = np.empty((len(faces), 3, 2))
     uv[whole] = (corners + padding) / [width, height]

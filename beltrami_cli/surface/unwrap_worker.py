@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-_COVERAGE = 0.75  # that xatlas expects of its packing when it is told a resolution
+_COVERAGE = 0.75  # that xatlas expects of its packing when it is given a resolution
 _ENOUGH = 0.92  # of the side of the texture that charts should fill
 _TRIES = 8
 

@@ -134,10 +134,10 @@ def check_scale(positions: NDArray[np.float64], faces: NDArray[np.int32], name: 
     typical = float(np.partition(steps, len(steps) // 2)[len(steps) // 2])
     if _LEAST <= typical <= _MOST:
         return
-    told = f"{typical:.0e}" if np.isfinite(typical) else "more than 1e+308"
+    shown = f"{typical:.0e}" if np.isfinite(typical) else "more than 1e+308"
     what = "edges are" if len(faces) else "points are apart"
     kind = "small" if typical < _LEAST else "large"
-    cause = f"its {what} {told} units, which is too {kind} to be squared in single precision"
+    cause = f"its {what} {shown} units, which is too {kind} to be squared in single precision"
     raise InputError(name, cause, "scale it, for example to metres")
 
 

@@ -65,7 +65,7 @@ class Volume:
 
 _NEIGHBOURS = 4  # points that a vertex takes its colour from: about what surrounds it on a surface
 _REACH = 4.0  # in voxels, or in distances between points where these are larger
-_PROBED = 10_000  # points whose distances to their neighbours tell that of all within a per cent
+_PROBED = 10_000  # points whose distances to their neighbours are those of all within a per cent
 _WEIGHTLESS = 1e-6  # less than any voxel that lends has by chance
 
 

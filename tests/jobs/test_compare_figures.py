@@ -103,10 +103,10 @@ def test_weights_count_and_the_parts_make_the_whole():
     reference = np.zeros((4, 3), np.float32)
     test = reference.copy()
     test[1] = 0.5  # a quarter of the squared error, on a sample that weighs 3 of 6
-    told = figures([pair(reference, test, [1, 3, 1, 1])])
-    assert told["psnr"] == pytest.approx(-10 * np.log10(0.25 * 3 / 6))
+    whole = figures([pair(reference, test, [1, 3, 1, 1])])
+    assert whole["psnr"] == pytest.approx(-10 * np.log10(0.25 * 3 / 6))
     halves = [pair(reference[:2], test[:2], [1, 3]), pair(reference[2:], test[2:], [1, 1])]
-    assert figures(halves)["psnr"] == pytest.approx(told["psnr"])
+    assert figures(halves)["psnr"] == pytest.approx(whole["psnr"])
     assert figures(halves)["worst"]["vertex"] == 1
 
 

@@ -1,4 +1,4 @@
-"""Points are joined like the surface that they were taken from, without being told of it."""
+"""Points are joined like the surface that they were taken from, without knowing it."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ def test_a_grid_has_both_diagonals_of_every_square():
 
 @pytest.mark.parametrize(("scale", "shift"), [(1, 0), (1e-3, 4.2e6), (1e-300, 0), (1e300, 0), (0.03, -7)])
 def test_triangles_follow_rotations_scales_and_shifts(scale, shift):
-    """Also where millimetres are told in coordinates of thousands of kilometres, of doubles some 1e-9 apart."""
+    """Also where millimetres are given in coordinates of thousands of kilometres, of doubles some 1e-9 apart."""
     rng = np.random.default_rng(3)
     positions, _ = surfaces.terrain(30, 30, 0.15, 4)
     positions[:, :2] += rng.uniform(-0.3, 0.3, (900, 2))

@@ -219,7 +219,7 @@ def test_a_process_that_hangs_is_given_up(monkeypatch, tmp_path):
     assert children() == before
 
 
-def test_what_the_process_dies_of_is_told_in_one_line(monkeypatch):
+def test_what_the_process_dies_of_is_reported_in_one_line(monkeypatch):
     monkeypatch.setattr(unwrapping, "WORKER", "beltrami_cli.no_such_module")
     with pytest.raises(
         ProcessingError, match=r"^xatlas could not unwrap the mesh \(.*no_such_module.*\)"

@@ -41,7 +41,7 @@ def test_equal_rows_are_numbered_in_the_order_of_their_first(rows):
     assert [rows[i] for i in first] == list(seen)
 
 
-def test_rows_with_equal_hashes_are_told_apart(monkeypatch):
+def test_rows_with_equal_hashes_are_kept_apart(monkeypatch):
     monkeypatch.setattr(grouping, "mix_bits", lambda word: word & np.uint64(0))
     group_of, first = group_equal_rows(np.array([3, 1, 3, 2, 1]), np.array([0.0, 1.0, 0.0, 0.0, 2.0]))
     assert group_of.tolist() == [0, 1, 0, 2, 3]
