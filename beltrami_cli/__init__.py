@@ -18,23 +18,22 @@ if TYPE_CHECKING:
     from beltrami_cli.jobs.smooth.report import SmoothReport
     from beltrami_cli.samples.images.arrays import ImageResult
     from beltrami_cli.samples.images.smooth import smooth_image
-    from beltrami_cli.samples.settings.image import ImageSettings
-    from beltrami_cli.samples.settings.smooth import SmoothSettings, TextureSettings
+    from beltrami_cli.samples.settings import ImageSettings, SmoothSettings, TextureSettings
     from beltrami_cli.samples.vertices.arrays import smooth
     from beltrami_cli.samples.vertices.result import SmoothResult
 
 _HOME_OF = {
     "BeltramiError": "errors",
     "ImageResult": "samples.images.arrays",
-    "ImageSettings": "samples.settings.image",
+    "ImageSettings": "samples.settings",
     "InputError": "errors",
     "KernelParameters": "flow.parameters",
     "OutputError": "errors",
     "ProcessingError": "errors",
     "SmoothReport": "jobs.smooth.report",
     "SmoothResult": "samples.vertices.smooth",
-    "SmoothSettings": "samples.settings.smooth",
-    "TextureSettings": "samples.settings.smooth",
+    "SmoothSettings": "samples.settings",
+    "TextureSettings": "samples.settings",
     "UsageError": "errors",
     "inspect_file": "jobs.inspect",
     "smooth": "samples.vertices.arrays",

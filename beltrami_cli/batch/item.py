@@ -21,8 +21,7 @@ from beltrami_cli.jobs.memory import limited_memory
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from beltrami_cli.samples.settings.bake import BakeSettings
-    from beltrami_cli.samples.settings.smooth import SmoothSettings
+    from beltrami_cli.samples.settings import BakeSettings, SmoothSettings
 
     Progress = Callable[[str, int, int], None]
     """Called with a label, the work done and the work to do."""

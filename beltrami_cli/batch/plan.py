@@ -26,7 +26,7 @@ from beltrami_cli.batch.storage import (
 )
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.formats.registry import OUTPUT_FORMATS
-from beltrami_cli.samples.settings.smooth import IMAGE_FORMATS, IMAGE_SUFFIXES
+from beltrami_cli.samples.settings import IMAGE_FORMATS, IMAGE_SUFFIXES
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping

@@ -11,7 +11,7 @@ from click.core import ParameterSource
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.registry import OUTPUT_FORMATS
 from beltrami_cli.jobs.memory import limited_memory, memory_of_machine, parse_size
-from beltrami_cli.samples.settings.smooth import IMAGE_FORMATS
+from beltrami_cli.samples.settings import IMAGE_FORMATS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

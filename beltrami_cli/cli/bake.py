@@ -8,10 +8,10 @@ import click
 
 from beltrami_cli.cli import options
 from beltrami_cli.cli.console import Messages, counted
-from beltrami_cli.samples.settings.bake import BakeSettings
+from beltrami_cli.samples.settings import BakeSettings
 
 if TYPE_CHECKING:
-    from beltrami_cli.samples.settings.bake import BakeTo
+    from beltrami_cli.samples.settings import BakeTo
 
 EPILOG = """\b
 Examples:

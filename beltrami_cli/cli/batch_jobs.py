@@ -18,8 +18,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from beltrami_cli.batch.plan import Request
-    from beltrami_cli.samples.settings.bake import BakeSettings
-    from beltrami_cli.samples.settings.smooth import SmoothSettings
+    from beltrami_cli.samples.settings import BakeSettings, SmoothSettings
 
 _PATHS = ("height", "positions", "mask", "colours")  # always a file; a guide may be one
 

@@ -8,7 +8,7 @@ import click
 
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.parameters import Space
-from beltrami_cli.samples.settings.smooth import DEFAULTS, SLOTS, AlphaMode, Target, TextureSettings
+from beltrami_cli.samples.settings import DEFAULTS, SLOTS, AlphaMode, Target, TextureSettings
 
 _TEXTURES = DEFAULTS.textures
 

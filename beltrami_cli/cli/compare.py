@@ -100,8 +100,8 @@ def command(
     """
     settings = painting_from(painting)
     messages = Messages(quiet=quiet, verbose=verbose)
-    from beltrami_cli.jobs.compare.figures import Limits
     from beltrami_cli.jobs.compare.files import compare_files
+    from beltrami_cli.jobs.settings import Limits
 
     limits = Limits(min_psnr, min_ssim, max_delta_e, max_seam_jump)
     with options.reading_from(painting, reference) as access:

@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from beltrami_cli.errors import UsageError
-from beltrami_cli.samples.settings.embedding import EmbeddingSettings
+from beltrami_cli.samples.settings import EmbeddingSettings
 
 _NOTHING = "none"
 

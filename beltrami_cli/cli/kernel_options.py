@@ -18,7 +18,7 @@ from beltrami_cli.flow.parameters import (
     Weights,
     parameters_with,
 )
-from beltrami_cli.samples.settings.smooth import DEFAULTS
+from beltrami_cli.samples.settings import DEFAULTS
 
 _KERNEL = DEFAULTS.kernel
 

@@ -10,7 +10,7 @@ from beltrami_cli.cli import options
 from beltrami_cli.cli.amounts import sure_amount
 from beltrami_cli.cli.console import Messages, counted
 from beltrami_cli.cli.painting import choosing, painting_from, writing
-from beltrami_cli.jobs.noise.settings import Kind, NoiseSettings
+from beltrami_cli.jobs.settings import Kind, NoiseSettings
 
 EPILOG = """\b
 Examples:

@@ -37,9 +37,7 @@ from beltrami_cli.cli.unwrap_options import (
     unwrapping,
     unwrapping_from,
 )
-from beltrami_cli.samples.settings.image import ImageSettings
-from beltrami_cli.samples.settings.level_set import LevelSetSettings
-from beltrami_cli.samples.settings.smooth import DEFAULTS, SmoothSettings
+from beltrami_cli.samples.settings import DEFAULTS, ImageSettings, LevelSetSettings, SmoothSettings
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -8,9 +8,14 @@ import click
 
 from beltrami_cli.cli import options
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.samples.settings.image import ImageSettings
-from beltrami_cli.samples.settings.level_set import LevelSetSettings
-from beltrami_cli.samples.settings.smooth import DEFAULTS, SLOTS, SmoothSettings, TextureSettings
+from beltrami_cli.samples.settings import (
+    DEFAULTS,
+    SLOTS,
+    ImageSettings,
+    LevelSetSettings,
+    SmoothSettings,
+    TextureSettings,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable

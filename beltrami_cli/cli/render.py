@@ -71,7 +71,7 @@ def command(
     messages = Messages(quiet=quiet, verbose=verbose)
     reading = {name: looks.pop(name) for name in ("max_memory", "allow_outside")}
     looks["labels"] = () if no_labels else (labels or None)
-    settings = render_settings_from({**looks, "stacked": not side_by_side})
+    settings = render_settings_from({**looks, "side_by_side": side_by_side})
     from beltrami_cli.view.render import render_file
 
     with options.reading_from(reading, sources[0]) as access, messages.progress() as progress:

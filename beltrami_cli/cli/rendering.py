@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, Any, get_args
 
 import click
 
-from beltrami_cli.errors import UsageError
-from beltrami_cli.samples.settings.smooth import SLOTS
+from beltrami_cli.samples.settings import SLOTS
 from beltrami_cli.view.settings import DEFAULT_RENDER, VIEWS, Axis, Crop, RenderSettings
 
 if TYPE_CHECKING:
@@ -24,7 +23,7 @@ def _size(context: click.Context, parameter: click.Parameter, text: str) -> tupl
 def _crops(context: click.Context, parameter: click.Parameter, texts: tuple[str, ...]) -> tuple[Crop, ...]:
     try:
         return tuple(Crop.parse(text) for text in texts)
-    except UsageError as error:
+    except ValueError as error:
         raise click.BadParameter(str(error)) from None
 
 

@@ -11,7 +11,7 @@ from beltrami_cli.cli.console import Messages, counted
 
 if TYPE_CHECKING:
     from beltrami_cli.flow.parameters import Space
-    from beltrami_cli.samples.settings.smooth import Target
+    from beltrami_cli.samples.settings import Target
 
 EPILOG = """\b
 Examples:
@@ -64,7 +64,7 @@ def command(
     messages = Messages(quiet=quiet, verbose=verbose)
     from dataclasses import replace
 
-    from beltrami_cli.samples.settings.smooth import DEFAULTS
+    from beltrami_cli.samples.settings import DEFAULTS
     from beltrami_cli.view.report import report_file
 
     chosen = options.names_in(slots, "--slots")

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from beltrami_cli.jobs.smooth.report import SmoothReport
     from beltrami_cli.jobs.writing.files import FileSet
     from beltrami_cli.jobs.writing.output import Output, Overwrite
-    from beltrami_cli.samples.settings.smooth import SmoothSettings
+    from beltrami_cli.samples.settings import SmoothSettings
     from beltrami_cli.view.render import Preview
 
 EPILOG = """\b

@@ -6,8 +6,7 @@ from typing import get_args
 
 import click
 
-from beltrami_cli.samples.settings.level_set import MOST_VOXELS, Inside
-from beltrami_cli.samples.settings.smooth import DEFAULTS
+from beltrami_cli.samples.settings import DEFAULTS, MOST_VOXELS, Inside
 
 _IMAGE, _LEVEL_SET = DEFAULTS.image, DEFAULTS.level_set
 

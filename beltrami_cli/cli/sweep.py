@@ -11,12 +11,12 @@ from beltrami_cli.cli import options
 from beltrami_cli.cli.console import Messages, counted
 from beltrami_cli.cli.rendering import LOOKS, looking, render_settings_from
 from beltrami_cli.flow.parameters import TUNABLE
-from beltrami_cli.samples.settings.smooth import DEFAULTS
+from beltrami_cli.samples.settings import DEFAULTS
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from beltrami_cli.samples.settings.smooth import SmoothSettings
+    from beltrami_cli.samples.settings import SmoothSettings
 
 EPILOG = """\b
 Examples:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from beltrami_cli.errors import UsageError
-from beltrami_cli.samples.settings.bake import DEFAULT_BAKE, BakeSettings
+from beltrami_cli.samples.settings import DEFAULT_BAKE, BakeSettings
 
 if TYPE_CHECKING:
     from collections.abc import Callable

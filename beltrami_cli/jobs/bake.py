@@ -16,8 +16,7 @@ from beltrami_cli.jobs.new_texture import as_rgba, texture_from_vertices
 from beltrami_cli.jobs.writing.output import Output
 from beltrami_cli.samples.memory_check import require_room_for_textures
 from beltrami_cli.samples.selection import choose_format
-from beltrami_cli.samples.settings.bake import DEFAULT_BAKE, BakeSettings, BakeTo
-from beltrami_cli.samples.settings.smooth import DEFAULTS
+from beltrami_cli.samples.settings import DEFAULT_BAKE, DEFAULTS, BakeSettings, BakeTo
 from beltrami_cli.surface.colour_values import linear_to_srgb
 from beltrami_cli.surface.grouping import distinct_corners, group_equal_rows, group_places
 from beltrami_cli.surface.lookup import look_up, noise_around

@@ -13,8 +13,7 @@ from beltrami_cli.formats.image.recognition import is_image
 from beltrami_cli.jobs.opening import document_from, refuse_options_of_level_sets
 from beltrami_cli.samples.memory_check import require_room_for_textures
 from beltrami_cli.samples.selection import choose_work, require_scale
-from beltrami_cli.samples.settings.description import describe_kernel
-from beltrami_cli.samples.settings.smooth import DEFAULTS, SmoothSettings
+from beltrami_cli.samples.settings import DEFAULTS, SmoothSettings, describe_kernel
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.document import Document
     from beltrami_cli.formats.image import Picture
     from beltrami_cli.samples.images.colours import ImageColours
-    from beltrami_cli.samples.settings.smooth import SmoothSettings
+    from beltrami_cli.samples.settings import SmoothSettings
 
 
 def open_input(source: str, settings: SmoothSettings, access: Access) -> Document:

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.document import Document, Written
     from beltrami_cli.jobs.writing.output import Output
     from beltrami_cli.samples.selection import Work
-    from beltrami_cli.samples.settings.smooth import SmoothSettings
+    from beltrami_cli.samples.settings import SmoothSettings
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.access import Access
     from beltrami_cli.formats.document import Document
     from beltrami_cli.formats.image.reading import ImageSize
-    from beltrami_cli.samples.settings.smooth import TextureSettings
+    from beltrami_cli.samples.settings import TextureSettings
     from beltrami_cli.surface.records import Slot
 
 _FLOATS = 2 * 4  # the old and the new colours of one image at a time, in single precision

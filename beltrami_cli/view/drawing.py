@@ -40,10 +40,10 @@ def draw_views(
     """Draw all views, each with a label that may be empty, and arrange them: sRGB, with opacity on no background."""
     panels = draw_panels(views, labels, settings, progress)
     turns = max(1, settings.turntable)
-    if settings.stacked and settings.turntable:  # the turns of a model below each other
+    if not settings.side_by_side and settings.turntable:  # the turns of a model below each other
         panels = [panel for turn in range(turns) for panel in panels[turn::turns]]
     across, down = (turns, len(views)) if settings.turntable else (len(views), 1)
-    return arranged(panels, down if settings.stacked else across, background_of(settings, panels))
+    return arranged(panels, across if settings.side_by_side else down, background_of(settings, panels))
 
 
 def draw_panels(

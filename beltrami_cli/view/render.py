@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from beltrami_cli.jobs.writing.files import FileSet
-    from beltrami_cli.samples.settings.smooth import SmoothSettings
+    from beltrami_cli.samples.settings import SmoothSettings
     from beltrami_cli.view.drawing import Progress
 
 # A preview has no mark, and its bytes shall stay. But all have this head: their size, 8 bits of RGB, and no metadata.

@@ -21,7 +21,7 @@ from beltrami_cli.jobs.opening import document_from
 from beltrami_cli.jobs.writing.output import Output
 from beltrami_cli.samples.memory_check import require_room_for_textures
 from beltrami_cli.samples.selection import choose_work
-from beltrami_cli.samples.settings.smooth import DEFAULTS, SmoothSettings
+from beltrami_cli.samples.settings import DEFAULTS, SmoothSettings
 from beltrami_cli.view.charts import histogram, seam_map, swipe
 from beltrami_cli.view.models import ModelPacker, bounding_box
 from beltrami_cli.view.pages import PAGES, asset, page_from, table

@@ -1,4 +1,4 @@
-"""The parameters of pictures with their defaults; light enough for the command line to import."""
+"""The parameters of pictures; light enough for the command line to import."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 from beltrami_cli.errors import UsageError
+from beltrami_cli.fields import check, parameter
+from beltrami_cli.samples.settings import SLOTS
 
 Axis = Literal["x", "y", "z"]
 
@@ -21,21 +23,23 @@ VIEWS = {
     "three-quarter": (35.0, 20.0),
 }
 BACKGROUNDS = {"white": "#ffffff", "grey": "#808080", "black": "#000000"}
+_BACKGROUND = f"auto, {', '.join(BACKGROUNDS)}, transparent or #rrggbb"
 MOST_PIXELS = 1 << 26
 LONGEST_SIDE = 16384
+_MOST_DEGREES = 36000
 
 
 @dataclass(frozen=True)
 class Crop:
-    """An enlarged detail."""
+    """A square detail that is drawn enlarged."""
 
-    side: float = 0.2  # of the square, as a fraction of the shorter side of the view
+    side: float = 0.2  # as a fraction of the shorter side of the view
     # Its middle in fractions of the view's width and height, from the upper left; None: where there is most to see.
     centre: tuple[float, float] | None = None
 
     @classmethod
     def parse(cls, text: str) -> Crop:
-        """Read ``auto``, ``auto,SIDE``, ``X,Y`` or ``X,Y,SIDE``; UsageError for anything else."""
+        """Read ``auto``, ``auto,SIDE``, ``X,Y`` or ``X,Y,SIDE``; ValueError if it is none of these."""
         words = [word.strip() for word in text.split(",")]
         automatic = words[0] == "auto"
         try:
@@ -45,43 +49,98 @@ class Crop:
         fixed = 0 if automatic else 2
         in_range = all(0 <= number <= 1 for number in numbers)
         if len(numbers) not in (fixed, fixed + 1) or not in_range or numbers[fixed:] == [0.0]:
-            raise UsageError(f"crop is {text}, but must be X,Y or X,Y,SIDE or auto, with numbers from 0 to 1")
+            raise ValueError(f"is {text}, but must be X,Y or X,Y,SIDE or auto, with numbers from 0 to 1")
         side = numbers[fixed] if len(numbers) > fixed else cls.side
         return cls(side, None if automatic else (numbers[0], numbers[1]))
 
 
+def _size(text: str) -> tuple[int, int]:
+    words = text.lower().split("x")
+    if len(words) > 2 or not all(word.isascii() and word.isdigit() and len(word) < 6 for word in words):
+        raise ValueError(f"is {text!r}, but must be a size such as 800 or 1280x720")
+    return int(words[0]), int(words[-1])
+
+
 @dataclass(frozen=True)
 class RenderSettings:
-    """The camera, the light and the layout of a picture; UsageError if a value is out of its range."""
+    """How models and images are drawn; UsageError if a value is out of its range."""
 
-    size: tuple[int, int] = (640, 640)  # width and height of each view in pixels
-    azimuth: float = 0.0  # of the eye, in degrees to the right around the model from its front
-    elevation: float = 0.0  # of the eye, in degrees upwards
-    up: Axis = "y"  # the axis of the model that points up
-    fov: float = 30.0  # field of view in degrees along the shorter side; 0: parallel rays
-    zoom: float = 1.0  # how much larger than what fits the view
-    lit: bool = False  # by a lamp that shows the shape; otherwise colours are as they are
-    background: str = "auto"  # a name, #rrggbb or transparent; auto: white, or grey behind what is white
-    slot: str = "baseColor"  # the textures that are shown
-    on: Literal["auto", "vertices", "texture"] = "auto"  # what is shown of models that have both
-    turntable: int = 0  # views all around in equal steps; 0: one view
-    crops: tuple[Crop, ...] = ()  # details, drawn enlarged below each view
-    labels: tuple[str, ...] | None = None  # one for each file; None: names of several files; empty: none
-    stacked: bool = False  # files below each other, and not side by side
+    size: tuple[int, int] = parameter(
+        (640, 640),
+        "Width and height of each view.",
+        low=16, high=LONGEST_SIDE, unit="pixels", metavar="N|WxH", parse=_size,
+        show=lambda size: "x".join(map(str, size)),
+    )  # fmt: skip
+    azimuth: float = parameter(
+        0.0,
+        "Where the eye is: around the model, to the right of its front.",
+        low=-_MOST_DEGREES, high=_MOST_DEGREES, unit="degrees", unset="of --view", metavar="DEGREES",
+    )  # fmt: skip
+    elevation: float = parameter(
+        0.0,
+        "Where the eye is: upwards; negative: from below.",
+        low=-_MOST_DEGREES, high=_MOST_DEGREES, unit="degrees", unset="of --view", metavar="DEGREES",
+    )  # fmt: skip
+    up: Axis = parameter(
+        "y",
+        "Which axis of the models points up: z in many scans and in CAD.",
+        choices=get_args(Axis),
+    )  # fmt: skip
+    fov: float = parameter(
+        30.0,
+        "Field of view along the shorter side; 0: parallel rays.",
+        low=0, high=120, unit="degrees", metavar="DEGREES",
+    )  # fmt: skip
+    zoom: float = parameter(1.0, "Larger than what fits the view.", low=0.01, high=1000, metavar="FACTOR")
+    lit: bool = parameter(
+        False,
+        "Let a lamp show the shape, or show colours as they are. Points have no shape, and are never lit.",
+        flags=("--lit/--unlit",),
+    )  # fmt: skip
+    background: str = parameter(
+        "auto",
+        "white, grey, black, #rrggbb, or transparent; auto: white, or grey behind what is white.",
+        allowed=_BACKGROUND, metavar="COLOUR",
+    )  # fmt: skip
+    slot: str = parameter(
+        "baseColor",
+        "Textures of which material slot. All but baseColor and emissive are shown as their plain numbers.",
+        choices=SLOTS,
+    )  # fmt: skip
+    on: Literal["auto", "vertices", "texture"] = parameter(
+        "auto",
+        "Of models that have both: the texture or the vertex colours; auto: the texture.",
+        choices=("auto", "vertices", "texture"), flags=("--show", "on"),
+    )  # fmt: skip
+    turntable: int = parameter(
+        0,
+        "Views all around in equal steps, in a row for each file; 0: one view.",
+        low=0, high=360, metavar="N",
+    )  # fmt: skip
+    crops: tuple[Crop, ...] = parameter(
+        (),
+        "Show a square detail enlarged below each view, drawn anew: its middle in fractions of the view from "
+        "the upper left, and its side in fractions of the shorter side (0.2); auto: where the last file has "
+        "most to see. Up to 5 times.",
+        kind=Crop, flags=("--crop", "crops"), metavar="X,Y[,SIDE]|auto[,SIDE]", repeatable=True,
+        parse=Crop.parse,
+    )  # fmt: skip
+    labels: tuple[str, ...] | None = parameter(
+        None,
+        "Words above each view, once for each file.",
+        kind=str, several=True, unset="the names of the files, if there are several",
+        flags=("--label", "labels"), metavar="TEXT", repeatable=True,
+    )  # fmt: skip
+    side_by_side: bool = parameter(
+        True,
+        "Of several files: next to each other with one camera, or below each other.",
+        flags=("--side-by-side/--stacked",),
+    )  # fmt: skip
 
     def __post_init__(self) -> None:
-        if min(self.size) < 16 or max(self.size) > LONGEST_SIDE:
-            raise UsageError(f"size is {self.size[0]}x{self.size[1]}, but sides must be 16 to {LONGEST_SIDE}")
-        if self.up not in get_args(Axis):
-            raise UsageError(f"up is {self.up}, but must be x, y or z")
-        if not 0 <= self.fov <= 120:
-            raise UsageError(f"field of view is {self.fov:g}, but must be between 0 and 120 degrees")
-        if not 0.01 <= self.zoom <= 1000:
-            raise UsageError(f"zoom is {self.zoom:g}, but must be between 0.01 and 1000")
-        if not all(abs(angle) <= 36000 for angle in (self.azimuth, self.elevation)):
-            raise UsageError("azimuth and elevation must be finite numbers of degrees")
-        if not 0 <= self.turntable <= 360:
-            raise UsageError(f"turntable is {self.turntable}, but must be between 0 and 360 views")
+        check(self)
+        if len(self.size) != 2:
+            raise UsageError(f"size is {self.size}, but must be a width and a height")
         if len(self.crops) > 5:
             raise UsageError(f"there are {len(self.crops)} crops, but at most 5 can be shown")
         self.background_colour()
@@ -92,8 +151,7 @@ class RenderSettings:
             return None
         digits = re.fullmatch(r"#([0-9a-fA-F]{6})", BACKGROUNDS.get(self.background, self.background))
         if digits is None:
-            names = ", ".join(("auto", *BACKGROUNDS, "transparent"))
-            raise UsageError(f"background is {self.background}, but must be {names} or #rrggbb")
+            raise UsageError(f"background is {self.background}, but must be {_BACKGROUND}")
         red, green, blue = bytes.fromhex(digits[1])
         return red / 255, green / 255, blue / 255
 

@@ -18,8 +18,7 @@ from beltrami_cli.formats.registry import OUTPUT_FORMATS, kind_of
 from beltrami_cli.jobs.compare.files import compare_files
 from beltrami_cli.jobs.smooth.file import smooth_file
 from beltrami_cli.jobs.writing.output import Output
-from beltrami_cli.samples.settings.level_set import LevelSetSettings
-from beltrami_cli.samples.settings.smooth import DEFAULTS
+from beltrami_cli.samples.settings import DEFAULTS, LevelSetSettings
 from beltrami_cli.view.drawing import background_of, draw_panels, with_fixed_crops
 from beltrami_cli.view.pages import PAGES, asset, page_from, picture_tag, script_json, table
 from beltrami_cli.view.render import encoded, picture_suffix
@@ -30,7 +29,7 @@ from beltrami_cli.view.views import open_view
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from beltrami_cli.samples.settings.smooth import SmoothSettings
+    from beltrami_cli.samples.settings import SmoothSettings
     from beltrami_cli.view.drawing import Progress
     from beltrami_cli.view.sheet import Background
 

@@ -12,7 +12,7 @@ from beltrami_cli.formats.access import read_source
 from beltrami_cli.formats.image import Picture, read_image, to_float, without_alpha
 from beltrami_cli.formats.image.recognition import is_image
 from beltrami_cli.jobs.opening import document_from
-from beltrami_cli.samples.settings.smooth import DEFAULTS, SmoothSettings
+from beltrami_cli.samples.settings import DEFAULTS, SmoothSettings
 from beltrami_cli.samples.textures.colours import COLOUR_SLOTS
 from beltrami_cli.surface.colour_values import srgb_to_linear
 from beltrami_cli.surface.geometry import triangle_areas

@@ -25,7 +25,7 @@ from beltrami_cli.flow.mesh_manifold import MeshManifold
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.partitions import in_partitions
 from beltrami_cli.samples.images.grid_flow import grid_flow
-from beltrami_cli.samples.settings.smooth import SmoothSettings
+from beltrami_cli.samples.settings import SmoothSettings
 from beltrami_cli.surface.records import SampledSurface
 from cli.commands import SAMPLES
 from cli.dask_cluster import Cluster

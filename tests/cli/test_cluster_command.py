@@ -211,7 +211,7 @@ def test_nothing_is_sent_over_what_is_there(tmp_path):
     memory.pipe_file("/there/in/a.ply", (SAMPLES / "terrain-noisy.ply").read_bytes())
     memory.pipe_file("/there/out/a.ply", b"mine")
     from beltrami_cli.batch.item import Item, do_item
-    from beltrami_cli.samples.settings.smooth import SmoothSettings
+    from beltrami_cli.samples.settings import SmoothSettings
 
     item = Item(
         "memory://there/in/a.ply", "memory://there/out/a.ply", SmoothSettings(KernelParameters(**FIXED))

@@ -15,11 +15,11 @@ import pytest
 
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.formats.registry import open_document
-from beltrami_cli.jobs.compare.figures import Limits, check_limits
+from beltrami_cli.jobs.compare.figures import check_limits
 from beltrami_cli.jobs.compare.files import compare_files
 from beltrami_cli.jobs.noise.file import noise_file
-from beltrami_cli.jobs.noise.settings import NoiseSettings
-from beltrami_cli.samples.settings.smooth import SmoothSettings
+from beltrami_cli.jobs.settings import Limits, NoiseSettings
+from beltrami_cli.samples.settings import SmoothSettings
 from cli.commands import COMMAND, SAMPLES, beltrami
 from formats.image_files import encode
 from formats.volume_files import sphere_file

@@ -11,7 +11,7 @@ import pytest
 from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.formats.ply import write_ply
 from beltrami_cli.formats.registry import open_document
-from beltrami_cli.samples.settings.smooth import DEFAULTS
+from beltrami_cli.samples.settings import DEFAULTS
 from beltrami_cli.samples.textures.prepare import prepare_slot
 from beltrami_cli.surface.records import MeshContents
 from cli.commands import SAMPLES, beltrami

@@ -37,7 +37,7 @@ from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.check import check_files
 from beltrami_cli.jobs.smooth.file import smooth_file
-from beltrami_cli.samples.settings.smooth import SmoothSettings
+from beltrami_cli.samples.settings import SmoothSettings
 from fuzz.test_replay import mutated
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ import pytest
 import beltrami_cli
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.image import read_image
-from beltrami_cli.samples.settings.smooth import SmoothSettings, TextureSettings
+from beltrami_cli.samples.settings import SmoothSettings, TextureSettings
 
 SIDE = 48
 CHART = slice(SIDE // 4, 3 * SIDE // 4)

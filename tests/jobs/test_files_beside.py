@@ -12,9 +12,9 @@ from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.image import read_image
 from beltrami_cli.formats.registry import open_bytes, open_document
 from beltrami_cli.jobs.noise.file import noise_file
-from beltrami_cli.jobs.noise.settings import NoiseSettings
+from beltrami_cli.jobs.settings import NoiseSettings
 from beltrami_cli.jobs.smooth.file import smooth_file
-from beltrami_cli.samples.settings.smooth import SmoothSettings, TextureSettings
+from beltrami_cli.samples.settings import SmoothSettings, TextureSettings
 from formats.image_files import encode
 from hostile.textured_models import OTHER, PICTURE, write_model
 

@@ -15,8 +15,7 @@ import beltrami_cli
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.parameters import PRESETS, KernelParameters
 from beltrami_cli.jobs.kernel.file import kernel_file
-from beltrami_cli.samples.settings.image import ImageSettings
-from beltrami_cli.samples.settings.smooth import DEFAULTS, SmoothSettings
+from beltrami_cli.samples.settings import DEFAULTS, ImageSettings, SmoothSettings
 from oracles import surfaces
 
 SAMPLES = Path(__file__).parents[2] / "sample_data"

@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-import click
 import numpy as np
 import OpenImageIO
 import pytest
 from scipy.stats import kstest
 
-from beltrami_cli.cli.amounts import amount, sure_amount
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.check import check_files
 from beltrami_cli.jobs.noise.file import noise_file
 from beltrami_cli.jobs.noise.kinds import add_noise
-from beltrami_cli.jobs.noise.settings import NoiseSettings
-from beltrami_cli.samples.settings.smooth import SmoothSettings, TextureSettings
+from beltrami_cli.jobs.settings import NoiseSettings, amount, sure_amount
+from beltrami_cli.samples.settings import SmoothSettings, TextureSettings
 from cli.commands import SAMPLES, beltrami
 from formats.image_files import encode
 from formats.volume_files import sphere_file
@@ -191,9 +189,9 @@ def test_no_noise_is_the_file_itself(tmp_path):
 
 def test_an_amount_is_of_255_or_a_fraction():
     for text in ("20", "20/255", " 5140/65535", f"{2000 / 255}%"):
-        assert sure_amount(None, None, text) == pytest.approx(20 / 255, rel=1e-12)
-    assert amount(None, None, "0.5") == 0.5 / 255
-    assert (sure_amount(None, None, "0"), sure_amount(None, None, "1")) == (0, 1 / 255)
+        assert sure_amount(text) == pytest.approx(20 / 255, rel=1e-12)
+    assert amount("0.5") == 0.5 / 255
+    assert (sure_amount("0"), sure_amount("1")) == (0, 1 / 255)
 
 
 @pytest.mark.parametrize(
@@ -201,8 +199,8 @@ def test_an_amount_is_of_255_or_a_fraction():
     [("0.08", "8%"), ("-1", "from 0"), ("nan", "from 0"), ("much", "amount"), ("1/0", "amount")],
 )
 def test_what_is_no_amount_or_could_be_two_is_refused(text, word):
-    with pytest.raises(click.BadParameter, match=word):
-        sure_amount(None, None, text)
+    with pytest.raises(ValueError, match=word):
+        sure_amount(text)
 
 
 def test_the_command_adds_what_it_is_asked_for(tmp_path):

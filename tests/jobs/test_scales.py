@@ -12,8 +12,7 @@ from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.jobs.inspect import inspect_file
 from beltrami_cli.jobs.kernel.file import kernel_file
 from beltrami_cli.jobs.smooth.file import smooth_file
-from beltrami_cli.samples.settings.image import ImageSettings
-from beltrami_cli.samples.settings.smooth import SmoothSettings
+from beltrami_cli.samples.settings import ImageSettings, SmoothSettings
 from formats.image_files import encode
 from hostile.textured_models import PICTURE
 

@@ -13,7 +13,7 @@ from PIL import Image
 from beltrami_cli.errors import InputError, UnpaintedError
 from beltrami_cli.formats.registry import open_bytes
 from beltrami_cli.jobs.smooth.file import smooth_file
-from beltrami_cli.samples.settings.smooth import SmoothSettings, TextureSettings
+from beltrami_cli.samples.settings import SmoothSettings, TextureSettings
 from hostile.textured_models import PICTURE, write_model
 
 if TYPE_CHECKING:

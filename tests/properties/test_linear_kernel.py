@@ -9,7 +9,7 @@ import pytest
 
 import beltrami_cli
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.samples.settings.smooth import SmoothSettings
+from beltrami_cli.samples.settings import SmoothSettings
 from oracles import surfaces
 from properties.textured_planes import Board, smooth_image
 

@@ -8,12 +8,14 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from beltrami_cli.errors import InputError, UsageError
+from beltrami_cli.errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
     from numpy.typing import NDArray
+
+    from beltrami_cli.jobs.settings import Limits
 
 _FIGURES = {"min_psnr": "psnr", "min_ssim": "ssim", "max_delta_e": "delta_e", "max_seam_jump": "seam_jump"}
 _WITHIN = {"max_delta_e": "mean", "max_seam_jump": "change"}
@@ -139,26 +141,6 @@ def _jumps(jumps: Sequence[SeamJumps]) -> dict[str, object] | None:
         "test": float(test.mean()),
         "change": float((test - reference).mean()),
     }
-
-
-@dataclass(frozen=True)
-class Limits:
-    """What a comparison must keep to; None: anything goes."""
-
-    min_psnr: float | None = None  # in dB
-    min_ssim: float | None = None  # structural similarity
-    max_delta_e: float | None = None  # mean CIEDE2000 difference
-    # Mean colour step over seams in the test minus that in the reference, full scale 1.
-    max_seam_jump: float | None = None
-
-    def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if value is not None and not math.isfinite(value):
-                raise UsageError(f"{name} is {value}, but must be a finite number")
-        if self.max_delta_e is not None and self.max_delta_e < 0:
-            raise UsageError(f"max_delta_e is {self.max_delta_e}, but no difference is below 0")
-        if self.min_ssim is not None and self.min_ssim > 1:
-            raise UsageError(f"min_ssim is {self.min_ssim}, but no similarity is above 1")
 
 
 @dataclass(frozen=True)

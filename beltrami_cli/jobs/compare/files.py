@@ -11,21 +11,21 @@ from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access, read_source
 from beltrami_cli.formats.image.recognition import is_image
 from beltrami_cli.formats.registry import kind_of
-from beltrami_cli.jobs.compare.figures import Limits, Verdict, check_limits, figures
+from beltrami_cli.jobs.compare.figures import Verdict, check_limits, figures
 from beltrami_cli.jobs.compare.map import draw_map, is_map, require_map
 from beltrami_cli.jobs.compare.parts import compare_images, compare_textures, compare_vertices
 from beltrami_cli.jobs.opening import document_from, refuse_options_of_level_sets
+from beltrami_cli.jobs.settings import Limits
 from beltrami_cli.jobs.writing.output import Output, Overwrite
 from beltrami_cli.samples.memory_check import require_room_for_textures
 from beltrami_cli.samples.selection import choose_work
-from beltrami_cli.samples.settings.level_set import LevelSetSettings
-from beltrami_cli.samples.settings.smooth import DEFAULTS
+from beltrami_cli.samples.settings import DEFAULTS, LevelSetSettings
 
 if TYPE_CHECKING:
     from beltrami_cli.flow.parameters import Weights
     from beltrami_cli.formats.document import Document
     from beltrami_cli.jobs.compare.figures import ComparedColours
-    from beltrami_cli.samples.settings.smooth import SmoothSettings
+    from beltrami_cli.samples.settings import SmoothSettings
 
 _UNLIMITED = Limits()
 

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.access import Access
     from beltrami_cli.formats.document import Document
     from beltrami_cli.formats.image import Picture
-    from beltrami_cli.samples.settings.smooth import SmoothSettings
+    from beltrami_cli.samples.settings import SmoothSettings
     from beltrami_cli.samples.textures.prepare import PreparedSlot
     from beltrami_cli.surface.records import PaintedVertices, Slot, Texture, TexturedSurface
 

@@ -17,14 +17,14 @@ from beltrami_cli.jobs.opening import document_from, refuse_options_of_level_set
 from beltrami_cli.jobs.writing.output import Output
 from beltrami_cli.samples.memory_check import require_room_for_textures
 from beltrami_cli.samples.selection import choose_work, require_scale
-from beltrami_cli.samples.settings.smooth import DEFAULTS
+from beltrami_cli.samples.settings import DEFAULTS
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from beltrami_cli.formats.document import Document
     from beltrami_cli.jobs.kernel.probe import ProbedSamples
-    from beltrami_cli.samples.settings.smooth import SmoothSettings
+    from beltrami_cli.samples.settings import SmoothSettings
 
 
 def kernel_file(

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.access import Access
     from beltrami_cli.formats.document import Document
     from beltrami_cli.jobs.kernel.location import Location
-    from beltrami_cli.samples.settings.smooth import SmoothSettings
+    from beltrami_cli.samples.settings import SmoothSettings
 
 
 class VertexSamples(ProbedSamples):

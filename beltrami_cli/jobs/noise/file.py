@@ -18,14 +18,14 @@ from beltrami_cli.jobs.sidecars import plan_companions
 from beltrami_cli.jobs.writing.output import Output
 from beltrami_cli.samples.memory_check import require_room_for_textures
 from beltrami_cli.samples.selection import Work, choose_format, choose_work
-from beltrami_cli.samples.settings.smooth import DEFAULTS, SLOTS
+from beltrami_cli.samples.settings import DEFAULTS, SLOTS
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from beltrami_cli.formats.document import Document
-    from beltrami_cli.jobs.noise.settings import NoiseSettings
-    from beltrami_cli.samples.settings.smooth import SmoothSettings
+    from beltrami_cli.jobs.settings import NoiseSettings
+    from beltrami_cli.samples.settings import SmoothSettings
     from beltrami_cli.surface.records import ImageFile, Slot
 
 

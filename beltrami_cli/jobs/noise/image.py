@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 
     from beltrami_cli.formats.access import Access
     from beltrami_cli.formats.image import Picture
-    from beltrami_cli.jobs.noise.settings import NoiseSettings
-    from beltrami_cli.samples.settings.smooth import SmoothSettings
+    from beltrami_cli.jobs.settings import NoiseSettings
+    from beltrami_cli.samples.settings import SmoothSettings
 
 
 def noisy_image(

@@ -13,7 +13,7 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from beltrami_cli.jobs.noise.settings import NoiseSettings
+    from beltrami_cli.jobs.settings import NoiseSettings
 
 
 def add_noise(

@@ -19,8 +19,8 @@ from beltrami_cli.surface.lookup import fill_gutter
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from beltrami_cli.jobs.noise.settings import NoiseSettings
-    from beltrami_cli.samples.settings.smooth import SmoothSettings
+    from beltrami_cli.jobs.settings import NoiseSettings
+    from beltrami_cli.samples.settings import SmoothSettings
     from beltrami_cli.samples.textures.prepare import PreparedSlot
     from beltrami_cli.surface.atlas import Atlas
     from beltrami_cli.surface.records import ImageFile, Slot, TexturedSurface

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from beltrami_cli.formats.document import Document
-    from beltrami_cli.jobs.noise.settings import NoiseSettings
-    from beltrami_cli.samples.settings.smooth import SmoothSettings
+    from beltrami_cli.jobs.settings import NoiseSettings
+    from beltrami_cli.samples.settings import SmoothSettings
 
 
 def noisy_vertices(

@@ -16,7 +16,7 @@ from beltrami_cli.jobs.smooth.stopwatch import Stopwatch
 from beltrami_cli.jobs.writing.output import Output
 from beltrami_cli.samples.memory_check import room_for_smoothing
 from beltrami_cli.samples.selection import Work, choose_format, choose_work, require_scale
-from beltrami_cli.samples.settings.smooth import DEFAULTS, SmoothSettings
+from beltrami_cli.samples.settings import DEFAULTS, SmoothSettings
 from beltrami_cli.samples.vertices.guides import vertex_guides
 from beltrami_cli.samples.vertices.moved import moved_vertices, require_geometry
 from beltrami_cli.samples.vertices.point_cloud import smooth_cloud
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.document import Document
     from beltrami_cli.jobs.smooth.report import SmoothReport
     from beltrami_cli.jobs.writing.files import FileSet
-    from beltrami_cli.samples.settings.bake import BakeSettings
+    from beltrami_cli.samples.settings import BakeSettings
     from beltrami_cli.samples.textures.smooth import SlotReport
     from beltrami_cli.samples.vertices.result import SmoothResult
     from beltrami_cli.surface.records import ImageFile, Slot

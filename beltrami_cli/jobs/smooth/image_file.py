@@ -22,7 +22,7 @@ from beltrami_cli.formats.image import (
 from beltrami_cli.jobs.smooth.report import ImageReport, SmoothReport
 from beltrami_cli.jobs.smooth.reporting import make_image_report
 from beltrami_cli.samples.images.prepare import prepare_image, refuse_options_of_meshes
-from beltrami_cli.samples.settings.description import describe_choice
+from beltrami_cli.samples.settings import describe_choice
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from beltrami_cli.jobs.smooth.stopwatch import Stopwatch
     from beltrami_cli.jobs.writing.output import Output
     from beltrami_cli.samples.images.prepare import PreparedImage
-    from beltrami_cli.samples.settings.smooth import SmoothSettings
+    from beltrami_cli.samples.settings import SmoothSettings
 
 
 def smooth_image_file(

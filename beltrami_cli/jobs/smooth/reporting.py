@@ -9,13 +9,13 @@ import numpy as np
 from beltrami_cli.jobs.smooth.report import SmoothReport, VertexReport
 from beltrami_cli.jobs.smooth.stopwatch import peak_memory
 from beltrami_cli.samples.change import Change
-from beltrami_cli.samples.settings.description import describe_choice, describe_settings
+from beltrami_cli.samples.settings import describe_choice, describe_settings
 
 if TYPE_CHECKING:
     from beltrami_cli.formats.document import Document
     from beltrami_cli.jobs.smooth.report import ImageReport
     from beltrami_cli.jobs.smooth.stopwatch import Stopwatch
-    from beltrami_cli.samples.settings.smooth import SmoothSettings
+    from beltrami_cli.samples.settings import SmoothSettings
     from beltrami_cli.samples.textures.smooth import SlotReport
     from beltrami_cli.samples.vertices.result import SmoothResult
     from beltrami_cli.surface.records import PaintedVertices

@@ -33,8 +33,7 @@ if TYPE_CHECKING:
     from beltrami_cli.jobs.new_texture import NewTexture
     from beltrami_cli.jobs.smooth.report import SmoothReport
     from beltrami_cli.jobs.writing.files import FileSet
-    from beltrami_cli.samples.settings.bake import BakeSettings
-    from beltrami_cli.samples.settings.smooth import SmoothSettings
+    from beltrami_cli.samples.settings import BakeSettings, SmoothSettings
     from beltrami_cli.samples.textures.smooth import SlotReport
     from beltrami_cli.samples.vertices.result import SmoothResult
     from beltrami_cli.surface.records import ImageFile, TexturedSurface

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from beltrami_cli.flow.parameters import Space
     from beltrami_cli.formats.image import Picture
-    from beltrami_cli.samples.settings.smooth import SmoothSettings
+    from beltrami_cli.samples.settings import SmoothSettings
 
 _COLOURS = ("red", "green", "blue", "grey")
 _BLOCK = 1 << 20  # pixels rounded at a time, which bounds the memory for them

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from beltrami_cli.formats.access import Access
     from beltrami_cli.formats.image import Picture
-    from beltrami_cli.samples.settings.smooth import SmoothSettings
+    from beltrami_cli.samples.settings import SmoothSettings
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from beltrami_cli.samples.images.grid_flow import grid_flow
 from beltrami_cli.samples.images.guides import GuideImage, read_guide_images
 from beltrami_cli.samples.images.surface import read_surface
 from beltrami_cli.samples.memory_check import require_room
-from beltrami_cli.samples.settings.smooth import DEFAULTS
+from beltrami_cli.samples.settings import DEFAULTS
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from beltrami_cli.flow.grid_manifold import GridManifold
     from beltrami_cli.formats.image import Picture
     from beltrami_cli.samples.images.surface import ImageSurface
-    from beltrami_cli.samples.settings.smooth import SmoothSettings
+    from beltrami_cli.samples.settings import SmoothSettings
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.colour_space import from_space, to_space
 from beltrami_cli.flow.embedding import Guide
 from beltrami_cli.samples.images.grid_flow import grid_flow
-from beltrami_cli.samples.settings.smooth import DEFAULTS
+from beltrami_cli.samples.settings import DEFAULTS
 from beltrami_cli.samples.vertices.channels import ChosenChannels, choose_channels
 from beltrami_cli.samples.vertices.result import SmoothResult
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from beltrami_cli.flow.beltrami_flow import BeltramiFlow
     from beltrami_cli.flow.grid_manifold import GridManifold
-    from beltrami_cli.samples.settings.smooth import SmoothSettings
+    from beltrami_cli.samples.settings import SmoothSettings
     from beltrami_cli.surface.records import PaintedVertices
 
 

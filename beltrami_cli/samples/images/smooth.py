@@ -9,8 +9,7 @@ from beltrami_cli.flow.embedding import centred
 from beltrami_cli.flow.parameters import Space, parameters_with
 from beltrami_cli.samples.images.arrays import ArrayImage, ImageResult, pixel_array, pixel_colours
 from beltrami_cli.samples.images.guides import GuideImage
-from beltrami_cli.samples.settings.embedding import EmbeddingSettings
-from beltrami_cli.samples.settings.smooth import DEFAULTS
+from beltrami_cli.samples.settings import DEFAULTS, EmbeddingSettings
 from beltrami_cli.surface.records import Encoding
 from beltrami_cli.surface.validation import check_numbers, guide_table
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from beltrami_cli.formats.image import Picture
-    from beltrami_cli.samples.settings.image import ImageSettings
+    from beltrami_cli.samples.settings import ImageSettings
 
 # Channels that hold a depth or height, as renderers and cameras call them.
 _HEIGHTS = ("z", "depth", "height", "depth.z", "y")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from beltrami_cli.samples.settings.smooth import TextureSettings
+    from beltrami_cli.samples.settings import TextureSettings
     from beltrami_cli.surface.records import Texture, TexturedSurface
 
 

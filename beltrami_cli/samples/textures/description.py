@@ -17,7 +17,7 @@ from beltrami_cli.surface.geometry import count_topology
 from beltrami_cli.surface.grouping import group_equal_rows
 
 if TYPE_CHECKING:
-    from beltrami_cli.samples.settings.smooth import SmoothSettings
+    from beltrami_cli.samples.settings import SmoothSettings
     from beltrami_cli.samples.textures.prepare import PreparedSlot
     from beltrami_cli.surface.atlas import Atlas
     from beltrami_cli.surface.records import TexturedSurface

@@ -13,8 +13,7 @@ from beltrami_cli.flow.embedding import Guide
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.image import read_image
 from beltrami_cli.samples.images.guide_files import exists, read_map, require_finite, require_size
-from beltrami_cli.samples.settings.embedding import EmbeddingSettings
-from beltrami_cli.samples.settings.smooth import SLOTS
+from beltrami_cli.samples.settings import SLOTS, EmbeddingSettings
 from beltrami_cli.samples.textures.colours import TexelColours
 from beltrami_cli.surface.lookup import look_up
 
@@ -25,7 +24,7 @@ if TYPE_CHECKING:
 
     from beltrami_cli.formats.document import Document
     from beltrami_cli.formats.image import Picture
-    from beltrami_cli.samples.settings.smooth import SmoothSettings
+    from beltrami_cli.samples.settings import SmoothSettings
     from beltrami_cli.surface.atlas import Atlas
     from beltrami_cli.surface.records import Slot, Texture, TexturedSurface
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from beltrami_cli.flow.parameters import KernelParameters
     from beltrami_cli.formats.document import Document
     from beltrami_cli.formats.image import Picture
-    from beltrami_cli.samples.settings.smooth import SmoothSettings
+    from beltrami_cli.samples.settings import SmoothSettings
     from beltrami_cli.surface.atlas import Atlas
     from beltrami_cli.surface.records import Slot, TexturedSurface
 

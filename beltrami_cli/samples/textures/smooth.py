@@ -10,7 +10,7 @@ from beltrami_cli.flow.canvas import colours_at
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.image import check_writable, is_unchanged, losses, write_image
 from beltrami_cli.samples.change import Change
-from beltrami_cli.samples.settings.description import describe_choice
+from beltrami_cli.samples.settings import describe_choice
 from beltrami_cli.samples.textures.colours import COLOUR_SLOTS
 from beltrami_cli.samples.textures.description import atlas_counts, describe_textures
 from beltrami_cli.samples.textures.prepare import prepare_slot
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from beltrami_cli.formats.document import Document
     from beltrami_cli.formats.image import Picture
-    from beltrami_cli.samples.settings.smooth import SmoothSettings, TextureSettings
+    from beltrami_cli.samples.settings import SmoothSettings, TextureSettings
     from beltrami_cli.samples.textures.repainting import ColoursOf
     from beltrami_cli.surface.atlas import Atlas, Indices
     from beltrami_cli.surface.records import Slot, TexturedSurface

@@ -9,8 +9,7 @@ import numpy as np
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.embedding import Guide, centred
 from beltrami_cli.flow.parameters import parameters_with
-from beltrami_cli.samples.settings.embedding import EmbeddingSettings
-from beltrami_cli.samples.settings.smooth import DEFAULTS, SmoothSettings
+from beltrami_cli.samples.settings import DEFAULTS, EmbeddingSettings, SmoothSettings
 from beltrami_cli.samples.vertices.point_cloud import smooth_cloud
 from beltrami_cli.samples.vertices.smooth import smooth_painted
 from beltrami_cli.surface.records import Encoding, PaintedVertices

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from beltrami_cli.errors import UsageError
 
 if TYPE_CHECKING:
-    from beltrami_cli.samples.settings.smooth import SmoothSettings
+    from beltrami_cli.samples.settings import SmoothSettings
     from beltrami_cli.surface.records import PaintedVertices
 
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from beltrami_cli.formats.access import Access
     from beltrami_cli.formats.document import Written
-    from beltrami_cli.samples.settings.level_set import Inside, LevelSetSettings
+    from beltrami_cli.samples.settings import Inside, LevelSetSettings
     from beltrami_cli.surface.records import ImageFile, MovedVertices, PaintedVertices, Slot
     from beltrami_cli.surface.volume import Volume
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from beltrami_cli.formats.document import Document
     from beltrami_cli.samples.selection import Work
-    from beltrami_cli.samples.settings.smooth import SmoothSettings
+    from beltrami_cli.samples.settings import SmoothSettings
     from beltrami_cli.surface.records import PaintedVertices
 
 

@@ -17,7 +17,7 @@ from beltrami_cli.surface.vertex_sampling import VertexSampling, sample_vertices
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from beltrami_cli.samples.settings.smooth import SmoothSettings
+    from beltrami_cli.samples.settings import SmoothSettings
     from beltrami_cli.surface.records import PaintedVertices, SampledSurface
 
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from beltrami_cli.flow.embedding import Guide
-    from beltrami_cli.samples.settings.smooth import SmoothSettings
+    from beltrami_cli.samples.settings import SmoothSettings
     from beltrami_cli.samples.vertices.channels import ChosenChannels
     from beltrami_cli.surface.records import PaintedVertices
     from beltrami_cli.surface.vertex_sampling import VertexSampling

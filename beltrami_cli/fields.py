@@ -1,0 +1,232 @@
+"""Parameters as fields of records: each is declared once, with its default, range or choices, unit and help.
+
+The options of the command line are made from the fields, and with them configuration files, variables of the
+environment and manifests; so are the checks of ranges, overrides by keywords in Python, the attributes in the records'
+docstrings, and docs/parameters.md.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+import math
+import os
+import textwrap
+from numbers import Integral, Real
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from beltrami_cli.errors import UsageError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+Record = TypeVar("Record")
+
+REQUIRED = dataclasses.MISSING  # as a default
+
+_PARAMETER, _PART = "parameter", "part"
+_TYPES: dict[type, tuple[type, ...]] = {int: (Integral,), float: (Real,), str: (str, os.PathLike)}
+_NOUNS = {bool: "True or False", int: "a whole number", float: "a number", str: "text"}
+
+
+@dataclasses.dataclass(frozen=True)
+class Parameter:
+    """What is declared of a parameter."""
+
+    name: str
+    default: Any
+    help: str
+    kind: type  # of the value; where there are several, of each
+    several: bool = False  # whether it is a tuple
+    optional: bool = False  # whether it may be None
+    choices: tuple[str, ...] = ()
+    low: float | None = None
+    high: float | None = None
+    is_open: bool = False  # whether `low` and `high` themselves are excluded
+    is_odd: bool = False
+    also: tuple[float, ...] = ()  # values beside the range
+    allowed: str = ""  # in words, where the record checks it by itself
+    unit: str = ""
+    unset: str = ""  # what is done where no value is given, if that is not the default
+    flags: (
+        tuple[str, ...] | None
+    ) = ()  # of the option, as click takes them; empty: from the name; None: no option
+    metavar: str | None = None
+    repeatable: bool = False  # whether the option of several values is given once for each
+    parse: Callable[[str], Any] | None = (
+        None  # makes the value from text; ValueError says what is wrong with it
+    )
+    show: Callable[[Any], str] = str  # makes that text from the value
+    is_deliberate: bool = False  # names a file or lifts a limit, so no file that was merely found may set it
+
+    @property
+    def range(self) -> str:
+        """What a value must be, in words."""
+        if self.allowed:
+            return self.allowed
+        if self.choices:
+            return _enumerated(self.choices)
+        if self.kind not in (int, float):
+            return _NOUNS.get(self.kind, "")
+        text = self._interval()
+        if self.is_odd:
+            text = f"odd, and {text}"
+        return f"{', '.join(map(str, self.also))}, or {text}" if self.also else text
+
+    def check(self, value: Any) -> None:
+        """Raise UsageError if the parameter cannot have a value."""
+        if value is None and self.optional:
+            return
+        if self.several and not isinstance(value, (tuple, list)):
+            raise UsageError(f"{self.name} is {value!r}, but must be a tuple")
+        for each in value if isinstance(value, (tuple, list)) and self.several else (value,):
+            fault = self._fault(each)
+            if fault:
+                verb = f"has {each} among its values, but each" if self.several else f"is {each}, but"
+                raise UsageError(f"{self.name} {verb} must be {fault}")
+
+    def _fault(self, value: Any) -> str:
+        """Return what a value would have to be; empty if it is as it must be."""
+        types = _TYPES.get(self.kind, (self.kind,))
+        if not isinstance(value, types) or (isinstance(value, bool) and self.kind is not bool):
+            return self.range if self.choices else _NOUNS.get(self.kind, self.kind.__name__)
+        if self.choices:
+            return "" if value in self.choices else self.range
+        return "" if self.kind not in (int, float) or self._is_within(value) else self.range
+
+    def _is_within(self, value: Any) -> bool:
+        if value in self.also:
+            return True
+        if not math.isfinite(value) or (self.is_odd and value % 2 != 1):
+            return False
+        low = -math.inf if self.low is None else self.low
+        high = math.inf if self.high is None else self.high
+        return bool(low < value < high if self.is_open else low <= value <= high)
+
+    def _interval(self) -> str:
+        if self.low is None and self.high is None:
+            return "a finite number" if self.kind is float else "a whole number"
+        if self.high is None:
+            positive = self.is_open and self.low == 0
+            return "a positive number" if positive else f"{self.low} or more"
+        if self.low is None:
+            return f"{self.high} or less"
+        return f"between {self.low} and {self.high}" + (", both excluded" if self.is_open else "")
+
+
+def parameter(default: Any, meaning: str, **details: Any) -> Any:
+    """Declare a field of a record as a parameter; the details are attributes of `Parameter`."""
+    several = isinstance(default, tuple)
+    sample = default[0] if several and default else None if several else default
+    details = {
+        "kind": str if sample is None else type(sample),
+        "several": several,
+        "optional": default is None,
+        **details,
+    }
+    # The name is known only when the class is made, see `parameters`.
+    declared = Parameter("", default, meaning, **details)
+    return dataclasses.field(default=default, metadata={_PARAMETER: declared})
+
+
+def names_in(text: str) -> tuple[str, ...]:
+    """Return the names of a list with commas; ValueError if there are none."""
+    names = tuple(name.strip() for name in text.split(",") if name.strip())
+    if not names:
+        raise ValueError("names nothing; give names, with commas between them, or leave it out")
+    return names
+
+
+def part(record: type[Record], make: Callable[[], Record] | None = None) -> Any:
+    """Declare a field of a record as a record with parameters of its own."""
+    return dataclasses.field(default_factory=make or record, metadata={_PART: record})
+
+
+def parameters(record: Any, *, deep: bool = False) -> Iterator[Parameter]:
+    """Give the parameters of a record, or its class, in their order; deep: also those of the records in it."""
+    for each in dataclasses.fields(record):
+        if _PARAMETER in each.metadata:
+            yield dataclasses.replace(each.metadata[_PARAMETER], name=each.name)
+        elif deep and _PART in each.metadata:
+            yield from parameters(each.metadata[_PART], deep=True)
+
+
+def parts(record: Any) -> dict[str, type]:
+    """Return the records in a record, by the names of their fields."""
+    return {each.name: each.metadata[_PART] for each in dataclasses.fields(record) if _PART in each.metadata}
+
+
+def check(record: Any) -> None:
+    """Raise UsageError if a parameter of a record has a value that it cannot have."""
+    for each in parameters(record):
+        each.check(getattr(record, each.name))
+
+
+def override(record: Record, **values: Any) -> Record:
+    """Return a record with other values, by the names of parameters in it or in records in it.
+
+    A record with a method `with_values` makes the changed one by itself.
+
+    Raises
+    ------
+    UsageError
+        If there is no such parameter, or it cannot have the value.
+    """
+    known = {each.name for each in parameters(record, deep=True)}
+    for name in values:
+        if name not in known:
+            raise UsageError(f"there is no parameter {name}{_alike(name, known)}")
+    changed = {each.name: values[each.name] for each in parameters(record) if each.name in values}
+    for name, kind in parts(record).items():
+        theirs = {each.name: values[each.name] for each in parameters(kind, deep=True) if each.name in values}
+        if theirs:
+            changed[name] = override(getattr(record, name), **theirs)
+    if hasattr(record, "with_values"):
+        return record.with_values(**changed)  # type: ignore[no-any-return]
+    return dataclasses.replace(record, **changed)  # type: ignore[type-var]
+
+
+def described(record: type[Record]) -> type[Record]:
+    """Write the parameters of a record into its docstring, as numpydoc has attributes."""
+    lines = [inspect.cleandoc(record.__doc__ or ""), "", "Attributes", "----------"]
+    for each in parameters(record):
+        lines.append(f"{each.name} : {_type_in_words(each)}")
+        lines += textwrap.wrap(sentence(each), 110, initial_indent="    ", subsequent_indent="    ")
+    lines += [f"{name} : {kind.__name__}" for name, kind in parts(record).items()]
+    raises = [
+        "",
+        "Raises",
+        "------",
+        "UsageError",
+        "    If a value is out of its range, or two contradict each other.",
+    ]
+    record.__doc__ = "\n".join([*lines, *raises, ""])
+    return record
+
+
+def sentence(declared: Parameter) -> str:
+    """Return the help of a parameter with its unit."""
+    return f"{declared.help} In {declared.unit}." if declared.unit else declared.help
+
+
+def _type_in_words(declared: Parameter) -> str:
+    if declared.choices and not declared.several:
+        text = "{" + ", ".join(f'"{choice}"' for choice in declared.choices) + "}"
+    else:
+        text = declared.kind.__name__
+    if declared.several:
+        text = f"tuple of {text}"
+    if declared.optional:
+        text += " or None"
+    return text if declared.default is REQUIRED else f"{text}, default {declared.default!r}"
+
+
+def _enumerated(words: tuple[str, ...]) -> str:
+    return " or ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)
+
+
+def _alike(name: str, known: set[str]) -> str:
+    from difflib import get_close_matches
+
+    alike = get_close_matches(name, sorted(known))
+    return f"; did you mean {_enumerated(tuple(alike))}?" if alike else ""

@@ -1,0 +1,94 @@
+"""The parameters of added noise and the limits of comparisons; light enough for the command line to import."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+from beltrami_cli.fields import REQUIRED, check, parameter
+
+Kind = Literal["gaussian", "salt-pepper", "speckle", "poisson"]
+
+
+def amount(text: str) -> float:
+    """Read a part of full scale: 20 is 20/255, and 20/255, 1310/65535 and 8% are what they say; or ValueError."""
+    try:
+        value = _parsed(text.strip())
+    except (ValueError, ZeroDivisionError):
+        raise ValueError(f"is {text!r}, but must be an amount such as 20 (of 255), 20/255 or 8%") from None
+    if not (math.isfinite(value) and value >= 0):
+        raise ValueError(f"is {text!r}, but must be a number from 0 on")
+    return value
+
+
+def sure_amount(text: str) -> float:
+    """Read it, but refuse plain numbers between 0 and 1, which may be of 255 or of 1."""
+    value = amount(text)
+    if 0 < value < 1 / 255 and not set(text) & set("/%"):
+        number = text.strip()
+        raise ValueError(
+            f"is {number}, which may be of 255 or of full scale; write {number}/255 or {100 * float(number):g}%"
+        )
+    return value
+
+
+def _parsed(text: str) -> float:
+    if text.endswith("%"):
+        return float(text[:-1]) / 100
+    if "/" in text:
+        part, whole = text.split("/")
+        return float(part) / float(whole)
+    return float(text) / 255
+
+
+@dataclass(frozen=True)
+class NoiseSettings:
+    """What noise is added; UsageError if a value is out of its range."""
+
+    sigma: float = parameter(
+        REQUIRED,
+        "How much, of full scale: 20 is 20/255, as `beltrami info` shows noise; or as 20/255, 1310/65535 or "
+        "8%.",
+        kind=float, low=0, high=1, metavar="S", parse=sure_amount,
+    )  # fmt: skip
+    kind: Kind = parameter(
+        "gaussian",
+        "Of the same deviation everywhere; black and white samples; in proportion to the colour; to its "
+        "square root.",
+        choices=get_args(Kind),
+    )  # fmt: skip
+    seed: int = parameter(
+        0,
+        "The same seed gives the same noise, for any number of threads.",
+        low=0, metavar="K",
+    )  # fmt: skip
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What a comparison must keep to; None: anything goes. UsageError if nothing could keep to it."""
+
+    min_psnr: float | None = parameter(None, "Lowest PSNR allowed.", kind=float, unit="dB", metavar="DB")
+    min_ssim: float | None = parameter(
+        None,
+        "Lowest structural similarity allowed; 1 is equal.",
+        kind=float, high=1, metavar="S",
+    )  # fmt: skip
+    max_delta_e: float | None = parameter(
+        None,
+        "Largest mean Delta E 2000 allowed.",
+        kind=float, low=0, metavar="E",
+    )  # fmt: skip
+    max_seam_jump: float | None = parameter(
+        None,
+        "How much larger the mean colour step over seams may be than in REFERENCE: 1 is 1/255; or as 1/255 "
+        "or 0.4%.",
+        kind=float, metavar="X", parse=amount,
+    )  # fmt: skip
+
+    def __post_init__(self) -> None:
+        check(self)

@@ -1,0 +1,365 @@
+"""The parameters of a job besides those of the kernel; light enough for the command line to import.
+
+Each is declared once, see `beltrami_cli.fields`; and described in JSON types, as asked for and as used.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, get_args
+
+from beltrami_cli.errors import UsageError
+from beltrami_cli.fields import check, described, names_in, parameter, part
+from beltrami_cli.flow.parameters import TUNABLE, KernelParameters, Space
+
+if TYPE_CHECKING:
+    from beltrami_cli.flow.beltrami_flow import BeltramiFlow
+    from beltrami_cli.flow.tuning.choice import Choice
+
+Target = Literal["auto", "vertices", "texture", "both"]
+AlphaMode = Literal["keep", "smooth"]
+Inside = Literal["below", "above"]
+BakeTo = Literal["texture", "vertices"]
+
+SLOTS = ("baseColor", "emissive", "normal", "occlusion", "metallicRoughness")
+# What --format can name besides; output names may end in every extension of a format that can be written.
+IMAGE_FORMATS = ("png", "jpg", "webp", "tif", "exr", "tga", "bmp", "hdr", "jxl", "jp2", "ppm")
+IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".exr", ".tga", ".bmp", ".hdr")
+
+MOST_VOXELS = 1 << 31  # rows and columns of the marching cubes are counted in 32 bits
+_SMALLEST_SIDE, _LARGEST_SIDE = 16, 16384  # of a texture: less is of no use, graphics cards take no more
+_WIDEST_GUTTER = 99_999
+
+
+def _suffix(text: str) -> str:
+    return "." + text.lower().lstrip(".")
+
+
+def _gutter(text: str) -> int | None:
+    if text == "keep":
+        return None
+    # Alone, isdigit would let other scripts and ² pass, which int does not take.
+    if not (text.isascii() and text.isdigit() and len(text) <= len(str(_WIDEST_GUTTER))):
+        raise ValueError(f"is {text}, but must be a number of texels from 0 to {_WIDEST_GUTTER}, or keep")
+    return int(text)
+
+
+def _metric_channels(text: str) -> tuple[str, ...]:
+    names = tuple(name.strip() for name in text.split(",") if name.strip())
+    if names == ("none",):
+        return ()
+    if not names or "none" in names:
+        raise ValueError(f"is {text!r}; give channels with commas between them, or none")
+    return names
+
+
+@described
+@dataclass(frozen=True)
+class TextureSettings:
+    """Which textures are smoothed, and how they are written."""
+
+    slots: tuple[str, ...] = parameter(
+        ("baseColor",),
+        f"Textures of which material slots: {', '.join(SLOTS)}. All but the first two are taken as data.",
+        choices=SLOTS, metavar="LIST", parse=names_in, show=",".join,
+    )  # fmt: skip
+    materials: tuple[str, ...] = parameter(
+        (),
+        "Only textures of materials with such a name; may be repeated.",
+        flags=("--material", "materials"), metavar="GLOB", repeatable=True,
+    )  # fmt: skip
+    names: tuple[str, ...] = parameter(
+        (),
+        "Only textures with such a file name; may be repeated.",
+        flags=("--texture", "texture_names"), metavar="GLOB", repeatable=True,
+    )  # fmt: skip
+    alpha: AlphaMode = parameter(
+        "keep",
+        "Keep the opacity of textures and images, or smooth it with the colours. Invisible texels lend no "
+        "colour unless it is smoothed.",
+        choices=get_args(AlphaMode),
+    )  # fmt: skip
+    gutter: int | None = parameter(
+        16,
+        "Change this many texels around every chart too, so that lookups across its border see no old "
+        "colours; or keep them.",
+        optional=True, low=0, high=_WIDEST_GUTTER, unit="texels", metavar="N|keep", parse=_gutter,
+        show=lambda width: "keep" if width is None else str(width),
+    )  # fmt: skip
+    image_suffix: str | None = parameter(
+        None,
+        "Write textures as png, jpg, webp, tif, exr ...",
+        choices=IMAGE_SUFFIXES, unset="each as it was", flags=("--texture-format",), metavar="EXT",
+        parse=_suffix,
+    )  # fmt: skip
+    jpeg_quality: int = parameter(
+        98,
+        "Quality of JPEG and lossy WebP textures and images; the subsampling stays that of the source.",
+        low=1, high=100,
+    )  # fmt: skip
+    small: bool = parameter(False, "Compress PNG files well, which takes longer.")
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+@described
+@dataclass(frozen=True)
+class ImageSettings:
+    """The surface that an image lies on, and where it has holes."""
+
+    height: str | None = parameter(
+        None,
+        "Of an image: an image of the same size with heights over its plane, which make it the surface (x, "
+        "y, S h). Depth images (EXR, 16-bit PNG) do as well. Where a height is no finite number is a hole.",
+        metavar="FILE", is_deliberate=True,
+    )  # fmt: skip
+    height_scale: float = parameter(
+        1.0,
+        "Factor of --height. Floats are taken as they are, integers as 0 to 1.",
+        unit="pixels per unit of height", metavar="S",
+    )  # fmt: skip
+    positions: str | None = parameter(
+        None,
+        "Of an image: an image of the same size with the place x, y, z of every pixel, as range scanners "
+        "and bakers write them. Where one is not finite, or has an alpha of 0, is a hole.",
+        metavar="FILE", is_deliberate=True,
+    )  # fmt: skip
+    mask: str | None = parameter(
+        None,
+        "Of an image: an image of the same size that is 0 at holes. They stay as they are and do not count, "
+        "and nothing crosses them.",
+        metavar="FILE", is_deliberate=True,
+    )  # fmt: skip
+
+    def __post_init__(self) -> None:
+        check(self)
+        if self.height is not None and self.positions is not None:
+            raise UsageError("height and positions are two surfaces for one image; give one of them")
+        if self.height is None and self.height_scale != ImageSettings.height_scale:
+            raise UsageError("height_scale is of the heights that --height names; add --height")
+
+    @property
+    def given(self) -> tuple[str, ...]:
+        """The options that are set, for messages."""
+        return tuple(
+            f"--{name}" for name in ("height", "positions", "mask") if getattr(self, name) is not None
+        )
+
+
+@described
+@dataclass(frozen=True)
+class LevelSetSettings:
+    """The surface in a volume, and its colours."""
+
+    level: float | None = parameter(
+        None,
+        "Of a level set: the value on its surface, such as 0.5 for occupancies.",
+        kind=float, unset="as INPUT says, or 0", metavar="L",
+    )  # fmt: skip
+    inside: Inside = parameter(
+        "below",
+        "Of a level set: which values are inside, below the level as signed distances, or above it as "
+        "densities. Triangles face outwards.",
+        choices=get_args(Inside),
+    )  # fmt: skip
+    colours: str | None = parameter(
+        None,
+        "Of a level set: a file with its colours, which may be on a grid of their own (.nrrd, .npz), or at "
+        "points or vertices near the surface (.npz, PLY and all other models).",
+        unset="those in INPUT", metavar="FILE", is_deliberate=True,
+    )  # fmt: skip
+    max_voxels: int = parameter(
+        1 << 28,
+        "Of a level set: the largest grid that is read.",
+        low=8, high=MOST_VOXELS, unit="voxels", metavar="COUNT", is_deliberate=True,
+    )  # fmt: skip
+
+    def __post_init__(self) -> None:
+        check(self)
+
+    @property
+    def given(self) -> tuple[str, ...]:
+        """The options that are not as by default, for messages."""
+        return tuple(
+            "--" + each.name.replace("_", "-")
+            for each in dataclasses.fields(self)
+            if getattr(self, each.name) != each.default
+        )
+
+
+@described
+@dataclass(frozen=True)
+class EmbeddingSettings:
+    """What enters the metric besides the colours that are smoothed, and what is smoothed besides them."""
+
+    guides: tuple[str, ...] = parameter(
+        (),
+        "Channels that count as distance and stay as they are, such as a clean normal map beside a noisy "
+        "base colour. For textures a slot of the same materials, or an image of the same size; for images "
+        "such an image; for vertices an attribute (normal, or as the file calls it), an array (.npy, .npz) "
+        "with a row for each vertex, or a model whose vertex colours guide. May be repeated.",
+        flags=("--guide", "guides"), metavar="NAME|FILE", repeatable=True, is_deliberate=True,
+    )  # fmt: skip
+    guide_betas: tuple[float, ...] = parameter(
+        (),
+        "How much a guide counts (images have full scale 1, other numbers are taken as they are); once for "
+        "all guides, or once for each.",
+        kind=float, low=0, unit="sample spacings per unit of the guide",
+        unset="6 / its standard deviation, less if it is noisy or steep",
+        flags=("--guide-beta", "guide_betas"), metavar="B", repeatable=True,
+    )  # fmt: skip
+    metric_channels: tuple[str, ...] | None = parameter(
+        None,
+        "Which colour channels count as distance, such as r,g. With none, only the surface and the guides "
+        "do.",
+        kind=str, several=True, unset="those that are smoothed", metavar="LIST|none", parse=_metric_channels,
+    )  # fmt: skip
+    smooth_geometry: bool = parameter(
+        False,
+        "Smooth the positions of vertices along with their colours. Creases are kept by the normals, which "
+        "count as distance; open borders stay. Curved parts shrink a little.",
+    )  # fmt: skip
+    normal_beta: float | None = parameter(
+        None,
+        "How strongly --smooth-geometry keeps creases. 0 rounds them off.",
+        kind=float, low=0, unit="sample spacings per radian that the normal turns",
+        unset="from the noise of the normals", metavar="B",
+    )  # fmt: skip
+
+    def __post_init__(self) -> None:
+        check(self)
+        if self.guide_betas and not self.guides:
+            raise UsageError("guide_beta is of a guide; add --guide")
+        if self.guide_betas and len(self.guide_betas) not in (1, len(self.guides)):
+            raise UsageError(
+                f"guide_beta has {len(self.guide_betas)} values, but must have one for each guide, or one for all"
+            )
+        if self.normal_beta is not None and not self.smooth_geometry:
+            raise UsageError("normal_beta is of a geometry that is smoothed; add --smooth-geometry")
+
+    @property
+    def weighted_guides(self) -> list[tuple[str, float | None]]:
+        """Each guide with its beta; None: from the guide."""
+        if len(self.guide_betas) == len(self.guides):
+            return list(zip(self.guides, self.guide_betas, strict=True))
+        return [(guide, self.guide_betas[0] if self.guide_betas else None) for guide in self.guides]
+
+
+def _all_chosen() -> KernelParameters:
+    return KernelParameters(free=TUNABLE)
+
+
+@described
+@dataclass(frozen=True)
+class SmoothSettings:
+    """All parameters of a smoothing; by default those of the kernel that can be are chosen from the data."""
+
+    kernel: KernelParameters = part(KernelParameters, _all_chosen)
+    space: Space = parameter(
+        "srgb",
+        "What colours are taken as, and their distances and averages in: display values, linear light, "
+        "Oklab, or with data the stored numbers as they are, for colours that stand for something else.",
+        choices=get_args(Space),
+    )  # fmt: skip
+    channels: tuple[str, ...] | None = parameter(
+        None,
+        "Only these channels, such as r,g; the others stay and do not count. Channels of images have the "
+        "names that `beltrami info` shows.",
+        kind=str, several=True, unset="the colours", metavar="LIST", parse=names_in,
+    )  # fmt: skip
+    on: Target = parameter(
+        "auto",
+        "The vertex colours, the textures, or both; auto takes the textures where there are any.",
+        choices=get_args(Target),
+    )  # fmt: skip
+    textures: TextureSettings = part(TextureSettings)  # images obey its alpha, jpeg_quality and small, too
+    image: ImageSettings = part(ImageSettings)
+    level_set: LevelSetSettings = part(LevelSetSettings)
+    embedding: EmbeddingSettings = part(EmbeddingSettings)
+
+    def __post_init__(self) -> None:
+        check(self)
+        if self.space == "oklab" and self.channels is not None:
+            raise UsageError("the space oklab mixes the channels, so --channels cannot choose among them")
+        if self.space == "oklab" and self.embedding.metric_channels:
+            raise UsageError("the space oklab mixes the channels, so --metric-channels can only be none")
+
+    def files_besides(self, source: str | None = None) -> list[str]:
+        """Return the files that are named here, besides the one that is smoothed."""
+        image, level_set = self.image, self.level_set
+        names = (image.height, image.positions, image.mask, level_set.colours, *self.embedding.guides)
+        own = None if source in (None, "-") else Path(str(source)).resolve()
+        return [str(name) for name in names if Path(str(name)).is_file() and Path(str(name)).resolve() != own]
+
+
+DEFAULTS = SmoothSettings()
+
+
+@described
+@dataclass(frozen=True)
+class BakeSettings:
+    """How a new texture is made."""
+
+    size: int | None = parameter(
+        None,
+        "Longest side of the new texture.",
+        kind=int, low=_SMALLEST_SIDE, high=_LARGEST_SIDE, unit="texels",
+        unset="two texels along an edge, 256 to 8192; or as in the old texture", metavar="N",
+    )  # fmt: skip
+    padding: int = parameter(
+        4,
+        "Distance between the charts of a new texture.",
+        low=0, high=64, unit="texels", metavar="N",
+    )  # fmt: skip
+    keep_uv: bool = parameter(False, "Use the texture coordinates of INPUT rather than make new ones.")
+    max_unwrap_faces: int = parameter(
+        100_000,
+        "The largest mesh to unwrap: 16 thousand triangles take some 7 s, 82 thousand 2 minutes, as the "
+        "time grows faster than their number.",
+        low=1, unit="triangles", metavar="COUNT", is_deliberate=True,
+    )  # fmt: skip
+
+    def __post_init__(self) -> None:
+        check(self)
+        if self.size is not None and self.size <= 4 * self.padding:
+            raise UsageError(f"a size of {self.size} leaves no room between paddings of {self.padding}")
+
+
+DEFAULT_BAKE = BakeSettings()
+
+
+def describe_settings(settings: SmoothSettings) -> dict[str, object]:
+    """Return what was asked for."""
+    return {
+        **dataclasses.asdict(settings.kernel),
+        "threads": settings.kernel.thread_count,
+        "space": settings.space,
+        "channels": settings.channels,
+        "on": settings.on,
+        "textures": dataclasses.asdict(settings.textures),
+        "image": dataclasses.asdict(settings.image),
+        "level_set": dataclasses.asdict(settings.level_set),
+        "embedding": dataclasses.asdict(settings.embedding),
+    }
+
+
+def describe_kernel(settings: SmoothSettings, flow: BeltramiFlow[Any]) -> dict[str, object]:
+    """Return the parameters of the kernel that a flow uses."""
+    choice = describe_choice(flow.choice)
+    used = dataclasses.asdict(dataclasses.replace(flow.parameters, beta=flow.beta))
+    del used["free"]  # nothing is any more
+    return {
+        **used,
+        "threads": settings.kernel.thread_count,
+        "space": settings.space,
+        **({"guide_betas": flow.manifold.guide_betas} if flow.manifold.guide_betas else {}),
+        **({"choice": choice} if choice else {}),
+    }
+
+
+def describe_choice(choice: Choice | None) -> dict[str, object] | None:
+    """Return what was chosen, and by what estimate."""
+    return None if choice is None else dataclasses.asdict(choice)

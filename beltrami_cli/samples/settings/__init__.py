@@ -1,1 +1,0 @@
-"""The parameters of a smoothing job, with their defaults; light enough for the command line to import."""
