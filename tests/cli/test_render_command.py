@@ -96,14 +96,14 @@ def test_without_the_extra_one_line_names_it_and_points_and_images_need_none(tmp
 @pytest.mark.parametrize(
     ("arguments", "code", "said"),
     [
-        (["--size", "9"], 2, b"16 to"),
+        (["--size", "9"], 2, b"between 16 and 16384"),
         (["--size", "big"], 2, b"1280x720"),
         (["--crop", "2,3"], 2, b"X,Y,SIDE"),
         (["--background", "blue"], 2, b"#rrggbb"),
         (["--label", "a", "--label", "b"], 2, b"2 labels for 1 files"),
         (["--show", "texture"], 3, b"has no baseColor texture"),
         (["--zoom", "nan"], 2, b"zoom"),
-        (["--fov", "nan"], 2, b"field of view"),
+        (["--fov", "nan"], 2, b"fov is nan"),
         (["--azimuth", "inf"], 2, b"azimuth"),
         (["--turntable", "360", "--size", "2000"], 2, b"lower --size"),
     ],
