@@ -66,11 +66,10 @@ class Camera:
         if self.is_orthographic:
             starts = self.place + np.column_stack([across, np.zeros(len(across))])
             directions = np.tile([0.0, 0.0, -1.0], (len(across), 1))
-        else:
-            starts = np.tile(self.place, (len(across), 1))
-            directions = np.column_stack([across, np.full(len(across), -1.0)])
-            directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-        return starts @ self.rotation, directions @ self.rotation
+            return starts @ self.rotation, directions @ self.rotation
+        directions = np.column_stack([across, np.full(len(across), -1.0)])
+        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+        return np.broadcast_to(self.place @ self.rotation, (len(across), 3)), directions @ self.rotation
 
     def project(self, positions: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return where points are in the view, (K, 2), as fractions of it, and their depths, (K,)."""

@@ -29,8 +29,9 @@ AMBIENT = 0.35  # share of the light that comes from everywhere
 LAMP = np.array([-0.4, 0.5, 0.77]) / np.linalg.norm([-0.4, 0.5, 0.77])
 
 _CREASE = np.cos(np.radians(40))  # smoothed normals further than this from the triangle's are not used
-_BLOCK = 1 << 16  # rays at a time, which bounds the memory; larger blocks leave the processor's cache
+_BLOCK = 1 << 15  # rays at a time, which bounds the memory; larger blocks leave the processor's cache
 _LAYERS = 16  # transparent surfaces behind each other
+_SLACK = 1e-3  # of the view around what is covered: more than single precision loses
 _STEP = 1e-5  # behind a transparent surface the ray goes on, in sizes of the model
 
 
@@ -49,16 +50,18 @@ class Tracer:
 
     def cast(
         self, starts: NDArray[np.float64], directions: NDArray[np.float64]
-    ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
-        """Return faces hit first, or -1, barycentric weights and distances along unit directions."""
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
+        """Return which rays hit, and the first faces, barycentric weights and distances along unit directions."""
         found = self._scene.run(
             np.ascontiguousarray(self._normalised(starts)),
             np.ascontiguousarray(directions, np.float32),
             output=1,
         )
-        u, v = found["u"].astype(np.float64), found["v"].astype(np.float64)
+        hit = np.flatnonzero(found["primID"] >= 0)
+        u, v = found["u"][hit].astype(np.float64), found["v"][hit].astype(np.float64)
         weights = np.column_stack([1 - u - v, u, v])
-        return found["primID"].astype(np.int64), weights, found["tfar"].astype(np.float64) * self.size
+        distances = found["tfar"][hit].astype(np.float64) * self.size
+        return hit, found["primID"][hit].astype(np.int64), weights, distances
 
     def _normalised(self, positions: NDArray[np.float64]) -> NDArray[np.float32]:
         return np.asarray((positions - self._middle) / self.size, np.float32)
@@ -95,19 +98,32 @@ class SurfaceView:
         light, with the normal n on the side of the eye and the direction l towards the lamp.
         """
         width, height = size
-        rows_at_once = max(1, _BLOCK // (width * SAMPLES**2))
-        image = np.empty((height, width, 4), np.float32)
-        x = window[0] + (window[2] - window[0]) * (np.arange(width * SAMPLES) + 0.5) / (width * SAMPLES)
-        y = window[1] + (window[3] - window[1]) * (np.arange(height * SAMPLES) + 0.5) / (height * SAMPLES)
+        image = np.zeros((height, width, 4), np.float32)
+        rows, columns = self._covered(camera, size, window)
+        x, y = (_places(window[k], window[k + 2], size[k]) for k in (0, 1))
+        x = x[columns.start * SAMPLES : columns.stop * SAMPLES]
         pixel = (window[2] - window[0]) / (width * SAMPLES)
-        for first in range(0, height, rows_at_once):
-            rows = y[first * SAMPLES : (first + rows_at_once) * SAMPLES]
-            columns, lines = (places.ravel() for places in np.meshgrid(x, rows))
-            starts, directions = camera.rays(columns, lines)
+        rows_at_once = max(1, _BLOCK // (max(1, len(x)) * SAMPLES))
+        for first in range(rows.start, rows.stop, rows_at_once):
+            last = min(first + rows_at_once, rows.stop)
+            across, down = np.meshgrid(x, y[first * SAMPLES : last * SAMPLES])
+            starts, directions = camera.rays(across.ravel(), down.ravel())
             seen = self._follow(camera, starts, directions, pixel, lit=lit)
-            blocks = seen.reshape(len(rows) // SAMPLES, SAMPLES, width, SAMPLES, 4)
-            image[first : first + rows_at_once] = blocks.mean(axis=(1, 3))
+            blocks = seen.reshape(last - first, SAMPLES, len(x) // SAMPLES, SAMPLES, 4)
+            image[first:last, columns] = blocks.mean(axis=(1, 3))
         return image
+
+    def _covered(self, camera: Camera, size: tuple[int, int], window: Window) -> tuple[slice, slice]:
+        """Return the rows and columns of pixels outside of which nothing can be seen."""
+        with np.errstate(over="ignore"):
+            places, depths = camera.project(self.positions)
+        if depths.min() <= 0:  # the eye is within the model
+            return slice(0, size[1]), slice(0, size[0])
+        share = np.array([window[2] - window[0], window[3] - window[1]])
+        low, high = places.min(axis=0) - _SLACK, places.max(axis=0) + _SLACK
+        first = np.clip(np.floor((low - window[:2]) / share * size), 0, size).astype(int)
+        last = np.clip(np.ceil((high - window[:2]) / share * size), 0, size).astype(int)
+        return slice(first[1], last[1]), slice(first[0], last[0])
 
     def _follow(
         self,
@@ -123,23 +139,24 @@ class SurfaceView:
         active = np.arange(len(starts))
         travelled = np.zeros(len(starts))
         for _ in range(_LAYERS):
-            faces, weights, distances = self._tracer.cast(starts[active], directions[active])
-            hit = faces >= 0
-            active, faces, weights = active[hit], faces[hit], weights[hit]
-            if not len(active):
-                break
-            travelled[active] += distances[hit]
-            footprints = (camera.breadth(travelled[active]) * pixel) ** 2
+            hit, faces, weights, distances = self._tracer.cast(starts, directions)
+            active, starts, directions = active[hit], starts[hit], directions[hit]
+            travelled = travelled[hit] + distances
+            footprints = (camera.breadth(travelled) * pixel) ** 2
             colours = self._paint(faces, weights, footprints)
             if lit:
-                colours[:, :3] *= self._light(camera, faces, weights, directions[active])[:, None]
-            share = (1 - seen[active, 3]) * colours[:, 3]
-            seen[active, :3] += share[:, None] * colours[:, :3]
-            seen[active, 3] += share
-            going_on = seen[active, 3] < 0.999
-            active, distances = active[going_on], distances[hit][going_on] + _STEP * self._tracer.size
-            travelled[active] += _STEP * self._tracer.size
-            starts[active] += distances[:, None] * directions[active]
+                colours[:, :3] *= self._light(camera, faces, weights, directions)[:, None]
+            total = seen[active]
+            share = (1 - total[:, 3]) * colours[:, 3]
+            total[:, :3] += share[:, None] * colours[:, :3]
+            total[:, 3] += share
+            seen[active] = total
+            on = np.flatnonzero(total[:, 3] < 0.999)
+            if not len(on):
+                break
+            step = _STEP * self._tracer.size
+            active, directions, travelled = active[on], directions[on], travelled[on] + step
+            starts = starts[on] + (distances[on] + step)[:, None] * directions
         return seen
 
     def _light(
@@ -171,3 +188,9 @@ class SurfaceView:
         flat = self._face_normals[:, None, :]
         creased = (smooth * flat).sum(axis=2, keepdims=True) < _CREASE
         return np.where(creased, flat, smooth)
+
+
+def _places(first: float, last: float, pixels: int) -> NDArray[np.float64]:
+    """Return where rays go through along one side of a window."""
+    count = pixels * SAMPLES
+    return np.asarray(first + (last - first) * (np.arange(count) + 0.5) / count, np.float64)

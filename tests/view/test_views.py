@@ -200,6 +200,18 @@ def test_a_detail_shows_what_its_frame_holds_in_more_pixels():
     assert detail == pytest.approx(large[60:90, 30:60], abs=1e-4)
 
 
+def test_windows_beyond_the_model_are_empty_and_an_eye_within_it_sees_all_around():
+    view, _ = sphere()
+    camera = front_camera(view, 30.0)
+    assert not view.draw(camera, (20, 20), (1.5, 0.0, 2.5, 1.0), lit=False).any()
+    left = view.draw(camera, (20, 20), (-0.5, 0.0, 0.5, 1.0), lit=False)
+    right = view.draw(camera, (20, 20), (0.5, 0.0, 1.5, 1.0), lit=False)
+    assert np.array_equal(left[..., 3], right[:, ::-1, 3])
+    assert 0.2 < left[..., 3].mean() < 0.5
+    within = dataclasses.replace(camera, place=np.zeros(3))
+    assert (view.draw(within, (20, 20), WHOLE, lit=False) == 1).all()
+
+
 def test_the_richest_window_is_where_the_contrast_is():
     view = np.full((80, 100, 4), 0.5, np.float32)
     view[..., 3] = 1
