@@ -183,7 +183,7 @@ def _do_on_worker(item: Item, memory: int | None, topic: str, key: int, client_v
             raise _Cancelled
         worker.log_event(topic, [key, label, done, total])
 
-    own = dataclasses.replace(item, overwrite=item.overwrite or again)
+    own = dataclasses.replace(item, again=item.again or again)
     # Threads share the memory of a process, which can then not be limited for one of them.
     try:
         return do_item(own, memory, progress, is_alone=worker.state.nthreads == 1)

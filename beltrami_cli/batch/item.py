@@ -17,10 +17,12 @@ from beltrami_cli.batch.storage import hash_at, is_url, staged
 from beltrami_cli.errors import BeltramiError, InputError
 from beltrami_cli.formats.access import Access
 from beltrami_cli.jobs.memory import limited_memory
+from beltrami_cli.jobs.writing.files import FileSet
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from beltrami_cli.jobs.smooth.report import SmoothReport
     from beltrami_cli.samples.settings import BakeSettings, SmoothSettings
 
     Progress = Callable[[str, int, int], None]
@@ -40,6 +42,8 @@ class Item:
     outside: bool = False
     """Whether files are followed that the model names beyond its own folder."""
     overwrite: bool = False
+    again: bool = False
+    """Whether an attempt that was cut off may have written files: those that are there must be the same."""
 
     @property
     def parameters(self) -> str:
@@ -121,31 +125,28 @@ def do_item(
 
 
 def _done(item: Item, memory: int | None, progress: Progress | None) -> Outcome:
-    from beltrami_cli.jobs.smooth.file import smooth_file
-
     read: dict[str, str] = {}
 
     def note(path: Path, data: bytes) -> None:
         read[str(path.absolute())] = hashlib.sha256(data).hexdigest()
 
-    report = smooth_file(
-        item.source, item.target, item.settings, unwrap=item.unwrap, overwrite=item.overwrite,
-        progress=progress, access=Access(outside=item.outside, memory=memory, note=note),
-    )  # fmt: skip
+    report = _smoothed(item, Access(outside=item.outside, memory=memory, note=note), progress)
     written = _hashes(item.target, report.written[1:])
     return outcome_of(item, "done", read=read, written=written, report=dataclasses.asdict(report))
 
 
 def _done_at_urls(item: Item, memory: int | None, progress: Progress | None) -> Outcome:
-    from beltrami_cli.jobs.smooth.file import smooth_file
-
+    to_url = is_url(item.target)
     with staged(item.source, item.target) as stage:
+        copy = dataclasses.replace(
+            item,
+            source=stage.source,
+            target=stage.target,
+            overwrite=item.overwrite or to_url,
+            again=item.again and not to_url,
+        )
         try:
-            report = smooth_file(
-                stage.source, stage.target, item.settings, unwrap=item.unwrap,
-                overwrite=item.overwrite or is_url(item.target),
-                progress=progress, access=stage.access(item.outside, memory),
-            )  # fmt: skip
+            report = _smoothed(copy, stage.access(item.outside, memory), progress)
         except BeltramiError as error:
             error.args = (stage.with_original_names(str(error)),)
             raise
@@ -153,9 +154,25 @@ def _done_at_urls(item: Item, memory: int | None, progress: Progress | None) -> 
         report = dataclasses.replace(
             report, input=item.source, output=item.target, written=[item.target, *beside]
         )
-        to_url = is_url(item.target)
-        written = stage.send(beside, item.overwrite) if to_url else _hashes(item.target, beside)
+        if to_url:
+            written = stage.send(beside, overwrite=item.overwrite, again=item.again)
+        else:
+            written = _hashes(item.target, beside)
         return outcome_of(item, "done", read=stage.read, written=written, report=dataclasses.asdict(report))
+
+
+def _smoothed(item: Item, access: Access, progress: Progress | None) -> SmoothReport:
+    from beltrami_cli.jobs.smooth.file import smooth_file
+
+    with FileSet() as files:
+        report = smooth_file(
+            item.source, item.target, item.settings, unwrap=item.unwrap,
+            overwrite=item.overwrite or item.again, progress=progress, access=access, files=files,
+        )  # fmt: skip
+        if item.again and not item.overwrite:
+            files.keep_equal()
+        files.put_in_place()
+    return report
 
 
 def _hashes(target: str, beside: list[str]) -> dict[str, str]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import os
 import tomllib
 from dataclasses import dataclass, field
 from pathlib import Path, PurePath
@@ -22,6 +23,7 @@ from beltrami_cli.batch.storage import (
     is_url,
     joined,
     place_of,
+    require_name,
     without_scheme,
 )
 from beltrami_cli.errors import InputError, UsageError
@@ -161,8 +163,19 @@ def _of_manifest(path: str, out_dir: str, suffix: str, extension: str | None) ->
         if not is_url(source) and not Path(source).is_file():
             raise InputError(source, "there is no such file", f"check {origin}")
         own_name = PurePath(name.rpartition("/")[2] if is_url(name) else Path(name).name)
-        place = PurePath(target_text) if target_text else _result_name(own_name, suffix, extension)
+        named = _place_below(out_dir, target_text, origin) if target_text else None
+        place = named or _result_name(own_name, suffix, extension)
         yield Request(source, joined(out_dir, place), options, origin, folder)
+
+
+def _place_below(out_dir: str, target: str, origin: str) -> PurePath:
+    """Return where an output of a manifest lies below the folder of all; InputError if it does not."""
+    # As in names of URLs, `..` goes back to the folder before it, also where that is a link to elsewhere.
+    root = Path("out" if is_url(out_dir) else out_dir).absolute()
+    place = PurePath(os.path.relpath(root / target, root))
+    if place.parts[:1] == (os.pardir,) or is_url(target) or (is_url(out_dir) and target.startswith("/")):
+        raise InputError(origin, f"its output {target} leaves --out-dir", "name one below that")
+    return place
 
 
 def _entries(path: str) -> list[tuple[str, object]]:
@@ -188,7 +201,10 @@ def _parts_of(entry: object, origin: str) -> tuple[str, str, dict[str, object]]:
     source, target = options.pop("input", None), options.pop("output", "")
     if not isinstance(source, str) or not isinstance(target, str):
         raise InputError(origin, "it has no input, or one that is no text", _WAY_OUT)
-    return source, target, options
+    try:
+        return require_name(source), require_name(target), options
+    except ValueError as error:
+        raise InputError(origin, "no file can have the name that is its input or output", _WAY_OUT) from error
 
 
 def _from_toml(text: str) -> Iterator[tuple[str, dict[str, Any]]]:

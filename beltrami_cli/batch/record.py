@@ -6,12 +6,14 @@ import dataclasses
 import json
 import os
 import re
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, get_args
 
-from beltrami_cli.batch.item import Outcome
-from beltrami_cli.batch.storage import exists, hash_at, is_url, place_of
+from beltrami_cli.batch.item import Outcome, Status
+from beltrami_cli.batch.storage import exists, hash_at, is_url, place_of, require_name
 from beltrami_cli.errors import InputError, OutputError
+from beltrami_cli.formats.access import open_regular
 from beltrami_cli.formats.document import Written
 from beltrami_cli.jobs.writing.output import Output, Overwrite
 
@@ -21,6 +23,9 @@ if TYPE_CHECKING:
     from beltrami_cli.batch.item import Item
 
 _HEAD = re.compile(rb'\{"input": ".*", "output": ".*", "status": "')
+_START = b'{"input": "'
+_LONGEST = 1 << 26  # bytes of a line
+_SHA256 = re.compile(r"[0-9a-f]{64}")
 _TEMPORARY = re.compile(r"\..+\.[0-9a-f]{12}\.tmp")  # as `replacing.temporary_beside` names them
 
 
@@ -76,8 +81,6 @@ def is_ours(outcome: Outcome | None) -> bool:
     """Return whether the files at the place of an output are as an earlier run left them, and may be replaced."""
     if outcome is None:
         return False
-    if outcome.status == "started":  # it looked that there were none
-        return True
     return place_of(outcome.output) in outcome.written and all(
         not exists(name) or _holds({name: digest}) for name, digest in outcome.written.items()
     )
@@ -112,17 +115,87 @@ def _read(path: str) -> dict[str, Outcome]:
     """Return the last line of each output; the very last line may be cut off by the end of a run."""
     latest: dict[str, Outcome] = {}
     try:
-        lines = Path(path).read_text(encoding="utf-8").splitlines(keepends=True)
-    except (OSError, UnicodeDecodeError) as error:
+        with open_regular(Path(path)) as file:
+            for number, line in enumerate(iter(partial(file.readline, _LONGEST), b""), 1):
+                try:
+                    outcome = _outcome_in(line)
+                except (ValueError, TypeError, RecursionError):
+                    if _is_cut_off(line) and not file.read(1):
+                        break
+                    cause = f"line {number} is not of a report of beltrami batch"
+                    raise InputError(path, cause, "leave out --resume, or choose another --report") from None
+                latest.pop(place_of(outcome.output), None)
+                latest[place_of(outcome.output)] = outcome
+    except OSError as error:
         raise InputError(path, f"cannot be read ({error})", "leave out --resume") from error
-    for number, line in enumerate(lines, 1):
-        try:
-            outcome = Outcome(**json.loads(line))
-        except (ValueError, TypeError):
-            if number == len(lines) and not line.endswith("\n"):
-                break
-            cause = f"line {number} is not of a report of beltrami batch"
-            raise InputError(path, cause, "leave out --resume, or choose another --report") from None
-        latest.pop(place_of(outcome.output), None)
-        latest[place_of(outcome.output)] = outcome
     return latest
+
+
+def _is_cut_off(line: bytes) -> bool:
+    return line[: len(_START)] == _START[: len(line)] and not line.endswith(b"\n")
+
+
+def _outcome_in(line: bytes) -> Outcome:
+    """Return what a line says; ValueError or TypeError if it cannot be from `_line`."""
+    outcome = Outcome(**json.loads(line.decode("utf-8")))
+    source, target = require_name(outcome.input), require_name(outcome.output)
+    texts = (outcome.parameters_sha256, outcome.error)
+    is_valid = (
+        outcome.status in get_args(Status)
+        and all(isinstance(text, str) for text in texts)
+        and all(_is_number(number) and number >= 0 for number in (outcome.time, outcome.seconds))
+        and type(outcome.exit_code) is int
+        and _are_hashes(outcome.read, source)
+        and _are_hashes(outcome.written, target)
+        and (outcome.report is None or _is_report(outcome.report))
+    )
+    if not is_valid:
+        raise ValueError("a value is of another kind, or out of its range")
+    return outcome
+
+
+def _are_hashes(values: object, file: str) -> bool:
+    """Return whether values are SHA-256 by name; URLs among the names are below the folder of the file's URL."""
+    folder = file.rpartition("/")[0]
+    return isinstance(values, dict) and all(
+        isinstance(digest, str)
+        and _SHA256.fullmatch(digest)
+        and (not is_url(require_name(name)) or (is_url(file) and _is_below(name, folder)))
+        for name, digest in values.items()
+    )
+
+
+def _is_below(url: str, folder: str) -> bool:
+    # "::" would chain another URL to it.
+    return url.startswith(f"{folder}/") and "::" not in url[len(folder) :]
+
+
+def _is_report(report: object) -> bool:
+    """Return whether a report of `beltrami smooth` has what the table of a batch shows of it."""
+    if not isinstance(report, dict) or not _is_shallow(report):
+        return False
+    textures, warnings = report.get("textures", []), report.get("warnings", [])
+    if not isinstance(textures, list) or not isinstance(warnings, list):
+        return False
+    parts = [part for part in (report.get("vertices"), report.get("image"), *textures) if part is not None]
+    return all(isinstance(warning, str) for warning in warnings) and all(
+        isinstance(part, dict)
+        and _are_numbers(part.get("noise"))
+        and _are_numbers(part.get("change"))
+        and "mean" in part["change"]
+        for part in parts
+    )
+
+
+def _is_shallow(value: object, depth: int = 20) -> bool:
+    inner = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
+    return depth > 0 and all(_is_shallow(each, depth - 1) for each in inner)
+
+
+def _are_numbers(values: object) -> bool:
+    return isinstance(values, dict) and all(_is_number(value) for value in values.values())
+
+
+def _is_number(value: object) -> bool:
+    """Return whether a value is a number that floats can hold."""
+    return isinstance(value, float) or (type(value) is int and abs(value) < 1 << 63)

@@ -6,7 +6,7 @@ import dataclasses
 from collections import deque
 from typing import TYPE_CHECKING, Protocol
 
-from beltrami_cli.batch.item import Attempt, Outcome, failed
+from beltrami_cli.batch.item import Attempt, failed, outcome_of
 from beltrami_cli.batch.record import is_done, is_ours, remove_leftovers
 from beltrami_cli.batch.storage import exists, make_folder_of
 from beltrami_cli.batch.workers import Workers
@@ -16,7 +16,7 @@ from beltrami_cli.flow.parameters import KernelParameters
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-    from beltrami_cli.batch.item import Item
+    from beltrami_cli.batch.item import Item, Outcome
     from beltrami_cli.batch.record import Record
 
 
@@ -142,16 +142,17 @@ class _Batch:
     def _start(self, key: int, executor: Executor) -> None:
         item, earlier = self._items[key], self._earlier[key]
         overwrite = item.overwrite or is_ours(earlier)
+        again = earlier is not None and earlier.status == "started"
         try:
-            _make_place(item.target, overwrite=overwrite)
+            _make_place(item.target, overwrite=overwrite or again)
         except OutputError as error:
             self._finish(key, Attempt(failed(item, str(error), error.exit_code)))
             return
         if item.settings.kernel.threads is None:
             kernel = dataclasses.replace(item.settings.kernel, threads=executor.threads)
             item = dataclasses.replace(item, settings=dataclasses.replace(item.settings, kernel=kernel))
-        self._record.add(Outcome(item.source, item.target, "started", item.parameters))
-        executor.start(key, dataclasses.replace(item, overwrite=overwrite))
+        self._record.add(outcome_of(item, "started", written=_written(earlier)))
+        executor.start(key, dataclasses.replace(item, overwrite=overwrite, again=again))
         if not executor.queues:
             self._watcher.started(key)
 
@@ -159,8 +160,7 @@ class _Batch:
         outcome = self._checked(key, attempt.outcome)
         earlier = self._earlier[key]
         if outcome.status == "failed":
-            if earlier is not None:  # what an earlier run wrote is still there, and still ours
-                outcome = dataclasses.replace(outcome, written=earlier.written)
+            outcome = dataclasses.replace(outcome, written=_written(earlier))
             self._stopped = self._stopped or self._fail_fast
         self._outcomes[key] = outcome
         self._record.add(outcome)
@@ -181,9 +181,12 @@ class _Batch:
 
     def _not_started(self, key: int) -> Outcome:
         """Return the outcome of a file that --fail-fast left undone; what was known of it stays known."""
-        item, earlier = self._items[key], self._earlier[key]
-        written = {} if earlier is None else earlier.written
-        return Outcome(item.source, item.target, "not started", item.parameters, written=written)
+        return outcome_of(self._items[key], "not started", written=_written(self._earlier[key]))
+
+
+def _written(earlier: Outcome | None) -> dict[str, str]:
+    """Return the files of an earlier run, which are still there if a later attempt fails or is cut off."""
+    return {} if earlier is None else earlier.written
 
 
 def _make_place(target: str, *, overwrite: bool) -> None:

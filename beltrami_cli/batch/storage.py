@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import unquote
 
 from beltrami_cli.errors import InputError, OutputError
-from beltrami_cli.formats.access import Access
+from beltrami_cli.formats.access import Access, open_regular
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -39,6 +39,14 @@ def without_scheme(name: str) -> str:
     """Return the path that a file:// URL means, and any other name as it is."""
     found = _HERE.match(name)
     return name if found is None else unquote(name[found.end() :])
+
+
+def require_name(name: object) -> str:
+    """Return what can be the name of a file; ValueError if it is no text, or one that no file can have."""
+    if not isinstance(name, str) or "\0" in name:
+        raise ValueError("it is no name of a file")
+    os.fsencode(name)  # a UnicodeError is a ValueError
+    return name
 
 
 def place_of(name: str) -> str:
@@ -102,7 +110,7 @@ def make_folder_of(name: str) -> None:
 def hash_at(name: str) -> str:
     """Return the SHA-256 of a file in hexadecimal digits; OSError if it cannot be read."""
     if not is_url(name):
-        with Path(name).open("rb") as file:
+        with open_regular(Path(name)) as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
     files, path = filesystem(name)
     digest = hashlib.sha256()
@@ -164,13 +172,17 @@ class Stage:
         except OSError as error:
             raise InputError(self._original_source, f"cannot be brought ({error})", "try again") from error
 
-    def send(self, names: list[str], overwrite: bool) -> dict[str, str]:
-        """Upload what was made, the model last, to the place of the target; return the hashes by URL."""
+    def send(self, names: list[str], *, overwrite: bool, again: bool) -> dict[str, str]:
+        """Upload what was made, the model last, to the place of the target; return the hashes by URL.
+
+        `again`: what an attempt that was cut off has uploaded already may be there.
+        """
         own = Path(self.target)
         made = [*(self._outside / name for name in names), own]
         urls = {path: f"{self._to}/{path.relative_to(self._outside).as_posix()}" for path in made}
-        for url in urls.values():
-            if not overwrite and exists(url):
+        hashes = {url: hash_at(str(path)) for path, url in urls.items()}
+        for url, digest in hashes.items():
+            if not overwrite and exists(url) and not (again and hash_at(url) == digest):
                 remedy = "choose another --out-dir or --suffix, or --overwrite"
                 raise OutputError(url, "exists already", remedy)
         try:
@@ -178,7 +190,7 @@ class Stage:
                 _upload(path, url)
         except OSError as error:
             raise OutputError(self._original_target, f"cannot be written ({error})", "try again") from error
-        return {url: hashlib.sha256(path.read_bytes()).hexdigest() for path, url in urls.items()}
+        return hashes
 
     def with_original_names(self, message: str) -> str:
         """Return a message with the names that the user knows."""

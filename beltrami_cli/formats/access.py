@@ -14,6 +14,7 @@ from beltrami_cli.errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
+    from io import BufferedReader
 
 # Without O_NONBLOCK, opening a FIFO that nobody writes to would wait for ever.
 _OPENING = (
@@ -62,15 +63,21 @@ class NotRegularError(OSError):
     """A FIFO, a device, a socket or a folder where a file should be."""
 
 
+def open_regular(path: Path) -> BufferedReader:
+    """Open a regular file, never waiting for a writer; OSError if it cannot be opened, or is none."""
+    file = os.fdopen(os.open(path, _OPENING), "rb")
+    if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+        file.close()
+        raise NotRegularError(errno.EINVAL, "it is not a regular file")
+    return file
+
+
 def read_regular(path: Path, access: Access, most: int = -1) -> bytes:
     """Return a regular file's content, or its first `most` bytes, never waiting for a writer; OSError if it cannot."""
-    descriptor = os.open(access.found_at(path), _OPENING)
-    with os.fdopen(descriptor, "rb") as file:
-        status = os.fstat(descriptor)
-        if not stat.S_ISREG(status.st_mode):
-            raise NotRegularError(errno.EINVAL, "it is not a regular file")
-        if most < 0 and access.memory is not None and status.st_size > access.memory:
-            raise OSError(errno.EFBIG, f"its {status.st_size} bytes are more than the memory it may take")
+    with open_regular(access.found_at(path)) as file:
+        size = os.fstat(file.fileno()).st_size
+        if most < 0 and access.memory is not None and size > access.memory:
+            raise OSError(errno.EFBIG, f"its {size} bytes are more than the memory it may take")
         data = file.read(most)
     if access.note is not None and not 0 <= most <= len(data):  # otherwise there may be more of it
         access.note(path, data)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import filecmp
 import os
 import sys
 from dataclasses import dataclass
@@ -124,6 +125,21 @@ class FileSet:
         """Keep what goes to standard output or a device, which is written before anything is put in place."""
         self._streams.append(write)
 
+    def keep_equal(self) -> None:
+        """Replace nothing: leave files that have the same bytes already; OutputError if one has others."""
+        for path, staged in list(self._staged.items()):
+            try:
+                if path.exists():
+                    if not filecmp.cmp(path, staged.aside.temporary, shallow=False):
+                        raise _existing(staged.name)
+                    staged.aside.temporary.unlink()
+                    del self._staged[path]
+                    continue
+            except OSError as error:
+                raise _unwritable(staged.name, error) from error
+            aside = dataclasses.replace(staged.aside, overwrite=False)
+            self._staged[path] = dataclasses.replace(staged, aside=aside)
+
     def put_in_place(self) -> None:
         """Give all files their names; OutputError if that fails, and then all is as it was."""
         for write in self._streams:
@@ -135,8 +151,7 @@ class FileSet:
             except OSError as error:
                 blamed = next((each.name for each in staged if str(each.aside.path) == error.filename), "")
                 if isinstance(error, FileExistsError):
-                    cause = "exists already"
-                    raise OutputError(blamed, cause, "choose another name, or --overwrite") from error
+                    raise _existing(blamed) from error
                 raise _unwritable(blamed or staged[-1].name, error) from error
             self._cleaning.pop_all()
             self._staged.clear()
@@ -158,6 +173,10 @@ def _rank(staged: _Staged) -> tuple[bool, bool, str]:
 def _collision(output: Output, name: str, other: str) -> OutputError:
     what = f"the {output.what}" if name == output.target and not output.is_result else "it"
     return OutputError(name, f"{what} would replace {other}", "choose another name")
+
+
+def _existing(name: str) -> OutputError:
+    return OutputError(name, "exists already", "choose another name, or --overwrite")
 
 
 def _unwritable(name: str, error: OSError) -> OutputError:

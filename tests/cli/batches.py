@@ -1,0 +1,46 @@
+"""Running `beltrami batch` and reading its report."""
+
+from __future__ import annotations
+
+import json
+
+from cli.commands import beltrami
+
+# Parameters that leave little to compute.
+QUICK = ("-n", "1", "-t", "0.5", "--beta", "10", "--beta-growth", "1", "--metric-steps", "0")
+
+
+def batch(*arguments, code=0, cwd=None):
+    """Run a batch that ends with an exit code; return what it wrote to the standard error."""
+    run = beltrami("batch", *arguments, cwd=cwd)
+    assert run.returncode == code, run.stderr.decode()
+    assert run.stdout == b""
+    assert b"Traceback" not in run.stderr
+    assert b"unexpected error" not in run.stderr
+    return run.stderr.decode()
+
+
+def lines_of(report):
+    return [json.loads(line) for line in report.read_text().splitlines()]
+
+
+def report_of(out):
+    """Return the lines of a report by the names of the outputs below its folder."""
+    return {line["output"].removeprefix(f"{out}/"): line for line in lines_of(out / "batch.jsonl")}
+
+
+def statuses(out):
+    return {name: line["status"] for name, line in report_of(out).items()}
+
+
+def smoothed(source, target, *options):
+    """Return what `beltrami smooth` makes of a file."""
+    run = beltrami("smooth", source, target, *options)
+    assert run.returncode == 0, run.stderr
+    return target.read_bytes()
+
+
+def files_in(folder):
+    """Return the contents of all files by their names below a folder, but for the report."""
+    files = (path for path in folder.rglob("*") if path.is_file() and path.name != "batch.jsonl")
+    return {str(path.relative_to(folder)): path.read_bytes() for path in files}
