@@ -29,6 +29,9 @@ from beltrami_cli.view.views import open_view
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    import numpy as np
+    from numpy.typing import NDArray
+
     from beltrami_cli.samples.settings import SmoothSettings
     from beltrami_cli.view.drawing import Progress
     from beltrami_cli.view.sheet import Background
@@ -100,10 +103,15 @@ def sweep_file(
     if is_page:
         output.write(Written(main=[_page(source, done, panels, looks)]))
     else:
-        empty = [None] * (-len(shown) % columns)  # trials begin in a row of their own
-        placed = [*panels[: len(shown)], *empty, *panels[len(shown) :]]
-        output.write(encoded(arranged(placed, columns, background_of(looks, panels)), target, suffix))
+        output.write(encoded(_sheet(panels, len(shown), columns, looks), target, suffix))
     return done
+
+
+def _sheet(panels: Sequence[Panel], first: int, columns: int, looks: RenderSettings) -> NDArray[np.uint8]:
+    """Arrange panels in a picture, in which those from `first` on begin in a row of their own."""
+    empty = [None] * (-first % columns)
+    placed = [*panels[:first], *empty, *panels[first:]]
+    return arranged(placed, columns, background_of(looks, panels))
 
 
 def _check(name: str, trials: int, looks: RenderSettings) -> None:
