@@ -13,39 +13,40 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from beltrami_cli.errors import BeltramiError, InputError, OutputError, ProcessingError, UsageError
     from beltrami_cli.flow.parameters import KernelParameters
+    from beltrami_cli.jobs.arrays import ImageResult, SmoothResult, smooth, smooth_image
     from beltrami_cli.jobs.inspect import inspect_file
-    from beltrami_cli.jobs.smooth.file import smooth_file
-    from beltrami_cli.jobs.smooth.report import SmoothReport
-    from beltrami_cli.samples.images.arrays import ImageResult
-    from beltrami_cli.samples.images.smooth import smooth_image
+    from beltrami_cli.jobs.report import SmoothReport
+    from beltrami_cli.jobs.smooth import smooth_file
     from beltrami_cli.samples.settings import ImageSettings, SmoothSettings, TextureSettings
-    from beltrami_cli.samples.vertices.arrays import smooth
-    from beltrami_cli.samples.vertices.result import SmoothResult
 
 _HOME_OF = {
     "BeltramiError": "errors",
-    "ImageResult": "samples.images.arrays",
+    "ImageResult": "jobs.arrays",
     "ImageSettings": "samples.settings",
+    "ImageSurface": "samples.image_surface",
     "InputError": "errors",
     "KernelParameters": "flow.parameters",
     "OutputError": "errors",
     "ProcessingError": "errors",
-    "SmoothReport": "jobs.smooth.report",
-    "SmoothResult": "samples.vertices.smooth",
+    "Job": "jobs.job",
+    "SmoothReport": "jobs.report",
+    "SmoothResult": "jobs.arrays",
     "SmoothSettings": "samples.settings",
     "TextureSettings": "samples.settings",
     "UsageError": "errors",
     "inspect_file": "jobs.inspect",
-    "smooth": "samples.vertices.arrays",
-    "smooth_file": "jobs.smooth.file",
-    "smooth_image": "samples.images.smooth",
+    "smooth": "jobs.arrays",
+    "smooth_file": "jobs.smooth",
+    "smooth_image": "jobs.arrays",
 }
 
 __all__ = [
     "BeltramiError",
     "ImageResult",
     "ImageSettings",
+    "ImageSurface",
     "InputError",
+    "Job",
     "KernelParameters",
     "OutputError",
     "ProcessingError",

@@ -16,13 +16,14 @@ from typing import TYPE_CHECKING, Any, Literal
 from beltrami_cli.batch.storage import hash_at, is_url, staged
 from beltrami_cli.errors import BeltramiError, InputError
 from beltrami_cli.formats.access import Access
+from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.memory import limited_memory
 from beltrami_cli.jobs.writing.files import FileSet
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from beltrami_cli.jobs.smooth.report import SmoothReport
+    from beltrami_cli.jobs.report import SmoothReport
     from beltrami_cli.samples.settings import BakeSettings, SmoothSettings
 
     Progress = Callable[[str, int, int], None]
@@ -162,13 +163,11 @@ def _done_at_urls(item: Item, memory: int | None, progress: Progress | None) -> 
 
 
 def _smoothed(item: Item, access: Access, progress: Progress | None) -> SmoothReport:
-    from beltrami_cli.jobs.smooth.file import smooth_file
+    from beltrami_cli.jobs.smooth import smooth_file
 
     with FileSet() as files:
-        report = smooth_file(
-            item.source, item.target, item.settings, unwrap=item.unwrap,
-            overwrite=item.overwrite or item.again, progress=progress, access=access, files=files,
-        )  # fmt: skip
+        job = Job(access, progress, item.overwrite or item.again, files=files)
+        report = smooth_file(item.source, item.target, item.settings, job, unwrap=item.unwrap)
         if item.again and not item.overwrite:
             files.keep_equal()
         files.put_in_place()

@@ -10,6 +10,7 @@ from beltrami_cli.cli import options
 from beltrami_cli.cli.amounts import sure_amount
 from beltrami_cli.cli.console import Messages, counted
 from beltrami_cli.cli.painting import choosing, painting_from, writing
+from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.settings import Kind, NoiseSettings
 
 EPILOG = """\b
@@ -76,11 +77,11 @@ def command(
     settings = painting_from(painting)
     noise = NoiseSettings(sigma, kind, seed)
     messages = Messages(quiet=quiet, verbose=verbose)
-    from beltrami_cli.jobs.noise.file import noise_file
+    from beltrami_cli.jobs.noise import noise_file
 
     with options.reading_from(painting, source) as access:
         report = noise_file(
-            source, target, noise, settings, format=output_format, overwrite=overwrite, access=access
+            source, target, noise, settings, job=Job(format=output_format, overwrite=overwrite, access=access)
         )
     messages.warn_of(source, report.warnings)
     for added in report.added:

@@ -11,8 +11,8 @@ from beltrami_cli.jobs.memory import show_size
 
 if TYPE_CHECKING:
     from beltrami_cli.cli.console import Messages
-    from beltrami_cli.jobs.smooth.report import ImageReport, SmoothReport, VertexReport
-    from beltrami_cli.samples.textures.smooth import SlotReport
+    from beltrami_cli.jobs.report import SmoothReport
+    from beltrami_cli.samples.reports import ImageReport, SlotReport, VertexReport
 
     Done = VertexReport | ImageReport | SlotReport
 

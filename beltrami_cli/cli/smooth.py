@@ -11,10 +11,11 @@ from beltrami_cli.cli import options
 from beltrami_cli.cli.console import Messages
 from beltrami_cli.cli.outcome import tell, tell_unchanged
 from beltrami_cli.errors import OutputError, UsageError
+from beltrami_cli.jobs.job import Job
 
 if TYPE_CHECKING:
     from beltrami_cli.formats.access import Access
-    from beltrami_cli.jobs.smooth.report import SmoothReport
+    from beltrami_cli.jobs.report import SmoothReport
     from beltrami_cli.jobs.writing.files import FileSet
     from beltrami_cli.jobs.writing.output import Output, Overwrite
     from beltrami_cli.samples.settings import SmoothSettings
@@ -102,7 +103,7 @@ def command(
     settings = options.settings_from(smoothing)
     unwrap = options.unwrapping_from(smoothing)
     messages = Messages(quiet=quiet, verbose=verbose)
-    from beltrami_cli.jobs.smooth.file import smooth_file
+    from beltrami_cli.jobs.smooth import smooth_file
     from beltrami_cli.jobs.writing.files import FileSet
 
     with (
@@ -127,12 +128,14 @@ def command(
             target,
             settings,
             unwrap=unwrap,
-            format=output_format,
-            overwrite=overwrite,
-            dry_run=dry_run,
-            progress=progress,
-            access=access,
-            files=files,
+            job=Job(
+                format=output_format,
+                overwrite=overwrite,
+                dry_run=dry_run,
+                progress=progress,
+                access=access,
+                files=files,
+            ),
         )
         if preview is not None:
             preview.draw()
@@ -147,7 +150,7 @@ def command(
 
 def _open_report(path: str, overwrite: Overwrite, files: FileSet) -> Output:
     """Check that a report can be written before anything is computed."""
-    from beltrami_cli.jobs.smooth.report import is_report
+    from beltrami_cli.jobs.report import is_report
     from beltrami_cli.jobs.writing.output import Output
 
     if path == "-":

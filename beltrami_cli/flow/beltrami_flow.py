@@ -128,7 +128,7 @@ class BeltramiFlow(Generic[AnyManifold]):
         return Averaged(stacks, done.samples, done.truncated)
 
     def values(self) -> NDArray[np.float32]:
-        """Return the colours of all samples as they are now, shape (S, N), in the order given."""
+        """Return the colours of all samples as they are now, shape (S, N), in the caller's order."""
         return self.manifold.values()
 
     def kernel_at(self, sample: int) -> SampledKernel:

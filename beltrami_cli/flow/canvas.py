@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from beltrami_cli.flow.regularisation import guide_radius
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import refresh_halo
 
@@ -14,6 +15,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from beltrami_cli.flow.parameters import KernelParameters
     from beltrami_cli.surface.atlas import Atlas, Indices
 
 
@@ -71,6 +73,12 @@ def colours_at(planes: NDArray[np.float32], cells: Indices, threads: int) -> NDA
     for block in large_arrays.blocks(len(cells)):
         take_colours(planes, cells[block], colours[block], threads)
     return colours
+
+
+def canvas_margin(parameters: KernelParameters) -> int:
+    """Return how many cells beyond a chart its kernels look at."""
+    blurred = guide_radius(parameters.metric_scale) if parameters.metric_steps else 0
+    return parameters.window // 2 + blurred
 
 
 def local_scales(atlas: Atlas, window: int) -> NDArray[np.float32]:

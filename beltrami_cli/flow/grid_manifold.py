@@ -14,7 +14,7 @@ import numpy as np
 from beltrami_cli.flow.canvas import colours_at, halo_repeats, local_scales, painted
 from beltrami_cli.flow.clipping import find_clipped_on_canvas
 from beltrami_cli.flow.kernel_probe import SampledKernel, kernel_values
-from beltrami_cli.flow.manifold import Averaged, Manifold, at_step
+from beltrami_cli.flow.manifold import Averaged, Manifold, NewColours, at_step
 from beltrami_cli.flow.noise.correlated_noise import estimate_noise_on_grid
 from beltrami_cli.flow.noise.grid import estimate_sigma_on_grid
 from beltrami_cli.flow.regularisation import GridGaussian, guide_radius
@@ -230,14 +230,20 @@ class GridManifold(Manifold):
         """Return the colours of the owned cells as they are now, shape (T, N)."""
         return colours_at(self.colours, self.atlas.owned_cells, self.threads)
 
-    def gutter_values(self) -> NDArray[np.float32]:
-        """Return the colours that the atlas's gutter cells have now, shape (G, N)."""
+    def new_colours(self) -> NewColours:
+        """Return the colours of the owned cells as they are now, and those of the gutter."""
         refresh_halo(self.colours, self.atlas, interpolated=True)
-        flat, cells = self.colours.reshape(len(self.colours), -1), self.atlas.gutter_cells
-        colours = np.zeros((len(cells), len(flat)), np.float32)
-        for block in large_arrays.blocks(len(cells), large_arrays.SCATTERED):
-            colours[block] = flat[:, cells[block]].T
-        return colours
+        planes, cells, threads = self.colours, self.atlas.owned_cells, self.threads
+        flat, gutter = planes.reshape(len(planes), -1), self.atlas.gutter_cells
+        beyond = np.zeros((len(gutter), len(flat)), np.float32)
+        for block in large_arrays.blocks(len(gutter), large_arrays.SCATTERED):
+            beyond[block] = flat[:, gutter[block]].T
+        return NewColours(
+            lambda block, inside: colours_at(planes, cells[block][inside], threads),
+            self.atlas.owned_texels,
+            self.atlas.gutter_texels,
+            beyond,
+        )
 
     def find_clipped(self) -> ClippedChannels | None:
         """Find the channels that were cut off."""

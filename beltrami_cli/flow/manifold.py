@@ -1,8 +1,9 @@
 """The image manifold as the iterations see it: what measures distances on it, and averages by them.
 
 A sample has a position X and a colour I, and is embedded as (X, beta I). Two kinds of manifolds are sampled:
-triangulated surfaces, and regular grids. Equations are those of A. Spira, R. Kimmel, N. Sochen, "A short time Beltrami
-kernel for smoothing images on manifolds", IEEE Trans. Image Processing 16(6), 2007, https://doi.org/10.1109/TIP.2007.894253
+triangulated surfaces, and regular grids. Equations are those of A. Spira, R. Kimmel, N. Sochen, "A short time
+Beltrami kernel for smoothing images on manifolds", IEEE Trans. Image Processing 16(6), 2007,
+https://doi.org/10.1109/TIP.2007.894253
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from beltrami_cli.flow.kernel_probe import SampledKernel
     from beltrami_cli.flow.parameters import KernelParameters
     from beltrami_cli.flow.regularisation import GridGaussian, MeshGaussian
+    from beltrami_cli.surface.atlas import Indices
 
 
 @dataclass(frozen=True)
@@ -44,6 +46,42 @@ class Averaged:
     stacks: list[NDArray[np.float32]]
     samples: float
     truncated: int = 0
+
+
+@dataclass(frozen=True)
+class NewColours:
+    """Colours of S samples, taken block by block, and of what continues them beyond seams.
+
+    `take` gives rows of a block: of those that a mask chooses, or of all. `places` are the texels or pixels of the
+    samples, shape (S,), and `beyond_places` and `beyond` those around charts, shape (G,), and their colours, shape
+    (G, N).
+    """
+
+    take: Callable[[slice, NDArray[np.bool_] | slice], NDArray[np.float32]]
+    places: Indices
+    beyond_places: Indices
+    beyond: NDArray[np.float32]
+
+    @classmethod
+    def of(
+        cls,
+        rows: NDArray[np.float32],
+        places: Indices | None = None,
+        beyond_places: Indices | None = None,
+        beyond: NDArray[np.float32] | None = None,
+    ) -> NewColours:
+        """Give the rows of a table, shape (S, N)."""
+        none = np.zeros(0, np.int64)
+        return cls(
+            lambda block, inside: rows[block][inside],
+            np.arange(len(rows)) if places is None else places,
+            none if beyond_places is None else beyond_places,
+            np.zeros((0, rows.shape[1]), np.float32) if beyond is None else beyond,
+        )
+
+    def table(self) -> NDArray[np.float32]:
+        """Return all rows, shape (S, N)."""
+        return self.take(slice(None), slice(None))
 
 
 class Manifold(ABC):
@@ -145,6 +183,10 @@ class Manifold(ABC):
     @abstractmethod
     def values(self) -> NDArray[np.float32]:
         """Return the colours as they are now, shape (S, N), in the caller's order."""
+
+    @abstractmethod
+    def new_colours(self) -> NewColours:
+        """Return them block by block, with those beyond seams, to be put back where they come from."""
 
     @abstractmethod
     def find_clipped(self) -> ClippedChannels | None:

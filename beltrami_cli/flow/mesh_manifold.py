@@ -14,7 +14,7 @@ import numpy as np
 from beltrami_cli.flow.clipping import find_clipped
 from beltrami_cli.flow.geometry import GeometryParameters, MovingPositions
 from beltrami_cli.flow.kernel_probe import SampledKernel, kernel_values
-from beltrami_cli.flow.manifold import Averaged, Manifold, at_step
+from beltrami_cli.flow.manifold import Averaged, Manifold, NewColours, at_step
 from beltrami_cli.flow.noise.mesh import estimate_sigma
 from beltrami_cli.flow.regularisation import MeshGaussian
 from beltrami_cli.flow.spacing import edges_in_space, local_spacing, mean_side
@@ -202,6 +202,10 @@ class MeshManifold(Manifold):
     def values(self) -> NDArray[np.float32]:
         """Return the colours as they are now, shape (S, N), in the caller's order."""
         return self.in_order(self.colours)
+
+    def new_colours(self) -> NewColours:
+        """Return the same to be put back."""
+        return NewColours.of(self.values())
 
     def in_order(self, rows: NDArray[Any]) -> NDArray[Any]:
         """Bring rows back to the order that the caller gave them in."""

@@ -65,7 +65,7 @@ def bake_file(
     source, target = os.fspath(source), os.fspath(target)
     output = Output(target, overwrite=overwrite)
     document = open_document(source, access)
-    kind, stem = choose_format(document, target, format), Path(target).stem
+    kind, stem = choose_format(document, target, format).name, Path(target).stem
     output.check_sidecars(sidecar_names(kind, stem, ".png" if to == "texture" else None))
     if to == "texture":
         written, counts, texture, notices = _to_texture(document, kind, stem, settings, progress)

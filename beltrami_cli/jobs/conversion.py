@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from beltrami_cli.formats.document import Document, Written
+    from beltrami_cli.samples.selection import OutputFormat
     from beltrami_cli.surface.records import ImageFile, MeshContents, MovedVertices, Slot
 
 
@@ -23,42 +24,19 @@ def make_files(
     document: Document,
     colours: NDArray[np.float32] | None,
     images: Mapping[tuple[Slot, str], ImageFile],
-    target_format: str,
+    kind: OutputFormat,
     stem: str,
     *,
     moved: bool,
     places: MovedVertices | None = None,
 ) -> Written:
-    """Write a document with other colours.
+    """Return the files of a document with other colours and places; UsageError if the format cannot take textures over.
 
-    Parameters
-    ----------
-    document : Document
-        The source.
-    colours : ndarray of float32, shape (V, C), or None
-        Rows as in ``document.painted().colours``; None: as they are.
-    images : mapping of (Slot, str) to ImageFile
-        New images, as `Document.patch` takes them.
-    target_format : {"ply", "obj", "glb", "gltf", "xyz", "pts", "npz"}
-        The document's own, which changes nothing but colours, or another.
-    stem : str
-        Name of the output without extension, for files beside it.
-    moved : bool
-        Whether the output lies in another folder than the source.
-    places : MovedVertices or None
-        New places of the vertices; None: as they are.
-
-    Returns
-    -------
-    Written
-        Its notices say what was lost.
-
-    Raises
-    ------
-    UsageError
-        If the other format cannot take over textures.
+    `colours` and `places` have rows as in ``document.painted()``; None: as they are. `stem` is the name of the output
+    without extension, for files beside it, and `moved` whether it lies in another folder than the source.
     """
-    if target_format == document.format:
+    target_format = kind.name
+    if kind.is_own or kind.suffix is not None:
         return document.patch(colours, stem, moved=moved, images=images, places=places)
     from beltrami_cli.formats.gltf import GltfDocument
 

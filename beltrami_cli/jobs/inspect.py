@@ -4,23 +4,28 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access, read_source
-from beltrami_cli.formats.image.recognition import is_image
-from beltrami_cli.jobs.opening import document_from, refuse_options_of_level_sets
+from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
+from beltrami_cli.formats.image.document import ImageDocument
+from beltrami_cli.jobs.opening import open_input
 from beltrami_cli.samples.memory_check import require_room_for_textures
-from beltrami_cli.samples.selection import choose_work, require_scale
+from beltrami_cli.samples.selection import require_scale, samples_of, select, vertex_samples
 from beltrami_cli.samples.settings import DEFAULTS, SmoothSettings, describe_kernel
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from beltrami_cli.flow.beltrami_flow import BeltramiFlow
+    from beltrami_cli.flow.grid_manifold import GridManifold
     from beltrami_cli.formats.document import Document
-    from beltrami_cli.samples.vertices.prepare import PreparedVertices
-    from beltrami_cli.surface.records import PaintedVertices, SampledSurface, Slot
+    from beltrami_cli.samples.pixel_samples import PixelSamples
+    from beltrami_cli.samples.range_samples import RangeSamples
+    from beltrami_cli.samples.texel_samples import TexelSamples
+    from beltrami_cli.samples.vertex_samples import PaintedSamples, VertexSamples
+    from beltrami_cli.surface.records import PaintedVertices, SampledSurface, Slot, TexturedSurface
     from beltrami_cli.surface.vertex_sampling import VertexSampling
 
 # Enough for a mean within a few per cent, and a matter of milliseconds.
@@ -58,87 +63,78 @@ def inspect_file(
     UsageError
         If the settings contradict the file.
     """
-    name = os.fspath(source)
-    data = read_source(name, access)
-    if is_image(data, name):
-        refuse_options_of_level_sets(settings, name)
-        return _describe_image(data, "<stdin>" if name == "-" else name, settings, access)
-    return _describe_model(document_from(data, name, settings, access), settings, access)
-
-
-def _describe_image(data: bytes, name: str, settings: SmoothSettings, access: Access) -> dict[str, object]:
-    from beltrami_cli.samples.images.prepare import prepare_image
-
-    prepared = prepare_image(data, name, settings, access)
-    flow = prepared.flow(settings)
-    facts = prepared.facts()
-    return {
-        "file": {"name": name, "format": facts.pop("format"), "bytes": len(data)},
-        "image": {**facts, "pitch": flow.manifold.spacing},
-        "noise": prepared.colours.named(flow.manifold.sigma),
-        "smooth": describe_kernel(settings, flow),
-        "notices": list(prepared.notices),
-    }
-
-
-def _describe_model(document: Document, settings: SmoothSettings, access: Access) -> dict[str, object]:
-    work = choose_work(document, settings)
-    require_scale(document, work)
+    document = open_input(os.fspath(source), settings, access)
+    selection = select(document, settings)
+    if isinstance(document, ImageDocument):
+        (samples,) = samples_of(document, selection, settings, access)
+        return _describe_image(document, cast("PixelSamples", samples))
+    require_scale(document, selection)
     facts: dict[str, object] = {
         "file": {"name": document.name, "format": document.format, **document.facts()}
     }
-    grid = document.grid() if work.vertices else None
-    if grid is not None:
-        facts.update(_describe_range(document, grid, settings, access))
-    elif work.vertices:
-        facts.update(_describe_vertices(document, settings, access))
-    elif work.slots:
-        facts.update(_describe_under_textures(document, work.slots[0], settings, access))
-    require_room_for_textures(document, work.slots, settings.textures, access)
-    slots = [_describe_slot(document, slot, settings, access) for slot in work.slots]
+    if selection.vertices:
+        facts.update(_describe_painted(vertex_samples(document, settings, access)))
+    elif selection.slots:
+        facts.update(_describe_under_textures(document, selection.slots[0], settings, access))
+    require_room_for_textures(document, selection.slots, settings.textures, access)
+    textured = dataclasses.replace(selection, vertices=False)
+    slots = [
+        _describe_slot(cast("TexelSamples", samples))
+        for samples in samples_of(document, textured, settings, access)
+    ]
     if slots:
         facts["textures"] = slots
     others = [slot for slot in document.slots() if slots and slot not in settings.textures.slots]
     hint = (f"it has textures in other slots, too; --slots {','.join(others)} shows them",) if others else ()
-    facts["notices"] = [*document.notices, *work.notices, *hint]
+    facts["notices"] = [*document.notices, *selection.notices, *hint]
     return facts
 
 
-def _describe_vertices(document: Document, settings: SmoothSettings, access: Access) -> dict[str, object]:
-    """Describe the vertex colours of a mesh or of points, and what smoothing would do to them."""
-    from beltrami_cli.samples.vertices.guides import vertex_guides
-    from beltrami_cli.samples.vertices.point_cloud import with_surface
-    from beltrami_cli.samples.vertices.prepare import prepare
-
-    painted = with_surface(document.painted(), settings)
-    prepared = prepare(painted, settings, vertex_guides(document, settings, access))
-    flow = prepared.flow(settings)
-    is_mesh = len(document.painted().faces) > 0
+def _describe_image(document: ImageDocument, samples: PixelSamples) -> dict[str, object]:
+    flow, facts = samples.flow(), samples.facts()
     return {
-        "colours": _describe_colours(painted),
-        "surface" if is_mesh else "cloud": {
-            **(_describe_mesh(painted, prepared) if is_mesh else _describe_cloud(painted, prepared)),
-            "mean_edge_length": flow.manifold.spacing,
-            "bounds": _bounds(painted),
-        },
-        "noise": {
-            painted.channels[i]: float(s)
-            for i, s in zip(prepared.channels.taking_part, flow.manifold.sigma, strict=True)
-        },
-        "smooth": describe_kernel(settings, flow)
-        | (
-            {}
-            if flow.manifold.moving is None
-            else {"normal_noise": flow.manifold.moving.sigma, "normal_beta": flow.manifold.moving.beta}
-        )
-        | {"samples_per_kernel": round(flow.manifold.samples_per_kernel(_PROBED_KERNELS, flow.step(0)), 1)},
+        "file": {"name": document.name, "format": facts.pop("format"), "bytes": len(document.data)},
+        "image": {**facts, "pitch": flow.manifold.spacing},
+        "noise": samples.named(flow.manifold.sigma),
+        "smooth": describe_kernel(samples.settings, flow),
+        "notices": samples.notices(),
     }
 
 
-def _describe_mesh(painted: PaintedVertices, prepared: PreparedVertices) -> dict[str, object]:
+def _describe_painted(samples: PaintedSamples) -> dict[str, object]:
+    from beltrami_cli.samples.range_samples import RangeSamples
+
+    if isinstance(samples, RangeSamples):
+        return _describe_range(samples)
+    return _describe_vertices(cast("VertexSamples", samples))
+
+
+def _describe_vertices(samples: VertexSamples) -> dict[str, object]:
+    """Describe the vertex colours of a mesh or of points, and what smoothing would do to them."""
+    painted = samples.joined
+    facts = _describe_cloud(samples) if samples.is_cloud else _describe_mesh(samples)
+    flow = samples.flow()
+    manifold = flow.manifold
+    moving = {}
+    if manifold.moving is not None:
+        moving = {"normal_noise": manifold.moving.sigma, "normal_beta": manifold.moving.beta}
+    held = round(manifold.samples_per_kernel(_PROBED_KERNELS, flow.step(0)), 1)
+    return {
+        "colours": _describe_colours(painted),
+        "cloud" if samples.is_cloud else "surface": {
+            **facts,
+            "mean_edge_length": manifold.spacing,
+            "bounds": _bounds(painted.positions),
+        },
+        "noise": samples.named(manifold.sigma),
+        "smooth": describe_kernel(samples.settings, flow) | moving | {"samples_per_kernel": held},
+    }
+
+
+def _describe_mesh(samples: VertexSamples) -> dict[str, object]:
     from beltrami_cli.surface.geometry import count_topology
 
-    surface, sampling = prepared.surface, prepared.sampling
+    painted, surface, sampling = samples.painted, samples.surface, samples.sampling
     topology = count_topology(_place_positions(surface, sampling), sampling.place_of[surface.faces])
     return {
         "vertices": len(painted.positions),
@@ -150,38 +146,32 @@ def _describe_mesh(painted: PaintedVertices, prepared: PreparedVertices) -> dict
     }
 
 
-def _describe_cloud(painted: PaintedVertices, prepared: PreparedVertices) -> dict[str, object]:
-    from beltrami_cli.samples.vertices.point_cloud import count_cloud
+def _describe_cloud(samples: VertexSamples) -> dict[str, object]:
+    from beltrami_cli.samples.points import count_cloud
 
     return {
-        "points": len(painted.positions),
-        "samples": len(prepared.surface.colours),
-        "coincident_points": len(painted.positions) - prepared.sampling.places,
-        **dataclasses.asdict(count_cloud(painted)),
+        "points": len(samples.painted.positions),
+        "samples": len(samples.surface.colours),
+        "coincident_points": len(samples.painted.positions) - samples.sampling.places,
+        **dataclasses.asdict(count_cloud(samples.joined)),
     }
 
 
-def _describe_range(
-    document: Document, grid: NDArray[np.int64], settings: SmoothSettings, access: Access
-) -> dict[str, object]:
+def _describe_range(samples: RangeSamples) -> dict[str, object]:
     """Describe a range image, and what smoothing would do to it."""
-    from beltrami_cli.samples.images.range_image import prepare_range
-    from beltrami_cli.samples.vertices.guides import vertex_guides
-
-    prepared = prepare_range(document.painted(), grid, settings, vertex_guides(document, settings, access))
-    flow = prepared.flow(settings)
-    samples = len(flow.manifold.atlas.owned_texels)
+    flow, grid = samples.flow(), samples.grid
+    measured = len(flow.manifold.atlas.owned_texels)
     return {
-        "colours": _describe_colours(prepared.painted),
+        "colours": _describe_colours(samples.painted),
         "surface": {
             "range_image": [grid.shape[1], grid.shape[0]],
-            "vertices": len(prepared.painted.positions),
-            "samples": samples,
-            "holes": grid.size - samples,
+            "vertices": len(samples.painted.positions),
+            "samples": measured,
+            "holes": grid.size - measured,
             "mean_edge_length": flow.manifold.spacing,
         },
-        "noise": prepared.named(flow.manifold.sigma),
-        "smooth": describe_kernel(settings, flow),
+        "noise": samples.named(flow.manifold.sigma),
+        "smooth": describe_kernel(samples.settings, flow),
     }
 
 
@@ -203,10 +193,8 @@ def _describe_colours(painted: PaintedVertices) -> dict[str, object]:
     }
 
 
-def _bounds(painted: PaintedVertices) -> list[list[float]]:
-    if not len(painted.positions):
-        return []
-    return [painted.positions.min(axis=0).tolist(), painted.positions.max(axis=0).tolist()]
+def _bounds(positions: NDArray[np.float64]) -> list[list[float]]:
+    return [positions.min(axis=0).tolist(), positions.max(axis=0).tolist()] if len(positions) else []
 
 
 def _describe_under_textures(
@@ -216,23 +204,66 @@ def _describe_under_textures(
     if settings.on == "auto" and document.grid() is None and document.has_vertex_colours():
         # They stay as they are, so no parameters are chosen for them.
         plain = dataclasses.replace(DEFAULTS, kernel=dataclasses.replace(settings.kernel, free=()))
-        facts = _describe_vertices(document, plain, access)
+        facts = _describe_painted(vertex_samples(document, plain, access))
         return {key: facts[key] for key in facts if key != "smooth"}
-    from beltrami_cli.samples.textures.description import describe_surface
-
-    return {"surface": describe_surface(document.textured(slot))}
+    return {"surface": _describe_surface(document.textured(slot))}
 
 
-def _describe_slot(
-    document: Document, slot: Slot, settings: SmoothSettings, access: Access
-) -> dict[str, object]:
-    from beltrami_cli.samples.textures.description import describe_slot
-    from beltrami_cli.samples.textures.prepare import prepare_slot
+def _describe_surface(surface: TexturedSurface) -> dict[str, object]:
+    """Count the triangles under textures."""
+    from beltrami_cli.surface.geometry import count_topology
+    from beltrami_cli.surface.grouping import group_equal_rows
 
-    prepared = prepare_slot(document.textured(slot), slot, settings, document, access)
-    flow = prepared.flow(settings)
+    columns = [*surface.positions.T, *([] if surface.space_of is None else [surface.space_of])]
+    place_of, first = group_equal_rows(*columns)
+    positions = surface.positions[first]
     return {
-        "slot": slot,
-        **describe_slot(prepared, flow, settings),
-        "smooth": describe_kernel(settings, flow),
+        "vertices": len(surface.positions),
+        "triangles": len(surface.faces),
+        "coincident_vertices": len(surface.positions) - len(first),
+        **dataclasses.asdict(count_topology(positions, place_of[surface.faces])),
+        "bounds": _bounds(positions),
     }
+
+
+def _describe_slot(samples: TexelSamples) -> dict[str, object]:
+    """Describe the textures of a slot, together and each by itself, and what smoothing would do to them."""
+    from beltrami_cli.samples.texel_samples import atlas_counts
+
+    flow, described = samples.flow(), samples.facts()
+    count = len(described)
+    flows = [flow] if count == 1 else [_alone(samples, index) for index in range(count)]
+    atlases = [samples.atlas] if count == 1 else [own.manifold.atlas for own in flows]
+    for facts, atlas, own in zip(described, atlases, flows, strict=True):
+        facts |= {"charts": atlas.charts, "seams": atlas.seams, "overlapped": atlas.overlapped}
+        facts |= {"pitch": own.manifold.spacing, "noise": samples.named(own.manifold.sigma)}
+    between = samples.atlas.seams - sum(atlas.seams for atlas in atlases)
+    return {
+        "slot": samples.slot,
+        "images": described,
+        **atlas_counts(samples.atlas),
+        "seams_between_textures": max(0, between),
+        "colour_jumps": flow.manifold.jumps,
+        "pitch": flow.manifold.spacing,
+        "noise": samples.named(flow.manifold.sigma),
+        "smooth": describe_kernel(samples.settings, flow),
+    }
+
+
+def _alone(samples: TexelSamples, index: int) -> BeltramiFlow[GridManifold]:
+    """Return a flow, with no parameters chosen, on one of several textures."""
+    from beltrami_cli.flow.beltrami_flow import BeltramiFlow
+    from beltrami_cli.flow.canvas import painted
+    from beltrami_cli.flow.grid_manifold import GridManifold
+    from beltrami_cli.samples.texel_samples import atlas_of, only_textures
+    from beltrami_cli.surface.atlas import without_owned
+
+    kernel, picture = dataclasses.replace(samples.settings.kernel, free=()), samples.pictures[index]
+    surface = only_textures(samples.surface, [index])
+    atlas = atlas_of(surface, [picture], kernel)
+    hidden = samples.colours.hidden(index, surface.textures[0], atlas.owned_texels)
+    if hidden.any():
+        atlas = without_owned(atlas, hidden)
+    colours = samples.colours.working(picture, atlas.owned_texels)
+    planes = painted(atlas, colours, kernel.thread_count)
+    return BeltramiFlow(GridManifold(atlas, planes, kernel), kernel)

@@ -21,28 +21,17 @@ if TYPE_CHECKING:
 
     from beltrami_cli.formats.document import Document, Written
     from beltrami_cli.jobs.writing.output import Output
-    from beltrami_cli.samples.selection import Work
+    from beltrami_cli.samples.selection import OutputFormat, Selection
     from beltrami_cli.samples.settings import SmoothSettings
 
 
 @dataclass(frozen=True)
-class Companions:
+class Sidecars:
     """What lies beside an output.
 
-    Attributes
-    ----------
-    folder : pathlib.Path
-        Of the source.
-    references : tuple of str
-        Unchanged files of the source, relative to it, that go along into the output's folder.
-    keep_names : bool
-        Whether changed files have the names of the source's, as `moved` of `Document.patch`.
-    target_folder : pathlib.Path or None
-        Of the output, if there are files in it that something else names.
-    strangers : frozenset of str
-        These files, as far as the source has files of such names.
-    notices : tuple of str
-        What the user should know of the names.
+    The source's folder; unchanged files of the source, relative to it, that go along; whether changed files keep the
+    names of the source's (`moved` of `Document.patch`); the output's folder, and files in it that something else
+    names.
     """
 
     folder: Path
@@ -53,7 +42,7 @@ class Companions:
     notices: tuple[str, ...] = ()
 
     def complete(self, written: Written, access: Access = EVERYTHING_INSIDE) -> Written:
-        """Add the unchanged files that the model still names, and the notices; OutputError as `plan_companions`."""
+        """Add the unchanged files that the model still names, and the notices; OutputError as `plan_sidecars`."""
         left = [n for n in self.references if n not in written.sidecars and n not in written.superseded]
         copied = {name: read_regular(self.folder / name, access) for name in left}
         self.check_copies(copied)
@@ -68,56 +57,35 @@ class Companions:
                 raise _in_the_way(folder / name)
 
 
-def plan_companions(
+def plan_sidecars(
     document: Document,
-    work: Work,
+    selection: Selection,
     settings: SmoothSettings,
-    target_format: str,
-    source: str,
-    target: str,
+    kind: OutputFormat,
+    ends: tuple[str, str],
     output: Output | None,
-    access: Access = EVERYTHING_INSIDE,
-) -> Companions:
-    """Plan the files beside the output, and check that they may be written.
+    access: Access,
+) -> Sidecars:
+    """Plan the files beside the output, and check that they may be written; `ends` are the source and the target.
 
     In another folder than the source's they keep their names. If that folder has a file of such a name already, which
     is not of the model that OUTPUT replaces, changed files are named after OUTPUT, as they are beside the source.
-
-    Parameters
-    ----------
-    document : Document
-        The source.
-    work : Work
-        What changes.
-    settings : SmoothSettings
-        Which textures, and their format.
-    target_format : str
-        What is written.
-    source, target : str
-        Where from, where to.
-    output : Output or None
-        Where to; None: nothing is written, and nothing checked.
-    access : Access
-        What may be read.
-
-    Raises
-    ------
-    OutputError
-        If a file exists and must not be replaced, or would have to give way to one of the same name.
+    OutputError if a file exists and must not be replaced, or would have to give way to one of the same name.
     """
+    source, target = ends
     moved = is_moved(source, target)
-    references = tuple(document.references()) if moved and target_format == document.format else ()
-    plan = Companions(Path(source).parent, references, moved)
+    references = tuple(document.references()) if moved and kind.is_own else ()
+    plan = Sidecars(Path(source).parent, references, moved)
     if output is None:
         return plan
-    names = _names(plan, document, work, settings, target_format, target)
+    names = _names(plan, document, selection, settings, kind, target)
     output.check_sidecars(names.keys())
     strangers = _strangers(output, {*names, *references}, target, access) if moved else frozenset()
     if any(names.get(name) for name in strangers):
-        told = ", ".join(sorted(name for name in strangers if names.get(name)))
-        notice = f"{told} beside OUTPUT is of something else, and stays; what is new is named after OUTPUT."
+        others = ", ".join(sorted(name for name in strangers if names.get(name)))
+        notice = f"{others} beside OUTPUT is of something else, and stays; what is new is named after OUTPUT."
         plan = dataclasses.replace(plan, keep_names=False, notices=(notice,))
-        names = _names(plan, document, work, settings, target_format, target)
+        names = _names(plan, document, selection, settings, kind, target)
         output.check_sidecars(names.keys())
         strangers = _strangers(output, {*names, *references}, target, access)
     plan = dataclasses.replace(plan, target_folder=output.folder, strangers=strangers)
@@ -128,15 +96,15 @@ def plan_companions(
 
 
 def _names(
-    plan: Companions,
+    plan: Sidecars,
     document: Document,
-    work: Work,
+    selection: Selection,
     settings: SmoothSettings,
-    target_format: str,
+    kind: OutputFormat,
     target: str,
 ) -> dict[str, bool]:
     """Find the files that would be written beside the output, by writing the old images anew; True: it is new."""
-    from beltrami_cli.samples.textures.choosing import choose_textures
+    from beltrami_cli.samples.texel_samples import choose_textures
 
     suffix = settings.textures.image_suffix
     images = {
@@ -145,10 +113,10 @@ def _names(
             f"new {texture.key}".encode(),
             suffix or suffix_for(texture.data, texture.name) or ".png",
         )
-        for slot in work.slots
+        for slot in selection.slots
         for texture in choose_textures(document.textured(slot), settings.textures).textures
     }
-    written = make_files(document, None, images, target_format, Path(target).stem, moved=plan.keep_names)
+    written = make_files(document, None, images, kind, Path(target).stem, moved=plan.keep_names)
     copied = [name for name in plan.references if name not in written.superseded]
     return dict.fromkeys(copied, False) | dict.fromkeys(written.sidecars, True)
 

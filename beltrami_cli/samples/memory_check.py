@@ -11,7 +11,7 @@ from beltrami_cli.formats.image.reading import measure_image
 from beltrami_cli.surface.large_arrays import kept_on_disk
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterable, Iterator, Sequence
 
     from beltrami_cli.formats.access import Access
     from beltrami_cli.formats.document import Document
@@ -66,40 +66,29 @@ def require_room_for_textures(
 
 
 @contextlib.contextmanager
-def room_for_smoothing(
-    document: Document, slots: Iterable[Slot], wanted: TextureSettings, access: Access, target: str | None
-) -> Iterator[bool]:
-    """Let the chosen textures of a document be smoothed in files, where there is too little memory to do it there.
+def checked_memory(
+    document: Document,
+    slots: Sequence[Slot],
+    wanted: TextureSettings,
+    access: Access,
+    target: str | None,
+    works_on_disk: bool,
+) -> Iterator[None]:
+    """Let the chosen textures of a document be painted in files, where there is too little memory to do it there.
 
-    Parameters
-    ----------
-    document : Document
-        The model.
-    slots : iterable of Slot
-        Smoothed one after the other.
-    wanted : TextureSettings
-        Which textures.
-    access : Access
-        How much memory there is.
-    target : str or None
-        The output, beside which files without a name take what does not fit; None: the folder for temporary files.
-
-    Yields
-    ------
-    bool
-        Whether it is done in files.
-
-    Raises
-    ------
-    InputError
-        If even so there is too little.
+    The files have no name, and lie beside `target`, or in the folder for temporary files. InputError if even so there
+    is too little, or if what paints them does not work on disk.
     """
+    if not works_on_disk:
+        require_room_for_textures(document, slots, wanted, access)
+        yield
+        return
     on_disk = False
     if access.memory is not None:
         for slot in slots:
             on_disk |= _is_too_much(_chosen(document, slot, wanted), access.memory)
     with kept_on_disk(_folder_beside(target)) if on_disk else contextlib.nullcontext():
-        yield on_disk
+        yield
 
 
 def _folder_beside(target: str | None) -> Path:
@@ -121,7 +110,7 @@ def _is_too_much(images: Iterable[tuple[str, bytes]], memory: int) -> bool:
 
 
 def _chosen(document: Document, slot: Slot, wanted: TextureSettings) -> Iterator[tuple[str, bytes]]:
-    from beltrami_cli.samples.textures.choosing import choose_textures
+    from beltrami_cli.samples.texel_samples import choose_textures
 
     for texture in choose_textures(document.textured(slot), wanted).textures:
         yield texture.name, texture.data

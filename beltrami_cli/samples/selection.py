@@ -1,4 +1,4 @@
-"""What a job does with a document: which of its colours are smoothed, and in which format they are written."""
+"""What of a document is painted, as which samples, and in which format the document is written."""
 
 from __future__ import annotations
 
@@ -7,47 +7,59 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from beltrami_cli.errors import InputError, UnpaintedError, UsageError
+from beltrami_cli.formats.image.document import ImageDocument
+from beltrami_cli.formats.image.recognition import WRITABLE, format_of, format_of_suffix
 from beltrami_cli.formats.model_folder import LEFT_ALONE, remedy_for
 from beltrami_cli.formats.registry import OUTPUT_FORMATS
 from beltrami_cli.surface.validation import check_scale
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from beltrami_cli.formats.access import Access
     from beltrami_cli.formats.document import Document
+    from beltrami_cli.samples.samples import Samples
     from beltrami_cli.samples.settings import SmoothSettings
+    from beltrami_cli.samples.vertex_samples import PaintedSamples
     from beltrami_cli.surface.records import Slot
 
 
 @dataclass(frozen=True)
-class Work:
-    """What is smoothed.
+class Selection:
+    """What is painted of a document: its vertex colours, the textures of slots, or the image that it is."""
 
-    Attributes
-    ----------
-    vertices : bool
-        Whether the vertex colours are.
-    slots : tuple of Slot
-        The texture slots that are.
-    notices : tuple of str
-        What the user should know of the choice.
-    """
-
-    vertices: bool
-    slots: tuple[Slot, ...]
+    vertices: bool = False
+    slots: tuple[Slot, ...] = ()
+    image: bool = False
     notices: tuple[str, ...] = ()
 
 
-def choose_work(document: Document, settings: SmoothSettings) -> Work:
-    """Choose what is smoothed, by the settings and by what is there.
+NOTHING = Selection()
 
-    Raises
-    ------
-    InputError
-        If there is nothing of what is asked for; the message says what there is.
-    UsageError
-        If something is asked for that only images have.
+
+@dataclass(frozen=True)
+class OutputFormat:
+    """A format to write: the document's own, or another; `suffix` is that of another image format, with its dot."""
+
+    name: str
+    is_own: bool
+    suffix: str | None = None
+
+
+def select(document: Document, settings: SmoothSettings) -> Selection:
+    """Choose what is painted, by the settings and by what is there.
+
+    Raises InputError if there is nothing of what is asked for, and UsageError for options that the document has no
+    use for.
     """
+    if isinstance(document, ImageDocument):
+        from beltrami_cli.samples.pixel_samples import refuse_options_of_meshes
+
+        refuse_options_of_meshes(settings, document.name)
+        return Selection(image=True)
     if settings.image.given:
         wrong = ", ".join(settings.image.given)
         raise UsageError(f"{wrong}: for images only, but {document.name} is none; leave it out")
@@ -57,7 +69,7 @@ def choose_work(document: Document, settings: SmoothSettings) -> Work:
     if settings.on == "vertices" or (settings.on == "auto" and not slots and coloured):
         if not coloured:
             document.painted()  # raises, and says what there is instead
-        return Work(vertices=True, slots=())
+        return Selection(vertices=True)
     if settings.on == "both" and not (coloured and slots):
         missing = "vertex colours" if slots else "textures in the chosen slots"
         raise InputError(document.name, f"it has no {missing}", "use --on auto")
@@ -71,21 +83,82 @@ def choose_work(document: Document, settings: SmoothSettings) -> Work:
         *absent,
         *(["its vertex colours stay as they are; --on both smooths them too"] if stay else []),
     ]
-    return Work(vertices=both, slots=slots, notices=tuple(notices))
+    return Selection(vertices=both, slots=slots, notices=tuple(notices))
 
 
-def require_scale(document: Document, work: Work) -> None:
-    """Refuse a document if distances on what is worked on cannot be computed with.
+def samples_of(
+    document: Document,
+    selection: Selection,
+    settings: SmoothSettings,
+    access: Access,
+    suffix: str | None = None,
+    *,
+    colours_only: bool = False,
+) -> Iterator[Samples]:
+    """Take the samples of what is selected, one kind after the other; see `PixelSamples` for the last parameters."""
+    if isinstance(document, ImageDocument):
+        if selection.image:
+            from beltrami_cli.samples.pixel_samples import PixelSamples
 
-    Raises
-    ------
-    InputError
-        As `check_scale`, and `Document.painted` and `Document.textured`.
-    """
-    if work.vertices:
+            yield PixelSamples(document, settings, access, suffix, colours_only=colours_only)
+        return
+    if selection.vertices:
+        yield vertex_samples(document, settings, access)
+    if selection.slots:
+        from beltrami_cli.samples.texel_samples import SharedImages, TexelSamples, choose_textures
+
+        chosen = [choose_textures(document.textured(slot), settings.textures) for slot in selection.slots]
+        shared = SharedImages(texture.key for surface in chosen for texture in surface.textures)
+        for slot in selection.slots:
+            yield TexelSamples(document.textured(slot), slot, settings, (document, access), shared)
+
+
+def vertex_samples(document: Document, settings: SmoothSettings, access: Access) -> PaintedSamples:
+    """Take the coloured vertices of a model: on a mesh, on their own, on a grid, or on a level set."""
+    from beltrami_cli.samples.guides import vertex_guides
+    from beltrami_cli.samples.range_samples import RangeSamples
+    from beltrami_cli.samples.vertex_samples import LevelSetSamples, VertexSamples
+    from beltrami_cli.samples.voxels import LevelSetDocument
+
+    painted, grid = document.painted(), document.grid()
+    guides = vertex_guides(document, settings, access)
+    if grid is not None:
+        return RangeSamples(painted, grid, settings, guides)
+    kind = LevelSetSamples if isinstance(document, LevelSetDocument) else VertexSamples
+    return kind(painted, settings, guides)
+
+
+def coloured_vertices(document: Document) -> NDArray[np.intp]:
+    """Return the vertices of a document that have a place and a colour of their own."""
+    from beltrami_cli.samples.vertex_samples import coloured_rows
+    from beltrami_cli.samples.voxels import LevelSetDocument
+
+    return coloured_rows(document.painted(), in_triangles=isinstance(document, LevelSetDocument))
+
+
+def require_geometry(
+    document: Document, selection: Selection, settings: SmoothSettings, target: OutputFormat
+) -> None:
+    """Raise if positions are to be smoothed, and there are none that can be, or that the format can take back."""
+    if not settings.embedding.smooth_geometry:
+        return
+    if not selection.vertices:
+        raise UsageError(
+            f"{document.name}: --smooth-geometry moves vertices along with their colours, but only textures are "
+            "smoothed; choose --on vertices or --on both"
+        )
+    if document.grid() is not None or not len(document.painted().faces):
+        raise InputError(document.name, "it has no triangles, so there is no geometry to smooth")
+    if target.is_own:
+        document.require_movable()
+
+
+def require_scale(document: Document, selection: Selection) -> None:
+    """Raise InputError if distances on what is painted cannot be computed with."""
+    if selection.vertices:
         painted = document.painted()
         check_scale(painted.positions, painted.faces, document.name)
-    for slot in work.slots:
+    for slot in selection.slots:
         surface = document.textured(slot)
         check_scale(surface.positions, surface.faces[surface.texture_of >= 0], document.name)
 
@@ -120,7 +193,7 @@ def _with_chosen_textures(
     wanted = settings.textures
     if not (wanted.names or wanted.materials):
         return slots
-    from beltrami_cli.samples.textures.choosing import choose_textures
+    from beltrami_cli.samples.texel_samples import choose_textures
 
     kept = tuple(slot for slot in slots if choose_textures(document.textured(slot), wanted).textures)
     if not kept:
@@ -134,20 +207,30 @@ def _with_chosen_textures(
     return kept
 
 
-def choose_format(document: Document, target: str, chosen: str | None) -> str:
-    """Choose the format to write, by option, by the output's name, or as the source.
+def choose_format(document: Document, target: str, chosen: str | None) -> OutputFormat:
+    """Choose the format to write, by option, by the output's name, or as the source; UsageError if it is unknown."""
+    if isinstance(document, ImageDocument):
+        return _image_format(document, target, chosen)
+    wanted = chosen or Path(target).suffix.lower().lstrip(".")
+    if wanted in OUTPUT_FORMATS:
+        name = OUTPUT_FORMATS[wanted]
+    elif target == "-" or not wanted:
+        name = OUTPUT_FORMATS.get(document.format, "ply")
+    else:
+        known = ", ".join("." + f for f in OUTPUT_FORMATS)
+        raise UsageError(
+            f"{target}: no format is known for .{wanted}; end the name in {known}, or say --format"
+        )
+    return OutputFormat(name, name == document.format)
 
-    Raises
-    ------
-    UsageError
-        If the name's extension is of no known format.
-    """
-    told = chosen or Path(target).suffix.lower().lstrip(".")
-    if told in OUTPUT_FORMATS:
-        return OUTPUT_FORMATS[told]
-    if target == "-" or not told:
-        return OUTPUT_FORMATS.get(document.format, "ply")
-    raise UsageError(
-        f"{target}: no format is known for .{told}; end the name in {', '.join('.' + f for f in OUTPUT_FORMATS)}, "
-        "or say --format"
-    )
+
+def _image_format(document: ImageDocument, target: str, chosen: str | None) -> OutputFormat:
+    suffix = f".{chosen}" if chosen else "" if target == "-" else Path(target).suffix
+    known = format_of_suffix(suffix) if suffix else None
+    if suffix and known is None:
+        raise UsageError(
+            f"{target}: no image format is known for {suffix}; end the name in {', '.join(WRITABLE)}, or say --format"
+        )
+    if not suffix or known == format_of(document.data, document.name):
+        return OutputFormat(document.suffix.lower()[1:], is_own=True)
+    return OutputFormat(suffix.lower()[1:], is_own=False, suffix=suffix)

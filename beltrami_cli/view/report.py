@@ -13,14 +13,13 @@ import numpy as np
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access, read_source
 from beltrami_cli.formats.document import Written
-from beltrami_cli.formats.image import read_image
-from beltrami_cli.formats.image.recognition import is_image
+from beltrami_cli.formats.image.document import ImageDocument
 from beltrami_cli.jobs.compare.figures import figures
 from beltrami_cli.jobs.compare.parts import compare_images, compare_textures, compare_vertices
 from beltrami_cli.jobs.opening import document_from
 from beltrami_cli.jobs.writing.output import Output
 from beltrami_cli.samples.memory_check import require_room_for_textures
-from beltrami_cli.samples.selection import choose_work
+from beltrami_cli.samples.selection import select
 from beltrami_cli.samples.settings import DEFAULTS, SmoothSettings
 from beltrami_cli.view.charts import histogram, seam_map, swipe
 from beltrami_cli.view.models import ModelPacker, bounding_box
@@ -76,34 +75,36 @@ def report_file(
     access = output.files.watching(access)
     shown = "" if parameters is None else _parameters(parameters, access)
     data = read_source(before, access), read_source(after, access)
-    if any(is_image(each, name) for each, name in zip(data, names, strict=True)):
-        found = _of_images(data, names, settings, access)
+    one, other = (document_from(each, name, settings, access) for each, name in zip(data, names, strict=True))
+    if isinstance(one, ImageDocument) or isinstance(other, ImageDocument):
+        found = _of_images((one, other), settings, access)
     else:
-        found = _of_models(data, names, settings, access)
+        found = _of_models((one, other), settings, access)
     output.write(Written(main=[_page(names, found, shown)]))
     return figures(found.pairs)
 
 
-def _of_images(
-    data: tuple[bytes, bytes], names: list[str], settings: SmoothSettings, access: Access
-) -> _Found:
-    pair = compare_images(data, (names[0], names[1]), settings, access)
-    sheets = [sheet_of(read_image(each, name, finite=False)) for each, name in zip(data, names, strict=True)]
-    return _Found([pair], [swipe(sheets[0], sheets[1], Path(names[1]).name)])
+def _of_images(documents: tuple[Document, Document], settings: SmoothSettings, access: Access) -> _Found:
+    images = [document for document in documents if isinstance(document, ImageDocument)]
+    if len(images) != 2:
+        raise InputError(
+            documents[1].name, "it and the other file are no two images", "compare files of one kind"
+        )
+    pair = compare_images(images, settings, access)
+    sheets = [sheet_of(image.picture()) for image in images]
+    return _Found([pair], [swipe(sheets[0], sheets[1], Path(images[1].name).name)])
 
 
-def _of_models(
-    data: tuple[bytes, bytes], names: list[str], settings: SmoothSettings, access: Access
-) -> _Found:
-    one, other = (document_from(each, name, settings, access) for each, name in zip(data, names, strict=True))
-    work = choose_work(one, settings)
+def _of_models(documents: tuple[Document, Document], settings: SmoothSettings, access: Access) -> _Found:
+    one, other = documents
+    selection = select(one, settings)
     for document in (one, other):
-        require_room_for_textures(document, work.slots, settings.textures, access)
+        require_room_for_textures(document, selection.slots, settings.textures, access)
     found = _Found()
-    shown: Slot | None = None if work.vertices and settings.on != "both" else work.slots[0]
-    if work.vertices:
+    shown: Slot | None = None if selection.vertices and settings.on != "both" else selection.slots[0]
+    if selection.vertices:
         found.pairs.append(compare_vertices(one, other, settings, "uniform")[0])
-    for slot in work.slots:
+    for slot in selection.slots:
         paired = compare_textures(one, other, slot, settings, "uniform", access)
         found.pairs += paired
         found.seams += [drawn for pair in paired if (drawn := seam_map(pair))]

@@ -16,7 +16,8 @@ from beltrami_cli.formats.document import Written
 from beltrami_cli.formats.image.recognition import FORMATS, format_of_suffix
 from beltrami_cli.formats.registry import OUTPUT_FORMATS, kind_of
 from beltrami_cli.jobs.compare.files import compare_files
-from beltrami_cli.jobs.smooth.file import smooth_file
+from beltrami_cli.jobs.job import Job
+from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.jobs.writing.output import Output
 from beltrami_cli.samples.settings import DEFAULTS, LevelSetSettings
 from beltrami_cli.view.drawing import background_of, draw_panels, with_fixed_crops
@@ -135,7 +136,7 @@ def _tried(
     """Smooth the file once, measure and draw the result, and throw it away."""
     with tempfile.TemporaryDirectory(prefix="beltrami-") as folder:
         result = str(Path(folder) / f"result{_suffix(source, access)}")
-        smooth_file(source, result, settings, access=access)
+        smooth_file(source, result, settings, job=Job(access=access))
         try:
             figures = {} if reference is None else _figures(reference, result, settings, access)
         except InputError as error:

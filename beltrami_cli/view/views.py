@@ -8,12 +8,11 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.access import read_source
 from beltrami_cli.formats.image import Picture, read_image, to_float, without_alpha
-from beltrami_cli.formats.image.recognition import is_image
-from beltrami_cli.jobs.opening import document_from
+from beltrami_cli.formats.image.document import ImageDocument
+from beltrami_cli.jobs.opening import open_input
 from beltrami_cli.samples.settings import DEFAULTS, SmoothSettings
-from beltrami_cli.samples.textures.colours import COLOUR_SLOTS
+from beltrami_cli.samples.texel_colours import COLOUR_SLOTS
 from beltrami_cli.surface.colour_values import srgb_to_linear
 from beltrami_cli.surface.geometry import triangle_areas
 from beltrami_cli.view.paint import Pyramid, TexturePaint, VertexPaint
@@ -107,15 +106,13 @@ def open_view(
     source: str, settings: RenderSettings, access: Access, reading: SmoothSettings = DEFAULTS
 ) -> Drawable:
     """Read a file, or "-" for standard input, as what is seen of it; `reading` says how level sets are read."""
-    data = read_source(source, access)
-    name = "<stdin>" if source == "-" else source
-    if is_image(data, name):
-        return ImageView(sheet_of(read_image(data, name, finite=False)))
-    document = document_from(data, source, reading, access)
+    document = open_input(source, reading, access)
+    if isinstance(document, ImageDocument):
+        return ImageView(sheet_of(document.picture()))
     slot: Slot = settings.slot  # type: ignore[assignment]
     has_texture = slot in document.slots()
     if settings.on == "texture" and not has_texture:
-        raise InputError(name, f"it has no {slot} texture", "leave out --show")
+        raise InputError(document.name, f"it has no {slot} texture", "leave out --show")
     if has_texture and settings.on != "vertices":
         return _textured(document, slot)
     return _painted(document.painted())

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 import beltrami_cli
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.samples.images.grid_flow import grid_flow
+from beltrami_cli.samples.image_surface import ImageSurface
+from beltrami_cli.samples.pixel_samples import grid_flow
 
 Array = NDArray[np.float64]
 
@@ -47,7 +48,9 @@ def smooth(image: Array, heights: Array | None = None, **parameters: object) -> 
     parameters
         In place of the paper's.
     """
-    result = beltrami_cli.smooth_image(image, height=heights, space="data", **{**PAPER, **parameters})
+    result = beltrami_cli.smooth_image(
+        image, surface=ImageSurface(heights=heights), space="data", **{**PAPER, **parameters}
+    )
     return Smoothed(result.colours.astype(np.float64), result.samples_per_kernel)
 
 
@@ -56,7 +59,9 @@ def kernel(image: Array, at: tuple[int, int], **parameters: object) -> Array:
     rows, columns = image.shape[:2]
     table = image.reshape(rows * columns, -1).astype(np.float32)
     settings = KernelParameters(**{**PAPER, **parameters, "iterations": 0})
-    flow = grid_flow(np.ones((rows, columns), bool), lambda pixels: table[pixels], settings)
+    flow = grid_flow(
+        ImageSurface(valid=np.ones((rows, columns), bool)), lambda pixels: table[pixels], settings
+    )
     cells = flow.manifold.atlas.owned_cells
     found = flow.kernel_at(int(cells[at[0] * columns + at[1]]))
     weights = np.zeros(rows * columns)

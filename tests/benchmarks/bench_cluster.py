@@ -24,7 +24,8 @@ from beltrami_cli.flow.beltrami_flow import BeltramiFlow
 from beltrami_cli.flow.mesh_manifold import MeshManifold
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.partitions import in_partitions
-from beltrami_cli.samples.images.grid_flow import grid_flow
+from beltrami_cli.samples.image_surface import ImageSurface
+from beltrami_cli.samples.pixel_samples import grid_flow
 from beltrami_cli.samples.settings import SmoothSettings
 from beltrami_cli.surface.records import SampledSurface
 from cli.commands import SAMPLES
@@ -77,7 +78,7 @@ def texture(side=2048):
     """Make the flow on a picture of four million pixels."""
     random = np.random.default_rng(0)
     colours = (0.5 + 20 / 255 * random.standard_normal((side * side, 3))).astype(np.float32)
-    return grid_flow(np.ones((side, side), bool), lambda pixels: colours[pixels], FIXED)
+    return grid_flow(ImageSurface(valid=np.ones((side, side), bool)), lambda pixels: colours[pixels], FIXED)
 
 
 def in_eight_pieces(make):

@@ -26,6 +26,7 @@ from texture_timing import memory_rows, smoothing, time_rows
 
 import beltrami_cli
 from beltrami_cli.errors import BeltramiError
+from beltrami_cli.jobs.job import Job
 
 SAMPLES = ("head-tex", "torus-two", "mirrored", "tiled", "sphere-exr", "scan")
 MODELS = {".obj", ".glb", ".gltf", ".ply"}
@@ -64,7 +65,7 @@ def smooth(source, target, settings, clipping="restore"):
     contrast, guided, plain, step, growth = settings
     others = {"beta_growth": growth, "clipping": clipping, "threads": None}
     chosen = smoothing(guided + plain, contrast, guided, step, **others)
-    beltrami_cli.smooth_file(source, target, chosen, overwrite=True)
+    beltrami_cli.smooth_file(source, target, chosen, job=Job(overwrite=True))
 
 
 def quality_rows(quick):

@@ -20,7 +20,7 @@ from scene import ROOT, SIGMA, SMOOTH
 import beltrami_cli
 from beltrami_cli.formats.image import read_image
 from beltrami_cli.formats.registry import open_document
-from beltrami_cli.samples.textures.prepare import prepare_slot
+from beltrami_cli.samples.texel_samples import TexelSamples
 
 TEXELS = 1024
 STEP = 2.4
@@ -88,7 +88,7 @@ def stage_seconds(source, guided):
     for texture in surface.textures:
         read_image(texture.data, texture.name)
     marks.append(time.process_time())
-    flow = prepare_slot(surface, "baseColor", settings).flow(settings)
+    flow = TexelSamples(surface, "baseColor", settings).flow()
     marks.append(time.process_time())
     flow.run()
     decoding, setup, iteration = np.diff([*marks, time.process_time()])

@@ -17,7 +17,7 @@ from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.compare.figures import check_limits
 from beltrami_cli.jobs.compare.files import compare_files
-from beltrami_cli.jobs.noise.file import noise_file
+from beltrami_cli.jobs.noise import noise_file
 from beltrami_cli.jobs.settings import Limits, NoiseSettings
 from beltrami_cli.samples.settings import SmoothSettings
 from cli.commands import COMMAND, SAMPLES, beltrami
@@ -176,7 +176,7 @@ def test_points_elsewhere_and_other_texture_coordinates_are_refused(tmp_path):
         compare_files(one, other)
 
 
-def test_the_exit_code_and_each_broken_limit_are_reported():
+def test_the_exit_code_and_each_broken_limit_are_told():
     kept = beltrami("compare", CLEAN, NOISY, "--min-psnr", 20, "--max-seam-jump", 40)
     assert kept.returncode == 0, kept.stderr
     assert kept.stdout.startswith(b"part ")

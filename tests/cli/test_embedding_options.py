@@ -12,7 +12,7 @@ from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.formats.ply import write_ply
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.samples.settings import DEFAULTS
-from beltrami_cli.samples.textures.prepare import prepare_slot
+from beltrami_cli.samples.texel_samples import TexelSamples
 from beltrami_cli.surface.records import MeshContents
 from cli.commands import SAMPLES, beltrami
 from oracles import surfaces
@@ -54,7 +54,7 @@ def textured(tmp_path_factory):
 def covered(folder, name):
     """Colours of the covered texels of an image in the folder."""
     surface = open_document(str(folder / "head-tex-noisy.obj")).textured("baseColor")
-    texels = prepare_slot(surface, "baseColor", DEFAULTS).atlas.owned_texels
+    texels = TexelSamples(surface, "baseColor", DEFAULTS).atlas.owned_texels
     return read_image((folder / name).read_bytes(), name).pixels[..., :3].reshape(-1, 3)[texels] / 255
 
 
@@ -181,11 +181,11 @@ def test_positions_may_go_into_another_format(tmp_path):
         ([NOISY, "out.ply", "--guide", "nothing"], 3, b"no such file, and no attribute"),
         ([NOISY, "out.ply", "--guide", SAMPLES / "knot-noisy.ply"], 3, b"do not fit the 2539 vertices"),
         ([NOISY, "out.ply", "--guide", "odd.npy"], 3, b"3 x 3 numbers do not fit"),
-        ([NOISY, "out.ply", "--guide", "many.npz"], 3, b"one, two guides cannot be told"),
+        ([NOISY, "out.ply", "--guide", "many.npz"], 3, b"which of its arrays one, two guides"),
         ([NOISY, "out.ply", "--guide", "hollow.npy"], 3, b"row 7 of the guide is not finite"),
         ([NOISY, "out.ply", "--guide", "words.npy"], 3, b"not of real numbers"),
         ([NOISY, "out.ply", "--guide", "damaged.npy"], 3, b"too few numbers"),
-        ([NOISY, "out.ply", "--guide", CLEAN, "--guide-beta", "-1"], 2, b"guide_betas has -1"),
+        ([NOISY, "out.ply", "--guide", CLEAN, "--guide-beta", "-1"], 2, b"guide_betas has -1.0"),
         ([NOISY, "out.ply", "--guide", CLEAN, "--guide-beta", "1", "--guide-beta", "2"], 2, b"guide_beta has 2 values"),
         ([NOISY, "out.ply", "--guide-beta", "1"], 2, b"add --guide"),
         ([NOISY, "out.ply", "--metric-channels", "x"], 2, b"no channel x"),

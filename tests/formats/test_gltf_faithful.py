@@ -12,7 +12,8 @@ import pytest
 from beltrami_cli.errors import InputError
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.gltf import GltfDocument
-from beltrami_cli.jobs.smooth.file import smooth_file
+from beltrami_cli.jobs.job import Job
+from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.samples.settings import SmoothSettings
 from formats.gltf_comparison import byte_differences, json_differences
 from formats.gltf_files import gltf_files, numbers, opened
@@ -124,7 +125,10 @@ def test_nothing_changes_without_iterations(tmp_path):
         source = showcase().written_to(tmp_path, form)
         target = tmp_path / f"same{source.suffix}"
         smooth_file(
-            source, target, SmoothSettings(kernel=KernelParameters(iterations=0), on="both"), overwrite=True
+            source,
+            target,
+            SmoothSettings(kernel=KernelParameters(iterations=0), on="both"),
+            job=Job(overwrite=True),
         )
         assert target.read_bytes() == source.read_bytes()
 

@@ -11,7 +11,7 @@ import pytest
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.jobs.smooth.file import smooth_file
+from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.samples.settings import SmoothSettings, TextureSettings
 from formats.gltf_compressed import GRID, draco_model, meshopt_model
 from formats.gltf_files import Model, Textured, gltf_files

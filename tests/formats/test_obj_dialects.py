@@ -14,7 +14,7 @@ from beltrami_cli.errors import InputError
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.obj import ObjDocument
 from beltrami_cli.formats.registry import open_document
-from beltrami_cli.jobs.smooth.file import smooth_file
+from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.samples.settings import SmoothSettings
 from hostile.folders import snapshot
 from hostile.textured_models import OTHER, PICTURE

@@ -16,7 +16,7 @@ from beltrami_cli.errors import InputError, UnpaintedError
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.read_only.polygons import ColouredPolygons, colours_of_vertices
 from beltrami_cli.formats.registry import open_bytes
-from beltrami_cli.jobs.smooth.file import smooth_file
+from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.surface.colour_values import linear_to_srgb
 from formats.read_only_files import FACES, LEVELS, OBJECT, SQUARE, coff, model, opened, stl, threemf
 

@@ -36,7 +36,8 @@ from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.check import check_files
-from beltrami_cli.jobs.smooth.file import smooth_file
+from beltrami_cli.jobs.job import Job
+from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.samples.settings import SmoothSettings
 from fuzz.test_replay import mutated
 
@@ -75,7 +76,7 @@ def attempt(source: Path, out: Path) -> tuple[str, str]:
         document = open_document(str(source), ACCESS)
         both = document.has_vertex_colours() and set(document.slots()) & set(SETTINGS.textures.slots)
         settings = replace(SETTINGS, on="both") if both else SETTINGS
-        report = smooth_file(source, target, settings, access=ACCESS)
+        report = smooth_file(source, target, settings, job=Job(access=ACCESS))
     except UnpaintedError as error:
         missing = "is missing" in error.cause
         return _refused("missing" if missing else "unpainted", error, out)

@@ -10,7 +10,7 @@ from beltrami_cli.cli.console import printable
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.image import read_image
 from beltrami_cli.formats.registry import open_document
-from beltrami_cli.jobs.smooth.file import smooth_file
+from beltrami_cli.jobs.smooth import smooth_file
 from hostile.folders import snapshot
 from hostile.textured_models import PICTURE, write_model
 

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.check import check_files
-from beltrami_cli.jobs.smooth.file import smooth_file
+from beltrami_cli.jobs.smooth import smooth_file
 from cli.commands import COMMAND, SAMPLES
 from formats.ply_files import ENCODINGS, Table, build, coloured
 from hostile.textured_models import OTHER, PICTURE, write_model

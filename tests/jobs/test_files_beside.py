@@ -11,9 +11,10 @@ from beltrami_cli.errors import InputError, OutputError
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.image import read_image
 from beltrami_cli.formats.registry import open_bytes, open_document
-from beltrami_cli.jobs.noise.file import noise_file
+from beltrami_cli.jobs.job import Job
+from beltrami_cli.jobs.noise import noise_file
 from beltrami_cli.jobs.settings import NoiseSettings
-from beltrami_cli.jobs.smooth.file import smooth_file
+from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.samples.settings import SmoothSettings, TextureSettings
 from formats.image_files import encode
 from hostile.textured_models import OTHER, PICTURE, write_model
@@ -25,7 +26,7 @@ KINDS = ["obj", "ply", "gltf"]
 def smooth(source, target, **textures):
     target.parent.mkdir(parents=True, exist_ok=True)
     settings = SmoothSettings(kernel=KERNEL, textures=TextureSettings(**textures))
-    return smooth_file(source, target, settings, overwrite=True)
+    return smooth_file(source, target, settings, job=Job(overwrite=True))
 
 
 def model(folder, kind, picture):
@@ -106,7 +107,9 @@ def test_noise_leaves_the_files_of_another_model_too(tmp_path):
     one, other = (model(tmp_path / name, "obj", data) for name, data in (("a", PICTURE), ("b", OTHER)))
     (tmp_path / "out").mkdir()
     for source, name in ((one, "one"), (other, "other")):
-        noise_file(source, tmp_path / "out" / f"{name}.obj", NoiseSettings(sigma=0.1), overwrite=True)
+        noise_file(
+            source, tmp_path / "out" / f"{name}.obj", NoiseSettings(sigma=0.1), job=Job(overwrite=True)
+        )
     assert texture(tmp_path / "out" / "one.obj").data != texture(tmp_path / "out" / "other.obj").data
     assert texture(tmp_path / "out" / "one.obj").name == "skin.png"
 

@@ -20,6 +20,8 @@ from beltrami_cli import (
     smooth_image,
 )
 from beltrami_cli.formats.image import read_image, to_float
+from beltrami_cli.jobs.job import Job
+from beltrami_cli.samples.image_surface import ImageSurface
 from formats.image_files import RARER_SUFFIXES, SUFFIXES, encode, icc_profile
 
 ROWS, COLUMNS = 36, 44
@@ -134,7 +136,7 @@ def test_another_extension_converts_and_says_what_is_lost(tmp_path):
     assert small.stat().st_size < (tmp_path / "b.jpg").stat().st_size
     smooth_file(source, tmp_path / "d.exr", SmoothSettings(KernelParameters(iterations=0)))
     assert load(tmp_path / "d.exr").encoding == "linear"
-    smooth_file(source, tmp_path / "e", format="tif")
+    smooth_file(source, tmp_path / "e", job=Job(format="tif"))
     assert load(tmp_path / "e").format == "tiff"
 
 
@@ -208,24 +210,28 @@ def test_heights_and_positions_are_read_from_images(tmp_path):
             source,
             tmp_path / "b.exr",
             SmoothSettings(KernelParameters(**fixed), "data", image=ImageSettings(**images)),
-            overwrite=True,
+            job=Job(overwrite=True),
         )
         return load(tmp_path / "b.exr").pixels
 
     depth = str(save(tmp_path / "depth.exr", height[..., None]))
-    expected = smooth_image(pixels, **fixed, space="data", height=height, height_scale=5).colours
+    expected = smooth_image(pixels, surface=ImageSurface(heights=5 * height), **fixed, space="data").colours
     assert np.abs(smoothed(height=depth, height_scale=5) - expected).max() < 1e-6
     whole = np.rint(65535 * np.nan_to_num(height) / 4).astype(np.uint16)
     depth = str(save(tmp_path / "depth.png", whole[..., None]))
-    expected = smooth_image(pixels, **fixed, space="data", height=whole / 65535, height_scale=20).colours
+    expected = smooth_image(
+        pixels, surface=ImageSurface(heights=20 * (whole / 65535)), **fixed, space="data"
+    ).colours
     assert np.abs(smoothed(height=depth, height_scale=20) - expected).max() < 1e-6
     places = np.dstack([x, 2 * y, height])
     positions = str(save(tmp_path / "places.exr", places))
-    expected = smooth_image(pixels, **fixed, space="data", positions=places).colours
+    expected = smooth_image(pixels, surface=ImageSurface(positions=places), **fixed, space="data").colours
     assert np.abs(smoothed(positions=positions) - expected).max() < 1e-6
     seen = np.where(x > 5, 1, 0).astype(np.float32)
     positions = str(save(tmp_path / "seen.exr", np.dstack([places, seen])))
-    expected = smooth_image(pixels, **fixed, space="data", positions=places, valid=seen > 0).colours
+    expected = smooth_image(
+        pixels, surface=ImageSurface(positions=places, valid=seen > 0), **fixed, space="data"
+    ).colours
     # OpenEXR has alpha multiplied in, of which 0 leaves nothing.
     assert np.abs(smoothed(positions=positions) - expected)[seen > 0].max() < 1e-6
 
@@ -318,7 +324,7 @@ def test_settings_of_images_contradict_neither_each_other_nor_the_file(tmp_path)
 
 def test_the_report_and_info_describe_the_image_in_json_types(tmp_path):
     source = save(tmp_path / "a.png", pixels_of("uint8", 4))
-    report = asdict(smooth_file(source, tmp_path / "b.png", dry_run=True))
+    report = asdict(smooth_file(source, tmp_path / "b.png", job=Job(dry_run=True)))
     assert json.loads(json.dumps(report))["image"]["image"]["width"] == COLUMNS
     assert report["written"] == []
     assert not (tmp_path / "b.png").exists()

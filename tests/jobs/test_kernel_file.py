@@ -14,6 +14,7 @@ import trimesh
 import beltrami_cli
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.parameters import PRESETS, KernelParameters
+from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.kernel.file import kernel_file
 from beltrami_cli.samples.settings import DEFAULTS, ImageSettings, SmoothSettings
 from oracles import surfaces
@@ -91,7 +92,7 @@ def kernel_of(source, at, tmp_path, settings=DEFAULTS, name="kernel.json", **opt
 
 
 def smoothed(source, target, settings):
-    beltrami_cli.smooth_file(source, target, settings, overwrite=True)
+    beltrami_cli.smooth_file(source, target, settings, job=Job(overwrite=True))
     return target
 
 

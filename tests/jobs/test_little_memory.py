@@ -11,7 +11,8 @@ import pytest
 
 from beltrami_cli.errors import InputError, ProcessingError
 from beltrami_cli.formats.access import Access
-from beltrami_cli.jobs.smooth.file import smooth_file
+from beltrami_cli.jobs.job import Job
+from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.samples import memory_check as room
 from beltrami_cli.surface import large_arrays
 
@@ -21,7 +22,7 @@ SAMPLES = Path(__file__).parents[2] / "sample_data"
 def smoothed(model, folder, memory, **options):
     """Smooth a sample into a folder; return the content of all files there, by their names."""
     folder.mkdir()
-    smooth_file(SAMPLES / model, folder / model, access=Access(memory=memory), **options)
+    smooth_file(SAMPLES / model, folder / model, job=Job(access=Access(memory=memory)), **options)
     return {path.name: path.read_bytes() for path in folder.iterdir()}
 
 

@@ -15,6 +15,8 @@ from beltrami_cli import (
     smooth_image,
 )
 from beltrami_cli.formats.registry import open_document
+from beltrami_cli.jobs.job import Job
+from beltrami_cli.samples.image_surface import ImageSurface
 
 ROWS, COLUMNS = 20, 26
 VERTEX = "property float x\nproperty float y\nproperty float z\n" + "".join(
@@ -95,7 +97,7 @@ def test_a_range_image_is_smoothed_like_the_image_at_its_positions(data, tmp_pat
     kernel = {"iterations": 5, "t": 2.4, "beta": 9, "beta_growth": 2.0, "metric_steps": 2}
     report = smooth_file(source, target, SmoothSettings(KernelParameters(**kernel)))
     places, colours, measured = scene()
-    expected = smooth_image(colours, positions=places, valid=measured, **kernel).colours
+    expected = smooth_image(colours, surface=ImageSurface(positions=places, valid=measured), **kernel).colours
     rounded = np.rint(255 * expected) / 255
     assert (
         np.abs(colours_on_grid(target) - rounded)[measured].max() < 1.5 / 255
@@ -118,7 +120,7 @@ def test_only_colours_of_what_was_measured_change(tmp_path):
         assert (changed % 15 >= 12).all()  # of 15 bytes of a vertex the last three
         if number == 1:
             assert scene()[2].ravel()[changed // 15].all()
-        smooth_file(source, target, SmoothSettings(KernelParameters(iterations=0)), overwrite=True)
+        smooth_file(source, target, SmoothSettings(KernelParameters(iterations=0)), job=Job(overwrite=True))
         assert target.read_bytes() == data
 
 
@@ -127,8 +129,10 @@ def test_a_step_in_depth_is_not_smoothed_over_even_without_an_edge_in_colour_to_
     image = np.where(places[..., 2:] > 20, 0.8, 0.2)
     blurred = []
     for depth in (1, 0):
-        settings = {"positions": places * [1, 1, depth], "valid": measured, "beta": 0, "units": "world"}
-        blurred.append(np.abs(smooth_image(image, **settings).colours - image).max())
+        surface = ImageSurface(positions=places * [1, 1, depth], valid=measured)
+        blurred.append(
+            np.abs(smooth_image(image, surface=surface, beta=0, units="world").colours - image).max()
+        )
     assert blurred[0] < 1e-6
     assert blurred[1] > 0.1
 

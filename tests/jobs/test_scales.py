@@ -10,8 +10,9 @@ import beltrami_cli
 from beltrami_cli.errors import InputError
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.jobs.inspect import inspect_file
+from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.kernel.file import kernel_file
-from beltrami_cli.jobs.smooth.file import smooth_file
+from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.samples.settings import ImageSettings, SmoothSettings
 from formats.image_files import encode
 from hostile.textured_models import PICTURE
@@ -105,14 +106,14 @@ def test_a_map_of_positions_is_judged_by_what_most_of_it_is_like(tmp_path):
         places = np.dstack([x, y, 0 * x])
         places[:3] = background
         write_map(tmp_path / "xyz.exr", places)
-        smooth_file(tmp_path / "photo.png", tmp_path / "out.png", settings, overwrite=True)
+        smooth_file(tmp_path / "photo.png", tmp_path / "out.png", settings, job=Job(overwrite=True))
         results.append(
             OpenImageIO.ImageBuf(str(tmp_path / "out.png")).get_pixels()[10:]
         )  # beyond its windows
     np.testing.assert_array_equal(*results)
     write_map(tmp_path / "xyz.exr", np.dstack([x, y, 0 * x]) * np.float32(1e-30))
     with pytest.raises(InputError, match=r"xyz\.exr: its edges are"):
-        smooth_file(tmp_path / "photo.png", tmp_path / "out.png", settings, overwrite=True)
+        smooth_file(tmp_path / "photo.png", tmp_path / "out.png", settings, job=Job(overwrite=True))
 
 
 def write_map(path, places):

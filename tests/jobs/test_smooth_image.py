@@ -8,6 +8,7 @@ import pytest
 import beltrami_cli
 from beltrami_cli import smooth_image
 from beltrami_cli.errors import UsageError
+from beltrami_cli.samples.image_surface import ImageSurface
 from beltrami_cli.surface.colour_values import linear_to_srgb, srgb_to_linear
 
 RANDOM = np.random.default_rng(0)
@@ -22,16 +23,22 @@ IMAGE = np.clip(0.4 + 0.3 * (np.arange(20) > 9)[:, None] + RANDOM.normal(0, 0.05
         ({"colours": np.zeros((0, 3))}, r"\(H, W\) or"),
         ({"colours": [[0.1], [0.2, 0.3]]}, "same length"),
         ({"colours": [[0, 255], [255, 0]]}, "uint8"),
-        ({"positions": np.zeros((20, 14, 3))}, r"positions must be numbers of shape \(14, 20, M\)"),
-        ({"positions": np.zeros((14, 20))}, r"\(14, 20, M\)"),
-        ({"height": np.zeros((14, 20, 1))}, r"height must be numbers of shape \(14, 20\)"),
-        ({"height": [["a"] * 20] * 14}, "height must be numbers"),
-        ({"valid": np.ones((14, 19), bool)}, "valid must be numbers"),
-        ({"valid": np.ones((14, 20))}, "valid must be numbers"),
-        ({"height": np.zeros((14, 20)), "positions": np.zeros((14, 20, 3))}, "two surfaces"),
+        (
+            {"surface": ImageSurface(positions=np.zeros((20, 14, 3)))},
+            r"positions must be numbers of shape \(14, 20, M\)",
+        ),
+        ({"surface": ImageSurface(positions=np.zeros((14, 20)))}, r"\(14, 20, M\)"),
+        (
+            {"surface": ImageSurface(heights=np.zeros((14, 20, 1)))},
+            r"heights must be numbers of shape \(14, 20\)",
+        ),
+        ({"surface": ImageSurface(heights=[["a"] * 20] * 14)}, "heights must be numbers"),
+        ({"surface": ImageSurface(valid=np.ones((14, 19), bool))}, "valid must be numbers"),
+        ({"surface": ImageSurface(valid=np.ones((14, 20)))}, "valid must be numbers"),
+        ({"surface": ImageSurface(np.zeros((14, 20)), np.zeros((14, 20, 3)))}, "two surfaces"),
         ({"window": 6}, "window is 6"),
-        ({"window": "7"}, "window is '7'"),
-        ({"height_scale": None}, "height_scale is None"),
+        ({"window": "7"}, "window is 7, but must be a whole number"),
+        ({"iterationss": 3}, "did you mean iterations"),
         ({"scheme": "other"}, "scheme is other"),
         ({"space": "lab"}, "space is lab"),
         ({"encoding": "gamma"}, "encoding is gamma"),
@@ -61,10 +68,10 @@ def test_heights_are_positions_over_the_pixels():
     y, x = np.mgrid[:14, :20]
     height = np.sin(x) + y / 5
     positions = np.dstack([x, y, 3 * height])
-    over = smooth_image(IMAGE, height=height, height_scale=3, beta=6)
-    at = smooth_image(IMAGE, positions=positions, beta=6, units="world")
+    over = smooth_image(IMAGE, surface=ImageSurface(heights=3 * height), beta=6)
+    at = smooth_image(IMAGE, surface=ImageSurface(positions=positions), beta=6, units="world")
     np.testing.assert_array_equal(over.colours, at.colours)
-    level = smooth_image(IMAGE, height=height, height_scale=0, beta=6)
+    level = smooth_image(IMAGE, surface=ImageSurface(heights=0 * height), beta=6)
     np.testing.assert_array_equal(level.colours, smooth_image(IMAGE, beta=6).colours)
 
 
@@ -72,7 +79,7 @@ def test_what_is_not_finite_or_not_valid_is_a_hole_and_keeps_its_bits():
     image, height, valid = IMAGE.astype(np.float32), np.zeros((14, 20)), np.ones((14, 20), bool)
     image[2, 3, 1], image[5, 6] = np.nan, np.inf
     height[7, 8], valid[9, 10] = -np.inf, False
-    result = smooth_image(image, height=height, valid=valid)
+    result = smooth_image(image, surface=ImageSurface(heights=height, valid=valid))
     holes = [(2, 3), (5, 6), (7, 8), (9, 10)]
     for place in holes:
         assert result.colours[place].tobytes() == image[place].tobytes()

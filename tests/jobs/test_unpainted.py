@@ -12,7 +12,8 @@ from PIL import Image
 
 from beltrami_cli.errors import InputError, UnpaintedError
 from beltrami_cli.formats.registry import open_bytes
-from beltrami_cli.jobs.smooth.file import smooth_file
+from beltrami_cli.jobs.job import Job
+from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.samples.settings import SmoothSettings, TextureSettings
 from hostile.textured_models import PICTURE, write_model
 
@@ -53,7 +54,7 @@ def test_slots_that_are_asked_for_and_empty_are_told_of(tmp_path: Path) -> None:
     settings = SmoothSettings(textures=TextureSettings(slots=("baseColor", "normal")))
     assert (
         "it has no normal textures"
-        in smooth_file(model, tmp_path / "o" / "m.gltf", settings, dry_run=True).warnings
+        in smooth_file(model, tmp_path / "o" / "m.gltf", settings, job=Job(dry_run=True)).warnings
     )
 
 
@@ -74,16 +75,19 @@ def test_a_texture_that_cannot_be_seen_is_told_from_one_that_is_not_covered(tmp_
     noise = np.random.default_rng(1).integers(0, 256, (32, 32, 4), np.uint8)
     noise[..., 3] = 0
     (tmp_path / "skin.png").write_bytes(encoded(noise))
-    (told,) = smooth_file(model, tmp_path / "o.obj", dry_run=True).warnings
+    (told,) = smooth_file(model, tmp_path / "o.obj", job=Job(dry_run=True)).warnings
     assert told.endswith("nothing was smoothed; --alpha smooth counts them, too")
     smoothed = smooth_file(
-        model, tmp_path / "o.obj", SmoothSettings(textures=TextureSettings(alpha="smooth")), dry_run=True
+        model,
+        tmp_path / "o.obj",
+        SmoothSettings(textures=TextureSettings(alpha="smooth")),
+        job=Job(dry_run=True),
     )
     assert not smoothed.warnings
     noise[..., 3] = 255
     (tmp_path / "skin.png").write_bytes(encoded(noise))
     model.write_text(re.sub(r"vt .*", "vt 0.5 0.5", model.read_text()))
-    (told,) = smooth_file(model, tmp_path / "o.obj", dry_run=True).warnings
+    (told,) = smooth_file(model, tmp_path / "o.obj", job=Job(dry_run=True)).warnings
     assert told.endswith("--unwrap makes a new atlas")
 
 
@@ -95,11 +99,11 @@ def test_what_a_change_would_do_to_an_image_is_not_told_of_a_copy(tmp_path: Path
     for source in (model, tmp_path / "skin.png"):
         out = tmp_path / "o" / source.name
         out.parent.mkdir(exist_ok=True)
-        assert smooth_file(source, out, overwrite=True).warnings == []
+        assert smooth_file(source, out, job=Job(overwrite=True)).warnings == []
         assert out.read_bytes() == source.read_bytes()
     (tmp_path / "skin.png").write_bytes(
         encoded(np.random.default_rng(2).integers(0, 256, (32, 32, 3), np.uint8), "P")
     )
     for source in (model, tmp_path / "skin.png"):
-        (told,) = smooth_file(source, tmp_path / source.with_stem("new").name, dry_run=True).warnings
+        (told,) = smooth_file(source, tmp_path / source.with_stem("new").name, job=Job(dry_run=True)).warnings
         assert "palette" in told

@@ -11,7 +11,8 @@ from beltrami_cli.flow import grid_manifold
 from beltrami_cli.flow.embedding import Guide
 from beltrami_cli.flow.grid_manifold import GridManifold
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.samples.images.grid_flow import grid_flow
+from beltrami_cli.samples.image_surface import ImageSurface
+from beltrami_cli.samples.pixel_samples import grid_flow
 from beltrami_cli.surface.atlas import build_atlas
 from properties.test_partitions import FIXED, ON_GRIDS, noisy
 from properties.test_slits import SIDE, TEXELS, cut_plane
@@ -40,7 +41,7 @@ def image_flow(parameters):
     valid = random.random((70, 90)) > 0.03
     positions = np.dstack([*np.meshgrid(np.arange(90.0), np.arange(70.0)), 3 * random.random((70, 90))])
     values = noisy(valid.size)
-    return grid_flow(valid, lambda pixels: values[pixels], parameters, positions=positions)
+    return grid_flow(ImageSurface(None, positions, valid), lambda pixels: values[pixels], parameters)
 
 
 @pytest.mark.parametrize("make", [textured_flow, image_flow])
@@ -49,13 +50,13 @@ def test_row_blocks_have_the_bits_of_the_whole(make, name, monkeypatch):
     parameters = KernelParameters(**{**THREE_ITERATIONS, **ON_GRIDS[name]})
     flow = make(parameters)
     assert name == "world" or flow._clipped is not None
-    whole, colours, gutter = flow.run(), flow.values(), flow.manifold.gutter_values()
+    whole, colours, gutter = flow.run(), flow.values(), flow.manifold.new_colours().beyond
     low_row_blocks(monkeypatch)
     flow = make(parameters)
     parts = flow.run()
     assert len(flow.manifold.row_blocks) >= 3
     assert np.array_equal(flow.values(), colours)
-    assert np.array_equal(flow.manifold.gutter_values(), gutter)
+    assert np.array_equal(flow.manifold.new_colours().beyond, gutter)
     assert parts.samples_per_kernel == whole.samples_per_kernel
 
 

@@ -5,7 +5,7 @@ import pytest
 from scipy.ndimage import maximum_filter
 
 from beltrami_cli._native import put_colours, take_colours
-from beltrami_cli.samples.textures.places import within
+from beltrami_cli.samples.seams import within
 
 
 @pytest.mark.parametrize("kind", [np.int32, np.int64])

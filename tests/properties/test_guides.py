@@ -63,7 +63,7 @@ def test_a_clean_guide_recovers_an_edge_that_noise_buries(smooth):
 @both
 def test_the_two_sides_of_a_guiding_edge_do_not_mix(smooth):
     colours = np.repeat(MASK[:, None], 2, axis=1)
-    kept = smooth(colours, guide=MASK, beta=0, guide_beta=1000)
+    kept = smooth(colours, guide=MASK, beta=0, guide_betas=(1000.0,))
     assert np.array_equal(kept, colours.astype(np.float32))
     assert np.abs(smooth(colours, beta=0) - colours).max() > 0.3
 
@@ -73,7 +73,7 @@ def test_the_two_sides_of_a_guiding_edge_do_not_mix(smooth):
 def test_the_colours_as_their_own_guide_count_like_a_larger_beta(smooth, beta):
     # beta^2 |dI|^2 + beta^2 |dI|^2 = (sqrt(2) beta)^2 |dI|^2; in the first iteration guide and colours are the same.
     parameters = {"iterations": 1, "metric_steps": 0, "t": 0.7, "clipping": "keep"}
-    guided = smooth(guide=NOISY, guide_beta=beta, beta=beta, **parameters)
+    guided = smooth(guide=NOISY, guide_betas=(beta,), beta=beta, **parameters)
     larger = smooth(beta=np.sqrt(2) * beta, **parameters)
     # Distances differ by rounding, so that a sample at the cut-off, of weight 0.01 among some 10, may come or go.
     assert np.mean(np.abs(guided - larger)) < 1e-5
@@ -81,14 +81,14 @@ def test_the_colours_as_their_own_guide_count_like_a_larger_beta(smooth, beta):
 
 
 @both
-@pytest.mark.parametrize("guide_beta", [None, 3.0])
-def test_a_constant_guide_is_none(smooth, guide_beta):
-    assert np.array_equal(smooth(guide=np.full(len(NOISY), 0.3), guide_beta=guide_beta), smooth())
+@pytest.mark.parametrize("guide_betas", [(), (3.0,)])
+def test_a_constant_guide_is_none(smooth, guide_betas):
+    assert np.array_equal(smooth(guide=np.full(len(NOISY), 0.3), guide_betas=guide_betas), smooth())
 
 
 @both
 def test_a_guide_without_weight_is_none(smooth):
-    assert np.array_equal(smooth(guide=MASK, guide_beta=0.0), smooth())
+    assert np.array_equal(smooth(guide=MASK, guide_betas=(0.0,)), smooth())
 
 
 @both

@@ -10,6 +10,7 @@ from scipy.integrate import quad
 from scipy.ndimage import correlate
 
 from beltrami_cli import smooth, smooth_image
+from beltrami_cli.samples.image_surface import ImageSurface
 from oracles.surfaces import grid_faces
 
 SCHEMES = ["triangles", "metric"]
@@ -103,7 +104,9 @@ def test_a_cylinder_is_smoothed_like_the_plane_that_it_is_rolled_of():
     for settings in ({}, {"scheme": "metric", "metric_steps": 0}, {"units": "world"}):
         flat = smooth_image(image, **settings).colours
         # Lengths agree to the rounding of positions, for which one may cross the cut-off: it weighs 0.01 of some 30.
-        difference = np.abs(smooth_image(image, positions=rolled, **settings).colours - flat)
+        difference = np.abs(
+            smooth_image(image, surface=ImageSurface(positions=rolled), **settings).colours - flat
+        )
         assert difference.mean() < 1e-5
         assert difference.max() < 1e-3
 
@@ -132,7 +135,9 @@ def test_on_a_sphere_a_linear_function_shrinks_as_the_integral_says_on_images_an
         # Degree 1 harmonics are eigenfunctions of every kernel that depends on geodesic distance (Funk, Hecke).
         truth = 0.5 + mean(np.cos) / mean(np.ones_like) * (image - 0.5)
         settings = {**LINEAR, "t": t, "units": "world"}
-        mapped = smooth_image(image, positions=positions, window=window_of(t), **settings).colours
+        mapped = smooth_image(
+            image, surface=ImageSurface(positions=positions), window=window_of(t), **settings
+        ).colours
         mesh = smooth(
             positions.reshape(-1, 3),
             grid_faces(pixels, pixels),
@@ -165,7 +170,11 @@ def test_parametric_and_triangulated_agree_to_first_order_on_a_height_map(scheme
         # The same surface, colours and flow, in smaller and smaller pixels.
         settings = {**LINEAR, "t": 0.5 * (pixels / 16) ** 2, "beta": beta * pixels, "units": "world"}
         mapped = smooth_image(
-            image, height=height, window=window_of(settings["t"]), scheme=scheme, **settings
+            image,
+            surface=ImageSurface(heights=height),
+            window=window_of(settings["t"]),
+            scheme=scheme,
+            **settings,
         )
         mesh = smooth(positions, grid_faces(pixels, pixels), image.reshape(-1, 1), **settings, **CONVERGING)
         difference = mapped.colours[..., 0] - mesh.colours.reshape(image.shape)
@@ -180,9 +189,11 @@ def test_constants_stay_to_the_last_bit_and_colours_stay_in_the_range_around_the
     image, height = noisy(), hills(24, 31)
     image[3:6, 4:9] = np.nan
     constant = np.full((24, 31, 2), [0.3, 0.7], np.float32)
-    np.testing.assert_array_equal(smooth_image(constant, height=height, **parameters).colours, constant)
+    np.testing.assert_array_equal(
+        smooth_image(constant, surface=ImageSurface(heights=height), **parameters).colours, constant
+    )
     whole = {"space": "data", **parameters}
-    smoothed = smooth_image(image, height=height, **whole).colours
+    smoothed = smooth_image(image, surface=ImageSurface(heights=height), **whole).colours
     holes = np.isnan(image).any(axis=2)
     assert (smoothed[~holes].min(axis=0) >= image[~holes].min(axis=0)).all()
     assert (smoothed[~holes].max(axis=0) <= image[~holes].max(axis=0)).all()
@@ -206,7 +217,10 @@ def test_nothing_crosses_a_wall_of_holes_one_pixel_thick(parameters, wall):
     height = hills(24, 24)
     # What both sides have in common is the estimated noise, which beta and restored averages depend on.
     fixed = {"beta": 8, "clipping": "keep", **parameters}
-    one, two = (smooth_image(i, height=height, valid=valid, **fixed).colours for i in (image, other))
+    one, two = (
+        smooth_image(i, surface=ImageSurface(heights=height, valid=valid), **fixed).colours
+        for i in (image, other)
+    )
     np.testing.assert_array_equal(one[~side & ~line], two[~side & ~line])
     assert not np.array_equal(one[side], two[side])
 
@@ -215,7 +229,10 @@ def test_nothing_crosses_a_wall_of_holes_one_pixel_thick(parameters, wall):
 def test_the_result_is_the_same_to_the_last_bit_for_any_number_of_threads(parameters):
     image, height = noisy(40, 70), hills(40, 70)
     height[10:14, 30:50] = np.nan
-    one, three = (smooth_image(image, height=height, threads=n, **parameters).colours for n in (1, 3))
+    one, three = (
+        smooth_image(image, surface=ImageSurface(heights=height), threads=n, **parameters).colours
+        for n in (1, 3)
+    )
     np.testing.assert_array_equal(one, three)
 
 
@@ -224,11 +241,15 @@ def test_channels_can_be_exchanged_and_positions_scaled_and_turned(parameters):
     image, height = noisy(), hills(24, 31)
     y, x = np.mgrid[:24, :31]
     positions = np.dstack([x, y, height])
-    result = smooth_image(image, positions=positions, beta=8, **parameters).colours
-    swapped = smooth_image(image[..., ::-1], positions=positions, beta=8, **parameters).colours
+    result = smooth_image(image, surface=ImageSurface(positions=positions), beta=8, **parameters).colours
+    swapped = smooth_image(
+        image[..., ::-1], surface=ImageSurface(positions=positions), beta=8, **parameters
+    ).colours
     assert np.abs(swapped[..., ::-1] - result).max() < 1e-5
     turn = np.linalg.qr(np.random.default_rng(3).normal(size=(5, 5)))[0][:3]  # into five dimensions
-    moved = smooth_image(image, positions=1000 * positions @ turn, beta=8, **parameters).colours
+    moved = smooth_image(
+        image, surface=ImageSurface(positions=1000 * positions @ turn), beta=8, **parameters
+    ).colours
     difference = np.abs(moved - result)
     assert difference.mean() < 1e-5  # of rounding; one sample may cross the cut-off, with a weight of 0.01
     assert difference.max() < 3e-3
@@ -240,12 +261,16 @@ def test_slopes_are_smoothed_less_than_level_parts_which_are_smoothed_like_the_p
     height = np.where(x < 40, 0, np.where(x < 80, 3.0 * (x - 40), 120.0))  # level, a slope of 3, level
     image = 0.5 + np.random.default_rng(2).normal(0, 0.05, (40, 120, 1))
     settings = {"scheme": scheme, "iterations": 1, "t": 0.5, "metric_steps": 0}
-    flat, steep = smooth_image(image, **settings), smooth_image(image, height=height, **settings)
+    flat, steep = (
+        smooth_image(image, **settings),
+        smooth_image(image, surface=ImageSurface(heights=height), **settings),
+    )
     assert steep.beta == pytest.approx(flat.beta)
     for level in (np.s_[:, 4:36], np.s_[:, 84:116]):
         np.testing.assert_array_equal(steep.colours[level], flat.colours[level])
     flat, steep = (
-        smooth_image(image, height=h, **{**settings, "beta": 0}).colours for h in (0 * height, height)
+        smooth_image(image, surface=ImageSurface(heights=h), **{**settings, "beta": 0}).colours
+        for h in (0 * height, height)
     )
     # Up the slope the next pixel is sqrt(10) away, where the kernel is below 0.01: what is left is a Gaussian of one
     # dimension, and with weights w noise is left by the factor sqrt(sum w^2).
@@ -259,7 +284,9 @@ def test_slopes_are_smoothed_less_than_level_parts_which_are_smoothed_like_the_p
 def test_a_hole_changes_nothing_further_away_than_kernels_reach():
     image, valid = noisy(40, 60), np.ones((40, 60), bool)
     valid[0, 0] = False  # makes the metric's own smoothing look for walls
-    whole, holed = (smooth_image(image, valid=v, beta=8, **FIXED).colours for v in (None, valid))
+    whole, holed = (
+        smooth_image(image, surface=ImageSurface(valid=v), beta=8, **FIXED).colours for v in (None, valid)
+    )
     # Five kernels of 3 pixels, and two metrics of 2, further on.
     assert np.abs(holed - whole)[20:, 20:].max() < 1e-6
     assert np.abs(holed - whole)[1:5, 1:5].max() > 1e-4

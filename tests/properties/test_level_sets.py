@@ -13,6 +13,7 @@ from scipy.special import eval_legendre
 from beltrami_cli import SmoothSettings, smooth, smooth_file
 from beltrami_cli.formats.access import EVERYTHING_INSIDE
 from beltrami_cli.formats.registry import open_document
+from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.opening import open_input
 from formats.volume_files import lattice_fields, nrrd_file, sphere_file, write
 from oracles.level_sets import CENTRE, directions, pattern, places, sphere
@@ -108,7 +109,7 @@ def test_a_constant_stays_and_nothing_leaves_the_range_of_the_voxels(tmp_path):
     noise = sphere_file(
         tmp_path, 0.25, lambda at: RANDOM.integers(50, 151, (*at.shape[:3], 3)).astype(np.uint8)
     )
-    smooth_file(noise, tmp_path / "out.ply", overwrite=True)
+    smooth_file(noise, tmp_path / "out.ply", job=Job(overwrite=True))
     colours = 255 * open_document(str(tmp_path / "out.ply")).painted().colours
     assert colours.min() > 49.9
     assert colours.max() < 150.1

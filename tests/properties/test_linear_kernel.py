@@ -9,6 +9,8 @@ import pytest
 
 import beltrami_cli
 from beltrami_cli.flow.parameters import KernelParameters
+from beltrami_cli.jobs.job import Job
+from beltrami_cli.samples.image_surface import ImageSurface
 from beltrami_cli.samples.settings import SmoothSettings
 from oracles import surfaces
 from properties.textured_planes import Board, smooth_image
@@ -32,7 +34,7 @@ def on_a_plane(colours):
 def on_heights(colours):
     y, x = np.mgrid[:48, :48]
     return beltrami_cli.smooth_image(
-        colours, height=5 * np.sin(x / 6 + y / 9), space="data", **LINEAR
+        colours, surface=ImageSurface(heights=5 * np.sin(x / 6 + y / 9)), space="data", **LINEAR
     ).colours
 
 
@@ -76,7 +78,7 @@ def test_kernels_of_a_file_hold_the_same_samples_with_and_without_noise(name, tm
 
     def samples(source):
         target = tmp_path / Path(name).with_stem("out")
-        report = beltrami_cli.smooth_file(SAMPLES / source, target, settings, dry_run=True)
+        report = beltrami_cli.smooth_file(SAMPLES / source, target, settings, job=Job(dry_run=True))
         parts = [*report.textures, *filter(None, [report.image])]
         return [part.samples_per_kernel for part in parts] or [report.vertices.counts["samples_per_kernel"]]
 

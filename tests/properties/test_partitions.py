@@ -18,7 +18,8 @@ from beltrami_cli.flow.mesh_manifold import MeshManifold
 from beltrami_cli.flow.mesh_partitions import Neighbours
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.partitions import InTurn, collect, in_partitions, plan_loans
-from beltrami_cli.samples.images.grid_flow import grid_flow
+from beltrami_cli.samples.image_surface import ImageSurface
+from beltrami_cli.samples.pixel_samples import grid_flow
 from beltrami_cli.surface.atlas import build_atlas
 from beltrami_cli.surface.records import SampledSurface
 from oracles import surfaces
@@ -163,7 +164,10 @@ def test_an_image_with_holes_in_partitions_has_the_bits_of_the_whole(name):
     positions = np.dstack([*np.meshgrid(np.arange(90.0), np.arange(70.0)), 3 * random.random((70, 90))])
     parameters = KernelParameters(**{**FIXED, **ON_GRIDS[name]})
     values = noisy(valid.size)
-    check_grid(lambda: grid_flow(valid, lambda pixels: values[pixels], parameters, positions=positions), name)
+    check_grid(
+        lambda: grid_flow(ImageSurface(None, positions, valid), lambda pixels: values[pixels], parameters),
+        name,
+    )
 
 
 def noisy(count):
@@ -174,7 +178,7 @@ def noisy(count):
 def check_grid(make, name):
     """The result and the gutter are those of the whole, and samples are counted exactly."""
     flow = make()
-    whole, colours, gutter = flow.run(), flow.values(), flow.manifold.gutter_values()
+    whole, colours, gutter = flow.run(), flow.values(), flow.manifold.new_colours().beyond
     assert flow._clipped is not None or name == "world"
     for count in (1, 2, 5):
         runner = Sent()
@@ -183,7 +187,7 @@ def check_grid(make, name):
             parts = flow.run()
         assert runner.counts == [count]
         assert np.array_equal(flow.values(), colours)
-        assert np.array_equal(flow.manifold.gutter_values(), gutter)
+        assert np.array_equal(flow.manifold.new_colours().beyond, gutter)
         assert parts.samples_per_kernel == whole.samples_per_kernel
 
 
@@ -191,11 +195,11 @@ def test_a_margin_that_is_one_cell_too_narrow_is_not_enough(monkeypatch):
     """So the test above would see it."""
     parameters = KernelParameters(**{**FIXED, "metric_scale": 1.0, "beta": 1.0})
     valid, values = np.ones((70, 90), bool), noisy(70 * 90)
-    whole = smoothed(grid_flow(valid, lambda pixels: values[pixels], parameters))
+    whole = smoothed(grid_flow(ImageSurface(valid=valid), lambda pixels: values[pixels], parameters))
     margin = GridManifold.margin.fget
     monkeypatch.setattr(GridManifold, "margin", property(lambda manifold: margin(manifold) - 2))
     with in_partitions(4, InTurn(2)):
-        parts = smoothed(grid_flow(valid, lambda pixels: values[pixels], parameters))
+        parts = smoothed(grid_flow(ImageSurface(valid=valid), lambda pixels: values[pixels], parameters))
     assert not np.array_equal(parts, whole)
 
 
@@ -203,10 +207,16 @@ def test_nothing_to_do_is_nothing_in_partitions_too():
     nothing = KernelParameters(**{**FIXED, "iterations": 0})
     values = noisy(30)
     with in_partitions(3, InTurn(1)):
-        result = smoothed(grid_flow(np.ones((5, 6), bool), lambda pixels: values[pixels], nothing))
+        result = smoothed(
+            grid_flow(ImageSurface(valid=np.ones((5, 6), bool)), lambda pixels: values[pixels], nothing)
+        )
         mesh = smooth_mesh(SURFACE, nothing)
         empty = smoothed(
-            grid_flow(np.zeros((5, 6), bool), lambda pixels: values[pixels], KernelParameters(**FIXED))
+            grid_flow(
+                ImageSurface(valid=np.zeros((5, 6), bool)),
+                lambda pixels: values[pixels],
+                KernelParameters(**FIXED),
+            )
         )
     assert np.array_equal(result, values)
     assert np.array_equal(mesh.colours, SURFACE.colours)

@@ -9,16 +9,16 @@ from typing import TYPE_CHECKING, Any
 
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access, read_source
-from beltrami_cli.formats.image.recognition import is_image
+from beltrami_cli.formats.image.document import ImageDocument
 from beltrami_cli.formats.registry import kind_of
 from beltrami_cli.jobs.compare.figures import Verdict, check_limits, figures
 from beltrami_cli.jobs.compare.map import draw_map, is_map, require_map
 from beltrami_cli.jobs.compare.parts import compare_images, compare_textures, compare_vertices
-from beltrami_cli.jobs.opening import document_from, refuse_options_of_level_sets
+from beltrami_cli.jobs.opening import document_from
 from beltrami_cli.jobs.settings import Limits
 from beltrami_cli.jobs.writing.output import Output, Overwrite
 from beltrami_cli.samples.memory_check import require_room_for_textures
-from beltrami_cli.samples.selection import choose_work
+from beltrami_cli.samples.selection import select
 from beltrami_cli.samples.settings import DEFAULTS, LevelSetSettings
 
 if TYPE_CHECKING:
@@ -68,10 +68,12 @@ def compare_files(
         output = Output(target, overwrite=overwrite, what="map", is_own=is_map, reads=names)
         output.files.guard(settings.files_besides())
         access = output.files.watching(access)
-    parts, model, notices = _compare(names, settings, weights, access)
-    _require_samples(parts, _shown(names[0]))
+    data = read_source(names[0], access), read_source(names[1], access)
+    documents = _open(names, data, settings, access)
+    parts, model, notices = _compare(documents, settings, weights, access)
+    _require_samples(parts, documents[0].name)
     described = [{"name": part.name, "kind": part.kind, **figures([part])} for part in parts]
-    verdicts, untested = check_limits(described, limits, _shown(names[1]))
+    verdicts, untested = check_limits(described, limits, documents[1].name)
     scale = None
     if output is not None and target is not None:
         written, scale = draw_map(parts, model, target)
@@ -113,27 +115,21 @@ def _left_out(parts: list[ComparedColours]) -> list[str]:
 
 
 def _compare(
-    names: tuple[str, str], settings: SmoothSettings, weights: Weights, access: Access
+    documents: tuple[Document, Document], settings: SmoothSettings, weights: Weights, access: Access
 ) -> tuple[list[ComparedColours], Document | None, list[str]]:
     """Return the parts, vertices first, the reference if it is a model, and notices."""
-    data = read_source(names[0], access), read_source(names[1], access)
-    shown = _shown(names[0]), _shown(names[1])
-    images = [is_image(each, name) for each, name in zip(data, names, strict=True)]
-    if images[0] != images[1]:
-        kinds = ["an image" if image else "a model" for image in images]
+    images = [document for document in documents if isinstance(document, ImageDocument)]
+    if len(images) == 1:
+        kinds = ["an image" if document in images else "a model" for document in documents]
         raise InputError(
-            shown[1], f"it is {kinds[1]}, but {shown[0]} is {kinds[0]}", "compare two files of one kind"
+            documents[1].name,
+            f"it is {kinds[1]}, but {documents[0].name} is {kinds[0]}",
+            "compare two files of one kind",
         )
-    if images[0]:
-        refuse_options_of_level_sets(settings, shown[0])
-        return [compare_images(data, shown, settings, access)], None, []
-    documents = _open(names, data, settings, access)
+    if images:
+        return [compare_images(images, settings, access)], None, []
     parts, notices = _compare_models(documents, settings, weights, access)
     return parts, documents[0], notices
-
-
-def _shown(name: str) -> str:
-    return "<stdin>" if name == "-" else name
 
 
 def _open(
@@ -153,14 +149,14 @@ def _compare_models(
     documents: tuple[Document, Document], settings: SmoothSettings, weights: Weights, access: Access
 ) -> tuple[list[ComparedColours], list[str]]:
     reference, test = documents
-    work = choose_work(reference, settings)
-    parts, notices = [], [f"{reference.name}: {notice}" for notice in work.notices]
-    if work.vertices:
+    selection = select(reference, settings)
+    parts, notices = [], [f"{reference.name}: {notice}" for notice in selection.notices]
+    if selection.vertices:
         part, moved = compare_vertices(reference, test, settings, weights)
         parts.append(part)
         notices += [f"{test.name}: {notice}" for notice in moved]
-    for slot in work.slots:
+    for slot in selection.slots:
         for document in documents:
-            require_room_for_textures(document, work.slots, settings.textures, access)
+            require_room_for_textures(document, selection.slots, settings.textures, access)
         parts += compare_textures(reference, test, slot, settings, weights, access)
     return parts, notices

@@ -12,29 +12,30 @@ from beltrami_cli.flow.colour_space import to_space
 from beltrami_cli.formats.image import read_image
 from beltrami_cli.jobs.compare.figures import ComparedColours, SeamJumps
 from beltrami_cli.jobs.compare.measures import cie_lab, delta_e_2000, structural_similarity
-from beltrami_cli.jobs.opening import coloured_vertices, open_pixels
-from beltrami_cli.samples.images.prepare import refuse_options_of_meshes
 from beltrami_cli.samples.memory_check import require_room
-from beltrami_cli.samples.textures.choosing import choose_textures
-from beltrami_cli.samples.textures.colours import TexelColours
-from beltrami_cli.samples.textures.places import near_seams, seam_steps, texel_areas
-from beltrami_cli.samples.textures.prepare import prepare_slot
-from beltrami_cli.samples.vertices.channels import choose_channels
-from beltrami_cli.samples.vertices.level_set import LevelSetDocument
-from beltrami_cli.samples.vertices.point_cloud import with_surface
+from beltrami_cli.samples.pixel_samples import PixelSamples
+from beltrami_cli.samples.points import with_surface
+from beltrami_cli.samples.seams import near_seams, seam_steps, texel_areas
+from beltrami_cli.samples.selection import coloured_vertices
+from beltrami_cli.samples.texel_colours import TexelColours
+from beltrami_cli.samples.texel_samples import TexelSamples, choose_textures
+from beltrami_cli.samples.vertex_samples import choose_channels
+from beltrami_cli.samples.voxels import LevelSetDocument
 from beltrami_cli.surface.colour_values import srgb_to_linear
 from beltrami_cli.surface.geometry import vertex_areas
 from beltrami_cli.surface.grouping import group_places
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from beltrami_cli.flow.parameters import Space, Weights
     from beltrami_cli.formats.access import Access
     from beltrami_cli.formats.document import Document
     from beltrami_cli.formats.image import Picture
+    from beltrami_cli.formats.image.document import ImageDocument
     from beltrami_cli.samples.settings import SmoothSettings
-    from beltrami_cli.samples.textures.prepare import PreparedSlot
     from beltrami_cli.surface.records import PaintedVertices, Slot, Texture, TexturedSurface
 
 _BLOCK = 1 << 18  # colours compared at a time, which bounds the memory for them
@@ -50,7 +51,7 @@ def compare_vertices(
     """Bring the vertex colours of two models together; return notices, too."""
     one, other = reference.painted(), test.painted()
     moved = _require_one_model((reference, test), (one, other))
-    rows = np.flatnonzero(coloured_vertices(reference) & coloured_vertices(test))
+    rows = np.intersect1d(coloured_vertices(reference), coloured_vertices(test))
     channels = choose_channels(one, settings).changing
     colours = [
         to_space(painted.colours[rows][:, channels], painted.encoding, settings.space)
@@ -155,14 +156,14 @@ def _jumps(colours: list[NDArray[np.float32]], place: NDArray[np.int32]) -> Seam
 
 
 def compare_images(
-    data: tuple[bytes, bytes], names: tuple[str, str], settings: SmoothSettings, access: Access
+    documents: Sequence[ImageDocument], settings: SmoothSettings, access: Access
 ) -> ComparedColours:
     """Bring the pixels of two images together that can be seen in the reference, and are finite numbers there."""
-    refuse_options_of_meshes(settings, names[0])
-    require_room(zip(names, data, strict=True), access)
-    pictures = [read_image(each, name, finite=False) for each, name in zip(data, names, strict=True)]
-    _require_same_size(pictures[0], pictures[1], names[1])
-    (one, valid), (other, _) = (open_pixels(picture, settings, access) for picture in pictures)
+    names = [document.name for document in documents]
+    require_room([(document.name, document.data) for document in documents], access)
+    _require_same_size(documents[0].picture(), documents[1].picture(), names[1])
+    samples = [PixelSamples(document, settings, access, colours_only=True) for document in documents]
+    one, other, valid = samples[0].colours, samples[1].colours, samples[0].valid
     if one.names != other.names:
         cause = f"it has the channels {', '.join(other.names)}, but {names[0]} {', '.join(one.names)}"
         raise InputError(names[1], cause, "compare images with the same channels, or choose with --channels")
@@ -212,7 +213,7 @@ def compare_textures(
     surface = reference.textured(slot)
     textures = _same_textures(surface, test.textured(slot), settings, (reference.name, test.name))
     require_room(((texture.name, texture.data) for texture in textures), access)
-    prepared = prepare_slot(surface, slot, settings)
+    prepared = TexelSamples(surface, slot, settings)
     pictures = [read_image(texture.data, texture.name) for texture in textures]
     for old, new in zip(prepared.pictures, pictures, strict=True):
         _require_same_size(old, new, f"{test.name}: {new.name}")
@@ -227,7 +228,7 @@ def compare_textures(
 
 
 def _parts(
-    prepared: PreparedSlot,
+    prepared: TexelSamples,
     both: tuple[NDArray[np.float32], NDArray[np.float32]],
     weights: NDArray[np.float64],
     slot: Slot,

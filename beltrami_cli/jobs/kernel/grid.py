@@ -10,10 +10,6 @@ import numpy as np
 from beltrami_cli.errors import UsageError
 from beltrami_cli.jobs.kernel.output import WindowView
 from beltrami_cli.jobs.kernel.probe import ProbedSamples, WorkingColours
-from beltrami_cli.samples.images.prepare import prepare_image
-from beltrami_cli.samples.images.range_image import prepare_range
-from beltrami_cli.samples.textures.prepare import prepare_slot
-from beltrami_cli.samples.vertices.guides import vertex_guides
 from beltrami_cli.surface.atlas import EMPTY
 
 if TYPE_CHECKING:
@@ -22,11 +18,11 @@ if TYPE_CHECKING:
     from beltrami_cli.flow.beltrami_flow import BeltramiFlow
     from beltrami_cli.flow.grid_manifold import GridManifold
     from beltrami_cli.flow.kernel_probe import SampledKernel
-    from beltrami_cli.formats.access import Access
     from beltrami_cli.formats.document import Document
     from beltrami_cli.jobs.kernel.location import Location
-    from beltrami_cli.samples.settings import SmoothSettings
-    from beltrami_cli.surface.records import Slot
+    from beltrami_cli.samples.pixel_samples import PixelSamples
+    from beltrami_cli.samples.range_samples import RangeSamples
+    from beltrami_cli.samples.texel_samples import TexelSamples
 
 # Cells around the window that are shown at least.
 _LEAST_SURROUNDINGS = 4
@@ -80,14 +76,13 @@ class _CellSamples(ProbedSamples):
         return WindowView(shades, filled, distances, weights, (around, around))
 
 
-class TexelSamples(_CellSamples):
+class ProbedTexels(_CellSamples):
     """Texels of the textures of a slot, which are smoothed together."""
 
-    def __init__(self, document: Document, slot: Slot, settings: SmoothSettings, access: Access) -> None:
-        self._document = document
-        self._prepared = prepare_slot(document.textured(slot), slot, settings, document, access)
-        self.colours = WorkingColours(self._prepared.colours.names, self._prepared.colours.space)
-        self.flow = self._prepared.flow(settings)
+    def __init__(self, document: Document, samples: TexelSamples) -> None:
+        self._document, self._prepared = document, samples
+        self.colours = WorkingColours(samples.names, samples.colours.space)
+        self.flow = samples.flow()
 
     def find(self, location: Location) -> tuple[int, dict[str, object]]:
         """Return the cell of a texel of one of the textures."""
@@ -122,16 +117,15 @@ class TexelSamples(_CellSamples):
         return {"texture": names[textures], "x": x, "y": y}
 
 
-class PixelSamples(_CellSamples):
+class ProbedPixels(_CellSamples):
     """Pixels of an image."""
 
-    def __init__(self, data: bytes, name: str, settings: SmoothSettings, access: Access) -> None:
-        prepared = prepare_image(data, name, settings, access)
-        self._name = name
-        self._height, self._width = prepared.valid.shape
-        self.colours = WorkingColours(prepared.colours.names, settings.space)
-        self.unit = "pixel" if prepared.surface.positions is None else ""
-        self.flow = prepared.flow(settings)
+    def __init__(self, document: Document, samples: PixelSamples) -> None:
+        self._name = document.name
+        self._height, self._width = samples.picture.pixels.shape[:2]
+        self.colours = WorkingColours(samples.names, samples.settings.space)
+        self.unit = "pixel" if samples.surface.positions is None else ""
+        self.flow = samples.flow()
 
     def find(self, location: Location) -> tuple[int, dict[str, object]]:
         """Return the cell of a pixel."""
@@ -145,18 +139,13 @@ class PixelSamples(_CellSamples):
         return {"x": x, "y": y}
 
 
-class RangeSamples(_CellSamples):
+class ProbedRange(_CellSamples):
     """Vertices of a range image, on the grid, shape (H, W), that they were measured on."""
 
-    def __init__(
-        self, document: Document, grid: NDArray[np.int64], settings: SmoothSettings, access: Access
-    ) -> None:
-        self._painted, self._grid, self._name = document.painted(), grid, document.name
-        guides = vertex_guides(document, settings, access)
-        prepared = prepare_range(self._painted, grid, settings, guides)
-        channels = tuple(self._painted.channels[i] for i in prepared.channels.taking_part)
-        self.colours = WorkingColours(channels, settings.space)
-        self.flow = prepared.flow(settings)
+    def __init__(self, document: Document, samples: RangeSamples) -> None:
+        self._painted, self._grid, self._name = samples.painted, samples.grid, document.name
+        self.colours = WorkingColours(samples.names, samples.settings.space)
+        self.flow = samples.flow()
 
     def find(self, location: Location) -> tuple[int, dict[str, object]]:
         """Return the cell of a vertex, by its index or a position, or by column and row on the grid."""

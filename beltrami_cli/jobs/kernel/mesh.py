@@ -9,9 +9,6 @@ import numpy as np
 
 from beltrami_cli.jobs.kernel.output import MeshView
 from beltrami_cli.jobs.kernel.probe import ProbedSamples, WorkingColours
-from beltrami_cli.samples.vertices.guides import vertex_guides
-from beltrami_cli.samples.vertices.point_cloud import with_surface
-from beltrami_cli.samples.vertices.prepare import prepare
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -19,25 +16,22 @@ if TYPE_CHECKING:
     from beltrami_cli.flow.beltrami_flow import BeltramiFlow
     from beltrami_cli.flow.kernel_probe import SampledKernel
     from beltrami_cli.flow.mesh_manifold import MeshManifold
-    from beltrami_cli.formats.access import Access
     from beltrami_cli.formats.document import Document
     from beltrami_cli.jobs.kernel.location import Location
-    from beltrami_cli.samples.settings import SmoothSettings
+    from beltrami_cli.samples.vertex_samples import VertexSamples
 
 
-class VertexSamples(ProbedSamples):
+class ProbedVertices(ProbedSamples):
     """Painted vertices; `whole`: the whole mesh is shown, not only twice as far around as the kernel reaches."""
 
     flow: BeltramiFlow[MeshManifold]
 
-    def __init__(self, document: Document, settings: SmoothSettings, access: Access, *, whole: bool) -> None:
-        self._painted = painted = with_surface(document.painted(), settings)
-        prepared = prepare(painted, settings, vertex_guides(document, settings, access))
-        self._name, self._whole, self._most = document.name, whole, settings.kernel.max_samples
-        self._sampling = prepared.sampling
-        channels = tuple(painted.channels[i] for i in prepared.channels.taking_part)
-        self.colours = WorkingColours(channels, settings.space)
-        self.flow = prepared.flow(settings)
+    def __init__(self, document: Document, samples: VertexSamples, *, whole: bool) -> None:
+        self._painted, self._sampling = samples.joined, samples.sampling
+        self._name, self._whole = document.name, whole
+        self._most = samples.settings.kernel.max_samples
+        self.colours = WorkingColours(samples.names, samples.settings.space)
+        self.flow = samples.flow()
 
     def find(self, location: Location) -> tuple[int, dict[str, object]]:
         """Return the sample of a vertex, which is given by its index or a position near it."""

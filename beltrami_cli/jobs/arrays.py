@@ -1,0 +1,404 @@
+"""Smooth the colours of triangle meshes, clouds of points and images: arrays in, arrays out.
+
+References
+----------
+.. [1] A. Spira, R. Kimmel, N. Sochen, "A short time Beltrami kernel for smoothing images and manifolds",
+   IEEE Trans. Image Processing 16(6), 2007, doi:10.1109/TIP.2007.894253
+.. [2] R. Kimmel, J. A. Sethian, "Computing geodesic paths on manifolds", PNAS 95(15), 1998,
+   doi:10.1073/pnas.95.15.8431
+.. [3] A. Spira, R. Kimmel, "An efficient solution to the eikonal equation on parametric manifolds", Interfaces and
+   Free Boundaries 6, 2004, doi:10.4171/IFB/102
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, get_args
+
+import numpy as np
+
+from beltrami_cli.errors import UsageError
+from beltrami_cli.fields import override
+from beltrami_cli.flow.colour_space import from_space, to_space
+from beltrami_cli.flow.embedding import Guide, centred
+from beltrami_cli.samples.guides import GuideImage
+from beltrami_cli.samples.image_surface import ImageSurface
+from beltrami_cli.samples.pixel_samples import grid_flow
+from beltrami_cli.samples.points import count_cloud
+from beltrami_cli.samples.settings import DEFAULTS
+from beltrami_cli.samples.vertex_samples import VertexSamples
+from beltrami_cli.surface.records import Encoding, PaintedVertices
+from beltrami_cli.surface.validation import (
+    array_of,
+    check_mesh,
+    colour_table,
+    face_table,
+    guide_table,
+    position_table,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from numpy.typing import ArrayLike, NDArray
+
+    from beltrami_cli.flow.tuning.choice import Choice
+    from beltrami_cli.samples.points import CloudCounts
+    from beltrami_cli.samples.settings import SmoothSettings
+
+    Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class SmoothResult:
+    """Smoothed vertex colours, and how they came about.
+
+    Attributes
+    ----------
+    colours : ndarray of float32, shape (V, C)
+        In the same encoding and order as the input's. Vertices that did not change have the input's bits.
+    beta : float
+        As used, in units of length per unit of colour; 0 if no colour enters the metric.
+    spacing : float
+        Mean edge length, in the unit of the positions; 0 without edges.
+    noise : dict of str to float
+        Estimated standard deviation of the noise for each channel that takes part, in the working space.
+    samples : int
+        Distinct samples: coincident vertices of one colour are one.
+    hard_edge_samples : int
+        Samples more than there are places: coincident vertices that differ in colour.
+    samples_per_kernel : float
+        Mean number of samples that a kernel held.
+    truncated : int
+        Kernels that `max_samples` cut short, over all iterations.
+    iterations : int
+        How many were run.
+    guide_betas : dict of str to float
+        As used for each guide, in units of length per unit of the guide.
+    positions : ndarray of float64, shape (V, 3), or None
+        New positions, if they were smoothed. Vertices that did not move have the input's bits.
+    normal_noise, normal_beta : float or None
+        If positions were smoothed: the estimated noise of the normals in radians, and the beta used for them, in units
+        of length per radian.
+    cloud : CloudCounts or None
+        For points without faces.
+    choice : Choice or None
+        Parameters that were chosen from the data, and their estimated error, if any were.
+    """
+
+    colours: NDArray[np.float32]
+    beta: float
+    spacing: float
+    noise: dict[str, float]
+    samples: int
+    hard_edge_samples: int
+    samples_per_kernel: float
+    truncated: int
+    iterations: int
+    guide_betas: dict[str, float] = field(default_factory=dict)
+    positions: NDArray[np.float64] | None = None
+    normal_noise: float | None = None
+    normal_beta: float | None = None
+    cloud: CloudCounts | None = None
+    choice: Choice | None = None
+
+
+@dataclass(frozen=True)
+class ImageResult:
+    """A smoothed image, and how it came about.
+
+    Attributes
+    ----------
+    colours : ndarray of float32, shape (H, W, C)
+        In the same encoding as the input's. Pixels that did not change, and holes, have the input's bits.
+    beta : float
+        As used, in units of length per unit of colour.
+    spacing : float
+        Mean distance of neighbouring pixels, in the unit of the positions; 0 if there are no pixels.
+    noise : ndarray of float64, shape (C,)
+        Estimated standard deviation of the noise of each channel, in the working space.
+    samples : int
+        Pixels that are no holes.
+    samples_per_kernel : float
+        Mean number of pixels that a kernel held.
+    choice : Choice or None
+        Parameters that were chosen from the data, and their estimated error, if any were.
+    """
+
+    colours: NDArray[np.float32]
+    beta: float
+    spacing: float
+    noise: NDArray[np.float64]
+    samples: int
+    samples_per_kernel: float
+    choice: Choice | None = None
+
+
+def smooth(
+    positions: ArrayLike,
+    faces: ArrayLike | None,
+    colours: ArrayLike,
+    parameters: SmoothSettings = DEFAULTS,
+    *,
+    encoding: Encoding = "srgb",
+    guide: ArrayLike | None = None,
+    progress: Progress | None = None,
+    **overrides: Any,
+) -> SmoothResult:
+    """Smooth the colours of a triangle mesh, or of a cloud of points, with the short-time Beltrami kernel.
+
+    Parameters
+    ----------
+    positions : array_like, shape (V, M)
+        Vertices in a space of any dimension M, finite.
+    faces : array_like of int, shape (F, 3), or None
+        Triangles as vertex indices; any set of triangles, non-manifold ones included. None: a cloud of points, M at
+        most 3, whose triangles are found around each point.
+    colours : array_like, shape (V, C) or (V,)
+        Any number of channels, finite. uint8, uint16 and uint32 are taken by their full scale, floats as they are
+        (full scale 1); other integers are refused, for their full scale is not known.
+    parameters : SmoothSettings
+        The kernel's parameters, the working space and the embedding. By default all that can be are chosen from the
+        data, by the estimated error of the result.
+    encoding : {"srgb", "linear"}
+        What the numbers in `colours` mean.
+    guide : array_like, shape (V, G) or (V,), optional
+        Channels that enter the metric and stay as they are, finite, such as normals or clean colours.
+    progress : callable, optional
+        Called with the samples done so far and the samples to do; may raise to stop.
+    **overrides
+        Parameters by their names, such as ``iterations=3, beta=12``, in place of those in `parameters`. Channels in
+        `metric_channels` may be numbers.
+
+    Returns
+    -------
+    SmoothResult
+        With ``colours`` of shape (V, C), float32; ``positions`` if these were smoothed; ``cloud`` without faces.
+
+    Raises
+    ------
+    UsageError
+        If a parameter is unknown or out of its range, an array's shape or type does not fit, or a face names a vertex
+        that is not there.
+    InputError
+        If positions or colours are not finite, or are not of the same number.
+
+    Notes
+    -----
+    Each iteration averages with the kernel exp(-d^2 / (4 t)), eqs. (8, 9) of [1]_, where d is the geodesic
+    distance on the surface (X, beta I) in R^(M+C), from fast marching [2]_ or along segments.
+
+    References
+    ----------
+    .. [1] A. Spira, R. Kimmel, N. Sochen, "A short time Beltrami kernel for smoothing images and manifolds",
+       IEEE Trans. Image Processing 16(6), 2007, doi:10.1109/TIP.2007.894253
+    .. [2] R. Kimmel, J. A. Sethian, "Computing geodesic paths on manifolds", PNAS 95(15), 1998,
+       doi:10.1073/pnas.95.15.8431
+    """
+    painted = _painted(positions, faces, colours, encoding)
+    settings = _settings(parameters, guide, painted.channels, overrides)
+    if len(painted.channels) != 3 and settings.space == "oklab":
+        raise UsageError("the space oklab needs three channels")
+    if settings.embedding.smooth_geometry and painted.positions.shape[1] != 3:
+        raise UsageError(f"smooth_geometry needs positions in 3 dimensions, not {painted.positions.shape[1]}")
+    if faces is None and painted.positions.shape[1] > 3:
+        raise UsageError(f"positions in {painted.positions.shape[1]} dimensions need faces")
+    guides = []
+    if guide is not None:
+        (_, beta), *_ = settings.embedding.weighted_guides
+        guides = [Guide("guide", centred(guide_table(guide, (len(painted.positions),))), beta)]
+    samples = VertexSamples(painted, settings, guides)
+    samples.is_cloud = faces is None
+    flow = samples.flow()
+    result = flow.run(progress)
+    report, moving = samples.report(flow, result), flow.manifold.moving
+    repainted = samples.repaint(flow.manifold.new_colours())
+    assert repainted.colours is not None
+    return SmoothResult(
+        repainted.colours,
+        result.beta,
+        result.spacing,
+        report.noise,
+        int(report.counts["samples"]),
+        int(report.counts["hard_edge_samples"]),
+        result.samples_per_kernel,
+        result.truncated,
+        report.iterations,
+        report.guides,
+        repainted.positions,
+        None if moving is None else moving.sigma,
+        None if moving is None else moving.beta,
+        count_cloud(samples.joined) if faces is None else None,
+        result.choice,
+    )
+
+
+def smooth_image(
+    colours: ArrayLike,
+    parameters: SmoothSettings = DEFAULTS,
+    *,
+    surface: ImageSurface | None = None,
+    encoding: Encoding = "srgb",
+    guide: ArrayLike | None = None,
+    progress: Progress | None = None,
+    **overrides: Any,
+) -> ImageResult:
+    """Smooth an image on its plane, or on a surface, with the short-time Beltrami kernel.
+
+    Parameters
+    ----------
+    colours : array_like, shape (H, W) or (H, W, C)
+        Any number of channels. Types as for `smooth`; pixels with a number that is not finite are holes.
+    parameters : SmoothSettings
+        As for `smooth`.
+    surface : ImageSurface, optional
+        Where the pixels lie, and which are holes; without it the plane.
+    encoding : {"srgb", "linear"}
+        What the numbers in `colours` mean.
+    guide : array_like, shape (H, W) or (H, W, G), optional
+        Channels that enter the metric and stay as they are, finite.
+    progress : callable, optional
+        Called with the work done so far and the work to do; may raise to stop.
+    **overrides
+        As for `smooth`.
+
+    Returns
+    -------
+    ImageResult
+
+    Raises
+    ------
+    UsageError
+        If a parameter is unknown or out of its range, or an array's shape or type does not fit.
+
+    Notes
+    -----
+    The image is the surface (X, beta I) with the metric g_ij = X_i . X_j + beta^2 I_i . I_j, eq. (1) of [1]_, sampled
+    on a regular grid. Each iteration averages with the kernel exp(-d^2 / (4 t)), eqs. (8, 9), of its geodesic distances
+    d, from fast marching on parametric manifolds [2]_.
+
+    References
+    ----------
+    .. [1] A. Spira, R. Kimmel, N. Sochen, "A short time Beltrami kernel for smoothing images and manifolds",
+       IEEE Trans. Image Processing 16(6), 2007, doi:10.1109/TIP.2007.894253
+    .. [2] A. Spira, R. Kimmel, "An efficient solution to the eikonal equation on parametric manifolds", Interfaces and
+       Free Boundaries 6, 2004, doi:10.4171/IFB/102
+    """
+    table, shape = _pixel_colours(colours)
+    channels = tuple(map(str, range(table.shape[1])))
+    settings = _settings(parameters, guide, channels, overrides)
+    _require_encoding(encoding)
+    if settings.space == "oklab" and len(channels) != 3:
+        raise UsageError("the space oklab needs three channels")
+    guides = []
+    if guide is not None:
+        (_, beta), *_ = settings.embedding.weighted_guides
+        values = centred(guide_table(guide, shape)).reshape(*shape, -1)
+        guides = [GuideImage("guide", values, beta).at]
+    metric = settings.embedding.metric_channels
+    place = _image_surface(surface, table, shape)
+
+    def working(pixels: NDArray[np.int64]) -> NDArray[np.float32]:
+        return to_space(table[pixels], encoding, settings.space)
+
+    numbers = None if metric is None else sorted({channels.index(channel) for channel in metric})
+    flow = grid_flow(place, working, settings.kernel, guides, numbers)
+    result = flow.run(progress)
+    pixels = flow.manifold.atlas.owned_texels
+    after = flow.values()
+    smoothed, moved = table.copy(), np.any(working(pixels) != after, axis=1)
+    if moved.any():
+        back = from_space(after[moved], encoding, settings.space)
+        # The way there and back is not exact; what comes of it stays in the range of the colours.
+        old = table[pixels]
+        smoothed[pixels[moved]] = np.clip(back, old.min(axis=0), old.max(axis=0))
+    return ImageResult(
+        smoothed.reshape(*shape, -1),
+        result.beta,
+        result.spacing,
+        result.sigma,
+        len(pixels),
+        result.samples_per_kernel,
+        choice=result.choice,
+    )
+
+
+def _settings(
+    parameters: SmoothSettings, guide: ArrayLike | None, channels: Sequence[str], overrides: dict[str, Any]
+) -> SmoothSettings:
+    """Return the parameters with overrides; the channels of the metric by their names, and the guide by one."""
+    wanted = overrides.get("metric_channels")
+    if wanted is not None:
+        overrides["metric_channels"] = tuple(_channel(each, channels) for each in wanted)
+    if guide is not None:
+        overrides["guides"] = ("guide",)
+    return override(parameters, **overrides)
+
+
+def _channel(channel: object, names: Sequence[str]) -> str:
+    """Return the name of a channel that is given by its number or name."""
+    if isinstance(channel, str) and channel in names:
+        return channel
+    if not isinstance(channel, (int, np.integer)) or not 0 <= channel < len(names):
+        raise UsageError(f"metric_channels names {channel!r}, but the {len(names)} channels count from 0")
+    return names[int(channel)]
+
+
+def _require_encoding(encoding: str) -> None:
+    if encoding not in get_args(Encoding):
+        raise UsageError(f"encoding is {encoding}, but must be {' or '.join(get_args(Encoding))}")
+
+
+def _painted(
+    positions: ArrayLike, faces: ArrayLike | None, colours: ArrayLike, encoding: Encoding
+) -> PaintedVertices:
+    _require_encoding(encoding)
+    places, shades = position_table(positions), colour_table(colours)
+    names = ("red", "green", "blue") if shades.shape[1] == 3 else tuple(map(str, range(shades.shape[1])))
+    stored = str(np.asarray(colours).dtype)
+    triangles = face_table([] if faces is None else faces, len(places))
+    painted = PaintedVertices(places, triangles, shades, names, encoding, stored)
+    check_mesh(painted, "the arrays")
+    return painted
+
+
+def _image_surface(
+    surface: ImageSurface | None, table: NDArray[np.float32], shape: tuple[int, int]
+) -> ImageSurface:
+    """Check where pixels lie; those whose colours are not finite are holes, too."""
+    valid = np.asarray(np.isfinite(table.reshape(*shape, -1)).all(axis=2))
+    if surface is None:
+        return ImageSurface(valid=valid)
+    if surface.positions is not None and surface.heights is not None:
+        raise UsageError("positions and heights are two surfaces for one image; give one of them")
+    positions, heights = surface.positions, surface.heights
+    if positions is not None:
+        positions = _pixel_array(positions, "positions", (*shape, None), "uif").astype(np.float64)
+    if heights is not None:
+        heights = _pixel_array(heights, "heights", shape, "uif").astype(np.float64)
+    if surface.valid is not None:
+        valid &= _pixel_array(surface.valid, "valid", shape, "bui").astype(bool)
+    return ImageSurface(heights, positions, valid)
+
+
+def _pixel_colours(colours: ArrayLike) -> tuple[NDArray[np.float32], tuple[int, int]]:
+    """Return the colours of all pixels, shape (H * W, C), and the shape (H, W)."""
+    image = array_of(colours, "colours")
+    if image.ndim not in (2, 3) or image.size == 0:
+        raise UsageError(f"colours must be of shape (H, W) or (H, W, C), not {image.shape}")
+    rows, columns = image.shape[:2]
+    return colour_table(image.reshape(rows * columns, -1)), (rows, columns)
+
+
+def _pixel_array(values: ArrayLike, name: str, shape: tuple[int | None, ...], kinds: str) -> NDArray[Any]:
+    """Take an array with a number for each pixel, or M numbers where the last of the shape is None."""
+    array = array_of(values, name)
+    fits = array.ndim == len(shape) and all(
+        b is None or a == b for a, b in zip(array.shape, shape, strict=True)
+    )
+    if not fits or array.dtype.kind not in kinds or 0 in array.shape:
+        wanted = ", ".join("M" if size is None else str(size) for size in shape)
+        raise UsageError(
+            f"{name} must be numbers of shape ({wanted}), not {array.dtype} of shape {array.shape}"
+        )
+    return array

@@ -1,0 +1,65 @@
+"""How a job is done: what it may read, whom it tells how far it is, and what it may write."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING
+
+from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
+    from beltrami_cli.jobs.writing.files import FileSet
+    from beltrami_cli.jobs.writing.output import Output
+
+    Progress = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True)
+class Job:
+    """How a job is done, besides its parameters.
+
+    Attributes
+    ----------
+    access : Access
+        What may be read, and how much memory may be taken.
+    progress : callable, optional
+        Called with a label of what is being worked on, the work done so far and the work to do; may raise to stop.
+    overwrite : bool
+        Whether OUTPUT, and the files beside it that it names, may be replaced.
+    dry_run : bool
+        Compute everything and write nothing.
+    format : str or None
+        Format to write where the name of OUTPUT does not show it: "ply", "obj", "glb", "gltf", "png", ...
+    files : FileSet or None
+        The files of the run, if others are put in place together with OUTPUT: by the caller.
+    """
+
+    access: Access = EVERYTHING_INSIDE
+    progress: Progress | None = None
+    overwrite: bool = False
+    dry_run: bool = False
+    format: str | None = None
+    files: FileSet | None = None
+
+    def output(self, target: str) -> Output | None:
+        """Check where OUTPUT goes; None on a dry run."""
+        from beltrami_cli.jobs.writing.output import Output
+
+        return None if self.dry_run else Output(target, overwrite=self.overwrite, files=self.files)
+
+    def access_besides(self, output: Output | None, guarded: Iterable[str]) -> Access:
+        """Return what may be read, such that no output replaces it, nor the `guarded` files."""
+        if output is None:
+            return self.access
+        output.files.guard(guarded)
+        return output.files.watching(self.access)
+
+    def progress_of(self, label: str) -> Callable[[int, int], None] | None:
+        """Return what tells the progress of one part of the job."""
+        return None if self.progress is None else partial(self.progress, label)
+
+
+PLAIN_JOB = Job()

@@ -1,1 +1,0 @@
-"""Noise laid on a surface."""

@@ -1,1 +1,0 @@
-"""Smooth one file: read, sample, iterate, write, and tell what was done."""

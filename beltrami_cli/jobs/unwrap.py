@@ -1,0 +1,169 @@
+"""Smooth the colours of a file and write them in a new texture: unwrap, bake, write."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from beltrami_cli.errors import UsageError
+from beltrami_cli.formats.image.reading import measure_image
+from beltrami_cli.formats.registry import sidecar_names, write_textured
+from beltrami_cli.jobs.new_texture import texels_of, texture_from_textures, texture_from_vertices
+from beltrami_cli.jobs.opening import open_input
+from beltrami_cli.jobs.smooth import Smoothed, make_report, smooth_samples
+from beltrami_cli.jobs.stopwatch import Stopwatch
+from beltrami_cli.samples.memory_check import require_room_for_textures
+from beltrami_cli.samples.selection import Selection, choose_format, require_scale, vertex_samples
+from beltrami_cli.samples.texel_samples import TexelSamples
+from beltrami_cli.samples.vertex_samples import require_surface
+
+if TYPE_CHECKING:
+    from beltrami_cli.formats.access import Access
+    from beltrami_cli.formats.document import Document
+    from beltrami_cli.jobs.job import Job
+    from beltrami_cli.jobs.new_texture import NewTexture
+    from beltrami_cli.jobs.report import SmoothReport
+    from beltrami_cli.samples.settings import BakeSettings, SmoothSettings
+    from beltrami_cli.surface.records import ImageFile, TexturedSurface
+
+
+@dataclass(frozen=True)
+class _Done:
+    """A new texture, its smoothed image, what users should know, and what was smoothed."""
+
+    made: NewTexture
+    image: ImageFile
+    notices: list[str]
+    smoothed: list[Smoothed] = field(default_factory=list)
+
+
+def smooth_unwrapped(
+    source: str, target: str, settings: SmoothSettings, wanted: BakeSettings, job: Job
+) -> SmoothReport:
+    """Smooth the base colour, or else the vertex colours, in a new texture, and write a new file with that."""
+    _check(settings)
+    watch, output, stem = Stopwatch(), job.output(target), Path(target).stem
+    access = job.access_besides(output, settings.files_besides(source))
+    with watch.stage("read"):
+        document = open_input(source, settings, access)
+        textured = _is_textured(document, settings)
+        if not textured:
+            document.painted()  # raises if there are no colours at all
+        kind = choose_format(document, target, job.format).name
+        if output is not None:
+            output.check_sidecars(sidecar_names(kind, stem, settings.textures.image_suffix or ".png"))
+    if settings.kernel.iterations:
+        require_scale(document, Selection(not textured, ("baseColor",) if textured else ()))
+    if textured:
+        if settings.embedding.guides:
+            raise UsageError("--guide cannot guide the new texture that --unwrap makes; use both in turn")
+        require_room_for_textures(document, ("baseColor",), settings.textures, access)
+        done = _smooth_in_texture(document, settings, wanted, watch, job)
+    else:
+        done = _smooth_on_vertices(document, settings, wanted, watch, job, access)
+    with watch.stage("write"):
+        written = write_textured(done.made.mesh(done.image), kind, stem)
+        if output is not None:
+            output.write(written)
+    names = [] if output is None else [target, *written.sidecars]
+    late = [warning for each in done.smoothed for warning in each.warnings]
+    warnings = [*document.notices, *done.notices, *written.notices, *late]
+    return make_report((source, target), kind, settings, done.smoothed, watch.stages, names, warnings)
+
+
+def _check(settings: SmoothSettings) -> None:
+    """Refuse what has no meaning for one new texture."""
+    textures = settings.textures
+    if settings.on == "both":
+        raise UsageError("--unwrap smooths one new texture, so --on cannot be both")
+    if textures.materials or textures.names or textures.slots != ("baseColor",):
+        raise UsageError(
+            "--unwrap makes one new base colour texture, so --material, --texture and --slots cannot choose"
+        )
+    if settings.embedding.smooth_geometry:
+        raise UsageError(
+            "--unwrap writes a new file, in which --smooth-geometry cannot move vertices; use both in turn"
+        )
+
+
+def _is_textured(document: Document, settings: SmoothSettings) -> bool:
+    return settings.on != "vertices" and (settings.on == "texture" or "baseColor" in document.slots())
+
+
+def _smooth_in_texture(
+    document: Document, settings: SmoothSettings, wanted: BakeSettings, watch: Stopwatch, job: Job
+) -> _Done:
+    """Smooth the textures, then make the new one; afterwards, where the old ones are no place to do so.
+
+    A new texture shows theirs between texels, which spreads noise over several and makes it look like a pattern.
+    """
+    iterations, first = settings.kernel.iterations, None
+    old_surface = document.textured("baseColor")
+    if iterations and _has_room(old_surface):
+        with watch.stage("smooth"):
+            samples = TexelSamples(old_surface, "baseColor", _in_passing(settings))
+            samples.require_writable()
+            first = smooth_samples(samples, job.progress_of(samples.label))
+    old = {} if first is None else {key: image for (_, key), image in first.repainted.images.items()}
+    with watch.stage("unwrap"):
+        made = texture_from_textures(document, wanted, job.progress, old)
+    notices = list(made.notices)
+    if document.has_vertex_colours():
+        notices.append("Vertex colours are not in the new file; --on vertices takes them, not the texture.")
+    if first is not None:
+        return _Done(made, _encoded(made, settings), [*notices, *first.repainted.notices], [first])
+    if not iterations:
+        return _Done(made, _encoded(made, settings), notices)
+    with watch.stage("smooth"):
+        samples = TexelSamples(made.surface(), "baseColor", settings)
+        samples.require_writable()
+        smoothed = smooth_samples(samples, job.progress_of("the new texture"))
+    (image,) = smoothed.repainted.images.values()
+    return _Done(made, image, [*notices, *smoothed.repainted.notices], [smoothed])
+
+
+def _smooth_on_vertices(
+    document: Document,
+    settings: SmoothSettings,
+    wanted: BakeSettings,
+    watch: Stopwatch,
+    job: Job,
+    access: Access,
+) -> _Done:
+    """Smooth the vertex colours, then make the texture.
+
+    In a texture their noise would be spread over several texels each, where it looks like a pattern and stays.
+    """
+    smoothed: list[Smoothed] = []
+    require_surface(document.painted(), document.name)
+    if settings.kernel.iterations > 0:
+        with watch.stage("smooth"):
+            samples = vertex_samples(document, settings, access)
+            smoothed = [smooth_samples(samples, job.progress_of(samples.label))]
+    with watch.stage("unwrap"):
+        colours = smoothed[0].repainted.colours if smoothed else None
+        made = texture_from_vertices(document, wanted, job.progress, colours)
+    return _Done(made, _encoded(made, settings), list(made.notices), smoothed)
+
+
+def _has_room(surface: TexturedSurface) -> bool:
+    """Tell whether textures have a texel for each triangle; in palettes triangles are points, and share few colours."""
+    sizes = [measure_image(texture.data) for texture in surface.textures]
+    sides = np.array([(0, 0) if size is None else (size.width, size.height) for size in sizes], np.int64)
+    return texels_of(surface, sides.reshape(-1, 2)) >= int(np.count_nonzero(surface.texture_of >= 0))
+
+
+def _in_passing(settings: SmoothSettings) -> SmoothSettings:
+    """Return settings for textures that are written for the way only: in a format that loses nothing."""
+    return dataclasses.replace(
+        settings, textures=dataclasses.replace(settings.textures, image_suffix=".tif", small=False)
+    )
+
+
+def _encoded(made: NewTexture, settings: SmoothSettings) -> ImageFile:
+    textures = settings.textures
+    return made.encoded(textures.image_suffix, textures.jpeg_quality, small=textures.small)

@@ -1,0 +1,144 @@
+"""The surface that an image lies on, and its holes, from other images of the same size."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from beltrami_cli.errors import InputError
+from beltrami_cli.formats.access import Access, read_source
+from beltrami_cli.formats.image import read_image
+from beltrami_cli.formats.image.picture import full_scale_one
+from beltrami_cli.surface.validation import check_scale
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from beltrami_cli.formats.image import Picture
+    from beltrami_cli.samples.settings import ImageSettings
+
+# Channels that hold a depth or height, as renderers and cameras call them.
+_HEIGHTS = ("z", "depth", "height", "depth.z", "y")
+_COARSE = "uint8"
+
+
+@dataclass(frozen=True)
+class ImageSurface:
+    """Where the pixels of an image lie; without heights and positions it is a plane.
+
+    Attributes
+    ----------
+    heights : ndarray, shape (H, W), or None
+        Over the plane of the image, in pixels. Pixels with a height that is not finite are holes.
+    positions : ndarray, shape (H, W, M), or None
+        In a space of any dimension M. Pixels with a coordinate that is not finite are holes.
+    valid : ndarray of bool, shape (H, W), or None
+        False at holes. They keep their colours, lend none, and nothing crosses them.
+    notices : tuple of str
+        What users should know, one sentence each.
+    """
+
+    heights: NDArray[Any] | None = None
+    positions: NDArray[Any] | None = None
+    valid: NDArray[np.bool_] | None = None
+    notices: tuple[str, ...] = ()
+
+    @property
+    def kind(self) -> str:
+        """What the surface is: "plane", "height" or "positions"."""
+        if self.heights is not None:
+            return "height"
+        return "plane" if self.positions is None else "positions"
+
+
+def read_surface(picture: Picture, wanted: ImageSettings, access: Access) -> ImageSurface:
+    """Read the images that say where a picture lies and where it has holes; InputError if one does not fit it."""
+    heights = positions = None
+    valid = np.ones(picture.pixels.shape[:2], bool)
+    notices: list[str] = []
+    if wanted.height is not None:
+        pixels, told = _read(wanted.height, picture, access)
+        notices += told
+        heights = wanted.height_scale * _height_of(pixels)
+        valid &= np.isfinite(heights) & _opaque(pixels)
+    if wanted.positions is not None:
+        pixels, told = _read(wanted.positions, picture, access)
+        notices += told
+        positions = _positions_of(pixels)
+        check_scale(positions.reshape(-1, 3), _triangles(*positions.shape[:2]), wanted.positions)
+        valid &= np.isfinite(positions).all(axis=2) & _opaque(pixels)
+    if wanted.mask is not None:
+        valid &= _mask_of(_read(wanted.mask, picture, access)[0])
+    return ImageSurface(heights, positions, valid, tuple(notices))
+
+
+def _read(path: str, picture: Picture, access: Access) -> tuple[Picture, list[str]]:
+    """Read an image of the size of the picture, and say what is odd about it as a map."""
+    read = read_image(read_source(path, access), path, finite=False)
+    height, width = picture.pixels.shape[:2]
+    if read.pixels.shape[:2] != (height, width):
+        rows, columns = read.pixels.shape[:2]
+        raise InputError(
+            path,
+            f"its {columns} x {rows} pixels do not fit the {width} x {height} of {picture.name}",
+            "both must have the same size, pixel by pixel",
+        )
+    coarse = [f"{path} has 8 bits only, so that its surface has steps; 16 bits or floats are better."]
+    return read, [*read.notices, *(coarse if read.stored == _COARSE else [])]
+
+
+def _height_of(picture: Picture) -> NDArray[np.float64]:
+    """Return the one channel that is a height."""
+    lower = [channel.lower() for channel in picture.channels]
+    named = next((lower.index(name) for name in _HEIGHTS if name in lower), None)
+    others = [channel for channel in range(len(lower)) if channel != picture.alpha]
+    if named is None and len(others) > 1 and not _are_equal(picture.pixels[..., others]):
+        raise InputError(
+            picture.name,
+            f"which of its channels {', '.join(picture.channels)} is the height is not clear",
+            "give an image of one channel, or call it Z",
+        )
+    column = others[0] if named is None else named
+    return full_scale_one(picture.pixels[..., column]).astype(np.float64)
+
+
+def _positions_of(picture: Picture) -> NDArray[np.float64]:
+    """Return the channels x, y and z, or red, green and blue, or else the only three."""
+    lower = [channel.lower() for channel in picture.channels]
+    columns = [lower.index(name) for name in "xyz" if name in lower]
+    if len(columns) != 3:
+        columns = list(picture.colour)
+    if len(columns) != 3:
+        raise InputError(
+            picture.name,
+            f"its channels {', '.join(picture.channels)} are no positions",
+            "give an image with the three channels X, Y and Z, or red, green and blue",
+        )
+    return full_scale_one(picture.pixels[..., columns]).astype(np.float64)
+
+
+def _triangles(rows: int, columns: int) -> NDArray[np.int32]:
+    """Return a triangle of each pixel with its neighbours on the right and below."""
+    at = np.arange(rows * columns, dtype=np.int32).reshape(rows, columns)[:-1, :-1].ravel()
+    return np.stack([at, at + 1, at + columns], axis=1).astype(np.int32)
+
+
+def _opaque(picture: Picture) -> NDArray[np.bool_]:
+    """Tell where a map says something: not where its own alpha is 0."""
+    if picture.alpha is None:
+        return np.ones(picture.pixels.shape[:2], bool)
+    return np.asarray(picture.pixels[..., picture.alpha] != 0)
+
+
+def _mask_of(picture: Picture) -> NDArray[np.bool_]:
+    """Tell where a mask is not zero: in any of its colours, and in its alpha."""
+    colours = picture.pixels[..., list(picture.colour)]
+    return np.asarray((np.nan_to_num(colours) != 0).any(axis=2) & _opaque(picture))
+
+
+def _are_equal(pixels: NDArray[np.generic]) -> bool:
+    return all(
+        np.array_equal(pixels[..., 0], pixels[..., i], equal_nan=True) for i in range(1, pixels.shape[2])
+    )

@@ -1,0 +1,271 @@
+"""Pixels of an image as samples of a manifold: of its plane, of a height map over it, or of a map of positions."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from beltrami_cli.errors import UsageError
+from beltrami_cli.flow.beltrami_flow import BeltramiFlow
+from beltrami_cli.flow.canvas import canvas_margin, painted
+from beltrami_cli.flow.grid_manifold import GridManifold
+from beltrami_cli.flow.manifold import NewColours
+from beltrami_cli.formats.image import (
+    check_writable,
+    is_exact,
+    is_unchanged,
+    label_of,
+    losses,
+    write_image,
+)
+from beltrami_cli.samples.guides import read_guide_images
+from beltrami_cli.samples.image_surface import ImageSurface, read_surface
+from beltrami_cli.samples.memory_check import require_room
+from beltrami_cli.samples.pixel_colours import ImageColours
+from beltrami_cli.samples.reports import ImageReport, describe_choice
+from beltrami_cli.samples.samples import Grains, Part, Repainted, Samples
+from beltrami_cli.samples.settings import DEFAULTS
+from beltrami_cli.surface.atlas import grid_atlas
+from beltrami_cli.surface.records import ImageFile
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from typing import Any
+
+    from numpy.typing import NDArray
+
+    from beltrami_cli.flow.beltrami_flow import FlowResult
+    from beltrami_cli.flow.embedding import Guide
+    from beltrami_cli.flow.parameters import KernelParameters
+    from beltrami_cli.formats.access import Access
+    from beltrami_cli.formats.image import Picture
+    from beltrami_cli.formats.image.document import ImageDocument
+    from beltrami_cli.samples.change import Change
+    from beltrami_cli.samples.settings import SmoothSettings
+
+    Pixels = NDArray[np.int64]
+
+
+def grid_flow(
+    surface: ImageSurface,
+    colours_of: Callable[[Pixels], NDArray[np.float32]],
+    kernel: KernelParameters,
+    guides: Sequence[Callable[[Pixels], Guide]] = (),
+    metric_channels: Sequence[int] | None = None,
+) -> BeltramiFlow[GridManifold]:
+    """Make the flow on an image, whose owned texels are the pixels that are no holes, row by row.
+
+    `colours_of` and `guides` give what is at some pixels (row * width + column). Over heights, as on the plane, the
+    unit of length is the pixel, and not the spacing along the surface: on slopes samples lie further apart, so they
+    are smoothed less.
+    """
+    valid, positions = surface.valid, surface.positions
+    assert valid is not None
+    if surface.heights is not None:
+        valid = valid & np.isfinite(surface.heights)
+        positions = _over_the_plane(surface.heights)
+        kernel = dataclasses.replace(kernel, units="world")
+    atlas = grid_atlas(valid.shape, canvas_margin(kernel), positions, valid)
+    del positions  # as large as all that follows
+    manifold = GridManifold(
+        atlas,
+        painted(atlas, colours_of(atlas.owned_texels), kernel.thread_count),
+        kernel,
+        walls=atlas.covered < valid.size,
+        guides=[guide(atlas.owned_texels) for guide in guides],
+        metric_channels=metric_channels,
+        unit=None if surface.heights is None else 1.0,
+    )
+    return BeltramiFlow(manifold, kernel)
+
+
+def _over_the_plane(heights: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the places (x, y, height) of pixels, shape (H, W, 3)."""
+    rows, columns = heights.shape
+    positions = np.empty((rows, columns, 3))
+    positions[..., 0], positions[..., 1] = np.arange(columns), np.arange(rows)[:, None]
+    positions[..., 2] = heights
+    return positions
+
+
+class PixelSamples(Samples):
+    """Pixels of an image that are no holes: by its mask or surface, for numbers that are not finite, or unseen.
+
+    `suffix` names another format to write. `colours_only` leaves out channels that are no colours, unless they are
+    named.
+    """
+
+    part: ClassVar[Part] = "image"
+    label = "image"
+
+    def __init__(
+        self,
+        document: ImageDocument,
+        settings: SmoothSettings,
+        access: Access,
+        suffix: str | None = None,
+        *,
+        colours_only: bool = False,
+    ) -> None:
+        refuse_options_of_meshes(settings, document.name)
+        require_room([(document.name, document.data)], access)
+        self.settings, self.picture, self._suffix = settings, document.picture(), suffix
+        chosen = settings
+        if colours_only and settings.channels is None:
+            names = ("red", "green", "blue") if len(self.picture.colour) == 3 else ("grey",)
+            chosen = dataclasses.replace(settings, channels=names)
+        self.colours = ImageColours(self.picture, chosen)
+        self.names = self.colours.names
+        surface = read_surface(self.picture, settings.image, access)
+        usable = self.colours.usable()
+        self.valid = usable & self.colours.visible()
+        if surface.valid is not None:
+            self.valid &= surface.valid
+        self.surface = dataclasses.replace(surface, valid=self.valid)
+        self._unfit = usable.size - int(np.count_nonzero(usable))
+        self._guides = read_guide_images(self.picture, self.valid, settings, access)
+        self._is_noted = settings.channels is None and not colours_only
+
+    def flow(self) -> BeltramiFlow[GridManifold]:
+        """Make the flow on these samples."""
+        colours, guides = self.colours, [guide.at for guide in self._guides]
+        kernel = self.settings.kernel
+        return grid_flow(self.surface, colours.samples, kernel, guides, colours.metric_channels)
+
+    def require_writable(self) -> None:
+        """Raise what is wrong with the image as an output, before anything is computed."""
+        check_writable(self.picture, self._suffix)
+
+    def facts(self) -> dict[str, object]:
+        """Return facts about the image in JSON types."""
+        picture, valid = self.picture, self.valid
+        return {
+            "width": valid.shape[1],
+            "height": valid.shape[0],
+            "format": picture.format,
+            "stored": picture.stored,
+            "channels": list(picture.channels),
+            "encoding": picture.encoding,
+            "smoothed": list(self.colours.changing),
+            "surface": self.surface.kind,
+            "holes": valid.size - int(np.count_nonzero(valid)),
+        }
+
+    def notices(self) -> list[str]:
+        """Return what users should know of the image."""
+        name = self.picture.name
+        found = [*self.picture.notices, *self.surface.notices]
+        if self._unfit:
+            found.append(
+                f"{name} has {self._unfit} pixels that are no finite numbers; they are holes, and stay."
+            )
+        if self.colours.others and self._is_noted:
+            found.append(
+                f"{name}: the channels {', '.join(self.colours.others)} are smoothed too, and count as differences; "
+                "--channels leaves them out."
+            )
+        if not self.valid.any():
+            found.append(f"{name} has no pixel but holes, so nothing was smoothed.")
+        return found
+
+    def report(self, flow: BeltramiFlow[GridManifold], result: FlowResult) -> ImageReport:
+        """Put together what was done."""
+        return ImageReport(
+            image=self.facts(),
+            pitch=result.spacing,
+            beta=result.beta,
+            iterations=flow.parameters.iterations,
+            noise=self.named(result.sigma),
+            samples_per_kernel=round(result.samples_per_kernel, 2),
+            guides=flow.manifold.guide_betas,
+            change={},
+            choice=describe_choice(result.choice),
+        )
+
+    def repaint(self, new: NewColours) -> Repainted:
+        """Encode the image with new colours; one that did not change is the source's own file."""
+        pixels, change = self.colours.repainted(new, self.settings.kernel.thread_count)
+        picture, suffix = self.picture, self._suffix
+        notices = self.notices()
+        if suffix is None and is_unchanged(picture, pixels):
+            notices = [notice for notice in notices if notice not in picture.notices]
+            data = picture.source
+        else:
+            data = self._encoded(pixels)
+        if suffix is not None:
+            notices += losses(picture, suffix)
+        elif not self.valid.all() and not is_exact(picture):
+            label = label_of(picture.format)
+            notices.append(f"{picture.name}: {label} is not exact, so holes change slightly as well.")
+        return self._repainted(data, change, notices)
+
+    def grains(self) -> Grains:
+        """Give each pixel a number, one after the other."""
+        pixels = np.flatnonzero(self.valid)
+        return Grains(self.colours.samples(pixels), np.arange(len(pixels)))
+
+    def shift(self, grains: Grains, after: NDArray[np.float32]) -> Repainted:
+        """Put other colours in the place of those in `grains`."""
+        new = NewColours.of(after, np.flatnonzero(self.valid))
+        pixels, change = self.colours.repainted(new, threads=1)
+        picture, suffix = self.picture, self._suffix
+        notices = [*picture.notices]
+        if suffix is not None:
+            notices += losses(picture, suffix)
+        return self._repainted(
+            self._encoded(pixels),
+            change,
+            [*notices, *not_exact(picture, suffix, "an OUTPUT in .png keeps all")],
+        )
+
+    def _encoded(self, pixels: NDArray[Any]) -> bytes:
+        textures = self.settings.textures
+        return write_image(
+            self.picture,
+            pixels,
+            suffix=self._suffix,
+            jpeg_quality=textures.jpeg_quality,
+            small=textures.small,
+            as_data=self.settings.space == "data",
+        ).data
+
+    def _repainted(self, data: bytes, change: Change, notices: Sequence[str]) -> Repainted:
+        suffix = self._suffix or Path(self.picture.name).suffix
+        return Repainted(change, images={("baseColor", ""): ImageFile(data, suffix)}, notices=tuple(notices))
+
+
+def not_exact(picture: Picture, suffix: str | None, remedy: str) -> tuple[str, ...]:
+    """Return a notice if noise is written in the image's own format, and that is not exact."""
+    if suffix is not None or is_exact(picture):
+        return ()
+    kind = label_of(picture.format)
+    return (
+        f"{picture.name}: {kind} is not exact and takes some of the noise away, most of all in hues; {remedy}",
+    )
+
+
+def refuse_options_of_meshes(settings: SmoothSettings, name: str) -> None:
+    """Raise UsageError for options that only meshes and their textures have."""
+    textures, kernel = settings.textures, settings.kernel
+    usual, usual_kernel = DEFAULTS.textures, DEFAULTS.kernel
+    given = {
+        "--on": settings.on != DEFAULTS.on,
+        "--slots": textures.slots != usual.slots,
+        "--material": textures.materials != usual.materials,
+        "--texture": textures.names != usual.names,
+        "--gutter": textures.gutter != usual.gutter,
+        "--texture-format": textures.image_suffix != usual.image_suffix,
+        "--weights": kernel.weights != usual_kernel.weights,
+        "--max-samples": kernel.max_samples != usual_kernel.max_samples,
+        "--smooth-geometry": settings.embedding.smooth_geometry,
+    }
+    wrong = [option for option, is_given in given.items() if is_given]
+    if not wrong:
+        return
+    remedy = (
+        "end the name of OUTPUT in the extension instead" if "--texture-format" in wrong else "leave it out"
+    )
+    raise UsageError(f"{', '.join(wrong)}: for meshes only, but {name} is an image; {remedy}")

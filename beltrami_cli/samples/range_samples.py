@@ -1,0 +1,97 @@
+"""Colours of a range image as samples of a manifold: vertices on the grid that they were measured on."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from beltrami_cli.errors import UsageError
+from beltrami_cli.flow.colour_space import from_space, to_space
+from beltrami_cli.flow.embedding import Guide
+from beltrami_cli.samples.change import Change
+from beltrami_cli.samples.image_surface import ImageSurface
+from beltrami_cli.samples.pixel_samples import grid_flow
+from beltrami_cli.samples.samples import Repainted
+from beltrami_cli.samples.settings import DEFAULTS
+from beltrami_cli.samples.vertex_samples import PaintedSamples
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from beltrami_cli.flow.beltrami_flow import BeltramiFlow, FlowResult
+    from beltrami_cli.flow.grid_manifold import GridManifold
+    from beltrami_cli.flow.manifold import NewColours
+    from beltrami_cli.samples.reports import VertexReport
+    from beltrami_cli.samples.settings import SmoothSettings
+    from beltrami_cli.surface.records import PaintedVertices
+
+
+class RangeSamples(PaintedSamples):
+    """Vertices on a grid, which has for each place, shape (H, W), the number of a vertex, or -1."""
+
+    label = "range image"
+
+    def __init__(
+        self,
+        painted: PaintedVertices,
+        grid: NDArray[np.int64],
+        settings: SmoothSettings,
+        guides: Sequence[Guide] = (),
+    ) -> None:
+        super().__init__(painted, settings, guides)
+        self.grid = grid
+
+    def flow(self) -> BeltramiFlow[GridManifold]:
+        """Make the flow on these samples; UsageError if the settings are for meshes."""
+        self._refuse_options_of_meshes()
+        measured = self.grid >= 0
+        positions = np.full((*self.grid.shape, 3), np.nan)
+        positions[measured] = self.painted.positions[self.grid[measured]]
+        guides = [partial(self._guide_at, guide) for guide in self.guides]
+        surface = ImageSurface(None, positions, measured)
+        return grid_flow(surface, self._working, self.settings.kernel, guides, self.channels.metric)
+
+    def _refuse_options_of_meshes(self) -> None:
+        kernel, usual = self.settings.kernel, DEFAULTS.kernel
+        given = {
+            "--weights": kernel.weights != usual.weights,
+            "--max-samples": kernel.max_samples != usual.max_samples,
+            "--smooth-geometry": self.settings.embedding.smooth_geometry,
+        }
+        wrong = [option for option, is_given in given.items() if is_given]
+        if wrong:
+            raise UsageError(
+                f"{', '.join(wrong)}: not on range images, whose vertices lie on a grid; leave it out"
+            )
+
+    def _working(self, places: NDArray[np.int64]) -> NDArray[np.float32]:
+        """Return the colours at some places of the grid in the working space, shape (T, N)."""
+        colours = self.painted.colours[self.grid.reshape(-1)[places]][:, self.channels.taking_part]
+        return to_space(colours, self.painted.encoding, self.settings.space)
+
+    def _guide_at(self, guide: Guide, places: NDArray[np.int64]) -> Guide:
+        return Guide(guide.name, guide.values[self.grid.reshape(-1)[places]], guide.beta)
+
+    def report(self, flow: BeltramiFlow[GridManifold], result: FlowResult) -> VertexReport:
+        """Put together what was done."""
+        samples = len(flow.manifold.atlas.owned_texels)
+        counts: dict[str, float] = {"triangles": len(self.painted.faces)}
+        return self._report(flow, result, {**counts, "samples": samples, "hard_edge_samples": 0})
+
+    def repaint(self, new: NewColours) -> Repainted:
+        """Put the colours of places on the grid back to their vertices."""
+        painted, changing, written = self.painted, self.channels.changing, self.channels.written
+        after = new.table()[:, written]
+        moved = np.any(self._working(new.places)[:, written] != after, axis=1)
+        vertices = self.grid.reshape(-1)[new.places[moved]]
+        colours = painted.colours.copy()
+        if len(vertices):
+            before = painted.colours[:, changing]
+            back = from_space(after[moved], painted.encoding, self.settings.space)
+            # The way there and back is not exact; what comes of it stays in range.
+            colours[vertices[:, None], changing] = np.clip(back, before.min(axis=0), before.max(axis=0))
+        return Repainted(Change.between(painted.colours, colours), colours)

@@ -1,0 +1,142 @@
+"""What was done to the samples of a document, as records whose `dataclasses.asdict` gives JSON types."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, TypeAlias
+
+if TYPE_CHECKING:
+    from beltrami_cli.flow.tuning.choice import Choice
+
+
+@dataclass(frozen=True)
+class VertexReport:
+    """What was done to vertex colours.
+
+    Attributes
+    ----------
+    counts : dict
+        Vertices, triangles, samples, samples of hard edges, samples per kernel, truncated kernels. For points without
+        faces the triangles are those around each, and there are "outliers": points in none of them, left as they are.
+    spacing : float
+        Mean sample spacing, in the file's own unit of length.
+    beta : float
+        As used.
+    iterations : int
+        How many were run: none if there is no noise, and no number was asked for.
+    noise : dict of str to float
+        Estimated standard deviation per channel, full scale 1, in the working space.
+    change : dict of str to float
+        Mean, root mean square and largest change of a colour value, full scale 1, as stored.
+    guides : dict of str to float
+        The beta used for each guide, by its name.
+    geometry : dict of str to float, or None
+        If positions were smoothed: the estimated noise of the normals in radians, the beta used for them, and the mean,
+        root mean square and largest distance that a vertex moved, in the file's own unit of length.
+    choice : dict or None
+        If parameters were chosen from the data: "chosen" with their values, and what is known of the result: its
+        estimated "psnr" in dB, the standard "error" of that, the "gain" over the input, and the numbers of "candidates"
+        that were compared and of "samples" that they were compared on.
+    """
+
+    counts: dict[str, float]
+    spacing: float
+    beta: float
+    iterations: int
+    noise: dict[str, float]
+    change: dict[str, float]
+    guides: dict[str, float]
+    geometry: dict[str, float] | None
+    choice: dict[str, object] | None = None
+
+
+@dataclass(frozen=True)
+class SlotReport:
+    """What was done to the textures of a slot.
+
+    Attributes
+    ----------
+    slot : str
+        The slot.
+    textures : list of dict
+        For each texture its name, size, type, and how many of its texels the surface covers.
+    counts : dict of str to int
+        Charts, seams, jumps, covered and overlapped texels of all textures together; jumps are seams whose two
+        sides really differ, which nothing was smoothed over.
+    pitch : float
+        Mean distance of neighbouring texels on the surface, in the model's own unit of length.
+    beta : float
+        As used.
+    iterations : int
+        As for `VertexReport`.
+    noise : dict of str to float
+        Estimated standard deviation per channel, full scale 1, in the working space.
+    samples_per_kernel : float
+        Mean number of samples that a kernel held.
+    guides : dict of str to float
+        The beta used for each guide, by its name.
+    change : dict of str to float
+        Mean, root mean square and largest change of a covered texel's value, in the channels that change, full scale 1,
+        as stored.
+    choice : dict or None
+        As for `VertexReport`.
+    """
+
+    slot: str
+    textures: list[dict[str, object]]
+    counts: dict[str, int]
+    pitch: float
+    beta: float
+    iterations: int
+    noise: dict[str, float]
+    samples_per_kernel: float
+    guides: dict[str, float] = field(default_factory=dict)
+    change: dict[str, float] = field(default_factory=dict)
+    choice: dict[str, object] | None = None
+
+
+@dataclass(frozen=True)
+class ImageReport:
+    """What was done to an image.
+
+    Attributes
+    ----------
+    image : dict
+        Its size, format and channels, which of them were smoothed, on which surface ("plane", "height" or "positions"),
+        and how many of its pixels are holes.
+    pitch : float
+        Mean distance of neighbouring pixels on the surface, in its own unit of length.
+    beta : float
+        As used.
+    iterations : int
+        How many were run: none if there is no noise, and no number was asked for.
+    noise : dict of str to float
+        Estimated standard deviation per channel, full scale 1, in the working space.
+    samples_per_kernel : float
+        Mean number of pixels that a kernel held.
+    guides : dict of str to float
+        The beta used for each guide, by its name.
+    change : dict of str to float
+        Mean, root mean square and largest change of a smoothed value, full scale 1, as stored.
+    choice : dict or None
+        As for `VertexReport`.
+    """
+
+    image: dict[str, object]
+    pitch: float
+    beta: float
+    iterations: int
+    noise: dict[str, float]
+    samples_per_kernel: float
+    guides: dict[str, float]
+    change: dict[str, float]
+    choice: dict[str, object] | None = None
+
+
+SamplesReport: TypeAlias = VertexReport | SlotReport | ImageReport
+
+
+def describe_choice(choice: Choice | None) -> dict[str, object] | None:
+    """Return in JSON types what was chosen, and by what estimate."""
+    return None if choice is None else dataclasses.asdict(choice)

@@ -1,0 +1,299 @@
+"""Texels of the textures of a slot as samples of a manifold, over the surface and across their seams."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections import Counter
+from dataclasses import dataclass
+from fnmatch import fnmatch
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+from beltrami_cli.flow.beltrami_flow import BeltramiFlow
+from beltrami_cli.flow.canvas import canvas_margin, painted
+from beltrami_cli.flow.grid_manifold import GridManifold
+from beltrami_cli.flow.manifold import NewColours
+from beltrami_cli.formats.image import check_writable, is_unchanged, losses, read_image, write_image
+from beltrami_cli.samples.change import Change
+from beltrami_cli.samples.pixel_samples import not_exact
+from beltrami_cli.samples.repainting import Repainting
+from beltrami_cli.samples.reports import SlotReport, describe_choice
+from beltrami_cli.samples.samples import Grains, Part, Repainted, Samples
+from beltrami_cli.samples.settings import SLOTS
+from beltrami_cli.samples.texel_colours import COLOUR_SLOTS, TexelColours
+from beltrami_cli.samples.texel_guides import GuidedTexels
+from beltrami_cli.surface import large_arrays
+from beltrami_cli.surface.atlas import build_atlas, without_owned
+from beltrami_cli.surface.records import ImageFile
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from numpy.typing import NDArray
+
+    from beltrami_cli.flow.beltrami_flow import FlowResult
+    from beltrami_cli.flow.parameters import KernelParameters
+    from beltrami_cli.formats.access import Access
+    from beltrami_cli.formats.document import Document
+    from beltrami_cli.formats.image import Picture
+    from beltrami_cli.samples.settings import SmoothSettings, TextureSettings
+    from beltrami_cli.surface.atlas import Atlas
+    from beltrami_cli.surface.records import Slot, Texture, TexturedSurface
+
+_UNCOVERED = "no texel is covered by the surface, so nothing was smoothed; --unwrap makes a new atlas"
+_UNSEEN = (
+    "all texels on the surface have an opacity of 0, so nothing was smoothed; --alpha smooth counts them, too"
+)
+# Per cent of texels with several places; fewer come of rounding at the borders of charts.
+_WORTH_SAYING = 1.0
+
+
+def choose_textures(surface: TexturedSurface, wanted: TextureSettings) -> TexturedSurface:
+    """Keep the textures that the globs choose, which may be none."""
+
+    def fits(texture: Texture) -> bool:
+        by_name = not wanted.names or any(fnmatch(texture.name, glob) for glob in wanted.names)
+        by_material = not wanted.materials or any(
+            fnmatch(material, glob) for material in texture.materials for glob in wanted.materials
+        )
+        return by_name and by_material
+
+    return only_textures(surface, [i for i, texture in enumerate(surface.textures) if fits(texture)])
+
+
+def only_textures(surface: TexturedSurface, kept: list[int]) -> TexturedSurface:
+    """Keep the textures of these indices; triangles of the others have none."""
+    new_index = np.full(len(surface.textures) + 1, -1, np.int32)
+    new_index[kept] = np.arange(len(kept), dtype=np.int32)
+    return dataclasses.replace(
+        surface,
+        textures=tuple(surface.textures[index] for index in kept),
+        texture_of=new_index[surface.texture_of],
+    )
+
+
+class TexelSamples(Samples):
+    """Covered and visible texels of the chosen textures of a slot, together.
+
+    `document` has the slots that guide, if any do; `shared` are the images that other slots show, too.
+    """
+
+    part: ClassVar[Part] = "textures"
+
+    def __init__(
+        self,
+        surface: TexturedSurface,
+        slot: Slot,
+        settings: SmoothSettings,
+        guided: tuple[Document, Access] | None = None,
+        shared: SharedImages | None = None,
+    ) -> None:
+        self.slot, self.settings, self.label = slot, settings, f"{slot} textures"
+        self.surface = choose_textures(surface, settings.textures)
+        self.pictures = [read_image(texture.data, texture.name) for texture in self.surface.textures]
+        self.atlas = atlas_of(self.surface, self.pictures, settings.kernel)
+        self.colours = TexelColours(self.pictures, slot, settings)
+        self.names = self.colours.names
+        hidden = self.colours.transparent(self.atlas, self.surface.textures)
+        if hidden.any():
+            self.atlas = without_owned(self.atlas, hidden)
+        self._shared = shared or SharedImages()
+        self._guides = []
+        if guided is not None:
+            self._guides = GuidedTexels(
+                guided[0], self.surface, self.pictures, self.atlas, settings, guided[1]
+            ).guides()
+        self._gutter, self._is_smoothed = settings.textures.gutter, True
+
+    def flow(self) -> BeltramiFlow[GridManifold]:
+        """Make the flow on these samples."""
+        kernel, guides = self.settings.kernel, self._guides
+        self._guides = []
+        manifold = GridManifold(
+            self.atlas,
+            self.colours.on_canvas(self.atlas, kernel.thread_count),
+            kernel,
+            guides=guides,
+            metric_channels=self.colours.metric_channels,
+        )
+        return BeltramiFlow(manifold, kernel)
+
+    def require_writable(self) -> None:
+        """Raise what is wrong with the images as outputs, before anything is computed."""
+        for picture in self.pictures:
+            check_writable(picture, self.settings.textures.image_suffix)
+
+    def facts(self) -> list[dict[str, object]]:
+        """Return facts about each texture, in JSON types."""
+        atlas = self.atlas
+        covered = [len(atlas.owned_texels)]
+        if len(self.pictures) > 1:
+            covered = np.histogram(atlas.owned_texels, atlas.texture_offsets)[0].tolist()
+        return [
+            {
+                "name": texture.name,
+                "width": picture.pixels.shape[1],
+                "height": picture.pixels.shape[0],
+                "format": picture.format,
+                "stored": picture.stored,
+                "channels": list(picture.channels),
+                "covered": round(float(count / picture.pixels[..., 0].size), 4),
+            }
+            for texture, picture, count in zip(self.surface.textures, self.pictures, covered, strict=True)
+        ]
+
+    def report(self, flow: BeltramiFlow[GridManifold], result: FlowResult) -> SlotReport:
+        """Put together what was done."""
+        if not flow.parameters.iterations:
+            self._gutter = None  # what is not smoothed stays as it is
+        self._is_smoothed = flow.parameters.iterations > 0
+        return SlotReport(
+            slot=self.slot,
+            textures=self.facts(),
+            counts={**atlas_counts(self.atlas), "jumps": flow.manifold.jumps},
+            pitch=result.spacing,
+            beta=result.beta,
+            iterations=flow.parameters.iterations,
+            noise=self.named(result.sigma),
+            samples_per_kernel=round(result.samples_per_kernel, 2),
+            guides=flow.manifold.guide_betas,
+            choice=describe_choice(result.choice),
+        )
+
+    def repaint(self, new: NewColours) -> Repainted:
+        """Encode the textures with new colours; those that did not change are the source's own files."""
+        is_covered = len(self.atlas.owned_texels) > 0
+        notices = list(atlas_notices(self.atlas)) if self._is_smoothed or not is_covered else []
+        painter = self._painter(self._gutter)
+        del self.atlas  # all on the canvas but the colours, before pictures as large are made
+        suffix, changes = self.settings.textures.image_suffix, []
+        images: dict[tuple[Slot, str], ImageFile] = {}
+        for index, (texture, picture) in enumerate(zip(self.surface.textures, self.pictures, strict=True)):
+            pixels, change = painter.repaint(index, new)
+            changes.append(change)
+            large_arrays.leave_memory()
+            columns = self.colours.columns(index)
+            pixels, slots = self._shared.join(self.slot, texture.key, pixels, columns)
+            if suffix is None and is_unchanged(picture, pixels):
+                file = ImageFile(picture.source, picture.suffix)
+            else:
+                file = self._encoded(picture, pixels)
+                notices += picture.notices
+            images |= {(each, texture.key): file for each in slots}
+            if suffix is not None:
+                notices += losses(picture, suffix)
+        return Repainted(Change.joined(changes), images=images, notices=tuple(notices))
+
+    def grains(self) -> Grains:
+        """Give texels numbers by where they are in the textures: where charts lie on the canvas does not matter."""
+        atlas = self.atlas
+        number = np.empty(len(atlas.owned_texels), np.int64)
+        number[np.argsort(atlas.owned_texels)] = np.arange(len(number))
+        grey = np.array([len(picture.colour) == 1 for picture in self.pictures], bool)
+        in_grey = grey[np.searchsorted(atlas.texture_offsets, atlas.owned_texels, side="right") - 1]
+        stream = 1 + SLOTS.index(self.slot)
+        return Grains(self.colours.samples(atlas), number, stream, np.asarray(in_grey, bool))
+
+    def shift(self, grains: Grains, after: NDArray[np.float32]) -> Repainted:
+        """Put other colours in the place of those in `grains`, and change what lies across seams as far."""
+        atlas, added = self.atlas, after - grains.colours
+        planes = painted(atlas, added, threads=1)
+        beyond = np.ascontiguousarray(planes.reshape(len(planes), -1)[:, atlas.gutter_cells].T)
+        new = NewColours.of(added, atlas.owned_texels, atlas.gutter_texels, beyond)
+        painter, limits = self._painter(self.settings.textures.gutter), grains.limits
+        suffix, notices = self.settings.textures.image_suffix, list[str]()
+        images: dict[tuple[Slot, str], ImageFile] = {}
+        for index, (texture, picture) in enumerate(zip(self.surface.textures, self.pictures, strict=True)):
+            images[self.slot, texture.key] = self._encoded(picture, painter.shift(index, new, limits))
+            notices += picture.notices
+            notices += losses(picture, suffix) if suffix is not None else ()
+            notices += not_exact(picture, suffix, "--texture-format png keeps all")
+        if not len(added):
+            notices.append("no visible texel is covered by the surface, so its textures stay as they are")
+        return Repainted(Change(), images=images, notices=tuple(notices))
+
+    def _painter(self, gutter: int | None) -> Repainting:
+        threads = self.settings.kernel.thread_count
+        return Repainting(self.pictures, self.colours, self.atlas.texture_offsets, gutter, threads)
+
+    def _encoded(self, picture: Picture, pixels: NDArray[Any]) -> ImageFile:
+        wanted = self.settings.textures
+        return write_image(
+            picture,
+            pixels,
+            suffix=wanted.image_suffix,
+            jpeg_quality=wanted.jpeg_quality,
+            small=wanted.small,
+            as_data=self.slot not in COLOUR_SLOTS,
+        )
+
+
+def atlas_of(surface: TexturedSurface, pictures: Sequence[Picture], kernel: KernelParameters) -> Atlas:
+    """Make the manifold of the texels of pictures, continued beyond seams as far as a kernel looks."""
+    sizes = [(picture.pixels.shape[1], picture.pixels.shape[0]) for picture in pictures]
+    return build_atlas(surface, sizes, canvas_margin(kernel), kernel.thread_count)
+
+
+def atlas_counts(atlas: Atlas) -> dict[str, int]:
+    """Return what an atlas is made of."""
+    return {
+        "charts": atlas.charts,
+        "seams": atlas.seams,
+        "covered": atlas.covered,
+        "overlapped": atlas.overlapped,
+    }
+
+
+def atlas_notices(atlas: Atlas) -> tuple[str, ...]:
+    """Return what users should know of texels that are covered more than once, or not at all."""
+    if not len(atlas.owned_texels):
+        return (_UNSEEN if atlas.covered else _UNCOVERED,)
+    share = 100 * atlas.overlapped / max(1, atlas.covered)
+    if share < _WORTH_SAYING:
+        return ()
+    return (
+        f"{share:.0f} % of the covered texels lie at several places of the surface (mirrored, tiled or overlapping "
+        "charts); each was smoothed at one of them",
+    )
+
+
+@dataclass
+class _Joined:
+    pixels: NDArray[Any]
+    columns: set[int]
+    slots: tuple[Slot, ...]
+
+
+class SharedImages:
+    """What came of images so far, as far as further slots show them.
+
+    Occlusion is the red channel of an image, roughness and metalness are green and blue; they are mostly in one.
+    `keys` are those of the textures of all slots, one after the other.
+    """
+
+    def __init__(self, keys: Iterable[str] = ()) -> None:
+        self._left = Counter(keys)
+        self._joined: dict[str, _Joined] = {}
+
+    def join(
+        self, slot: Slot, key: str, pixels: NDArray[Any], columns: Sequence[int]
+    ) -> tuple[NDArray[Any], tuple[Slot, ...]]:
+        """Put what a slot made of an image, shape (H, W, C), together with what others made of other channels.
+
+        Also return the slots whose changes are in it. Colours and data are encoded differently, so they are not joined.
+        """
+        self._left[key] -= 1
+        known = self._joined.get(key)
+        slots: tuple[Slot, ...] = (slot,)
+        if known is not None:
+            alike = (slot in COLOUR_SLOTS) == (known.slots[0] in COLOUR_SLOTS)
+            if alike and known.columns.isdisjoint(columns):
+                others = sorted(known.columns)
+                pixels[..., others] = known.pixels[..., others]
+                columns, slots = [*columns, *others], (*known.slots, slot)
+        if self._left[key] > 0:
+            self._joined[key] = _Joined(pixels, set(columns), slots)
+        else:
+            self._joined.pop(key, None)
+        return pixels, slots

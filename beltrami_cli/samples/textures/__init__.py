@@ -1,1 +1,0 @@
-"""Textures: from the pictures of a model to the flow and back."""

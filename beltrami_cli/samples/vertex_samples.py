@@ -1,0 +1,265 @@
+"""Colours of vertices, and of points on the surface that they lie on, as samples of a manifold."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+from beltrami_cli.errors import InputError, UsageError
+from beltrami_cli.flow.beltrami_flow import BeltramiFlow
+from beltrami_cli.flow.colour_space import from_space, to_space
+from beltrami_cli.flow.embedding import Guide
+from beltrami_cli.flow.geometry import GeometryParameters
+from beltrami_cli.flow.mesh_manifold import MeshManifold
+from beltrami_cli.samples.change import Change
+from beltrami_cli.samples.points import count_cloud, with_surface
+from beltrami_cli.samples.reports import VertexReport, describe_choice
+from beltrami_cli.samples.samples import Grains, Part, Repainted, Samples
+from beltrami_cli.surface.grouping import group_equal_rows
+from beltrami_cli.surface.records import SampledSurface
+from beltrami_cli.surface.vertex_sampling import sample_vertices
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from beltrami_cli.flow.beltrami_flow import FlowResult
+    from beltrami_cli.flow.manifold import NewColours
+    from beltrami_cli.samples.settings import SmoothSettings
+    from beltrami_cli.surface.records import PaintedVertices
+    from beltrami_cli.surface.vertex_sampling import VertexSampling
+
+
+@dataclass(frozen=True)
+class ChosenChannels:
+    """Columns of vertices' colours: those that samples have, those that change, and those in the metric.
+
+    The latter are counted among the first; None: all.
+    """
+
+    taking_part: list[int]
+    changing: list[int]
+    metric: list[int] | None
+
+    @property
+    def written(self) -> list[int]:
+        """Those that change, counted among those that take part."""
+        return [self.taking_part.index(channel) for channel in self.changing]
+
+
+def choose_channels(painted: PaintedVertices, settings: SmoothSettings) -> ChosenChannels:
+    """Choose the columns of vertices' colours; UsageError if channels are named that are not there."""
+    changing = _columns(painted, settings.channels)
+    wanted = settings.embedding.metric_channels
+    counting = changing if wanted is None else _columns(painted, wanted)
+    channels = sorted({*changing, *counting})
+    metric = None if counting == channels else [channels.index(channel) for channel in counting]
+    return ChosenChannels(channels, changing, metric)
+
+
+def _columns(painted: PaintedVertices, names: tuple[str, ...] | None) -> list[int]:
+    """Find the columns of channels by their names or first letters; None: all."""
+    if names is None:
+        return list(range(len(painted.channels)))
+    columns = []
+    for name in names:
+        fits = [i for i, channel in enumerate(painted.channels) if name.lower() in (channel, channel[0])]
+        if not fits:
+            raise UsageError(f"there is no channel {name}; the colours have {', '.join(painted.channels)}")
+        columns.append(fits[0])
+    return sorted(set(columns))
+
+
+class PaintedSamples(Samples):
+    """What vertices on a mesh and vertices on a grid have in common; `guides` have a row a vertex."""
+
+    part: ClassVar[Part] = "vertices"
+
+    def __init__(
+        self, painted: PaintedVertices, settings: SmoothSettings, guides: Sequence[Guide] = ()
+    ) -> None:
+        self.painted, self.settings, self.guides = painted, settings, tuple(guides)
+        self.channels = choose_channels(painted, settings)
+        self.names = tuple(painted.channels[channel] for channel in self.channels.taking_part)
+
+    def require_writable(self) -> None:
+        """Accept all: documents say themselves what they cannot hold."""
+
+    def grains(self) -> Grains:
+        """Take a random number for each place, so that what a format splits stays together."""
+        rows = self.coloured()
+        painted, channels = self.painted, self.channels.changing
+        colours = to_space(painted.colours[rows][:, channels], painted.encoding, self.settings.space)
+        return Grains(colours, places_of(painted, rows))
+
+    def coloured(self) -> NDArray[np.intp]:
+        """Return the vertices that have a place and a colour of their own."""
+        return coloured_rows(self.painted)
+
+    def shift(self, grains: Grains, after: NDArray[np.float32]) -> Repainted:
+        """Put other colours in the place of those in `grains`."""
+        painted, channels, rows = self.painted, self.channels.changing, self.coloured()
+        back = from_space(after, painted.encoding, self.settings.space)
+        colours = painted.colours.copy()
+        changed = colours[rows]
+        # The way to the working space and back is not exact: what did not change keeps its bits.
+        changed[:, channels] = np.where(after != grains.colours, back, changed[:, channels])
+        colours[rows] = changed
+        return Repainted(Change.between(painted.colours, colours), colours)
+
+    def _report(self, flow: BeltramiFlow[Any], result: FlowResult, counts: dict[str, float]) -> VertexReport:
+        """Put together what was done, with counts of the kind of samples."""
+        return VertexReport(
+            counts={
+                "vertices": len(self.painted.positions),
+                **counts,
+                "samples_per_kernel": round(result.samples_per_kernel, 2),
+                "truncated_kernels": result.truncated,
+            },
+            spacing=result.spacing,
+            beta=result.beta,
+            iterations=flow.parameters.iterations,
+            noise=self.named(result.sigma),
+            change={},
+            guides=flow.manifold.guide_betas,
+            geometry=None,
+            choice=describe_choice(result.choice),
+        )
+
+
+class VertexSamples(PaintedSamples):
+    """Vertices of a mesh; points without triangles are put on the surface that they lie on."""
+
+    label = "vertex colours"
+
+    def __init__(
+        self, painted: PaintedVertices, settings: SmoothSettings, guides: Sequence[Guide] = ()
+    ) -> None:
+        super().__init__(painted, settings, guides)
+        self.is_cloud = not len(painted.faces)
+        self._positions: NDArray[np.float64] | None = None
+
+    @cached_property
+    def joined(self) -> PaintedVertices:
+        """The vertices with triangles: their own, or those of the surface that points lie on."""
+        return with_surface(self.painted, self.settings) if self.is_cloud else self.painted
+
+    @cached_property
+    def _sampled(self) -> tuple[SampledSurface, VertexSampling]:
+        joined = self.joined
+        colours = joined.colours[:, self.channels.taking_part]
+        return sample_vertices(joined, to_space(colours, joined.encoding, self.settings.space))
+
+    @property
+    def surface(self) -> SampledSurface:
+        """The samples and the triangles between them."""
+        return self._sampled[0]
+
+    @property
+    def sampling(self) -> VertexSampling:
+        """Which sample each vertex is."""
+        return self._sampled[1]
+
+    def flow(self) -> BeltramiFlow[MeshManifold]:
+        """Make the flow on these samples; it has its own order of the surface, of which only colours are kept here."""
+        geometry, own, (surface, sampling) = None, self.settings, self._sampled
+        if own.embedding.smooth_geometry:
+            geometry = GeometryParameters(sampling.place_of, own.embedding.normal_beta)
+        guides = [Guide(guide.name, sampling.means(guide.values), guide.beta) for guide in self.guides]
+        none = np.zeros((0, 3))
+        left = SampledSurface(none, none.astype(np.int32), none.astype(np.int32), surface.colours)
+        self._sampled = left, sampling
+        metric = self.channels.metric
+        manifold = MeshManifold(surface, own.kernel, guides=guides, metric_channels=metric, geometry=geometry)
+        return BeltramiFlow(manifold, own.kernel)
+
+    def report(self, flow: BeltramiFlow[MeshManifold], result: FlowResult) -> VertexReport:
+        """Put together what was done."""
+        counts: dict[str, float] = {"triangles": len(self.painted.faces)}
+        if self.is_cloud:
+            counts = dataclasses.asdict(count_cloud(self.joined))
+        samples = len(self.surface.colours)
+        counts |= {"samples": samples, "hard_edge_samples": samples - self.sampling.places}
+        report = self._report(flow, result, counts)
+        moving = flow.manifold.moving
+        if moving is None:
+            return report
+        self._positions = flow.manifold.in_order(moving.positions)[self.sampling.sample_of]
+        moves = np.linalg.norm(self._positions - self.painted.positions, axis=1)
+        geometry = {
+            "normal_noise": moving.sigma,
+            "normal_beta": moving.beta,
+            "mean_move": float(moves.mean()),
+            "rms_move": float(np.sqrt(np.mean(np.square(moves)))),
+            "largest_move": float(moves.max()),
+        }
+        return dataclasses.replace(report, geometry=geometry)
+
+    def repaint(self, new: NewColours) -> Repainted:
+        """Put the colours of samples back to all vertices that are one sample."""
+        painted, own, sampling = self.painted, self.channels, self.sampling
+        after = new.table()[:, own.written]
+        before = painted.colours[:, own.changing]
+        back = from_space(after, painted.encoding, self.settings.space)
+        # The way there and back is not exact: what did not change keeps its bits, and what did stays in range.
+        if len(before):
+            back = np.clip(back, before.min(axis=0), before.max(axis=0))
+        changed = np.any(after != self.surface.colours[:, own.written], axis=1)[sampling.sample_of]
+        colours = painted.colours.copy()
+        colours[:, own.changing] = np.where(changed[:, None], back[sampling.sample_of], before)
+        return Repainted(Change.between(painted.colours, colours), colours, self._positions)
+
+    def warnings(self, result: FlowResult) -> list[str]:
+        """Return what users should know of points far from all others, and of kernels cut short."""
+        found = []
+        outliers = count_cloud(self.joined).outliers if self.is_cloud else 0
+        if outliers:
+            alone = "is left as it is: it is" if outliers == 1 else "are left as they are: they are"
+            where = "too far from others, in one line with them, or nowhere"
+            found.append(f"{outliers} of {len(self.painted.positions)} points {alone} {where}")
+        if result.truncated:
+            most = self.settings.kernel.max_samples
+            remedy = "lower t, or raise --max-samples"
+            found.append(f"{result.truncated} kernels were cut short at {most} samples; {remedy}")
+        return found
+
+
+class LevelSetSamples(VertexSamples):
+    """Vertices of a triangulated level set: those without a colour are in no triangle."""
+
+    def coloured(self) -> NDArray[np.intp]:
+        """Return the vertices that have a place and a colour of their own."""
+        return coloured_rows(self.painted, in_triangles=True)
+
+
+def coloured_rows(painted: PaintedVertices, *, in_triangles: bool = False) -> NDArray[np.intp]:
+    """Return the vertices whose place is finite, and perhaps only those in triangles."""
+    valid = np.asarray(np.isfinite(painted.positions).all(axis=1))
+    if in_triangles:
+        found = np.zeros(len(valid), bool)
+        found[painted.faces] = True
+        valid &= found
+    return np.flatnonzero(valid)
+
+
+def places_of(painted: PaintedVertices, rows: NDArray[np.intp]) -> NDArray[np.int32]:
+    """Give some vertices the number of the place that they stand at, shape (S,)."""
+    columns = list(painted.positions[rows].T)
+    if painted.space_of is not None:
+        columns.append(painted.space_of[rows])
+    return group_equal_rows(*columns)[0]
+
+
+def require_surface(painted: PaintedVertices, name: str) -> None:
+    """Refuse a file whose vertices nothing joins."""
+    if not len(painted.faces):
+        raise InputError(
+            name,
+            f"its {len(painted.positions)} coloured vertices have no faces, so there is no surface to smooth on",
+            "triangulate the points first",
+        )

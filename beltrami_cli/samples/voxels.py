@@ -1,0 +1,178 @@
+"""A level set with colours as a document: triangulated first, then smoothed and written as any mesh is."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+from beltrami_cli.errors import InputError
+from beltrami_cli.formats.document import NO_IMAGES, Document
+from beltrami_cli.formats.volume import read_volume
+from beltrami_cli.formats.volume.reading import require_package
+from beltrami_cli.samples.voxel_colours import find_colours, paint
+from beltrami_cli.surface.records import MeshContents
+from beltrami_cli.surface.volume import places
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from beltrami_cli.formats.access import Access
+    from beltrami_cli.formats.document import Written
+    from beltrami_cli.samples.settings import Inside, LevelSetSettings
+    from beltrami_cli.surface.records import ImageFile, MovedVertices, PaintedVertices, Slot
+    from beltrami_cli.surface.volume import Volume
+
+# More grid edges than these are cut by noise, or at a wrong level; and marching cubes counts in 32 bits.
+_MOST_CROSSINGS = 1 << 26
+_BYTES_OF_VOXEL = 16  # its value in double precision, its colour, and what marching cubes takes
+_LARGEST_PLANE = 1 << 29  # samples in a layer, four to each counted in 32 bits
+
+
+class LevelSetDocument(Document):
+    """The triangulated surface of a volume, with its colours.
+
+    Vertices that no colour is known for are white, lend none and stay as they are.
+
+    Parameters
+    ----------
+    data : bytes
+        The file, whose kind in the registry is "volume".
+    name : str
+        The file as the user named it.
+    folder : pathlib.Path or None
+        Where it lies; None if it is piped in.
+    settings : LevelSetSettings
+        The level, which side of it is inside, and where the colours are.
+    access : Access
+        What may be read.
+    threads : int
+        To look for near colours with.
+
+    Raises
+    ------
+    InputError
+        If the file is damaged, too large, there is no surface at the level or no colour on it, or a package is
+        missing.
+    """
+
+    format: ClassVar[str] = "level set"
+
+    def __init__(
+        self,
+        data: bytes,
+        name: str,
+        folder: Path | None,
+        settings: LevelSetSettings,
+        access: Access,
+        threads: int,
+    ) -> None:
+        super().__init__(name)
+        require_package("skimage.measure", "scikit-image", name, "to triangulate level sets")
+        most = _allowed(settings, access)
+        volume = read_volume(data, name, folder, most)
+        level = settings.level if settings.level is not None else volume.level or 0.0
+        known = np.isfinite(volume.values)
+        if volume.known is not None:
+            known &= volume.known
+        self._facts = _facts_of(volume, known, level)
+        vertices, faces = _triangulated(volume, known, level, settings.inside, name)
+        positions = places(volume.lattice, vertices)
+        source, where = find_colours(volume, settings.colours, name, access, most)
+        painted = paint(source, where, volume.lattice, known, positions, threads)
+        self.notices += painted.notices
+        self._painted = painted.vertices(positions, faces)
+        self._contents = MeshContents(
+            positions,
+            faces.ravel(),
+            np.arange(0, faces.size + 1, 3, dtype=np.int64),
+            self._painted.colours,
+            self._painted.encoding,
+            self._painted.stored,
+            painted.alpha,
+        )
+
+    def painted(self) -> PaintedVertices:
+        """Return the vertices with all triangles whose corners have colours; the others are isolated."""
+        return self._painted
+
+    def contents(self) -> MeshContents:
+        """Return the whole surface."""
+        return self._contents
+
+    def facts(self) -> dict[str, object]:
+        """Return what the grid is like."""
+        return self._facts
+
+    def references(self) -> Sequence[str]:
+        """Return nothing: the output is a mesh that stands alone."""
+        return []
+
+    def patch(
+        self,
+        colours: NDArray[np.float32] | None,
+        stem: str,
+        *,
+        moved: bool,
+        images: Mapping[tuple[Slot, str], ImageFile] = NO_IMAGES,
+        places: MovedVertices | None = None,
+    ) -> Written:
+        """Raise: a volume is no output."""
+        raise InputError(
+            self.name, "a level set is not written", "name an output in .ply, .obj, .glb or .gltf"
+        )
+
+
+def _allowed(settings: LevelSetSettings, access: Access) -> int:
+    """Return how many voxels a grid may have."""
+    if access.memory is None:
+        return settings.max_voxels
+    return min(settings.max_voxels, access.memory // _BYTES_OF_VOXEL)
+
+
+def _triangulated(
+    volume: Volume, known: NDArray[np.bool_], level: float, inside: Inside, name: str
+) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """Return the surface, in units of the grid, facing outwards in space."""
+    from beltrami_cli.surface.level_set import find_crossings, triangulate_level_set
+
+    values = volume.values
+    if values.shape[1] * values.shape[2] >= _LARGEST_PLANE:
+        raise InputError(name, f"the grid of {values.shape} is too large in y and z", "cut it in pieces")
+    crossings = find_crossings(values, level, known)
+    if crossings.count > _MOST_CROSSINGS:
+        cause = f"the surface at level {level:g} cuts {crossings.count} edges of the grid, as noise does"
+        raise InputError(name, cause, "choose another --level, or smooth the values first")
+    vertices, faces = np.empty((0, 3)), np.empty((0, 3), np.int32)
+    if crossings.count:
+        vertices, faces = triangulate_level_set(values, level, crossings, known)
+    if not len(faces):
+        low, high = _range(values, known)
+        cause = f"there is no surface at level {level:g}; the values go from {low:g} to {high:g}"
+        raise InputError(name, cause, "choose another --level")
+    # Triangles face larger values where the grid is right-handed in space.
+    mirrored = np.linalg.det(volume.lattice.axes) < 0
+    return vertices, faces[:, ::-1] if (inside == "above") != mirrored else faces
+
+
+def _facts_of(volume: Volume, known: NDArray[np.bool_], level: float) -> dict[str, object]:
+    return {
+        "grid": list(volume.values.shape),
+        "spacing": np.linalg.norm(volume.lattice.axes, axis=1).tolist(),
+        "origin": volume.lattice.origin.tolist(),
+        "values": list(_range(volume.values, known)),
+        "level": level,
+        "unknown_voxels": int(known.size - np.count_nonzero(known)),
+    }
+
+
+def _range(values: NDArray[Any], known: NDArray[np.bool_]) -> tuple[float, float]:
+    """Return the least and the greatest known value; NaN if there is none."""
+    first = int(np.argmax(known))
+    if not known.flat[first]:
+        return np.nan, np.nan
+    some = values.flat[first]
+    return float(values.min(initial=some, where=known)), float(values.max(initial=some, where=known))
