@@ -9,6 +9,9 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 PAGES = sorted((ROOT / "docs").glob("*.md"))
+DEVELOPERS = [ROOT / "docs" / name for name in ("architecture.md", "contributing.md")]
+# What paths in tables and sentences are relative to.
+FOLDERS = [ROOT, ROOT / "beltrami_cli", ROOT / "beltrami_cli" / "native", ROOT / "tests"]
 LINK = re.compile(r"\]\((?!https?:)([^)#\s]*)(?:#([^)\s]*))?\)")
 
 
@@ -21,6 +24,32 @@ def test_every_page_has_a_place_in_the_site():
 def test_links_lead_to_files(page):
     targets = [target for target, _ in LINK.findall(page.read_text(encoding="utf-8")) if target]
     assert [target for target in targets if not (page.parent / target).exists()] == []
+
+
+def quoted(page):
+    """The words in backticks of a page, without its blocks of code."""
+    text = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+    return set(re.findall(r"`([^`\s]+)`", text))
+
+
+@pytest.mark.parametrize("page", DEVELOPERS, ids=lambda page: page.name)
+def test_paths_that_developers_read_of_exist(page):
+    paths = {word for word in quoted(page) if re.fullmatch(r"[\w./-]+(/|\.(py|pyi|md|toml|cff|yml))", word)}
+    assert paths
+    assert [path for path in sorted(paths) if not any((folder / path).exists() for folder in FOLDERS)] == []
+
+
+@pytest.mark.parametrize("page", DEVELOPERS, ids=lambda page: page.name)
+def test_names_that_developers_read_of_exist(page):
+    sources = [ROOT / "Makefile", *(ROOT / "beltrami_cli").rglob("*.py")]
+    known = set(re.findall(r"\w+", " ".join(path.read_text(encoding="utf-8") for path in sources)))
+    assert {word for word in quoted(page) if re.fullmatch(r"[A-Za-z_]\w*", word)} - known == set()
+
+
+def test_every_folder_of_the_package_has_its_place_in_the_architecture():
+    package = ROOT / "beltrami_cli"
+    folders = {f"{path.parent.name}/" for path in package.glob("*/__init__.py")} | {"native/"}
+    assert folders <= quoted(DEVELOPERS[0])
 
 
 def test_versions_agree():
