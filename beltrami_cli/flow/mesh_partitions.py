@@ -33,7 +33,7 @@ _FAINTEST = 1e-20
 _UNLIMITED = 2**31 - 1
 
 # How far, in edges, kernels are first expected to reach for each sample spacing.
-_EDGES_PER_SPACING = 2.0
+EDGES_PER_SPACING = 2.0
 
 
 class MeshPartition:
@@ -117,7 +117,7 @@ def first_reach(whole: MeshManifold) -> int:
     """Guess how many edges kernels reach; edges vary in length, and what proves too narrow is cut again."""
     own = whole.parameters
     spacing = whole.spacing if own.units == "world" else 1.0
-    return min(whole.size, 2 + int(_EDGES_PER_SPACING * own.radius / (spacing or 1.0)))
+    return min(whole.size, 2 + int(EDGES_PER_SPACING * own.radius / (spacing or 1.0)))
 
 
 class Neighbours:

@@ -1,4 +1,4 @@
-"""Time many files, and large surfaces in pieces, on one and on two workers of a Dask cluster on this machine.
+"""Time many files, and large surfaces in partitions, on one and on two workers of a Dask cluster on this machine.
 
 Beside the time on the clock there is the processor time of the busiest worker: what the clock would show on a machine
 with nothing else to do, but for what is sent and waited for.
@@ -81,8 +81,8 @@ def texture(side=2048):
     return grid_flow(ImageSurface(valid=np.ones((side, side), bool)), lambda pixels: colours[pixels], FIXED)
 
 
-def in_eight_pieces(make):
-    """Return what runs a flow, made before, in eight pieces; the time is of its iterations, from cut to joined."""
+def in_eight_partitions(make):
+    """Return what runs a flow, made before, in eight partitions; the time is of its iterations, from cut to joined."""
 
     def run(client):
         with in_partitions(8, ClusterRunner(client)):
@@ -119,8 +119,8 @@ def main() -> None:
     """Print the table of docs/cluster.md."""
     cases = {
         f"{FILES} meshes of 5,000 vertices": many_files,
-        "a mesh of 490,000 vertices, 8 pieces": in_eight_pieces(mesh),
-        "a picture of 2048 x 2048 pixels, 8 pieces": in_eight_pieces(texture),
+        "a mesh of 490,000 vertices in 8 pieces": in_eight_partitions(mesh),
+        "a picture of 2048 x 2048 pixels in 8 pieces": in_eight_partitions(texture),
     }
     alone = [None, best(lambda: whole(mesh)), best(lambda: whole(texture))]
     times = {}

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import shutil
 
-from cli.commands import beltrami
+from cli.commands import SAMPLES, beltrami
+from hostile.textured_models import write_model
 
 # Parameters that leave little to compute.
 QUICK = ("-n", "1", "-t", "0.5", "--beta", "10", "--beta-growth", "1", "--metric-steps", "0")
@@ -18,6 +20,20 @@ def batch(*arguments, code=0, cwd=None):
     assert b"Traceback" not in run.stderr
     assert b"unexpected error" not in run.stderr
     return run.stderr.decode()
+
+
+def copies(sample, names, folder):
+    """Make a folder with copies of a sample."""
+    folder.mkdir()
+    for name in names:
+        shutil.copy(SAMPLES / sample, folder / name)
+    return folder
+
+
+def write_textured(folder):
+    """Write model.obj with its library, skin.mtl, and its texture, skin.png."""
+    write_model(folder, "obj", "skin.png", "skin.mtl")
+    shutil.copy(SAMPLES / "mirrored-noisy.png", folder / "skin.png")
 
 
 def lines_of(report):

@@ -21,7 +21,7 @@ class Cluster:
         self._start("scheduler", "--port", "0", "--scheduler-file", self.address, *options)
 
     def grow(self, count):
-        """Have so many workers, which are named by numbers."""
+        """Have `count` workers, which are named by numbers."""
         for name in [name for name, process in self._workers.items() if process.poll() is not None]:
             del self._workers[name]
         while len(self._workers) < count:
@@ -41,8 +41,12 @@ class Cluster:
         return Client(scheduler_file=str(self.address), timeout=60, set_as_default=False)
 
     def kill(self, name):
+        """Kill a worker, -9."""
         self._workers[name].kill()
         self._workers[name].wait()
+
+    def kill_first(self):
+        self.kill(min(self._workers))
 
     def kill_busy(self, busy_for=0.2):
         """Kill a worker, -9, that has been in the middle of something for a while; return what it had in work."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 import signal
@@ -13,11 +12,19 @@ from pathlib import Path
 import pytest
 
 from beltrami_cli.formats.registry import open_document
+from cli.batches import (
+    QUICK,
+    batch,
+    copies,
+    files_in,
+    lines_of,
+    report_of,
+    smoothed,
+    statuses,
+    write_textured,
+)
 from cli.commands import COMMAND, SAMPLES, beltrami
-from hostile.textured_models import write_model
 
-# Small, and with parameters that leave little to compute.
-QUICK = ("-n", "1", "-t", "0.5", "--beta", "10", "--beta-growth", "1", "--metric-steps", "0")
 KINDS = ("terrain-noisy.ply", "nonmanifold-noisy.obj", "terrain-noisy.glb")
 
 
@@ -30,50 +37,22 @@ def scans(tmp_path):
     return folder
 
 
-def report_of(out):
-    lines = [json.loads(line) for line in (out / "batch.jsonl").read_text().splitlines()]
-    return {line["output"].removeprefix(f"{out}/"): line for line in lines}
-
-
-def statuses(out):
-    return {name: line["status"] for name, line in report_of(out).items()}
-
-
-def batch(*arguments, code=0, cwd=None):
-    run = beltrami("batch", *arguments, cwd=cwd)
-    assert run.returncode == code, run.stderr.decode()
-    assert run.stdout == b""
-    assert b"Traceback" not in run.stderr
-    return run.stderr.decode()
-
-
-def smoothed(source, target, *options):
-    run = beltrami("smooth", source, target, *options)
-    assert run.returncode == 0, run.stderr
-    return target.read_bytes()
-
-
 def test_each_file_is_as_smooth_makes_it_to_the_last_byte(scans, tmp_path):
-    textured = tmp_path / "scans" / "skin"
+    textured = scans / "skin"
     textured.mkdir()
-    write_model(textured, "obj", "skin.png", "skin.mtl")
-    shutil.copy(SAMPLES / "mirrored-noisy.png", textured / "skin.png")
+    write_textured(textured)
     out, single = tmp_path / "out", tmp_path / "single"
     batch(scans, "--out-dir", out, "-j", 3, *QUICK)
     for name, line in report_of(out).items():
         assert line["status"] == "done"
         (single / name).parent.mkdir(parents=True, exist_ok=True)
         smoothed(scans / name, single / name, *QUICK)
-    files = {path.relative_to(single) for path in single.rglob("*") if path.is_file()}
-    assert {path.relative_to(out) for path in out.rglob("*") if path.is_file()} - files == {
-        (out / "batch.jsonl").relative_to(out)
-    }
+    files = files_in(single)
     assert len(files) == 6  # with the library and the texture of one
-    for name in files:
-        assert (out / name).read_bytes() == (single / name).read_bytes(), name
+    assert files_in(out) == files
 
 
-def test_failures_are_told_and_the_others_go_on(scans, tmp_path):
+def test_failures_are_reported_and_the_others_go_on(scans, tmp_path):
     (scans / "0.ply").write_bytes(b"no model")
     said = batch(scans, "--out-dir", tmp_path / "out", *QUICK, code=1)
     assert "0.ply: the content is of no known format" in said
@@ -120,8 +99,7 @@ def test_resume_does_again_what_changed_and_nothing_else(scans, tmp_path):
 def test_resume_sees_that_a_file_beside_a_model_changed(tmp_path):
     folder = tmp_path / "in"
     folder.mkdir()
-    write_model(folder, "obj", "skin.png", "skin.mtl")
-    shutil.copy(SAMPLES / "mirrored-noisy.png", folder / "skin.png")
+    write_textured(folder)
     out = tmp_path / "out"
     batch(folder, "--out-dir", out, "--resume", *QUICK)
     before = (out / "skin.png").read_bytes()
@@ -144,16 +122,11 @@ def test_resume_does_not_replace_what_somebody_else_changed(scans, tmp_path):
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM], ids=lambda number: number.name)
 def test_a_run_that_is_killed_leaves_no_half_files_and_is_picked_up(number, tmp_path):
-    scans, out = tmp_path / "scans", tmp_path / "out"
-    scans.mkdir()
     names = [f"{count:02}.ply" for count in range(12)]
-    for name in names:
-        shutil.copy(SAMPLES / "terrain-noisy.ply", scans / name)
+    scans, out = copies("terrain-noisy.ply", names, tmp_path / "scans"), tmp_path / "out"
     arguments = ["batch", str(scans), "--out-dir", str(out), "-j", "2", *QUICK, "-n", "3"]
     process = subprocess.Popen([*COMMAND, *arguments], stderr=subprocess.DEVNULL)
-    deadline = time.monotonic() + 60
-    while len(list(out.glob("*.ply"))) < 3 and time.monotonic() < deadline:
-        time.sleep(0.01)
+    wait_for(lambda: len(list(out.glob("*.ply"))) >= 3)
     process.send_signal(number)
     assert process.wait() == (130 if number == signal.SIGTERM else -number)
 
@@ -161,9 +134,9 @@ def test_a_run_that_is_killed_leaves_no_half_files_and_is_picked_up(number, tmp_
     made = {path.name: path.stat().st_mtime_ns for path in out.glob("*.ply")}
     assert 3 <= len(made) < len(names)
     assert all((out / name).read_bytes() == whole for name in made)
-    journal = [json.loads(line) for line in (out / "batch.jsonl").read_text().splitlines()]
+    journal = lines_of(out / "batch.jsonl")
     finished = {line["output"].rsplit("/", 1)[1] for line in journal if line["status"] == "done"}
-    assert len(finished) >= len(made) - 2  # each of two workers has one that it could not yet tell of
+    assert len(finished) >= len(made) - 2  # each of two workers may have one that is not yet in the report
 
     time.sleep(0.5)  # for workers without a leader to notice
     batch(*arguments[1:], "--resume")
@@ -173,38 +146,43 @@ def test_a_run_that_is_killed_leaves_no_half_files_and_is_picked_up(number, tmp_
     assert {name for name, status in statuses(out).items() if status == "skipped"} >= finished
 
 
-@pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="/proc tells who the workers are")
-def test_a_worker_that_is_killed_takes_only_its_file_with_it_which_is_tried_again(tmp_path):
-    scans, out = tmp_path / "scans", tmp_path / "out"
-    scans.mkdir()
-    for name in ("a.ply", "b.ply", "c.ply"):
-        shutil.copy(SAMPLES / "knot-noisy.ply", scans / name)
+@pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="/proc lists the workers")
+def test_a_worker_that_is_killed_fails_only_its_file_which_is_tried_again(tmp_path):
+    names = ("a.ply", "b.ply", "c.ply")
+    scans, out = copies("knot-noisy.ply", names, tmp_path / "scans"), tmp_path / "out"
     arguments = ["batch", str(scans), "--out-dir", str(out), "-j", "2", "-v", *QUICK, "-n", "40"]
     process = subprocess.Popen([*COMMAND, *arguments], stderr=subprocess.PIPE)
-    children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
-    workers = []
-    deadline = time.monotonic() + 60
-    while not workers and time.monotonic() < deadline:
-        found = [pid for pid in children.read_text().split() if b"spawn_main" in _command_line(pid)]
-        started = (out / "batch.jsonl").exists() and "started" in (out / "batch.jsonl").read_text()
-        workers = found if started else []
-        time.sleep(0.02)
-    os.kill(int(workers[0]), signal.SIGKILL)
+    record = out / "batch.jsonl"
+    wait_for(lambda: record.exists() and "started" in record.read_text() and workers_of(process))
+    os.kill(workers_of(process)[0], signal.SIGKILL)
     said = process.communicate(timeout=120)[1].decode()
     assert process.returncode == 0, said
     assert "so it waits" in said
-    assert statuses(out) == dict.fromkeys(("a.ply", "b.ply", "c.ply"), "done")
-    assert len({(out / name).read_bytes() for name in statuses(out)}) == 1
+    assert statuses(out) == dict.fromkeys(names, "done")
+    assert len(set(files_in(out).values())) == 1
 
 
-def _command_line(pid):
+def wait_for(condition):
+    deadline = time.monotonic() + 60
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+def workers_of(process):
+    """Return the processes of a batch that smooth files, by their numbers."""
+    children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
+    return [int(child) for child in children if b"spawn_main" in command_line(child)]
+
+
+def command_line(process):
     try:
-        return Path(f"/proc/{pid}/cmdline").read_bytes()
+        return Path(f"/proc/{process}/cmdline").read_bytes()
     except OSError:
         return b""
 
 
-def test_a_cut_off_last_line_of_the_report_is_minded(scans, tmp_path):
+def test_a_last_line_of_the_report_that_was_cut_off_is_left_out(scans, tmp_path):
     out = tmp_path / "out"
     batch(scans, "--out-dir", out, *QUICK)
     whole = (out / "batch.jsonl").read_text()
@@ -268,7 +246,7 @@ def test_a_manifest_has_parameters_for_each_file(name, scans, tmp_path):
         ("beta = ", "the manifest cannot be read"),
     ],
 )
-def test_faults_of_manifests_are_told_before_anything_is_done(text, words, scans, tmp_path):
+def test_faults_of_manifests_are_reported_before_anything_is_done(text, words, scans, tmp_path):
     (scans / "jobs.toml").write_text(text)
     run = beltrami("batch", scans / "jobs.toml", "--out-dir", tmp_path / "out")
     assert run.returncode in (2, 3)
@@ -311,8 +289,8 @@ def test_two_files_never_become_one(scans, tmp_path):
 
 def test_a_file_that_wants_more_than_its_share_of_memory_is_done_alone(scans, tmp_path):
     size = (scans / "b.obj").stat().st_size
-    share = size - 1000  # more than the other two need, too little for this one
-    assert share > max((scans / name).stat().st_size for name in ("deep/c.glb",))
+    share = size - 1000  # enough for the other one, too little for this one
+    assert share > (scans / "deep" / "c.glb").stat().st_size
     inputs = (scans / "b.obj", scans / "deep" / "c.glb")
     said = batch(*inputs, "--out-dir", tmp_path / "out", "-j", 2, "--max-memory", 2 * share, "-v", *QUICK)
     assert "b.obj: wants more than its share of memory" in said

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import json
+import dataclasses
 import shutil
 import subprocess
 import sys
@@ -11,17 +11,17 @@ import numpy as np
 import pytest
 
 from beltrami_cli.batch.cluster_partitions import ClusterRunner
+from beltrami_cli.batch.item import Item, do_item
 from beltrami_cli.cli.main import group
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.partitions import in_partitions
-from cli.commands import COMMAND, SAMPLES, beltrami
+from beltrami_cli.samples.settings import SmoothSettings
+from cli.batches import QUICK, batch, copies, files_in, lines_of, smoothed, write_textured
+from cli.commands import COMMAND, SAMPLES
 from cli.dask_cluster import Cluster
-from hostile.textured_models import write_model
-from properties.test_partitions import FIXED, SURFACE, smooth_mesh
+from properties.split_surfaces import FIXED, SURFACE, smooth_mesh
 
 pytest.importorskip("distributed")
-
-QUICK = ("-n", "1", "-t", "0.5", "--beta", "10", "--beta-growth", "1", "--metric-steps", "0")
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +39,7 @@ def cluster(running):
 
 @pytest.fixture
 def scans(tmp_path):
-    """A mesh of more than one piece, and a texture."""
+    """A mesh of more than one partition, and a texture."""
     folder = tmp_path / "scans"
     (folder / "deep").mkdir(parents=True)
     shutil.copy(SAMPLES / "knot-noisy.ply", folder / "knot.ply")
@@ -48,23 +48,7 @@ def scans(tmp_path):
     return folder
 
 
-def batch(*arguments, code=0, cwd=None):
-    run = beltrami("batch", *arguments, cwd=cwd)
-    assert run.returncode == code, run.stderr.decode()
-    assert b"Traceback" not in run.stderr
-    return run.stderr.decode()
-
-
-def report_of(path):
-    return [json.loads(line) for line in path.read_text().splitlines()]
-
-
-def files_in(folder):
-    files = (path for path in folder.rglob("*") if path.is_file() and path.name != "batch.jsonl")
-    return {str(path.relative_to(folder)): path.read_bytes() for path in files}
-
-
-def test_files_and_pieces_are_as_on_one_machine_and_done_once(cluster, scans, tmp_path):
+def test_files_whole_and_in_partitions_are_as_on_one_machine_and_done_once(cluster, scans, tmp_path):
     """That a batch on one machine gives what `smooth` gives is tested beside it."""
     batch("scans", "--out-dir", "here", *QUICK, "-n", "2", cwd=tmp_path)
     expected = files_in(tmp_path / "here")
@@ -75,7 +59,7 @@ def test_files_and_pieces_are_as_on_one_machine_and_done_once(cluster, scans, tm
     said = batch("scans", "--out-dir", "out", *on_cluster, cwd=tmp_path, code=1)
     assert "failed: scans/bad.ply: the content is of no known format" in said
     assert files_in(tmp_path / "out") == expected
-    lines = report_of(tmp_path / "out" / "batch.jsonl")
+    lines = lines_of(tmp_path / "out" / "batch.jsonl")
     assert {line["input"]: line["status"] for line in lines} == {
         "scans/bad.ply": "failed",
         "scans/deep/mirrored-noisy.obj": "done",
@@ -84,27 +68,24 @@ def test_files_and_pieces_are_as_on_one_machine_and_done_once(cluster, scans, tm
     (scans / "bad.ply").unlink()
     # What one machine did holds on the cluster.
     batch("scans", "--out-dir", "here", "--resume", *on_cluster, cwd=tmp_path)
-    assert [line["status"] for line in report_of(tmp_path / "here" / "batch.jsonl")] == ["skipped", "skipped"]
+    assert [line["status"] for line in lines_of(tmp_path / "here" / "batch.jsonl")] == ["skipped", "skipped"]
 
     batch(scans, "--out-dir", tmp_path / "joined", "--pieces", 3, *on_cluster)
     assert files_in(tmp_path / "joined") == expected
 
 
 def test_a_worker_that_is_killed_midway_costs_nothing_but_time(cluster, tmp_path):
-    scans, out = tmp_path / "scans", tmp_path / "out"
-    scans.mkdir()
-    for number in range(4):
-        shutil.copy(SAMPLES / "knot-noisy.ply", scans / f"{number}.ply")
+    names = [f"{number}.ply" for number in range(4)]
+    scans, out = copies("knot-noisy.ply", names, tmp_path / "scans"), tmp_path / "out"
     long = (*QUICK, "-n", "150")
     arguments = ["batch", scans, "--out-dir", out, "--scheduler", cluster.address, *long]
     run = subprocess.Popen([*COMMAND, *map(str, arguments)], stderr=subprocess.PIPE)
     assert cluster.kill_busy()
     said = run.communicate(timeout=120)[1].decode()
     assert run.returncode == 0, said
-    assert [line["status"] for line in report_of(out / "batch.jsonl")] == ["done"] * 4
-    single = tmp_path / "single.ply"
-    assert beltrami("smooth", scans / "0.ply", single, *long).returncode == 0
-    assert set(files_in(out).values()) == {single.read_bytes()}
+    assert [line["status"] for line in lines_of(out / "batch.jsonl")] == ["done"] * 4
+    single = smoothed(scans / "0.ply", tmp_path / "single.ply", *long)
+    assert set(files_in(out).values()) == {single}
 
 
 def test_a_surface_in_partitions_outlives_a_worker(cluster):
@@ -114,7 +95,7 @@ def test_a_surface_in_partitions_outlives_a_worker(cluster):
 
     def progress(done, total):
         if not killed and done >= total // 2:
-            cluster.kill(min(cluster._workers))
+            cluster.kill_first()
             killed.append(done)
 
     with cluster.client() as client, in_partitions(3, ClusterRunner(client)):
@@ -123,35 +104,25 @@ def test_a_surface_in_partitions_outlives_a_worker(cluster):
     assert np.array_equal(parts.colours, whole.colours)
 
 
-def test_urls_are_brought_and_sent_with_what_lies_beside_them(tmp_path):
+def test_files_at_urls_are_made_with_what_lies_beside_them(tmp_path):
     """In one process, whose memory is a file system for all threads."""
     import fsspec
     from distributed import LocalCluster
 
-    folder = tmp_path / "in"
-    write_model(folder, "obj", "skin.png", "skin.mtl")
-    shutil.copy(SAMPLES / "mirrored-noisy.png", folder / "skin.png")
-    shutil.copy(SAMPLES / "terrain-noisy.ply", folder / "a.ply")
+    folder = copies("terrain-noisy.ply", ["a.ply"], tmp_path / "in")
+    write_textured(folder)
     memory = fsspec.filesystem("memory")
     for path in folder.iterdir():
         memory.pipe_file(f"/beltrami/in/deep/{path.name}", path.read_bytes())
     memory.pipe_file("/beltrami/in/.hidden/b.ply", b"not meant")
     batch(folder, "--out-dir", tmp_path / "out", *QUICK)
     report = tmp_path / "report.jsonl"
-    words = [
-        "batch",
-        "memory://beltrami/in",
-        "--out-dir",
-        "memory://beltrami/out",
-        "--report",
-        report,
-        "--resume",
-    ]
+    words = ["memory://beltrami/in", "--out-dir", "memory://beltrami/out", "--report", report, "--resume"]
     with LocalCluster(n_workers=1, threads_per_worker=2, processes=False, dashboard_address=":0") as cluster:
-        words = [*words, "--scheduler", cluster.scheduler_address, "-q", *QUICK]
+        words = ["batch", *words, "--scheduler", cluster.scheduler_address, "-q", *QUICK]
         for status in ("done", "skipped"):
             group.main(list(map(str, words)), standalone_mode=False)
-            assert [line["status"] for line in report_of(report)] == [status] * 2
+            assert [line["status"] for line in lines_of(report)] == [status] * 2
         found = {name: memory.cat_file(name) for name in memory.find("/beltrami/out")}
         assert found == {
             f"/beltrami/out/deep/{name}": data for name, data in files_in(tmp_path / "out").items()
@@ -159,7 +130,7 @@ def test_urls_are_brought_and_sent_with_what_lies_beside_them(tmp_path):
 
         memory.pipe_file("/beltrami/in/deep/skin.png", (SAMPLES / "mirrored-clean.png").read_bytes())
         group.main(list(map(str, words)), standalone_mode=False)
-        lines = {line["input"].rsplit("/", 1)[1]: line for line in report_of(report)}
+        lines = {line["input"].rsplit("/", 1)[1]: line for line in lines_of(report)}
         assert {name: line["status"] for name, line in lines.items()} == {
             "a.ply": "skipped",
             "model.obj": "done",
@@ -170,7 +141,7 @@ def test_urls_are_brought_and_sent_with_what_lies_beside_them(tmp_path):
 
 def test_file_urls_are_paths(scans, tmp_path):
     batch(f"file://{scans}/*.ply", "--out-dir", f"file://{tmp_path}/out", *QUICK)
-    (line,) = report_of(tmp_path / "out" / "batch.jsonl")
+    (line,) = lines_of(tmp_path / "out" / "batch.jsonl")
     assert (line["input"], line["output"]) == (f"{scans}/knot.ply", f"{tmp_path}/out/knot.ply")
     assert set(files_in(tmp_path / "out")) == {"knot.ply"}
 
@@ -199,25 +170,27 @@ def test_without_the_extra_it_is_named_and_nothing_else_misses_it(scans, tmp_pat
         (("--out-dir", "memory://x"), "name it with --report", 2),
     ],
 )
-def test_what_does_not_fit_is_told_in_one_line(options, words, code, scans, tmp_path):
+def test_what_does_not_fit_is_refused_in_one_line(options, words, code, scans, tmp_path):
     said = batch(scans / "knot.ply", "--out-dir", tmp_path / "out", *options, code=code)
     assert words in said.splitlines()[-1]
 
 
-def test_nothing_is_sent_over_what_is_there(tmp_path):
+def test_nothing_is_uploaded_over_what_is_there(tmp_path):
     import fsspec
 
     memory = fsspec.filesystem("memory")
     memory.pipe_file("/there/in/a.ply", (SAMPLES / "terrain-noisy.ply").read_bytes())
     memory.pipe_file("/there/out/a.ply", b"mine")
-    from beltrami_cli.batch.item import Item, do_item
-    from beltrami_cli.samples.settings import SmoothSettings
-
-    item = Item(
-        "memory://there/in/a.ply", "memory://there/out/a.ply", SmoothSettings(KernelParameters(**FIXED))
-    )
-    attempt = do_item(item, None)
-    assert attempt.outcome.status == "failed"
-    assert "memory://there/out/a.ply: exists already" in attempt.outcome.error
-    assert memory.cat_file("/there/out/a.ply") == b"mine"
+    settings = SmoothSettings(KernelParameters(**FIXED))
+    item = Item("memory://there/in/a.ply", "memory://there/out/a.ply", settings)
+    again = dataclasses.replace(item, again=True)  # after an attempt that was cut off
+    for each in (item, again):
+        outcome = do_item(each, None).outcome
+        assert outcome.status == "failed"
+        assert "memory://there/out/a.ply: exists already" in outcome.error
+        assert memory.cat_file("/there/out/a.ply") == b"mine"
+    memory.rm("/there/out/a.ply")
+    made = do_item(item, None).outcome
+    repeated = do_item(again, None).outcome
+    assert (repeated.status, repeated.written) == ("done", made.written)
     memory.rm("/there", recursive=True)

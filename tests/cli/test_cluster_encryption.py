@@ -8,7 +8,8 @@ import time
 
 import pytest
 
-from cli.commands import COMMAND, SAMPLES
+from cli.batches import QUICK, batch
+from cli.commands import SAMPLES
 from cli.dask_cluster import Cluster
 
 pytest.importorskip("distributed")
@@ -37,31 +38,10 @@ def test_an_encrypted_scheduler_does_the_files(certificates, tmp_path, monkeypat
     (tmp_path / "cluster").mkdir()
     cluster = Cluster(tmp_path / "cluster", "--protocol", "tls")
     shutil.copy(SAMPLES / "nonmanifold-noisy.ply", tmp_path / "a.ply")
-    command = [
-        *COMMAND,
-        "batch",
-        "a.ply",
-        "--out-dir",
-        "out",
-        "-n",
-        "1",
-        "--fast",
-        "--overwrite",
-        "--scheduler",
-    ]
+    arguments = ("--out-dir", tmp_path / "out", "--overwrite", "--scheduler", cluster.address, *QUICK)
 
     def said(code):
-        run = subprocess.run(
-            [*command, cluster.address],
-            cwd=tmp_path,
-            capture_output=True,
-            text=True,
-            check=False,
-            timeout=120,
-        )
-        assert run.returncode == code, run.stderr
-        assert "Traceback" not in run.stderr
-        return run.stderr
+        return batch(tmp_path / "a.ply", *arguments, code=code)
 
     try:
         deadline = time.monotonic() + 60

@@ -13,9 +13,8 @@ from beltrami_cli.batch.record import Record
 from beltrami_cli.batch.run import run_batch
 from beltrami_cli.errors import InputError
 from beltrami_cli.samples.settings import DEFAULTS
-from cli.batches import QUICK, batch, files_in, lines_of, statuses
+from cli.batches import QUICK, batch, files_in, lines_of, statuses, write_textured
 from cli.commands import SAMPLES
-from hostile.textured_models import write_model
 
 MINE = b"written by somebody else"
 
@@ -97,8 +96,7 @@ def test_a_file_that_was_only_started_is_not_replaced(scan, made):
 
 
 def test_no_file_beside_one_that_was_only_started_is_replaced(tmp_path):
-    write_model(tmp_path, "obj", "skin.png", "skin.mtl")
-    shutil.copy(SAMPLES / "mirrored-noisy.png", tmp_path / "skin.png")
+    write_textured(tmp_path)
     out = tmp_path / "out"
     batch(tmp_path / "model.obj", "--out-dir", out, *QUICK)
     whole = files_in(out)

@@ -8,15 +8,10 @@ import numpy as np
 import pytest
 
 from beltrami_cli.flow import grid_manifold
-from beltrami_cli.flow.embedding import Guide
 from beltrami_cli.flow.grid_manifold import GridManifold
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.samples.image_surface import ImageSurface
-from beltrami_cli.samples.pixel_samples import grid_flow
-from beltrami_cli.surface.atlas import build_atlas
-from properties.test_partitions import FIXED, ON_GRIDS, noisy
-from properties.test_slits import SIDE, TEXELS, cut_plane
-from properties.textured_planes import smoothed, texel_flow
+from properties.split_surfaces import FIXED, ON_GRIDS, image_flow, textured_flow
+from properties.textured_planes import smoothed
 
 THREE_ITERATIONS = {**FIXED, "iterations": 3, "metric_steps": 2}
 
@@ -28,28 +23,12 @@ def low_row_blocks(monkeypatch):
     monkeypatch.setattr(grid_manifold, "TILE_ROWS", 1)
 
 
-def textured_flow(parameters):
-    size = SIDE * TEXELS + 2
-    atlas = build_atlas(cut_plane("aslant", True), [(size, size)], parameters.window // 2 + 3, 1)
-    colours = noisy(len(atlas.owned_cells))
-    guide = Guide("guide", colours[::-1, :1].copy(), 1.5)
-    return texel_flow(atlas, colours, parameters, guides=[guide], metric_channels=[0, 2])
-
-
-def image_flow(parameters):
-    random = np.random.default_rng(5)
-    valid = random.random((70, 90)) > 0.03
-    positions = np.dstack([*np.meshgrid(np.arange(90.0), np.arange(70.0)), 3 * random.random((70, 90))])
-    values = noisy(valid.size)
-    return grid_flow(ImageSurface(None, positions, valid), lambda pixels: values[pixels], parameters)
-
-
 @pytest.mark.parametrize("make", [textured_flow, image_flow])
 @pytest.mark.parametrize("name", ON_GRIDS)
 def test_row_blocks_have_the_bits_of_the_whole(make, name, monkeypatch):
     parameters = KernelParameters(**{**THREE_ITERATIONS, **ON_GRIDS[name]})
     flow = make(parameters)
-    assert name == "world" or flow._clipped is not None
+    assert name == "world" or flow.manifold.find_clipped() is not None
     whole, colours, gutter = flow.run(), flow.values(), flow.manifold.new_colours().beyond
     low_row_blocks(monkeypatch)
     flow = make(parameters)
@@ -73,12 +52,12 @@ def test_a_margin_that_is_one_cell_too_narrow_is_not_enough(monkeypatch):
 def test_progress_goes_from_block_to_block_up_to_the_work_there_is(monkeypatch):
     low_row_blocks(monkeypatch)
     flow = image_flow(KernelParameters(**THREE_ITERATIONS))
-    told = []
-    flow.run(lambda done, total: told.append((done, total)))
+    calls = []
+    flow.run(lambda done, total: calls.append((done, total)))
     cells = flow.manifold.atlas.kind.size
-    assert {total for _, total in told} == {3 * cells}
-    assert [done for done, _ in told] == sorted(done for done, _ in told)
-    assert told[-1][0] <= 3 * cells
+    assert {total for _, total in calls} == {3 * cells}
+    assert [done for done, _ in calls] == sorted(done for done, _ in calls)
+    assert calls[-1][0] <= 3 * cells
 
 
 def test_chosen_parameters_do_not_depend_on_row_blocks(monkeypatch):
