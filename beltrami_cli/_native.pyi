@@ -33,13 +33,13 @@ def build_atlas(
     grids: NDArray[np.int32],
     margin: int,
     threads: int,
-    empty: Callable[[int], NDArray[np.uint8]],
+    allocate: Callable[[int], NDArray[np.uint8]],
     progress: Callable[[int], None] | None,
 ) -> AtlasArrays: ...
-def put_colours(
+def scatter_colours(
     planes: NDArray[np.float32], cells: Indices, colours: NDArray[np.float32], threads: int
 ) -> None: ...
-def take_colours(
+def gather_colours(
     planes: NDArray[np.float32], cells: Indices, colours: NDArray[np.float32], threads: int
 ) -> None: ...
 def store_colours(
@@ -52,7 +52,7 @@ def store_colours(
 def find_limits(colours: NDArray[np.float32]) -> list[tuple[float, float, int, int]]: ...
 def convolve(planes: NDArray[np.float32], taps: NDArray[np.float32], threads: int) -> NDArray[np.float32]: ...
 
-HAAR_TILE: int
+HAAR_TILE_SIDE: int
 
 def measure_haar_tiles(
     planes: NDArray[np.float32], filled: NDArray[np.bool_], first_rows: NDArray[np.int64]
@@ -131,7 +131,7 @@ class LocalTriangulation:
         rows: NDArray[np.int32],
         neighbours: NDArray[np.int32],
         complete: bool,
-        last: bool,
+        keep_unsettled: bool,
         threads: int,
     ) -> NDArray[np.int32]: ...
     def faces(self) -> NDArray[np.int32]: ...
@@ -160,7 +160,6 @@ def smooth_grid(
     radius: float,
     window_radius: int,
     scheme: str,
-    repairs: int,
     threads: int,
     progress: Callable[[int], None] | None,
 ) -> tuple[NDArray[np.float32], int]: ...
@@ -173,7 +172,6 @@ def grid_distances(
     radius: float,
     window_radius: int,
     scheme: str,
-    repairs: int,
     cell: int,
 ) -> NDArray[np.float32]: ...
 def sweep_instruction_set() -> str: ...

@@ -56,22 +56,22 @@ def painted_by(
     ndarray of float32, shape (N, R, C)
         Halo included; 0 elsewhere.
     """
-    from beltrami_cli._native import put_colours
+    from beltrami_cli._native import scatter_colours
 
     planes = large_arrays.zeros((channels, *atlas.kind.shape), np.float32)
     for block in large_arrays.blocks(len(atlas.owned_cells), _BLOCK):
-        put_colours(planes, atlas.owned_cells[block], colours_of(block), threads)
+        scatter_colours(planes, atlas.owned_cells[block], colours_of(block), threads)
     refresh_halo(planes, atlas)
     return planes
 
 
 def colours_at(planes: NDArray[np.float32], cells: Indices, threads: int) -> NDArray[np.float32]:
     """Return the colours of K cells (flat indices, each once), shape (K, N), from planes of shape (N, R, C)."""
-    from beltrami_cli._native import take_colours
+    from beltrami_cli._native import gather_colours
 
     colours = large_arrays.empty((len(cells), len(planes)), np.float32)
     for block in large_arrays.blocks(len(cells)):
-        take_colours(planes, cells[block], colours[block], threads)
+        gather_colours(planes, cells[block], colours[block], threads)
     return colours
 
 

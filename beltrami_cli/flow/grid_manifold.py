@@ -172,7 +172,7 @@ class GridManifold(Manifold):
         distances, beta = self.channels(planes[: self._count], self._step)
         return smooth_grid(
             self.atlas.kind, self.atlas.squared_lengths, self.scale, self.repeats, distances, planes, beta, own.t,
-            own.radius, own.window // 2, scheme_of(own), 0, self.threads, progress,
+            own.radius, own.window // 2, scheme_of(own), self.threads, progress,
         )  # fmt: skip
 
     def cut(self, samples: slice | NDArray[np.int64], *others: Any) -> GridManifold:
@@ -300,7 +300,7 @@ class GridManifold(Manifold):
         return grid_distances(
             kind, np.ascontiguousarray(self.atlas.squared_lengths[part]),
             None if self.scale is None else np.ascontiguousarray(self.scale[part]),
-            np.ascontiguousarray(metric[part]), beta, own.radius, reach, scheme_of(own), 0,
+            np.ascontiguousarray(metric[part]), beta, own.radius, reach, scheme_of(own),
             (centre[0] - top) * kind.shape[1] + centre[1] - left,
         )  # fmt: skip
 

@@ -59,8 +59,8 @@ def triangulate_points(positions: NDArray[np.float64], threads: int = 1) -> NDAr
         for wanted in _NEIGHBOURS:
             complete = wanted >= len(points) - 1
             nearest = np.asarray(tree.query(points[rows], min(wanted + 1, len(points)), workers=threads)[1])
-            last = complete or wanted == _NEIGHBOURS[-1]
-            rows = stars.add_stars(rows, nearest.astype(np.int32), complete, last, threads)
+            keep_unsettled = complete or wanted == _NEIGHBOURS[-1]
+            rows = stars.add_stars(rows, nearest.astype(np.int32), complete, keep_unsettled, threads)
             if not len(rows):
                 break
     return np.sort(order[stars.faces()], axis=1)

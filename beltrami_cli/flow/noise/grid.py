@@ -51,12 +51,12 @@ def estimate_sigma_on_grid(planes: NDArray[np.float32], filled: NDArray[np.bool_
     .. [1] D. Donoho, I. Johnstone, "Ideal spatial adaptation by wavelet shrinkage", Biometrika 81 (1994),
        doi:10.1093/biomet/81.3.425
     """
-    from beltrami_cli._native import HAAR_TILE, measure_haar_tiles
+    from beltrami_cli._native import HAAR_TILE_SIDE, measure_haar_tiles
 
     step = max(1, int(np.count_nonzero(filled)) // _ENOUGH_SQUARES)
-    first_rows = np.arange(0, len(filled) - 1, HAAR_TILE * step)
+    first_rows = np.arange(0, len(filled) - 1, HAAR_TILE_SIDE * step)
     count, measures = measure_haar_tiles(planes, filled, first_rows)
-    enough = count >= min(_FULL_TILE * HAAR_TILE**2, float(count.max(initial=1)))
+    enough = count >= min(_FULL_TILE * HAAR_TILE_SIDE**2, float(count.max(initial=1)))
     if not enough.any():
         return np.zeros(len(planes))
     freedom = float(count[enough].mean()) / _HAAR_OVERLAP

@@ -32,11 +32,11 @@ auto rows_of_four(const Array<T>& array) {
   return view<T, nb::shape<-1, 4>>(array, {array.size / 4, 4});
 }
 
-// Memory of arrays that Python makes: `empty` is called with a number of bytes.
-atlas::Allocate allocate_by(const nb::object& empty) {
-  return [&empty](std::size_t bytes) -> atlas::Memory {
+// Memory of arrays that Python makes: `allocate` is called with a number of bytes.
+atlas::Allocate allocate_by(const nb::object& allocate) {
+  return [&allocate](std::size_t bytes) -> atlas::Memory {
     const nb::gil_scoped_acquire lock;
-    auto array = nb::cast<nb::ndarray<std::uint8_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>>(empty(bytes));
+    auto array = nb::cast<nb::ndarray<std::uint8_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>>(allocate(bytes));
     void* data = array.data();
     return {data, [array = std::move(array)](void*) mutable {
               const nb::gil_scoped_acquire released;
@@ -85,7 +85,7 @@ nb::dict to_dict(const atlas::Atlas& made) {
 nb::dict build_atlas(const Matrix<double>& positions, const Matrix<Index>& faces,
                      const nb::ndarray<const double, nb::shape<-1, 3, 2>, nb::c_contig, nb::device::cpu>& uv,
                      const Vector<Index>& texture_of, const Matrix<Index>& grids, std::int64_t margin,
-                     unsigned threads, const nb::object& empty, const nb::object& progress) {
+                     unsigned threads, const nb::object& allocate, const nb::object& progress) {
   if (positions.shape(1) != 3 || faces.shape(1) != 3) throw nb::value_error("three coordinates, three corners");
   if (uv.shape(0) != faces.shape(0) || texture_of.shape(0) != faces.shape(0))
     throw nb::value_error("one row a face is needed");
@@ -93,7 +93,7 @@ nb::dict build_atlas(const Matrix<double>& positions, const Matrix<Index>& faces
                          uv.data(), {texture_of.data(), texture_of.size()}, textures_of(grids)};
   atlas::Atlas made;
   run_polled(progress, [&](const Poll& poll) {
-    made = atlas::make_atlas(surface, margin, threads, allocate_by(empty), poll);
+    made = atlas::make_atlas(surface, margin, threads, allocate_by(allocate), poll);
   });
   return to_dict(made);
 }
@@ -115,7 +115,7 @@ auto nearest_marked(const Matrix<bool>& marked, const Matrix<bool>& wanted, std:
 void bind_atlas(nb::module_& module) {
   using namespace nb::literals;
   module.def("build_atlas", &build_atlas, "positions"_a, "faces"_a, "uv"_a, "texture_of"_a, "grids"_a, "margin"_a,
-             "threads"_a, "empty"_a, "progress"_a.none());
+             "threads"_a, "allocate"_a, "progress"_a.none());
   module.def("nearest_marked", &nearest_marked, "marked"_a, "wanted"_a, "reach"_a, "threads"_a);
 }
 

@@ -36,17 +36,17 @@ colours::Planes<Value> planes_of(const Planes& planes) {
 
 // No cell may be named twice.
 template <class Index>
-void put_colours(const OpenStack& planes, const Vector<Index>& cells, const Matrix<float>& rows, unsigned threads) {
+void scatter_colours(const OpenStack& planes, const Vector<Index>& cells, const Matrix<float>& rows, unsigned threads) {
   check(planes, cells, rows);
   const nb::gil_scoped_release unlock;
-  colours::put<Index>(planes_of<float>(planes), {cells.data(), cells.size()}, rows.data(), threads);
+  colours::scatter<Index>(planes_of<float>(planes), {cells.data(), cells.size()}, rows.data(), threads);
 }
 
 template <class Index>
-void take_colours(const Stack& planes, const Vector<Index>& cells, const OpenMatrix& rows, unsigned threads) {
+void gather_colours(const Stack& planes, const Vector<Index>& cells, const OpenMatrix& rows, unsigned threads) {
   check(planes, cells, rows);
   const nb::gil_scoped_release unlock;
-  colours::take<Index>(planes_of<const float>(planes), {cells.data(), cells.size()}, rows.data(), threads);
+  colours::gather<Index>(planes_of<const float>(planes), {cells.data(), cells.size()}, rows.data(), threads);
 }
 
 template <class Sample, class Index>
@@ -87,8 +87,8 @@ auto find_limits(const Matrix<float>& colours) {
 template <class Index>
 void bind_moves(nb::module_& module) {
   using namespace nb::literals;
-  module.def("put_colours", &put_colours<Index>, "planes"_a.noconvert(), "cells"_a.noconvert(), "colours"_a, "threads"_a);
-  module.def("take_colours", &take_colours<Index>, "planes"_a, "cells"_a.noconvert(), "colours"_a.noconvert(), "threads"_a);
+  module.def("scatter_colours", &scatter_colours<Index>, "planes"_a.noconvert(), "cells"_a.noconvert(), "colours"_a, "threads"_a);
+  module.def("gather_colours", &gather_colours<Index>, "planes"_a, "cells"_a.noconvert(), "colours"_a.noconvert(), "threads"_a);
 }
 
 template <class Sample, class Index>

@@ -46,11 +46,11 @@ Scheme march_of(const std::string& scheme) { return scheme == "metric" ? Scheme:
 // One kernel iteration on a grid. scheme: "sweep" (window of the given radius), "triangles" or "metric" (heap march).
 auto smooth_grid(const Cells& kind, const Stack& squared_lengths, const std::optional<Plane>& scale,
                  const std::optional<Cells>& repeats, const Stack& metric, const Stack& colours, float beta,
-                 float time_step, float radius, int window_radius, const std::string& scheme, int repairs,
-                 unsigned threads, const nb::object& progress) {
+                 float time_step, float radius, int window_radius, const std::string& scheme, unsigned threads,
+                 const nb::object& progress) {
   const Grid grid = grid_of(kind, squared_lengths, scale, repeats);
   const Planes metric_planes = planes_of(metric, grid), colour_planes = planes_of(colours, grid);
-  const SweepParameters parameters{time_step, radius, beta, repairs};
+  const SweepParameters parameters{time_step, radius, beta};
   std::unique_ptr<float[]> smoothed(new float[colours.size()]);
   std::int64_t samples = 0;
   run_polled(progress, [&](const Poll& poll) {
@@ -67,12 +67,12 @@ auto smooth_grid(const Cells& kind, const Stack& squared_lengths, const std::opt
 
 // The distances of one kernel over its window, with the arguments of smooth_grid; the cell is a flat index.
 auto grid_distances(const Cells& kind, const Stack& squared_lengths, const std::optional<Plane>& scale, const Stack& metric,
-                    float beta, float radius, int window_radius, const std::string& scheme, int repairs, std::size_t cell) {
+                    float beta, float radius, int window_radius, const std::string& scheme, std::size_t cell) {
   const Grid grid = grid_of(kind, squared_lengths, scale);
   const Planes metric_planes = planes_of(metric, grid);
   if (cell >= grid.cells() || grid.kind[cell] != owned) throw nb::index_error("the cell holds no sample");
   if (window_radius < 1) throw nb::value_error("the window must have a radius");
-  const SweepParameters parameters{1, radius, beta, repairs};
+  const SweepParameters parameters{1, radius, beta};
   const auto side = 2 * static_cast<std::size_t>(window_radius) + 1;
   std::unique_ptr<float[]> distances(new float[side * side]);
   {
@@ -149,15 +149,15 @@ auto halo_repeats(std::size_t rows, std::size_t columns, const Vector<std::int64
 void bind_grid(nb::module_& module) {
   using namespace nb::literals;
   module.def("smooth_grid", &smooth_grid, "kind"_a, "squared_lengths"_a, "scale"_a.none(), "repeats"_a.none(),
-             "metric"_a, "colours"_a, "beta"_a, "time_step"_a, "radius"_a, "window_radius"_a, "scheme"_a, "repairs"_a,
-             "threads"_a, "progress"_a.none());
+             "metric"_a, "colours"_a, "beta"_a, "time_step"_a, "radius"_a, "window_radius"_a, "scheme"_a, "threads"_a,
+             "progress"_a.none());
   module.def("grid_distances", &grid_distances, "kind"_a, "squared_lengths"_a, "scale"_a.none(), "metric"_a, "beta"_a,
-             "radius"_a, "window_radius"_a, "scheme"_a, "repairs"_a, "cell"_a);
+             "radius"_a, "window_radius"_a, "scheme"_a, "cell"_a);
   module.def("halo_repeats", &halo_repeats, "rows"_a, "columns"_a, "cells"_a, "sources"_a, "seams"_a, "reach"_a,
              "threads"_a);
   module.def("local_scale", &local_scale_of, "right"_a, "below"_a, "window_radius"_a);
   module.def("convolve", &convolve_planes, "planes"_a, "taps"_a, "threads"_a);
-  module.attr("HAAR_TILE") = tile_side;
+  module.attr("HAAR_TILE_SIDE") = tile_side;
   module.def("measure_haar_tiles", &measure_haar_tiles, "planes"_a, "filled"_a, "first_rows"_a);
   module.def("sweep_instruction_set", [] { return name_of(choose_instruction_set()); });
 }

@@ -21,7 +21,7 @@ void require_points(std::span<const Index> points, Index count) {
 }
 
 auto add_stars(LocalTriangulation& triangulation, const Vector<Index>& rows, const Matrix<Index>& neighbours,
-               bool complete, bool last, unsigned threads) {
+               bool complete, bool keep_unsettled, unsigned threads) {
   if (neighbours.shape(0) != rows.size()) throw nb::value_error("one row of neighbours a point is needed");
   const Neighbours given{{rows.data(), rows.size()}, neighbours.data(), neighbours.shape(1), complete};
   require_points(given.rows, triangulation.point_count());
@@ -29,7 +29,7 @@ auto add_stars(LocalTriangulation& triangulation, const Vector<Index>& rows, con
   std::vector<Index> unsettled;
   {
     const nb::gil_scoped_release unlock;
-    unsettled = triangulation.add_stars(given, last, threads);
+    unsettled = triangulation.add_stars(given, keep_unsettled, threads);
   }
   return give_copy(unsettled);
 }
@@ -49,7 +49,7 @@ void bind_points(nb::module_& module) {
   using namespace nb::literals;
   nb::class_<LocalTriangulation>(module, "LocalTriangulation")
       .def("__init__", &make, "positions"_a)
-      .def("add_stars", &add_stars, "rows"_a, "neighbours"_a, "complete"_a, "last"_a, "threads"_a)
+      .def("add_stars", &add_stars, "rows"_a, "neighbours"_a, "complete"_a, "keep_unsettled"_a, "threads"_a)
       .def("faces", &faces);
 }
 

@@ -28,9 +28,9 @@ struct Planes {
 
 // Rows are numbered as the cells, which lie on the canvas, and none of which is named twice.
 template <class Index>
-void put(const Planes<float>& planes, std::span<const Index> cells, const float* rows, unsigned threads);
+void scatter(const Planes<float>& planes, std::span<const Index> cells, const float* rows, unsigned threads);
 template <class Index>
-void take(const Planes<const float>& planes, std::span<const Index> cells, float* rows, unsigned threads);
+void gather(const Planes<const float>& planes, std::span<const Index> cells, float* rows, unsigned threads);
 
 // How far stored numbers moved: sums that are exact, so the same in any order.
 struct Moved {

@@ -53,18 +53,18 @@ void move_all(const Planes<Value>& planes, std::span<const Index> cells, Row* ro
 }  // namespace
 
 template <class Index>
-void put(const Planes<float>& planes, std::span<const Index> cells, const float* rows, unsigned threads) {
+void scatter(const Planes<float>& planes, std::span<const Index> cells, const float* rows, unsigned threads) {
   move_all(planes, cells, rows, threads, [](float& on_plane, float in_row) { on_plane = in_row; });
 }
 
 template <class Index>
-void take(const Planes<const float>& planes, std::span<const Index> cells, float* rows, unsigned threads) {
+void gather(const Planes<const float>& planes, std::span<const Index> cells, float* rows, unsigned threads) {
   move_all(planes, cells, rows, threads, [](float on_plane, float& in_row) { in_row = on_plane; });
 }
 
-template void put(const Planes<float>&, std::span<const std::int32_t>, const float*, unsigned);
-template void put(const Planes<float>&, std::span<const std::int64_t>, const float*, unsigned);
-template void take(const Planes<const float>&, std::span<const std::int32_t>, float*, unsigned);
-template void take(const Planes<const float>&, std::span<const std::int64_t>, float*, unsigned);
+template void scatter(const Planes<float>&, std::span<const std::int32_t>, const float*, unsigned);
+template void scatter(const Planes<float>&, std::span<const std::int64_t>, const float*, unsigned);
+template void gather(const Planes<const float>&, std::span<const std::int32_t>, float*, unsigned);
+template void gather(const Planes<const float>&, std::span<const std::int64_t>, float*, unsigned);
 
 }  // namespace beltrami::colours

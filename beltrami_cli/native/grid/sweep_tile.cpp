@@ -24,7 +24,7 @@ Totals weigh(const TileJob& job, const Layout& layout, const float* shares, std:
   const float factor = -1 / (4 * job.parameters->time_step);
   const float reach = std::min(job.parameters->radius, longest_radius);
   Totals totals{splat(1), splat(1)};
-  for (const Target& target : job.program->outward) {
+  for (const Target& target : job.program->targets) {
     float* slot = window + static_cast<std::size_t>(target.slot) * centre_count;
     const Lanes phi = load(slot);
     const Mask within = phi <= reach;
@@ -43,7 +43,7 @@ template <std::size_t channels>
 void sum_up(const TileJob& job, const Layout& layout, const float* window, const float* colours, float* sums) {
   std::array<Lanes, channels> sum{}, here;
   for (std::size_t channel = 0; channel < channels; ++channel) here[channel] = load(colours + channel * layout.size);
-  for (const Target& target : job.program->outward) {
+  for (const Target& target : job.program->targets) {
     const Lanes kernel = load(window + static_cast<std::size_t>(target.slot) * centre_count);
     const float* there = colours + layout.at(target.offset);
     for (std::size_t channel = 0; channel < channels; ++channel)
@@ -123,8 +123,7 @@ std::int64_t sweep_tile(const TileJob& job, const Tile& tile, TileScratch& scrat
   for (std::size_t i = 0; i < stencil_classes.size(); ++i)
     make_class(layout, squared, stencil_classes[i], coefficients + 3 * i * layout.size);
 
-  const Course outward(job.program->outward, layout);
-  const Course mending(job.parameters->repairs > 0 ? job.program->repair : std::vector<Target>(), layout);
+  const Course course(job.program->targets, layout);
   std::int64_t samples = 0;
   float* window = scratch.window.data();
   const auto origin = static_cast<std::size_t>(side * side / 2) * centre_count;
@@ -136,9 +135,7 @@ std::int64_t sweep_tile(const TileJob& job, const Tile& tile, TileScratch& scrat
       const std::size_t centre = (y + layout.border) * layout.columns + layout.border + x;
       std::fill(scratch.window.begin(), scratch.window.end(), unreached);
       std::fill(window + origin, window + origin + centre_count, 0.0F);
-      outward.run(lengths + centre, coefficients + centre, window);
-      for (int repair = 0; repair < job.parameters->repairs; ++repair)
-        mending.run(lengths + centre, coefficients + centre, window);
+      course.run(lengths + centre, coefficients + centre, window);
       if (job.distances != nullptr) write_window(window, side * side, job.distances);
       for (std::size_t lane = 0; lane < count; lane += lane_count) {
         const Totals totals = shares != nullptr ? weigh<true>(job, layout, shares, centre + lane, window + lane)

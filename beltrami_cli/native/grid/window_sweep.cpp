@@ -1,7 +1,6 @@
 #include "grid/window_sweep.hpp"
 
 #include <algorithm>
-#include <cstdlib>
 #include <limits>
 #include <numeric>
 #include <vector>
@@ -40,7 +39,6 @@ int squared_length(Offset offset) { return offset.x * offset.x + offset.y * offs
 class Window {
  public:
   explicit Window(int radius) : radius_(radius) {}
-  bool holds(Offset offset) const { return std::max(std::abs(offset.x), std::abs(offset.y)) <= radius_; }
   int slot(Offset offset) const { return (offset.y + radius_) * (2 * radius_ + 1) + offset.x + radius_; }
 
   std::vector<Offset> rings() const {
@@ -77,12 +75,10 @@ Target make_target(const Window& window, Offset offset, Usable usable) {
 
 WindowProgram make_window_program(int radius) {
   const Window window(radius);
-  WindowProgram program{radius, {}, {}};
+  WindowProgram program{radius, {}};
   for (const Offset offset : window.rings()) {
     const auto nearer = [&](Offset other) { return squared_length(other) < squared_length(offset); };
-    const auto inside = [&](Offset other) { return window.holds(other) && !(other == Offset{0, 0}); };
-    program.outward.push_back(make_target(window, offset, nearer));
-    program.repair.push_back(make_target(window, offset, inside));
+    program.targets.push_back(make_target(window, offset, nearer));
   }
   return program;
 }

@@ -34,11 +34,11 @@ struct Target {
   std::vector<TriangleStep> triangles;
 };
 
-// Targets ring by ring outwards, by distance in the plane. The first pass takes only supports that come earlier, which
-// already hold distances; the second takes all that lie in the window, and repairs paths that bend around colour edges.
+// Targets ring by ring outwards, by distance in the plane. Each is supported only by cells of earlier rings, which already
+// hold distances: paths that turn back around colour edges are missed.
 struct WindowProgram {
   int radius;
-  std::vector<Target> outward, repair;
+  std::vector<Target> targets;
 };
 
 WindowProgram make_window_program(int radius);
@@ -47,7 +47,6 @@ struct SweepParameters {
   float time_step;  // t, squared length
   float radius;     // sqrt(-4 t ln threshold), length
   float beta;       // lengths per unit of colour
-  int repairs;      // passes over all stencils after the outward one
 };
 
 // Distances come from `metric` colours, averages are taken over `colours`; both have grid.cells() values a plane.

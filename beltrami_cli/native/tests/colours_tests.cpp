@@ -71,12 +71,12 @@ void rows_come_back_from_planes(std::mt19937& random) {
     const auto cells = some_of<Index>(size, trial % 2 == 0, random);
     std::vector<float> planes(size * channels, -1), rows(cells.size() * channels), back(rows.size());
     std::iota(rows.begin(), rows.end(), 0.0F);
-    colours::put<Index>({planes.data(), size, channels}, cells, rows.data(), 1 + trial % 3);
+    colours::scatter<Index>({planes.data(), size, channels}, cells, rows.data(), 1 + trial % 3);
     for (std::size_t row = 0; row < cells.size(); ++row)
       for (std::size_t channel = 0; channel < channels; ++channel)
         CHECK(planes[channel * size + static_cast<std::size_t>(cells[row])] == rows[row * channels + channel]);
     CHECK(static_cast<std::size_t>(std::count(planes.begin(), planes.end(), -1.0F)) == planes.size() - rows.size());
-    colours::take<Index>({planes.data(), size, channels}, cells, back.data(), 1 + trial % 3);
+    colours::gather<Index>({planes.data(), size, channels}, cells, back.data(), 1 + trial % 3);
     CHECK(back == rows);
   }
 }

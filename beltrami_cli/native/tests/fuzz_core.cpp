@@ -96,8 +96,7 @@ void fuzz_grid(Bytes& bytes) {
   using namespace beltrami::grid;
   const std::size_t rows = 1 + bytes.below(24), columns = 1 + bytes.below(40), cells = rows * columns;
   const std::size_t channels = 1 + bytes.below(3);
-  const SweepParameters parameters{bytes.parameter(0.01F, 9), bytes.parameter(0, 20), bytes.parameter(0, 200),
-                                   static_cast<int>(bytes.below(3))};
+  const SweepParameters parameters{bytes.parameter(0.01F, 9), bytes.parameter(0, 20), bytes.parameter(0, 200)};
   const int radius = 1 + static_cast<int>(bytes.below(7));
   const bool by_metric = bytes.below(2), scaled = bytes.below(2);
   std::vector<std::uint8_t> kind(cells);

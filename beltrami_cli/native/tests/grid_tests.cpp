@@ -39,7 +39,7 @@ void sweeps_and_marches_keep_the_range_and_every_cell_that_is_not_owned() {
   for (int trial = 0; trial < 150; ++trial) {
     const Canvas canvas(1 + random() % 45, 1 + random() % 130, random);
     const Planes planes{canvas.colours.data(), 2};
-    const SweepParameters parameters{1.5F, 5.0F, trial % 3 == 0 ? 0.0F : 4.0F, trial % 2};
+    const SweepParameters parameters{1.5F, 5.0F, trial % 3 == 0 ? 0.0F : 4.0F};
     const auto program = make_window_program(1 + trial % 7);
     std::vector<float> swept(canvas.colours.size()), again(swept.size()), marched(swept.size());
     smooth_by_sweeps(canvas.grid, planes, planes, parameters, program, swept.data(), 1);
@@ -77,7 +77,7 @@ void distances_of_one_kernel_are_those_that_the_kernel_averages_by() {
     const Canvas canvas(1 + random() % 45, 1 + random() % 130, random);
     const Planes planes{canvas.colours.data(), 2};
     const int radius = 1 + trial % 7;
-    const SweepParameters parameters{1.5F, 5.0F, trial % 3 == 0 ? 0.0F : 4.0F, trial % 2};
+    const SweepParameters parameters{1.5F, 5.0F, trial % 3 == 0 ? 0.0F : 4.0F};
     const auto program = make_window_program(radius);
     const Scheme scheme = trial % 2 == 0 ? Scheme::metric : Scheme::triangles;
     std::vector<float> swept(canvas.colours.size()), marched(swept.size());
