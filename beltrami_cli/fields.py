@@ -8,10 +8,8 @@ docstrings, and docs/parameters.md.
 from __future__ import annotations
 
 import dataclasses
-import inspect
 import math
 import os
-import textwrap
 from numbers import Integral, Real
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -72,6 +70,18 @@ class Parameter:
         if self.is_odd:
             text = f"odd, and {text}"
         return f"{', '.join(map(str, self.also))}, or {text}" if self.also else text
+
+    @property
+    def default_in_words(self) -> str:
+        """What holds where nothing is given; empty if that is nothing."""
+        if self.unset:
+            return self.unset.format(default=self.default)
+        if self.kind is bool and self.flags and "/" in self.flags[0]:
+            yes, no = self.flags[0].replace("--", "").split("/")
+            return yes if self.default else no
+        if self.kind is bool or self.default in (None, (), REQUIRED):
+            return ""
+        return self.show(self.default)
 
     def check(self, value: Any) -> None:
         """Raise UsageError if the parameter cannot have a value."""
@@ -186,27 +196,31 @@ def override(record: Record, **values: Any) -> Record:
     return dataclasses.replace(record, **changed)  # type: ignore[type-var]
 
 
+class _Docstring:
+    """A docstring to which the parameters of its class are added when somebody reads it."""
+
+    def __init__(self, text: str) -> None:
+        self._text = text
+
+    def __get__(self, instance: object, record: type) -> str:
+        import inspect
+        import textwrap
+
+        lines = [inspect.cleandoc(self._text), "", "Attributes", "----------"]
+        for each in parameters(record):
+            lines.append(f"{each.name} : {_type_in_words(each)}")
+            meaning = f"{each.help} In {each.unit}." if each.unit else each.help
+            lines += textwrap.wrap(meaning, 110, initial_indent="    ", subsequent_indent="    ")
+        lines += [f"{name} : {kind.__name__}" for name, kind in parts(record).items()]
+        lines += ["", "Raises", "------", "UsageError"]
+        lines.append("    If a value is out of its range, or two contradict each other.")
+        return "\n".join([*lines, ""])
+
+
 def described(record: type[Record]) -> type[Record]:
-    """Write the parameters of a record into its docstring, as numpydoc has attributes."""
-    lines = [inspect.cleandoc(record.__doc__ or ""), "", "Attributes", "----------"]
-    for each in parameters(record):
-        lines.append(f"{each.name} : {_type_in_words(each)}")
-        lines += textwrap.wrap(sentence(each), 110, initial_indent="    ", subsequent_indent="    ")
-    lines += [f"{name} : {kind.__name__}" for name, kind in parts(record).items()]
-    raises = [
-        "",
-        "Raises",
-        "------",
-        "UsageError",
-        "    If a value is out of its range, or two contradict each other.",
-    ]
-    record.__doc__ = "\n".join([*lines, *raises, ""])
+    """Have the parameters of a record in its docstring, as numpydoc has attributes."""
+    record.__doc__ = _Docstring(record.__doc__ or "")  # type: ignore[assignment]
     return record
-
-
-def sentence(declared: Parameter) -> str:
-    """Return the help of a parameter with its unit."""
-    return f"{declared.help} In {declared.unit}." if declared.unit else declared.help
 
 
 def _type_in_words(declared: Parameter) -> str:

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any, get_args
 
 import click
 
 from beltrami_cli.cli import options
 from beltrami_cli.cli.console import Messages, counted
-from beltrami_cli.samples.settings import BakeSettings
-
-if TYPE_CHECKING:
-    from beltrami_cli.samples.settings import BakeTo
+from beltrami_cli.samples.settings import BakeSettings, BakeTo
 
 EPILOG = """\b
 Examples:
@@ -27,11 +24,8 @@ The output is a new file: the triangles, and their colours. What else INPUT hold
 @click.command("bake", epilog=EPILOG)
 @click.argument("source", metavar="INPUT")
 @click.argument("target", metavar="OUTPUT")
-@click.option("--to", type=click.Choice(["texture", "vertices"]), required=True, help="Where the colours go.")
-@options.size
-@options.padding
-@options.keep_uv
-@options.max_unwrap_faces
+@click.option("--to", type=click.Choice(get_args(BakeTo)), required=True, help="Where the colours go.")
+@options.options_of(BakeSettings)
 @options.output_format
 @options.reading
 @options.overwrite
@@ -41,26 +35,22 @@ def command(
     source: str,
     target: str,
     to: BakeTo,
-    size: int | None,
-    padding: int,
-    keep_uv: bool,
-    max_unwrap_faces: int,
     output_format: str | None,
     overwrite: bool,
     quiet: bool,
     verbose: int,
-    **reading: Any,
+    **values: Any,
 ) -> None:
     """Move the colours of INPUT from its vertices to a texture, or from its textures to the vertices.
 
     A new texture gets a new atlas. Vertices take what a renderer would show where they are; those on a seam take the
     mean of its sides, or stay split where a seam is a real colour edge.
     """
-    settings = BakeSettings(size, padding, keep_uv, max_unwrap_faces)
+    settings = options.record_from(BakeSettings, values)
     messages = Messages(quiet=quiet, verbose=verbose)
     from beltrami_cli.jobs.bake import bake_file
 
-    with options.reading_from(reading, source) as access, messages.progress() as progress:
+    with options.reading_from(values, source) as access, messages.progress() as progress:
         report = bake_file(
             source,
             target,

@@ -8,15 +8,20 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+from click.core import ParameterSource
 
 from beltrami_cli.cli import options
 from beltrami_cli.cli.console import Messages
+from beltrami_cli.cli.names import options_by_name, values_for
 from beltrami_cli.errors import OutputError, ProcessingError, UsageError
+from beltrami_cli.fields import parameters
+from beltrami_cli.samples.settings import BakeSettings, SmoothSettings
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
 
-    from beltrami_cli.batch.item import Outcome
+    from beltrami_cli.batch.item import Item, Outcome
+    from beltrami_cli.batch.plan import Request
     from beltrami_cli.batch.run import Executor
 
 EPILOG = """\b
@@ -43,6 +48,14 @@ As JSON lines:     {"input": "scans/face.ply", "beta": 8}
 Inputs are relative to the manifest, outputs to --out-dir. What it says counts for more than
 options given here, which are for all files.
 """
+
+
+# The options that concern a single file: those of `smooth` that change its result.
+_OF_A_FILE = click.command("file")(options.smoothing(options.unwrapping(lambda **_: None)))
+SHARED_WITH_SMOOTH = tuple(option.name for option in _OF_A_FILE.params if option.name)
+
+# Parameters that name a file, which is looked for beside the manifest; a guide may be something else.
+_PATHS = [each.name for each in parameters(SmoothSettings, deep=True) if each.metavar == "FILE"]
 
 
 @click.command("batch", epilog=EPILOG)
@@ -120,7 +133,6 @@ def command(
     from beltrami_cli.batch.record import Record
     from beltrami_cli.batch.run import run_batch
     from beltrami_cli.cli.batch_display import Display, show_table
-    from beltrami_cli.cli.batch_jobs import jobs_for
     from beltrami_cli.flow.parameters import KernelParameters
     from beltrami_cli.jobs.memory import memory_of_machine
 
@@ -129,7 +141,7 @@ def command(
     start = time.monotonic()
     messages = Messages(quiet=quiet, verbose=verbose)
     requests = plan(inputs, out_dir, suffix, output_format)
-    jobs = jobs_for(requests, smoothing, outside=allow_outside, overwrite=overwrite)
+    jobs = _jobs_for(requests, smoothing, outside=allow_outside, overwrite=overwrite)
     path = report_path or _report_in(out_dir)
     named = (name for job in jobs for name in (job.source, job.target, *job.settings.files_besides()))
     _refuse_report(path, [*inputs, *named])
@@ -156,6 +168,44 @@ def command(
         raise ProcessingError(
             f"{lost} of {len(outcomes)} files failed; mend them, and run the same again with --resume"
         )
+
+
+def _jobs_for(
+    requests: Iterable[Request], values: dict[str, Any], *, outside: bool, overwrite: bool
+) -> list[Item]:
+    """Make the jobs of a batch from the options given here and what the manifests say besides."""
+    from beltrami_cli.batch.item import Item
+
+    common = options.settings_from(values), options.unwrapping_from(values)
+    # What a preset takes the place of is not given.
+    given = {name: value for name, value in values.items() if options.is_given(name)}
+    jobs = []
+    for request in requests:
+        try:
+            settings, unwrap = _settings(request, given) if request.options else common
+        except (click.UsageError, UsageError, ValueError) as error:
+            cause = error.format_message() if isinstance(error, click.UsageError) else str(error)
+            raise UsageError(f"{request.origin}: {cause}") from error
+        jobs.append(Item(request.source, request.target, settings, unwrap, outside, overwrite))
+    return jobs
+
+
+def _settings(request: Request, given: dict[str, Any]) -> tuple[SmoothSettings, BakeSettings | None]:
+    own = values_for(options_by_name(_OF_A_FILE), request.options)
+    for name in _PATHS:
+        if name in own:
+            own[name] = str(request.folder / str(own[name]))
+    if "guides" in own:
+        own["guides"] = tuple(_guide(request.folder, str(guide)) for guide in own["guides"])
+    context = _OF_A_FILE.make_context("file", [], default_map={**given, **own})
+    for name in own:  # counts for more than what is for all files, also beside a preset
+        context.set_parameter_source(name, ParameterSource.COMMANDLINE)
+    with context.scope():
+        return options.settings_from(context.params), options.unwrapping_from(context.params)
+
+
+def _guide(folder: Path, guide: str) -> str:
+    return str(folder / guide) if (folder / guide).is_file() else guide
 
 
 def _refuse_report(path: str, others: Sequence[str]) -> None:

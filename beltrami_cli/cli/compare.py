@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from beltrami_cli.cli import options
-from beltrami_cli.cli.amounts import amount
 from beltrami_cli.cli.console import Messages, printable
-from beltrami_cli.cli.painting import choosing, painting_from
+from beltrami_cli.flow.parameters import KernelParameters
+from beltrami_cli.jobs.settings import Limits
+from beltrami_cli.samples.settings import SmoothSettings
 
 if TYPE_CHECKING:
     from beltrami_cli.flow.parameters import Weights
@@ -51,18 +52,9 @@ _COLUMNS = (
 @click.command("compare", epilog=EPILOG)
 @click.argument("reference", metavar="REFERENCE")
 @click.argument("test", metavar="TEST")
-@click.option("--min-psnr", type=float, metavar="DB", help="Lowest PSNR allowed, in dB.")
-@click.option("--min-ssim", type=float, metavar="S", help="Lowest structural similarity allowed; 1 is equal.")
-@click.option("--max-delta-e", type=float, metavar="E", help="Largest mean Delta E 2000 allowed.")
-@click.option(
-    "--max-seam-jump", callback=amount, metavar="X",
-    help="How much larger the mean colour step over seams may be than in REFERENCE: 1 is 1/255; or as 1/255 or 0.4%.",
-)  # fmt: skip
-@click.option(
-    "--weights", type=click.Choice(("uniform", "area")), default="uniform", show_default=True,
-    help="Count each sample once, or by the surface area that it stands for.",
-)  # fmt: skip
-@choosing
+@options.options_of(Limits)
+@options.options_of(KernelParameters, only=("weights",))
+@options.options_of(SmoothSettings, only=options.COLOURS, changed=options.UNMIXED)
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 @click.option(
     "--map",
@@ -81,30 +73,25 @@ _COLUMNS = (
 def command(
     reference: str,
     test: str,
-    min_psnr: float | None,
-    min_ssim: float | None,
-    max_delta_e: float | None,
-    max_seam_jump: float | None,
     weights: Weights,
     as_json: bool,
     map_to: str | None,
     overwrite: bool,
     quiet: bool,
     verbose: int,
-    **painting: Any,
+    **values: Any,
 ) -> int:
     """Measure how far the colours of TEST are from those of REFERENCE, and fail if they are further than allowed.
 
     Both are files of one model, with the same triangles, vertices and sizes of textures, or two images of one size;
     formats and types may differ. Of textures the texels count that the surface covers.
     """
-    settings = painting_from(painting)
+    settings = options.record_from(SmoothSettings, values)
     messages = Messages(quiet=quiet, verbose=verbose)
     from beltrami_cli.jobs.compare.files import compare_files
-    from beltrami_cli.jobs.settings import Limits
 
-    limits = Limits(min_psnr, min_ssim, max_delta_e, max_seam_jump)
-    with options.reading_from(painting, reference) as access:
+    limits = options.record_from(Limits, values)
+    with options.reading_from(values, reference) as access:
         comparison = compare_files(
             reference,
             test,

@@ -10,7 +10,7 @@ import click
 from click.core import ParameterSource
 
 from beltrami_cli.cli.console import printable
-from beltrami_cli.cli.variables import long_name, variable_in_force
+from beltrami_cli.cli.names import long_name, variable_in_force
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -10,15 +10,14 @@ import click
 
 from beltrami_cli.cli.console import printable
 from beltrami_cli.cli.found_configuration import (
-    MAY_BE_SET,
     SHARED_NAME,
     UntrustedError,
     candidates,
+    may_be_found,
     mentions_us,
     read_found,
 )
-from beltrami_cli.cli.named_values import options_of, plain, values_for
-from beltrami_cli.cli.variables import long_name
+from beltrami_cli.cli.names import long_name, options_by_name, plain, values_for
 from beltrami_cli.errors import InputError, UsageError
 
 if TYPE_CHECKING:
@@ -74,15 +73,15 @@ class Configuration:
         try:
             for table in set(self.tables) - set(names):
                 raise ValueError(f"there is no command {table}")
-            known = options_of(command(name))
+            known = options_by_name(command(name))
             common = {key: value for key, value in self.common.items() if plain(key) in known}
             for key in set(self.common) - set(common):
-                if not any(plain(key) in options_of(command(each)) for each in names):
+                if not any(plain(key) in options_by_name(command(each)) for each in names):
                     raise ValueError(f"{key} is no option of any command")
             values = values_for(known, common)
             other, shared = inherited
             if shared:
-                theirs = values_for(options_of(command(other)), self.tables.get(other, {}))
+                theirs = values_for(options_by_name(command(other)), self.tables.get(other, {}))
                 values |= {key: value for key, value in theirs.items() if key in shared}
             values |= values_for(known, self.tables.get(name, {}))
             self._check(command(name), values)
@@ -96,7 +95,7 @@ class Configuration:
         for option in command.params:
             if option.name not in values:
                 continue
-            if not self.is_named and option.name not in MAY_BE_SET:
+            if not self.is_named and not may_be_found(option):
                 raise ValueError(
                     f"{long_name(option)} may not be set by a file that was only found, since it is no parameter of "
                     f"the method; give it on the command line, or name the file: --config {self.path}"
@@ -105,6 +104,8 @@ class Configuration:
                 option.type_cast_value(context, values[option.name])
             except click.BadParameter as error:
                 raise ValueError(f"{long_name(option)}: {error.message}") from error
+            except UsageError as error:
+                raise ValueError(str(error)) from error
 
 
 def load(named: str | None) -> Configuration:

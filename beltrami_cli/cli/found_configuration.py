@@ -12,35 +12,32 @@ import stat
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from beltrami_cli.cli.options import ParameterOption
+
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    import click
+
 OWN_NAME, SHARED_NAME = "beltrami.toml", "pyproject.toml"
 
-# By the names that click has for the options. Whatever is not here is refused, so new options are.
-MAY_BE_SET = frozenset({
-    # the kernel, and how it is computed
-    "iterations", "t", "beta", "beta_growth", "threshold", "metric_scale", "metric_steps", "clipping", "strength",
-    "fast", "preset", "units", "weights", "max_samples", "window", "solver", "threads",
-    # which colours, and what they are taken as
-    "on", "space", "channels", "slots", "materials", "texture_names", "alpha", "height_scale", "level", "inside",
-    "guide_betas", "metric_channels", "smooth_geometry", "normal_beta",
-    # how results are encoded
-    "output_format", "texture_format", "jpeg_quality", "small", "gutter", "unwrap", "texture_size", "size", "padding",
-    "keep_uv", "to",
-    # noise, kernels and comparisons
-    "sigma", "kind", "seed", "at", "iteration", "whole", "min_psnr", "min_ssim", "max_delta_e", "max_seam_jump",
-    # how pictures look
-    "view", "azimuth", "elevation", "up", "fov", "zoom", "lit", "background", "crops", "labels", "no_labels", "slot",
-    "side_by_side", "turntable",
+# The options that are no parameters of a record, but of the method or of encoding. Whatever is not here is refused.
+_HARMLESS = frozenset({
+    "preset", "output_format", "unwrap", "to", "at", "iteration", "whole", "view", "no_labels",
 })  # fmt: skip
-
 
 _LONGEST = 1 << 20  # bytes in which the name of this program is looked for
 
 
 class UntrustedError(Exception):
     """A file that others than the user can have written."""
+
+
+def may_be_found(option: click.Parameter) -> bool:
+    """Whether a file that was only found may set an option: not one that names a file or lifts a limit."""
+    if isinstance(option, ParameterOption):
+        return not option.declared.is_deliberate
+    return option.name in _HARMLESS
 
 
 def candidates(here: Path) -> Iterator[Path]:

@@ -8,6 +8,7 @@ import click
 
 from beltrami_cli.cli import options
 from beltrami_cli.cli.console import Messages, counted
+from beltrami_cli.samples.settings import SmoothSettings
 
 EPILOG = """\b
 Examples:
@@ -32,6 +33,13 @@ OUTPUT by its extension:
 """
 
 
+# Parameters of what is done with the averages, which are only looked at here.
+_OF_WRITING = (
+    "iterations", "clipping", "strength", "fast", "gutter", "image_suffix", "jpeg_quality", "small", "smooth_geometry",
+    "normal_beta",
+)  # fmt: skip
+
+
 @click.command("kernel", epilog=EPILOG)
 @click.argument("source", metavar="FILE")
 @click.argument("target", metavar="OUTPUT")
@@ -45,7 +53,8 @@ OUTPUT by its extension:
     help="Of which iteration; those before it are run.",
 )  # fmt: skip
 @click.option("--whole", is_flag=True, help="Write the whole mesh, and not only what lies around the kernel.")
-@options.studying
+@options.options_of(SmoothSettings, without=_OF_WRITING)
+@options.preset
 @options.reading
 @options.overwrite
 @options.quiet

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import click
 
 from beltrami_cli.cli.console import printable
-from beltrami_cli.cli.variables import blamed_variable, with_variables
+from beltrami_cli.cli.names import blamed_variable, with_variables
 from beltrami_cli.errors import BeltramiError
 
 if TYPE_CHECKING:
@@ -142,9 +142,9 @@ def _shared_with_smooth(name: str) -> Collection[str]:
     """Return the options for which a command obeys what is set for `smooth`, so that files come out alike."""
     if name != "batch":
         return ()
-    from beltrami_cli.cli.file_options import NAMES
+    from beltrami_cli.cli.batch import SHARED_WITH_SMOOTH
 
-    return NAMES
+    return SHARED_WITH_SMOOTH
 
 
 def main() -> NoReturn:

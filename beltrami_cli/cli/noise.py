@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any, get_args
+from typing import Any
 
 import click
 
 from beltrami_cli.cli import options
-from beltrami_cli.cli.amounts import sure_amount
 from beltrami_cli.cli.console import Messages, counted
-from beltrami_cli.cli.painting import choosing, painting_from, writing
 from beltrami_cli.jobs.job import Job
-from beltrami_cli.jobs.settings import Kind, NoiseSettings
+from beltrami_cli.jobs.settings import NoiseSettings
+from beltrami_cli.samples.settings import SmoothSettings
 
 EPILOG = """\b
 Examples:
@@ -34,23 +33,8 @@ What --sigma S means:
 @click.command("noise", epilog=EPILOG)
 @click.argument("source", metavar="INPUT")
 @click.argument("target", metavar="OUTPUT")
-@click.option(
-    "--sigma", callback=sure_amount, required=True, metavar="S",
-    help="How much: 20 is 20/255 of full scale, as `beltrami info` tells it; or as 20/255, 1310/65535 or 8%.",
-)  # fmt: skip
-@click.option(
-    "--kind",
-    type=click.Choice(get_args(Kind)),
-    default=NoiseSettings.kind,
-    show_default=True,
-    help="See below.",
-)
-@click.option(
-    "--seed", type=click.IntRange(0), default=NoiseSettings.seed, show_default=True, metavar="K",
-    help="The same seed gives the same noise, for any number of threads.",
-)  # fmt: skip
-@choosing
-@writing
+@options.options_of(NoiseSettings)
+@options.options_of(SmoothSettings, only=(*options.COLOURS, *options.ENCODING), changed=options.UNMIXED)
 @options.output_format
 @options.reading
 @options.overwrite
@@ -59,14 +43,11 @@ What --sigma S means:
 def command(
     source: str,
     target: str,
-    sigma: float,
-    kind: Kind,
-    seed: int,
     output_format: str | None,
     overwrite: bool,
     quiet: bool,
     verbose: int,
-    **painting: Any,
+    **values: Any,
 ) -> None:
     """Add noise to the colours of INPUT, and write OUTPUT with nothing else changed: for tests and demonstrations.
 
@@ -74,20 +55,21 @@ def command(
     the same, and so do the texels around a chart and those that lie there beyond the seam. Format, type, alpha and
     metadata stay. Colours are cut off at 0 and at full scale, as those of a camera are, unless INPUT has some beyond.
     """
-    settings = painting_from(painting)
-    noise = NoiseSettings(sigma, kind, seed)
+    settings = options.record_from(SmoothSettings, values)
+    noise = options.record_from(NoiseSettings, values)
     messages = Messages(quiet=quiet, verbose=verbose)
     from beltrami_cli.jobs.noise import noise_file
 
-    with options.reading_from(painting, source) as access:
+    with options.reading_from(values, source) as access:
         report = noise_file(
             source, target, noise, settings, job=Job(format=output_format, overwrite=overwrite, access=access)
         )
     messages.warn_of(source, report.warnings)
     for added in report.added:
         messages.say(
-            f"{target}: {added.what}, {counted(added.samples, 'sample')}, {kind} noise of {255 * sigma:.4g}/255, "
-            f"root mean square change {255 * added.rms:.1f}/255, seed {seed}"
+            f"{target}: {added.what}, {counted(added.samples, 'sample')}, "
+            f"{noise.kind} noise of {255 * noise.sigma:.4g}/255, "
+            f"root mean square change {255 * added.rms:.1f}/255, seed {noise.seed}"
         )
     if not report.added:
         messages.say(f"{target}: no noise, so the colours are unchanged")

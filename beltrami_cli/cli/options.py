@@ -1,146 +1,297 @@
-"""Every shared option once, with its help; those that make up the settings of a smoothing together."""
+"""Options from the fields of parameter records, the records back from the options' values, and options of files."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+import dataclasses
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any, TypeVar
 
-from beltrami_cli.cli import colour_options as colour
-from beltrami_cli.cli import kernel_options as kernel
-from beltrami_cli.cli import surface_options as surface
-from beltrami_cli.cli.access_options import (
-    output_format,
-    overwrite,
-    overwrite_at,
-    quiet,
-    reading,
-    reading_from,
-    verbose,
-)
-from beltrami_cli.cli.colour_options import (
-    gutter_width,
-    jpeg_quality,
-    materials,
-    names_in,
-    small_png,
-    suffix_of,
-    texture_format,
-    texture_names,
-)
-from beltrami_cli.cli.embedding import GUIDING, MOVING, embedding_from
-from beltrami_cli.cli.kernel_options import is_given, threads
-from beltrami_cli.cli.surface_options import colours, inside, level, max_voxels
-from beltrami_cli.cli.unwrap_options import (
-    keep_uv,
-    max_unwrap_faces,
-    padding,
-    size,
-    unwrapping,
-    unwrapping_from,
-)
-from beltrami_cli.samples.settings import DEFAULTS, ImageSettings, LevelSetSettings, SmoothSettings
+import click
+from click.core import ParameterSource
+
+from beltrami_cli.cli.names import variable_in_force
+from beltrami_cli.errors import UsageError
+from beltrami_cli.fields import REQUIRED, Parameter, parameters, parts
+from beltrami_cli.flow.parameters import PRESETS, KernelParameters, parameters_with
+from beltrami_cli.formats.access import Access
+from beltrami_cli.formats.registry import OUTPUT_FORMATS
+from beltrami_cli.jobs.memory import limited_memory, memory_of_machine, parse_size
+from beltrami_cli.samples.settings import IMAGE_FORMATS, BakeSettings, SmoothSettings
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Collection, Iterator, Mapping
 
-__all__ = [
-    "colours",
-    "gutter_width",
-    "inside",
-    "is_given",
-    "jpeg_quality",
-    "keep_uv",
-    "level",
-    "materials",
-    "max_unwrap_faces",
-    "max_voxels",
-    "names_in",
-    "output_format",
-    "overwrite",
-    "overwrite_at",
-    "padding",
-    "quiet",
-    "reading",
-    "reading_from",
-    "settings_from",
-    "size",
-    "small_png",
-    "smoothing",
-    "studying",
-    "suffix_of",
-    "texture_format",
-    "texture_names",
-    "threads",
-    "unwrapping",
-    "unwrapping_from",
-    "verbose",
-]
+    from beltrami_cli.jobs.writing.output import Overwrite
 
-_SMOOTHING = (
-    kernel.iterations, kernel.time_step, kernel.beta, kernel.beta_growth, kernel.threshold, kernel.metric_scale,
-    kernel.metric_steps, kernel.clipping, kernel.strength, kernel.fast, kernel.preset, colour.on, colour.space,
-    colour.channels, kernel.units, kernel.weights, kernel.max_samples, kernel.window, surface.height,
-    surface.height_scale, surface.positions, surface.mask, surface.level, surface.inside, surface.colours,
-    surface.max_voxels, colour.slots, colour.materials, colour.texture_names, colour.alpha, colour.gutter,
-    colour.texture_format, colour.jpeg_quality, colour.small_png, *GUIDING, *MOVING, kernel.solver, kernel.threads,
+    Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
+
+Record = TypeVar("Record")
+
+# Where the value of an option can come from that is not its default.
+_BY_DIRECTNESS = (ParameterSource.COMMANDLINE, ParameterSource.ENVIRONMENT, ParameterSource.DEFAULT_MAP)
+
+
+class ParameterOption(click.Option):
+    """An option that is made from the field of a parameter."""
+
+    def __init__(self, *arguments: Any, declared: Parameter, **attributes: Any) -> None:
+        super().__init__(*arguments, **attributes)
+        self.declared = declared
+
+
+class _Value(click.ParamType):  # type: ignore[type-arg]  # generic only in newer versions
+    """What the field of a parameter allows; text that it parses stays text, as configuration files have it."""
+
+    def __init__(self, declared: Parameter) -> None:
+        self._declared = declared
+        self.name = {int: "integer", float: "float"}.get(declared.kind, "text")
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the value, or its text; UsageError if it is out of its range."""
+        declared = self._declared
+        try:
+            if declared.parse is not None:
+                text = str(value)
+                made = parsed(declared, text)
+                declared.check((made,) if declared.repeatable else made)
+                return text
+            kind: Any = {int: click.INT, float: click.FLOAT}.get(declared.kind, click.STRING)
+            made = kind.convert(value, param, ctx)
+            declared.check((made,) if declared.repeatable else made)
+        except UsageError as error:
+            raise UsageError(f"{error}{_origin(param, ctx)}") from None
+        return made
+
+
+def options_of(
+    record: type,
+    only: Collection[str] | None = None,
+    without: Collection[str] = (),
+    changed: Mapping[str, Mapping[str, Any]] | None = None,
+) -> Decorator:
+    """Return a decorator that adds the options of the parameters in a record, and in the records in it.
+
+    What a command declares otherwise, such as fewer choices, is in `changed`: attributes of `Parameter` by its name.
+    """
+    chosen = [
+        dataclasses.replace(each, **(changed or {}).get(each.name, {}))
+        for each in parameters(record, deep=True)
+        if each.flags is not None and (only is None or each.name in only) and each.name not in without
+    ]
+
+    def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
+        for declared in reversed(chosen):
+            command = option_of(declared)(command)
+        return command
+
+    return decorate
+
+
+def option_of(declared: Parameter) -> Decorator:
+    """Return the option of a parameter."""
+    attributes: dict[str, Any] = {}
+    if declared.kind is bool:
+        attributes = {"is_flag": True, "default": declared.default}
+    elif declared.choices and declared.parse is None:
+        attributes = {"type": click.Choice(declared.choices)}
+    else:
+        attributes = {"type": _Value(declared), "metavar": declared.metavar}
+    if declared.repeatable:
+        attributes["multiple"] = True
+    elif declared.default is REQUIRED:
+        attributes["required"] = True
+    elif not declared.unset and declared.default is not None:
+        attributes["default"] = declared.show(declared.default) if declared.parse else declared.default
+    return click.option(
+        *_flags(declared), cls=ParameterOption, declared=declared, help=_help(declared), **attributes
+    )
+
+
+def record_from(record: type[Record], values: Mapping[str, Any], **made: Any) -> Record:
+    """Make a record from the values of its options; what is not given, or has no option there, has its default."""
+    for declared in parameters(record):
+        value = values.get(_destination(declared))
+        if declared.name in made or value in (None, ()):
+            continue
+        if declared.parse is not None:
+            several = declared.repeatable
+            value = tuple(parsed(declared, text) for text in value) if several else parsed(declared, value)
+        made[declared.name] = value
+    for name, kind in parts(record).items():
+        if name not in made:
+            made[name] = record_from(kind, values)
+    return record(**made)
+
+
+def parsed(declared: Parameter, text: str) -> Any:
+    """Make the value of a parameter from the text of its option."""
+    if declared.parse is None:
+        return text
+    try:
+        return declared.parse(text)
+    except ValueError as error:
+        flag = next(each for each in _flags(declared) if each.startswith("--"))
+        raise UsageError(f"{flag} {error}") from None
+
+
+preset = click.option(
+    "--preset", type=click.Choice(sorted(PRESETS)),
+    help="Parameters as a set, which single options still override. 'paper' is the paper's kernel to the letter: "
+    "one iteration, t 0.5, threshold 0.01, a window of 7, on textures and images its parametric fast marching.",
 )  # fmt: skip
-
-# Those of one kernel, which is not written back, and what the others are without being asked for.
-_STUDYING = (
-    kernel.time_step, kernel.beta, kernel.beta_growth, kernel.threshold, kernel.metric_scale, kernel.metric_steps,
-    kernel.preset, colour.on, colour.space, colour.channels, kernel.units, kernel.weights, kernel.max_samples,
-    kernel.window, surface.height, surface.height_scale, surface.positions, surface.mask, surface.level, surface.inside,
-    surface.colours, surface.max_voxels, colour.slots, colour.materials, colour.texture_names, colour.alpha, *GUIDING,
-    kernel.solver, kernel.threads,
-)  # fmt: skip
-_UNASKED = {
-    "iterations": None,
-    "clipping": DEFAULTS.kernel.clipping,
-    "strength": DEFAULTS.kernel.strength,
-    "fast": True,
-    "gutter": str(DEFAULTS.textures.gutter),
-    "texture_format": DEFAULTS.textures.image_suffix,
-    "jpeg_quality": DEFAULTS.textures.jpeg_quality,
-    "small": DEFAULTS.textures.small,
-}
-
-_LEVEL_SET_OPTIONS = ("level", "inside", "colours", "max_voxels")
 
 
 def smoothing(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add all options that make up `SmoothSettings`."""
-    for option in reversed(_SMOOTHING):
-        command = option(command)
-    return command
+    return options_of(SmoothSettings)(preset(command))
 
 
-def studying(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add the options of `smoothing` that bear on a single kernel."""
-    for option in reversed(_STUDYING):
-        command = option(command)
-    return command
+def settings_from(values: Mapping[str, Any]) -> SmoothSettings:
+    """Make the settings from the values of `preset` and options of `SmoothSettings`."""
+    return record_from(SmoothSettings, values, kernel=_kernel_from(values))
 
 
-def settings_from(options: dict[str, Any]) -> SmoothSettings:
-    """Make the settings from the values of the options that `smoothing` or `studying` adds.
+def _kernel_from(values: Mapping[str, Any]) -> KernelParameters:
+    given: dict[str, Any] = dict(PRESETS[values["preset"]]) if values["preset"] else {}
+    for declared in parameters(KernelParameters):
+        name = declared.name
+        if name in values and (is_given(name) or name not in given):
+            given[name] = values[name]
+    if given["units"] == "world" and not is_given("t"):
+        raise UsageError("--units world needs -t, in squared units of the file")
+    fast = given.pop("fast", True)  # where nothing is written, trying would take longer than the rest
+    return parameters_with(given, choose=not values["preset"], fast=fast)
 
-    Raises
-    ------
-    UsageError
-        If a value is out of its range.
+
+def is_given(name: str) -> bool:
+    """Whether an option was given: on the command line, by a variable of the environment, or in a file.
+
+    What a preset says counts for more than what was given less directly than the preset.
     """
-    options = {**_UNASKED, **options}
-    return SmoothSettings(
-        kernel=kernel.kernel_from(options),
-        space=options["space"],
-        channels=None if options["channels"] is None else colour.names_in(options["channels"], "--channels"),
-        on=options["on"],
-        textures=colour.textures_from(options),
-        image=ImageSettings(
-            height=options["height"],
-            height_scale=options["height_scale"],
-            positions=options["positions"],
-            mask=options["mask"],
-        ),
-        embedding=embedding_from(options),
-        level_set=LevelSetSettings(**{name: options[name] for name in _LEVEL_SET_OPTIONS}),
-    )
+    context = click.get_current_context()
+    source, preset_source = context.get_parameter_source(name), context.get_parameter_source("preset")
+    if source not in _BY_DIRECTNESS:
+        return False
+    if name not in PRESETS.get(context.params.get("preset") or "", {}) or preset_source not in _BY_DIRECTNESS:
+        return True
+    return _BY_DIRECTNESS.index(source) <= _BY_DIRECTNESS.index(preset_source)
+
+
+# Which colours are meant, and how they are written, for the commands that do not smooth them.
+COLOURS = (
+    "threads", "space", "channels", "on", "slots", "materials", "names", "mask", "level", "inside", "colours",
+    "max_voxels",
+)  # fmt: skip
+ENCODING = ("gutter", "image_suffix", "jpeg_quality", "small")
+# Averages alone can be taken in Oklab.
+UNMIXED = {"space": {"choices": ("srgb", "linear", "data")}}
+
+
+def unwrapping(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add the options of a new texture, which `unwrapping_from` takes."""
+    wanted = click.option(
+        "--unwrap", is_flag=True,
+        help="Lay the mesh out on a new texture, and put its smoothed colours there: for meshes without texture "
+        "coordinates, or with hopeless ones. OUTPUT is then a new file with the triangles and the texture.",
+    )  # fmt: skip
+    changed = {"size": {"flags": ("--texture-size",)}}
+    return wanted(options_of(BakeSettings, only=("size", "max_unwrap_faces"), changed=changed)(command))
+
+
+def unwrapping_from(values: Mapping[str, Any]) -> BakeSettings | None:
+    """Make the settings of a new texture; None: none is wanted."""
+    if values["unwrap"]:
+        return record_from(BakeSettings, values, size=values["texture_size"])
+    if values["texture_size"] is not None:
+        raise UsageError("--texture-size is of the new texture that --unwrap makes; add --unwrap")
+    return None
+
+
+def _size(context: click.Context, parameter: click.Parameter, text: str | None) -> int | None:
+    if text is None:
+        return None
+    try:
+        size = parse_size(text)
+    except ValueError:
+        raise click.BadParameter(f"{text!r} is no size such as 500M or 4G") from None
+    if size == 0:
+        raise click.BadParameter("nothing can be done in no memory")
+    return size
+
+
+overwrite = click.option(
+    "--overwrite", is_flag=True, help="Replace OUTPUT, and the files beside it that it names, if they exist."
+)
+output_format = click.option(
+    "--format", "output_format", type=click.Choice([*OUTPUT_FORMATS, *IMAGE_FORMATS]),
+    help="Format of OUTPUT where its name does not say it, as with -.",
+)  # fmt: skip
+allow_outside = click.option(
+    "--allow-outside", is_flag=True,
+    help="Also read files that INPUT names beyond its own folder (absolute paths, '..', links). What OUTPUT needs of "
+    "them anew goes into its own folder; nothing is written out there.",
+)  # fmt: skip
+max_memory = click.option(
+    "--max-memory", callback=_size, metavar="SIZE",
+    help="Take no more memory, such as 500M or 4G: smooth keeps textures that need more in files meanwhile, and all "
+    "else that does is refused.  [default: what the machine has]",
+)  # fmt: skip
+quiet = click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
+verbose = click.option(
+    "-v", "--verbose", count=True, help="Print what is done; twice: also where an error arose."
+)
+
+
+def overwrite_at(option: str, *, overwrite: bool) -> Overwrite:
+    """Whether the file that an option names may be replaced.
+
+    One that this program did not write may be only if the command line itself names it and says --overwrite.
+    """
+    sources = [click.get_current_context().get_parameter_source(name) for name in (option, "overwrite")]
+    is_direct = all(source is ParameterSource.COMMANDLINE for source in sources)
+    return "own" if overwrite and not is_direct else overwrite
+
+
+def reading(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add all options that `reading_from` takes."""
+    return allow_outside(max_memory(command))
+
+
+@contextmanager
+def reading_from(values: Mapping[str, Any], source: str) -> Iterator[Access]:
+    """Give what a job on a file may read, and hold it to its memory, by the options that `reading` adds."""
+    size = values["max_memory"] or memory_of_machine()
+    with limited_memory(size, source):
+        yield Access(outside=values["allow_outside"], memory=size)
+
+
+def _flags(declared: Parameter) -> tuple[str, ...]:
+    return declared.flags or ("--" + declared.name.replace("_", "-"),)
+
+
+def _destination(declared: Parameter) -> str:
+    """Return the name that click has for the option of a parameter; empty if there is none."""
+    if declared.flags is None:
+        return ""
+    named = [flag for flag in _flags(declared) if flag.isidentifier()]
+    longest = _flags(declared)[-1].partition("/")[0]
+    return named[0] if named else longest.lstrip("-").replace("-", "_")
+
+
+def _help(declared: Parameter) -> str:
+    """Return the help of a parameter, with its default and range."""
+    notes = [f"in {declared.unit}"] if declared.unit else []
+    if declared.default_in_words:
+        notes.append(f"default: {declared.default_in_words}")
+    if declared.kind in (int, float) and (declared.low, declared.high) != (None, None):
+        notes.append(declared.range)
+    return f"{declared.help}  [{'; '.join(notes)}]" if notes else declared.help
+
+
+def _origin(option: click.Parameter | None, context: click.Context | None) -> str:
+    """Return where a wrong value comes from, unless it is the command line."""
+    if option is None or context is None or option.name is None:
+        return ""
+    if context.get_parameter_source(option.name) is not ParameterSource.ENVIRONMENT:
+        return ""
+    return f" (from the environment: {variable_in_force(option)})"

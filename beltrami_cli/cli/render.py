@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from beltrami_cli.cli import options
 from beltrami_cli.cli.console import Messages
-from beltrami_cli.cli.rendering import looking, render_settings_from, shown, slot
 from beltrami_cli.errors import UsageError
+from beltrami_cli.view.settings import VIEWS, RenderSettings
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
 
 EPILOG = """\b
 Examples:
@@ -29,22 +32,25 @@ sRGB in OUT; factors of materials and reflections are not shown.
 """
 
 
+view = click.option(
+    "--view", type=click.Choice(list(VIEWS)), default="front", show_default=True,
+    help="Where the eye is; y points up, and the front looks along z, unless --up says otherwise.",
+)  # fmt: skip
+
+
+def render_settings_from(values: Mapping[str, Any], **made: Any) -> RenderSettings:
+    """Make the settings of pictures from the values of `view` and options of `RenderSettings`."""
+    for name, angle in zip(("azimuth", "elevation"), VIEWS[values["view"]], strict=True):
+        if values[name] is None:
+            made[name] = angle
+    return options.record_from(RenderSettings, values, **made)
+
+
 @click.command("render", epilog=EPILOG)
 @click.argument("sources", nargs=-1, required=True, metavar="FILE...")
 @click.argument("target", metavar="OUT.png")
-@looking
-@shown
-@slot
-@click.option(
-    "--side-by-side/--stacked", default=True, show_default=True,
-    help="Of several files: next to each other with one camera, or below each other.",
-)  # fmt: skip
-@click.option(
-    "--turntable", type=int, default=0, metavar="N", help="N views all around, in a row for each file."
-)
-@click.option("--label", "labels", multiple=True, metavar="TEXT",
-    help="Above each view, once for each file.  [default: the names of the files, if there are several]",
-)  # fmt: skip
+@view
+@options.options_of(RenderSettings)
 @click.option("--no-labels", is_flag=True, help="No words in the picture.")
 @options.reading
 @options.overwrite
@@ -53,28 +59,24 @@ sRGB in OUT; factors of materials and reflections are not shown.
 def command(
     sources: tuple[str, ...],
     target: str,
-    side_by_side: bool,
-    labels: tuple[str, ...],
     no_labels: bool,
     overwrite: bool,
     quiet: bool,
     verbose: int,
-    **looks: Any,
+    **values: Any,
 ) -> None:
     """Draw each FILE, a model, points or an image, and write all as one picture.
 
     Textures and vertex colours are shown as a viewer shows them, unlit unless --lit is given: it is the colours
     that are to be judged.
     """
-    if labels and no_labels:
+    if values["labels"] and no_labels:
         raise UsageError("--label and --no-labels contradict each other")
     messages = Messages(quiet=quiet, verbose=verbose)
-    reading = {name: looks.pop(name) for name in ("max_memory", "allow_outside")}
-    looks["labels"] = () if no_labels else (labels or None)
-    settings = render_settings_from({**looks, "side_by_side": side_by_side})
+    settings = render_settings_from(values, **({"labels": ()} if no_labels else {}))
     from beltrami_cli.view.render import render_file
 
-    with options.reading_from(reading, sources[0]) as access, messages.progress() as progress:
+    with options.reading_from(values, sources[0]) as access, messages.progress() as progress:
         width, height = render_file(
             sources, target, settings, overwrite=overwrite, progress=progress, access=access
         )

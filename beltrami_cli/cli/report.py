@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
-from beltrami_cli.cli import options, painting
+from beltrami_cli.cli import options
 from beltrami_cli.cli.console import Messages, counted
-
-if TYPE_CHECKING:
-    from beltrami_cli.flow.parameters import Space
-    from beltrami_cli.samples.settings import Target
+from beltrami_cli.samples.settings import SmoothSettings
 
 EPILOG = """\b
 Examples:
@@ -36,9 +33,7 @@ network. The models are drawn with WebGL by three.js (MIT licence, in the packag
     metavar="FILE.json",
     help="Also show the parameters, from what `beltrami smooth --report` wrote.",
 )
-@painting.on
-@painting.slots
-@painting.space
+@options.options_of(SmoothSettings, only=("on", "slots", "space"), changed=options.UNMIXED)
 @options.reading
 @options.overwrite
 @options.quiet
@@ -48,13 +43,10 @@ def command(
     after: str,
     target: str,
     parameters: str | None,
-    on: Target,
-    slots: str,
-    space: Space,
     overwrite: bool,
     quiet: bool,
     verbose: int,
-    **reading: Any,
+    **values: Any,
 ) -> None:
     """Write a page that shows what changed from BEFORE to AFTER, two models or two images alike in all but colours.
 
@@ -62,14 +54,10 @@ def command(
     histogram of the change, and a map of the seams.
     """
     messages = Messages(quiet=quiet, verbose=verbose)
-    from dataclasses import replace
-
-    from beltrami_cli.samples.settings import DEFAULTS
     from beltrami_cli.view.report import report_file
 
-    chosen = options.names_in(slots, "--slots")
-    settings = replace(DEFAULTS, on=on, space=space, textures=replace(DEFAULTS.textures, slots=chosen))
-    with options.reading_from(reading, before) as access:
+    settings = options.record_from(SmoothSettings, values)
+    with options.reading_from(values, before) as access:
         found = report_file(
             before, after, target, settings, parameters=parameters, overwrite=overwrite, access=access
         )

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from beltrami_cli.cli import options
 from beltrami_cli.cli.console import Messages, counted
-from beltrami_cli.cli.rendering import LOOKS, looking, render_settings_from
-from beltrami_cli.flow.parameters import TUNABLE
-from beltrami_cli.samples.settings import DEFAULTS
+from beltrami_cli.cli.render import render_settings_from, view
+from beltrami_cli.fields import Parameter, parameters
+from beltrami_cli.flow.parameters import KernelParameters
+from beltrami_cli.samples.settings import SmoothSettings
+from beltrami_cli.view.settings import RenderSettings
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-
-    from beltrami_cli.samples.settings import SmoothSettings
 
 EPILOG = """\b
 Examples:
@@ -31,27 +32,35 @@ Every value is tried with every other. What is not given is as in `beltrami smoo
 away: smooth with the parameters that you like best.
 """
 
-_SWEPT: dict[str, type[int] | type[float]] = {
-    "beta": float, "t": float, "iterations": int, "metric_scale": float, "metric_steps": int,
-}  # fmt: skip
-# Of what is not swept, the choice from the data is left open as in `beltrami smooth`.
-_UNSWEPT = {name: None if name in TUNABLE else getattr(DEFAULTS.kernel, name) for name in _SWEPT}
+_SWEPT = ("beta", "t", "iterations", "metric_scale", "metric_steps")
 _SHOWN = {"iterations": "n", "metric_scale": "metric scale", "metric_steps": "metric steps"}
+# What is of a single picture, or follows from the options of smoothing.
+_NOT_LOOKS = ("slot", "on", "side_by_side", "turntable", "labels")
 
 
-def _values(kind: type[int] | type[float]) -> Callable[..., tuple[float, ...] | None]:
-    def parse(
-        context: click.Context, parameter: click.Parameter, text: str | None
-    ) -> tuple[float, ...] | None:
-        if text is None:
-            return None
+def _listed(declared: Parameter) -> Parameter:
+    """Return a parameter that takes a list of values, where it took one."""
+
+    def values_in(text: str) -> tuple[float, ...]:
         try:
-            values = tuple(kind(word) for word in text.split(","))
+            values = tuple(declared.kind(word) for word in text.split(","))
         except ValueError:
-            raise click.BadParameter(f"{text!r} is no list of numbers such as 4,8,16") from None
+            raise ValueError(f"is {text!r}, but must be a list of numbers such as 4,8,16") from None
         return tuple(dict.fromkeys(values))
 
-    return parse
+    return replace(
+        declared, default=None, several=True, optional=True, unset="one value, as for smooth", metavar="A,B,...",
+        parse=values_in,
+    )  # fmt: skip
+
+
+_LISTS = [_listed(each) for each in parameters(KernelParameters) if each.name in _SWEPT]
+
+
+def _sweeping(command: Callable[..., Any]) -> Callable[..., Any]:
+    for declared in _LISTS:
+        command = options.option_of(declared)(command)
+    return command
 
 
 @click.command("sweep", epilog=EPILOG)
@@ -60,8 +69,11 @@ def _values(kind: type[int] | type[float]) -> Callable[..., tuple[float, ...] | 
 @click.option(
     "--reference", metavar="FILE", help="The same without noise: measure how near to it each result is."
 )
-@options.smoothing
-@looking
+@_sweeping
+@options.options_of(SmoothSettings, without=_SWEPT)
+@options.preset
+@view
+@options.options_of(RenderSettings, without=_NOT_LOOKS)
 @options.reading
 @options.overwrite
 @options.quiet
@@ -80,15 +92,13 @@ def command(
     The first views are the reference, if there is one, and INPUT as it is; the others show their parameters.
     """
     messages = Messages(quiet=quiet, verbose=verbose)
-    looks = {name: given.pop(name) for name in LOOKS}
-    looks["on"] = "vertices" if given["on"] == "vertices" else "auto"
-    looks["slot"] = given["slots"].split(",")[0].strip()
-    settings = render_settings_from(looks)
-    reading = {name: given.pop(name) for name in ("max_memory", "allow_outside")}
     trials, columns = _trials(given)
+    plain = trials[0][1]
+    on = "vertices" if plain.on == "vertices" else "auto"
+    settings = render_settings_from(given, on=on, slot=plain.textures.slots[0])
     from beltrami_cli.view.sweep import best_of, sweep_file
 
-    with options.reading_from(reading, source) as access, messages.progress() as progress:
+    with options.reading_from(given, source) as access, messages.progress() as progress:
         done = sweep_file(
             source, target, trials, settings,
             columns=columns, reference=reference, overwrite=overwrite, progress=progress, access=access,
@@ -103,18 +113,14 @@ def command(
 
 def _trials(given: dict[str, Any]) -> tuple[list[tuple[dict[str, float], SmoothSettings]], int]:
     """Return what is tried, and how many trials belong in a row: the values of the last list that has several."""
-    lists = {name: given.pop(name) for name in _SWEPT}
-    swept = {name: values for name, values in lists.items() if values is not None}
+    swept = {
+        each.name: options.parsed(each, given[each.name]) for each in _LISTS if given[each.name] is not None
+    }
+    swept = {name: swept[name] for name in _SWEPT if name in swept}
     trials = []
     for combination in itertools.product(*swept.values()):
         chosen = dict(zip(swept, combination, strict=True))
-        settings = options.settings_from({**given, **_UNSWEPT, **chosen})
+        settings = options.settings_from({**given, **dict.fromkeys(_SWEPT), **chosen})
         trials.append(({_SHOWN.get(name, name): value for name, value in chosen.items()}, settings))
     rows = [len(values) for values in swept.values() if len(values) > 1]
     return trials, max(2, rows[-1] if rows else 2)
-
-
-for _option in command.params:
-    if isinstance(_option, click.Option) and _option.name in _SWEPT:  # takes a list, and not a value
-        _option.type, _option.callback, _option.default = click.STRING, _values(_SWEPT[_option.name]), None
-        _option.metavar = "A,B,..."

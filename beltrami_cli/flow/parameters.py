@@ -36,7 +36,7 @@ _SEGMENTS_REACH = 14
 # A Gaussian of a smaller standard deviation, in sample spacings, has no weight beyond its own sample.
 _SMALLEST_SCALE = 0.05
 
-_CHOSEN = "chosen from the data"
+_CHOSEN = "chosen from the data, else {default}"
 
 # Logarithm of the growth at which any difference in colour is far beyond the kernel, and numbers do not overflow yet.
 _MOST_GROWTH = 25.0
@@ -64,7 +64,7 @@ class KernelParameters:
         None,
         "How strongly edges are kept (full scale of colour is 1). 0 is a plain Gaussian on the surface; 5 "
         "to 40 suits strong to slight noise.",
-        kind=float, low=0, unit="units of length per unit of colour", unset=_CHOSEN, metavar="B",
+        kind=float, low=0, unit="units of length per unit of colour", unset="chosen from the data", metavar="B",
     )  # fmt: skip
     beta_growth: float = parameter(
         2.0,
@@ -113,7 +113,8 @@ class KernelParameters:
     )  # fmt: skip
     metric_steps: int = parameter(
         2,
-        "Do so in the first K iterations; the others take distances from the colours as they are.",
+        "Take distances from smoothed colours in the first K iterations; in the others, from the colours as "
+        "they are.",
         low=0, unset=_CHOSEN, metavar="K",
     )  # fmt: skip
     scheme: Scheme = parameter(
@@ -148,7 +149,7 @@ class KernelParameters:
         False,
         "Try nothing: what is not given follows a fixed rule for the noise. It takes no time, and results "
         "are some 0.2 dB worse on vertices, and 1.1 dB on textures and images. With --beta 0, --preset and "
-        "--smooth-geometry nothing is tried either: there the defaults hold.",
+        "--smooth-geometry nothing is tried either.",
     )  # fmt: skip
     strength: Strength = parameter(
         "normal",

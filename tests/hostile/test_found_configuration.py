@@ -15,7 +15,7 @@ from beltrami_cli.cli import found_configuration
 from beltrami_cli.cli.configuration import load
 from beltrami_cli.cli.found_configuration import MAY_BE_SET, candidates
 from beltrami_cli.cli.main import COMMANDS, defaults_from, group
-from beltrami_cli.cli.variables import long_name
+from beltrami_cli.cli.names import long_name
 from beltrami_cli.errors import UsageError
 from cli.commands import COMMAND, SAMPLES
 from hostile.folders import snapshot
