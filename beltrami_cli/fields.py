@@ -92,8 +92,8 @@ class Parameter:
         for each in value if isinstance(value, (tuple, list)) and self.several else (value,):
             fault = self._fault(each)
             if fault:
-                verb = f"has {each} among its values, but each" if self.several else f"is {each}, but"
-                raise UsageError(f"{self.name} {verb} must be {fault}")
+                name = f"one of {self.name}" if self.several else self.name
+                raise UsageError(f"{name} is {each}, but must be {fault}")
 
     def _fault(self, value: Any) -> str:
         """Return what a value would have to be; empty if it is as it must be."""

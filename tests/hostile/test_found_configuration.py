@@ -13,7 +13,7 @@ import pytest
 
 from beltrami_cli.cli import found_configuration
 from beltrami_cli.cli.configuration import load
-from beltrami_cli.cli.found_configuration import MAY_BE_SET, candidates
+from beltrami_cli.cli.found_configuration import candidates, may_be_found
 from beltrami_cli.cli.main import COMMANDS, defaults_from, group
 from beltrami_cli.cli.names import long_name
 from beltrami_cli.errors import UsageError
@@ -57,7 +57,7 @@ def test_every_option_that_is_not_listed_is_refused_in_a_line_that_names_the_way
     monkeypatch.chdir(tmp_path)
     path = tmp_path / ("pyproject.toml" if "tool" in table else "beltrami.toml")
     for option in options_of(name):
-        if option.name in MAY_BE_SET:
+        if may_be_found(option):
             continue
         value = "true" if option.is_flag else '"x"'
         path.write_text(f"{table.format(name)}{long_name(option)} = {value}\n")
@@ -69,10 +69,14 @@ def test_every_option_that_is_not_listed_is_refused_in_a_line_that_names_the_way
 
 
 def test_what_may_be_set_exists_and_is_harmless() -> None:
-    known = {option.name for name in COMMANDS for option in options_of(name)}
-    assert known >= MAY_BE_SET
-    assert known >= set(NEVER)
-    assert not MAY_BE_SET & set(NEVER)
+    options = [option for name in COMMANDS for option in options_of(name)]
+    assert {option.name for option in options} >= set(NEVER)
+    harmless = {option.name for option in options if may_be_found(option)}
+    assert harmless >= {"iterations", "beta", "slots", "jpeg_quality", "output_format", "preset"}
+    assert not harmless & set(NEVER)
+    # No option of a path can be missing in `NEVER`.
+    paths = {option.name for option in options if "FILE" in (option.metavar or "")}
+    assert paths - {"materials"} <= set(NEVER)
 
 
 def test_no_scheduler_is_connected_to(tmp_path: Path) -> None:

@@ -1,0 +1,166 @@
+"""Options are the fields of the parameter records: the same defaults, ranges and refusals; and the last resort."""
+
+from __future__ import annotations
+
+import math
+import os
+import subprocess
+
+import click
+import pytest
+
+from beltrami_cli.cli import options
+from beltrami_cli.cli.main import group
+from beltrami_cli.errors import UsageError
+from beltrami_cli.fields import override, parameters
+from beltrami_cli.jobs.settings import Limits, NoiseSettings
+from beltrami_cli.samples.settings import DEFAULTS, BakeSettings, SmoothSettings
+from beltrami_cli.view.settings import RenderSettings
+from cli.commands import COMMAND, SAMPLES, beltrami
+
+NOISY = SAMPLES / "terrain-noisy.ply"
+RECORDS = {
+    "smooth": DEFAULTS, "bake": BakeSettings(), "render": RenderSettings(), "noise": NoiseSettings(0.1),
+    "compare": Limits(),
+}  # fmt: skip
+PARAMETERS = [
+    pytest.param(name, each, id=f"{name}-{each.name}")
+    for name, record in RECORDS.items()
+    for each in parameters(record, deep=True)
+]
+ARGUMENTS = {"smooth": ["a", "b"], "bake": ["a", "b", "--to", "texture"], "noise": ["a", "b", "--sigma", "9"]}
+
+
+def values_of(name, *arguments):
+    """The values of a command's options, and the context in which they were found."""
+    command = group.get_command(click.Context(group), name)
+    return command.make_context(name, [*ARGUMENTS.get(name, ["a", "b"]), *arguments])
+
+
+def option_for(name, declared):
+    command = group.get_command(click.Context(group), name)
+    found = [
+        each
+        for each in command.params
+        if isinstance(each, options.ParameterOption) and each.declared.name == declared.name
+    ]
+    return found[0] if found else None
+
+
+def beyond(declared):
+    """Numbers that are just outside the range of a parameter, and what is no number."""
+    outside = [math.nan, math.inf] if declared.kind is float else []
+    if declared.low is not None:
+        outside.append(declared.low if declared.is_open else declared.low - 1)
+    if declared.high is not None:
+        outside.append(declared.high if declared.is_open else declared.high + 1)
+    return [*outside, 4] if declared.is_odd else outside
+
+
+@pytest.mark.parametrize(("name", "declared"), PARAMETERS)
+def test_every_parameter_is_an_option_with_its_help_and_range(name, declared):
+    option = option_for(name, declared)
+    if declared.flags is None:
+        assert option is None
+        return
+    assert declared.help in option.help
+    if declared.kind in (int, float) and (declared.low, declared.high) != (None, None):
+        assert declared.range in option.help
+
+
+@pytest.mark.parametrize(
+    "record", [SmoothSettings, BakeSettings, RenderSettings, Limits], ids=lambda each: each.__name__
+)
+def test_options_that_are_not_given_make_the_record_as_it_is_by_default(record):
+    name = next(name for name, made in RECORDS.items() if isinstance(made, record))
+    context = values_of(name)
+    with context.scope():
+        make = (
+            options.settings_from
+            if record is SmoothSettings
+            else lambda given: options.record_from(record, given)
+        )
+        assert make(context.params) == record()
+
+
+@pytest.mark.parametrize(("name", "declared"), [each for each in PARAMETERS if beyond(each.values[1])])
+def test_what_is_out_of_range_is_refused_as_an_option_and_as_a_keyword_in_the_same_words(name, declared):
+    option = option_for(name, declared)
+    for value in beyond(declared):
+        wanted = (value,) if declared.several else value
+        with pytest.raises(UsageError, match=rf"{declared.name} is .*, but must be") as refused:
+            override(RECORDS[name], **{declared.name: wanted})
+        if declared.parse is None:
+            with pytest.raises(UsageError) as typed:
+                values_of(name, f"{option.opts[-1]}={value}")
+            assert str(typed.value).partition(" must ")[2] == str(refused.value).partition(" must ")[2]
+
+
+@pytest.mark.parametrize(("name", "declared"), PARAMETERS)
+def test_what_is_of_another_type_is_refused(name, declared):
+    wrong = "much" if declared.kind in (int, float, bool) else 3
+    with pytest.raises(UsageError, match=f"{declared.name} is "):
+        override(RECORDS[name], **{declared.name: (wrong,) if declared.several else wrong})
+
+
+def test_overrides_reach_the_records_within_and_leave_the_rest_to_be_chosen():
+    settings = override(DEFAULTS, t=3.0, slots=("normal",), space="linear")
+    assert (settings.kernel.t, settings.textures.slots, settings.space) == (3.0, ("normal",), "linear")
+    assert set(DEFAULTS.kernel.free) - set(settings.kernel.free) == {"t"}
+    with pytest.raises(UsageError, match="no parameter iteration; did you mean iterations"):
+        override(DEFAULTS, iteration=3)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--threads", "0"], "threads is 0, but must be between 1 and 1024"),
+        (["--window", "4"], "odd"),
+        (["--gutter", "²"], "gutter"),
+        (["--gutter", "-1"], "gutter"),
+        (["--gutter", "9" * 5000], "gutter"),
+        (["--metric-scale", "1e-9"], "metric_scale"),
+        (["--channels", ""], "--channels names nothing"),
+        (["--channels", " , "], "--channels names nothing"),
+        (["--slots", ""], "--slots names nothing"),
+        (["--slots", "paint"], "one of slots is paint, but must be baseColor"),
+        (["--units", "world"], "--units world needs -t"),
+        (["--units", "world", "--preset", "paper"], "--units world needs -t"),
+    ],
+)
+def test_values_without_a_meaning_are_usage_errors(arguments, words, tmp_path):
+    run = beltrami("smooth", NOISY, tmp_path / "out.ply", *arguments)
+    assert run.returncode == 2, run.stderr
+    assert words in run.stderr.decode()
+    assert run.stderr.count(b"\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_units_of_the_file_are_taken_with_a_time_step_in_them(tmp_path):
+    run = beltrami("smooth", NOISY, tmp_path / "out.ply", "--units", "world", "-t", "0.001")
+    assert run.returncode == 0, run.stderr
+
+
+@pytest.mark.parametrize(
+    ("flags", "traceback"),
+    [([], False), (["-v"], False), (["-vv"], True), (["-v", "-v"], True), (["--verbose", "--verbose"], True)],
+)
+def test_what_nobody_foresaw_ends_in_one_line_and_the_traceback_on_demand(flags, traceback, tmp_path):
+    arguments = [*COMMAND, "smooth", str(SAMPLES / "mirrored-noisy.obj"), str(tmp_path / "out.obj"), *flags]
+    run = subprocess.run(
+        arguments, env={**os.environ, "BELTRAMI_SIMD": "foo"}, capture_output=True, check=False
+    )
+    assert run.returncode == 1
+    *before, last = run.stderr.decode().splitlines()
+    assert last.startswith("beltrami: unexpected error: ")
+    assert last.endswith("run again with -vv and report it")
+    assert ("Traceback" in "\n".join(before)) == traceback
+
+
+def test_no_iterations_say_that_the_file_was_copied(tmp_path):
+    copied = beltrami("smooth", NOISY, tmp_path / "out.ply", "-n", "0")
+    assert b"copied unchanged" in copied.stderr
+    converted = beltrami("smooth", NOISY, tmp_path / "out.obj", "-n", "0")
+    assert converted.returncode == 0
+    assert b"copied" not in converted.stderr
+    assert b"colours are unchanged" in converted.stderr
