@@ -1,8 +1,9 @@
 """Smooth the colours painted on a surface with the short-time Beltrami kernel.
 
-`smooth` takes the arrays of a mesh, `smooth_image` those of an image, `smooth_file` and `inspect_file` take files;
-`SmoothSettings` and `KernelParameters` hold the parameters with their defaults. Importing the package loads nothing
-heavy: names are resolved when they are used.
+`smooth` takes the arrays of a mesh or a point cloud, `smooth_image` those of an image; `smooth_file` and `inspect_file`
+take files. `SmoothSettings` and the records in it hold the parameters with their defaults, which keywords override;
+`ImageSurface` holds where the pixels of an image lie, and `Job` what may be read and written. Importing the package
+loads nothing heavy: names are resolved when they are used.
 """
 
 from __future__ import annotations
@@ -13,22 +14,36 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from beltrami_cli.errors import BeltramiError, InputError, OutputError, ProcessingError, UsageError
     from beltrami_cli.flow.parameters import KernelParameters
+    from beltrami_cli.formats.access import Access
     from beltrami_cli.jobs.arrays import ImageResult, SmoothResult, smooth, smooth_image
     from beltrami_cli.jobs.inspect import inspect_file
+    from beltrami_cli.jobs.job import Job
     from beltrami_cli.jobs.report import SmoothReport
     from beltrami_cli.jobs.smooth import smooth_file
-    from beltrami_cli.samples.settings import ImageSettings, SmoothSettings, TextureSettings
+    from beltrami_cli.samples.image_surface import ImageSurface
+    from beltrami_cli.samples.settings import (
+        BakeSettings,
+        EmbeddingSettings,
+        ImageSettings,
+        LevelSetSettings,
+        SmoothSettings,
+        TextureSettings,
+    )
 
 _HOME_OF = {
+    "Access": "formats.access",
+    "BakeSettings": "samples.settings",
     "BeltramiError": "errors",
+    "EmbeddingSettings": "samples.settings",
     "ImageResult": "jobs.arrays",
     "ImageSettings": "samples.settings",
     "ImageSurface": "samples.image_surface",
     "InputError": "errors",
+    "Job": "jobs.job",
     "KernelParameters": "flow.parameters",
+    "LevelSetSettings": "samples.settings",
     "OutputError": "errors",
     "ProcessingError": "errors",
-    "Job": "jobs.job",
     "SmoothReport": "jobs.report",
     "SmoothResult": "jobs.arrays",
     "SmoothSettings": "samples.settings",
@@ -41,13 +56,17 @@ _HOME_OF = {
 }
 
 __all__ = [
+    "Access",
+    "BakeSettings",
     "BeltramiError",
+    "EmbeddingSettings",
     "ImageResult",
     "ImageSettings",
     "ImageSurface",
     "InputError",
     "Job",
     "KernelParameters",
+    "LevelSetSettings",
     "OutputError",
     "ProcessingError",
     "SmoothReport",

@@ -14,7 +14,7 @@ settings.load_profile("patient")
 _OF_POSIX = [
     "cli/test_batch_command.py",
     "cli/test_memory_option.py",
-    "cli/test_readme_many_files.py",
+    "cli/test_shell_and_make.py",
     "cli/test_smooth_command.py",
     "formats/test_gltf_container.py",
     "hostile",

@@ -1,4 +1,4 @@
-"""Completion in shells: what README.md tells to type makes them complete commands, options and values."""
+"""Completion in shells: the lines of docs/configuration.md make them complete commands, options and values."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Every command and option is documented, and what the pages tell people to type works."""
+"""Every command and option is documented, and the commands that the pages show work."""
 
 from __future__ import annotations
 
@@ -129,7 +129,15 @@ def stand_ins(tmp_path_factory):
     return folder
 
 
-RUN_PAGES = {"README.md", "configuration.md", "images.md", "index.md", "tuning.md"}
+RUN_PAGES = {
+    "README.md",
+    "commands.md",
+    "configuration.md",
+    "images.md",
+    "index.md",
+    "pictures.md",
+    "tuning.md",
+}
 FOUND = [words for page, words in WRITTEN if page in RUN_PAGES and not {"-", "{}"} & set(words)]
 RUN = list({" ".join(words): words for words in FOUND}.values())
 
@@ -147,3 +155,25 @@ def test_the_commands_of_the_readme_and_of_pages_to_start_with_run(words, stand_
     small = ["--size", "40"] if name in ("render", "sweep") else []  # the last one counts
     overwriting = ["--overwrite"] if any(option.name == "overwrite" for option in own) else []
     group.main([*words, *small, *overwriting], prog_name="beltrami", standalone_mode=False)
+
+
+@pytest.mark.parametrize("name", ["README.md", "docs/index.md", "docs/api.md"])
+def test_the_python_of_pages_runs(name, stand_ins, tmp_path, monkeypatch):
+    folder = shutil.copytree(stand_ins, tmp_path / "work")
+    shutil.copy(SAMPLES / "head-tex-noisy.glb", folder / "scan.glb")
+    (folder / "clean.ply").unlink()
+    (folder / "clean.glb").unlink()
+    monkeypatch.chdir(folder)
+    values = ramp(3)
+    rows, columns = np.mgrid[: len(values), : len(values)]
+    positions = np.stack([rows, columns, 0 * rows], axis=2).reshape(-1, 3)
+    corner = (rows * len(values) + columns)[:-1, :-1].ravel()
+    faces = np.stack([corner, corner + 1, corner + len(values)], axis=1)
+    known = {
+        "positions": positions, "points": positions, "faces": faces, "colours": values.reshape(-1, 3),
+        "pixels": values, "depth": values[..., 0],
+    }  # fmt: skip
+    blocks = re.findall(r"```python\n(.*?)```", (ROOT / name).read_text(encoding="utf-8"), re.DOTALL)
+    for block in blocks:
+        exec(compile(block, name, "exec"), known)
+    assert known["result"].colours.shape == (len(positions), 3)

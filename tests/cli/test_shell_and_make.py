@@ -1,4 +1,4 @@
-"""What README.md shows for many files, run as it stands there."""
+"""What docs/batch.md shows for the shell and for make, run as it stands there."""
 
 from __future__ import annotations
 
@@ -15,8 +15,12 @@ import pytest
 from cli.commands import COMMAND, SAMPLES
 from hostile.textured_models import write_model
 
-README = Path(__file__).parents[2] / "README.md"
-SECTION = README.read_text(encoding="utf-8").partition("\n## Many files\n")[2].partition("\n## ")[0]
+PAGE = Path(__file__).parents[2] / "docs" / "batch.md"
+SECTION = (
+    PAGE.read_text(encoding="utf-8")
+    .partition("\n## From the shell, and with make\n")[2]
+    .partition("\n## ")[0]
+)
 [SHELL], [MAKEFILE] = (re.findall(rf"```{kind}\n(.*?)```", SECTION, re.DOTALL) for kind in ("sh", "make"))
 # Variables of the environment make it quick; on the command line nothing is changed.
 QUICK = {"ITERATIONS": "1", "TIME_STEP": "0.5", "BETA_GROWTH": "1", "METRIC_STEPS": "0"}
