@@ -23,7 +23,7 @@ _FLOATS = 2 * 4  # the old and the new colours of one image at a time, in single
 
 # Bytes for each texel of all textures together that smoothing takes besides the images, at most: with large arrays in
 # memory, and in files.
-_SMOOTHING, _SMOOTHING_ON_DISK = 130, 8
+TEXEL_BYTES, TEXEL_BYTES_ON_DISK = 130, 8
 
 
 def require_room(images: Iterable[tuple[str, bytes]], access: Access) -> None:
@@ -104,9 +104,9 @@ def _is_too_much(images: Iterable[tuple[str, bytes]], memory: int) -> bool:
         texels += size.width * size.height
         decoded += size.decoded
         largest = max(largest, size.decoded)
-        if largest + _SMOOTHING_ON_DISK * texels > memory:
+        if largest + TEXEL_BYTES_ON_DISK * texels > memory:
             raise _too_large(name, size)
-    return 2 * decoded + _SMOOTHING * texels > memory
+    return 2 * decoded + TEXEL_BYTES * texels > memory
 
 
 def _chosen(document: Document, slot: Slot, wanted: TextureSettings) -> Iterator[tuple[str, bytes]]:

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from beltrami_cli.surface.volume import Volume
 
 # More grid edges than these are cut by noise, or at a wrong level; and marching cubes counts in 32 bits.
-_MOST_CROSSINGS = 1 << 26
+MOST_CROSSINGS = 1 << 26
 _BYTES_OF_VOXEL = 16  # its value in double precision, its colour, and what marching cubes takes
 _LARGEST_PLANE = 1 << 29  # samples in a layer, four to each counted in 32 bits
 
@@ -143,7 +143,7 @@ def _triangulated(
     if values.shape[1] * values.shape[2] >= _LARGEST_PLANE:
         raise InputError(name, f"the grid of {values.shape} is too large in y and z", "cut it in pieces")
     crossings = find_crossings(values, level, known)
-    if crossings.count > _MOST_CROSSINGS:
+    if crossings.count > MOST_CROSSINGS:
         cause = f"the surface at level {level:g} cuts {crossings.count} edges of the grid, as noise does"
         raise InputError(name, cause, "choose another --level, or smooth the values first")
     vertices, faces = np.empty((0, 3)), np.empty((0, 3), np.int32)

@@ -31,7 +31,8 @@ BLOCK = 1 << 20
 SCATTERED = 1 << 16
 """The same of samples that lie all over the arrays, each on a page of its own."""
 
-_LEAST = 1 << 24  # bytes; smaller arrays stay in memory
+SMALLEST_FILE = 1 << 24
+"""Bytes; smaller arrays stay in memory."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +71,7 @@ def _on_disk(shape: int | Sequence[int], dtype: DTypeLike) -> NDArray[Any] | Non
     disk = _DISK.get()
     shape = (shape,) if isinstance(shape, int) else tuple(shape)
     size = math.prod(shape) * np.dtype(dtype).itemsize
-    if disk is None or size < _LEAST:
+    if disk is None or size < SMALLEST_FILE:
         return None
     import tempfile
 

@@ -83,7 +83,7 @@ def triangulate_level_set(
         vertices, faces, _, _ = marching_cubes(offsets, 0.0, gradient_direction="descent", mask=cells)
     except RuntimeError:  # nothing is cut in any known cell
         return np.empty((0, 3)), np.empty((0, 3), np.int32)
-    return _compacted(vertices.astype(np.float64), faces)
+    return compacted(vertices.astype(np.float64), faces)
 
 
 def _require_memory(crossings: int, shape: tuple[int, ...]) -> None:
@@ -127,7 +127,7 @@ def _prepared(
     return offsets, finite
 
 
-def _compacted(
+def compacted(
     vertices: NDArray[np.float64], faces: NDArray[np.int32]
 ) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
     """Put together vertices that edges join and whose nearest grid point is the same, in the middle of them."""

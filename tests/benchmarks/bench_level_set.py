@@ -34,10 +34,10 @@ def painting(directions):
 def meshes(values):
     """Return the vertices and triangles of both meshes by their names."""
     crossings = level_set.find_crossings(values, 0)
-    whole = level_set._compacted
-    level_set._compacted = lambda vertices, faces: (vertices, faces)
+    whole = level_set.compacted
+    level_set.compacted = lambda vertices, faces: (vertices, faces)
     plain = level_set.triangulate_level_set(values, 0, crossings)
-    level_set._compacted = whole
+    level_set.compacted = whole
     return {
         "marching cubes": plain,
         "a vertex a voxel": level_set.triangulate_level_set(values, 0, crossings),

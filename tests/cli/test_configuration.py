@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import os
 import shutil
-import subprocess
 import tomllib
 
 import pytest
 
-from cli.commands import COMMAND, SAMPLES
+from cli.commands import SAMPLES, beltrami
 
 NOISY = SAMPLES / "nonmanifold-noisy.ply"
 QUICK = {"iterations": 1, "time-step": 0.5, "beta-growth": 1, "metric-steps": 0}
@@ -26,16 +25,13 @@ def _files_of_ones_own():
 def run(tmp_path):
     """Runs the command in a folder, with variables."""
 
-    def beltrami(*arguments, code=0, cwd=tmp_path, **variables):
-        done = subprocess.run(
-            [*COMMAND, *map(str, arguments)],
-            capture_output=True, check=False, cwd=cwd, env={**os.environ, **variables}, timeout=120,
-        )  # fmt: skip
+    def checked(*arguments, code=0, cwd=tmp_path, **variables):
+        done = beltrami(*arguments, cwd=cwd, env=variables)
         assert done.returncode == code, done.stderr.decode()
         assert b"Traceback" not in done.stderr
         return done.stdout.decode() if code == 0 else done.stderr.decode()
 
-    return beltrami
+    return checked
 
 
 def written(options, table="smooth"):

@@ -92,10 +92,7 @@ def test_an_existing_output_is_kept_unless_overwriting_is_asked_for(tmp_path):
 def test_an_output_that_cannot_be_is_named_as_the_user_named_it(target, words, tmp_path):
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "there.ply").write_bytes(b"kept")
-    run = subprocess.run(
-        [*COMMAND, "smooth", str(SAMPLES / "knot-noisy.ply"), target],
-        cwd=tmp_path, capture_output=True, timeout=60, check=False,
-    )  # fmt: skip
+    run = beltrami("smooth", SAMPLES / "knot-noisy.ply", target, cwd=tmp_path)
     assert run.returncode == 4
     assert run.stderr.startswith(b"beltrami: " + target[:20].encode())
     assert words in run.stderr

@@ -41,12 +41,12 @@ def child(target: str, at: int, number: int) -> None:
     from beltrami_cli.formats.document import Written
     from beltrami_cli.jobs.writing.output import Output
 
-    def job() -> int:
+    def job(**_: object) -> int:
         output = Output(target, overwrite=True)
         output.write(Written([b"new ", b"model"], {"maps.mtl": b"new", "maps/skin.png": b"new"}))
         return 0
 
-    command._run = job
+    command.group.main = job
     if number != signal.SIGKILL:
         signal.signal(number, signal.SIG_DFL)  # who started the tests may not want to hear it, as with nohup
     ending = Ending(at, number)

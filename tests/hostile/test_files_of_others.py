@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
-import subprocess
 from typing import TYPE_CHECKING
 
 import pytest
@@ -13,10 +11,11 @@ import pytest
 from beltrami_cli.jobs.compare.map import is_map
 from beltrami_cli.jobs.report import is_report
 from beltrami_cli.view.render import is_preview
-from cli.commands import COMMAND, SAMPLES, beltrami
+from cli.commands import SAMPLES, beltrami
 from hostile.folders import snapshot
 
 if TYPE_CHECKING:
+    import subprocess
     from pathlib import Path
 
 NOISY = SAMPLES / "nonmanifold-noisy.ply"
@@ -34,10 +33,7 @@ OPTIONS = {"report": "--report", "preview": "--preview", "map": "--map", "record
 
 
 def run(folder: Path, *arguments: object, **variables: str) -> subprocess.CompletedProcess[bytes]:
-    return subprocess.run(
-        [*COMMAND, *map(str, arguments)], cwd=folder, env={**os.environ, **variables}, capture_output=True,
-        check=False, timeout=120,
-    )  # fmt: skip
+    return beltrami(*arguments, cwd=folder, env=variables)
 
 
 @pytest.mark.parametrize("kind", NAMED)

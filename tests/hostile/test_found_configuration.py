@@ -5,20 +5,22 @@ from __future__ import annotations
 import json
 import os
 import socket
-import subprocess
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 import pytest
 
-from beltrami_cli.cli import found_configuration
 from beltrami_cli.cli.configuration import load
 from beltrami_cli.cli.found_configuration import candidates, may_be_found
 from beltrami_cli.cli.main import COMMANDS, defaults_from, group
 from beltrami_cli.cli.names import long_name
 from beltrami_cli.errors import UsageError
-from cli.commands import COMMAND, SAMPLES
+from cli.commands import SAMPLES, beltrami
 from hostile.folders import snapshot
+
+if TYPE_CHECKING:
+    import subprocess
 
 NOISY = SAMPLES / "nonmanifold-noisy.ply"
 QUICK = ("-n", "1", "--fast")
@@ -37,10 +39,7 @@ def _files_of_ones_own():
 
 
 def run(folder: Path, *arguments: object, **variables: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [*COMMAND, *map(str, arguments)], cwd=folder, env={**os.environ, **variables}, capture_output=True, text=True,
-        check=False, timeout=120,
-    )  # fmt: skip
+    return beltrami(*arguments, cwd=folder, env=variables, text=True)
 
 
 def options_of(name: str) -> list[click.Option]:
@@ -186,7 +185,7 @@ def test_the_search_ends_at_the_border_of_a_file_system(monkeypatch: pytest.Monk
     if not mount.is_dir() or mount.stat().st_dev == mount.parent.stat().st_dev:
         pytest.skip("there is no other file system")
     monkeypatch.setattr(Path, "is_file", lambda _: True)
-    monkeypatch.setattr(found_configuration, "_home", lambda: None)
+    monkeypatch.setenv("HOME", "/nonexistent")
     assert {path.parent for path in candidates(mount)} == {mount}
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import random
 import shutil
 import signal
@@ -39,10 +40,11 @@ def test_a_signal_at_any_step_that_touches_files(target: str, number: signal.Sig
     folder = folder_with_model(tmp_path)
     (folder / "new").mkdir()
     script = Path(__file__).with_name("interrupting.py")
+    where = [str(script.parents[1]), *filter(None, [os.environ.get("PYTHONPATH")])]
     run = subprocess.run(
         [sys.executable, script, folder, str(int(number)), target],
         capture_output=True, text=True, check=True, timeout=300,
-        env={"PYTHONPATH": str(script.parents[1]), "OPENBLAS_NUM_THREADS": "1"},
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(where), "OPENBLAS_NUM_THREADS": "1"},
     )  # fmt: skip
     *wrong, steps = run.stdout.splitlines()
     assert wrong == []

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 import shutil
-import subprocess
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,11 +16,12 @@ from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.check import check_files
 from beltrami_cli.jobs.smooth import smooth_file
-from cli.commands import COMMAND, SAMPLES
+from cli.commands import SAMPLES, beltrami
 from formats.ply_files import ENCODINGS, Table, build, coloured
 from hostile.textured_models import OTHER, PICTURE, write_model
 
 if TYPE_CHECKING:
+    import subprocess
     from pathlib import Path
 
     from beltrami_cli.formats.document import Written
@@ -227,9 +227,7 @@ def test_the_command_lists_and_exits_as_it_says(tmp_path: Path) -> None:
     after = halved(source, tmp_path / "after.ply")
 
     def check(*arguments: str) -> subprocess.CompletedProcess[str]:
-        return subprocess.run(
-            [*COMMAND, "check", str(source), *arguments], capture_output=True, text=True, check=False
-        )
+        return beltrami("check", source, *arguments, text=True)
 
     run = check(str(after))
     assert (run.returncode, run.stderr) == (0, "")

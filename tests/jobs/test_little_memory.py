@@ -13,7 +13,7 @@ from beltrami_cli.errors import InputError, ProcessingError
 from beltrami_cli.formats.access import Access
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.smooth import smooth_file
-from beltrami_cli.samples import memory_check as room
+from beltrami_cli.samples import memory_check
 from beltrami_cli.surface import large_arrays
 
 SAMPLES = Path(__file__).parents[2] / "sample_data"
@@ -28,17 +28,16 @@ def smoothed(model, folder, memory, **options):
 
 @pytest.fixture
 def on_disk(monkeypatch):
-    """All arrays for which there is no room, however small, are in files; returns the list of their sizes."""
-    monkeypatch.setattr(large_arrays, "_LEAST", 1)
+    """All arrays for which there is no room, however small, are in files; returns the bytes that these take."""
+    monkeypatch.setattr(large_arrays, "SMALLEST_FILE", 1)
     sizes = []
-    make = large_arrays.mmap.mmap
+    take = os.posix_fallocate
 
-    class Counted(make):
-        def __new__(cls, descriptor, size):
-            sizes.append(size)
-            return make(descriptor, size)
+    def measured(descriptor, offset, size):
+        sizes.append(size)
+        take(descriptor, offset, size)
 
-    monkeypatch.setattr(large_arrays.mmap, "mmap", Counted)
+    monkeypatch.setattr(os, "posix_fallocate", measured)
     return sizes
 
 
@@ -50,9 +49,9 @@ def test_the_result_is_the_same(model, tmp_path, monkeypatch, on_disk):
     in_memory = smoothed(model, tmp_path / "memory", None)
     assert not on_disk
     monkeypatch.setattr(large_arrays, "BLOCK", 1000)
-    monkeypatch.setattr(room, "_SMOOTHING", 1e6)  # bytes a texel
+    monkeypatch.setattr(memory_check, "TEXEL_BYTES", 1e6)  # bytes a texel
     files = smoothed(model, tmp_path / "disk", 1 << 30)
-    assert len(on_disk) > 10
+    assert sum(on_disk) > 1 << 20  # at least the colours of a texture of 256 x 256 texels, old and new
     assert files == in_memory
 
 
@@ -67,7 +66,7 @@ def test_a_full_disk_is_told_and_leaves_nothing(tmp_path, monkeypatch, on_disk):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr(os, "posix_fallocate", full)
-    monkeypatch.setattr(room, "_SMOOTHING", 1e6)
+    monkeypatch.setattr(memory_check, "TEXEL_BYTES", 1e6)
     with pytest.raises(
         ProcessingError, match=r"no room for \d+ MB of working space \(No space left on device\)"
     ):
@@ -86,5 +85,5 @@ def test_arrays_in_files_are_like_others(tmp_path, on_disk):
     large_arrays.leave_memory()
     assert array[:, 3].tolist() == [0, 0, 2, 2, 4]
     assert np.array_equal(copy, array)
-    assert len(on_disk) == 2
+    assert on_disk == [array.nbytes, copy.nbytes]
     assert not list(tmp_path.iterdir())

@@ -65,13 +65,13 @@ class Blur:
         return state.reshape(-1, state.shape[-1])
 
 
-@pytest.mark.parametrize(("epsilon", "bias"), [(0.05, 0.0), (sure._EPSILON, 0.03)])
+@pytest.mark.parametrize(("epsilon", "bias"), [(0.05, 0.0), (sure.PERTURBATION, 0.03)])
 def test_the_estimated_error_is_the_true_one(monkeypatch, epsilon, bias):
     """Over many draws of noise and signs, the mean difference is within four of its standard errors.
 
     A perturbation as large as is used, which makes estimates steady, may add 3 per cent of the noise's variance.
     """
-    monkeypatch.setattr(sure, "_EPSILON", epsilon)
+    monkeypatch.setattr(sure, "PERTURBATION", epsilon)
     clean = painting(48)
     step = Step(beta=1.4 / SIGMA, t=2.4, regularised=False)
     differences = []
@@ -242,8 +242,8 @@ def test_a_sample_of_a_mesh_is_enough(monkeypatch):
     clean = 0.5 + 0.2 * np.sign(np.sin(5 * positions))
     surface = SampledSurface(positions, faces, np.zeros((0, 3), np.int32), noisy(clean))
     reached = []
-    for budget in (mesh_trial._LEAST_TRIED // 2, mesh_trial._LEAST_TRIED):
-        monkeypatch.setattr(mesh_trial, "_LEAST_TRIED", budget)
+    for budget in (mesh_trial.LEAST_TRIED // 2, mesh_trial.LEAST_TRIED):
+        monkeypatch.setattr(mesh_trial, "LEAST_TRIED", budget)
         flow = BeltramiFlow(MeshManifold(surface, CHOSEN), CHOSEN)
         assert flow.choice.samples < len(positions) / 2
         flow.run()
@@ -260,7 +260,7 @@ def test_samples_are_enough_on_small_pieces():
     whole = np.concatenate([edges + 3 * count * k for k in range(5)])
     colours = np.concatenate([colours + np.float32(0.01 * k) for k in range(5)])
     chosen = mesh_trial.choose_patches(colours, mesh_trial.fingerprints(colours, whole), whole)
-    wanted = mesh_trial._LEAST_TRIED
+    wanted = mesh_trial.LEAST_TRIED
     assert 0.7 * wanted < len(chosen.samples) < 1.3 * wanted
     assert np.all(np.bincount(chosen.samples // 3)[chosen.samples // 3] == 3)
 

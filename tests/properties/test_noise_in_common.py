@@ -185,7 +185,7 @@ def test_of_a_large_picture_bands_tell_the_noise(monkeypatch):
     noise = enlarged((2048, 512), 1.5, 10 / 255)
     octaves = []
     for cells in (2048 * 512, 2 * 128 * 512):
-        monkeypatch.setattr(correlated_noise, "_CELLS", cells)
+        monkeypatch.setattr(correlated_noise, "MOST_CELLS", cells)
         octaves.append(found(0.5 + noise)[0])
     assert sigma_of_octaves(octaves[1]) == pytest.approx(sigma_of_octaves(octaves[0]), rel=0.1)
 

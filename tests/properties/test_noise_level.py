@@ -8,7 +8,7 @@ from scipy.ndimage import gaussian_filter
 
 import beltrami_cli
 from beltrami_cli._native import measure_haar_tiles
-from beltrami_cli.flow.noise.flat_patch_noise import _quantile
+from beltrami_cli.flow.noise.flat_patch_noise import quantile
 from beltrami_cli.flow.noise.grid import estimate_sigma_on_grid
 from beltrami_cli.flow.noise.mesh import estimate_sigma
 from oracles import surfaces
@@ -196,4 +196,4 @@ def test_quantiles_are_those_of_numpy(count):
     values = np.random.default_rng(count).standard_normal(count) ** 2
     for share in (0.0, 0.1, 0.37, 0.5, 1.0):
         # The same line between the same two values, rounded once more or less.
-        assert _quantile(values, share) == pytest.approx(np.quantile(values, share), rel=1e-15)
+        assert quantile(values, share) == pytest.approx(np.quantile(values, share), rel=1e-15)

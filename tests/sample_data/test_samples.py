@@ -16,17 +16,6 @@ NAMES = ("knot", "head", "terrain", "nonmanifold")
 
 
 @pytest.fixture(scope="module")
-def make():
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(FOLDER))
-        import make
-
-        yield make
-        for path in FOLDER.glob("*.py"):
-            sys.modules.pop(path.stem, None)
-
-
-@pytest.fixture(scope="module")
 def samples(make):
     return dict(make.samples())
 

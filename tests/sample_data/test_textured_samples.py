@@ -21,17 +21,6 @@ SEAMED = ("head-tex", "torus-two", "sphere-exr", "scan")
 
 
 @pytest.fixture(scope="module")
-def make():
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(FOLDER))
-        import make
-
-        yield make
-        for path in FOLDER.glob("*.py"):
-            sys.modules.pop(path.stem, None)
-
-
-@pytest.fixture(scope="module")
 def samples(make):
     return dict(make.textured_samples())
 

@@ -56,7 +56,7 @@ _ADDED = 1.25
 _ENOUGH_INSIDE = 0.2
 
 # Rows of a band, a multiple of the cells that the coarsest details span; and cells that are looked at in all.
-_BAND, _CELLS = 128, 200_000
+_BAND, MOST_CELLS = 128, 200_000
 
 # Of fewer cells, and of fewer a side, coarse octaves tell nothing: texture may look like noise.
 _ENOUGH, _SMALLEST = 40_000, 64
@@ -239,7 +239,7 @@ def _root_mean_square(values: NDArray[np.float64]) -> float:
 
 def _some_rows(count: int, columns: int) -> slice | NDArray[np.intp]:
     """Choose bands of rows, evenly spread, with about so many cells; all rows if there are no more."""
-    bands = max(2, _CELLS // (_BAND * max(1, columns)))
+    bands = max(2, MOST_CELLS // (_BAND * max(1, columns)))
     if count <= _BAND * bands:
         return slice(None)
     first = ((np.arange(bands) + 0.5) * count / bands - _BAND / 2).astype(int)

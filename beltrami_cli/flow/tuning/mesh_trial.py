@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 # Samples to try parameters on, as a share of all, so that trying takes hardly longer than smoothing: some sixty
 # iterations are tried, each two or three times. Fewer than so many tell too little, and take some tenths of a second.
 _SHARE_TRIED = 1 / 20
-_LEAST_TRIED = 6_000
+LEAST_TRIED = 6_000
 # More tell nothing new.
 _MOST_TRIED = 40_000
 
@@ -91,10 +91,10 @@ def choose_patches(
     """
     joined = np.bincount(edges.ravel(), minlength=len(around)) > 0
     connected = np.flatnonzero(joined)
-    budget = min(max(_LEAST_TRIED, int(len(connected) * _SHARE_TRIED)), _MOST_TRIED)
+    budget = min(max(LEAST_TRIED, int(len(connected) * _SHARE_TRIED)), _MOST_TRIED)
     if len(connected) <= _WHOLE * budget:
         return Patches(connected, np.ones(len(connected), bool))
-    ranked = _ranked(colours, around, edges, connected) if budget == _LEAST_TRIED else None
+    ranked = _ranked(colours, around, edges, connected) if budget == LEAST_TRIED else None
     count = max(1, budget // _PATCH)
     for _ in range(_TURNS):
         middles = np.zeros(len(around), bool)

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 # The perturbation, in units of the noise: far above the rounding of float32. Distances on meshes bend where their paths
 # change, so a smaller one meets a derivative that changes from sample to sample, and a larger one changes the kernels:
 # on painted and photographed samples, half or twice as much chooses worse.
-_EPSILON = 0.3
+PERTURBATION = 0.3
 
 # Of few samples the divergence is uncertain by one perturbation: so many samples, or so many perturbations, are enough.
 _ENOUGH_SAMPLES, _MOST_PROBES = 5_000, 4
@@ -119,7 +119,7 @@ class RiskEstimate:
 
     def __init__(self, trial: Trial, sigma: NDArray[np.float64]) -> None:
         self._trial = trial
-        self._epsilon = _EPSILON * float(np.sqrt(np.square(sigma).mean()))
+        self._epsilon = PERTURBATION * float(np.sqrt(np.square(sigma).mean()))
         self._noisy = trial.scored(trial.start)
         self._variance = np.square(sigma) * self._left_by_clipping()
         self._signs = [trial.scored(signs) for signs in trial.signs]
