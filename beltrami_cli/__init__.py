@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from beltrami_cli.jobs.arrays import ImageResult, SmoothResult, smooth, smooth_image
     from beltrami_cli.jobs.inspect import inspect_file
     from beltrami_cli.jobs.job import Job
-    from beltrami_cli.jobs.report import SmoothReport
     from beltrami_cli.jobs.smooth import smooth_file
+    from beltrami_cli.jobs.smoothing import SmoothReport
     from beltrami_cli.samples.image_surface import ImageSurface
     from beltrami_cli.samples.settings import (
         BakeSettings,
@@ -44,7 +44,7 @@ _HOME_OF = {
     "LevelSetSettings": "samples.settings",
     "OutputError": "errors",
     "ProcessingError": "errors",
-    "SmoothReport": "jobs.report",
+    "SmoothReport": "jobs.smoothing",
     "SmoothResult": "jobs.arrays",
     "SmoothSettings": "samples.settings",
     "TextureSettings": "samples.settings",

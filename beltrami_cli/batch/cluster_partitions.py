@@ -16,15 +16,8 @@ from typing import TYPE_CHECKING, Any
 from beltrami_cli.batch.cluster_connection import LOST
 from beltrami_cli.batch.item import Attempt, do_item
 from beltrami_cli.errors import ProcessingError
-from beltrami_cli.flow.partitions import (
-    Advance,
-    Joined,
-    TooNarrowError,
-    collect,
-    in_partitions,
-    joined,
-    plan_loans,
-)
+from beltrami_cli.flow.beltrami_flow import in_partitions
+from beltrami_cli.flow.partitions import Advance, Joined, TooNarrowError, collect, joined, plan_loans
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence

@@ -17,13 +17,13 @@ from beltrami_cli.batch.storage import hash_at, is_url, staged
 from beltrami_cli.errors import BeltramiError, InputError
 from beltrami_cli.formats.access import Access
 from beltrami_cli.jobs.job import Job
-from beltrami_cli.jobs.memory import limited_memory
-from beltrami_cli.jobs.writing.files import FileSet
+from beltrami_cli.jobs.resources import limited_memory
+from beltrami_cli.jobs.writing.output import FileSet
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from beltrami_cli.jobs.report import SmoothReport
+    from beltrami_cli.jobs.smoothing import SmoothReport
     from beltrami_cli.samples.settings import BakeSettings, SmoothSettings
 
     Progress = Callable[[str, int, int], None]

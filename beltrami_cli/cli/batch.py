@@ -134,7 +134,7 @@ def command(
     from beltrami_cli.batch.run import run_batch
     from beltrami_cli.cli.batch_display import Display, show_table
     from beltrami_cli.flow.parameters import KernelParameters
-    from beltrami_cli.jobs.memory import memory_of_machine
+    from beltrami_cli.jobs.resources import memory_of_machine
 
     if pieces is not None and scheduler is None:
         raise UsageError("--pieces are for the workers of a --scheduler; name one")

@@ -15,7 +15,7 @@ from beltrami_cli.fields import REQUIRED, Parameter, parameters, parts
 from beltrami_cli.flow.parameters import PRESETS, KernelParameters, parameters_with
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.registry import OUTPUT_FORMATS
-from beltrami_cli.jobs.memory import limited_memory, memory_of_machine, parse_size
+from beltrami_cli.jobs.resources import limited_memory, memory_of_machine, parse_size
 from beltrami_cli.samples.settings import IMAGE_FORMATS, BakeSettings, SmoothSettings
 
 if TYPE_CHECKING:

@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from beltrami_cli.cli.console import counted
-from beltrami_cli.jobs.memory import show_size
+from beltrami_cli.jobs.resources import show_size
 
 if TYPE_CHECKING:
     from beltrami_cli.cli.console import Messages
-    from beltrami_cli.jobs.report import SmoothReport
+    from beltrami_cli.jobs.smoothing import SmoothReport
     from beltrami_cli.samples.reports import ImageReport, SlotReport, VertexReport
 
     Done = VertexReport | ImageReport | SlotReport

@@ -15,9 +15,8 @@ from beltrami_cli.jobs.job import Job
 
 if TYPE_CHECKING:
     from beltrami_cli.formats.access import Access
-    from beltrami_cli.jobs.report import SmoothReport
-    from beltrami_cli.jobs.writing.files import FileSet
-    from beltrami_cli.jobs.writing.output import Output, Overwrite
+    from beltrami_cli.jobs.smoothing import SmoothReport
+    from beltrami_cli.jobs.writing.output import FileSet, Output, Overwrite
     from beltrami_cli.samples.settings import SmoothSettings
     from beltrami_cli.view.render import Preview
 
@@ -104,7 +103,7 @@ def command(
     unwrap = options.unwrapping_from(smoothing)
     messages = Messages(quiet=quiet, verbose=verbose)
     from beltrami_cli.jobs.smooth import smooth_file
-    from beltrami_cli.jobs.writing.files import FileSet
+    from beltrami_cli.jobs.writing.output import FileSet
 
     with (
         options.reading_from(smoothing, source) as access,
@@ -150,7 +149,7 @@ def command(
 
 def _open_report(path: str, overwrite: Overwrite, files: FileSet) -> Output:
     """Check that a report can be written before anything is computed."""
-    from beltrami_cli.jobs.report import is_report
+    from beltrami_cli.jobs.smoothing import is_report
     from beltrami_cli.jobs.writing.output import Output
 
     if path == "-":

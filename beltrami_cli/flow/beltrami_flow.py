@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
+from contextvars import ContextVar
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Generic, TypeVar, cast
 
@@ -11,19 +13,19 @@ from beltrami_cli.flow.grid_partitions import cut_grid
 from beltrami_cli.flow.manifold import Averaged, Manifold, Step
 from beltrami_cli.flow.mesh_manifold import MeshManifold
 from beltrami_cli.flow.mesh_partitions import cut_mesh, first_reach
-from beltrami_cli.flow.partitions import wanted_split
-from beltrami_cli.flow.tuning.tune import tune
+from beltrami_cli.flow.partitions import TooNarrowError
+from beltrami_cli.flow.tuning.choice import tune
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     import numpy as np
     from numpy.typing import NDArray
 
     from beltrami_cli.flow.grid_manifold import GridManifold
-    from beltrami_cli.flow.kernel_probe import SampledKernel
+    from beltrami_cli.flow.manifold import SampledKernel
     from beltrami_cli.flow.parameters import KernelParameters
-    from beltrami_cli.flow.partitions import Partition, Split
+    from beltrami_cli.flow.partitions import Joined, Partition, Runner
     from beltrami_cli.flow.tuning.choice import Choice
 
 
@@ -42,6 +44,47 @@ class FlowResult:
     samples_per_kernel: float
     truncated: int
     choice: Choice | None
+
+
+@dataclass(frozen=True)
+class Split:
+    """Surfaces are to be smoothed in `count` partitions, by a runner."""
+
+    count: int
+    runner: Runner
+
+    def run(
+        self,
+        cut: Callable[[int], Sequence[Partition]],
+        reach: int,
+        values: NDArray[np.float32],
+        iterations: int,
+        progress: Callable[[int, int], None] | None,
+    ) -> Joined:
+        """Cut a surface and run all iterations; partitions that prove too narrow are cut again, twice as wide."""
+        while True:
+            try:
+                return self.runner.run(cut(reach), values, iterations, progress)
+            except TooNarrowError:
+                reach *= 2
+
+
+_WANTED: ContextVar[Split | None] = ContextVar("split", default=None)
+
+
+@contextlib.contextmanager
+def in_partitions(count: int, runner: Runner) -> Iterator[None]:
+    """Let every surface that is smoothed meanwhile, in this thread, be smoothed in up to `count` partitions."""
+    token = _WANTED.set(Split(count, runner))
+    try:
+        yield
+    finally:
+        _WANTED.reset(token)
+
+
+def wanted_split() -> Split | None:
+    """Return how surfaces are to be split; None: not at all."""
+    return _WANTED.get()
 
 
 AnyManifold = TypeVar("AnyManifold", bound=Manifold)

@@ -1,4 +1,4 @@
-"""The canvas of an atlas: colours put on it and taken from there, and what the core knows of its cells."""
+"""The canvas of an atlas: colours put on it and taken from there, its cells, and the seams at which colours jump."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from beltrami_cli.flow.regularisation import guide_radius
 from beltrami_cli.surface import large_arrays
-from beltrami_cli.surface.atlas import refresh_halo
+from beltrami_cli.surface.atlas import OWNED, refresh_halo
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 
     from beltrami_cli.flow.parameters import KernelParameters
     from beltrami_cli.surface.atlas import Atlas, Indices
-
 
 # Rows and columns about a halo cell in which others are looked for that show the same texel: those of a chart that is
 # up to seven times as fine as what it is continued by.
@@ -129,3 +128,142 @@ def halo_repeats(atlas: Atlas, threads: int) -> NDArray[np.uint8] | None:
     rows, columns = atlas.kind.shape
     repeats = count(rows, columns, cells, sources, atlas.halo_seams, _REPEATS_REACH, threads)
     return repeats if repeats.max(initial=1) > 1 else None
+
+
+# A jump counts if it is this many standard errors of the mean over the seam ...
+_ERRORS = 4.0
+# ... and this much of the noise: below, averaging over the seam still wins more (noise) than it loses (bias) ...
+_OF_NOISE = 0.3
+# ... and more than JPEG blocks and rounding leave between two charts of one continuous painting.
+_LEAST = 4 / 255
+# Steps over a seam from which its energy can be told.
+_FEWEST = 8
+
+
+def find_colour_jumps(
+    atlas: Atlas, planes: NDArray[np.float32], sigma: NDArray[np.float64]
+) -> NDArray[np.bool_]:
+    """Decide for each seam whether its two sides differ by more than noise.
+
+    Parameters
+    ----------
+    atlas : Atlas
+        The atlas with S seams.
+    planes : ndarray of float32, shape (N, R, C)
+        Colours on the canvas, halo included.
+    sigma : ndarray of float64, shape (N,)
+        Noise per channel.
+
+    Returns
+    -------
+    ndarray of bool, shape (S,)
+        True where the seam is a real edge of the painting.
+    """
+    different = np.zeros(max(1, atlas.seams), bool)
+    seam, steps, beside = _steps_over_seams(atlas, planes)
+    if not len(seam):
+        return different
+    order = np.argsort(seam, kind="stable")
+    starts = np.flatnonzero(np.r_[True, seam[order][1:] != seam[order][:-1]])
+    noise = float(np.sqrt(np.mean(np.square(sigma))))
+    for first, last in zip(starts, np.r_[starts[1:], len(seam)], strict=True):
+        members = order[first:last]
+        jump = np.abs(np.median(steps[members], axis=0)).max()
+        # A step between two noisy samples has the deviation sqrt(2) sigma, and a median 1.25 times a mean's error.
+        error = 1.25 * np.sqrt(2) * noise / np.sqrt(len(members))
+        shifted = jump > max(_ERRORS * error, _OF_NOISE * noise, _LEAST)
+        different[seam[members[0]]] = shifted or _is_patterned(steps[members], beside[members], noise)
+    return different
+
+
+def _is_patterned(steps: NDArray[np.float32], beside: NDArray[np.float32], noise: float) -> bool:
+    """Tell a jump that changes its sign along the seam: steps over it have more energy than those beside it."""
+    if len(steps) < _FEWEST:
+        return False
+    excess = np.square(steps).mean(axis=1) - np.square(beside).mean(axis=1)
+    error = float(excess.std()) / np.sqrt(len(steps))
+    return bool(excess.mean() > max(_ERRORS * error, (_OF_NOISE * noise) ** 2 + _LEAST**2))
+
+
+def halo_beyond(atlas: Atlas, different: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Find the halo cells that lie beyond seams whose two sides differ.
+
+    Near a corner of several charts a cell may be reached over a first seam and then a second: it counts if
+    either differs.
+
+    Parameters
+    ----------
+    atlas : Atlas
+        The atlas with S seams.
+    different : ndarray of bool, shape (S,)
+        As `find_colour_jumps` tells.
+
+    Returns
+    -------
+    ndarray of bool, shape (H,)
+    """
+    seams = atlas.halo_seams
+    beyond = (seams >= 0) & different[np.maximum(seams, 0)]
+    if not beyond.any():
+        return beyond
+    reached = _charts_at(atlas, atlas.halo_nearest)
+    sides = _sides_of_seams(atlas, reached)
+    jumps = {tuple(pair) for seam, pair in enumerate(np.sort(sides, axis=1).tolist()) if different[seam]}
+    # Cells of a third chart, by the chart and the seam that they were reached over.
+    third = (seams >= 0) & ~beyond & (reached[:, None] != sides[seams]).all(axis=1)
+    for seam, chart in {*zip(seams[third].tolist(), reached[third].tolist(), strict=True)}:
+        if any((min(chart, side), max(chart, side)) in jumps for side in sides[seam].tolist()):
+            beyond |= third & (seams == seam) & (reached == chart)
+    return beyond
+
+
+def _charts_at(atlas: Atlas, cells: Indices) -> NDArray[np.int32]:
+    """Return the charts of some cells; -1: not owned."""
+    charts = np.full(len(cells), -1, np.int32)
+    for block in large_arrays.blocks(len(cells) if len(atlas.owned_cells) else 0, large_arrays.SCATTERED):
+        wanted = cells[block]
+        rank = np.minimum(np.searchsorted(atlas.owned_cells, wanted), len(atlas.owned_cells) - 1)
+        owned = atlas.owned_cells[rank] == wanted
+        charts[block][owned] = atlas.chart_of[rank[owned]]
+    return charts
+
+
+def _sides_of_seams(atlas: Atlas, reached: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Find the two charts of each seam, shape (S, 2): of an owned cell, and what the halo cell beside it shows."""
+    columns = atlas.kind.shape[1]
+    owned = atlas.kind.reshape(-1) == OWNED
+    of_seams = np.flatnonzero(atlas.halo_seams >= 0)
+    cells, seams = atlas.halo_cells[of_seams], atlas.halo_seams[of_seams]
+    beside, halo = np.full((2, max(1, atlas.seams)), -1, cells.dtype)
+    for step in (1, -1, columns, -columns):
+        found = owned.take(cells - step, mode="clip")  # the first and the last cell are margin
+        beside[seams[found]], halo[seams[found]] = cells[found] - step, of_seams[found]
+    known = np.flatnonzero(halo >= 0)
+    sides = np.full((len(halo), 2), -1, np.int32)
+    sides[known] = np.column_stack([_charts_at(atlas, beside[known]), reached[halo[known]]])
+    return sides
+
+
+def _steps_over_seams(
+    atlas: Atlas, planes: NDArray[np.float32]
+) -> tuple[NDArray[np.int32], NDArray[np.float32], NDArray[np.float32]]:
+    """Find the halo cells next to an owned cell: their seam, the step to them, and the step before it."""
+    rows, columns = atlas.kind.shape
+    flat_kind, flat = atlas.kind.reshape(-1), planes.reshape(len(planes), -1)
+    seams: list[NDArray[np.int32]] = []
+    over: list[NDArray[np.float32]] = []
+    before: list[NDArray[np.float32]] = []
+    of_seams = np.flatnonzero(atlas.halo_seams >= 0)
+    for block in large_arrays.blocks(len(of_seams), large_arrays.SCATTERED):
+        cells, halo_seams = atlas.halo_cells[of_seams[block]], atlas.halo_seams[of_seams[block]]
+        for step in (1, -1, columns, -columns):
+            inner, second = cells - step, cells - 2 * step
+            valid = (second >= 0) & (second < rows * columns) & (inner >= 0) & (inner < rows * columns)
+            valid[valid] &= (flat_kind[inner[valid]] == OWNED) & (flat_kind[second[valid]] == OWNED)
+            seams.append(halo_seams[valid])
+            over.append((flat[:, cells[valid]] - flat[:, inner[valid]]).T)
+            before.append((flat[:, inner[valid]] - flat[:, second[valid]]).T)
+    if not seams:
+        nothing = np.zeros((0, len(planes)), np.float32)
+        return np.zeros(0, np.int32), nothing, nothing
+    return np.concatenate(seams), np.concatenate(over), np.concatenate(before)

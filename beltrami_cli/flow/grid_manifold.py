@@ -11,14 +11,18 @@ from typing import TYPE_CHECKING, Any, ClassVar, cast
 
 import numpy as np
 
-from beltrami_cli.flow.canvas import colours_at, halo_repeats, local_scales, painted
+from beltrami_cli.flow.canvas import (
+    colours_at,
+    find_colour_jumps,
+    halo_beyond,
+    halo_repeats,
+    local_scales,
+    painted,
+)
 from beltrami_cli.flow.clipping import find_clipped_on_canvas
-from beltrami_cli.flow.kernel_probe import SampledKernel, kernel_values
-from beltrami_cli.flow.manifold import Averaged, Manifold, NewColours, at_step
-from beltrami_cli.flow.noise.correlated_noise import estimate_noise_on_grid
-from beltrami_cli.flow.noise.grid import estimate_sigma_on_grid
+from beltrami_cli.flow.manifold import Averaged, Manifold, NewColours, SampledKernel, at_step, kernel_values
+from beltrami_cli.flow.noise.grid import estimate_noise_on_grid, estimate_sigma_on_grid
 from beltrami_cli.flow.regularisation import GridGaussian, guide_radius
-from beltrami_cli.flow.seams import find_colour_jumps, halo_beyond
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import EMPTY, HALO, OWNED, refresh_halo, without_halo
 

@@ -13,12 +13,10 @@ import numpy as np
 
 from beltrami_cli.flow.clipping import find_clipped
 from beltrami_cli.flow.geometry import GeometryParameters, MovingPositions
-from beltrami_cli.flow.kernel_probe import SampledKernel, kernel_values
-from beltrami_cli.flow.manifold import Averaged, Manifold, NewColours, at_step
+from beltrami_cli.flow.manifold import Averaged, Manifold, NewColours, SampledKernel, at_step, kernel_values
 from beltrami_cli.flow.noise.mesh import estimate_sigma
 from beltrami_cli.flow.regularisation import MeshGaussian
-from beltrami_cli.flow.spacing import edges_in_space, local_spacing, mean_side
-from beltrami_cli.surface.geometry import vertex_areas
+from beltrami_cli.surface.geometry import edges_in_space, local_spacing, mean_side, vertex_areas
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

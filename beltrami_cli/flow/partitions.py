@@ -6,15 +6,13 @@ that it would have on the whole surface. Who runs the partitions, in turn or on 
 
 from __future__ import annotations
 
-import contextlib
-from contextvars import ContextVar
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
@@ -153,44 +151,3 @@ class InTurn:
                 if progress is not None:
                     progress(iteration * len(partitions) + number + 1, iterations * len(partitions))
         return Joined(joined(partitions, own, values), samples, truncated)
-
-
-@dataclass(frozen=True)
-class Split:
-    """Surfaces are to be smoothed in `count` partitions, by a runner."""
-
-    count: int
-    runner: Runner
-
-    def run(
-        self,
-        cut: Callable[[int], Sequence[Partition]],
-        reach: int,
-        values: NDArray[np.float32],
-        iterations: int,
-        progress: Callable[[int, int], None] | None,
-    ) -> Joined:
-        """Cut a surface and run all iterations; partitions that prove too narrow are cut again, twice as wide."""
-        while True:
-            try:
-                return self.runner.run(cut(reach), values, iterations, progress)
-            except TooNarrowError:
-                reach *= 2
-
-
-_WANTED: ContextVar[Split | None] = ContextVar("split", default=None)
-
-
-@contextlib.contextmanager
-def in_partitions(count: int, runner: Runner) -> Iterator[None]:
-    """Let every surface that is smoothed meanwhile, in this thread, be smoothed in up to `count` partitions."""
-    token = _WANTED.set(Split(count, runner))
-    try:
-        yield
-    finally:
-        _WANTED.reset(token)
-
-
-def wanted_split() -> Split | None:
-    """Return how surfaces are to be split; None: not at all."""
-    return _WANTED.get()

@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
 Kind = Literal["image", "volume", "model"]
 
+_ZIP = b"PK"
+
 _ARCHIVES = {
     "ZIP": (b"PK\x03\x04", 0),
     "empty ZIP": (b"PK\x05\x06", 0),
@@ -103,12 +105,16 @@ def _is_image(data: bytes, name: str) -> bool:
 
 
 def _is_volume(data: bytes, name: str) -> bool:
+    if not data.startswith((b"NRRD", b" BDV", _ZIP)):
+        return False
     from beltrami_cli.formats.volume import is_volume
 
     return is_volume(data, name)
 
 
 def _is_npz(data: bytes, name: str) -> bool:
+    if not data.startswith(_ZIP):
+        return False
     from beltrami_cli.formats.npz import NpzArchive
 
     return NpzArchive.recognises(data)

@@ -22,11 +22,9 @@ from beltrami_cli.fields import override
 from beltrami_cli.flow.colour_space import from_space, to_space
 from beltrami_cli.flow.embedding import Guide, centred
 from beltrami_cli.samples.guides import GuideImage
-from beltrami_cli.samples.image_surface import ImageSurface
-from beltrami_cli.samples.pixel_samples import grid_flow
-from beltrami_cli.samples.points import count_cloud
+from beltrami_cli.samples.image_surface import ImageSurface, grid_flow
 from beltrami_cli.samples.settings import DEFAULTS
-from beltrami_cli.samples.vertex_samples import VertexSamples
+from beltrami_cli.samples.vertex_samples import VertexSamples, count_cloud
 from beltrami_cli.surface.records import Encoding, PaintedVertices
 from beltrami_cli.surface.validation import (
     array_of,
@@ -43,8 +41,8 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from beltrami_cli.flow.tuning.choice import Choice
-    from beltrami_cli.samples.points import CloudCounts
     from beltrami_cli.samples.settings import SmoothSettings
+    from beltrami_cli.samples.vertex_samples import CloudCounts
 
     Progress = Callable[[int, int], None]
 

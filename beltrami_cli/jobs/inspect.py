@@ -10,7 +10,7 @@ import numpy as np
 
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.image.document import ImageDocument
-from beltrami_cli.jobs.opening import open_input
+from beltrami_cli.jobs.documents import open_input
 from beltrami_cli.samples.memory_check import require_room_for_textures
 from beltrami_cli.samples.selection import require_scale, samples_of, select, vertex_samples
 from beltrami_cli.samples.settings import DEFAULTS, SmoothSettings, describe_kernel
@@ -147,7 +147,7 @@ def _describe_mesh(samples: VertexSamples) -> dict[str, object]:
 
 
 def _describe_cloud(samples: VertexSamples) -> dict[str, object]:
-    from beltrami_cli.samples.points import count_cloud
+    from beltrami_cli.samples.vertex_samples import count_cloud
 
     return {
         "points": len(samples.painted.positions),
@@ -255,7 +255,8 @@ def _alone(samples: TexelSamples, index: int) -> BeltramiFlow[GridManifold]:
     from beltrami_cli.flow.beltrami_flow import BeltramiFlow
     from beltrami_cli.flow.canvas import painted
     from beltrami_cli.flow.grid_manifold import GridManifold
-    from beltrami_cli.samples.texel_samples import atlas_of, only_textures
+    from beltrami_cli.samples.texel_colours import only_textures
+    from beltrami_cli.samples.texel_samples import atlas_of
     from beltrami_cli.surface.atlas import without_owned
 
     kernel, picture = dataclasses.replace(samples.settings.kernel, free=()), samples.pictures[index]

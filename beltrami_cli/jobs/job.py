@@ -11,8 +11,7 @@ from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
-    from beltrami_cli.jobs.writing.files import FileSet
-    from beltrami_cli.jobs.writing.output import Output
+    from beltrami_cli.jobs.writing.output import FileSet, Output
 
     Progress = Callable[[str, int, int], None]
 

@@ -10,12 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
-from beltrami_cli.jobs.conversion import make_files
-from beltrami_cli.jobs.opening import open_input
-from beltrami_cli.jobs.sidecars import is_moved, plan_sidecars
-from beltrami_cli.jobs.stopwatch import Stopwatch
+from beltrami_cli.jobs.documents import is_moved, make_files, moved_vertices, open_input, plan_sidecars
+from beltrami_cli.jobs.resources import Stopwatch
 from beltrami_cli.samples.memory_check import checked_memory
-from beltrami_cli.samples.moved_vertices import moved_vertices
 from beltrami_cli.samples.selection import NOTHING, choose_format, samples_of, select
 
 if TYPE_CHECKING:

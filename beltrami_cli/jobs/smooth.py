@@ -1,77 +1,35 @@
-"""Smooth the colours of a file with the short-time Beltrami kernel."""
+"""Smooth the colours of a file with the short-time Beltrami kernel: in their place, or in a new texture."""
 
 from __future__ import annotations
 
 import dataclasses
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from beltrami_cli.errors import UsageError
 from beltrami_cli.fields import override
+from beltrami_cli.formats.registry import sidecar_names, write_textured
+from beltrami_cli.jobs.documents import open_input
 from beltrami_cli.jobs.job import PLAIN_JOB
 from beltrami_cli.jobs.recolour import recolour
-from beltrami_cli.jobs.report import SmoothReport
-from beltrami_cli.jobs.stopwatch import peak_memory
-from beltrami_cli.samples.selection import require_geometry, require_scale
-from beltrami_cli.samples.settings import DEFAULTS, describe_settings
+from beltrami_cli.jobs.resources import Stopwatch
+from beltrami_cli.jobs.smoothing import Smoothed, Smoothing, make_report, smooth_samples
+from beltrami_cli.samples.memory_check import require_room_for_textures
+from beltrami_cli.samples.selection import Selection, choose_format, require_scale, vertex_samples
+from beltrami_cli.samples.settings import DEFAULTS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from beltrami_cli.flow.beltrami_flow import FlowResult
+    from beltrami_cli.formats.access import Access
     from beltrami_cli.formats.document import Document
     from beltrami_cli.jobs.job import Job
-    from beltrami_cli.samples.reports import SamplesReport
-    from beltrami_cli.samples.samples import Part, Repainted, Samples
-    from beltrami_cli.samples.selection import OutputFormat, Selection
+    from beltrami_cli.jobs.new_texture import NewTexture
+    from beltrami_cli.jobs.smoothing import SmoothReport
     from beltrami_cli.samples.settings import BakeSettings, SmoothSettings
-
-
-@dataclass(frozen=True)
-class Smoothed:
-    """What smoothing makes of samples: their part of the document, what was done, and what users should know."""
-
-    part: Part
-    repainted: Repainted
-    report: SamplesReport
-    result: FlowResult
-    warnings: list[str]
-
-
-def smooth_samples(samples: Samples, progress: Callable[[int, int], None] | None = None) -> Smoothed:
-    """Run the flow on samples, and put the colours back."""
-    flow = samples.flow()
-    result = flow.run(progress)
-    report, warnings = samples.report(flow, result), samples.warnings(result)
-    new = flow.manifold.new_colours()
-    del flow  # before images as large are made
-    repainted = samples.repaint(new)
-    report = dataclasses.replace(report, change=repainted.change.summary())
-    return Smoothed(samples.part, repainted, report, result, warnings)
-
-
-class Smoothing:
-    """A painter that smooths."""
-
-    colours_only = False
-    works_on_disk = True
-
-    def __init__(self, settings: SmoothSettings) -> None:
-        self._settings = settings
-        self.changes = settings.kernel.iterations != 0
-        self.done: list[Smoothed] = []
-
-    def check(self, document: Document, selection: Selection, target: OutputFormat) -> None:
-        """Raise what cannot be smoothed."""
-        if self.changes:
-            require_geometry(document, selection, self._settings, target)
-        require_scale(document, selection)
-
-    def paint(self, samples: Samples, progress: Callable[[int, int], None] | None) -> Repainted:
-        """Smooth samples."""
-        smoothed = smooth_samples(samples, progress)
-        self.done.append(smoothed)
-        return smoothed.repainted
+    from beltrami_cli.surface.records import ImageFile, TexturedSurface
 
 
 def smooth_file(
@@ -115,9 +73,7 @@ def smooth_file(
     source, target = os.fspath(source), os.fspath(target)
     settings = override(parameters, **overrides)
     if unwrap is not None:
-        from beltrami_cli.jobs.unwrap import smooth_unwrapped
-
-        return smooth_unwrapped(source, target, settings, unwrap, job)
+        return _smooth_unwrapped(source, target, settings, unwrap, job)
     painter = Smoothing(settings)
     made = recolour(source, target, settings, painter, job)
     # Several slots say the same of one surface.
@@ -130,29 +86,148 @@ def smooth_file(
     )
 
 
-def make_report(
-    ends: tuple[str, str],
-    target_format: str,
-    settings: SmoothSettings,
-    done: Sequence[Smoothed],
-    stages: dict[str, dict[str, float]],
-    written: list[str],
-    warnings: list[str],
+@dataclass(frozen=True)
+class _Done:
+    """A new texture, its smoothed image, what users should know, and what was smoothed."""
+
+    made: NewTexture
+    image: ImageFile
+    notices: list[str]
+    smoothed: list[Smoothed] = field(default_factory=list)
+
+
+def _smooth_unwrapped(
+    source: str, target: str, settings: SmoothSettings, wanted: BakeSettings, job: Job
 ) -> SmoothReport:
-    """Put together what a job did, from `ends[0]` to `ends[1]`."""
-    reports: dict[Part, list[Any]] = {"vertices": [], "textures": [], "image": []}
-    for each in done:
-        reports[each.part].append(each.report)
-    return SmoothReport(
-        input=ends[0],
-        output=ends[1],
-        format=target_format,
-        parameters=describe_settings(settings),
-        vertices=next(iter(reports["vertices"]), None),
-        textures=reports["textures"],
-        stages=stages,
-        peak_memory=peak_memory(),
-        written=written,
-        warnings=warnings,
-        image=next(iter(reports["image"]), None),
+    """Smooth the base colour, or else the vertex colours, in a new texture, and write a new file with that."""
+    _check(settings)
+    watch, output, stem = Stopwatch(), job.output(target), Path(target).stem
+    access = job.access_besides(output, settings.files_besides(source))
+    with watch.stage("read"):
+        document = open_input(source, settings, access)
+        textured = _is_textured(document, settings)
+        if not textured:
+            document.painted()  # raises if there are no colours at all
+        kind = choose_format(document, target, job.format).name
+        if output is not None:
+            output.check_sidecars(sidecar_names(kind, stem, settings.textures.image_suffix or ".png"))
+    if settings.kernel.iterations:
+        require_scale(document, Selection(not textured, ("baseColor",) if textured else ()))
+    if textured:
+        if settings.embedding.guides:
+            raise UsageError("--guide cannot guide the new texture that --unwrap makes; use both in turn")
+        require_room_for_textures(document, ("baseColor",), settings.textures, access)
+        done = _smooth_in_texture(document, settings, wanted, watch, job)
+    else:
+        done = _smooth_on_vertices(document, settings, wanted, watch, job, access)
+    with watch.stage("write"):
+        written = write_textured(done.made.mesh(done.image), kind, stem)
+        if output is not None:
+            output.write(written)
+    names = [] if output is None else [target, *written.sidecars]
+    late = [warning for each in done.smoothed for warning in each.warnings]
+    warnings = [*document.notices, *done.notices, *written.notices, *late]
+    return make_report((source, target), kind, settings, done.smoothed, watch.stages, names, warnings)
+
+
+def _check(settings: SmoothSettings) -> None:
+    """Refuse what has no meaning for one new texture."""
+    textures = settings.textures
+    if settings.on == "both":
+        raise UsageError("--unwrap smooths one new texture, so --on cannot be both")
+    if textures.materials or textures.names or textures.slots != ("baseColor",):
+        raise UsageError(
+            "--unwrap makes one new base colour texture, so --material, --texture and --slots cannot choose"
+        )
+    if settings.embedding.smooth_geometry:
+        raise UsageError(
+            "--unwrap writes a new file, in which --smooth-geometry cannot move vertices; use both in turn"
+        )
+
+
+def _is_textured(document: Document, settings: SmoothSettings) -> bool:
+    return settings.on != "vertices" and (settings.on == "texture" or "baseColor" in document.slots())
+
+
+def _smooth_in_texture(
+    document: Document, settings: SmoothSettings, wanted: BakeSettings, watch: Stopwatch, job: Job
+) -> _Done:
+    """Smooth the textures, then make the new one; afterwards, where the old ones are no place to do so.
+
+    A new texture shows theirs between texels, which spreads noise over several and makes it look like a pattern.
+    """
+    from beltrami_cli.jobs.new_texture import texture_from_textures
+    from beltrami_cli.samples.texel_samples import TexelSamples
+
+    iterations, first = settings.kernel.iterations, None
+    old_surface = document.textured("baseColor")
+    if iterations and _has_room(old_surface):
+        with watch.stage("smooth"):
+            samples = TexelSamples(old_surface, "baseColor", _in_passing(settings))
+            samples.require_writable()
+            first = smooth_samples(samples, job.progress_of(samples.label))
+    old = {} if first is None else {key: image for (_, key), image in first.repainted.images.items()}
+    with watch.stage("unwrap"):
+        made = texture_from_textures(document, wanted, job.progress, old)
+    notices = list(made.notices)
+    if document.has_vertex_colours():
+        notices.append("Vertex colours are not in the new file; --on vertices takes them, not the texture.")
+    if first is not None:
+        return _Done(made, _encoded(made, settings), [*notices, *first.repainted.notices], [first])
+    if not iterations:
+        return _Done(made, _encoded(made, settings), notices)
+    with watch.stage("smooth"):
+        samples = TexelSamples(made.surface(), "baseColor", settings)
+        samples.require_writable()
+        smoothed = smooth_samples(samples, job.progress_of("the new texture"))
+    (image,) = smoothed.repainted.images.values()
+    return _Done(made, image, [*notices, *smoothed.repainted.notices], [smoothed])
+
+
+def _smooth_on_vertices(
+    document: Document,
+    settings: SmoothSettings,
+    wanted: BakeSettings,
+    watch: Stopwatch,
+    job: Job,
+    access: Access,
+) -> _Done:
+    """Smooth the vertex colours, then make the texture.
+
+    In a texture their noise would be spread over several texels each, where it looks like a pattern and stays.
+    """
+    from beltrami_cli.jobs.new_texture import texture_from_vertices
+    from beltrami_cli.samples.vertex_samples import require_surface
+
+    smoothed: list[Smoothed] = []
+    require_surface(document.painted(), document.name)
+    if settings.kernel.iterations > 0:
+        with watch.stage("smooth"):
+            samples = vertex_samples(document, settings, access)
+            smoothed = [smooth_samples(samples, job.progress_of(samples.label))]
+    with watch.stage("unwrap"):
+        colours = smoothed[0].repainted.colours if smoothed else None
+        made = texture_from_vertices(document, wanted, job.progress, colours)
+    return _Done(made, _encoded(made, settings), list(made.notices), smoothed)
+
+
+def _has_room(surface: TexturedSurface) -> bool:
+    """Tell whether textures have a texel for each triangle; in palettes triangles are points, and share few colours."""
+    from beltrami_cli.formats.image.reading import measure_image
+    from beltrami_cli.jobs.new_texture import texels_of
+
+    sizes = [measure_image(texture.data) for texture in surface.textures]
+    sides = np.array([(0, 0) if size is None else (size.width, size.height) for size in sizes], np.int64)
+    return texels_of(surface, sides.reshape(-1, 2)) >= int(np.count_nonzero(surface.texture_of >= 0))
+
+
+def _in_passing(settings: SmoothSettings) -> SmoothSettings:
+    """Return settings for textures that are written for the way only: in a format that loses nothing."""
+    return dataclasses.replace(
+        settings, textures=dataclasses.replace(settings.textures, image_suffix=".tif", small=False)
     )
+
+
+def _encoded(made: NewTexture, settings: SmoothSettings) -> ImageFile:
+    textures = settings.textures
+    return made.encoded(textures.image_suffix, textures.jpeg_quality, small=textures.small)

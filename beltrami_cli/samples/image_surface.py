@@ -1,20 +1,32 @@
-"""The surface that an image lies on, and its holes, from other images of the same size."""
+"""The surface that an image lies on, and its holes, from other images of the same size; and the flow on it."""
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from beltrami_cli.errors import InputError
+from beltrami_cli.flow.beltrami_flow import BeltramiFlow
+from beltrami_cli.flow.canvas import canvas_margin, painted
+from beltrami_cli.flow.grid_manifold import GridManifold
 from beltrami_cli.formats.access import Access, read_source
 from beltrami_cli.formats.image import read_image
 from beltrami_cli.formats.image.picture import full_scale_one
+from beltrami_cli.surface.atlas import grid_atlas
 from beltrami_cli.surface.validation import check_scale
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
     from numpy.typing import NDArray
+
+    from beltrami_cli.flow.embedding import Guide
+    from beltrami_cli.flow.parameters import KernelParameters
+
+    Pixels = NDArray[np.int64]
 
     from beltrami_cli.formats.image import Picture
     from beltrami_cli.samples.settings import ImageSettings
@@ -142,3 +154,45 @@ def _are_equal(pixels: NDArray[np.generic]) -> bool:
     return all(
         np.array_equal(pixels[..., 0], pixels[..., i], equal_nan=True) for i in range(1, pixels.shape[2])
     )
+
+
+def grid_flow(
+    surface: ImageSurface,
+    colours_of: Callable[[Pixels], NDArray[np.float32]],
+    kernel: KernelParameters,
+    guides: Sequence[Callable[[Pixels], Guide]] = (),
+    metric_channels: Sequence[int] | None = None,
+) -> BeltramiFlow[GridManifold]:
+    """Make the flow on an image, whose owned texels are the pixels that are no holes, row by row.
+
+    `colours_of` and `guides` give what is at some pixels (row * width + column). Over heights, as on the plane, the
+    unit of length is the pixel, and not the spacing along the surface: on slopes samples lie further apart, so they
+    are smoothed less.
+    """
+    valid, positions = surface.valid, surface.positions
+    assert valid is not None
+    if surface.heights is not None:
+        valid = valid & np.isfinite(surface.heights)
+        positions = _over_the_plane(surface.heights)
+        kernel = dataclasses.replace(kernel, units="world")
+    atlas = grid_atlas(valid.shape, canvas_margin(kernel), positions, valid)
+    del positions  # as large as all that follows
+    manifold = GridManifold(
+        atlas,
+        painted(atlas, colours_of(atlas.owned_texels), kernel.thread_count),
+        kernel,
+        walls=atlas.covered < valid.size,
+        guides=[guide(atlas.owned_texels) for guide in guides],
+        metric_channels=metric_channels,
+        unit=None if surface.heights is None else 1.0,
+    )
+    return BeltramiFlow(manifold, kernel)
+
+
+def _over_the_plane(heights: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the places (x, y, height) of pixels, shape (H, W, 3)."""
+    rows, columns = heights.shape
+    positions = np.empty((rows, columns, 3))
+    positions[..., 0], positions[..., 1] = np.arange(columns), np.arange(rows)[:, None]
+    positions[..., 2] = heights
+    return positions

@@ -110,7 +110,7 @@ def _is_too_much(images: Iterable[tuple[str, bytes]], memory: int) -> bool:
 
 
 def _chosen(document: Document, slot: Slot, wanted: TextureSettings) -> Iterator[tuple[str, bytes]]:
-    from beltrami_cli.samples.texel_samples import choose_textures
+    from beltrami_cli.samples.texel_colours import choose_textures
 
     for texture in choose_textures(document.textured(slot), wanted).textures:
         yield texture.name, texture.data

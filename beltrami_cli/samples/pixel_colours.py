@@ -9,7 +9,7 @@ import numpy as np
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.colour_space import from_space, to_space
 from beltrami_cli.formats.image.picture import full_scale_one, is_associated, lends_colour
-from beltrami_cli.samples.change import Change, store
+from beltrami_cli.samples.samples import Change, store
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

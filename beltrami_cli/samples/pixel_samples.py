@@ -9,9 +9,6 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from beltrami_cli.errors import UsageError
-from beltrami_cli.flow.beltrami_flow import BeltramiFlow
-from beltrami_cli.flow.canvas import canvas_margin, painted
-from beltrami_cli.flow.grid_manifold import GridManifold
 from beltrami_cli.flow.manifold import NewColours
 from beltrami_cli.formats.image import (
     check_writable,
@@ -21,74 +18,30 @@ from beltrami_cli.formats.image import (
     losses,
     write_image,
 )
+from beltrami_cli.formats.image.conversion import noise_losses
 from beltrami_cli.samples.guides import read_guide_images
-from beltrami_cli.samples.image_surface import ImageSurface, read_surface
+from beltrami_cli.samples.image_surface import grid_flow, read_surface
 from beltrami_cli.samples.memory_check import require_room
 from beltrami_cli.samples.pixel_colours import ImageColours
-from beltrami_cli.samples.reports import ImageReport, describe_choice
+from beltrami_cli.samples.reports import ImageReport
 from beltrami_cli.samples.samples import Grains, Part, Repainted, Samples
-from beltrami_cli.samples.settings import DEFAULTS
-from beltrami_cli.surface.atlas import grid_atlas
+from beltrami_cli.samples.settings import DEFAULTS, describe_choice
 from beltrami_cli.surface.records import ImageFile
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
     from typing import Any
 
     from numpy.typing import NDArray
 
-    from beltrami_cli.flow.beltrami_flow import FlowResult
-    from beltrami_cli.flow.embedding import Guide
-    from beltrami_cli.flow.parameters import KernelParameters
+    from beltrami_cli.flow.beltrami_flow import BeltramiFlow, FlowResult
+    from beltrami_cli.flow.grid_manifold import GridManifold
     from beltrami_cli.formats.access import Access
-    from beltrami_cli.formats.image import Picture
     from beltrami_cli.formats.image.document import ImageDocument
-    from beltrami_cli.samples.change import Change
+    from beltrami_cli.samples.samples import Change
     from beltrami_cli.samples.settings import SmoothSettings
 
     Pixels = NDArray[np.int64]
-
-
-def grid_flow(
-    surface: ImageSurface,
-    colours_of: Callable[[Pixels], NDArray[np.float32]],
-    kernel: KernelParameters,
-    guides: Sequence[Callable[[Pixels], Guide]] = (),
-    metric_channels: Sequence[int] | None = None,
-) -> BeltramiFlow[GridManifold]:
-    """Make the flow on an image, whose owned texels are the pixels that are no holes, row by row.
-
-    `colours_of` and `guides` give what is at some pixels (row * width + column). Over heights, as on the plane, the
-    unit of length is the pixel, and not the spacing along the surface: on slopes samples lie further apart, so they
-    are smoothed less.
-    """
-    valid, positions = surface.valid, surface.positions
-    assert valid is not None
-    if surface.heights is not None:
-        valid = valid & np.isfinite(surface.heights)
-        positions = _over_the_plane(surface.heights)
-        kernel = dataclasses.replace(kernel, units="world")
-    atlas = grid_atlas(valid.shape, canvas_margin(kernel), positions, valid)
-    del positions  # as large as all that follows
-    manifold = GridManifold(
-        atlas,
-        painted(atlas, colours_of(atlas.owned_texels), kernel.thread_count),
-        kernel,
-        walls=atlas.covered < valid.size,
-        guides=[guide(atlas.owned_texels) for guide in guides],
-        metric_channels=metric_channels,
-        unit=None if surface.heights is None else 1.0,
-    )
-    return BeltramiFlow(manifold, kernel)
-
-
-def _over_the_plane(heights: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the places (x, y, height) of pixels, shape (H, W, 3)."""
-    rows, columns = heights.shape
-    positions = np.empty((rows, columns, 3))
-    positions[..., 0], positions[..., 1] = np.arange(columns), np.arange(rows)[:, None]
-    positions[..., 2] = heights
-    return positions
 
 
 class PixelSamples(Samples):
@@ -218,7 +171,7 @@ class PixelSamples(Samples):
         return self._repainted(
             self._encoded(pixels),
             change,
-            [*notices, *not_exact(picture, suffix, "an OUTPUT in .png keeps all")],
+            [*notices, *noise_losses(picture, suffix, "an OUTPUT in .png keeps all")],
         )
 
     def _encoded(self, pixels: NDArray[Any]) -> bytes:
@@ -235,16 +188,6 @@ class PixelSamples(Samples):
     def _repainted(self, data: bytes, change: Change, notices: Sequence[str]) -> Repainted:
         suffix = self._suffix or Path(self.picture.name).suffix
         return Repainted(change, images={("baseColor", ""): ImageFile(data, suffix)}, notices=tuple(notices))
-
-
-def not_exact(picture: Picture, suffix: str | None, remedy: str) -> tuple[str, ...]:
-    """Return a notice if noise is written in the image's own format, and that is not exact."""
-    if suffix is not None or is_exact(picture):
-        return ()
-    kind = label_of(picture.format)
-    return (
-        f"{picture.name}: {kind} is not exact and takes some of the noise away, most of all in hues; {remedy}",
-    )
 
 
 def refuse_options_of_meshes(settings: SmoothSettings, name: str) -> None:

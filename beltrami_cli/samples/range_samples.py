@@ -10,10 +10,8 @@ import numpy as np
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.colour_space import from_space, to_space
 from beltrami_cli.flow.embedding import Guide
-from beltrami_cli.samples.change import Change
-from beltrami_cli.samples.image_surface import ImageSurface
-from beltrami_cli.samples.pixel_samples import grid_flow
-from beltrami_cli.samples.samples import Repainted
+from beltrami_cli.samples.image_surface import ImageSurface, grid_flow
+from beltrami_cli.samples.samples import Change, Repainted
 from beltrami_cli.samples.settings import DEFAULTS
 from beltrami_cli.samples.vertex_samples import PaintedSamples
 

@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from beltrami_cli.formats.image.picture import full_scale_one
-from beltrami_cli.samples.change import Change, store
-from beltrami_cli.samples.seams import within
+from beltrami_cli.samples.samples import Change, store
 from beltrami_cli.surface import large_arrays
-from beltrami_cli.surface.lookup import fill_gutter
+from beltrami_cli.surface.lookup import fill_gutter, within
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

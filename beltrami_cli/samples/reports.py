@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, TypeAlias
-
-if TYPE_CHECKING:
-    from beltrami_cli.flow.tuning.choice import Choice
+from typing import TypeAlias
 
 
 @dataclass(frozen=True)
@@ -135,8 +131,3 @@ class ImageReport:
 
 
 SamplesReport: TypeAlias = VertexReport | SlotReport | ImageReport
-
-
-def describe_choice(choice: Choice | None) -> dict[str, object] | None:
-    """Return in JSON types what was chosen, and by what estimate."""
-    return None if choice is None else dataclasses.asdict(choice)

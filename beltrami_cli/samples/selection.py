@@ -105,7 +105,8 @@ def samples_of(
     if selection.vertices:
         yield vertex_samples(document, settings, access)
     if selection.slots:
-        from beltrami_cli.samples.texel_samples import SharedImages, TexelSamples, choose_textures
+        from beltrami_cli.samples.texel_colours import choose_textures
+        from beltrami_cli.samples.texel_samples import SharedImages, TexelSamples
 
         chosen = [choose_textures(document.textured(slot), settings.textures) for slot in selection.slots]
         shared = SharedImages(texture.key for surface in chosen for texture in surface.textures)
@@ -193,7 +194,7 @@ def _with_chosen_textures(
     wanted = settings.textures
     if not (wanted.names or wanted.materials):
         return slots
-    from beltrami_cli.samples.texel_samples import choose_textures
+    from beltrami_cli.samples.texel_colours import choose_textures
 
     kept = tuple(slot for slot in slots if choose_textures(document.textured(slot), wanted).textures)
     if not kept:

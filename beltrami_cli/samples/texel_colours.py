@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+from fnmatch import fnmatch
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,14 +22,38 @@ if TYPE_CHECKING:
 
     from beltrami_cli.flow.parameters import Space
     from beltrami_cli.formats.image import Picture
-    from beltrami_cli.samples.settings import SmoothSettings
+    from beltrami_cli.samples.settings import SmoothSettings, TextureSettings
     from beltrami_cli.surface.atlas import Atlas
-    from beltrami_cli.surface.records import Slot, Texture
+    from beltrami_cli.surface.records import Slot, Texture, TexturedSurface
 
 COLOUR_SLOTS = ("baseColor", "emissive")
 
 # The channels that a data slot means; others of the same image belong to another slot.
 _SLOT_CHANNELS = {"occlusion": {"red", "grey"}, "metallicRoughness": {"green", "blue", "grey"}}
+
+
+def choose_textures(surface: TexturedSurface, wanted: TextureSettings) -> TexturedSurface:
+    """Keep the textures that the globs choose, which may be none."""
+
+    def fits(texture: Texture) -> bool:
+        by_name = not wanted.names or any(fnmatch(texture.name, glob) for glob in wanted.names)
+        by_material = not wanted.materials or any(
+            fnmatch(material, glob) for material in texture.materials for glob in wanted.materials
+        )
+        return by_name and by_material
+
+    return only_textures(surface, [i for i, texture in enumerate(surface.textures) if fits(texture)])
+
+
+def only_textures(surface: TexturedSurface, kept: list[int]) -> TexturedSurface:
+    """Keep the textures of these indices; triangles of the others have none."""
+    new_index = np.full(len(surface.textures) + 1, -1, np.int32)
+    new_index[kept] = np.arange(len(kept), dtype=np.int32)
+    return dataclasses.replace(
+        surface,
+        textures=tuple(surface.textures[index] for index in kept),
+        texture_of=new_index[surface.texture_of],
+    )
 
 
 class TexelColours:

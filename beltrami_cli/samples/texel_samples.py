@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections import Counter
 from dataclasses import dataclass
-from fnmatch import fnmatch
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -15,14 +13,12 @@ from beltrami_cli.flow.canvas import canvas_margin, painted
 from beltrami_cli.flow.grid_manifold import GridManifold
 from beltrami_cli.flow.manifold import NewColours
 from beltrami_cli.formats.image import check_writable, is_unchanged, losses, read_image, write_image
-from beltrami_cli.samples.change import Change
-from beltrami_cli.samples.pixel_samples import not_exact
+from beltrami_cli.formats.image.conversion import noise_losses
 from beltrami_cli.samples.repainting import Repainting
-from beltrami_cli.samples.reports import SlotReport, describe_choice
-from beltrami_cli.samples.samples import Grains, Part, Repainted, Samples
-from beltrami_cli.samples.settings import SLOTS
-from beltrami_cli.samples.texel_colours import COLOUR_SLOTS, TexelColours
-from beltrami_cli.samples.texel_guides import GuidedTexels
+from beltrami_cli.samples.reports import SlotReport
+from beltrami_cli.samples.samples import Change, Grains, Part, Repainted, Samples
+from beltrami_cli.samples.settings import SLOTS, describe_choice
+from beltrami_cli.samples.texel_colours import COLOUR_SLOTS, TexelColours, choose_textures
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import build_atlas, without_owned
 from beltrami_cli.surface.records import ImageFile
@@ -33,13 +29,14 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from beltrami_cli.flow.beltrami_flow import FlowResult
+    from beltrami_cli.flow.embedding import Guide
     from beltrami_cli.flow.parameters import KernelParameters
     from beltrami_cli.formats.access import Access
     from beltrami_cli.formats.document import Document
     from beltrami_cli.formats.image import Picture
-    from beltrami_cli.samples.settings import SmoothSettings, TextureSettings
+    from beltrami_cli.samples.settings import SmoothSettings
     from beltrami_cli.surface.atlas import Atlas
-    from beltrami_cli.surface.records import Slot, Texture, TexturedSurface
+    from beltrami_cli.surface.records import Slot, TexturedSurface
 
 _UNCOVERED = "no texel is covered by the surface, so nothing was smoothed; --unwrap makes a new atlas"
 _UNSEEN = (
@@ -47,30 +44,6 @@ _UNSEEN = (
 )
 # Per cent of texels with several places; fewer come of rounding at the borders of charts.
 _WORTH_SAYING = 1.0
-
-
-def choose_textures(surface: TexturedSurface, wanted: TextureSettings) -> TexturedSurface:
-    """Keep the textures that the globs choose, which may be none."""
-
-    def fits(texture: Texture) -> bool:
-        by_name = not wanted.names or any(fnmatch(texture.name, glob) for glob in wanted.names)
-        by_material = not wanted.materials or any(
-            fnmatch(material, glob) for material in texture.materials for glob in wanted.materials
-        )
-        return by_name and by_material
-
-    return only_textures(surface, [i for i, texture in enumerate(surface.textures) if fits(texture)])
-
-
-def only_textures(surface: TexturedSurface, kept: list[int]) -> TexturedSurface:
-    """Keep the textures of these indices; triangles of the others have none."""
-    new_index = np.full(len(surface.textures) + 1, -1, np.int32)
-    new_index[kept] = np.arange(len(kept), dtype=np.int32)
-    return dataclasses.replace(
-        surface,
-        textures=tuple(surface.textures[index] for index in kept),
-        texture_of=new_index[surface.texture_of],
-    )
 
 
 class TexelSamples(Samples):
@@ -99,8 +72,10 @@ class TexelSamples(Samples):
         if hidden.any():
             self.atlas = without_owned(self.atlas, hidden)
         self._shared = shared or SharedImages()
-        self._guides = []
-        if guided is not None:
+        self._guides: list[Guide] = []
+        if guided is not None and settings.embedding.guides:
+            from beltrami_cli.samples.texel_guides import GuidedTexels
+
             self._guides = GuidedTexels(
                 guided[0], self.surface, self.pictures, self.atlas, settings, guided[1]
             ).guides()
@@ -208,7 +183,7 @@ class TexelSamples(Samples):
             images[self.slot, texture.key] = self._encoded(picture, painter.shift(index, new, limits))
             notices += picture.notices
             notices += losses(picture, suffix) if suffix is not None else ()
-            notices += not_exact(picture, suffix, "--texture-format png keeps all")
+            notices += noise_losses(picture, suffix, "--texture-format png keeps all")
         if not len(added):
             notices.append("no visible texel is covered by the surface, so its textures stay as they are")
         return Repainted(Change(), images=images, notices=tuple(notices))

@@ -15,11 +15,11 @@ from beltrami_cli.flow.colour_space import from_space, to_space
 from beltrami_cli.flow.embedding import Guide
 from beltrami_cli.flow.geometry import GeometryParameters
 from beltrami_cli.flow.mesh_manifold import MeshManifold
-from beltrami_cli.samples.change import Change
-from beltrami_cli.samples.points import count_cloud, with_surface
-from beltrami_cli.samples.reports import VertexReport, describe_choice
-from beltrami_cli.samples.samples import Grains, Part, Repainted, Samples
+from beltrami_cli.samples.reports import VertexReport
+from beltrami_cli.samples.samples import Change, Grains, Part, Repainted, Samples
+from beltrami_cli.samples.settings import describe_choice
 from beltrami_cli.surface.grouping import group_equal_rows
+from beltrami_cli.surface.point_triangulation import faces_of_points
 from beltrami_cli.surface.records import SampledSurface
 from beltrami_cli.surface.vertex_sampling import sample_vertices
 
@@ -263,3 +263,47 @@ def require_surface(painted: PaintedVertices, name: str) -> None:
             f"its {len(painted.positions)} coloured vertices have no faces, so there is no surface to smooth on",
             "triangulate the points first",
         )
+
+
+@dataclass(frozen=True)
+class CloudCounts:
+    """Triangles around points, each in the tangent plane, and points in none of them, which keep their colours."""
+
+    triangles: int
+    outliers: int
+
+
+def with_surface(painted: PaintedVertices, settings: SmoothSettings) -> PaintedVertices:
+    """Return painted vertices with triangles: their own, or else those of the surface that the points lie on.
+
+    Points that are too far from all others, or in one line with them, are in no triangle; nor are those whose
+    position is not finite, which then is the middle of the others.
+    """
+    if len(painted.faces):
+        return painted
+    if settings.embedding.smooth_geometry:
+        raise UsageError("smooth_geometry needs faces, but there are only points")
+    measured = np.asarray(np.isfinite(painted.positions).all(axis=1))
+    if measured.all():
+        return dataclasses.replace(painted, faces=faces_of_points(painted, settings.kernel.thread_count))
+    spaces = painted.space_of
+    there = dataclasses.replace(
+        painted,
+        positions=painted.positions[measured],
+        colours=painted.colours[measured],
+        space_of=None if spaces is None else spaces[measured],
+    )
+    rows = np.flatnonzero(measured).astype(np.int32)
+    middle = there.positions.mean(axis=0) if len(rows) else np.zeros(painted.positions.shape[1])
+    return dataclasses.replace(
+        painted,
+        positions=np.where(measured[:, None], painted.positions, middle),
+        faces=rows[faces_of_points(there, settings.kernel.thread_count)],
+    )
+
+
+def count_cloud(surface: PaintedVertices) -> CloudCounts:
+    """Count what `with_surface` found between points."""
+    joined = np.zeros(len(surface.positions), bool)
+    joined[surface.faces] = True
+    return CloudCounts(len(surface.faces), int(np.count_nonzero(~joined)))

@@ -9,7 +9,7 @@ import numpy as np
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.document import NO_IMAGES, Document
 from beltrami_cli.formats.volume import read_volume
-from beltrami_cli.formats.volume.reading import require_package
+from beltrami_cli.formats.volume.arrays import require_package
 from beltrami_cli.samples.voxel_colours import find_colours, paint
 from beltrami_cli.surface.records import MeshContents
 from beltrami_cli.surface.volume import places

@@ -137,3 +137,20 @@ def _scaled(colours: NDArray[Any], share: NDArray[np.float32]) -> NDArray[Any]:
     if colours.dtype.kind != "f":
         scaled = np.minimum(np.rint(scaled), np.iinfo(colours.dtype).max)
     return scaled.astype(colours.dtype)
+
+
+def within(covered: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
+    """Tell which texels of a texture, or cells of a canvas, lie at most `reach` rows and columns from a covered one."""
+    near, known = covered, 0
+    while known < reach:
+        # What is within so many, together with itself moved to all sides as far as no gap is left in between.
+        step = min(2 * known + 1, reach - known)
+        for axis in (0, 1):
+            ahead, behind = [slice(None), slice(None)], [slice(None), slice(None)]
+            ahead[axis], behind[axis] = slice(step, None), slice(None, -step)
+            grown = near.copy()
+            grown[*ahead] |= near[*behind]
+            grown[*behind] |= near[*ahead]
+            near = grown
+        known += step
+    return near

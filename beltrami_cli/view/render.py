@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from beltrami_cli.jobs.writing.files import FileSet
+    from beltrami_cli.jobs.writing.output import FileSet
     from beltrami_cli.samples.settings import SmoothSettings
     from beltrami_cli.view.drawing import Progress
 

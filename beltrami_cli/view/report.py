@@ -16,7 +16,7 @@ from beltrami_cli.formats.document import Written
 from beltrami_cli.formats.image.document import ImageDocument
 from beltrami_cli.jobs.compare.figures import figures
 from beltrami_cli.jobs.compare.parts import compare_images, compare_textures, compare_vertices
-from beltrami_cli.jobs.opening import document_from
+from beltrami_cli.jobs.documents import document_from
 from beltrami_cli.jobs.writing.output import Output
 from beltrami_cli.samples.memory_check import require_room_for_textures
 from beltrami_cli.samples.selection import select

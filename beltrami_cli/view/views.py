@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.image import Picture, read_image, to_float, without_alpha
 from beltrami_cli.formats.image.document import ImageDocument
-from beltrami_cli.jobs.opening import open_input
+from beltrami_cli.jobs.documents import open_input
 from beltrami_cli.samples.settings import DEFAULTS, SmoothSettings
 from beltrami_cli.samples.texel_colours import COLOUR_SLOTS
 from beltrami_cli.surface.colour_values import srgb_to_linear

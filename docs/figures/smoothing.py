@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 import beltrami_cli
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.samples.image_surface import ImageSurface
-from beltrami_cli.samples.pixel_samples import grid_flow
+from beltrami_cli.samples.image_surface import ImageSurface, grid_flow
 
 Array = NDArray[np.float64]
 

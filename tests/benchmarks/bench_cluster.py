@@ -20,12 +20,10 @@ from beltrami_cli.batch.cluster_partitions import ClusterRunner
 from beltrami_cli.batch.item import Item
 from beltrami_cli.batch.record import Record
 from beltrami_cli.batch.run import run_batch
-from beltrami_cli.flow.beltrami_flow import BeltramiFlow
+from beltrami_cli.flow.beltrami_flow import BeltramiFlow, in_partitions
 from beltrami_cli.flow.mesh_manifold import MeshManifold
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.flow.partitions import in_partitions
-from beltrami_cli.samples.image_surface import ImageSurface
-from beltrami_cli.samples.pixel_samples import grid_flow
+from beltrami_cli.samples.image_surface import ImageSurface, grid_flow
 from beltrami_cli.samples.settings import SmoothSettings
 from beltrami_cli.surface.records import SampledSurface
 from cli.commands import SAMPLES

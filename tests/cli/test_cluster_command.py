@@ -13,8 +13,8 @@ import pytest
 from beltrami_cli.batch.cluster_partitions import ClusterRunner
 from beltrami_cli.batch.item import Item, do_item
 from beltrami_cli.cli.main import group
+from beltrami_cli.flow.beltrami_flow import in_partitions
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.flow.partitions import in_partitions
 from beltrami_cli.samples.settings import SmoothSettings
 from cli.batches import QUICK, batch, copies, files_in, lines_of, smoothed, write_textured
 from cli.commands import COMMAND, SAMPLES

@@ -9,8 +9,7 @@ import numpy as np
 from beltrami_cli.flow.beltrami_flow import BeltramiFlow
 from beltrami_cli.flow.embedding import Guide
 from beltrami_cli.flow.mesh_manifold import MeshManifold
-from beltrami_cli.samples.image_surface import ImageSurface
-from beltrami_cli.samples.pixel_samples import grid_flow
+from beltrami_cli.samples.image_surface import ImageSurface, grid_flow
 from beltrami_cli.surface.atlas import build_atlas
 from beltrami_cli.surface.records import SampledSurface
 from oracles import surfaces

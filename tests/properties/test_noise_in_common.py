@@ -9,9 +9,8 @@ from scipy.ndimage import gaussian_filter
 
 import beltrami_cli
 from beltrami_cli.flow.manifold import Step
-from beltrami_cli.flow.noise import correlated_noise
-from beltrami_cli.flow.noise.correlated_noise import noise_in_common
-from beltrami_cli.flow.noise.grid import estimate_sigma_on_grid
+from beltrami_cli.flow.noise import grid
+from beltrami_cli.flow.noise.grid import estimate_sigma_on_grid, noise_in_common
 from beltrami_cli.flow.noise.haar_noise import draw_octaves, sigma_of_octaves
 from beltrami_cli.flow.tuning.sure import RiskEstimate
 from formats.image_files import encode
@@ -185,7 +184,7 @@ def test_of_a_large_picture_bands_tell_the_noise(monkeypatch):
     noise = enlarged((2048, 512), 1.5, 10 / 255)
     octaves = []
     for cells in (2048 * 512, 2 * 128 * 512):
-        monkeypatch.setattr(correlated_noise, "MOST_CELLS", cells)
+        monkeypatch.setattr(grid, "MOST_CELLS", cells)
         octaves.append(found(0.5 + noise)[0])
     assert sigma_of_octaves(octaves[1]) == pytest.approx(sigma_of_octaves(octaves[0]), rel=0.1)
 

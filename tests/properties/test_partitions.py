@@ -9,14 +9,14 @@ import pytest
 
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow import mesh_partitions
+from beltrami_cli.flow.beltrami_flow import in_partitions
 from beltrami_cli.flow.embedding import Guide
 from beltrami_cli.flow.geometry import GeometryParameters
 from beltrami_cli.flow.grid_manifold import GridManifold
 from beltrami_cli.flow.mesh_partitions import Neighbours
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.flow.partitions import InTurn, collect, in_partitions, plan_loans
-from beltrami_cli.samples.image_surface import ImageSurface
-from beltrami_cli.samples.pixel_samples import grid_flow
+from beltrami_cli.flow.partitions import InTurn, collect, plan_loans
+from beltrami_cli.samples.image_surface import ImageSurface, grid_flow
 from properties.split_surfaces import (
     FIXED,
     ON_GRIDS,

@@ -9,8 +9,7 @@ import numpy as np
 
 from beltrami_cli.flow.noise.haar_noise import draw_octaves, sigma_of_octaves
 from beltrami_cli.flow.regularisation import guide_radius
-from beltrami_cli.flow.tuning.sure import wanted_probes
-from beltrami_cli.flow.tuning.trial import SampleTrial
+from beltrami_cli.flow.tuning.sure import SampleTrial, wanted_probes
 from beltrami_cli.surface.atlas import EMPTY, OWNED, refresh_halo
 
 if TYPE_CHECKING:

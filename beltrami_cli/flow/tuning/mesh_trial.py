@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.flow.noise.mesh import detail_around
-from beltrami_cli.flow.tuning.sure import wanted_probes
-from beltrami_cli.flow.tuning.trial import SampleTrial
+from beltrami_cli.flow.tuning.sure import SampleTrial, wanted_probes
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from beltrami_cli.formats.image.metadata import is_lossless_webp
-from beltrami_cli.formats.image.oiio import TYPES
 from beltrami_cli.formats.image.picture import as_stored, full_scale_one, without_alpha
-from beltrami_cli.formats.image.recognition import FORMATS, format_of_suffix
+from beltrami_cli.formats.image.reading import TYPES
+from beltrami_cli.formats.image.recognition import FORMATS, format_of_suffix, label_of
 from beltrami_cli.surface.colour_values import linear_to_srgb, srgb_to_linear
 
 if TYPE_CHECKING:
@@ -57,6 +57,16 @@ def is_exact(picture: Picture) -> bool:
     if picture.format == "webp":
         return is_lossless_webp(picture.source)
     return picture.format != "jpeg" and picture.spec.get_string_attribute("compression") not in _LOSSY
+
+
+def noise_losses(picture: Picture, suffix: str | None, remedy: str) -> tuple[str, ...]:
+    """Return a notice if noise is written in the image's own format, and that is not exact."""
+    if suffix is not None or is_exact(picture):
+        return ()
+    kind = label_of(picture.format)
+    return (
+        f"{picture.name}: {kind} is not exact and takes some of the noise away, most of all in hues; {remedy}",
+    )
 
 
 def converted(

@@ -2,26 +2,29 @@
 
 from __future__ import annotations
 
+import os
+from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from beltrami_cli.errors import InputError
+from beltrami_cli.errors import InputError, ProcessingError
 from beltrami_cli.formats.image.metadata import has_palette, is_animated, is_cmyk_jpeg
-from beltrami_cli.formats.image.oiio import TYPES, opened
 from beltrami_cli.formats.image.picture import Picture
 from beltrami_cli.formats.image.recognition import READABLE, format_of, label_of, suffix_for
 from beltrami_cli.surface.large_arrays import copy_of, is_on_disk
 
 if TYPE_CHECKING:
-    from pathlib import Path
+    from collections.abc import Iterator
 
     from numpy.typing import NDArray
 
 _LARGEST = 1 << 28  # pixels: 16384 x 16384, the largest texture that graphics cards take
 _MOST_CHANNELS = 64
 _MOST_MEGABYTES = 8192  # of decoded pixels
+TYPES = {"uint8": "uint8", "uint16": "uint16", "float16": "half", "float32": "float"}  # of OpenImageIO
 _STORED = {name: kind for kind, name in TYPES.items()}
 _NOT_BUILT_IN = ("support is not configured", "is not implemented")  # of a compression, as libtiff says
 _COLOURED = 3  # channels
@@ -228,3 +231,56 @@ def _changes_of_tiff(spec: Any, name: str) -> list[str]:
             f"{name} is compressed by {compression}; what is written as TIFF is compressed by zip."
         )
     return notices
+
+
+"""OpenImageIO's names of NumPy's types."""
+
+_OPEN_FILES = Path("/proc/self/fd")
+
+
+@contextmanager
+def opened(data: bytes, config: Any = None) -> Iterator[tuple[Any, Path]]:
+    """Open an image file; give an OpenImageIO.ImageInput, or None if that fails, and its path, which errors name."""
+    import OpenImageIO
+
+    with scratch_file(data) as path:
+        arguments = (str(path),) if config is None else (str(path), config)
+        file = OpenImageIO.ImageInput.open(*arguments)
+        if file is None:
+            yield None, path
+            return
+        try:
+            yield file, path
+        finally:
+            file.close()
+            file.geterror()
+            OpenImageIO.geterror()
+
+
+@contextmanager
+def scratch_file(data: bytes = b"", suffix: str = "") -> Iterator[Path]:
+    """Give a file a name for a while: in memory on Linux if it needs no suffix, else among temporary files."""
+    if not suffix and hasattr(os, "memfd_create") and _OPEN_FILES.is_dir():
+        descriptor = os.memfd_create("image")
+        try:
+            path = _OPEN_FILES / str(descriptor)
+            _fill(path, data)
+            yield path
+        finally:
+            os.close(descriptor)
+    else:
+        import tempfile
+
+        with tempfile.TemporaryDirectory(prefix="beltrami-") as folder:
+            path = Path(folder) / f"image{suffix}"
+            _fill(path, data)
+            yield path
+
+
+def _fill(path: Path, data: bytes) -> None:
+    try:
+        path.write_bytes(data)
+    except OSError as error:
+        raise ProcessingError(
+            f"there is no room for a copy of an image of {len(data)} bytes ({error.strerror})"
+        ) from error

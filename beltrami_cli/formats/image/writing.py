@@ -14,7 +14,7 @@ from beltrami_cli.formats.image.metadata import (
     is_progressive_jpeg,
     without_additions,
 )
-from beltrami_cli.formats.image.oiio import TYPES, scratch_file
+from beltrami_cli.formats.image.reading import TYPES, scratch_file
 from beltrami_cli.formats.image.recognition import FORMATS, WRITABLE, format_of_suffix, label_of
 from beltrami_cli.surface.records import ImageFile
 

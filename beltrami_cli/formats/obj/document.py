@@ -16,10 +16,9 @@ from beltrami_cli.formats.document import NO_IMAGES, PLACEHOLDER, Document, Fing
 from beltrami_cli.formats.model_folder import ModelFolder
 from beltrami_cli.formats.obj.materials import Materials
 from beltrami_cli.formats.obj.patching import new_colours, new_positions, renumbered, repainted
-from beltrami_cli.formats.obj.scan import Scan, among, read_normals, scan_file
 from beltrami_cli.formats.obj.statements import Statements
 from beltrami_cli.formats.obj.texturing import gather_textured, read_coordinates
-from beltrami_cli.formats.obj.vertices import repainted_entries
+from beltrami_cli.formats.obj.vertices import Scan, among, read_normals, repainted_entries, scan_file
 from beltrami_cli.formats.tokens import Spans, exchange_spans, exchange_tokens, shifted, zeroed
 from beltrami_cli.surface.polygons import triangulate
 from beltrami_cli.surface.records import MeshContents, MovedVertices, PaintedVertices

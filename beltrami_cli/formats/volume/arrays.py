@@ -18,6 +18,7 @@ Arrays, by their names; all but the first are optional:
 
 from __future__ import annotations
 
+import importlib
 import math
 from typing import TYPE_CHECKING, Any
 
@@ -25,18 +26,21 @@ import numpy as np
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.npz import LEVEL_SET_KEYS, NpzArchive
-from beltrami_cli.formats.volume.reading import checked_lattice
-from beltrami_cli.surface.volume import GridColours, NearColours, Volume
+from beltrami_cli.surface.volume import GridColours, Lattice, NearColours, Volume
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from beltrami_cli.surface.volume import Lattice
 
 _COLOURS = ("colours", "colors")
 _POINT_COLOURS = ("point_colours", "point_colors")
 _CHANNELS = 4
 _SIDE = 2  # a cell has two samples along each axis
+# Any unit of length from picometres to light hours; squares fit into float32.
+_SMALLEST, _LARGEST = 1e-12, 1e12
+_UNLIKE = 1e4  # how much longer than others a step may be
+_FURTHEST = 1e9  # steps from the origin: doubles resolve millionths of a step there
+_FLAT = 1e-6  # directions closer to one plane than that are a mistake
 
 
 def read_npz(archive: NpzArchive, name: str, most: int) -> Volume:
@@ -125,3 +129,31 @@ def _numbers(archive: NpzArchive, key: str, counts: tuple[int, ...], name: str) 
 def _require(holds: Any, name: str, cause: str) -> None:
     if not holds:
         raise InputError(name, cause, "see the arrays that a level set has in `beltrami smooth --help`")
+
+
+def checked_lattice(axes: NDArray[np.float64], origin: NDArray[np.float64], name: str) -> Lattice:
+    """Make a lattice; InputError if steps lie in one plane, or are too small, large or unlike to compute with."""
+    if not (np.isfinite(axes).all() and np.isfinite(origin).all()):
+        raise InputError(name, "its spacing or origin is not finite", "repair it")
+    longest = np.abs(axes).max(axis=1)
+    if longest.min() < _SMALLEST or longest.max() > _LARGEST or longest.max() > _UNLIKE * longest.min():
+        steps = ", ".join(f"{step:g}" for step in longest)
+        cause = f"its spacings are {steps}, but must be from {_SMALLEST:g} to {_LARGEST:g} and much alike"
+        raise InputError(name, cause, "choose another unit")
+    if np.abs(origin).max() > _FURTHEST * longest.min():
+        raise InputError(name, "its origin is too far away for its spacing", "move it")
+    if abs(np.linalg.det(axes / np.linalg.norm(axes, axis=1)[:, None])) < _FLAT:
+        raise InputError(name, "its space directions lie in one plane", "repair them")
+    return Lattice(axes, origin)
+
+
+def require_package(module: str, package: str, name: str, purpose: str) -> Any:
+    """Import a module of the extra for volumes; InputError that names the extra if it is not installed."""
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        raise InputError(
+            name,
+            f"{purpose}, the package {package} is needed",
+            "install it with: pip install 'beltrami-cli[volumes]'",
+        ) from error

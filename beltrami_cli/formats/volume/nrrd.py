@@ -21,7 +21,7 @@ import numpy as np
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.model_folder import ModelFolder
-from beltrami_cli.formats.volume.reading import checked_lattice, require_package
+from beltrami_cli.formats.volume.arrays import checked_lattice, require_package
 from beltrami_cli.surface.volume import GridColours, Volume
 
 if TYPE_CHECKING:

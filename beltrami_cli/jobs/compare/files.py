@@ -14,7 +14,7 @@ from beltrami_cli.formats.registry import kind_of
 from beltrami_cli.jobs.compare.figures import Verdict, check_limits, figures
 from beltrami_cli.jobs.compare.map import draw_map, is_map, require_map
 from beltrami_cli.jobs.compare.parts import compare_images, compare_textures, compare_vertices
-from beltrami_cli.jobs.opening import document_from
+from beltrami_cli.jobs.documents import document_from
 from beltrami_cli.jobs.settings import Limits
 from beltrami_cli.jobs.writing.output import Output, Overwrite
 from beltrami_cli.samples.memory_check import require_room_for_textures

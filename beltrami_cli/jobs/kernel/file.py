@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, cast
 
 from beltrami_cli.errors import UsageError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
+from beltrami_cli.jobs.documents import open_input
 from beltrami_cli.jobs.kernel.location import read_location
 from beltrami_cli.jobs.kernel.output import SUFFIXES, encode
 from beltrami_cli.jobs.kernel.probe import probe_kernel
-from beltrami_cli.jobs.opening import open_input
 from beltrami_cli.jobs.writing.output import Output
 from beltrami_cli.samples.memory_check import require_room_for_textures
 from beltrami_cli.samples.selection import require_scale, samples_of, select

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from beltrami_cli.flow.beltrami_flow import BeltramiFlow
     from beltrami_cli.flow.grid_manifold import GridManifold
-    from beltrami_cli.flow.kernel_probe import SampledKernel
+    from beltrami_cli.flow.manifold import SampledKernel
     from beltrami_cli.formats.document import Document
     from beltrami_cli.jobs.kernel.location import Location
     from beltrami_cli.samples.pixel_samples import PixelSamples

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from beltrami_cli.flow.beltrami_flow import BeltramiFlow
-    from beltrami_cli.flow.kernel_probe import SampledKernel
+    from beltrami_cli.flow.manifold import SampledKernel
     from beltrami_cli.flow.mesh_manifold import MeshManifold
     from beltrami_cli.formats.document import Document
     from beltrami_cli.jobs.kernel.location import Location

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from beltrami_cli.flow.beltrami_flow import BeltramiFlow
-    from beltrami_cli.flow.kernel_probe import SampledKernel
+    from beltrami_cli.flow.manifold import SampledKernel
     from beltrami_cli.flow.parameters import KernelParameters, Space
     from beltrami_cli.jobs.kernel.location import Location
     from beltrami_cli.jobs.kernel.output import MeshView, WindowView

@@ -1,4 +1,4 @@
-"""The files that belong to a model beside it, when it is written with other colours."""
+"""Documents of a job: the input, the files of the output, and the files that belong beside it."""
 
 from __future__ import annotations
 
@@ -7,22 +7,127 @@ import os
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
-from beltrami_cli.errors import BeltramiError, OutputError
-from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access, read_regular
+import numpy as np
+
+from beltrami_cli.errors import BeltramiError, OutputError, UsageError
+from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access, read_regular, read_source
 from beltrami_cli.formats.image.recognition import suffix_for
-from beltrami_cli.formats.registry import open_document
-from beltrami_cli.jobs.conversion import make_files
-from beltrami_cli.surface.records import ImageFile
+from beltrami_cli.formats.registry import document_of, kind_of, open_document, write_contents
+from beltrami_cli.surface.geometry import vertex_normals
+from beltrami_cli.surface.grouping import group_equal_rows
+from beltrami_cli.surface.records import ImageFile, MovedVertices
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Mapping
 
+    from numpy.typing import NDArray
+
+    from beltrami_cli.formats.access import Access
     from beltrami_cli.formats.document import Document, Written
     from beltrami_cli.jobs.writing.output import Output
     from beltrami_cli.samples.selection import OutputFormat, Selection
     from beltrami_cli.samples.settings import SmoothSettings
+    from beltrami_cli.surface.records import MeshContents, PaintedVertices, Slot
+
+
+def open_input(source: str, settings: SmoothSettings, access: Access) -> Document:
+    """Read a file, or standard input for "-", as the document that it is.
+
+    Raises InputError if it cannot be read, or is of none of the formats, and UsageError if there are settings of
+    level sets, and it is none.
+    """
+    return document_from(read_source(source, access), source, settings, access)
+
+
+def document_from(data: bytes, source: str, settings: SmoothSettings, access: Access) -> Document:
+    """Open a source whose bytes have been read already; see `open_input`."""
+    name, folder = ("<stdin>", None) if source == "-" else (source, Path(source).parent)
+    kind = kind_of(data, name)
+    if kind == "volume":
+        from beltrami_cli.samples.voxels import LevelSetDocument
+
+        return LevelSetDocument(data, name, folder, settings.level_set, access, settings.kernel.thread_count)
+    if settings.level_set.given:
+        raise UsageError(f"{', '.join(settings.level_set.given)}: for level sets, and {name} is none")
+    if kind == "image":
+        from beltrami_cli.formats.image.document import ImageDocument
+
+        return ImageDocument(data, name, folder, access)
+    return document_of(data, source, access)
+
+
+def make_files(
+    document: Document,
+    colours: NDArray[np.float32] | None,
+    images: Mapping[tuple[Slot, str], ImageFile],
+    kind: OutputFormat,
+    stem: str,
+    *,
+    moved: bool,
+    places: MovedVertices | None = None,
+) -> Written:
+    """Return the files of a document with other colours and places; UsageError if the format cannot take textures over.
+
+    `colours` and `places` have rows as in ``document.painted()``; None: as they are. `stem` is the name of the output
+    without extension, for files beside it, and `moved` whether it lies in another folder than the source.
+    """
+    target_format = kind.name
+    if kind.is_own or kind.suffix is not None:
+        return document.patch(colours, stem, moved=moved, images=images, places=places)
+    from beltrami_cli.formats.gltf import GltfDocument
+
+    if isinstance(document, GltfDocument) and target_format in ("glb", "gltf"):
+        form: Literal["glb", "gltf"] = "glb" if target_format == "glb" else "gltf"
+        return document.repackaged(colours, stem, form, moved=moved, images=images, places=places)
+    if images or (document.slots() and not document.has_vertex_colours()):
+        raise UsageError(
+            f"textures cannot be converted from {document.format} to {target_format}; "
+            f"give the output the extension .{document.format}, or add --unwrap, which makes one new texture of them"
+        )
+    contents = document.contents()
+    if colours is not None:
+        contents = dataclasses.replace(contents, colours=colours)
+    if places is not None:
+        contents = _moved(contents, places)
+    return write_contents(contents, target_format, stem)
+
+
+def _moved(contents: MeshContents, places: MovedVertices) -> MeshContents:
+    normals = contents.normals
+    if normals is not None and places.normals is not None:
+        normals = np.where(np.isnan(places.normals), normals, places.normals)
+    return dataclasses.replace(contents, positions=places.positions, normals=normals)
+
+
+def moved_vertices(document: Document, positions: NDArray[np.float64]) -> MovedVertices:
+    """Return new positions, rows as in `painted`; with normals around what moved, if every vertex has one."""
+    painted = document.painted()
+    if not document.has_normals_by_vertex():
+        return MovedVertices(positions)
+    return MovedVertices(positions, _normals(painted, document.attribute("normal"), positions))
+
+
+def _normals(
+    painted: PaintedVertices, old: NDArray[np.float64], positions: NDArray[np.float64]
+) -> NDArray[np.float32]:
+    """Return the normals of vertices that moved or have a neighbour that did, NaN for the others, shape (V, 3).
+
+    Copies of a vertex that shared a normal share the new one; those with normals of their own keep them apart, so that
+    hard edges stay hard.
+    """
+    columns = [*painted.positions.T, *old.T]
+    if painted.space_of is not None:
+        columns.append(painted.space_of)
+    group_of, _ = group_equal_rows(*columns)
+    normals = vertex_normals(positions, painted.faces, group_of)
+    moved = np.any(positions != painted.positions, axis=1)
+    touched = np.zeros(int(group_of.max(initial=-1)) + 1, bool)
+    touched[group_of[painted.faces[moved[painted.faces].any(axis=1)]]] = True
+    kept = ~touched[group_of] | ~normals.any(axis=1)
+    normals[kept] = np.nan
+    return normals
 
 
 @dataclass(frozen=True)
@@ -104,7 +209,7 @@ def _names(
     target: str,
 ) -> dict[str, bool]:
     """Find the files that would be written beside the output, by writing the old images anew; True: it is new."""
-    from beltrami_cli.samples.texel_samples import choose_textures
+    from beltrami_cli.samples.texel_colours import choose_textures
 
     suffix = settings.textures.image_suffix
     images = {

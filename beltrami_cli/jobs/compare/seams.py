@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.surface.atlas import EMPTY, OWNED, refresh_halo
+from beltrami_cli.surface.lookup import within
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from beltrami_cli.surface.atlas import Atlas
+from beltrami_cli.surface.atlas import Atlas
 
 # What "near a seam" means, in texels.
 _NEAR = 4
@@ -26,23 +27,6 @@ def near_seams(atlas: Atlas) -> NDArray[np.bool_]:
         beside.reshape(-1)[inner] = True
     # Charts are further apart on the canvas than this reaches.
     return within(beside, _NEAR - 1).reshape(-1)[atlas.owned_cells]
-
-
-def within(covered: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
-    """Tell which texels of a texture, or cells of a canvas, lie at most `reach` rows and columns from a covered one."""
-    near, known = covered, 0
-    while known < reach:
-        # What is within so many, together with itself moved to all sides as far as no gap is left in between.
-        step = min(2 * known + 1, reach - known)
-        for axis in (0, 1):
-            ahead, behind = [slice(None), slice(None)], [slice(None), slice(None)]
-            ahead[axis], behind[axis] = slice(step, None), slice(None, -step)
-            grown = near.copy()
-            grown[*ahead] |= near[*behind]
-            grown[*behind] |= near[*ahead]
-            near = grown
-        known += step
-    return near
 
 
 def seam_steps(atlas: Atlas, colours: NDArray[np.float32]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:

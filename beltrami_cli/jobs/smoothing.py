@@ -1,0 +1,145 @@
+"""Smoothing as a painter, and the record of what was done to a file, which can be written as JSON."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from beltrami_cli.jobs.resources import peak_memory
+from beltrami_cli.samples.selection import require_geometry, require_scale
+from beltrami_cli.samples.settings import describe_settings
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from beltrami_cli.flow.beltrami_flow import FlowResult
+    from beltrami_cli.formats.document import Document
+    from beltrami_cli.samples.reports import ImageReport, SamplesReport, SlotReport, VertexReport
+    from beltrami_cli.samples.samples import Part, Repainted, Samples
+    from beltrami_cli.samples.selection import OutputFormat, Selection
+    from beltrami_cli.samples.settings import SmoothSettings
+
+
+@dataclass(frozen=True)
+class Smoothed:
+    """What smoothing makes of samples: their part of the document, what was done, and what users should know."""
+
+    part: Part
+    repainted: Repainted
+    report: SamplesReport
+    result: FlowResult
+    warnings: list[str]
+
+
+def smooth_samples(samples: Samples, progress: Callable[[int, int], None] | None = None) -> Smoothed:
+    """Run the flow on samples, and put the colours back."""
+    flow = samples.flow()
+    result = flow.run(progress)
+    report, warnings = samples.report(flow, result), samples.warnings(result)
+    new = flow.manifold.new_colours()
+    del flow  # before images as large are made
+    repainted = samples.repaint(new)
+    report = dataclasses.replace(report, change=repainted.change.summary())
+    return Smoothed(samples.part, repainted, report, result, warnings)
+
+
+class Smoothing:
+    """A painter that smooths."""
+
+    colours_only = False
+    works_on_disk = True
+
+    def __init__(self, settings: SmoothSettings) -> None:
+        self._settings = settings
+        self.changes = settings.kernel.iterations != 0
+        self.done: list[Smoothed] = []
+
+    def check(self, document: Document, selection: Selection, target: OutputFormat) -> None:
+        """Raise what cannot be smoothed."""
+        if self.changes:
+            require_geometry(document, selection, self._settings, target)
+        require_scale(document, selection)
+
+    def paint(self, samples: Samples, progress: Callable[[int, int], None] | None) -> Repainted:
+        """Smooth samples."""
+        smoothed = smooth_samples(samples, progress)
+        self.done.append(smoothed)
+        return smoothed.repainted
+
+
+def make_report(
+    ends: tuple[str, str],
+    target_format: str,
+    settings: SmoothSettings,
+    done: Sequence[Smoothed],
+    stages: dict[str, dict[str, float]],
+    written: list[str],
+    warnings: list[str],
+) -> SmoothReport:
+    """Put together what a job did, from `ends[0]` to `ends[1]`."""
+    reports: dict[Part, list[Any]] = {"vertices": [], "textures": [], "image": []}
+    for each in done:
+        reports[each.part].append(each.report)
+    return SmoothReport(
+        input=ends[0],
+        output=ends[1],
+        format=target_format,
+        parameters=describe_settings(settings),
+        vertices=next(iter(reports["vertices"]), None),
+        textures=reports["textures"],
+        stages=stages,
+        peak_memory=peak_memory(),
+        written=written,
+        warnings=warnings,
+        image=next(iter(reports["image"]), None),
+    )
+
+
+_HEAD = re.compile(rb'\{\n  "input": ".*",\n  "output": ".*",\n  "format": "\w+",\n  "parameters": \{')
+
+
+@dataclass(frozen=True)
+class SmoothReport:
+    """What was done to a file; `dataclasses.asdict` gives JSON types.
+
+    Attributes
+    ----------
+    input, output, format : str
+        Where from, where to, and the format written.
+    parameters : dict
+        The parameters that were asked for; those named in "free" were left to be chosen, and what was chosen is with
+        what it was chosen for.
+    vertices : VertexReport or None
+        For vertex colours, if they were smoothed.
+    textures : list of SlotReport
+        For the texture slots that were smoothed.
+    stages : dict
+        "wall" and "cpu" seconds per stage.
+    peak_memory : int or None
+        Largest resident size of the process in bytes.
+    written : list of str
+        The files that were written; none on a dry run.
+    warnings : list of str
+        What the user should know.
+    image : ImageReport or None
+        For an image, if it was smoothed.
+    """
+
+    input: str
+    output: str
+    format: str
+    parameters: dict[str, object]
+    vertices: VertexReport | None
+    textures: list[SlotReport]
+    stages: dict[str, dict[str, float]]
+    peak_memory: int | None
+    written: list[str]
+    warnings: list[str]
+    image: ImageReport | None = None
+
+
+def is_report(head: bytes) -> bool:
+    """Return whether a file is a `SmoothReport` as JSON, by its first bytes."""
+    return _HEAD.match(head) is not None
