@@ -8,10 +8,11 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
+PACKAGE = ROOT / "beltrami_cli"
 PAGES = sorted((ROOT / "docs").glob("*.md"))
-DEVELOPERS = [ROOT / "docs" / name for name in ("architecture.md", "contributing.md")]
+DEVELOPERS = [ROOT / "docs" / name for name in ("architecture.md", "contributing.md", "method.md")]
 # What paths in tables and sentences are relative to.
-FOLDERS = [ROOT, ROOT / "beltrami_cli", ROOT / "beltrami_cli" / "native", ROOT / "tests"]
+FOLDERS = [ROOT, PACKAGE, PACKAGE / "native", ROOT / "tests"]
 LINK = re.compile(r"\]\((?!https?:)([^)#\s]*)(?:#([^)\s]*))?\)")
 
 
@@ -34,21 +35,20 @@ def quoted(page):
 
 @pytest.mark.parametrize("page", DEVELOPERS, ids=lambda page: page.name)
 def test_paths_that_developers_read_of_exist(page):
-    paths = {word for word in quoted(page) if re.fullmatch(r"[\w./-]+(/|\.(py|pyi|md|toml|cff|yml))", word)}
+    paths = {word for word in quoted(page) if re.fullmatch(r"[\w./-]+(/|\.(py|pyi|cpp|hpp|md|toml|cff|yml))", word)}
     assert paths
     assert [path for path in sorted(paths) if not any((folder / path).exists() for folder in FOLDERS)] == []
 
 
 @pytest.mark.parametrize("page", DEVELOPERS, ids=lambda page: page.name)
 def test_names_that_developers_read_of_exist(page):
-    sources = [ROOT / "Makefile", *(ROOT / "beltrami_cli").rglob("*.py")]
+    sources = [ROOT / "Makefile", *(each for kind in ("py", "cpp", "hpp") for each in PACKAGE.rglob(f"*.{kind}"))]
     known = set(re.findall(r"\w+", " ".join(path.read_text(encoding="utf-8") for path in sources)))
     assert {word for word in quoted(page) if re.fullmatch(r"[A-Za-z_]\w*", word)} - known == set()
 
 
 def test_every_folder_of_the_package_has_its_place_in_the_architecture():
-    package = ROOT / "beltrami_cli"
-    folders = {f"{path.parent.name}/" for path in package.glob("*/__init__.py")} | {"native/"}
+    folders = {f"{path.parent.name}/" for path in PACKAGE.glob("*/__init__.py")} | {"native/"}
     assert folders <= quoted(DEVELOPERS[0])
 
 
