@@ -35,14 +35,19 @@ def quoted(page):
 
 @pytest.mark.parametrize("page", DEVELOPERS, ids=lambda page: page.name)
 def test_paths_that_developers_read_of_exist(page):
-    paths = {word for word in quoted(page) if re.fullmatch(r"[\w./-]+(/|\.(py|pyi|cpp|hpp|md|toml|cff|yml))", word)}
+    paths = {
+        word for word in quoted(page) if re.fullmatch(r"[\w./-]+(/|\.(py|pyi|cpp|hpp|md|toml|cff|yml))", word)
+    }
     assert paths
     assert [path for path in sorted(paths) if not any((folder / path).exists() for folder in FOLDERS)] == []
 
 
 @pytest.mark.parametrize("page", DEVELOPERS, ids=lambda page: page.name)
 def test_names_that_developers_read_of_exist(page):
-    sources = [ROOT / "Makefile", *(each for kind in ("py", "cpp", "hpp") for each in PACKAGE.rglob(f"*.{kind}"))]
+    sources = [
+        ROOT / "Makefile",
+        *(each for kind in ("py", "cpp", "hpp") for each in PACKAGE.rglob(f"*.{kind}")),
+    ]
     known = set(re.findall(r"\w+", " ".join(path.read_text(encoding="utf-8") for path in sources)))
     assert {word for word in quoted(page) if re.fullmatch(r"[A-Za-z_]\w*", word)} - known == set()
 
