@@ -86,7 +86,9 @@ def run(folder: Path, target: str, at: int, number: int) -> int:
 
 def main(source: Path, target: str, number: int) -> None:
     """Try every step."""
-    import beltrami_cli.cli.main  # noqa: F401  -- loaded once for all children
+    # Loaded once for all children.
+    import beltrami_cli.cli.main
+    import beltrami_cli.jobs.writing.output  # noqa: F401
 
     work = source.parent / "work"
 

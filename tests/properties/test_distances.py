@@ -69,8 +69,8 @@ def test_unfolding_at_least_halves_the_error_on_very_noisy_patches(record_proper
             ours = distances(image_manifold(flat, faces, grey, 3.0, unfold), len(flat), 112)
             errors.append((np.abs(ours - truth) / np.maximum(truth, 1e-9))[truth > 0].mean())
     split, unsplit = np.mean(error[True]), np.mean(error[False])
-    record_property("relative error with unfolding", split)
-    record_property("relative error without unfolding", unsplit)
+    record_property("relative error with unfolding", float(split))
+    record_property("relative error without unfolding", float(unsplit))
     assert split < 0.5 * unsplit
 
 

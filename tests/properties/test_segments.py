@@ -72,7 +72,7 @@ def test_distances_have_at_most_half_the_error_of_fast_marching(samples, beta, r
             errors[name].append(found[near] / truth[near] - 1)
     rms = {name: float(np.sqrt(np.mean(np.square(error)))) for name, error in errors.items()}
     for name, error in rms.items():
-        record_property(f"rms error of {name}", error)
+        record_property(f"rms error of {name}", float(error))
     # Paths on the surface are never shorter than the shortest; lengths are rounded to float32.
     assert np.min(errors["segments"]) > -1e-5
     assert rms["segments"] < 0.5 * rms["marching"]
