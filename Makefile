@@ -4,13 +4,14 @@ PYTHON ?= python3
 VENV   ?= .venv
 BIN     = $(VENV)/bin
 
-.PHONY: demo figures gallery viewer docs build-docs man test test-minimum lint bench run-bench sanitize fuzz fuzz-readers fuzz-core survey samples clean help
+.PHONY: demo figures gallery viewer docs build-docs man quick test test-minimum lint bench run-bench sanitize fuzz fuzz-readers fuzz-core survey samples clean help
 .DELETE_ON_ERROR:
 
 help:
 	@echo "make demo      smooth a sample mesh, with a before/after picture"
 	@echo "make figures   reproduce the figures of the paper, with their numbers in docs/figures.md"
 	@echo "make gallery   make the pictures of docs/gallery.md anew"
+	@echo "make quick     in under a minute, the tests that a change most likely breaks, and the import layers"
 	@echo "make test      all tests, in an environment of their own"
 	@echo "make test-minimum  the same with the oldest versions of what it depends on"
 	@echo "make docs      build the documentation as a site, in build/site"
@@ -62,8 +63,15 @@ $(VENV)/.gltf-validator: Makefile | $(VENV)/.pip
 	  --ignore-scripts --no-audit --no-fund $(GLTF_VALIDATOR) && touch $@ \
 	  || echo "$(GLTF_VALIDATOR) cannot be installed, so its tests will be skipped" >&2
 
+# A worker on every processor; one that is done takes over tests from the others, so those of a file mostly stay together.
+PYTEST = $(BIN)/pytest -n auto --dist worksteal
+
 test: $(VENV)/.installed-test $(VENV)/.gltf-validator
-	$(BIN)/pytest
+	$(PYTEST)
+
+quick: $(VENV)/.installed-test
+	$(BIN)/lint-imports
+	$(PYTEST) -q -m "not slow"
 
 # Nothing newer than tests/minimum-versions.txt, on the oldest Python; in an environment of its own.
 MINIMUM_PYTHON ?= python3.11
