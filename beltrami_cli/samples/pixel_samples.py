@@ -25,7 +25,7 @@ from beltrami_cli.samples.memory_check import require_room
 from beltrami_cli.samples.pixel_colours import ImageColours
 from beltrami_cli.samples.reports import ImageReport
 from beltrami_cli.samples.samples import Grains, Part, Repainted, Samples
-from beltrami_cli.samples.settings import DEFAULTS, describe_choice
+from beltrami_cli.samples.settings import DEFAULTS, describe_choice, describe_kernel
 from beltrami_cli.surface.records import ImageFile
 
 if TYPE_CHECKING:
@@ -37,7 +37,9 @@ if TYPE_CHECKING:
     from beltrami_cli.flow.beltrami_flow import BeltramiFlow, FlowResult
     from beltrami_cli.flow.grid_manifold import GridManifold
     from beltrami_cli.formats.access import Access
+    from beltrami_cli.formats.document import Document
     from beltrami_cli.formats.image.document import ImageDocument
+    from beltrami_cli.samples.probes.probe import Probe
     from beltrami_cli.samples.samples import Change
     from beltrami_cli.samples.settings import SmoothSettings
 
@@ -106,6 +108,25 @@ class PixelSamples(Samples):
             "surface": self.surface.kind,
             "holes": valid.size - int(np.count_nonzero(valid)),
         }
+
+    def describe(self) -> dict[str, object]:
+        """Describe the image, and what smoothing would do to it."""
+        flow, facts = self.flow(), self.facts()
+        del facts["format"]  # is that of the file
+        return {
+            "image": {**facts, "pitch": flow.manifold.spacing},
+            "noise": self.named(flow.manifold.sigma),
+            "smooth": describe_kernel(self.settings, flow),
+        }
+
+    def probe(self, document: Document, *, whole: bool) -> Probe:
+        """Run the flow for single kernels."""
+        del document, whole
+        from beltrami_cli.samples.probes.cells import PixelProbe
+        from beltrami_cli.samples.probes.probe import WorkingColours
+
+        unit = "pixel" if self.surface.positions is None else ""
+        return PixelProbe(self.picture, WorkingColours(self.names, self.settings.space), unit, self.flow())
 
     def notices(self) -> list[str]:
         """Return what users should know of the image."""

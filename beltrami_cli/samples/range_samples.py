@@ -12,8 +12,8 @@ from beltrami_cli.flow.colour_space import from_space, to_space
 from beltrami_cli.flow.embedding import Guide
 from beltrami_cli.samples.image_surface import ImageSurface, grid_flow
 from beltrami_cli.samples.samples import Change, Repainted
-from beltrami_cli.samples.settings import DEFAULTS
-from beltrami_cli.samples.vertex_samples import PaintedSamples
+from beltrami_cli.samples.settings import DEFAULTS, describe_kernel
+from beltrami_cli.samples.vertex_samples import PaintedSamples, describe_colours
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from beltrami_cli.flow.beltrami_flow import BeltramiFlow, FlowResult
     from beltrami_cli.flow.grid_manifold import GridManifold
     from beltrami_cli.flow.manifold import NewColours
+    from beltrami_cli.formats.document import Document
+    from beltrami_cli.samples.probes.probe import Probe
     from beltrami_cli.samples.reports import VertexReport
     from beltrami_cli.samples.settings import SmoothSettings
     from beltrami_cli.surface.records import PaintedVertices
@@ -79,6 +81,32 @@ class RangeSamples(PaintedSamples):
         samples = len(flow.manifold.atlas.owned_texels)
         counts: dict[str, float] = {"triangles": len(self.painted.faces)}
         return self._report(flow, result, {**counts, "samples": samples, "hard_edge_samples": 0})
+
+    def describe(self) -> dict[str, object]:
+        """Describe the range image, and what smoothing would do to it."""
+        flow, grid = self.flow(), self.grid
+        measured = len(flow.manifold.atlas.owned_texels)
+        return {
+            "colours": describe_colours(self.painted),
+            "surface": {
+                "range_image": [grid.shape[1], grid.shape[0]],
+                "vertices": len(self.painted.positions),
+                "samples": measured,
+                "holes": grid.size - measured,
+                "mean_edge_length": flow.manifold.spacing,
+            },
+            "noise": self.named(flow.manifold.sigma),
+            "smooth": describe_kernel(self.settings, flow),
+        }
+
+    def probe(self, document: Document, *, whole: bool) -> Probe:
+        """Run the flow for single kernels."""
+        del whole
+        from beltrami_cli.samples.probes.cells import RangeProbe
+        from beltrami_cli.samples.probes.probe import WorkingColours
+
+        colours = WorkingColours(self.names, self.settings.space)
+        return RangeProbe(self.painted, self.grid, document.name, colours, self.flow())
 
     def repaint(self, new: NewColours) -> Repainted:
         """Put the colours of places on the grid back to their vertices."""

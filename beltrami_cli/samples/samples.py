@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 
     from beltrami_cli.flow.beltrami_flow import BeltramiFlow, FlowResult
     from beltrami_cli.flow.manifold import NewColours
+    from beltrami_cli.formats.document import Document
+    from beltrami_cli.samples.probes.probe import Probe
     from beltrami_cli.samples.reports import SamplesReport
     from beltrami_cli.surface.records import ImageFile, Slot
 
@@ -104,6 +106,18 @@ class Samples(ABC):
     @abstractmethod
     def require_writable(self) -> None:
         """Raise what is wrong with images as outputs, before anything is computed."""
+
+    @abstractmethod
+    def describe(self) -> dict[str, object]:
+        """Return facts about them, their noise, and what smoothing would do, in JSON types, by what they are about."""
+
+    @abstractmethod
+    def probe(self, document: Document, *, whole: bool) -> Probe:
+        """Run the flow on them for single kernels; `whole`: all of a mesh is shown with a kernel."""
+
+    def notices(self) -> list[str]:
+        """Return what users should know of them."""
+        return []
 
     def warnings(self, result: FlowResult) -> list[str]:
         """Return what users should know once a flow was run."""

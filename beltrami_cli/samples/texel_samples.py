@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -17,8 +18,8 @@ from beltrami_cli.formats.image.conversion import noise_losses
 from beltrami_cli.samples.repainting import Repainting
 from beltrami_cli.samples.reports import SlotReport
 from beltrami_cli.samples.samples import Change, Grains, Part, Repainted, Samples
-from beltrami_cli.samples.settings import SLOTS, describe_choice
-from beltrami_cli.samples.texel_colours import COLOUR_SLOTS, TexelColours, choose_textures
+from beltrami_cli.samples.settings import SLOTS, describe_choice, describe_kernel
+from beltrami_cli.samples.texel_colours import COLOUR_SLOTS, TexelColours, choose_textures, only_textures
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import build_atlas, without_owned
 from beltrami_cli.surface.records import ImageFile
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.access import Access
     from beltrami_cli.formats.document import Document
     from beltrami_cli.formats.image import Picture
+    from beltrami_cli.samples.probes.probe import Probe
     from beltrami_cli.samples.settings import SmoothSettings
     from beltrami_cli.surface.atlas import Atlas
     from beltrami_cli.surface.records import Slot, TexturedSurface
@@ -135,6 +137,47 @@ class TexelSamples(Samples):
             guides=flow.manifold.guide_betas,
             choice=describe_choice(result.choice),
         )
+
+    def describe(self) -> dict[str, object]:
+        """Describe the textures of the slot, together and each by itself, and what smoothing would do to them."""
+        flow, described = self.flow(), self.facts()
+        count = len(described)
+        flows = [flow] if count == 1 else [self._alone(index) for index in range(count)]
+        atlases = [self.atlas] if count == 1 else [own.manifold.atlas for own in flows]
+        for facts, atlas, own in zip(described, atlases, flows, strict=True):
+            facts |= {"charts": atlas.charts, "seams": atlas.seams, "overlapped": atlas.overlapped}
+            facts |= {"pitch": own.manifold.spacing, "noise": self.named(own.manifold.sigma)}
+        between = self.atlas.seams - sum(atlas.seams for atlas in atlases)
+        return {
+            "slot": self.slot,
+            "images": described,
+            **atlas_counts(self.atlas),
+            "seams_between_textures": max(0, between),
+            "colour_jumps": flow.manifold.jumps,
+            "pitch": flow.manifold.spacing,
+            "noise": self.named(flow.manifold.sigma),
+            "smooth": describe_kernel(self.settings, flow),
+        }
+
+    def _alone(self, index: int) -> BeltramiFlow[GridManifold]:
+        """Return a flow, with no parameters chosen, on one of several textures."""
+        kernel, picture = dataclasses.replace(self.settings.kernel, free=()), self.pictures[index]
+        surface = only_textures(self.surface, [index])
+        atlas = atlas_of(surface, [picture], kernel)
+        hidden = self.colours.hidden(index, surface.textures[0], atlas.owned_texels)
+        if hidden.any():
+            atlas = without_owned(atlas, hidden)
+        planes = painted(atlas, self.colours.working(picture, atlas.owned_texels), kernel.thread_count)
+        return BeltramiFlow(GridManifold(atlas, planes, kernel), kernel)
+
+    def probe(self, document: Document, *, whole: bool) -> Probe:
+        """Run the flow for single kernels."""
+        del whole
+        from beltrami_cli.samples.probes.cells import TexelProbe
+        from beltrami_cli.samples.probes.probe import WorkingColours
+
+        colours = WorkingColours(self.names, self.colours.space)
+        return TexelProbe(document, self.surface, self.pictures, colours, self.flow())
 
     def repaint(self, new: NewColours) -> Repainted:
         """Encode the textures with new colours; those that did not change are the source's own files."""

@@ -17,7 +17,8 @@ from beltrami_cli.flow.geometry import GeometryParameters
 from beltrami_cli.flow.mesh_manifold import MeshManifold
 from beltrami_cli.samples.reports import VertexReport
 from beltrami_cli.samples.samples import Change, Grains, Part, Repainted, Samples
-from beltrami_cli.samples.settings import describe_choice
+from beltrami_cli.samples.settings import describe_choice, describe_kernel
+from beltrami_cli.surface.geometry import bounds
 from beltrami_cli.surface.grouping import group_equal_rows
 from beltrami_cli.surface.point_triangulation import faces_of_points
 from beltrami_cli.surface.records import SampledSurface
@@ -30,9 +31,15 @@ if TYPE_CHECKING:
 
     from beltrami_cli.flow.beltrami_flow import FlowResult
     from beltrami_cli.flow.manifold import NewColours
+    from beltrami_cli.formats.document import Document
+    from beltrami_cli.samples.probes.probe import Probe
     from beltrami_cli.samples.settings import SmoothSettings
     from beltrami_cli.surface.records import PaintedVertices
     from beltrami_cli.surface.vertex_sampling import VertexSampling
+
+
+# Kernels that tell how many samples one holds: a mean within a few per cent, in milliseconds.
+_PROBED_KERNELS = 1000
 
 
 @dataclass(frozen=True)
@@ -73,6 +80,18 @@ def _columns(painted: PaintedVertices, names: tuple[str, ...] | None) -> list[in
             raise UsageError(f"there is no channel {name}; the colours have {', '.join(painted.channels)}")
         columns.append(fits[0])
     return sorted(set(columns))
+
+
+def describe_colours(painted: PaintedVertices) -> dict[str, object]:
+    """Return facts about colours of vertices, in JSON types."""
+    colours = painted.colours
+    return {
+        "channels": list(painted.channels),
+        "stored": painted.stored,
+        "encoding": painted.encoding,
+        "least": [float(value) for value in colours.min(axis=0)] if len(colours) else [],
+        "greatest": [float(value) for value in colours.max(axis=0)] if len(colours) else [],
+    }
 
 
 class PaintedSamples(Samples):
@@ -199,6 +218,60 @@ class VertexSamples(PaintedSamples):
             "largest_move": float(moves.max()),
         }
         return dataclasses.replace(report, geometry=geometry)
+
+    def describe(self) -> dict[str, object]:
+        """Describe the vertex colours of a mesh or of points, and what smoothing would do to them."""
+        painted = self.joined
+        facts = self._describe_points() if self.is_cloud else self._describe_mesh()
+        flow = self.flow()
+        manifold = flow.manifold
+        moving = {}
+        if manifold.moving is not None:
+            moving = {"normal_noise": manifold.moving.sigma, "normal_beta": manifold.moving.beta}
+        held = round(manifold.samples_per_kernel(_PROBED_KERNELS, flow.step(0)), 1)
+        return {
+            "colours": describe_colours(painted),
+            "cloud" if self.is_cloud else "surface": {
+                **facts,
+                "mean_edge_length": manifold.spacing,
+                "bounds": bounds(painted.positions),
+            },
+            "noise": self.named(manifold.sigma),
+            "smooth": describe_kernel(self.settings, flow) | moving | {"samples_per_kernel": held},
+        }
+
+    def _describe_mesh(self) -> dict[str, object]:
+        from beltrami_cli.surface.geometry import count_topology
+
+        painted, surface, sampling = self.painted, self.surface, self.sampling
+        # The position of each place: a hard colour edge is no boundary of the surface.
+        positions = np.empty((sampling.places, surface.positions.shape[1]))
+        positions[sampling.place_of] = surface.positions
+        topology = count_topology(positions, sampling.place_of[surface.faces])
+        return {
+            "vertices": len(painted.positions),
+            "triangles": len(painted.faces),
+            "samples": len(surface.colours),
+            "coincident_vertices": len(painted.positions) - sampling.places,
+            "hard_edge_samples": len(surface.colours) - sampling.places,
+            **dataclasses.asdict(topology),
+        }
+
+    def _describe_points(self) -> dict[str, object]:
+        return {
+            "points": len(self.painted.positions),
+            "samples": len(self.surface.colours),
+            "coincident_points": len(self.painted.positions) - self.sampling.places,
+            **dataclasses.asdict(count_cloud(self.joined)),
+        }
+
+    def probe(self, document: Document, *, whole: bool) -> Probe:
+        """Run the flow for single kernels."""
+        from beltrami_cli.samples.probes.probe import WorkingColours
+        from beltrami_cli.samples.probes.vertices import VertexProbe
+
+        colours = WorkingColours(self.names, self.settings.space)
+        return VertexProbe(self.joined, self.sampling, document.name, colours, self.flow(), whole=whole)
 
     def repaint(self, new: NewColours) -> Repainted:
         """Put the colours of samples back to all vertices that are one sample."""

@@ -20,6 +20,11 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
+def bounds(positions: NDArray[np.float64]) -> list[list[float]]:
+    """Return the least and the greatest coordinates; nothing if there are no positions."""
+    return [positions.min(axis=0).tolist(), positions.max(axis=0).tolist()] if len(positions) else []
+
+
 def unit_vectors(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return vectors, shape (N, 3), with length 1, or 0 where they have none."""
     length = np.linalg.norm(vectors, axis=1, keepdims=True)

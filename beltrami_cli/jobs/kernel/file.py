@@ -5,25 +5,27 @@ from __future__ import annotations
 import dataclasses
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
+
+import numpy as np
 
 from beltrami_cli.errors import UsageError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.jobs.documents import open_input
-from beltrami_cli.jobs.kernel.location import read_location
-from beltrami_cli.jobs.kernel.output import SUFFIXES, encode
-from beltrami_cli.jobs.kernel.probe import probe_kernel
+from beltrami_cli.jobs.kernel.output import SUFFIXES, ProbedKernel, encode
 from beltrami_cli.jobs.writing.output import Output
 from beltrami_cli.samples.memory_check import require_room_for_textures
+from beltrami_cli.samples.probes.location import read_location
 from beltrami_cli.samples.selection import require_scale, samples_of, select
 from beltrami_cli.samples.settings import DEFAULTS
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from beltrami_cli.jobs.kernel.probe import ProbedSamples
+    from beltrami_cli.flow.parameters import KernelParameters
+    from beltrami_cli.samples.probes.location import Location
+    from beltrami_cli.samples.probes.probe import Probe
     from beltrami_cli.samples.settings import SmoothSettings
-    from beltrami_cli.samples.vertex_samples import VertexSamples
 
 
 def kernel_file(
@@ -53,14 +55,14 @@ def kernel_file(
     # What is restored of clipped colours comes after the averages of all iterations, and is none of them.
     kernel = dataclasses.replace(settings.kernel, iterations=iteration - 1, clipping="keep", free=())
     settings = dataclasses.replace(settings, kernel=kernel)
-    samples = _probed(source, settings, access, whole=whole)
-    probed = probe_kernel(samples, location, kernel, progress)
+    probe = _probe_of(source, settings, access, whole=whole)
+    probed = _kernel(probe, location, kernel, progress)
     facts = {"input": source, "output": target, **probed.facts}
     output.write(encode(probed, facts, suffix))
     return facts
 
 
-def _probed(source: str, settings: SmoothSettings, access: Access, *, whole: bool) -> ProbedSamples:
+def _probe_of(source: str, settings: SmoothSettings, access: Access, *, whole: bool) -> Probe:
     """Take the samples of a file of which there is one kind."""
     document = open_input(source, settings, access)
     selection = select(document, settings)
@@ -71,16 +73,41 @@ def _probed(source: str, settings: SmoothSettings, access: Access, *, whole: boo
         )
     require_room_for_textures(document, selection.slots, settings.textures, access)
     (samples,) = samples_of(document, selection, settings, access)
-    from beltrami_cli.jobs.kernel.grid import ProbedPixels, ProbedRange, ProbedTexels
-    from beltrami_cli.jobs.kernel.mesh import ProbedVertices
-    from beltrami_cli.samples.pixel_samples import PixelSamples
-    from beltrami_cli.samples.range_samples import RangeSamples
-    from beltrami_cli.samples.texel_samples import TexelSamples
+    return samples.probe(document, whole=whole)
 
-    if isinstance(samples, PixelSamples):
-        return ProbedPixels(document, samples)
-    if isinstance(samples, TexelSamples):
-        return ProbedTexels(document, samples)
-    if isinstance(samples, RangeSamples):
-        return ProbedRange(document, samples)
-    return ProbedVertices(document, cast("VertexSamples", samples), whole=whole)
+
+def _kernel(
+    probe: Probe,
+    location: Location,
+    parameters: KernelParameters,
+    progress: Callable[[int, int], None] | None,
+) -> ProbedKernel:
+    """Run the iterations, and take the kernel of the sample at a location after them."""
+    sample, facts = probe.find(location)
+    probe.flow.run(progress)
+    kernel = probe.flow.kernel_at(sample)
+    names = probe.colours.names
+    colours = {name: kernel.colours[:, i] for i, name in enumerate(names)}
+    facts |= probe.facts(kernel)
+    facts |= {
+        "iteration": parameters.iterations + 1,
+        "regularised_metric": parameters.is_regularised(parameters.iterations),
+        "t": parameters.t,
+        "beta": probe.flow.beta * parameters.growth(parameters.iterations),
+        "threshold": parameters.threshold,
+        "unit_of_length": probe.unit or _unit(parameters),
+        "radius": parameters.radius,
+        "space": probe.colours.space,
+        "samples": len(kernel.samples),
+        "furthest": float(kernel.distances.max()),
+        "sum_of_weights": float(kernel.weights.sum(dtype=np.float64)),
+        "before": dict(zip(names, kernel.colours[0].tolist(), strict=True)),
+        "after": dict(zip(names, kernel.mean.tolist(), strict=True)),
+    }
+    columns = probe.columns(kernel.samples)
+    columns |= {"distance": kernel.distances, "weight": kernel.weights, **colours}
+    return ProbedKernel(facts, columns, parameters.radius, probe.view(kernel))
+
+
+def _unit(parameters: KernelParameters) -> str:
+    return "sample spacing" if parameters.units == "spacing" else "that of the file"

@@ -16,6 +16,7 @@ import numpy as np
 from beltrami_cli.errors import UsageError
 from beltrami_cli.formats.document import Written
 from beltrami_cli.jobs.colour_map import as_bytes, colour_by_value
+from beltrami_cli.samples.probes.probe import MeshView, WindowView
 from beltrami_cli.samples.settings import IMAGE_SUFFIXES
 
 if TYPE_CHECKING:
@@ -27,28 +28,6 @@ SUFFIXES = (".ply", *IMAGE_SUFFIXES, *_TABLES)
 _NOTHING = 1.0  # where there is no sample
 _PANEL, _GAP = 420, 12  # pixels
 _SOURCE = np.array([0.9, 0.1, 0.1])
-
-
-@dataclass(frozen=True)
-class MeshView:
-    """The part of a mesh, of V vertices, that a kernel is shown on."""
-
-    positions: NDArray[np.float64]
-    faces: NDArray[np.int32]
-    shades: NDArray[np.float32]  # (V, 3): the painting, as display values in [0, 1]
-    distances: NDArray[np.float32]  # NaN where the kernel holds nothing
-    weights: NDArray[np.float32]  # 0 there
-
-
-@dataclass(frozen=True)
-class WindowView:
-    """The part of a canvas, of H x W cells, that a kernel is shown on."""
-
-    shades: NDArray[np.float32]  # (H, W, 3): the painting, as display values in [0, 1]
-    filled: NDArray[np.bool_]  # cells that hold a colour
-    distances: NDArray[np.float32]  # NaN where the kernel holds nothing
-    weights: NDArray[np.float32]  # 0 there
-    source: tuple[int, int]  # row and column of the kernel's own cell
 
 
 @dataclass(frozen=True)

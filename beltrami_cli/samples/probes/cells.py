@@ -8,27 +8,28 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from beltrami_cli.errors import UsageError
-from beltrami_cli.jobs.kernel.output import WindowView
-from beltrami_cli.jobs.kernel.probe import ProbedSamples, WorkingColours
+from beltrami_cli.samples.probes.probe import Probe, WindowView
 from beltrami_cli.surface.atlas import EMPTY
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from beltrami_cli.flow.beltrami_flow import BeltramiFlow
     from beltrami_cli.flow.grid_manifold import GridManifold
     from beltrami_cli.flow.manifold import SampledKernel
     from beltrami_cli.formats.document import Document
-    from beltrami_cli.jobs.kernel.location import Location
-    from beltrami_cli.samples.pixel_samples import PixelSamples
-    from beltrami_cli.samples.range_samples import RangeSamples
-    from beltrami_cli.samples.texel_samples import TexelSamples
+    from beltrami_cli.formats.image import Picture
+    from beltrami_cli.samples.probes.location import Location
+    from beltrami_cli.samples.probes.probe import WorkingColours
+    from beltrami_cli.surface.records import PaintedVertices, TexturedSurface
 
 # Cells around the window that are shown at least.
 _LEAST_SURROUNDINGS = 4
 
 
-class _CellSamples(ProbedSamples):
+class CellProbe(Probe):
     """Samples that are cells of a canvas."""
 
     flow: BeltramiFlow[GridManifold]
@@ -76,19 +77,25 @@ class _CellSamples(ProbedSamples):
         return WindowView(shades, filled, distances, weights, (around, around))
 
 
-class ProbedTexels(_CellSamples):
+class TexelProbe(CellProbe):
     """Texels of the textures of a slot, which are smoothed together."""
 
-    def __init__(self, document: Document, samples: TexelSamples) -> None:
-        self._document, self._prepared = document, samples
-        self.colours = WorkingColours(samples.names, samples.colours.space)
-        self.flow = samples.flow()
+    def __init__(
+        self,
+        document: Document,
+        surface: TexturedSurface,
+        pictures: Sequence[Picture],
+        colours: WorkingColours,
+        flow: BeltramiFlow[GridManifold],
+    ) -> None:
+        self._document, self._textures, self._pictures = document, surface.textures, pictures
+        self.colours, self.flow = colours, flow
 
     def find(self, location: Location) -> tuple[int, dict[str, object]]:
         """Return the cell of a texel of one of the textures."""
         index = self._texture_at(location)
-        name = self._prepared.surface.textures[index].name
-        height, width = self._prepared.pictures[index].pixels.shape[:2]
+        name = self._textures[index].name
+        height, width = self._pictures[index].pixels.shape[:2]
         v_down = self._document.format in ("gltf", "glb")
         column, row = location.texel_of(width, height, name, v_down=v_down)
         at = f"texel {column},{row} of {name}"
@@ -96,7 +103,7 @@ class ProbedTexels(_CellSamples):
 
     def _texture_at(self, location: Location) -> int:
         """Return the texture that a location is in."""
-        textures = [texture.name for texture in self._prepared.surface.textures]
+        textures = [texture.name for texture in self._textures]
         glob = location.texture
         fits = [i for i, texture in enumerate(textures) if not glob or fnmatch(texture, glob)]
         if len(fits) == 1:
@@ -111,21 +118,21 @@ class ProbedTexels(_CellSamples):
         """Return texture, column and row of each cell."""
         texels, offsets = self._texels_of(samples), self.flow.manifold.atlas.texture_offsets
         textures = np.searchsorted(offsets, texels, side="right") - 1
-        widths = np.array([picture.pixels.shape[1] for picture in self._prepared.pictures])
-        names = np.array([texture.name for texture in self._prepared.surface.textures])
+        widths = np.array([picture.pixels.shape[1] for picture in self._pictures])
+        names = np.array([texture.name for texture in self._textures])
         y, x = np.divmod(texels - offsets[textures], widths[textures])
         return {"texture": names[textures], "x": x, "y": y}
 
 
-class ProbedPixels(_CellSamples):
+class PixelProbe(CellProbe):
     """Pixels of an image."""
 
-    def __init__(self, document: Document, samples: PixelSamples) -> None:
-        self._name = document.name
-        self._height, self._width = samples.picture.pixels.shape[:2]
-        self.colours = WorkingColours(samples.names, samples.settings.space)
-        self.unit = "pixel" if samples.surface.positions is None else ""
-        self.flow = samples.flow()
+    def __init__(
+        self, picture: Picture, colours: WorkingColours, unit: str, flow: BeltramiFlow[GridManifold]
+    ) -> None:
+        self._name = picture.name
+        self._height, self._width = picture.pixels.shape[:2]
+        self.colours, self.unit, self.flow = colours, unit, flow
 
     def find(self, location: Location) -> tuple[int, dict[str, object]]:
         """Return the cell of a pixel."""
@@ -139,13 +146,19 @@ class ProbedPixels(_CellSamples):
         return {"x": x, "y": y}
 
 
-class ProbedRange(_CellSamples):
+class RangeProbe(CellProbe):
     """Vertices of a range image, on the grid, shape (H, W), that they were measured on."""
 
-    def __init__(self, document: Document, samples: RangeSamples) -> None:
-        self._painted, self._grid, self._name = samples.painted, samples.grid, document.name
-        self.colours = WorkingColours(samples.names, samples.settings.space)
-        self.flow = samples.flow()
+    def __init__(
+        self,
+        painted: PaintedVertices,
+        grid: NDArray[np.int64],
+        name: str,
+        colours: WorkingColours,
+        flow: BeltramiFlow[GridManifold],
+    ) -> None:
+        self._painted, self._grid, self._name = painted, grid, name
+        self.colours, self.flow = colours, flow
 
     def find(self, location: Location) -> tuple[int, dict[str, object]]:
         """Return the cell of a vertex, by its index or a position, or by column and row on the grid."""

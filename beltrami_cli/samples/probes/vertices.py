@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from beltrami_cli.jobs.kernel.output import MeshView
-from beltrami_cli.jobs.kernel.probe import ProbedSamples, WorkingColours
+from beltrami_cli.samples.probes.probe import MeshView, Probe
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -16,22 +15,29 @@ if TYPE_CHECKING:
     from beltrami_cli.flow.beltrami_flow import BeltramiFlow
     from beltrami_cli.flow.manifold import SampledKernel
     from beltrami_cli.flow.mesh_manifold import MeshManifold
-    from beltrami_cli.formats.document import Document
-    from beltrami_cli.jobs.kernel.location import Location
-    from beltrami_cli.samples.vertex_samples import VertexSamples
+    from beltrami_cli.samples.probes.location import Location
+    from beltrami_cli.samples.probes.probe import WorkingColours
+    from beltrami_cli.surface.records import PaintedVertices
+    from beltrami_cli.surface.vertex_sampling import VertexSampling
 
 
-class ProbedVertices(ProbedSamples):
+class VertexProbe(Probe):
     """Painted vertices; `whole`: the whole mesh is shown, not only twice as far around as the kernel reaches."""
 
     flow: BeltramiFlow[MeshManifold]
 
-    def __init__(self, document: Document, samples: VertexSamples, *, whole: bool) -> None:
-        self._painted, self._sampling = samples.joined, samples.sampling
-        self._name, self._whole = document.name, whole
-        self._most = samples.settings.kernel.max_samples
-        self.colours = WorkingColours(samples.names, samples.settings.space)
-        self.flow = samples.flow()
+    def __init__(
+        self,
+        painted: PaintedVertices,
+        sampling: VertexSampling,
+        name: str,
+        colours: WorkingColours,
+        flow: BeltramiFlow[MeshManifold],
+        *,
+        whole: bool,
+    ) -> None:
+        self._painted, self._sampling, self._name, self._whole = painted, sampling, name, whole
+        self.colours, self.flow = colours, flow
 
     def find(self, location: Location) -> tuple[int, dict[str, object]]:
         """Return the sample of a vertex, which is given by its index or a position near it."""
@@ -41,7 +47,7 @@ class ProbedVertices(ProbedSamples):
 
     def facts(self, kernel: SampledKernel) -> dict[str, object]:
         """Return whether the kernel is smaller than it should be."""
-        return {"cut_short": len(kernel.samples) == self._most}
+        return {"cut_short": len(kernel.samples) == self.flow.parameters.max_samples}
 
     def columns(self, samples: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
         """Return a vertex of each sample, and where it is."""

@@ -1,4 +1,4 @@
-"""One kernel of any kind of samples: its facts, its samples as a table, and what to draw of it."""
+"""Samples of one kind, and what a kernel on them needs to be found, named and drawn."""
 
 from __future__ import annotations
 
@@ -9,20 +9,38 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from beltrami_cli.flow.colour_space import from_space
-from beltrami_cli.jobs.kernel.output import ProbedKernel
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from numpy.typing import NDArray
 
     from beltrami_cli.flow.beltrami_flow import BeltramiFlow
     from beltrami_cli.flow.manifold import SampledKernel
-    from beltrami_cli.flow.parameters import KernelParameters, Space
-    from beltrami_cli.jobs.kernel.location import Location
-    from beltrami_cli.jobs.kernel.output import MeshView, WindowView
+    from beltrami_cli.flow.parameters import Space
+    from beltrami_cli.samples.probes.location import Location
 
 _COLOURS = ("red", "green", "blue", "grey")
+
+
+@dataclass(frozen=True)
+class MeshView:
+    """The part of a mesh, of V vertices, that a kernel is shown on."""
+
+    positions: NDArray[np.float64]
+    faces: NDArray[np.int32]
+    shades: NDArray[np.float32]  # (V, 3): the painting, as display values in [0, 1]
+    distances: NDArray[np.float32]  # NaN where the kernel holds nothing
+    weights: NDArray[np.float32]  # 0 there
+
+
+@dataclass(frozen=True)
+class WindowView:
+    """The part of a canvas, of H x W cells, that a kernel is shown on."""
+
+    shades: NDArray[np.float32]  # (H, W, 3): the painting, as display values in [0, 1]
+    filled: NDArray[np.bool_]  # cells that hold a colour
+    distances: NDArray[np.float32]  # NaN where the kernel holds nothing
+    weights: NDArray[np.float32]  # 0 there
+    source: tuple[int, int]  # row and column of the kernel's own cell
 
 
 @dataclass(frozen=True)
@@ -50,7 +68,7 @@ class WorkingColours:
         return np.clip(shades, 0, 1)
 
 
-class ProbedSamples(ABC):
+class Probe(ABC):
     """Samples of one kind, and what a kernel on them needs to be found, named and drawn."""
 
     flow: BeltramiFlow[Any]
@@ -73,40 +91,3 @@ class ProbedSamples(ABC):
     @abstractmethod
     def view(self, kernel: SampledKernel) -> MeshView | WindowView:
         """Cut out what lies around a kernel."""
-
-
-def probe_kernel(
-    samples: ProbedSamples,
-    location: Location,
-    parameters: KernelParameters,
-    progress: Callable[[int, int], None] | None,
-) -> ProbedKernel:
-    """Run the iterations, and take the kernel of the sample at a location after them."""
-    sample, facts = samples.find(location)
-    samples.flow.run(progress)
-    kernel = samples.flow.kernel_at(sample)
-    names = samples.colours.names
-    colours = {name: kernel.colours[:, i] for i, name in enumerate(names)}
-    facts |= samples.facts(kernel)
-    facts |= {
-        "iteration": parameters.iterations + 1,
-        "regularised_metric": parameters.is_regularised(parameters.iterations),
-        "t": parameters.t,
-        "beta": samples.flow.beta * parameters.growth(parameters.iterations),
-        "threshold": parameters.threshold,
-        "unit_of_length": samples.unit or _unit(parameters),
-        "radius": parameters.radius,
-        "space": samples.colours.space,
-        "samples": len(kernel.samples),
-        "furthest": float(kernel.distances.max()),
-        "sum_of_weights": float(kernel.weights.sum(dtype=np.float64)),
-        "before": dict(zip(names, kernel.colours[0].tolist(), strict=True)),
-        "after": dict(zip(names, kernel.mean.tolist(), strict=True)),
-    }
-    columns = samples.columns(kernel.samples)
-    columns |= {"distance": kernel.distances, "weight": kernel.weights, **colours}
-    return ProbedKernel(facts, columns, parameters.radius, samples.view(kernel))
-
-
-def _unit(parameters: KernelParameters) -> str:
-    return "sample spacing" if parameters.units == "spacing" else "that of the file"
