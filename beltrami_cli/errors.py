@@ -12,12 +12,12 @@ def one_line(text: str) -> str:
 
 
 class BeltramiError(Exception):
-    """Base of all errors that are meant for people: one line that names the cause and the way out.
+    """Base of all errors with a message for users: one line with the cause and a remedy.
 
     Attributes
     ----------
     exit_code : int
-        What the command line exits with: 1 processing failed, 2 usage, 3 input unreadable or not fit,
+        What the command line exits with: 1 processing failed, 2 usage, 3 input unreadable or unsuitable,
         4 output not writable.
     """
 
@@ -29,13 +29,13 @@ class ProcessingError(BeltramiError):
 
 
 class UsageError(BeltramiError):
-    """A parameter has no meaning, or two contradict each other."""
+    """A parameter is unknown or out of its range, or two contradict each other."""
 
     exit_code = 2
 
 
 class InputError(BeltramiError):
-    """The input cannot be read, is damaged, or holds nothing that could be smoothed.
+    """The input cannot be read, is damaged, or contains nothing that can be smoothed.
 
     Parameters
     ----------

@@ -30,16 +30,15 @@ class Access:
     Attributes
     ----------
     outside : bool
-        Whether files are followed that a model names beyond its own folder. Networks never are.
+        Whether files outside a model's folder may be read that it refers to. Networks are never used.
     memory : int or None
-        Bytes that the job may take; None: no limit. Larger files and images are refused before they are read.
+        Bytes that the job may use; None: no limit. Larger files and images are refused before they are read.
     note : callable or None
-        Called with every file that was read as a whole and its content, so that a job can record what its result
-        depends on.
+        Called with the path and content of every file that was read, so that a job can record its inputs.
     bring : callable or None
-        Called with the path of every sidecar before it is looked for, so that it can be fetched from elsewhere.
+        Called with the path of every sidecar before it is opened, so that it can be fetched from elsewhere.
     instead : mapping of Path to Path
-        Files that are read in place of others, by name in the resolved folder: new ones that are not in place yet.
+        Files that are read instead of others, by their resolved path: new files that are not in place yet.
     """
 
     outside: bool = False

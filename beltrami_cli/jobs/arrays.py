@@ -49,12 +49,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class SmoothResult:
-    """Smoothed vertex colours, and how they came about.
+    """Smoothed vertex colours, with the parameters used and statistics.
 
     Attributes
     ----------
     colours : ndarray of float32, shape (V, C)
-        In the same encoding and order as the input's. Vertices that did not change have the input's bits.
+        In the encoding and order of the input. Vertices that did not change are bit-identical to the input.
     beta : float
         As used, in units of length per unit of colour; 0 if no colour enters the metric.
     spacing : float
@@ -62,24 +62,24 @@ class SmoothResult:
     noise : dict of str to float
         Estimated standard deviation of the noise for each channel that takes part, in the working space.
     samples : int
-        Distinct samples: coincident vertices of one colour are one.
+        Distinct samples: coincident vertices of one colour count as one.
     hard_edge_samples : int
-        Samples more than there are places: coincident vertices that differ in colour.
+        Number of samples minus number of distinct positions: coincident vertices that differ in colour.
     samples_per_kernel : float
-        Mean number of samples that a kernel held.
+        Mean number of samples in a kernel.
     truncated : int
-        Kernels that `max_samples` cut short, over all iterations.
+        Number of kernels that `max_samples` truncated, over all iterations.
     iterations : int
-        How many were run.
+        Number of iterations that were run.
     guide_betas : dict of str to float
         As used for each guide, in units of length per unit of the guide.
     positions : ndarray of float64, shape (V, 3), or None
-        New positions, if they were smoothed. Vertices that did not move have the input's bits.
+        New positions, if they were smoothed. Vertices that did not move are bit-identical to the input.
     normal_noise, normal_beta : float or None
         If positions were smoothed: the estimated noise of the normals in radians, and the beta used for them, in units
         of length per radian.
     cloud : CloudCounts or None
-        For points without faces.
+        Counts of points, triangles and outliers, for points without faces.
     choice : Choice or None
         Parameters that were chosen from the data, and their estimated error, if any were.
     """
@@ -103,12 +103,12 @@ class SmoothResult:
 
 @dataclass(frozen=True)
 class ImageResult:
-    """A smoothed image, and how it came about.
+    """A smoothed image, with the parameters used and statistics.
 
     Attributes
     ----------
     colours : ndarray of float32, shape (H, W, C)
-        In the same encoding as the input's. Pixels that did not change, and holes, have the input's bits.
+        In the encoding of the input. Pixels that did not change, and holes, are bit-identical to the input.
     beta : float
         As used, in units of length per unit of colour.
     spacing : float
@@ -116,9 +116,9 @@ class ImageResult:
     noise : ndarray of float64, shape (C,)
         Estimated standard deviation of the noise of each channel, in the working space.
     samples : int
-        Pixels that are no holes.
+        Number of pixels that are not holes.
     samples_per_kernel : float
-        Mean number of pixels that a kernel held.
+        Mean number of pixels in a kernel.
     choice : Choice or None
         Parameters that were chosen from the data, and their estimated error, if any were.
     """
@@ -151,35 +151,36 @@ def smooth(
         Vertices in a space of any dimension M, finite.
     faces : array_like of int, shape (F, 3), or None
         Triangles as vertex indices; any set of triangles, non-manifold ones included. None: a cloud of points, M at
-        most 3, whose triangles are found around each point.
+        most 3, which is triangulated locally around each point.
     colours : array_like, shape (V, C) or (V,)
-        Any number of channels, finite. uint8, uint16 and uint32 are taken by their full scale, floats as they are
-        (full scale 1); other integers are refused, for their full scale is not known.
+        Any number of channels, finite. uint8, uint16 and uint32 are divided by their full scale, floats are used
+        as they are (full scale 1); other integers are refused, since their full scale is unknown.
     parameters : SmoothSettings
-        The kernel's parameters, the working space and the embedding. By default all that can be are chosen from the
-        data, by the estimated error of the result.
+        The kernel's parameters, the working space and the embedding. By default the parameters of the kernel are chosen
+        from the data, by the estimated error of the result.
     encoding : {"srgb", "linear"}
-        What the numbers in `colours` mean.
+        Encoding of the numbers in `colours`.
     guide : array_like, shape (V, G) or (V,), optional
-        Channels that enter the metric and stay as they are, finite, such as normals or clean colours.
+        Channels that enter the metric and are not smoothed, finite, such as normals or clean colours.
     progress : callable, optional
-        Called with the samples done so far and the samples to do; may raise to stop.
+        Called with the number of samples done so far and the total; may raise to stop.
     **overrides
-        Parameters by their names, such as ``iterations=3, beta=12``, in place of those in `parameters`. Channels in
-        `metric_channels` may be numbers.
+        Single parameters by name, such as ``iterations=3, beta=12``, which replace those in `parameters` and are not
+        chosen from the data. Channels in `metric_channels` may be given by number.
 
     Returns
     -------
     SmoothResult
-        With ``colours`` of shape (V, C), float32; ``positions`` if these were smoothed; ``cloud`` without faces.
+        With ``colours`` of shape (V, C), float32; ``positions`` if these were smoothed; ``cloud`` for points without
+        faces.
 
     Raises
     ------
     UsageError
-        If a parameter is unknown or out of its range, an array's shape or type does not fit, or a face names a vertex
-        that is not there.
+        If a parameter is unknown or out of its range, the shape or type of an array is wrong, or a face refers to a
+        vertex that does not exist.
     InputError
-        If positions or colours are not finite, or are not of the same number.
+        If positions or colours are not finite, or differ in number.
 
     Notes
     -----
@@ -250,24 +251,25 @@ def smooth_image(
     parameters : SmoothSettings
         As for `smooth`.
     surface : ImageSurface, optional
-        Where the pixels lie, and which are holes; without it the plane.
+        Positions of the pixels, and holes; by default the plane without holes.
     encoding : {"srgb", "linear"}
-        What the numbers in `colours` mean.
+        Encoding of the numbers in `colours`.
     guide : array_like, shape (H, W) or (H, W, G), optional
-        Channels that enter the metric and stay as they are, finite.
+        Channels that enter the metric and are not smoothed, finite.
     progress : callable, optional
-        Called with the work done so far and the work to do; may raise to stop.
+        Called with the work done so far and the total work; may raise to stop.
     **overrides
         As for `smooth`.
 
     Returns
     -------
     ImageResult
+        With ``colours`` of shape (H, W, C), float32.
 
     Raises
     ------
     UsageError
-        If a parameter is unknown or out of its range, or an array's shape or type does not fit.
+        If a parameter is unknown or out of its range, or the shape or type of an array is wrong.
 
     Notes
     -----

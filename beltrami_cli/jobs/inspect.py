@@ -25,9 +25,9 @@ def inspect_file(
     Parameters
     ----------
     source : path
-        PLY, OBJ, glTF or GLB, an image, or a level set on a grid (.npz, .nrrd); "-" for standard input.
+        Any file that `smooth_file` reads; "-" for standard input.
     settings : SmoothSettings
-        As for smoothing.
+        As for `smooth_file`.
     access : Access
         What may be read.
 
@@ -36,17 +36,17 @@ def inspect_file(
     dict
         JSON types only: "file" (facts of the format); for vertex colours "colours", "surface" or for points without
         faces "cloud" (counts, spacing, bounds), "noise" (standard deviation per channel, full scale 1) and "smooth"
-        (parameters as they would be used, and the mean number of samples that a kernel of the first iteration would
-        hold), which is left out if they would stay as they are beside textures; "textures", a list with an entry for
+        (parameters as they would be used, and the mean number of samples in a kernel of the first iteration), which is
+        omitted if the vertex colours would stay unchanged beside textures; "textures", a list with an entry for
         each slot that would be smoothed, in which "images" describes each texture, and "surface" for the mesh under
         them; "notices". For an image "file", "image", "noise", "smooth" and "notices".
 
     Raises
     ------
     InputError
-        If the source cannot be read or holds no colours.
+        If the source cannot be read, is damaged, or has no colours.
     UsageError
-        If the settings contradict the file.
+        If the parameters contradict the file.
     """
     document = open_input(os.fspath(source), settings, access)
     selection = select(document, settings)

@@ -1,4 +1,4 @@
-"""How a job is done: what it may read, whom it tells how far it is, and what it may write."""
+"""How a job is done: what it may read, how it reports progress, and what it may write."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ class Job:
     Attributes
     ----------
     access : Access
-        What may be read, and how much memory may be taken.
+        What may be read, and how much memory may be used.
     progress : callable, optional
-        Called with a label of what is being worked on, the work done so far and the work to do; may raise to stop.
+        Called with a label of the current part, the work done so far and the total work; may raise to stop.
     overwrite : bool
-        Whether OUTPUT, and the files beside it that it names, may be replaced.
+        Whether the output, and the files beside it that it refers to, may be replaced.
     dry_run : bool
         Compute everything and write nothing.
     format : str or None
-        Format to write where the name of OUTPUT does not show it: "ply", "obj", "glb", "gltf", "png", ...
+        Format to write, if the name of the output does not have its extension: "ply", "obj", "glb", "gltf", "png", ...
     files : FileSet or None
-        The files of the run, if others are put in place together with OUTPUT: by the caller.
+        Only for callers that write further files, such as a report, together with the output.
     """
 
     access: Access = EVERYTHING_INSIDE
@@ -57,7 +57,7 @@ class Job:
         return output.files.watching(self.access)
 
     def progress_of(self, label: str) -> Callable[[int, int], None] | None:
-        """Return what tells the progress of one part of the job."""
+        """Return the callback for the progress of one part of the job."""
         return None if self.progress is None else partial(self.progress, label)
 
 

@@ -41,34 +41,38 @@ def smooth_file(
     unwrap: BakeSettings | None = None,
     **overrides: Any,
 ) -> SmoothReport:
-    """Smooth the colours of a mesh file, in its vertices or textures, or of an image, and change nothing else.
+    """Smooth the colours of a file, at its vertices, in its textures or of its pixels, and change nothing else.
 
     Parameters
     ----------
     source, target : path
-        PLY, OBJ, glTF or GLB, or an image; "-" for standard input or output. Another extension converts.
-        `source` may also be a level set on a grid (.npz, .nrrd), which is written as a mesh.
+        PLY, OBJ, glTF or GLB, points (.xyz, .pts, .npz) or an image; "-" for standard input or output. If the
+        extension of `target` is that of another format, the file is converted. `source` may also be a mesh format that
+        is read only (OFF, STL, 3MF, COLLADA), or a level set on a grid (.npz, .nrrd), which is written as a mesh.
     parameters : SmoothSettings
-        The kernel's parameters, the working space, and what is smoothed.
+        The kernel's parameters, the working space, and what is smoothed. By default the parameters of the kernel are
+        chosen from the data, by the estimated error of the result.
     job : Job
-        What may be read, progress, and whether files are written and replaced.
+        What may be read, a callback for progress, and whether files are written and replaced.
     unwrap : BakeSettings, optional
-        Put the colours in a new texture, smooth that, and write a new file with nothing else.
+        Put the colours into a new texture atlas, smooth these, and write a new file that contains nothing else.
     **overrides
-        Parameters by their names, such as ``iterations=3, slots=("normal",)``, in place of those in `parameters`.
+        Single parameters by name, such as ``iterations=3, slots=("normal",)``, which replace those in `parameters`.
 
     Returns
     -------
     SmoothReport
+        The parameters used, counts, noise, changes, times, and the files that were written.
 
     Raises
     ------
     UsageError
-        If the format cannot be told, or settings contradict each other or the file.
+        If a parameter is unknown or out of its range, if parameters contradict each other or the file, or if the format
+        of the target is unknown.
     InputError
-        If the source cannot be read or holds no colours.
+        If the source cannot be read, is damaged, or has no colours.
     OutputError
-        If the target cannot be written; existing files are as they were.
+        If the target cannot be written, or exists and `job.overwrite` is not set. Existing files stay as they were.
     """
     source, target = os.fspath(source), os.fspath(target)
     settings = override(parameters, **overrides)

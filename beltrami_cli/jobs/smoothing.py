@@ -107,24 +107,24 @@ class SmoothReport:
     Attributes
     ----------
     input, output, format : str
-        Where from, where to, and the format written.
+        Paths of the input and output, and the format written.
     parameters : dict
-        The parameters that were asked for; those named in "free" were left to be chosen, and what was chosen is with
-        what it was chosen for.
+        The parameters that were requested. Those named in "free" were chosen from the data; the chosen values are in
+        the records below.
     vertices : VertexReport or None
-        For vertex colours, if they were smoothed.
+        Statistics of vertex colours, if they were smoothed.
     textures : list of SlotReport
-        For the texture slots that were smoothed.
+        Statistics of each texture slot that was smoothed.
     stages : dict
         "wall" and "cpu" seconds per stage.
     peak_memory : int or None
-        Largest resident size of the process in bytes.
+        Peak resident size of the process in bytes.
     written : list of str
         The files that were written; none on a dry run.
     warnings : list of str
-        What the user should know.
+        Messages for the user.
     image : ImageReport or None
-        For an image, if it was smoothed.
+        Statistics of an image, if it was smoothed.
     """
 
     input: str

@@ -38,18 +38,18 @@ _COARSE = "uint8"
 
 @dataclass(frozen=True)
 class ImageSurface:
-    """Where the pixels of an image lie; without heights and positions it is a plane.
+    """The positions of the pixels of an image in space; without heights and positions, a plane.
 
     Attributes
     ----------
     heights : ndarray, shape (H, W), or None
-        Over the plane of the image, in pixels. Pixels with a height that is not finite are holes.
+        Above the plane of the image, in pixels. Pixels with a height that is not finite are holes.
     positions : ndarray, shape (H, W, M), or None
         In a space of any dimension M. Pixels with a coordinate that is not finite are holes.
     valid : ndarray of bool, shape (H, W), or None
-        False at holes. They keep their colours, lend none, and nothing crosses them.
+        False at holes. They keep their colours, contribute none, and no kernel crosses them.
     notices : tuple of str
-        What users should know, one sentence each.
+        Messages for users, one sentence each; set when the surface was read from files.
     """
 
     heights: NDArray[Any] | None = None

@@ -52,6 +52,13 @@ def test_names_that_developers_read_of_exist(page):
     assert {word for word in quoted(page) if re.fullmatch(r"[A-Za-z_]\w*", word)} - known == set()
 
 
+def test_commands_for_developers_are_targets_of_make():
+    targets = set(re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
+    shown = set(re.findall(r"^make ([\w-]+)", DEVELOPERS[1].read_text(encoding="utf-8"), re.MULTILINE))
+    assert len(shown) > 5
+    assert shown <= targets
+
+
 def test_every_folder_of_the_package_has_its_place_in_the_architecture():
     folders = {f"{path.parent.name}/" for path in PACKAGE.glob("*/__init__.py")} | {"native/"}
     assert folders <= quoted(DEVELOPERS[0])
