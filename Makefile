@@ -10,23 +10,23 @@ BIN     = $(VENV)/bin
 help:
 	@echo "make demo      smooth a sample mesh, with a before/after picture"
 	@echo "make figures   reproduce the figures of the paper, with their numbers in docs/figures.md"
-	@echo "make gallery   make the pictures of docs/gallery.md anew"
+	@echo "make gallery   make the pictures of docs/gallery.md again"
 	@echo "make quick     in under a minute, the tests that a change most likely breaks, and the import layers"
 	@echo "make test      all tests, in an environment of their own"
 	@echo "make test-minimum  the same with the oldest versions of what it depends on"
 	@echo "make docs      build the documentation as a site, in build/site"
 	@echo "make man       make the manual pages, in build/man"
 	@echo "make lint      ruff, mypy and the import layers"
-	@echo "make bench     time and judge the kernels against their peers"
+	@echo "make bench     time the kernels, and compare them with other tools"
 	@echo "make sanitize  test the core under the address and undefined-behaviour sanitizers"
 	@echo "make fuzz      fuzz every reader and the core, FUZZ_SECONDS=60 each; needs clang++"
-	@echo "make survey    try all models in FOLDERS, and print what came of them and of MUTATIONS of each as a table"
-	@echo "make samples   make sample_data/ anew, bit for bit"
-	@echo "make viewer    bundle the three.js of beltrami report anew"
+	@echo "make survey    try all models in FOLDERS, and print a table of the results, with MUTATIONS of each"
+	@echo "make samples   make sample_data/ again, bit for bit"
+	@echo "make viewer    bundle the three.js of beltrami report again"
 	@echo "make clean     remove what was built"
 	@echo "make x.clean.ply   smooth x.ply (likewise .obj, .glb); make -j smooths many at once"
 
-# One environment for each set of extras, installed anew when the sources of the package change.
+# One environment for each set of extras, installed again when the sources of the package change.
 SOURCES := pyproject.toml $(shell find beltrami_cli -name '*.py' -o -name '*.cpp' -o -name '*.hpp' -o -name CMakeLists.txt)
 
 $(VENV)/.pip:

@@ -27,6 +27,15 @@ def test_links_lead_to_files(page):
     assert [target for target in targets if not (page.parent / target).exists()] == []
 
 
+@pytest.mark.parametrize(
+    "page", [ROOT / "README.md", ROOT / "CHANGELOG.md", *PAGES], ids=lambda page: page.name
+)
+def test_files_of_the_project_that_pages_name_exist(page):
+    text = page.read_text(encoding="utf-8")
+    named = re.findall(r"(?<![\w/.-])(?:beltrami_cli|tests|docs|sample_data)/[\w./*-]*\w", text)
+    assert [name for name in named if not any(ROOT.glob(name))] == []
+
+
 def quoted(page):
     """The words in backticks of a page, without its blocks of code."""
     text = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
