@@ -76,6 +76,7 @@ def command(
     """
     settings = options.settings_from(smoothing)
     messages = Messages(quiet=quiet, verbose=verbose)
+    from beltrami_cli.jobs.job import Job
     from beltrami_cli.jobs.kernel.file import kernel_file
 
     with options.reading_from(smoothing, source) as access, messages.progress() as progress:
@@ -86,11 +87,7 @@ def command(
             settings,
             iteration=iteration,
             whole=whole,
-            overwrite=overwrite,
-            progress=None
-            if progress is None
-            else lambda done, total: progress("iterations before", done, total),
-            access=access,
+            job=Job(access, progress, overwrite),
         )
     messages.say(
         f"{target}: kernel of the {facts['at']}, {counted(cast('int', facts['samples']), 'sample')} up to "

@@ -96,12 +96,13 @@ def command(
     plain = trials[0][1]
     on = "vertices" if plain.on == "vertices" else "auto"
     settings = render_settings_from(given, on=on, slot=plain.textures.slots[0])
+    from beltrami_cli.jobs.job import Job
     from beltrami_cli.view.sweep import best_of, sweep_file
 
     with options.reading_from(given, source) as access, messages.progress() as progress:
         done = sweep_file(
             source, target, trials, settings,
-            columns=columns, reference=reference, overwrite=overwrite, progress=progress, access=access,
+            columns=columns, reference=reference, job=Job(access, progress, overwrite),
         )  # fmt: skip
     for trial in done:
         messages.detail(trial.label)

@@ -16,7 +16,7 @@ from beltrami_cli.surface.colour_values import linear_to_srgb
 from beltrami_cli.surface.lookup import look_up
 from beltrami_cli.surface.polygons import triangulate
 from beltrami_cli.surface.records import Texture, TexturedMesh, TexturedSurface
-from beltrami_cli.surface.unwrap import unwrap
+from beltrami_cli.surface.unwrap import require_few_faces, unwrap
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -144,6 +144,7 @@ def _unwrapped(
     wanted: BakeSettings,
     progress: Progress,
 ) -> Unwrapped:
+    require_few_faces(len(faces), wanted.max_unwrap_faces, document.name)
     return unwrap(
         positions,
         faces,
@@ -151,7 +152,6 @@ def _unwrapped(
         wanted.padding,
         document.name,
         space_of=space_of,
-        most_faces=wanted.max_unwrap_faces,
         texels=texels,
         progress=None if progress is None else lambda done, total: progress("unwrapping", done, total),
     )

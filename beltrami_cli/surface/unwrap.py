@@ -52,7 +52,6 @@ def unwrap(
     padding: int,
     name: str,
     *,
-    most_faces: int,
     texels: float = 0.0,
     space_of: NDArray[np.int32] | None = None,
     progress: Callable[[int, int], None] | None = None,
@@ -61,7 +60,9 @@ def unwrap(
     # `size`: longest side of the texture, in texels; None: from 256 to 8192, as `texels`, which charts
     # should cover, need. `padding`: texels between charts, and around all of them. `progress` is called
     # several times a second with the tenths of a second that went by and those that are expected.
-    _check_input(positions, faces, name, most_faces)
+    if not np.isfinite(positions).all():
+        row = int(np.argmin(np.isfinite(positions).all(axis=1)))
+        raise InputError(name, f"the position of vertex {row} is not finite", "repair the file")
     used, row_of = np.unique(faces, return_inverse=True)
     unit, rows = _of_unit_size(positions[used]), row_of.reshape(-1, 3).astype(np.int32)
     whole = np.flatnonzero(_with_area(unit, rows))
@@ -88,18 +89,14 @@ def unwrap(
     return Unwrapped(uv, (width, height), charts)
 
 
-def _check_input(
-    positions: NDArray[np.float64], faces: NDArray[np.int32], name: str, most_faces: int
-) -> None:
-    if not np.isfinite(positions).all():
-        row = int(np.argmin(np.isfinite(positions).all(axis=1)))
-        raise InputError(name, f"the position of vertex {row} is not finite", "repair the file")
-    if len(faces) > most_faces:
+def require_few_faces(count: int, most: int, name: str) -> None:
+    """Raise InputError if unwrapping so many triangles takes longer than users allowed."""
+    if count > most:
         raise InputError(
             name,
-            f"it has {len(faces)} triangles, and unwrapping more than {most_faces} takes long: about "
-            f"{shown(expected_seconds(len(faces)))}, growing faster than their number",
-            f"simplify it, or allow it with --max-unwrap-faces {len(faces)}",
+            f"it has {count} triangles, and unwrapping more than {most} takes long: about "
+            f"{shown(expected_seconds(count))}, growing faster than their number",
+            f"simplify it, or allow it with --max-unwrap-faces {count}",
         )
 
 

@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING
 
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access, read_source
+from beltrami_cli.formats.access import Access, read_source
 from beltrami_cli.formats.document import Written
 from beltrami_cli.formats.image.recognition import FORMATS, format_of_suffix
 from beltrami_cli.formats.registry import OUTPUT_FORMATS, kind_of
 from beltrami_cli.jobs.compare.files import compare_files
-from beltrami_cli.jobs.job import Job
+from beltrami_cli.jobs.job import PLAIN_JOB, Job
 from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.jobs.writing.output import Output
 from beltrami_cli.samples.settings import DEFAULTS, LevelSetSettings
@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from beltrami_cli.samples.settings import SmoothSettings
-    from beltrami_cli.view.drawing import Progress
     from beltrami_cli.view.sheet import Background
 
 _FIGURES = {
@@ -71,9 +70,7 @@ def sweep_file(
     *,
     columns: int,
     reference: str | None = None,
-    overwrite: bool = False,
-    progress: Progress | None = None,
-    access: Access = EVERYTHING_INSIDE,
+    job: Job = PLAIN_JOB,
 ) -> list[Trial]:
     """Smooth a file with several settings, and write a picture, or a page (.html), of all results.
 
@@ -84,8 +81,8 @@ def sweep_file(
     is_page = Path(target).suffix.lower() in PAGES
     suffix = "" if is_page else picture_suffix(target, ", or .html for a page")
     known = [source] if reference is None else [source, reference]
-    output = Output(target, overwrite=overwrite, what="sheet", reads=known)
-    access = output.files.watching(access)
+    output = Output(target, overwrite=job.overwrite, what="sheet", reads=known)
+    access = output.files.watching(job.access)
     shown = [] if reference is None else [("reference", reference, DEFAULTS)]
     shown.append(("before", source, trials[0][1]))
     panels: list[Panel] = []
@@ -96,8 +93,8 @@ def sweep_file(
         panels += draw_panels([view], [label], looks)
     done = []
     for number, (parameters, settings) in enumerate(trials):
-        if progress is not None:
-            progress("trials", number, len(trials))
+        if job.progress is not None:
+            job.progress("trials", number, len(trials))
         trial, panel = _tried(source, parameters, settings, looks, reference, access)
         done.append(trial)
         panels.append(panel)

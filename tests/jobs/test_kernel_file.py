@@ -87,7 +87,7 @@ def vertices_of(path):
 
 def kernel_of(source, at, tmp_path, settings=DEFAULTS, name="kernel.json", **options):
     target = tmp_path / name
-    kernel_file(source, target, at, settings, overwrite=True, **options)
+    kernel_file(source, target, at, settings, job=Job(overwrite=True), **options)
     return json.loads(target.read_text()) if name.endswith(".json") else target
 
 

@@ -92,7 +92,7 @@ def test_border_faces_are_those_at_the_edge_of_a_chart():
 
 def test_a_constant_stays_exactly_what_it_is_everywhere():
     positions, faces = surfaces.icosphere(2)
-    made = unwrap(positions, faces, 128, 4, "sphere", most_faces=1000)
+    made = unwrap(positions, faces, 128, 4, "sphere")
     value = np.float32([0.1, 1 / 3, 0.7])
     image = spread(made.uv, made.size, np.tile(value, (len(faces), 3, 1)))
     assert (image == value).all()
@@ -116,7 +116,7 @@ def test_linear_colours_of_a_flat_chart_come_back_exactly_also_on_its_border():
 def test_smooth_colours_survive_the_way_to_a_texture_and_back(size):
     positions, faces = surfaces.icosphere(3)
     colours = (0.5 + 0.4 * np.sin(2 * positions)).astype(np.float32)
-    made = unwrap(positions, faces, size, 4, "sphere", most_faces=2000)
+    made = unwrap(positions, faces, size, 4, "sphere")
     seen = look_up(spread(made.uv, made.size, colours[faces]), made.uv.reshape(-1, 2), CLAMP).reshape(
         -1, 3, 3
     )

@@ -14,10 +14,8 @@ from beltrami_cli.errors import InputError, ProcessingError
 from beltrami_cli.surface import unwrap as unwrapping
 from beltrami_cli.surface import unwrap_worker
 from beltrami_cli.surface.geometry import triangle_areas
-from beltrami_cli.surface.unwrap import unwrap
+from beltrami_cli.surface.unwrap import require_few_faces, unwrap
 from oracles import surfaces
-
-FACES = 100_000
 
 
 def unwrapped(positions, faces, size=256, padding=4, **options):
@@ -27,7 +25,6 @@ def unwrapped(positions, faces, size=256, padding=4, **options):
         size,
         padding,
         "mesh",
-        most_faces=FACES,
         **options,
     )
 
@@ -167,9 +164,9 @@ def test_what_cannot_be_unwrapped_is_refused_in_words(positions, faces, said):
 
 
 def test_large_meshes_are_refused_with_the_reason_and_the_way_out():
-    positions, faces = surfaces.icosphere(1)
+    require_few_faces(80, 80, "mesh")
     with pytest.raises(InputError, match=r"80 triangles.*--max-unwrap-faces 80"):
-        unwrap(positions, faces, 256, 4, "mesh", most_faces=79)
+        require_few_faces(80, 79, "mesh")
 
 
 def test_a_texture_too_small_for_the_charts_is_refused():
@@ -237,7 +234,7 @@ def test_files_in_the_current_folder_do_not_stand_in_for_modules(monkeypatch, tm
 def test_xatlas_is_loaded_by_the_other_process_only():
     code = (
         "import sys, numpy; from beltrami_cli.surface.unwrap import unwrap\n"
-        "unwrap(numpy.eye(3), numpy.array([[0, 1, 2]]), 64, 2, 'mesh', most_faces=9)\n"
+        "unwrap(numpy.eye(3), numpy.array([[0, 1, 2]]), 64, 2, 'mesh')\n"
         "sys.exit('xatlas' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-P", "-c", code], check=False, timeout=60).returncode == 0

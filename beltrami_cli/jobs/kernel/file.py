@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.errors import UsageError
-from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.jobs.documents import open_input
+from beltrami_cli.jobs.job import PLAIN_JOB, Job
 from beltrami_cli.jobs.kernel.output import SUFFIXES, ProbedKernel, encode
 from beltrami_cli.jobs.writing.output import Output
 from beltrami_cli.samples.memory_check import require_room_for_textures
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from beltrami_cli.flow.parameters import KernelParameters
+    from beltrami_cli.formats.access import Access
     from beltrami_cli.samples.probes.location import Location
     from beltrami_cli.samples.probes.probe import Probe
     from beltrami_cli.samples.settings import SmoothSettings
@@ -36,9 +37,7 @@ def kernel_file(
     *,
     iteration: int = 1,
     whole: bool = False,
-    overwrite: bool = False,
-    progress: Callable[[int, int], None] | None = None,
-    access: Access = EVERYTHING_INSIDE,
+    job: Job = PLAIN_JOB,
 ) -> dict[str, object]:
     """Write the geodesic distances and the weights of the kernel at a sample, in an iteration; return its facts."""
     source, target = os.fspath(source), os.fspath(target)
@@ -50,13 +49,13 @@ def kernel_file(
             f"{target}: a kernel is written as .ply, .png, .csv, .json or .npz; end the name in one"
         )
     location = read_location(at)
-    output = Output(target, overwrite=overwrite, is_text=suffix == ".csv", what="kernel", reads=[source])
-    access = output.files.watching(access)
+    output = Output(target, overwrite=job.overwrite, is_text=suffix == ".csv", what="kernel", reads=[source])
+    access = output.files.watching(job.access)
     # What is restored of clipped colours comes after the averages of all iterations, and is none of them.
     kernel = dataclasses.replace(settings.kernel, iterations=iteration - 1, clipping="keep", free=())
     settings = dataclasses.replace(settings, kernel=kernel)
     probe = _probe_of(source, settings, access, whole=whole)
-    probed = _kernel(probe, location, kernel, progress)
+    probed = _kernel(probe, location, kernel, job.progress_of("iterations before"))
     facts = {"input": source, "output": target, **probed.facts}
     output.write(encode(probed, facts, suffix))
     return facts
