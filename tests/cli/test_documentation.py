@@ -157,6 +157,7 @@ def test_the_commands_of_the_readme_and_of_pages_to_start_with_run(words, stand_
     group.main([*words, *small, *overwriting], prog_name="beltrami", standalone_mode=False)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["README.md", "docs/index.md", "docs/api.md"])
 def test_the_python_of_pages_runs(name, stand_ins, tmp_path, monkeypatch):
     folder = shutil.copytree(stand_ins, tmp_path / "work")
