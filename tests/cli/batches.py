@@ -13,8 +13,9 @@ QUICK = ("-n", "1", "-t", "0.5", "--beta", "10", "--beta-growth", "1", "--metric
 
 
 def batch(*arguments, code=0, cwd=None):
-    """Run a batch that ends with an exit code; return what it wrote to the standard error."""
-    run = beltrami("batch", *arguments, cwd=cwd)
+    """Run a batch that ends with an exit code, in one worker if not said otherwise; return its standard error."""
+    worker = () if {"-j", "--scheduler"} & set(arguments) else ("-j", 1)
+    run = beltrami("batch", *arguments, *worker, cwd=cwd)
     assert run.returncode == code, run.stderr.decode()
     assert run.stdout == b""
     assert b"Traceback" not in run.stderr

@@ -65,6 +65,7 @@ def test_smooth_colours_go_to_a_texture_and_come_back(extension, sphere, tmp_pat
     assert np.abs(colours - old_colours).max() < 1.6 * edge**2 / 2 + 1.5 / 255
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("extension", FORMATS)
 def test_one_colour_stays_exactly_that_colour(extension, tmp_path):
     positions, faces = surfaces.icosphere(1)
@@ -153,6 +154,7 @@ def test_texture_coordinates_can_be_kept_if_every_texel_has_one_place(tmp_path):
     assert (pixels == [51, 102, 153]).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("extension", ["ply", "glb"])
 def test_unwrap_smooths_a_mesh_without_texture_coordinates(extension, tmp_path):
     positions, faces = surfaces.icosphere(4)
@@ -169,6 +171,7 @@ def test_unwrap_smooths_a_mesh_without_texture_coordinates(extension, tmp_path):
     assert np.mean((colours - truth) ** 2) < 0.5 * np.mean((noisy - clean) ** 2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["mirrored-{}.obj", "sphere-exr-{}.obj"])
 def test_unwrap_smooths_textures_as_well_as_they_are_smoothed_without(name, tmp_path):
     """In the new texture noise would be spread over several texels, and take itself for a pattern."""
@@ -182,6 +185,7 @@ def test_unwrap_smooths_textures_as_well_as_they_are_smoothed_without(name, tmp_
     assert psnr_after > psnr_before + 6
 
 
+@pytest.mark.slow
 def test_unwrap_gives_every_place_of_a_mirrored_texture_texels_of_its_own(tmp_path):
     source, result = SAMPLES / "mirrored-noisy.obj", tmp_path / "out.obj"
     assert b"several places" in beltrami("smooth", source, result, "-n", 1, "--dry-run").stderr
@@ -255,6 +259,7 @@ def test_points_without_triangles_are_refused(tmp_path):
     assert b"no triangles" in run.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("there", ["out.obj", "out.mtl", "out.png"])
 def test_none_of_the_files_is_replaced_unless_overwriting_is_asked_for(there, sphere, tmp_path):
     (tmp_path / there).write_text("precious")
@@ -279,6 +284,7 @@ def test_a_dry_run_writes_nothing(sphere, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["sphere.ply"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupted_job_leaves_no_file_and_no_process(number, tmp_path):
     positions, faces = surfaces.icosphere(5)  # takes some seconds

@@ -37,6 +37,7 @@ def scans(tmp_path):
     return folder
 
 
+@pytest.mark.slow
 def test_each_file_is_as_smooth_makes_it_to_the_last_byte(scans, tmp_path):
     textured = scans / "skin"
     textured.mkdir()
@@ -62,6 +63,7 @@ def test_failures_are_reported_and_the_others_go_on(scans, tmp_path):
     assert report_of(tmp_path / "out")["0.ply"]["exit_code"] == 3
 
 
+@pytest.mark.slow
 def test_fail_fast_starts_nothing_more(scans, tmp_path):
     (scans / "0.ply").write_bytes(b"no model")
     out = tmp_path / "out"
@@ -74,6 +76,7 @@ def test_fail_fast_starts_nothing_more(scans, tmp_path):
     assert set(statuses(out).values()) == {"done"}
 
 
+@pytest.mark.slow
 def test_resume_does_again_what_changed_and_nothing_else(scans, tmp_path):
     out = tmp_path / "out"
     arguments = (scans, "--out-dir", out, "--resume")
@@ -96,6 +99,7 @@ def test_resume_does_again_what_changed_and_nothing_else(scans, tmp_path):
     assert set(statuses(out).values()) == {"done"}
 
 
+@pytest.mark.slow
 def test_resume_sees_that_a_file_beside_a_model_changed(tmp_path):
     folder = tmp_path / "in"
     folder.mkdir()
@@ -109,6 +113,7 @@ def test_resume_sees_that_a_file_beside_a_model_changed(tmp_path):
     assert (out / "skin.png").read_bytes() != before
 
 
+@pytest.mark.slow
 def test_resume_does_not_replace_what_somebody_else_changed(scans, tmp_path):
     out = tmp_path / "out"
     batch(scans, "--out-dir", out, *QUICK)
@@ -120,6 +125,7 @@ def test_resume_does_not_replace_what_somebody_else_changed(scans, tmp_path):
     assert statuses(out) == {"a.ply": "done", "b.obj": "skipped", "deep/c.glb": "skipped"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM], ids=lambda number: number.name)
 def test_a_run_that_is_killed_leaves_no_half_files_and_is_picked_up(number, tmp_path):
     names = [f"{count:02}.ply" for count in range(12)]
@@ -146,6 +152,7 @@ def test_a_run_that_is_killed_leaves_no_half_files_and_is_picked_up(number, tmp_
     assert {name for name, status in statuses(out).items() if status == "skipped"} >= finished
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="/proc lists the workers")
 def test_a_worker_that_is_killed_fails_only_its_file_which_is_tried_again(tmp_path):
     names = ("a.ply", "b.ply", "c.ply")
@@ -182,6 +189,7 @@ def command_line(process):
         return b""
 
 
+@pytest.mark.slow
 def test_a_last_line_of_the_report_that_was_cut_off_is_left_out(scans, tmp_path):
     out = tmp_path / "out"
     batch(scans, "--out-dir", out, *QUICK)
@@ -222,6 +230,7 @@ MANIFESTS = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", MANIFESTS)
 def test_a_manifest_has_parameters_for_each_file(name, scans, tmp_path):
     (scans / name).write_text(MANIFESTS[name])
@@ -254,6 +263,7 @@ def test_faults_of_manifests_are_reported_before_anything_is_done(text, words, s
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_a_preset_of_a_file_counts_for_more_than_options_for_all(scans, tmp_path):
     (scans / "jobs.csv").write_text("input,preset\na.ply,paper\n")
     batch(scans / "jobs.csv", "--out-dir", tmp_path / "out", "-n", 2, "--beta", 10)
@@ -261,6 +271,7 @@ def test_a_preset_of_a_file_counts_for_more_than_options_for_all(scans, tmp_path
     assert (tmp_path / "out" / "a.ply").read_bytes() == expected
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("options", "name"),
     [
@@ -287,6 +298,7 @@ def test_two_files_never_become_one(scans, tmp_path):
     assert "replaced by its own output" in batch(scans, "--out-dir", scans, "--overwrite", code=2)
 
 
+@pytest.mark.slow
 def test_a_file_that_wants_more_than_its_share_of_memory_is_done_alone(scans, tmp_path):
     size = (scans / "b.obj").stat().st_size
     share = size - 1000  # enough for the other one, too little for this one

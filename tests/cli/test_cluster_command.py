@@ -48,6 +48,7 @@ def scans(tmp_path):
     return folder
 
 
+@pytest.mark.slow
 def test_files_whole_and_in_partitions_are_as_on_one_machine_and_done_once(cluster, scans, tmp_path):
     """That a batch on one machine gives what `smooth` gives is tested beside it."""
     batch("scans", "--out-dir", "here", *QUICK, "-n", "2", cwd=tmp_path)
@@ -74,6 +75,7 @@ def test_files_whole_and_in_partitions_are_as_on_one_machine_and_done_once(clust
     assert files_in(tmp_path / "joined") == expected
 
 
+@pytest.mark.slow
 def test_a_worker_that_is_killed_midway_costs_nothing_but_time(cluster, tmp_path):
     names = [f"{number}.ply" for number in range(4)]
     scans, out = copies("knot-noisy.ply", names, tmp_path / "scans"), tmp_path / "out"
@@ -88,6 +90,7 @@ def test_a_worker_that_is_killed_midway_costs_nothing_but_time(cluster, tmp_path
     assert set(files_in(out).values()) == {single}
 
 
+@pytest.mark.slow
 def test_a_surface_in_partitions_outlives_a_worker(cluster):
     parameters = KernelParameters(**FIXED)
     whole = smooth_mesh(SURFACE, parameters)
@@ -104,6 +107,7 @@ def test_a_surface_in_partitions_outlives_a_worker(cluster):
     assert np.array_equal(parts.colours, whole.colours)
 
 
+@pytest.mark.slow
 def test_files_at_urls_are_made_with_what_lies_beside_them(tmp_path):
     """In one process, whose memory is a file system for all threads."""
     import fsspec
@@ -139,6 +143,7 @@ def test_files_at_urls_are_made_with_what_lies_beside_them(tmp_path):
     memory.rm("/beltrami", recursive=True)
 
 
+@pytest.mark.slow
 def test_file_urls_are_paths(scans, tmp_path):
     batch(f"file://{scans}/*.ply", "--out-dir", f"file://{tmp_path}/out", *QUICK)
     (line,) = lines_of(tmp_path / "out" / "batch.jsonl")
@@ -146,6 +151,7 @@ def test_file_urls_are_paths(scans, tmp_path):
     assert set(files_in(tmp_path / "out")) == {"knot.ply"}
 
 
+@pytest.mark.slow
 def test_without_the_extra_it_is_named_and_nothing_else_misses_it(scans, tmp_path):
     hidden = "import sys; sys.modules.update(dask=None, distributed=None, fsspec=None)"
     start = [sys.executable, "-P", "-c", f"{hidden}; from beltrami_cli.cli.main import main; main()"]
@@ -175,6 +181,7 @@ def test_what_does_not_fit_is_refused_in_one_line(options, words, code, scans, t
     assert words in said.splitlines()[-1]
 
 
+@pytest.mark.slow
 def test_nothing_is_uploaded_over_what_is_there(tmp_path):
     import fsspec
 

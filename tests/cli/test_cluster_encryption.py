@@ -32,6 +32,7 @@ def certificates(tmp_path):
     return {f"{TLS}CA_FILE": str(certificate), **roles}
 
 
+@pytest.mark.slow
 def test_an_encrypted_scheduler_does_the_files(certificates, tmp_path, monkeypatch):
     for name, value in certificates.items():
         monkeypatch.setenv(name, value)

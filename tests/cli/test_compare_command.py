@@ -176,6 +176,7 @@ def test_points_elsewhere_and_other_texture_coordinates_are_refused(tmp_path):
         compare_files(one, other)
 
 
+@pytest.mark.slow
 def test_the_exit_code_and_each_broken_limit_are_told():
     kept = beltrami("compare", CLEAN, NOISY, "--min-psnr", 20, "--max-seam-jump", 40)
     assert kept.returncode == 0, kept.stderr
@@ -301,6 +302,7 @@ def test_a_surface_without_area_has_no_samples_by_area(tmp_path):
         compare_files(path, path, Limits(min_psnr=99), weights="area")
 
 
+@pytest.mark.slow
 def test_the_makefile_of_the_page_passes_good_results_and_fails_on_bad_ones(tmp_path):
     (block,) = re.findall(r"```make\n(.*?)```", (DOCS / "ci.md").read_text(), re.DOTALL)
     (tmp_path / "Makefile").write_text(block)

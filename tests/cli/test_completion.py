@@ -35,6 +35,7 @@ complete -C {line} | string replace -r '\\t.*' '' ; true
 SCRIPTS = {"bash": BASH, "zsh": ZSH, "fish": FISH}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shell", SCRIPTS)
 @pytest.mark.parametrize(
     ("words", "offered"),

@@ -46,6 +46,7 @@ def in_force(output, command, option):
     return value, line.partition("  # ")[2]
 
 
+@pytest.mark.slow
 def test_flags_win_over_variables_over_files_over_defaults(run, tmp_path):
     (tmp_path / "beltrami.toml").write_text(written({**QUICK, "beta": 3}))
 
@@ -83,6 +84,7 @@ def test_config_tells_what_is_in_force_and_where_from(run, tmp_path):
     assert tomllib.loads(run("--config", again, "config")) == tomllib.loads(output)
 
 
+@pytest.mark.slow
 def test_a_batch_obeys_what_is_set_for_smooth(run, tmp_path):
     (tmp_path / "pyproject.toml").write_text(written({**QUICK, "beta": 3}, "tool.beltrami.smooth"))
     deeper = tmp_path / "deep" / "er"
@@ -102,6 +104,7 @@ def test_a_batch_obeys_what_is_set_for_smooth(run, tmp_path):
     assert (deeper / "named" / "batch.jsonl").exists()  # --report of smooth is of a single file
 
 
+@pytest.mark.slow
 def test_a_preset_beats_what_is_given_less_directly(run, tmp_path):
     (tmp_path / "beltrami.toml").write_text(written({"iterations": 3, "beta": 10}))
     run("smooth", NOISY, "preset.ply", "--preset", "paper")
@@ -112,6 +115,7 @@ def test_a_preset_beats_what_is_given_less_directly(run, tmp_path):
     assert (tmp_path / "preset.ply").read_bytes() != (tmp_path / "more.ply").read_bytes()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("text", "words", "code"),
     [

@@ -142,6 +142,7 @@ FOUND = [words for page, words in WRITTEN if page in RUN_PAGES and not {"-", "{}
 RUN = list({" ".join(words): words for words in FOUND}.values())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("words", RUN, ids=" ".join)
 def test_the_commands_of_the_readme_and_of_pages_to_start_with_run(words, stand_ins, tmp_path, monkeypatch):
     if {"render", "sweep", "report", "--preview"} & set(words):

@@ -58,6 +58,7 @@ def covered(folder, name):
     return read_image((folder / name).read_bytes(), name).pixels[..., :3].reshape(-1, 3)[texels] / 255
 
 
+@pytest.mark.slow
 def test_the_normal_map_of_a_material_guides_its_base_colour(textured):
     clean = covered(textured, "clean.png")
     guided = {"slot": "normal", "file": textured / "clean.png", "none": None}
@@ -149,6 +150,7 @@ def rough(path, extension, tmp_path):
     return tmp_path / f"rough.{extension}"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("extension", ["ply", "obj", "glb"])
 def test_positions_move_only_if_that_is_asked_for(extension, tmp_path):
     source = rough(NOISY, extension, tmp_path)

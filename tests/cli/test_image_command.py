@@ -51,6 +51,7 @@ def test_images_go_through_pipes_in_their_format_or_another(photo):
     assert beltrami("smooth", "-", "-", "-n", 0, stdin=data).stdout == data
 
 
+@pytest.mark.slow
 def test_the_surface_and_the_mask_of_an_image_are_options(photo):
     folder, _ = photo
     for options in (["--height", "depth.exr", "--height-scale", "2"], ["--mask", "mask.png"]):
@@ -99,6 +100,7 @@ def test_failures_are_one_line_and_leave_files_alone(photo, arguments, code, sai
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
 
 
+@pytest.mark.slow
 def test_info_shows_what_an_image_is(photo):
     folder, _ = photo
     shown = beltrami("info", "photo.png", "--height", "depth.exr", cwd=folder)

@@ -31,6 +31,7 @@ def test_a_closed_mesh_has_no_boundary_and_an_open_one_has():
     assert info("terrain-clean.ply")["surface"]["boundary_edges"] > 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("extension", ["ply", "obj", "glb"])
 def test_the_same_mesh_is_the_same_surface_in_every_format(extension):
     facts, reference = info(f"terrain-clean.{extension}")["surface"], info("terrain-clean.ply")["surface"]
@@ -38,6 +39,7 @@ def test_the_same_mesh_is_the_same_surface_in_every_format(extension):
         assert facts[key] == reference[key]
 
 
+@pytest.mark.slow
 def test_noise_is_in_units_of_full_scale():
     noisy, clean = info("head-noisy.ply")["noise"], info("head-clean.ply")["noise"]
     for channel in ("red", "green", "blue"):
@@ -46,6 +48,7 @@ def test_noise_is_in_units_of_full_scale():
         assert clean[channel] < 3 / 255
 
 
+@pytest.mark.slow
 def test_a_larger_time_step_holds_more_samples():
     few, many = info("head-noisy.ply", "-t", "0.5")["smooth"], info("head-noisy.ply", "-t", "5")["smooth"]
     assert many["samples_per_kernel"] > 1.5 * few["samples_per_kernel"]
@@ -58,6 +61,7 @@ def test_the_text_has_the_same_sections():
     assert run.stderr == b""
 
 
+@pytest.mark.slow
 def test_the_text_on_textures_says_what_would_be_chosen_and_how_sure_that_is():
     noisy = beltrami("info", SAMPLES / "torus-two-noisy.gltf").stdout.decode()
     # Noise as `beltrami noise --sigma` takes it.

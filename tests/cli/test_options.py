@@ -136,11 +136,13 @@ def test_values_without_a_meaning_are_usage_errors(arguments, words, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_units_of_the_file_are_taken_with_a_time_step_in_them(tmp_path):
     run = beltrami("smooth", NOISY, tmp_path / "out.ply", "--units", "world", "-t", "0.001")
     assert run.returncode == 0, run.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("flags", "traceback"),
     [([], False), (["-v"], False), (["-vv"], True), (["-v", "-v"], True), (["--verbose", "--verbose"], True)],

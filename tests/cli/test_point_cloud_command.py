@@ -97,6 +97,7 @@ def test_all_formats_give_the_same_colours(clouds, tmp_path):
     assert all(np.array_equal(result, results[0]) for result in results[1:])
 
 
+@pytest.mark.slow
 def test_info_describes_a_cloud(clouds):
     run = beltrami("info", clouds / "scan.ply", "--json")
     facts = json.loads(run.stdout)
@@ -115,6 +116,7 @@ def test_one_kernel_of_a_cloud_can_be_looked_at(clouds, tmp_path):
     assert target.stat().st_size > 1000
 
 
+@pytest.mark.slow
 def test_intensities_alone_are_smoothed(tmp_path):
     positions, colours, _ = scan()
     reflectance = (colours[:, :1].astype(float) - 100) * 16.5
@@ -160,6 +162,7 @@ def test_a_mesh_with_some_faces_stays_a_mesh(tmp_path):
     assert changed == [0, 1, 6]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("extension", ["ply", "xyz", "npz"])
 def test_points_that_were_not_measured_stay_and_do_not_count(tmp_path, extension):
     positions, colours, _ = scan()

@@ -74,6 +74,7 @@ def test_two_runs_give_the_same_bytes_also_through_a_pipe(tmp_path):
     assert out.read_bytes() == kept
 
 
+@pytest.mark.slow
 def test_without_the_extra_one_line_names_it_and_points_and_images_need_none(tmp_path):
     def run(*arguments):
         code = "import sys; sys.modules['embreex'] = None; from beltrami_cli.__main__ import main; main()"
@@ -126,6 +127,7 @@ def test_an_input_is_never_replaced(tmp_path):
     assert b"call it .png" in run.stderr
 
 
+@pytest.mark.slow
 def test_a_preview_shows_both_also_when_the_input_is_replaced(tmp_path):
     source, preview, expected = (tmp_path / name for name in ("a.ply", "p.png", "e.png"))
     source.write_bytes((SAMPLES / "nonmanifold-noisy.ply").read_bytes())

@@ -188,6 +188,7 @@ def test_what_cannot_be_shown_is_said_and_nothing_written(tmp_path):
         assert not page.exists()
 
 
+@pytest.mark.slow
 def test_help_does_not_promise_to_smooth():
     run = beltrami("report", "--help")
     assert b"Smooth the" not in run.stdout

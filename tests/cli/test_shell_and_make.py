@@ -55,6 +55,7 @@ def shell(tmp_path):
     return run
 
 
+@pytest.mark.slow
 def test_every_line_for_the_shell_works_as_pasted(shell):
     for line in SHELL.splitlines():
         done = shell(line)
@@ -66,6 +67,7 @@ def test_every_line_for_the_shell_works_as_pasted(shell):
     assert made == (shell.folder / "clean" / "a.ply").read_bytes()  # of the same scan
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(shutil.which("make") is None, reason="there is no make")
 def test_the_makefile_makes_what_is_out_of_date_and_nothing_else(shell):
     (shell.folder / "Makefile").write_text(MAKEFILE)

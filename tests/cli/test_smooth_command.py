@@ -31,6 +31,7 @@ def psnr(path, truth):
     return -10 * np.log10(np.mean((colours(path) - colours(truth)) ** 2))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["knot", "head", "terrain", "nonmanifold"])
 @pytest.mark.parametrize("extension", ["ply", "obj", "glb"])
 def test_samples_come_out_visibly_cleaner_without_any_flag(name, extension, tmp_path):
@@ -57,6 +58,7 @@ def test_stdout_carries_data_only_and_messages_go_to_stderr(tmp_path):
     assert through_pipe.stdout == (tmp_path / "out.ply").read_bytes()
 
 
+@pytest.mark.slow
 def test_glb_goes_through_a_pipe_and_the_format_can_be_chosen(tmp_path):
     glb = SAMPLES / "terrain-noisy.glb"
     piped = beltrami("smooth", "-", "-", stdin=glb.read_bytes())
@@ -79,6 +81,7 @@ def test_an_existing_output_is_kept_unless_overwriting_is_asked_for(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["out.ply"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("target", "words"),
     [
@@ -151,6 +154,7 @@ def test_a_fifo_is_refused_at_once(tmp_path):
     assert b"pipe" in run.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
 def test_a_full_device_is_an_output_error():
     with Path("/dev/full").open("wb") as full:
@@ -187,6 +191,7 @@ def test_the_report_tells_parameters_counts_times_memory_and_changes(tmp_path):
     assert told["written"] == [str(tmp_path / "out.ply")]
 
 
+@pytest.mark.slow
 def test_the_guard_on_samples_warns_when_it_bites(tmp_path):
     run = beltrami("smooth", NOISY, tmp_path / "out.ply", "--max-samples", 5)
     assert run.returncode == 0
@@ -201,6 +206,7 @@ def test_channels_that_were_not_chosen_keep_their_bytes(tmp_path):
     assert not np.array_equal(before[:, 1], after[:, 1])
 
 
+@pytest.mark.slow
 def test_spaces_differ_and_all_denoise(tmp_path):
     results = {}
     for space in ("srgb", "linear", "oklab"):
@@ -236,6 +242,7 @@ def big_scan(folder):
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupt_ends_soon_and_leaves_nothing_behind(number, tmp_path):
     big = big_scan(tmp_path)
@@ -262,6 +269,7 @@ def test_an_interrupt_ends_soon_and_leaves_nothing_behind(number, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["big.ply"]
 
 
+@pytest.mark.slow
 def test_the_bar_is_drawn_on_a_terminal_only(tmp_path):
     arguments = ["smooth", str(NOISY), str(tmp_path / "out.ply"), "-n", "60", "--overwrite"]
     assert b"\x1b" not in beltrami(*arguments).stderr
@@ -296,6 +304,7 @@ def test_a_command_that_is_none_is_answered_with_those_like_it(word, said):
     assert said in run.stderr
 
 
+@pytest.mark.slow
 def test_smoothing_a_small_mesh_loads_nothing_that_it_does_not_need(tmp_path):
     """Each of these takes as long to be imported as some iterations on five thousand vertices."""
     heavy = {"numpy.ma", "scipy", "OpenImageIO", "rich", "trimesh", "tempfile"}

@@ -197,6 +197,7 @@ def test_small_files_hold_the_same_pixels(tmp_path):
     assert small_file.stat().st_size < large_file.stat().st_size
 
 
+@pytest.mark.slow
 def test_jpeg_textures_grow_with_their_quality(tmp_path):
     sizes = []
     for quality in ("50", "98"):

@@ -22,6 +22,7 @@ def picture_of(known: str, kind: str, channels: int, low: float = 0):
     return read_image(encode(pixels, known, kind), "skin" + SUFFIXES[known])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("target", sorted(SUFFIXES.values()))
 @pytest.mark.parametrize(("known", "kind", "channels"), LOSSLESS)
 def test_every_format_can_be_written_as_every_other(

@@ -45,6 +45,7 @@ def test_a_cut_off_image_is_refused_by_name(known: str, part: float) -> None:
     assert OpenImageIO.geterror() == ""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("known", sorted(KINDS))
 @given(st.data())
 @settings(max_examples=30, deadline=None)

@@ -235,6 +235,7 @@ def test_without_files_in_memory_temporary_ones_do(monkeypatch: pytest.MonkeyPat
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("known", "kind", "channels"), [*LOSSLESS, ("jpeg", "uint8", 3), ("jpeg", "uint8", 1)]
 )

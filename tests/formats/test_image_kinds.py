@@ -32,6 +32,7 @@ WRITTEN = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("known", "kind", "channels"), WRITTEN)
 def test_rarer_formats_come_back_value_for_value(known: str, kind: str, channels: int) -> None:
     pixels = noise(kind, channels, 40, 43)  # JPEG 2000 halves the sides five times

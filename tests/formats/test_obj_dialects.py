@@ -65,6 +65,7 @@ def write_everything(folder: Path, newline: str = "\n") -> Path:
     return folder / "model.obj"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("newline", ["\n", "\r\n"])
 def test_all_dialects_together_in_another_folder(newline: str, tmp_path: Path) -> None:
     model = write_everything(tmp_path / "in", newline)
@@ -79,6 +80,7 @@ def test_all_dialects_together_in_another_folder(newline: str, tmp_path: Path) -
     assert any("1 triangles of textured materials have no texture coordinates" in w for w in report.warnings)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("newline", ["\n", "\r\n"])
 def test_all_dialects_together_beside_the_source(newline: str, tmp_path: Path) -> None:
     model = write_everything(tmp_path, newline)
@@ -131,6 +133,7 @@ def test_options_before_the_name_of_a_map(options: str, name: str, tmp_path: Pat
     assert texture.name == name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["m a.mtl", '"m a.mtl"', "./m a.mtl", ".\\m a.mtl", "m a.mtl # why"])
 def test_a_library_is_found_however_it_is_named(name: str, tmp_path: Path) -> None:
     (tmp_path / "a.png").write_bytes(PICTURE)

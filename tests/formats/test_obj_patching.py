@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -42,6 +43,7 @@ def files(draw: st.DrawFn) -> tuple[list[str], list[list[str]]]:
     return [*pieces, draw(st.sampled_from([text, text.rstrip()]))], tokens
 
 
+@pytest.mark.slow
 @settings(max_examples=150, deadline=None)
 @given(files(), st.data())
 def test_only_changed_tokens_change(file: tuple[list[str], list[list[str]]], data: st.DataObject) -> None:

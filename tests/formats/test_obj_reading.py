@@ -121,6 +121,7 @@ def test_the_message_names_the_cause_and_the_line(data: bytes, message: str) -> 
     assert message in str(caught.value)
 
 
+@pytest.mark.slow
 @settings(max_examples=300, deadline=None)
 @given(st.data())
 def test_mutated_and_truncated_bytes_are_read_or_refused(data: st.DataObject) -> None:

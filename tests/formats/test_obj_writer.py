@@ -56,6 +56,7 @@ def test_linear_grey_becomes_srgb_in_three_channels() -> None:
     assert len(write_obj(contents, "out").notices) == 3
 
 
+@pytest.mark.slow
 def test_normals_are_written_for_every_vertex() -> None:
     normals = np.random.default_rng(9).normal(size=(200, 3)).astype(np.float32)
     text = b"".join(write_obj(mesh(normals=normals), "out").main).decode().splitlines()

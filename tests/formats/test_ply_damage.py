@@ -36,6 +36,7 @@ def test_every_truncation_is_an_error(encoding: str) -> None:
     read(data)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("encoding", ENCODINGS)
 @settings(max_examples=200, deadline=None)
 @given(data=st.data())

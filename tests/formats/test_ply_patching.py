@@ -82,6 +82,7 @@ def files(draw: st.DrawFn) -> tuple[Built, tuple[str, ...], str, list[list[float
     return built, names, kind, colours
 
 
+@pytest.mark.slow
 @settings(max_examples=150, deadline=None)
 @given(files(), st.data())
 def test_only_changed_colour_entries_change_and_they_are_rounded_once(

@@ -185,6 +185,7 @@ def test_what_is_written_is_read_back():
     assert np.array_equal(again.contents().alpha, contents.alpha)
 
 
+@pytest.mark.slow
 @settings(max_examples=300)
 @given(st.data())
 def test_no_damage_ends_in_anything_but_points_or_one_line(data):

@@ -138,6 +138,7 @@ def test_new_colours_are_spelled_as_the_old_ones(text, new, expected):
     assert patched(opened(text), np.atleast_2d(new)) == expected
 
 
+@pytest.mark.slow
 @given(
     st.lists(st.tuples(*[st.integers(0, 255)] * 6), min_size=1, max_size=20),
     st.sampled_from([b" ", b"\t", b", ", b";"]),

@@ -168,6 +168,7 @@ def test_vertices_have_the_mean_of_their_corners_and_nothing_beyond(data: st.Dat
 GOOD = {"x.off": coff("float"), "x.stl": stl([1 << 15, 1 << 15]), "x.3mf": threemf(model(OBJECT))}
 
 
+@pytest.mark.slow
 @settings(max_examples=300, deadline=None)
 @given(st.data())
 def test_damage_is_read_or_refused(data: st.DataObject) -> None:

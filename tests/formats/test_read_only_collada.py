@@ -37,6 +37,7 @@ DAE = "\n".join(
 )
 
 
+@pytest.mark.slow
 def test_dae_colours_in_their_place() -> None:
     painted = opened(DAE.encode(), "x.dae").painted()
     np.testing.assert_array_equal(painted.positions[painted.faces], SQUARE[FACES] + [0, 0, 7])
@@ -109,6 +110,7 @@ def test_dae_polygons_with_a_skin_are_where_they_were_bound() -> None:
     assert "skins" in document.contents().left_out
 
 
+@pytest.mark.slow
 def test_dae_polygons_that_cannot_be_read_are_told_of() -> None:
     with pytest.raises(InputError, match="it is damaged, or not understood"):
         opened(DAE.replace("1 1 0 0 1 0<", "1,1 0 0 1 0<").encode(), "x.dae").painted()

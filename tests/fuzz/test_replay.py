@@ -35,6 +35,7 @@ def mutated(data: bytes, others: list[bytes], chance: random.Random) -> bytes:
     return bytes(result[: chance.choice([len(result)] * 3 + [chance.randrange(len(result) + 1)])])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", SEEDS, ids=[f"{path.parent.name}-{path.name}" for path in SEEDS])
 def test_nothing_worse_than_a_refusal(seed: Path) -> None:
     target = seed.parent.name

@@ -66,6 +66,7 @@ def test_an_output_of_a_manifest_stays_below_a_url(output, scan, tmp_path):
     assert "leaves --out-dir" in batch(manifest, "--out-dir", "memory://out", *report, *QUICK, code=3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("output", ["deep/b.ply", "deep/../deep/b.ply", "{out}/deep/b.ply"])
 def test_an_output_below_the_folder_of_all_may_be_named_in_any_way(output, scan, tmp_path):
     out = tmp_path / "out"
@@ -85,6 +86,7 @@ def test_names_that_no_file_can_have_are_refused_in_manifests(entry, scan, tmp_p
     )
 
 
+@pytest.mark.slow
 def test_a_file_that_was_only_started_is_not_replaced(scan, made):
     out, line = made
     (out / "a.ply").write_bytes(MINE)
@@ -95,6 +97,7 @@ def test_a_file_that_was_only_started_is_not_replaced(scan, made):
     assert statuses(out) == {"a.ply": "failed"}
 
 
+@pytest.mark.slow
 def test_no_file_beside_one_that_was_only_started_is_replaced(tmp_path):
     write_textured(tmp_path)
     out = tmp_path / "out"
@@ -110,6 +113,7 @@ def test_no_file_beside_one_that_was_only_started_is_replaced(tmp_path):
         (out / name).write_bytes(whole[name])
 
 
+@pytest.mark.slow
 def test_what_was_put_in_place_before_a_run_was_killed_is_done(scan, made):
     out, line = made
     before = (out / "a.ply").stat().st_mtime_ns
@@ -121,6 +125,7 @@ def test_what_was_put_in_place_before_a_run_was_killed_is_done(scan, made):
     assert {path.name for path in out.iterdir()} == {"a.ply", "batch.jsonl"}
 
 
+@pytest.mark.slow
 def test_results_of_an_earlier_run_are_replaced_after_a_run_that_was_killed(scan, made):
     """As the line that a file is started keeps the hashes of what was there."""
     out, line = made
@@ -131,6 +136,7 @@ def test_results_of_an_earlier_run_are_replaced_after_a_run_that_was_killed(scan
     assert files_in(out) != before
 
 
+@pytest.mark.slow
 def test_a_file_that_is_begun_again_still_has_the_hashes_of_its_results(scan, made):
     out, line = made
 
@@ -230,6 +236,7 @@ def test_a_file_of_one_line_that_is_no_record_is_not_emptied(scan, tmp_path):
     assert notes.read_text() == "no end of line"
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no FIFOs")
 def test_nothing_waits_for_what_is_no_file(scan, made):
     out, line = made

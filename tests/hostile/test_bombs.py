@@ -215,6 +215,7 @@ BOMBS: dict[str, Callable[[Path], Path]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bomb", BOMBS.values(), ids=BOMBS)
 def test_bombs_are_refused_in_one_line_and_little_memory(
     bomb: Callable[[Path], Path], tmp_path: Path
@@ -233,6 +234,7 @@ def test_bombs_are_refused_in_one_line_and_little_memory(
     assert sorted(path.name for path in tmp_path.iterdir()) == before
 
 
+@pytest.mark.slow
 def test_a_large_image_is_smoothed_where_there_is_room(tmp_path: Path) -> None:
     model = with_texture(PICTURE)(tmp_path)
     arguments = [*COMMAND, "smooth", str(model), str(tmp_path / "out.ply"), "--max-memory", LIMIT]

@@ -38,6 +38,7 @@ def textured(tmp_path: Path) -> Path:
     return folder
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not FULL.exists(), reason="there is no device that is always full")
 @pytest.mark.parametrize("option", ["--report", "--preview"])
 @pytest.mark.parametrize("exists", [False, True])
@@ -130,6 +131,7 @@ def test_a_map_does_not_replace_a_texture_of_what_it_compares(textured: Path) ->
     assert beltrami(*compared, "--map", "map.png", cwd=textured).returncode == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("target", ["new/mirrored-noisy.obj", "mirrored-noisy.obj"])
 def test_a_preview_is_drawn_of_files_that_are_not_in_place_yet(target: str, textured: Path) -> None:
     (textured / "new").mkdir()

@@ -32,6 +32,7 @@ def folder_with_model(tmp_path: Path) -> Path:
     return folder
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGKILL], ids=lambda number: number.name
 )
@@ -51,6 +52,7 @@ def test_a_signal_at_any_step_that_touches_files(target: str, number: signal.Sig
     assert int(steps) >= 7  # a probe that comes and goes, and three or more files written and renamed
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL], ids=lambda number: number.name
 )

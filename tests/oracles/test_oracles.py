@@ -48,6 +48,7 @@ def test_a_front_from_outside_the_triangle_does_not_cross_it():
     assert triangle_update(0.0, 1.0, 0.99, 1.0, 0.5) == inf
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("make", [surfaces.plane, surfaces.lattice])
 def test_distances_on_a_plane_converge_to_euclid_at_first_order(make):
     # For a source in one point the error of a first-order scheme is of order h log(1/h).
@@ -74,6 +75,7 @@ def test_split_corners_of_a_sheared_plane_stay_above_euclid_and_come_closer(shea
     assert split.mean() < whole.mean() / gain
 
 
+@pytest.mark.slow
 def test_distances_on_a_sphere_converge_to_arcs():
     errors = []
     for subdivisions in (2, 3, 4):
@@ -135,6 +137,7 @@ def test_stopping_leaves_accepted_distances_as_they_are():
     assert 5 < np.isfinite(near).sum() < 60
 
 
+@pytest.mark.slow
 @settings(max_examples=150, deadline=None)
 @given(strategies.meshes())
 def test_distances_are_no_longer_than_paths_over_edges_and_reach_as_far(mesh):

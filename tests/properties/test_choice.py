@@ -126,6 +126,7 @@ def test_signs_of_a_mesh_are_independent():
     assert abs(np.mean(first[edges[:, 0]] * first[edges[:, 1]])) < 0.05
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sigma", [0.02, 0.08])
 def test_the_choice_is_near_the_best_on_an_image(sigma):
     clean = painting()
@@ -147,6 +148,7 @@ def test_the_choice_is_near_the_best_on_an_image(sigma):
     assert reached > psnr(image, clean) + 6
 
 
+@pytest.mark.slow
 def test_the_choice_is_near_the_best_on_a_mesh():
     positions, faces = surfaces.icosphere(4)
     clean = 0.5 + 0.2 * np.sign(np.sin(5 * positions)) * np.array([1, 0.5, 0.8])
@@ -236,6 +238,7 @@ def test_the_choice_does_not_depend_on_the_order_of_vertices_or_the_pose():
         assert other.chosen[name] == pytest.approx(value, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_a_sample_of_a_mesh_is_enough(monkeypatch):
     """Half as large a sample as is taken leads to within 0.3 dB of the same result, on all of the mesh."""
     positions, faces = surfaces.icosphere(5)
@@ -280,6 +283,7 @@ def test_samples_hold_their_share_of_rare_detail():
         assert 0.4 * rare.mean() < rare[chosen.samples[chosen.counting]].mean() < 1.8 * rare.mean()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "given", [{"iterations": 2}, {"t": 3.0}, {"beta": 9.0}, {"beta_growth": 1.3}, {"metric_steps": 2}]
 )
@@ -304,6 +308,7 @@ def test_nothing_is_chosen_for_a_linear_kernel():
     assert beltrami_cli.smooth_image(noisy(painting(48)), space="data", beta=0).choice is None
 
 
+@pytest.mark.slow
 def test_strength_smooths_less_or_more():
     image = noisy(painting(64))
     change = {}

@@ -20,6 +20,7 @@ def smooth_image(make, side):
     return flat, faces, grey, source, exact_distances(np.column_stack([flat[:, :2], grey]), faces, source)
 
 
+@pytest.mark.slow
 @given(strategies.painted(strategies.meshes(general=True)))
 @settings(max_examples=150, deadline=None)
 def test_distances_equal_those_of_a_textbook_march_on_any_mesh(painted):

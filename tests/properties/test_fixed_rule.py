@@ -49,6 +49,7 @@ def test_the_fixed_rule_smooths_further_where_there_is_more_noise():
         assert counts[-1] == rule.most
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sigma", [0.02, 0.08])
 def test_the_fixed_rule_is_not_far_from_the_choice(sigma):
     """On flat paint, where it loses most (3.7 dB at worst on textures), for it must not lose the detail of others."""

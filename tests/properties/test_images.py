@@ -85,6 +85,7 @@ def test_where_all_distances_are_straight_an_image_is_smoothed_by_the_gaussian()
     assert np.abs(smoothed - truth)[inside].max() < 1e-6  # rounding in single precision
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("scheme", "first"), [("triangles", 0.05), ("metric", 0.25)])
 def test_without_beta_the_kernel_tends_to_the_gaussian_as_pixels_get_smaller(scheme, first):
     # Marching errs by one order of the pixel's size h, up to log h; t in squared pixels quadruples when h is halved.
@@ -94,6 +95,7 @@ def test_without_beta_the_kernel_tends_to_the_gaussian_as_pixels_get_smaller(sch
     assert errors[2] < 0.7 * errors[1]
 
 
+@pytest.mark.slow
 def test_a_cylinder_is_smoothed_like_the_plane_that_it_is_rolled_of():
     image = noisy(20, 48)
     sides = 64
@@ -120,6 +122,7 @@ def sphere_patch(pixels):
     return radius, radius * np.dstack(unit)
 
 
+@pytest.mark.slow
 def test_on_a_sphere_a_linear_function_shrinks_as_the_integral_says_on_images_and_meshes():
     errors = []
     for pixels, t in ((33, 2.0), (65, 8.0)):
@@ -158,6 +161,7 @@ def test_on_a_sphere_a_linear_function_shrinks_as_the_integral_says_on_images_an
     assert errors[1][1] < 0.85 * errors[0][1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("scheme", "first"), [("triangles", 0.06), ("metric", 0.25)])
 @pytest.mark.parametrize("beta", [0, 0.5])
 def test_parametric_and_triangulated_agree_to_first_order_on_a_height_map(scheme, first, beta):
@@ -184,6 +188,7 @@ def test_parametric_and_triangulated_agree_to_first_order_on_a_height_map(scheme
     assert differences[2] < 0.8 * differences[1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("parameters", SETTINGS.values(), ids=SETTINGS)
 def test_constants_stay_to_the_last_bit_and_colours_stay_in_the_range_around_them(parameters):
     image, height = noisy(), hills(24, 31)
@@ -225,6 +230,7 @@ def test_nothing_crosses_a_wall_of_holes_one_pixel_thick(parameters, wall):
     assert not np.array_equal(one[side], two[side])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("parameters", SETTINGS.values(), ids=SETTINGS)
 def test_the_result_is_the_same_to_the_last_bit_for_any_number_of_threads(parameters):
     image, height = noisy(40, 70), hills(40, 70)
@@ -255,6 +261,7 @@ def test_channels_can_be_exchanged_and_positions_scaled_and_turned(parameters):
     assert difference.max() < 3e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scheme", SCHEMES)
 def test_slopes_are_smoothed_less_than_level_parts_which_are_smoothed_like_the_plane(scheme):
     x = np.mgrid[:40, :120][1]

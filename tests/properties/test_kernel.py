@@ -101,6 +101,7 @@ def noisy_terrain():
     return positions, faces, np.clip(pattern + random.normal(0, 20 / 255, (len(positions), 3)), 0, 1)
 
 
+@pytest.mark.slow
 def test_the_result_does_not_depend_on_the_number_of_threads(noisy_terrain):
     results = [beltrami_cli.smooth(*noisy_terrain, threads=threads).colours for threads in (1, 2, 3, 7)]
     assert all(np.array_equal(results[0], other) for other in results[1:])
@@ -112,6 +113,7 @@ def flips(a, b):
     return difference.mean() < 1e-5 and difference.max() < 5e-3
 
 
+@pytest.mark.slow
 def test_the_result_does_not_depend_on_the_order_of_vertices_and_faces(noisy_terrain):
     positions, faces, colours = noisy_terrain
     random = np.random.default_rng(0)
@@ -123,6 +125,7 @@ def test_the_result_does_not_depend_on_the_order_of_vertices_and_faces(noisy_ter
     assert flips(moved, plain[order])
 
 
+@pytest.mark.slow
 def test_the_result_does_not_depend_on_rotation_place_and_scale(noisy_terrain):
     positions, faces, colours = noisy_terrain
     plain = beltrami_cli.smooth(positions, faces, colours).colours
@@ -136,6 +139,7 @@ def test_the_result_does_not_depend_on_rotation_place_and_scale(noisy_terrain):
         assert flips(beltrami_cli.smooth(moved, faces, colours).colours, plain)
 
 
+@pytest.mark.slow
 def test_permuting_the_channels_permutes_the_result(noisy_terrain):
     positions, faces, colours = noisy_terrain
     plain = beltrami_cli.smooth(positions, faces, colours, space="data").colours
@@ -198,6 +202,7 @@ def test_world_units_scale_with_the_mesh():
     assert flips(spacing, world)
 
 
+@pytest.mark.slow
 def test_isolated_vertices_change_nothing_elsewhere(noisy_terrain):
     positions, faces, colours = noisy_terrain
     random = np.random.default_rng(3)

@@ -66,6 +66,7 @@ HARMONICS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("degree", HARMONICS)
 @pytest.mark.parametrize("stretch", [1, np.array([1, 0.5, 0.75])], ids=["cubes", "boxes"])
 def test_harmonics_on_a_sphere_shrink_by_their_eigenvalue_to_first_order(degree, stretch, tmp_path):
@@ -79,6 +80,7 @@ def test_harmonics_on_a_sphere_shrink_by_their_eigenvalue_to_first_order(degree,
     assert errors[1] < 0.05 * (1 - eigenvalue(degree))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("beta", [0.5, 2.0])
 def test_a_pattern_on_a_level_set_is_smoothed_as_on_an_icosphere_to_first_order(beta, tmp_path):
     points, faces = icosphere(5)
@@ -115,6 +117,7 @@ def test_a_constant_stays_and_nothing_leaves_the_range_of_the_voxels(tmp_path):
     assert colours.max() < 150.1
 
 
+@pytest.mark.slow
 def test_noise_of_the_voxels_is_removed_and_edges_stay(tmp_path):
     painted = []
     for sigma in (0, 20 / 255):

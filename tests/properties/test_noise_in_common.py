@@ -157,6 +157,7 @@ def test_less_than_three_channels_tell_nothing():
     assert found(stored(painting(64), 20)[..., :2] / 255)[0] is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("quality", "subsampling", "sigma"), [(80, "4:4:4", 5), (80, "4:4:4", 10), (92, "4:2:0", 20)]
 )
@@ -196,6 +197,7 @@ def test_jpeg_without_noise_stays(subsampling, tmp_path):
     assert np.mean(np.square(result.colours - image)) < 10**-4.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("quality", "subsampling", "sigma"),
     [(80, "4:4:4", 5), (80, "4:4:4", 10), (80, "4:2:0", 10), (92, "4:2:0", 10)],

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -23,6 +24,7 @@ def cut_planes(draw):
     return CutPlane(labels, flips, random.integers(0, 8, count), random.permutation(count), side)
 
 
+@pytest.mark.slow
 @given(cut_planes())
 @settings(max_examples=150, deadline=None)
 def test_around_every_texel_is_the_plane(plane):

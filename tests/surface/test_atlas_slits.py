@@ -82,6 +82,7 @@ def slit_planes(draw):
     return plane, start - through[0] * outwards, end + through[1] * outwards
 
 
+@pytest.mark.slow
 @given(slit_planes())
 @settings(max_examples=200, deadline=None)
 def test_cells_are_joined_unless_a_slit_lies_between_them(made):

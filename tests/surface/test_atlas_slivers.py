@@ -105,6 +105,7 @@ def soups(draw):
     return textured(positions, faces, corners, sizes, texture_of, wrap), sizes
 
 
+@pytest.mark.slow
 @given(soups(), st.integers(1, 7))
 @settings(max_examples=120, deadline=None)
 def test_every_covered_texel_is_owned_once_and_halos_draw_on_owned_cells(soup, margin):

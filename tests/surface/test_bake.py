@@ -112,6 +112,7 @@ def test_linear_colours_of_a_flat_chart_come_back_exactly_also_on_its_border():
     assert np.abs(seen - colours[faces]).max() < 1e-6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [128, 256, 512])
 def test_smooth_colours_survive_the_way_to_a_texture_and_back(size):
     positions, faces = surfaces.icosphere(3)

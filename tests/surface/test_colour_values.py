@@ -59,6 +59,7 @@ def nearest(value, most):
     return round(Fraction(float(np.float32(min(max(value, 0), 1)))) * most)
 
 
+@pytest.mark.slow
 @given(
     st.sampled_from([np.uint8, np.uint16]),
     st.sampled_from([np.int32, np.int64]),

@@ -64,6 +64,7 @@ MESHES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mesh", MESHES.values(), ids=MESHES)
 def test_no_two_triangles_overlap_and_charts_keep_apart(mesh):
     positions, faces = mesh()
@@ -99,6 +100,7 @@ def test_charts_fill_the_texture_and_hardly_stretch():
     assert density.max() < 4 * density.min()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("texels", [10_000, 40_000, 70_000, 400_000])
 def test_charts_have_as_many_texels_as_wanted_on_no_larger_a_texture_than_they_need(texels):
     positions, faces = surfaces.icosphere(2)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -48,6 +49,7 @@ def test_rows_with_equal_hashes_are_kept_apart(monkeypatch):
     assert first.tolist() == [0, 1, 3, 4]
 
 
+@pytest.mark.slow
 def test_a_soup_of_triangles_is_smoothed_like_the_connected_mesh():
     positions, faces = surfaces.icosphere(3)
     colours = np.random.default_rng(0).random((len(positions), 3))

@@ -54,6 +54,7 @@ def sphere(colour=1.0):
     return SurfaceView(positions, faces, paint), surfaces.mean_edge_length(positions, faces)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("field", [0.0, 40.0])
 def test_the_silhouette_of_a_sphere_has_the_area_of_its_disc(field):
     view, edge = sphere()
@@ -168,6 +169,7 @@ def test_presets_look_where_they_say():
         assert np.linalg.det(turned) == pytest.approx(1)
 
 
+@pytest.mark.slow
 def test_near_points_hide_far_ones_and_neighbours_leave_no_holes():
     grid = np.stack(np.meshgrid(np.arange(20.0), np.arange(20.0)), axis=2).reshape(-1, 2)
     near = np.column_stack([grid, np.full(400, 1.0)])
