@@ -54,6 +54,7 @@ def test_truncated_files_raise_input_errors(cut, text):
             everything(data)
 
 
+@pytest.mark.slow
 @settings(max_examples=400, deadline=None)
 @given(text=st.booleans(), where=st.floats(0, 1, exclude_max=True), what=st.binary(min_size=1, max_size=3))
 def test_damaged_bytes_raise_only_input_errors(text, where, what):

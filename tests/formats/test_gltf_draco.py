@@ -223,6 +223,7 @@ def test_contradictions_are_named_with_their_place(key, value, cause):
     assert cause in str(caught.value)
 
 
+@pytest.mark.slow
 @settings(max_examples=150, deadline=None)
 @given(where=st.integers(0, 400), what=st.binary(min_size=1, max_size=5), cut=st.booleans())
 def test_damaged_data_raises_only_input_errors(where, what, cut):

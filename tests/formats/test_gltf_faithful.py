@@ -59,6 +59,7 @@ def allowed(tree, *, moved):
     return re.compile("|".join(patterns))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("moved", [False, True])
 @pytest.mark.parametrize("form", ["glb", "gltf", "data"])
 @pytest.mark.parametrize("place", ["view", "data", "file"])

@@ -19,6 +19,7 @@ from formats.gltf_images import (
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", ["glb", "gltf", "data"])
 @pytest.mark.parametrize("every", [True, False])
 def test_repeated_patches_do_not_grow_the_file_without_bound(tmp_path, form, every):

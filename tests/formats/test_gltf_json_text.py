@@ -32,6 +32,7 @@ styles = st.sampled_from(
 )
 
 
+@pytest.mark.slow
 @settings(max_examples=80, deadline=None)
 @given(old=trees, new=trees, style=styles, ascii_only=st.booleans(), crlf=st.booleans())
 def test_revised_text_parses_to_the_new_tree(old, new, style, ascii_only, crlf):

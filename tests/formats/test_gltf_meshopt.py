@@ -129,6 +129,7 @@ def test_luma_and_chroma_are_decoded_and_stored_as_colours_again(kind):
     np.testing.assert_array_equal(stored_after(opened, 1 - contents.colours)[colour], expected)
 
 
+@pytest.mark.slow
 @settings(max_examples=40, deadline=None)
 @given(
     extension=st.sampled_from(EXTENSIONS),
@@ -285,6 +286,7 @@ def test_colours_compressed_as_indices_are_refused_rather_than_damaged(mode):
         opened.patch(1 - colours, "out", moved=False)
 
 
+@pytest.mark.slow
 @settings(max_examples=150, deadline=None)
 @given(where=st.integers(0, 2000), what=st.binary(min_size=1, max_size=5))
 def test_damaged_data_raises_only_input_errors(where, what):

@@ -66,6 +66,7 @@ def test_every_mode_draws_the_triangles_of_the_specification(mode, kind, size, s
 numbers = st.floats(-4, 4, width=32)
 
 
+@pytest.mark.slow
 @settings(max_examples=40, deadline=None)
 @given(data=st.data())
 def test_world_positions_agree_with_trimesh_on_node_hierarchies(data):

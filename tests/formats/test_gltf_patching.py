@@ -105,6 +105,7 @@ def folder(tmp_path_factory):
     return tmp_path_factory.mktemp("gltf")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("arrangement", ARRANGEMENTS)
 @settings(max_examples=30, deadline=None)
 @given(data=st.data(), form=st.sampled_from(FORMS), moved=st.booleans(), seed=st.integers(0, 2**32))

@@ -44,6 +44,7 @@ def models(draw):
     return model
 
 
+@pytest.mark.slow
 @settings(max_examples=150, deadline=None)
 @given(
     model=models(),

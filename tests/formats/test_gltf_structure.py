@@ -72,6 +72,7 @@ def folder(tmp_path_factory):
     return tmp_path_factory.mktemp("models")
 
 
+@pytest.mark.slow
 @given(data=st.data())
 @settings(max_examples=300, deadline=None)
 def test_a_member_of_another_kind_is_refused_or_does_no_harm(folder, data):

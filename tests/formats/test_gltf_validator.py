@@ -43,6 +43,7 @@ def issues_before_and_after(source, folder):
     return issues(source, target)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "file", [f for f in gltf_files(SAMPLES) if "noisy" in f.name], ids=lambda file: file.name
 )
@@ -116,6 +117,7 @@ OUTSIDE = ("everything, images as data", "everything, images as file")
 FORMS = [(name, form) for name in MODELS for form in ("glb", "gltf") if form == "gltf" or name not in OUTSIDE]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "form"), FORMS)
 def test_features_stay_as_valid_as_they_were(tmp_path, name, form):
     model = MODELS[name]()

@@ -179,4 +179,4 @@ def test_float_colours_of_0_to_255_keep_their_scale_with_a_notice() -> None:
     patched = b"".join(document.patch(colours * 2, "out", moved=False).main)
     again = PlyDocument(patched, "y.ply")
     np.testing.assert_allclose(again.painted().colours, 0.4)
-    assert again.notices == document.notices
+    assert "0..255" in again.notices[0]

@@ -42,6 +42,7 @@ def halved(source: Path, target: Path) -> Path:
     return saved(document.patch(colours, target.stem, moved=source.parent != target.parent), target)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
     [
@@ -67,6 +68,7 @@ def everything(encoding: str) -> bytes:
     return build(tables, encoding, comments=["made by hand", "TextureFile a.png"]).data + b"\ntrailing"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("encoding", ENCODINGS)
 @settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
@@ -85,6 +87,7 @@ OBJ = (
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("paint", ["", "polypaint"])
 @settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())

@@ -58,6 +58,7 @@ def load(path):
     return read_image(path.read_bytes(), path.name, finite=False)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("known", "kind", "channels"), KINDS)
 def test_a_file_keeps_its_type_its_alpha_and_what_cannot_be_seen(known, kind, channels, tmp_path):
     pixels = pixels_of(kind, channels)
@@ -87,6 +88,7 @@ def test_the_file_has_what_the_arrays_give(tmp_path):
     assert np.abs(load(tmp_path / "b.tif").pixels - expected).max() <= 1  # of 65535: rounding halves
 
 
+@pytest.mark.slow
 def test_floats_are_linear_light_that_is_smoothed_as_the_eye_sees_it(tmp_path):
     pixels = pixels_of("float", 3)
     smooth_file(save(tmp_path / "a.exr", pixels), tmp_path / "b.exr")
@@ -123,6 +125,7 @@ def test_without_iterations_the_file_is_copied(name, tmp_path):
     assert target.read_bytes() == source.read_bytes()
 
 
+@pytest.mark.slow
 def test_another_extension_converts_and_says_what_is_lost(tmp_path):
     source = save(tmp_path / "a.png", pixels_of("uint16", 4))
     report = smooth_file(
@@ -322,6 +325,7 @@ def test_settings_of_images_contradict_neither_each_other_nor_the_file(tmp_path)
         )
 
 
+@pytest.mark.slow
 def test_the_report_and_info_describe_the_image_in_json_types(tmp_path):
     source = save(tmp_path / "a.png", pixels_of("uint8", 4))
     report = asdict(smooth_file(source, tmp_path / "b.png", job=Job(dry_run=True)))

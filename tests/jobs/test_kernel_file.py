@@ -140,6 +140,7 @@ def test_the_samples_of_a_pixel_give_what_smoothing_makes_of_it(kernel, surface,
         assert facts["unit_of_length"] == "pixel"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kernel", KERNELS)
 def test_the_samples_of_a_texel_give_what_smoothing_makes_of_it(kernel, tmp_path):
     source = SAMPLES / "head-tex-noisy.obj"
@@ -232,6 +233,7 @@ def test_a_picture_shows_painting_distances_and_weights_side_by_side(tmp_path):
         assert {tuple(cell) for cell in np.argwhere(np.ptp(panel, axis=2) > 1e-6).tolist()} == held
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("source", "at", "target", "words"),
     [

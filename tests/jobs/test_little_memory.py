@@ -42,6 +42,7 @@ def on_disk(monkeypatch):
 
 
 # Seams, several images, mirrored charts, floats, JPEG with guides for noise: each with chosen parameters.
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "model", ["head-tex-noisy.obj", "torus-two-noisy.gltf", "mirrored-noisy.obj", "scan-noisy.glb"]
 )

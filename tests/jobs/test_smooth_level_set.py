@@ -180,6 +180,7 @@ def any_numbers(shape):
     ][RANDOM.integers(6)]()
 
 
+@pytest.mark.slow
 def test_whatever_the_numbers_are_there_is_a_finite_coloured_surface_or_a_refusal(tmp_path):
     surfaces = 0
     for _ in range(200):  # with warnings as errors

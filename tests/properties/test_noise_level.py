@@ -57,6 +57,7 @@ def test_white_noise_is_told_exactly(channels):
     )
 
 
+@pytest.mark.slow
 def test_the_noise_of_a_large_mesh_is_told_by_parts_of_it():
     """Rows of a grid follow each other, so blocks of rows are strips of it; the painting is steps and slopes."""
     rows, columns = 500, 400

@@ -72,6 +72,7 @@ def test_kernels_beside_the_edge_reach_over_it_only_if_they_are_gaussian(step):
     assert module.share_beyond_edge(module.BETA, result.noisy) < 1e-6
 
 
+@pytest.mark.slow
 def test_the_plane_is_smoothed_evenly(waves):
     module, result = waves
     # Sixteen squares of 56 x 56 pixels with grains of about 3: some 300 independent ones each, so that the energy of
@@ -93,6 +94,7 @@ def test_slopes_are_smoothed_less_the_steeper_they_are(waves):
     assert result.samples[1] < 0.5 * result.samples[0]
 
 
+@pytest.mark.slow
 def test_kernels_on_the_face_hold_about_the_papers_twenty_pixels(face):
     module, result = face
     assert result.surface.samples == pytest.approx(module.PAPERS_SAMPLES, abs=1)

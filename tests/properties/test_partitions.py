@@ -51,6 +51,7 @@ ON_MESHES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ON_MESHES)
 def test_a_mesh_in_partitions_has_the_bits_of_the_whole(name):
     parameters = KernelParameters(**{**FIXED, **ON_MESHES[name]})
@@ -78,6 +79,7 @@ def test_kernels_that_are_too_large_for_groups_have_the_bits_of_the_whole_too():
     assert np.array_equal(parts.colours, whole.colours)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["segments", "marching", "areas", "cut short"])
 def test_partitions_that_are_too_narrow_are_found_out_and_cut_anew(name, monkeypatch):
     parameters = KernelParameters(**{**FIXED, **ON_MESHES[name]})
@@ -90,6 +92,7 @@ def test_partitions_that_are_too_narrow_are_found_out_and_cut_anew(name, monkeyp
     assert np.array_equal(parts.colours, whole.colours)
 
 
+@pytest.mark.slow
 def test_parameters_are_chosen_on_the_whole():
     parameters = KernelParameters(free=("iterations", "t", "beta", "beta_growth", "metric_steps"), threads=2)
     whole = smooth_mesh(SURFACE, parameters)
@@ -105,6 +108,7 @@ def test_vertices_are_not_moved_in_partitions():
         smooth_mesh(SURFACE, KernelParameters(**FIXED), geometry=geometry)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("make", [textured_flow, image_flow])
 @pytest.mark.parametrize("name", ON_GRIDS)
 def test_a_grid_in_partitions_has_the_bits_of_the_whole(make, name):

@@ -29,6 +29,7 @@ def scattered(count, side, seed=2):
     return np.column_stack([flat, np.zeros(count)])
 
 
+@pytest.mark.slow
 def test_the_vertices_of_a_sphere_are_smoothed_as_with_its_faces():
     """Its triangles are found again, so only the order of sums may differ."""
     positions, faces = surfaces.icosphere(4)
@@ -90,6 +91,7 @@ def test_constants_are_fixed_points_and_the_range_is_kept():
     assert result.std() < 0.5 * colours.std()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("scale", "shift"), [(1, 0), (1000, 0), (1e-3, 4.2e6)])
 def test_rotation_shift_and_scale_make_no_difference(scale, shift):
     """What remains is the rounding of positions: of doubles at 4e6, some 1e-9, of a spacing of 1e-3 some 1e-6."""
@@ -101,6 +103,7 @@ def test_rotation_shift_and_scale_make_no_difference(scale, shift):
     assert np.abs(beltrami_cli.smooth(turned, None, colours, beta=10).colours - expected).max() < 2e-4
 
 
+@pytest.mark.slow
 def test_a_permutation_of_the_points_permutes_the_result():
     positions = np.concatenate([scattered(1500, 30), np.repeat(scattered(50, 30, 11), 3, axis=0)])
     colours = noisy(len(positions))
@@ -111,6 +114,7 @@ def test_a_permutation_of_the_points_permutes_the_result():
     assert np.abs(permuted - result[order]).max() < 1e-4
 
 
+@pytest.mark.slow
 def test_threads_make_no_difference():
     positions = scattered(3000, 50)
     one = beltrami_cli.smooth(positions, None, noisy(3000), threads=1)
@@ -126,6 +130,7 @@ def test_sheets_close_to_each_other_keep_their_colours_apart():
     assert np.array_equal(result, colours.astype(np.float32))
 
 
+@pytest.mark.slow
 def test_outliers_are_counted_and_keep_their_colours():
     surface = scattered(2000, 40)
     strewn = np.random.default_rng(14).uniform(-300, 300, (60, 3))

@@ -78,6 +78,7 @@ def test_distances_have_at_most_half_the_error_of_fast_marching(samples, beta, r
     assert rms["segments"] < 0.5 * rms["marching"]
 
 
+@pytest.mark.slow
 @given(strategies.painted(strategies.meshes(general=True)))
 @settings(max_examples=60, deadline=None)
 def test_distances_lie_between_geodesics_and_paths_over_edges_on_any_mesh(painted):
@@ -137,6 +138,7 @@ def test_kernels_side_by_side_are_those_of_single_marches_on_any_mesh(painted, t
     assert (samples, truncated) == (np.minimum(held, 3).sum(), (held > 3).sum())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("t", "most"), [(1.0, 10**6), (1.0, 12), (60.0, 10**6), (60.0, 500)])
 def test_kernels_of_any_size_are_those_of_single_marches(t, most):
     """Kernels of the largest t go beyond what sixteen sources may share."""
@@ -192,6 +194,7 @@ def scene():
     return positions, faces, colours.astype(np.float32)
 
 
+@pytest.mark.slow
 def test_the_result_does_not_depend_on_threads_and_instruction_set(scene, tmp_path):
     one, other = (
         beltrami_cli.smooth(*scene, solver="segments", beta=5, threads=threads).colours for threads in (1, 3)

@@ -44,6 +44,7 @@ def sides(line):
     return left & ~beside & far, ~left & ~beside & far
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scheme", SCHEMES)
 @pytest.mark.parametrize("line", LINES)
 def test_the_colours_of_the_two_sides_of_a_slit_do_not_mix(line, scheme):

@@ -52,6 +52,7 @@ def test_the_files_are_what_the_script_makes(make, capsys):
     assert make.main(["--check"]) == 0, capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_check_reports_a_changed_and_a_missing_file_and_writes_nothing(make, capsys, monkeypatch, tmp_path):
     monkeypatch.setattr(make, "TEXTURED", {})
     for name, data in make.files():
