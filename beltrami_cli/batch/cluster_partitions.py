@@ -17,7 +17,7 @@ from beltrami_cli.batch.cluster_connection import LOST
 from beltrami_cli.batch.item import Attempt, do_item
 from beltrami_cli.errors import ProcessingError
 from beltrami_cli.flow.beltrami_flow import in_partitions
-from beltrami_cli.flow.partitions import Advance, Joined, TooNarrowError, collect, joined, plan_loans
+from beltrami_cli.flow.partitions import Advance, Joined, TooNarrowError, collect, joined, plan_transfers
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from beltrami_cli.batch.item import Item
-    from beltrami_cli.flow.partitions import Loan, Partition
+    from beltrami_cli.flow.partitions import Partition, Transfer
 
 _TRIES = 5  # of a surface, after workers died
 _PAUSE = 0.1  # seconds between two messages on progress
@@ -106,7 +106,7 @@ class _Portion:
     """A partition, what it borrows, and the version of the program that cut it, as they are sent to a worker."""
 
     partition: Partition
-    loans: list[Loan]
+    transfers: list[Transfer]
     version: str
 
 
@@ -152,18 +152,21 @@ class ClusterRunner:
         progress: Callable[[int, int], None] | None,
     ) -> Joined:
         places = self._choose_workers(len(partitions))
-        loans, own_version = plan_loans(partitions, len(values)), version("beltrami-cli")
+        transfers, own_version = plan_transfers(partitions, len(values)), version("beltrami-cli")
         sent, steps = [], []
-        for partition, plan, place in zip(partitions, loans, places, strict=True):
+        for partition, plan, place in zip(partitions, transfers, places, strict=True):
             sent.append(self._send(_Portion(partition, plan, own_version), place))
             steps.append(self._send(Advance(values[partition.owned], 0, 0), place))
         samples, truncated = 0.0, 0
         for iteration in range(iterations):
             # Small arrays, so that a worker is sent no more of a partition than it needs.
-            lent = [[self._submit(_lend, steps[loan.lender], loan.rows) for loan in plan] for plan in loans]
+            received = [
+                [self._submit(_rows_of, steps[transfer.source], transfer.rows) for transfer in plan]
+                for plan in transfers
+            ]
             steps = [
                 self._submit(
-                    _advance, sent[number], steps[number], lent[number], iteration, values.shape[1],
+                    _advance, sent[number], steps[number], received[number], iteration, values.shape[1],
                     workers=[places[number]], allow_other_workers=True,
                 )
                 for number in range(len(partitions))
@@ -208,15 +211,15 @@ class ClusterRunner:
 
 
 def _advance(
-    sent: _Portion, step: Advance, lent: list[NDArray[np.float32]], iteration: int, width: int
+    sent: _Portion, step: Advance, received: list[NDArray[np.float32]], iteration: int, width: int
 ) -> Advance:
     if version("beltrami-cli") != sent.version:
         raise ProcessingError(f"a worker has version {version('beltrami-cli')}, not {sent.version}")
-    borrowed = collect(sent.loans, lent, width)
+    borrowed = collect(sent.transfers, received, width)
     return sent.partition.advance(step.values, borrowed, iteration, sent.partition.threads or 1)
 
 
-def _lend(step: Advance, rows: NDArray[np.int64]) -> NDArray[np.float32]:
+def _rows_of(step: Advance, rows: NDArray[np.int64]) -> NDArray[np.float32]:
     return step.values[rows]
 
 

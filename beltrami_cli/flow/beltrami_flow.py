@@ -31,24 +31,19 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class FlowResult:
-    """How smoothed samples came about.
+    """How smoothed samples came about; `choice` is None where no parameter was chosen from the data."""
 
-    `spacing` is the mean sample spacing, in the surface's own unit of length; `beta` that used, in units of length per
-    unit of colour; `sigma` the estimated noise by channel; `samples_per_kernel` a mean over samples and iterations;
-    `truncated` counts the kernels that `max_samples` cut short.
-    """
-
-    spacing: float
-    beta: float
-    sigma: NDArray[np.float64]
-    samples_per_kernel: float
-    truncated: int
+    spacing: float  # mean sample spacing, in the surface's own unit of length
+    beta: float  # that was used, in units of length per unit of colour
+    sigma: NDArray[np.float64]  # estimated noise by channel
+    samples_per_kernel: float  # mean over samples and iterations
+    truncated: int  # kernels that `max_samples` cut short
     choice: Choice | None
 
 
 @dataclass(frozen=True)
 class Split:
-    """Surfaces are to be smoothed in `count` partitions, by a runner."""
+    """Surfaces are smoothed in `count` partitions, by a runner."""
 
     count: int
     runner: Runner
@@ -74,7 +69,7 @@ _WANTED: ContextVar[Split | None] = ContextVar("split", default=None)
 
 @contextlib.contextmanager
 def in_partitions(count: int, runner: Runner) -> Iterator[None]:
-    """Let every surface that is smoothed meanwhile, in this thread, be smoothed in up to `count` partitions."""
+    """Within this context and thread, smooth every surface in up to `count` partitions."""
     token = _WANTED.set(Split(count, runner))
     try:
         yield
@@ -83,7 +78,7 @@ def in_partitions(count: int, runner: Runner) -> Iterator[None]:
 
 
 def wanted_split() -> Split | None:
-    """Return how surfaces are to be split; None: not at all."""
+    """Return how surfaces are split in this context; None: not at all."""
     return _WANTED.get()
 
 
@@ -99,12 +94,12 @@ class BeltramiFlow(Generic[AnyManifold]):
         moves = isinstance(manifold, MeshManifold) and manifold.moving is not None
         if moves and self._split is not None:
             raise UsageError("vertices are not moved in pieces; leave out --pieces, or --smooth-geometry")
-        if moves:  # positions move by as many iterations, and what is best for colours is not for them
+        if moves:  # positions take the same iterations, and what is best for colours is not best for them
             parameters = dataclasses.replace(parameters, free=())
         self.parameters, self.choice = tune(manifold, parameters)
         manifold.parameters = self.parameters
-        given = self.parameters.beta
-        self.beta = manifold.beta if given is None or manifold.beta == 0 else given
+        chosen_beta = self.parameters.beta
+        self.beta = manifold.beta if chosen_beta is None or manifold.beta == 0 else chosen_beta
         if self._split is None:
             manifold.release()
         self._clipped = None
@@ -117,7 +112,7 @@ class BeltramiFlow(Generic[AnyManifold]):
         return Step(self.beta * own.growth(iteration), own.t, own.is_regularised(iteration))
 
     def run(self, progress: Callable[[int, int], None] | None = None) -> FlowResult:
-        """Run all iterations; `progress` is called with the work done and the work to do, and may raise to stop."""
+        """Run all iterations; `progress` is called with the work done and the total, and may raise to stop."""
         manifold, iterations = self.manifold, self.parameters.iterations
         stacks = [manifold.colours]
         if self._clipped is not None:
@@ -130,13 +125,15 @@ class BeltramiFlow(Generic[AnyManifold]):
         manifold.colours = done.stacks[0]
         if self._clipped is not None:
             manifold.restore(self._clipped, done.stacks[1])
-        held = done.samples / max(1, iterations * manifold.kernels)
-        return FlowResult(manifold.spacing, self.beta, manifold.sigma, held, done.truncated, self.choice)
+        samples_per_kernel = done.samples / max(1, iterations * manifold.kernels)
+        return FlowResult(
+            manifold.spacing, self.beta, manifold.sigma, samples_per_kernel, done.truncated, self.choice
+        )
 
     def _iterate(
         self, stacks: list[NDArray[np.float32]], progress: Callable[[int, int], None] | None
     ) -> Averaged:
-        """Iterate from the same input for every sample."""
+        """Run all iterations on the whole manifold."""
         manifold, iterations, samples, truncated = self.manifold, self.parameters.iterations, 0.0, 0
         for iteration in range(iterations):
             step = self.step(iteration)
@@ -155,7 +152,7 @@ class BeltramiFlow(Generic[AnyManifold]):
         split: Split,
         progress: Callable[[int, int], None] | None,
     ) -> Averaged:
-        """Do the same, to the last bit, partition by partition; the samples held are estimated."""
+        """Run all iterations partition by partition: the same colours bit for bit; `samples` is an estimate."""
         manifold = self.manifold
         steps = [self.step(iteration) for iteration in range(self.parameters.iterations)]
         channels = stacks[0].shape[manifold.axis]
@@ -175,15 +172,12 @@ class BeltramiFlow(Generic[AnyManifold]):
         return self.manifold.values()
 
     def kernel_at(self, sample: int) -> SampledKernel:
-        """Return the kernel that one more iteration, after those that were run, would have at a sample.
-
-        On a grid samples are given by their cells.
-        """
+        """Return the kernel that the next iteration would have at a sample; on a grid, at a cell."""
         return self.manifold.kernel_at(sample, self.step(self.parameters.iterations))
 
 
 def _shifted(
     progress: Callable[[int, int], None] | None, iteration: int, iterations: int, size: int
 ) -> Callable[[int], None] | None:
-    """Make the progress of one iteration count on from those before it."""
+    """Add the work of earlier iterations to the progress of one."""
     return None if progress is None else lambda done: progress(iteration * size + done, iterations * size)

@@ -1,4 +1,4 @@
-"""The canvas of an atlas: colours put on it and taken from there, its cells, and the seams at which colours jump."""
+"""The canvas of an atlas: colours on its cells, per-cell data for the core, and seams at which colours jump."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ if TYPE_CHECKING:
     from beltrami_cli.flow.parameters import KernelParameters
     from beltrami_cli.surface.atlas import Atlas, Indices
 
-# Rows and columns about a halo cell in which others are looked for that show the same texel: those of a chart that is
-# up to seven times as fine as what it is continued by.
+# Rows and columns around a halo cell that are searched for other cells with the same texel: enough for a chart up to
+# seven times as fine as the one beyond the seam.
 _REPEATS_REACH = 3
 
-# Rows that are looked at together.
+# Rows that are processed together.
 _ROWS = 256
 
-# Cells whose colours are put on the canvas at a time: so few that they are still in the cache.
+# Cells whose colours are put on the canvas at a time: few enough to stay in the cache.
 _BLOCK = 1 << 16
 
 
@@ -37,24 +37,7 @@ def painted(atlas: Atlas, colours: NDArray[np.float32], threads: int) -> NDArray
 def painted_by(
     atlas: Atlas, channels: int, colours_of: Callable[[slice], NDArray[np.float32]], threads: int
 ) -> NDArray[np.float32]:
-    """Put the colours of owned cells on the canvas.
-
-    Parameters
-    ----------
-    atlas : Atlas
-        The canvas.
-    channels : int
-        How many each has.
-    colours_of : callable
-        Gives the colours of some of the T owned cells, shape (K, N).
-    threads : int
-        The result does not depend on it.
-
-    Returns
-    -------
-    ndarray of float32, shape (N, R, C)
-        Halo included; 0 elsewhere.
-    """
+    """Return planes, shape (N, R, C), with the owned cells' colours, halo included, and 0 in empty cells."""
     from beltrami_cli._native import scatter_colours
 
     planes = large_arrays.zeros((channels, *atlas.kind.shape), np.float32)
@@ -75,25 +58,13 @@ def colours_at(planes: NDArray[np.float32], cells: Indices, threads: int) -> NDA
 
 
 def canvas_margin(parameters: KernelParameters) -> int:
-    """Return how many cells beyond a chart its kernels look at."""
+    """Return how many cells beyond a chart its kernels read."""
     blurred = guide_radius(parameters.metric_scale) if parameters.metric_steps else 0
     return parameters.window // 2 + blurred
 
 
 def local_scales(atlas: Atlas, window: int) -> NDArray[np.float32]:
-    """Tell by what squared lengths are multiplied, to be in units of the sample spacing around each cell.
-
-    Parameters
-    ----------
-    atlas : Atlas
-        The canvas.
-    window : int
-        Rows and columns over which the spacing is taken.
-
-    Returns
-    -------
-    ndarray of float32, shape (R, C)
-    """
+    """Return the factor of squared lengths that makes the spacing around each cell 1, float32, shape (R, C)."""
     from beltrami_cli._native import local_scale
 
     rows, reach = atlas.kind.shape[0], window // 2
@@ -106,20 +77,7 @@ def local_scales(atlas: Atlas, window: int) -> NDArray[np.float32]:
 
 
 def halo_repeats(atlas: Atlas, threads: int) -> NDArray[np.uint8] | None:
-    """Count how often texels are shown beyond seams.
-
-    Parameters
-    ----------
-    atlas : Atlas
-        The canvas.
-    threads : int
-        Threads to use.
-
-    Returns
-    -------
-    ndarray of uint8, shape (R, C), or None
-        See `CellFields`; None if no texel is shown more than once.
-    """
+    """Return how often each cell's texel is shown, shape (R, C); None if no texel is shown more than once."""
     from beltrami_cli._native import halo_repeats as count
 
     if not len(atlas.halo_cells):
@@ -132,33 +90,18 @@ def halo_repeats(atlas: Atlas, threads: int) -> NDArray[np.uint8] | None:
 
 # A jump counts if it is this many standard errors of the mean over the seam ...
 _ERRORS = 4.0
-# ... and this much of the noise: below, averaging over the seam still wins more (noise) than it loses (bias) ...
+# ... and this share of the noise: below, averaging over the seam still removes more noise than it adds bias ...
 _OF_NOISE = 0.3
-# ... and more than JPEG blocks and rounding leave between two charts of one continuous painting.
+# ... and more than JPEG blocks and rounding leave between two charts of one continuous image.
 _LEAST = 4 / 255
-# Steps over a seam from which its energy can be told.
+# Steps over a seam from which its energy can be estimated.
 _FEWEST = 8
 
 
 def find_colour_jumps(
     atlas: Atlas, planes: NDArray[np.float32], sigma: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
-    """Decide for each seam whether its two sides differ by more than noise.
-
-    Parameters
-    ----------
-    atlas : Atlas
-        The atlas with S seams.
-    planes : ndarray of float32, shape (N, R, C)
-        Colours on the canvas, halo included.
-    sigma : ndarray of float64, shape (N,)
-        Noise per channel.
-
-    Returns
-    -------
-    ndarray of bool, shape (S,)
-        True where the seam is a real edge of the painting.
-    """
+    """Return for each seam, shape (S,), whether its sides differ by more than noise."""
     different = np.zeros(max(1, atlas.seams), bool)
     seam, steps, beside = _steps_over_seams(atlas, planes)
     if not len(seam):
@@ -177,7 +120,7 @@ def find_colour_jumps(
 
 
 def _is_patterned(steps: NDArray[np.float32], beside: NDArray[np.float32], noise: float) -> bool:
-    """Tell a jump that changes its sign along the seam: steps over it have more energy than those beside it."""
+    """Detect a jump that changes its sign along the seam: steps across it have more energy than those beside it."""
     if len(steps) < _FEWEST:
         return False
     excess = np.square(steps).mean(axis=1) - np.square(beside).mean(axis=1)
@@ -186,22 +129,8 @@ def _is_patterned(steps: NDArray[np.float32], beside: NDArray[np.float32], noise
 
 
 def halo_beyond(atlas: Atlas, different: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Find the halo cells that lie beyond seams whose two sides differ.
-
-    Near a corner of several charts a cell may be reached over a first seam and then a second: it counts if
-    either differs.
-
-    Parameters
-    ----------
-    atlas : Atlas
-        The atlas with S seams.
-    different : ndarray of bool, shape (S,)
-        As `find_colour_jumps` tells.
-
-    Returns
-    -------
-    ndarray of bool, shape (H,)
-    """
+    """Return which halo cells, shape (H,), lie beyond seams whose sides differ, `different` of shape (S,)."""
+    # Near a corner of several charts a cell may be reached over two seams: it counts if either differs.
     seams = atlas.halo_seams
     beyond = (seams >= 0) & different[np.maximum(seams, 0)]
     if not beyond.any():

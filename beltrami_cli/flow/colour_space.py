@@ -33,26 +33,7 @@ _LAB = np.array(
 
 
 def to_space(colours: NDArray[np.float32], encoding: Encoding, space: Space) -> NDArray[np.float32]:
-    """Convert stored colours to the working space.
-
-    Parameters
-    ----------
-    colours : ndarray of float32, shape (S, C)
-        Full scale 1.
-    encoding : {"srgb", "linear"}
-        What the stored numbers mean.
-    space : {"srgb", "linear", "oklab", "data"}
-        The working space; "data" takes the numbers as they are.
-
-    Returns
-    -------
-    ndarray of float32, shape (S, C)
-
-    Raises
-    ------
-    UsageError
-        If `space` is "oklab" and C is not 3.
-    """
+    """Convert stored colours, shape (S, C), full scale 1, to the working space; "data" keeps the numbers."""
     if space in ("data", encoding):
         return colours
     if space == "oklab":
@@ -63,24 +44,7 @@ def to_space(colours: NDArray[np.float32], encoding: Encoding, space: Space) -> 
 
 
 def from_space(colours: NDArray[np.float32], encoding: Encoding, space: Space) -> NDArray[np.float32]:
-    """Convert working colours back to what the file stores; the inverse of `to_space`.
-
-    Parameters
-    ----------
-    colours : ndarray of float32, shape (S, C)
-        Colours in `space`.
-    encoding, space
-        As in `to_space`.
-
-    Returns
-    -------
-    ndarray of float32, shape (S, C)
-
-    Raises
-    ------
-    UsageError
-        If `space` is "oklab" and C is not 3.
-    """
+    """Convert working colours, shape (S, C), back to what the file stores; the inverse of `to_space`."""
     if space in ("data", encoding):
         return colours
     if space == "oklab":

@@ -1,4 +1,15 @@
-"""What enters the metric beside positions, the colours and guides, and beta, by which each counts as distance."""
+"""What enters the metric besides positions: the colours and guides, each scaled by its beta.
+
+A guide is meant to be clean and is used as it is, in every iteration. So its slopes, and its noise, must not stop the
+kernel. The scale of usual steps is their median [1]_, in units of white noise. It carries no information for a guide of
+flat regions, whose steps are mostly 0: there the standard deviation of the guide is used. Beta follows the guide's
+unit, so that depth in metres and in millimetres guides alike.
+
+References
+----------
+.. [1] M. Black, G. Sapiro, D. Marimont, D. Heeger, "Robust anisotropic diffusion", IEEE Trans. Image Processing 7(3),
+   1998, doi:10.1109/83.661192
+"""
 
 from __future__ import annotations
 
@@ -16,7 +27,7 @@ if TYPE_CHECKING:
 
     from beltrami_cli.flow.parameters import KernelParameters
 
-# One level of an 8-bit file, spread evenly, has the deviation 1 / (255 sqrt(12)). Below that no noise can be told.
+# One level of an 8-bit file, spread evenly, has the deviation 1 / (255 sqrt(12)). Noise below that cannot be measured.
 _QUANTISATION = 1 / (255 * np.sqrt(12))
 
 # Colour distance at which the first kernel should fall off, in units of the noise: beta sigma. A search over vertex
@@ -24,7 +35,7 @@ _QUANTISATION = 1 / (255 * np.sqrt(12))
 # has its flat optimum here.
 _BETA_SIGMA = 0.8
 
-# A step as large as the guide's standard deviation counts so many sample spacings: nearly the reach of the kernel of
+# Length of a step as large as the guide's standard deviation, in sample spacings: nearly the radius of the kernel of
 # the default time step, so that it stops there.
 _SPREAD_COUNTS = 6.0
 
@@ -34,59 +45,22 @@ _USUAL_COUNTS = 2 / 3
 
 @dataclass(frozen=True)
 class Guide:
-    """Channels of a guide.
-
-    Attributes
-    ----------
-    name : str
-        What the user calls it.
-    values : ndarray of float32, shape (S, G)
-        One row a sample, finite.
-    beta : float or None
-        Units of length per unit of the guide, >= 0. None: from the guide, see `choose_guide_beta`.
-    in_chart_frame : bool
-        Whether values are components in the frame of their chart, as those of normal maps, so that values on the two
-        sides of a seam of textures cannot be compared where the frames differ.
-    """
+    """Channels of a guide; `beta`: units of length per unit of the guide, None: by `choose_guide_beta`."""
 
     name: str
-    values: NDArray[np.float32]
+    values: NDArray[np.float32]  # shape (S, G), one row per sample, finite
     beta: float | None = None
+    # Values are components in the frame of their chart, as those of normal maps, and cannot be compared across seams.
     in_chart_frame: bool = False
 
 
 def centred(values: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Round the values of a guide, shape (S, G), near 0: only differences count, and large numbers lose theirs."""
+    """Subtract the mean of a guide, shape (S, G), before rounding: only differences count."""
     return np.ascontiguousarray(values - values.mean(axis=0) if len(values) else values, np.float32)
 
 
 def choose_guide_beta(values: NDArray[np.float32], steps: NDArray[np.float32]) -> float:
-    """Choose how much a guide counts so that usual steps hardly hinder the kernel and unusual ones stop it.
-
-    Parameters
-    ----------
-    values : ndarray of float32, shape (S, G)
-        The guide.
-    steps : ndarray of float32, shape (K, G)
-        Differences between neighbouring samples.
-
-    Returns
-    -------
-    float
-        Sample spacings per unit of the guide; it follows the guide's unit, so that depth in metres and in millimetres
-        guides alike. 0 for a constant guide.
-
-    Notes
-    -----
-    A guide is meant to be clean and is taken as it is, at every iteration. So its slopes, and its noise, must not
-    stop the kernel. The scale of usual steps is their median [1]_, in units of white noise. It says nothing of a guide
-    of flat regions, whose steps are mostly 0: there the standard deviation of the guide does.
-
-    References
-    ----------
-    .. [1] M. Black, G. Sapiro, D. Marimont, D. Heeger, "Robust anisotropic diffusion", IEEE Trans. Image Processing
-       7(3), 1998, doi:10.1109/83.661192
-    """
+    """Choose beta so that usual steps, shape (K, G), hardly hinder the kernel and unusual ones stop it."""
     if not values.size:
         return 0.0
     channels = values.shape[1]
@@ -103,39 +77,24 @@ def choose_guide_beta(values: NDArray[np.float32], steps: NDArray[np.float32]) -
 def join_channels(
     parts: Sequence[tuple[NDArray[np.float32], float]], axis: int
 ) -> tuple[NDArray[np.float32], float]:
-    """Put channels that count differently side by side as channels of one beta.
-
-    Parameters
-    ----------
-    parts : sequence of (ndarray of float32, float)
-        Channels and their beta, the colours first.
-    axis : int
-        The axis of the channels.
-
-    Returns
-    -------
-    channels : ndarray of float32
-        All channels that count; those of the first part as they are, if its beta allows it.
-    beta : float
-        Theirs; 0 if none counts.
-    """
-    counting = [(values, beta) for values, beta in parts if beta > 0 and values.shape[axis] > 0]
-    if len(counting) < 2:
-        return counting[0] if counting else (parts[0][0], 0.0)
-    largest = max(beta for _, beta in counting)
+    """Concatenate channels of different beta, colours first, as channels of one beta; it is 0 if none has any."""
+    weighted = [(values, beta) for values, beta in parts if beta > 0 and values.shape[axis] > 0]
+    if len(weighted) < 2:
+        return weighted[0] if weighted else (parts[0][0], 0.0)
+    largest = max(beta for _, beta in weighted)
     # The first part keeps its bits, unless the others would leave the range of float32.
-    common = counting[0][1] if counting[0][1] > 1e-9 * largest else largest
-    scaled = [values if beta == common else values * np.float32(beta / common) for values, beta in counting]
+    common = weighted[0][1] if weighted[0][1] > 1e-9 * largest else largest
+    scaled = [values if beta == common else values * np.float32(beta / common) for values, beta in weighted]
     return np.concatenate(scaled, axis=axis), common
 
 
 def choose_beta(sigma: NDArray[np.float64], contrast: float = _BETA_SIGMA) -> float:
-    """Choose beta, in sample spacings per unit of colour, so that noise counts `contrast` sample spacings."""
+    """Choose beta, in spacings per unit of colour, so that noise has a length of `contrast` spacings."""
     return contrast / max(overall_noise(sigma), float(_QUANTISATION))
 
 
 def overall_noise(sigma: NDArray[np.float64]) -> float:
-    """Return the root mean square of the noise of channels, without those that have none, such as constant alpha."""
+    """Return the root mean square of the channels' noise, without channels that have none, such as constant alpha."""
     noisy = sigma[sigma > 0.1 * sigma.max()] if len(sigma) else sigma
     return float(np.sqrt(np.mean(np.square(noisy)))) if len(noisy) else 0.0
 

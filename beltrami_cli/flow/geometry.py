@@ -1,11 +1,11 @@
 """Positions that are smoothed along with the colours, and the normals that keep their creases.
 
 The positions are channels of the embedding like the colours, and are averaged by the same kernel. In the metric of the
-surface alone that is motion by mean curvature, to which a crease is as good as noise. So the normals enter the metric
-too, as features of the surface that tell creases from noise, as in the bilateral filters for meshes [1]_ [2]_. What the
-average takes off is averaged once more and given back (Tukey's twicing [3]_): K X becomes (2 K - K^2) X, in which noise
-falls nearly as far, and curved parts do not shrink to first order. And vertices move only in the directions that change
-the shape: sliding along the surface would squeeze triangles together beside creases, where kernels reach to one side.
+surface alone that is motion by mean curvature, which smooths creases like noise. So the normals enter the metric too,
+as features that distinguish creases from noise, as in the bilateral filters for meshes [1]_ [2]_. What the average
+removes is averaged once more and added back (Tukey's twicing [3]_): K X becomes (2 K - K^2) X, in which noise falls
+nearly as far, and curved parts do not shrink to first order. Vertices move only in the directions that change the
+shape: sliding along the surface would compress triangles beside creases, where kernels extend to one side only.
 
 References
 ----------
@@ -36,50 +36,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class GeometryParameters:
-    """How positions are smoothed.
-
-    Attributes
-    ----------
-    places : ndarray of int32, shape (S,)
-        Place of each sample: samples of one place move together.
-    normal_beta : float or None
-        Units of length per unit of the normals' difference (nearly the angle between them, in radians), >= 0: how
-        strongly creases are kept. 0: not at all. None: from the normals, see `choose_normal_beta`.
-    """
+    """How positions are smoothed: samples of one place, shape (S,), move together."""
 
     places: NDArray[np.int32]
+    # How strongly creases are kept: units of length per difference of normals (nearly radians), 0: not at all, None: by
+    # `choose_normal_beta`.
     normal_beta: float | None = None
 
 
 class MovingPositions:
-    """The positions of a surface while they are being smoothed.
-
-    Parameters
-    ----------
-    positions : ndarray of float64, shape (S, 3)
-        Of the samples.
-    faces : ndarray of int32, shape (F, 3)
-        Triangles in space, without the walls of hard colour edges.
-    edges : ndarray of int32, shape (E, 2)
-        Edges with a length in space.
-    spacing : float
-        The mean length of these; 1 where there are none.
-    unit : float
-        The sample spacing in units of length.
-    parameters : GeometryParameters
-        Places and the weight of the normals.
-
-    Attributes
-    ----------
-    positions : ndarray of float64, shape (S, 3)
-        As they are now.
-    normals : ndarray of float32, shape (S, 3)
-        As they are now.
-    sigma : float
-        Estimated noise of the first normals, in radians.
-    beta : float
-        Of the normals, as used.
-    """
+    """The positions and normals of a surface while they are smoothed; `unit`: the spacing in units of length."""
 
     def __init__(
         self,
@@ -91,7 +57,7 @@ class MovingPositions:
         parameters: GeometryParameters,
     ) -> None:
         self._faces, self._spacing, self._places = faces, spacing, parameters.places
-        # A sample without triangles does not move by itself, but with the others at its place.
+        # A sample without triangles moves only together with the others at its place.
         self._leads = np.bincount(faces.ravel(), minlength=len(positions)) > 0
         self._leads_at = np.bincount(self._places, self._leads)
         # An open border would shrink along itself, and cracks would open where another surface touches it.
@@ -109,18 +75,10 @@ class MovingPositions:
         return ((self.positions - self._origin) / self._spacing).astype(np.float32)
 
     def move(self, before: NDArray[np.float32], after: NDArray[np.float32], average: Average) -> None:
-        """Move the positions; the border stays, and samples of one place stay together.
-
-        Parameters
-        ----------
-        before, after : ndarray of float32, shape (S, 3)
-            The channels, and what the kernel made of them.
-        average : callable
-            What applies the same kernel to other channels.
-        """
+        """Move the positions; borders stay fixed, and samples of one place stay together."""
         taken = before - after
         moves = (average(taken).astype(np.float64) - taken) * self._spacing
-        # The shape that is being aimed at tells the directions: a spike that sticks out has its walls for normals.
+        # Directions come from the smoothed shape: the normals of a spike are those of its sides.
         tensors = normal_tensors(self.positions + moves, self._faces, self._places)
         moves = np.einsum("sij,sj->si", tensors[self._places], moves)
         moves[self._stays | ~self._leads] = 0
@@ -134,32 +92,18 @@ class MovingPositions:
 # The length of a vector of two independent normal numbers has the median sqrt(2 ln 2).
 _SIGMA_PER_MEDIAN_LENGTH = 1 / np.sqrt(2 * np.log(2))
 
-# How many sample spacings the noise of normals counts: beta sigma. On noisy cubes, cylinders, spheres and a head, the
-# flat optimum of what is left of the noise in smooth parts and at creases.
+# Length of the noise of normals in sample spacings: beta sigma. On noisy cubes, cylinders, spheres and a head, the flat
+# optimum of the remaining noise in smooth parts and at creases.
 _NORMAL_BETA_SIGMA = 1.5
 
-# The turn of the normal from a vertex to the next, as it is usual on the surface, counts so many sample spacings at
-# most: on a capped cylinder and on a head, the value at which curved parts are still smoothed and creases still stay.
+# Bound on the length, in sample spacings, of the usual turn of the normal from a vertex to the next: on a capped
+# cylinder and on a head, the value at which curved parts are still smoothed and creases still stay.
 _TURN_COUNTS = 0.8
 
 
 def estimate_normal_sigma(normals: NDArray[np.float32], edges: NDArray[np.int32]) -> float:
-    """Estimate how far noise turns the normals of a surface, as `estimate_sigma` does for colours.
-
-    The lengths of the residuals are looked at, not their components, so that turning the surface changes nothing.
-
-    Parameters
-    ----------
-    normals : ndarray of float32, shape (S, 3)
-        Unit vectors; noise turns them about two axes.
-    edges : ndarray of int32, shape (E, 2)
-        Distinct edges, without the walls of hard colour edges.
-
-    Returns
-    -------
-    float
-        Standard deviation about each axis, in radians; 0 where no sample has neighbours.
-    """
+    """Estimate the noise of unit normals, shape (S, 3): standard deviation about each of two axes, in radians."""
+    # Lengths of the residuals, not components, so that rotating the surface changes nothing.
     squares = sum(np.square(residual) for residual in residuals(normals, edges))
     if not np.size(squares):
         return 0.0
@@ -167,22 +111,7 @@ def estimate_normal_sigma(normals: NDArray[np.float32], edges: NDArray[np.int32]
 
 
 def choose_normal_beta(normals: NDArray[np.float32], edges: NDArray[np.int32], sigma: float) -> float:
-    """Choose the beta of normals so that neither their noise nor the usual curvature stops the kernel, but creases do.
-
-    Parameters
-    ----------
-    normals : ndarray of float32, shape (S, 3)
-        Unit vectors.
-    edges : ndarray of int32, shape (E, 2)
-        Distinct edges, without the walls of hard colour edges.
-    sigma : float
-        Their noise, as `estimate_normal_sigma` tells.
-
-    Returns
-    -------
-    float
-        Sample spacings per radian.
-    """
+    """Choose beta, in spacings per radian, so that creases stop the kernel, but not noise or usual curvature."""
     by_noise = choose_beta(np.array([sigma]), _NORMAL_BETA_SIGMA)
     if not len(edges):
         return by_noise

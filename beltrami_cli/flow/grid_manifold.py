@@ -37,23 +37,23 @@ if TYPE_CHECKING:
     from beltrami_cli.flow.parameters import KernelParameters
     from beltrami_cli.surface.atlas import Atlas
 
-# Cells of a row block, of which some 90 bytes are held each; more where many threads share them.
+# Cells of a row block, some 90 bytes each; more where many threads share them.
 ROW_BLOCK_CELLS = 1 << 18
 CELLS_PER_THREAD = 1 << 16
 
-# Row blocks end where the tiles of the core end, so that these are whole.
+# Row blocks end where the tiles of the core end, so that no tile is cut.
 TILE_ROWS = 32
 
-# The paper's scheme looks for the support of an obtuse quadrant up to this many cells away.
+# The paper's scheme searches the support of an obtuse quadrant up to this many cells away.
 _FURTHEST_SUPPORT = 10
 
 # The paper's scheme takes supports up to ten cells away, and the metric from the cells beside them.
 _BEYOND_WINDOW = 12
 
-# The widest window that the sweeps are made for; a wider one is marched through with a heap.
+# The widest window that the sweeps support; wider ones are marched through with a heap.
 _WIDEST_SWEEP = 15
 
-# Rows of a canvas that are gone through together, where that takes memory for each.
+# Rows of a canvas that are processed together, where each needs memory.
 _ROWS = 64
 
 # The median of this many steps is within 0.3 % of that of all.
@@ -61,10 +61,7 @@ _ENOUGH_STEPS = 200_000
 
 
 class GridManifold(Manifold):
-    """The image manifold of an atlas, with colours on its canvas, shape (N, R, C), which iterations change in place.
-
-    `walls`: nothing is averaged over holes, not even for the regularised metric. `unit`: see `Manifold`.
-    """
+    """The image manifold of an atlas, with colours on its canvas that iterations change in place."""
 
     axis: ClassVar[int] = 0
 
@@ -74,16 +71,16 @@ class GridManifold(Manifold):
         planes: NDArray[np.float32],
         parameters: KernelParameters,
         *,
-        walls: bool = False,
+        stop_at_holes: bool = False,
         guides: Sequence[Guide] = (),
         metric_channels: Sequence[int] | None = None,
         unit: float | None = None,
     ) -> None:
         super().__init__(parameters, metric_channels)
-        self.colours, self._walls, self._in_one_block = planes, walls, False
-        self.sigma, self.octaves = estimate_noise_on_grid(planes, atlas.kind == OWNED)
+        self.colours, self._stop_at_holes, self._in_one_block = planes, stop_at_holes, False
+        self.sigma, self.noise_covariances = estimate_noise_on_grid(planes, atlas.kind == OWNED)
         different = np.zeros(max(1, atlas.seams), bool)
-        # Where colours do not count as distance, a jump of theirs is no edge.
+        # Where colours do not count as distance, a jump in colour is not an edge.
         if parameters.beta != 0 and (metric_channels is None or len(metric_channels)):
             different = find_colour_jumps(atlas, planes, self.sigma)
         self.jumps = int(np.count_nonzero(different))
@@ -180,11 +177,7 @@ class GridManifold(Manifold):
         )  # fmt: skip
 
     def cut(self, samples: slice | NDArray[np.int64], *others: Any) -> GridManifold:
-        """Return a part: rows, or cells by their flat indices, shape (R', C'); the last cell stands for none.
-
-        It has no halo to refresh. `others` is a mask, shape (R', C'), of the cells that have a kernel; the others only
-        lend their values.
-        """
+        """Return a part: rows, or cells by flat index, shape (R', C'); `others`: mask of cells that have a kernel."""
         (inside,) = others
         part = copy(self)
         part.colours, part._in_one_block = self.colours[:0], True
@@ -211,7 +204,7 @@ class GridManifold(Manifold):
         return np.ascontiguousarray(planes.reshape(*planes.shape[:-2], -1)[..., samples])
 
     def release(self) -> None:
-        """Keep all: cuts need nothing that averages do not."""
+        """Keep everything: averages need all that cuts need."""
 
     def rows(self, stacks: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
         """Return the channels of all stacks at the owned cells."""
@@ -312,7 +305,7 @@ class GridManifold(Manifold):
         return GridGaussian(
             self.atlas.kind != EMPTY,
             self.parameters.metric_scale,
-            walls=self._walls,
+            stop_at_holes=self._stop_at_holes,
             atlas=self.atlas,
             threads=self.threads,
         )
@@ -332,7 +325,7 @@ class GridManifold(Manifold):
 
 
 def scheme_of(parameters: KernelParameters) -> str:
-    """Return the name that the compiled core has for the way to measure distances."""
+    """Return the core's name of the scheme by which distances are measured."""
     if parameters.scheme == "metric":
         return "metric"
     return "sweep" if parameters.window <= _WIDEST_SWEEP else "triangles"
@@ -352,7 +345,7 @@ def _split(planes: NDArray[np.float32], like: Sequence[NDArray[np.float32]]) -> 
 
 
 def _share(progress: Callable[[int], None] | None, before: int, share: float) -> Callable[[int], None] | None:
-    """Make the progress of a row block, of whose cells only a share is new, count on from those before it."""
+    """Add the work of earlier row blocks to the progress of one, of whose cells only a share is new."""
     return None if progress is None else lambda done: progress(before + int(done * share))
 
 

@@ -1,4 +1,4 @@
-"""Partitions of a grid: rectangles of a canvas, each with the margin that its kernels look at."""
+"""Partitions of a grid: rectangles of a canvas, each with the margin that its kernels read."""
 
 from __future__ import annotations
 
@@ -32,17 +32,14 @@ class Core:
 
 
 class GridPartition:
-    """The owned cells of a rectangle with a margin around it, a `Partition`.
-
-    `number` and `source` are for each cell of the canvas the sample that it is, and the one whose value it has.
-    """
+    """The owned cells of a rectangle with a margin around it, a `Partition`."""
 
     def __init__(
         self,
         whole: GridManifold,
         core: Core,
-        number: NDArray[np.int64],
-        source: NDArray[np.int64],
+        number: NDArray[np.int64],  # of the sample in each cell of the canvas
+        source: NDArray[np.int64],  # number of the sample whose value the cell has
         steps: Sequence[Step],
         channels: int,
     ) -> None:
@@ -67,7 +64,7 @@ class GridPartition:
     def advance(
         self, own: NDArray[np.float32], borrowed: NDArray[np.float32], iteration: int, threads: int
     ) -> Advance:
-        """As for `Partition`."""
+        """Run an iteration, see `Partition`."""
         part = self._part
         part.threads = threads
         planes = np.zeros((own.shape[1], *part.atlas.kind.shape), np.float32)
@@ -87,7 +84,7 @@ def cut_grid(whole: GridManifold, count: int, steps: Sequence[Step], channels: i
 
 
 def _sources(atlas: Atlas) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return for each cell of the canvas the sample that it is, and the one whose value it has; -1: none."""
+    """Return for each cell of the canvas its own sample, and the sample whose value it has; -1: none."""
     number = np.full(atlas.kind.size, -1, np.int64)
     number[atlas.owned_cells] = np.arange(len(atlas.owned_cells))
     source = number.copy()
@@ -111,8 +108,8 @@ def _cores(owned: NDArray[np.bool_], count: int) -> Iterator[Core]:
 
 
 def _even(counts: NDArray[np.int64], shares: NDArray[np.float64]) -> list[int]:
-    """Return borders between entries so that what lies before each is about its share of all."""
-    held = np.concatenate([[0], np.cumsum(counts)])
-    borders = np.searchsorted(held, shares * held[-1])
+    """Return borders between entries so that the sum before each is about its share of the total."""
+    totals = np.concatenate([[0], np.cumsum(counts)])
+    borders = np.searchsorted(totals, shares * totals[-1])
     borders[0], borders[-1] = 0, len(counts)
     return np.maximum.accumulate(borders).tolist()  # type: ignore[no-any-return]

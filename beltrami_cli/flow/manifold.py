@@ -1,4 +1,4 @@
-"""The image manifold as the iterations see it: what measures distances on it, and averages by them.
+"""The interface of image manifolds: measuring distances, and averaging by them.
 
 A sample has a position X and a colour I, and is embedded as (X, beta I). Two kinds of manifolds are sampled:
 triangulated surfaces, and regular grids. Equations are those of A. Spira, R. Kimmel, N. Sochen, "A short time
@@ -49,17 +49,14 @@ class Averaged:
 
 @dataclass(frozen=True)
 class NewColours:
-    """Colours of S samples, taken block by block, and of what continues them beyond seams.
+    """Colours of S samples, read block by block, and the colours that continue them beyond seams."""
 
-    `take` gives rows of a block: of those that a mask chooses, or of all. `places` are the texels or pixels of the
-    samples, shape (S,), and `beyond_places` and `beyond` those around charts, shape (G,), and their colours, shape
-    (G, N).
-    """
-
-    take: Callable[[slice, NDArray[np.bool_] | slice], NDArray[np.float32]]
-    places: Indices
-    beyond_places: Indices
-    beyond: NDArray[np.float32]
+    take: Callable[
+        [slice, NDArray[np.bool_] | slice], NDArray[np.float32]
+    ]  # a block's rows, all or by a mask
+    places: Indices  # texels or pixels of the samples, shape (S,)
+    beyond_places: Indices  # texels or pixels around charts, shape (G,)
+    beyond: NDArray[np.float32]  # their colours, shape (G, N)
 
     @classmethod
     def of(
@@ -103,7 +100,7 @@ class Manifold(ABC):
     """Mean sample spacing, in the surface's own unit of length; 0 where samples have no neighbours."""
 
     unit: float
-    """What is 1 in the unit of length of t and beta, in sample spacings."""
+    """The unit of length of t and beta, in sample spacings."""
 
     colours: NDArray[np.float32]
     """The stack of the colours, before or after iterations."""
@@ -119,9 +116,9 @@ class Manifold(ABC):
         self._gaussian: MeshGaussian | GridGaussian | None = None
 
     def embed(self, guides: Sequence[Guide]) -> None:
-        """Find what counts as distance beside the positions, and how much: beta of the colours, and the guides."""
-        self.counting = self.sigma if self.chosen is None else self.sigma[self.chosen]
-        self.beta = beta_of(self.parameters, self.counting, self.unit) if len(self.counting) else 0.0
+        """Set beta of the colours, and lay out the guides with theirs."""
+        self.metric_sigma = self.sigma if self.chosen is None else self.sigma[self.chosen]
+        self.beta = beta_of(self.parameters, self.metric_sigma, self.unit) if len(self.metric_sigma) else 0.0
         for guide in guides:
             stack, beta = self._laid_out(guide), guide.beta
             if beta is None:
@@ -130,7 +127,7 @@ class Manifold(ABC):
             self.guides.append((stack, beta))
 
     def channels(self, colours: NDArray[np.float32], step: Step) -> tuple[NDArray[np.float32], float]:
-        """Return the channels that distances are taken from beside the positions, and their beta."""
+        """Return the channels that enter the metric besides the positions, and their beta."""
         beta = step.beta
         if self.chosen is not None:
             colours = np.ascontiguousarray(np.take(colours, self.chosen, axis=self.axis))
@@ -138,7 +135,7 @@ class Manifold(ABC):
         return join_channels([own, *self.guides, *self._features(step)], self.axis)
 
     def regularised(self, channels: NDArray[np.float32], beta: float) -> tuple[NDArray[np.float32], float]:
-        """Return what distances are taken from in place of noisy channels, and its beta."""
+        """Return smoothed channels for the metric, and their beta."""
         if beta == 0:
             return channels, beta
         if self._gaussian is None:
@@ -146,12 +143,12 @@ class Manifold(ABC):
         return self._gaussian.smooth(channels), beta / self._gaussian.gain
 
     def forget_smoothing(self) -> None:
-        """Give back the memory that only regularised iterations need."""
+        """Free the memory that only regularised iterations need."""
         self._gaussian = None
 
     @abstractmethod
     def release(self) -> None:
-        """Give back the memory that only cuts need."""
+        """Free the memory that only cuts need."""
 
     @abstractmethod
     def measure(self, colours: NDArray[np.float32], step: Step) -> None:
@@ -165,7 +162,7 @@ class Manifold(ABC):
 
     @abstractmethod
     def cut(self, samples: Any, *others: Any) -> Manifold:
-        """Return a part of the manifold as one of its own, without colours: its metric is that of the whole."""
+        """Return a part of the manifold as a manifold without colours; its metric is that of the whole."""
 
     @abstractmethod
     def rows(self, stacks: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
@@ -185,7 +182,7 @@ class Manifold(ABC):
 
     @abstractmethod
     def new_colours(self) -> NewColours:
-        """Return them block by block, with those beyond seams, to be put back where they come from."""
+        """Return the colours block by block, with those beyond seams, to be written back to the document."""
 
     @abstractmethod
     def find_clipped(self) -> ClippedChannels | None:
@@ -228,24 +225,12 @@ def at_step(parameters: KernelParameters, step: Step) -> KernelParameters:
 
 @dataclass(frozen=True)
 class SampledKernel:
-    """The K samples that the kernel of one sample p holds, p first and the others by their distance.
+    """The K samples in the kernel of one sample p, p first and the others by their distance."""
 
-    Attributes
-    ----------
-    samples : ndarray of int64, shape (K,)
-        Which samples: of a surface, or cells (flat indices) of an atlas's canvas.
-    distances : ndarray of float32, shape (K,)
-        d(p, q), in the unit of length of the parameters; 0 at p.
-    weights : ndarray of float32, shape (K,)
-        w_q exp(-d(p, q)^2 / (4 t)), eqs. (8, 9), not yet divided by their sum.
-    colours : ndarray of float32, shape (K, N)
-        I(q), before the iteration, in the working space.
-    """
-
-    samples: NDArray[np.int64]
-    distances: NDArray[np.float32]
-    weights: NDArray[np.float32]
-    colours: NDArray[np.float32]
+    samples: NDArray[np.int64]  # of a surface, or flat indices of cells of a canvas, shape (K,)
+    distances: NDArray[np.float32]  # d(p, q), in the unit of length of the parameters; 0 at p
+    weights: NDArray[np.float32]  # w_q exp(-d(p, q)^2 / (4 t)), eqs. (8, 9), not yet divided by their sum
+    colours: NDArray[np.float32]  # I(q), before the iteration, in the working space, shape (K, N)
 
     @property
     def mean(self) -> NDArray[np.float64]:

@@ -32,10 +32,7 @@ if TYPE_CHECKING:
 
 
 class MeshManifold(Manifold):
-    """The image manifold of a sampled surface.
-
-    `metric_channels`: the colour channels that enter the metric; None: all. `geometry`: positions are smoothed, too.
-    """
+    """The image manifold of a sampled surface; `geometry`: positions are smoothed, too."""
 
     axis: ClassVar[int] = 1
 
@@ -64,7 +61,7 @@ class MeshManifold(Manifold):
         length = mean_side(surface.positions, surface.faces) if parameters.units == "world" else 1.0
         self._along_segments = parameters.is_along_segments(length)
         self._core: SegmentManifold | TriangulatedManifold | None = None
-        # Bridges over hard colour edges join samples at one place: they say nothing about spacing or noise.
+        # Bridges over hard colour edges join samples at one place: they carry no information about spacing or noise.
         self.edges, lengths = edges_in_space(self.core.edges(), self.positions)
         self.spacing = float(lengths.mean()) if len(lengths) else 0.0
         spacing = local_spacing(self.size, self.edges, lengths)
@@ -136,18 +133,16 @@ class MeshManifold(Manifold):
             channels, self._weights, own.t, own.radius, own.max_samples, self.threads, progress
         )
 
-    def marked(self, marks: NDArray[np.float32], most: int) -> NDArray[np.bool_]:
-        """Find the samples whose kernels hold a marked one, of the `most` nearest that each may hold."""
+    def marked(self, marks: NDArray[np.float32], max_samples: int) -> NDArray[np.bool_]:
+        """Find the samples whose kernels hold a marked one, with kernels of up to `max_samples`."""
         radius = self._measured.radius
-        # With so long a time step no kernel value is small.
-        averages = self.core.smooth(marks, None, max(radius, 1e-6) ** 2, radius, most, self.threads, None)[0]
+        # With such a long time step no kernel value is small.
+        t = max(radius, 1e-6) ** 2
+        averages = self.core.smooth(marks, None, t, radius, max_samples, self.threads, None)[0]
         return np.asarray(averages.any(axis=1))
 
     def cut(self, samples: NDArray[np.int64], *others: Any) -> MeshManifold:
-        """Return a part with some samples, ascending; `others` may give their places in a larger part, and its size.
-
-        Gaussian means at its border are those of the part; the rest of the metric is that of the whole.
-        """
+        """Return a part of some samples, ascending; `others`: their places in a larger part, and its size."""
         places, size = others or (np.arange(len(samples)), len(samples))
         part = copy(self)
         part._core, part._gaussian, part.moving = None, None, None
@@ -202,7 +197,7 @@ class MeshManifold(Manifold):
         return self.in_order(self.colours)
 
     def new_colours(self) -> NewColours:
-        """Return the same to be put back."""
+        """Return the same as blocks to be written back."""
         return NewColours.of(self.values())
 
     def in_order(self, rows: NDArray[Any]) -> NDArray[Any]:

@@ -1,4 +1,4 @@
-"""Partitions of a triangulated surface: samples that follow each other, and what lies around them."""
+"""Partitions of a triangulated surface: consecutive samples, and what lies around them."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ if TYPE_CHECKING:
     from beltrami_cli.flow.manifold import Step
     from beltrami_cli.flow.mesh_manifold import MeshManifold
 
-# Sixteen samples make a group of the solver along segments, and groups are cut within blocks of this many samples that
-# follow each other. What a group holds changes the rounding of its averages, so partitions own whole blocks.
+# Sixteen samples make a group of the solver along segments, and groups are formed within blocks of this many
+# consecutive samples. The members of a group change the rounding of its averages, so partitions own whole blocks.
 _BLOCK = 4096
 
-# All that the core knows of a sample is as on the whole surface if all samples within this many edges are there.
-# Segments lead over strips of three triangles, which end two edges away; an obtuse corner is unfolded over up to 48
-# triangles. To that come the corner's own triangle, the triangles beyond the strip's edges, which decide whether it may
-# go on, and the neighbours of all these, from which the colours are smoothed that distances are taken from.
+# A sample has the same data in the core as on the whole surface if all samples within this many edges are present.
+# Segments cross strips of three triangles, which end two edges away; an obtuse corner is unfolded over up to 48
+# triangles. Add the corner's own triangle, the triangles beyond the strip's edges, which decide whether it may
+# continue, and the neighbours of all these, over which the colours of the regularised metric are smoothed.
 _KNOWN_FOR_SEGMENTS = 4
 _KNOWN_FOR_MARCHING = 52
 
@@ -37,17 +37,13 @@ EDGES_PER_SPACING = 2.0
 
 
 class MeshPartition:
-    """Samples [first, last) of a surface with what lies around them, a `Partition`.
-
-    `ring` is how many edges each sample is away from them, shape (S,), -1 for further than is borrowed; up to `known`
-    edges away all is as on the whole surface.
-    """
+    """Samples [first, last) of a surface with what lies around them, a `Partition`."""
 
     def __init__(
         self,
         whole: MeshManifold,
         owned: tuple[int, int],
-        ring: NDArray[np.int32],
+        ring: NDArray[np.int32],  # edges from each sample to the owned ones, shape (S,); -1: not received
         known: int,
         steps: Sequence[Step],
         channels: int,
@@ -58,6 +54,7 @@ class MeshPartition:
         gap = -before % _BLOCK  # so that the blocks begin where blocks begin
         places = np.arange(len(samples)) + np.where(samples < first, 0, gap)
         self._part = whole.cut(samples, places, len(samples) + gap)
+        # Up to `known` edges away from the owned samples all data are as on the whole surface.
         self._gap, self._steps, self._channels = gap, tuple(steps), channels
         inside = (samples >= first) & (samples < last)
         self.owned, self.borrowed = samples[inside], samples[~inside]
@@ -70,26 +67,26 @@ class MeshPartition:
     def advance(
         self, own: NDArray[np.float32], borrowed: NDArray[np.float32], iteration: int, threads: int
     ) -> Advance:
-        """As for `Partition`."""
+        """Run an iteration, see `Partition`."""
         part, parameters = self._part, self._part.parameters
         part.threads = threads
         values = np.zeros((part.size, own.shape[1]), np.float32)
         values[self._own] = own
         values[self._borrowed_places] = borrowed
         part.measure(np.ascontiguousarray(values[:, : self._channels]), self._steps[iteration])
-        # What is not fully known is marked in a channel of its own: averages are not 0 where kernels hold any of it.
+        # Incomplete samples are marked in a further channel: averages are not 0 where kernels hold any of them.
         marks_ride_along = parameters.weights == "uniform" and parameters.threshold >= _FAINTEST
         channels = np.concatenate([values, self._unknown], axis=1) if marks_ride_along else values
         smoothed, held, truncated = part.apply_kernel(channels)
         mine, is_exact = smoothed[self._own], True
         if marks_ride_along:
             is_exact, mine = not mine[:, -1].any(), mine[:, :-1]
-        # Along segments, what kernels reached before they were cut short decides in which order the rest is summed up.
+        # Along segments, the samples that kernels reached before they were cut short decide the order of summation.
         cut_short = part.is_along_segments and truncated > 0
         if cut_short or not marks_ride_along:
-            most = _UNLIMITED if cut_short else parameters.max_samples
-            is_exact = not part.marked(self._unknown, most)[self._own].any()
-        # The core counts for all samples; of those around about the same holds as of those that are owned.
+            limit = _UNLIMITED if cut_short else parameters.max_samples
+            is_exact = not part.marked(self._unknown, limit)[self._own].any()
+        # The core counts over all samples; the share of the owned ones is estimated.
         share = len(own) / max(1, part.size - self._gap)
         return Advance(
             np.ascontiguousarray(mine), (held - self._gap) * share, round(truncated * share), is_exact
@@ -99,7 +96,7 @@ class MeshPartition:
 def cut_mesh(
     whole: MeshManifold, count: int, reach: int, steps: Sequence[Step], channels: int
 ) -> list[MeshPartition]:
-    """Cut a surface into up to `count` partitions that borrow what is up to `reach` edges away."""
+    """Cut a surface into up to `count` partitions that receive samples up to `reach` edges away."""
     if any(step.regularised for step in steps):
         whole.fix_gain()
     neighbours = Neighbours(whole.size, whole.core.edges())
@@ -114,7 +111,7 @@ def cut_mesh(
 
 
 def first_reach(whole: MeshManifold) -> int:
-    """Guess how many edges kernels reach; edges vary in length, and what proves too narrow is cut again."""
+    """Guess the radius of kernels in edges; partitions that prove too narrow are cut again."""
     own = whole.parameters
     spacing = whole.spacing if own.units == "world" else 1.0
     return min(whole.size, 2 + int(EDGES_PER_SPACING * own.radius / (spacing or 1.0)))
@@ -130,12 +127,12 @@ class Neighbours:
         self._offsets = np.zeros(count + 1, np.int64)
         np.cumsum(np.bincount(both, minlength=count), out=self._offsets[1:])
 
-    def rings(self, first: int, last: int, most: int) -> NDArray[np.int32]:
-        """Return for each vertex how many edges it is away from those in [first, last); -1: more than `most`."""
+    def rings(self, first: int, last: int, limit: int) -> NDArray[np.int32]:
+        """Return for each vertex how many edges it is away from those in [first, last); -1: more than `limit`."""
         ring = np.full(len(self._offsets) - 1, -1, np.int32)
         ring[first:last] = 0
         front: NDArray[np.int32] = np.arange(first, last, dtype=np.int32)
-        for number in range(1, most + 1):
+        for number in range(1, limit + 1):
             beside: NDArray[np.int32] = np.unique(self._beside(front))
             front = beside[ring[beside] < 0]
             if not len(front):

@@ -1,7 +1,8 @@
-"""Large surfaces in partitions: what each owns and borrows, and the exchange between iterations.
+"""Large surfaces in partitions: what each owns and receives, and the exchange between iterations.
 
-Between two iterations every partition is given the new values of what it borrows, so that each iteration has the input
-that it would have on the whole surface. Who runs the partitions, in turn or on many machines, is of no concern here.
+Between two iterations every partition receives the new values of the samples around its own, so that each iteration
+has the input that it would have on the whole surface. This module does not care who runs the partitions, in turn or
+on many machines.
 """
 
 from __future__ import annotations
@@ -18,72 +19,70 @@ if TYPE_CHECKING:
 
 
 class TooNarrowError(Exception):
-    """A partition does not borrow enough for its kernels."""
+    """A partition does not receive enough samples for its kernels."""
 
 
 @dataclass(frozen=True)
 class Advance:
-    """What an iteration made of a partition.
+    """The result of one iteration on a partition."""
 
-    The values of the samples that it owns, shape (O, N); how many samples its kernels held; how many kernels were cut
-    short; and whether the values are exact: if not, it borrows too little.
-    """
-
-    values: NDArray[np.float32]
-    samples: float
-    truncated: int
-    is_exact: bool = True
+    values: NDArray[np.float32]  # of the owned samples, shape (O, N)
+    samples: float  # in all kernels
+    truncated: int  # kernels that were cut short
+    is_exact: bool = True  # if not, too few samples were received
 
 
 class Partition(Protocol):
     """A part of a surface with S samples; it can be sent to another process."""
 
     owned: NDArray[np.int64]
-    """Numbers of the samples whose values it makes, shape (O,)."""
+    """Numbers of the samples that it computes, shape (O,)."""
 
     borrowed: NDArray[np.int64]
     """Numbers of the samples of other partitions whose values it needs before an iteration, shape (B,)."""
 
     threads: int | None
-    """How many threads were asked for; None: whoever runs it decides."""
+    """The requested number of threads; None: the runner decides."""
 
     def advance(
         self, own: NDArray[np.float32], borrowed: NDArray[np.float32], iteration: int, threads: int
     ) -> Advance:
-        """Make an iteration, counted from 0, from the values of what it owns, (O, N), and borrows, (B, N)."""
+        """Run an iteration, counted from 0, on the values of its own, (O, N), and the borrowed samples, (B, N)."""
 
 
 @dataclass(frozen=True)
-class Loan:
-    """What one partition borrows from another: the lender, the rows of what that owns, and the places they go to."""
+class Transfer:
+    """Rows that a partition receives from another, and their places among its borrowed samples."""
 
-    lender: int
+    source: int
     rows: NDArray[np.int64]
     places: NDArray[np.int64]
 
 
-def plan_loans(partitions: Sequence[Partition], count: int) -> list[list[Loan]]:
-    """Find who lends what to whom, for each partition of a surface with `count` samples."""
+def plan_transfers(partitions: Sequence[Partition], count: int) -> list[list[Transfer]]:
+    """Return which rows of which others each partition needs, on a surface with `count` samples."""
     owner, row = np.full(count, -1, np.int32), np.zeros(count, np.int64)
     for number, partition in enumerate(partitions):
         owner[partition.owned] = number
         row[partition.owned] = np.arange(len(partition.owned))
     plans = []
     for partition in partitions:
-        lenders = owner[partition.borrowed]
-        loans = []
-        for lender in np.unique(lenders).tolist():
-            places = np.flatnonzero(lenders == lender)
-            loans.append(Loan(lender, row[partition.borrowed[places]], places))
-        plans.append(loans)
+        sources = owner[partition.borrowed]
+        transfers = []
+        for source in np.unique(sources).tolist():
+            places = np.flatnonzero(sources == source)
+            transfers.append(Transfer(source, row[partition.borrowed[places]], places))
+        plans.append(transfers)
     return plans
 
 
-def collect(loans: Sequence[Loan], lent: Sequence[NDArray[np.float32]], width: int) -> NDArray[np.float32]:
-    """Put what others lend, an array of shape (K, `width`) a loan, in the order that the borrower needs."""
-    values = np.empty((sum(len(loan.places) for loan in loans), width), np.float32)
-    for loan, rows in zip(loans, lent, strict=True):
-        values[loan.places] = rows
+def collect(
+    transfers: Sequence[Transfer], received: Sequence[NDArray[np.float32]], width: int
+) -> NDArray[np.float32]:
+    """Return the rows of all transfers, arrays of shape (K, `width`), in the order of the borrowed samples."""
+    values = np.empty((sum(len(transfer.places) for transfer in transfers), width), np.float32)
+    for transfer, rows in zip(transfers, received, strict=True):
+        values[transfer.places] = rows
     return values
 
 
@@ -99,7 +98,7 @@ def joined(
 
 @dataclass(frozen=True)
 class Joined:
-    """The values of all samples after all iterations, shape (S, N); and as in `Advance`, over all iterations."""
+    """The values of all samples after all iterations, shape (S, N), with totals as in `Advance`."""
 
     values: NDArray[np.float32]
     samples: float
@@ -107,7 +106,7 @@ class Joined:
 
 
 class Runner(Protocol):
-    """Who runs partitions."""
+    """Runs the iterations of partitions."""
 
     def run(
         self,
@@ -132,18 +131,18 @@ class InTurn:
         iterations: int,
         progress: Callable[[int, int], None] | None,
     ) -> Joined:
-        """As for `Runner`."""
-        loans = plan_loans(partitions, len(values))
+        """Run all iterations, see `Runner`."""
+        transfers = plan_transfers(partitions, len(values))
         own = [values[partition.owned] for partition in partitions]
         samples, truncated = 0.0, 0
         for iteration in range(iterations):
-            lent = [
-                collect(plan, [own[loan.lender][loan.rows] for loan in plan], values.shape[1])
-                for plan in loans
+            received = [
+                collect(plan, [own[transfer.source][transfer.rows] for transfer in plan], values.shape[1])
+                for plan in transfers
             ]
             for number, partition in enumerate(partitions):
                 threads = partition.threads or self._threads
-                step = partition.advance(own[number], lent[number], iteration, threads)
+                step = partition.advance(own[number], received[number], iteration, threads)
                 if not step.is_exact:
                     raise TooNarrowError
                 own[number] = step.values

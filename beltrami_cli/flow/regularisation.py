@@ -1,6 +1,6 @@
-"""The regularised metric: distances from colours that were smoothed a little, so that noise does not make them.
+"""The regularised metric: distances are taken from slightly smoothed colours, so that noise does not cause them.
 
-Averages are still taken over the colours themselves. Smoothing cuts the noise in the metric by a known gain, and
+Averages are still taken over the colours themselves. Smoothing reduces the noise in the metric by a known gain, and
 beta is divided by it, so that noise adds the same to distances with and without it and beta keeps its meaning.
 """
 
@@ -20,28 +20,11 @@ if TYPE_CHECKING:
 
     from beltrami_cli.surface.atlas import Atlas
 
-_ROWS = 256  # of a grid that are looked at together
+_ROWS = 256  # of a grid that are processed together
 
 
 class MeshGaussian:
-    """Gaussian means over the neighbours of each vertex.
-
-    Parameters
-    ----------
-    count : int
-        Vertices.
-    edges : ndarray of int32, shape (E, 2)
-        Edges with a length in space; those of hard colour edges are left out.
-    lengths : ndarray of float64, shape (E,)
-        Their lengths in sample spacings.
-    scale : float
-        Standard deviation of the Gaussian, in sample spacings.
-
-    Attributes
-    ----------
-    gain : float
-        What is left of the standard deviation of white noise.
-    """
+    """Gaussian means over the neighbours of each vertex; `lengths` and `scale` (sigma) in sample spacings."""
 
     def __init__(
         self,
@@ -51,9 +34,11 @@ class MeshGaussian:
         scale: float,
         gain: float | None = None,
     ) -> None:
+        # Edges with a length in space only, not those of hard colour edges.
         self._edges, self._count = edges, count
         self._weights = np.exp(-(lengths**2) / (2 * scale**2)).astype(np.float32)
         self._total = 1 + self._gather(self._weights)
+        # Remaining standard deviation of white noise.
         self.gain = self._mean_gain() if gain is None else gain
 
     def _mean_gain(self) -> float:
@@ -74,46 +59,29 @@ class MeshGaussian:
 
 
 class GridGaussian:
-    """Gaussian means over the cells of a grid that hold a colour.
-
-    Parameters
-    ----------
-    filled : ndarray of bool, shape (R, C)
-        Cells that hold a colour; the others lend none.
-    scale : float
-        Standard deviation of the Gaussian, in cells.
-    walls : bool
-        Whether cells that are not filled stop the Gaussian, and not only lend no colour: it goes along the row and then
-        along the column as far as cells are filled. Textures, whose charts keep their distance, do without.
-    atlas : Atlas, optional
-        The canvas, across whose cuts no colour is lent.
-    threads : int
-        Results do not depend on it.
-
-    Attributes
-    ----------
-    gain : float
-        What is left of the standard deviation of white noise, away from borders.
-    """
+    """Gaussian means of standard deviation `scale`, in cells, over the filled cells of a grid, shape (R, C)."""
 
     def __init__(
         self,
         filled: NDArray[np.bool_],
         scale: float,
         *,
-        walls: bool = False,
+        stop_at_holes: bool = False,
         atlas: Atlas | None = None,
         threads: int = 1,
     ) -> None:
         self._threads, self._first = threads, 0
         self._taps = _gaussian_taps(scale)
-        self._open = filled if walls else None
-        self.gain = float(np.sum(self._taps**2))
+        # Means stop at cells that are not filled. Textures, whose charts keep their distance, do without.
+        self._open = filled if stop_at_holes else None
+        self.gain = float(
+            np.sum(self._taps**2)
+        )  # remaining standard deviation of white noise, away from borders
         self._partial, self._part = self._partial_totals(filled)
         self._cut_means = None if atlas is None or not len(atlas.cut_cells) else CutMeans(atlas, self._taps)
 
     def from_row(self, first: int) -> GridGaussian:
-        """Return the same means for planes that begin with a row; within reach of their ends they are not right."""
+        """Return the same means for planes that begin with row `first`; within reach of their ends they are wrong."""
         part = copy(self)
         part._first = first
         return part
@@ -131,14 +99,12 @@ class GridGaussian:
         return smoothed
 
     def _partial_totals(self, filled: NDArray[np.bool_]) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-        """Find the filled cells (flat indices) that lack a neighbour, and the weights of the neighbours they have.
-
-        Most cells have all, with weights of 1 together but for rounding.
-        """
+        """Find the filled cells (flat indices) that lack a neighbour, and their total weights."""
         reach = len(self._taps) // 2
-        enough = 1 - self._taps[0] ** 2 / 2  # the lightest neighbour is in a corner
+        # Most cells have all neighbours: weights sum to 1 but for rounding. The lightest neighbour is in a corner.
+        enough = 1 - self._taps[0] ** 2 / 2
         cells, totals = [np.zeros(0, np.int32)], [np.zeros(0, np.float32)]
-        for first in range(0, len(filled), _ROWS):  # whole planes would be as large as what they save
+        for first in range(0, len(filled), _ROWS):  # whole planes would take the memory that this saves
             above = min(first, reach)
             band = filled[first - above : first + _ROWS + reach]
             total = self._convolve(band[None].astype(np.float32), None if self._open is None else band)[0]
@@ -149,19 +115,19 @@ class GridGaussian:
         return np.concatenate(cells), np.concatenate(totals)
 
     def _convolve(self, planes: NDArray[np.float32], filled: NDArray[np.bool_] | None) -> NDArray[np.float32]:
-        """Convolve planes, up to walls if it is told what is filled."""
+        """Convolve planes, up to holes if `filled` is given."""
         if filled is None:
             from beltrami_cli._native import convolve
 
             return convolve(planes, self._taps, self._threads)
-        along = [_convolve_up_to_walls(plane, filled, self._taps) for plane in planes]
-        return np.stack([_convolve_up_to_walls(plane.T, filled.T, self._taps).T for plane in along])
+        along = [_convolve_up_to_holes(plane, filled, self._taps) for plane in planes]
+        return np.stack([_convolve_up_to_holes(plane.T, filled.T, self._taps).T for plane in along])
 
 
-def _convolve_up_to_walls(
+def _convolve_up_to_holes(
     plane: NDArray[np.float32], filled: NDArray[np.bool_], taps: NDArray[np.float32]
 ) -> NDArray[np.float32]:
-    """Convolve along the first axis; of what lies at or behind a cell that is not filled, nothing counts."""
+    """Convolve along the first axis, from each cell only up to the next that is not filled."""
     reach = len(taps) // 2
     result = np.where(filled, taps[reach] * plane, np.float32(0))
     for ahead in (True, False):
@@ -191,20 +157,12 @@ def _gaussian_taps(scale: float) -> NDArray[np.float32]:
 
 # Row and column of the neighbours whose lengths an atlas keeps: right, below, below right, below left.
 _STEPS = ((0, 1), (1, 0), (1, 1), (1, -1))
-# Window cells that are looked at together: a few ten megabytes.
+# Window cells that are processed together: some tens of megabytes.
 _AT_ONCE = 1 << 20
 
 
 class CutMeans:
-    """Means over the cells of a square window that can be reached from its middle inside the window.
-
-    Parameters
-    ----------
-    atlas : Atlas
-        With cuts, near which means are taken.
-    taps : ndarray of float32, shape (2 r + 1,)
-        Weights along rows and along columns.
-    """
+    """Means over the cells of a square window that can be reached from its centre inside the window."""
 
     def __init__(self, atlas: Atlas, taps: NDArray[np.float32]) -> None:
         self._shape, self._reach = atlas.kind.shape, len(taps) // 2
@@ -215,15 +173,7 @@ class CutMeans:
         self._reached_bits = np.concatenate(reached) if reached else np.zeros((0, 1), np.uint8)
 
     def apply(self, plane: NDArray[np.float32], result: NDArray[np.float32], first: int = 0) -> None:
-        """Put the means of a plane at the cells near cuts into another, in place.
-
-        Parameters
-        ----------
-        plane, result : ndarray of float32, shape (K, C)
-            Rows of the canvas. Where the window of a cell leaves them, and not the canvas, nothing is put.
-        first : int
-            The first of these rows.
-        """
+        """Write the means at cells near cuts to `result`; `plane` and `result` are canvas rows from `first` on."""
         rows, columns = self._shape
         last = first + len(plane)
         top = first + self._reach if first else 0
@@ -255,7 +205,7 @@ class CutMeans:
         return np.flatnonzero(near & (atlas.kind.reshape(-1) != EMPTY)).astype(np.int64)
 
     def _window(self, cells: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-        """Return the cells of the windows about some cells, shape (K, W), and which of them lie on the canvas."""
+        """Return the cells of the windows around some cells, shape (K, W), and which of them lie on the canvas."""
         offsets = np.arange(-self._reach, self._reach + 1)
         rows = (cells // self._shape[1])[:, None, None] + offsets[:, None]
         columns = (cells % self._shape[1])[:, None, None] + offsets
@@ -264,7 +214,7 @@ class CutMeans:
         return flat.reshape(len(cells), -1), inside.reshape(len(cells), -1)
 
     def _reached(self, atlas: Atlas, cells: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Tell which cells of the windows are reached from their middles over edges, shape (K, W)."""
+        """Return which cells of the windows can be reached from their centres over edges, shape (K, W)."""
         side = 2 * self._reach + 1
         window, inside = self._window(cells)
         filled = (inside & (atlas.kind.reshape(-1)[window] != EMPTY)).reshape(-1, side, side)
@@ -285,7 +235,7 @@ class CutMeans:
 
 
 def _ends(step: tuple[int, int]) -> tuple[tuple[slice, ...], tuple[slice, ...]]:
-    """Return the cells of windows at which edges in one direction start, and those at which they end."""
+    """Return the slices of windows at which edges in one direction start and end."""
     down, right = step
     rows = (slice(None, -1), slice(1, None)) if down else (slice(None), slice(None))
     columns = {

@@ -14,7 +14,7 @@ from beltrami_cli.formats.image import read_image
 from beltrami_cli.formats.registry import open_document, sidecar_names, write_contents, write_textured
 from beltrami_cli.jobs.new_texture import as_rgba, texture_from_vertices
 from beltrami_cli.jobs.writing.output import Output
-from beltrami_cli.samples.memory_check import require_room_for_textures
+from beltrami_cli.samples.memory_check import require_memory_for_textures
 from beltrami_cli.samples.selection import choose_format
 from beltrami_cli.samples.settings import DEFAULT_BAKE, DEFAULTS, BakeSettings, BakeTo
 from beltrami_cli.surface.colour_values import linear_to_srgb
@@ -70,7 +70,7 @@ def bake_file(
     if to == "texture":
         written, counts, texture, notices = _to_texture(document, kind, stem, settings, progress)
     else:
-        require_room_for_textures(document, ("baseColor",), DEFAULTS.textures, access)
+        require_memory_for_textures(document, ("baseColor",), DEFAULTS.textures, access)
         written, counts, notices = _to_vertices(document, kind, stem)
         texture = ""
     output.write(written)

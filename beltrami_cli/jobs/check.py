@@ -12,7 +12,7 @@ from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.image import read_image, to_float
 from beltrami_cli.formats.registry import open_document
-from beltrami_cli.samples.memory_check import require_room
+from beltrami_cli.samples.memory_check import require_memory
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -94,7 +94,7 @@ def _of_paintings(old: Fingerprint, new: Fingerprint, access: Access) -> list[Di
 
 def _of_pixels(what: str, old: NamedImage, new: NamedImage, access: Access) -> Difference:
     """Compare two image files whose bytes differ."""
-    require_room([(old.name, old.data), (new.name, new.data)], access)
+    require_memory([(old.name, old.data), (new.name, new.data)], access)
     try:
         before, after = read_image(old.data, old.name), read_image(new.data, new.name)
     except InputError as error:

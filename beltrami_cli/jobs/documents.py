@@ -102,7 +102,7 @@ def _moved(contents: MeshContents, places: MovedVertices) -> MeshContents:
 
 
 def moved_vertices(document: Document, positions: NDArray[np.float64]) -> MovedVertices:
-    """Return new positions, rows as in `painted`; with normals around what moved, if every vertex has one."""
+    """Return new positions, rows as in `painted`, with normals around moved vertices if every vertex has one."""
     painted = document.painted()
     if not document.has_normals_by_vertex():
         return MovedVertices(positions)
@@ -112,11 +112,8 @@ def moved_vertices(document: Document, positions: NDArray[np.float64]) -> MovedV
 def _normals(
     painted: PaintedVertices, old: NDArray[np.float64], positions: NDArray[np.float64]
 ) -> NDArray[np.float32]:
-    """Return the normals of vertices that moved or have a neighbour that did, NaN for the others, shape (V, 3).
-
-    Copies of a vertex that shared a normal share the new one; those with normals of their own keep them apart, so that
-    hard edges stay hard.
-    """
+    """Return the normals of moved vertices and their neighbours, shape (V, 3), NaN for the others."""
+    # Copies of a vertex that share a normal share the new one; others stay separate, so that hard edges stay hard.
     columns = [*painted.positions.T, *old.T]
     if painted.space_of is not None:
         columns.append(painted.space_of)

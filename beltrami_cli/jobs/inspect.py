@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.jobs.documents import open_input
-from beltrami_cli.samples.memory_check import require_room_for_textures
+from beltrami_cli.samples.memory_check import require_memory_for_textures
 from beltrami_cli.samples.selection import require_scale, samples_of, select, vertex_samples
 from beltrami_cli.samples.settings import DEFAULTS, SmoothSettings
 
@@ -51,7 +51,7 @@ def inspect_file(
     document = open_input(os.fspath(source), settings, access)
     selection = select(document, settings)
     require_scale(document, selection)
-    require_room_for_textures(document, selection.slots, settings.textures, access)
+    require_memory_for_textures(document, selection.slots, settings.textures, access)
     facts = dict[str, object]()
     if selection.slots and not selection.vertices:
         facts |= _describe_under_textures(document, selection.slots[0], settings, access)

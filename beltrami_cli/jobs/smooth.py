@@ -18,7 +18,7 @@ from beltrami_cli.jobs.job import PLAIN_JOB
 from beltrami_cli.jobs.recolour import recolour
 from beltrami_cli.jobs.resources import Stopwatch
 from beltrami_cli.jobs.smoothing import Smoothed, Smoothing, make_report, smooth_samples
-from beltrami_cli.samples.memory_check import require_room_for_textures
+from beltrami_cli.samples.memory_check import require_memory_for_textures
 from beltrami_cli.samples.selection import Selection, choose_format, require_scale, vertex_samples
 from beltrami_cli.samples.settings import DEFAULTS
 
@@ -120,7 +120,7 @@ def _smooth_unwrapped(
     if textured:
         if settings.embedding.guides:
             raise UsageError("--guide cannot guide the new texture that --unwrap makes; use both in turn")
-        require_room_for_textures(document, ("baseColor",), settings.textures, access)
+        require_memory_for_textures(document, ("baseColor",), settings.textures, access)
         done = _smooth_in_texture(document, settings, wanted, watch, job)
     else:
         done = _smooth_on_vertices(document, settings, wanted, watch, job, access)

@@ -1,6 +1,6 @@
-"""Guides: channels that count as distance and stay as they are.
+"""Guides: channels that count as distance and are not changed.
 
-For vertices they are attributes, or tables in files with a row for each vertex; for images, images of the same size.
+For vertices they are attributes, or tables in files with one row per vertex; for images, images of the same size.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ def read_map(path: str, access: Access) -> NDArray[np.float32]:
 
 
 def require_size(image: NDArray[Any], size: tuple[int, int], path: str, of: str) -> None:
-    """Check that an image guides another pixel by pixel."""
+    """Check that an image has the size of the one that it guides."""
     if image.shape[:2] != size:
         rows, columns = image.shape[:2]
         raise InputError(
@@ -93,20 +93,20 @@ def require_size(image: NDArray[Any], size: tuple[int, int], path: str, of: str)
 
 
 def require_finite(table: NDArray[np.floating[Any]], name: str, what: str) -> None:
-    """Raise InputError if a number of a table, shape (S, G), is not finite; `what` its rows are."""
+    """Raise InputError if a number of a table, shape (S, G), is not finite; `what` names a row."""
     finite = np.isfinite(table).all(axis=1)
     if not finite.all():
         raise InputError(name, f"{what} {int(np.argmin(finite))} of the guide is not finite")
 
 
 def exists(path: str) -> bool:
-    """Return whether there is something of this name that may be a file."""
+    """Return whether a file of this name exists, or it is standard input."""
     return path == "-" or Path(path).exists()
 
 
 @dataclass(frozen=True)
 class GuideImage:
-    """A guide with a row for each pixel."""
+    """A guide with one row per pixel."""
 
     name: str
     image: NDArray[np.float32]

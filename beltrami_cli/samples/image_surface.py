@@ -59,25 +59,25 @@ class ImageSurface:
 
     @property
     def kind(self) -> str:
-        """What the surface is: "plane", "height" or "positions"."""
+        """The kind of surface: "plane", "height" or "positions"."""
         if self.heights is not None:
             return "height"
         return "plane" if self.positions is None else "positions"
 
 
 def read_surface(picture: Picture, wanted: ImageSettings, access: Access) -> ImageSurface:
-    """Read the images that say where a picture lies and where it has holes; InputError if one does not fit it."""
+    """Read the images with a picture's surface and holes; InputError if one does not fit it."""
     heights = positions = None
     valid = np.ones(picture.pixels.shape[:2], bool)
     notices: list[str] = []
     if wanted.height is not None:
-        pixels, told = _read(wanted.height, picture, access)
-        notices += told
+        pixels, found = _read(wanted.height, picture, access)
+        notices += found
         heights = wanted.height_scale * _height_of(pixels)
         valid &= np.isfinite(heights) & _opaque(pixels)
     if wanted.positions is not None:
-        pixels, told = _read(wanted.positions, picture, access)
-        notices += told
+        pixels, found = _read(wanted.positions, picture, access)
+        notices += found
         positions = _positions_of(pixels)
         check_scale(positions.reshape(-1, 3), _triangles(*positions.shape[:2]), wanted.positions)
         valid &= np.isfinite(positions).all(axis=2) & _opaque(pixels)
@@ -87,7 +87,7 @@ def read_surface(picture: Picture, wanted: ImageSettings, access: Access) -> Ima
 
 
 def _read(path: str, picture: Picture, access: Access) -> tuple[Picture, list[str]]:
-    """Read an image of the size of the picture, and say what is odd about it as a map."""
+    """Read an image of the size of the picture, and return notices about it as a map."""
     read = read_image(read_source(path, access), path, finite=False)
     height, width = picture.pixels.shape[:2]
     if read.pixels.shape[:2] != (height, width):
@@ -102,7 +102,7 @@ def _read(path: str, picture: Picture, access: Access) -> tuple[Picture, list[st
 
 
 def _height_of(picture: Picture) -> NDArray[np.float64]:
-    """Return the one channel that is a height."""
+    """Return the channel with the height."""
     lower = [channel.lower() for channel in picture.channels]
     named = next((lower.index(name) for name in _HEIGHTS if name in lower), None)
     others = [channel for channel in range(len(lower)) if channel != picture.alpha]
@@ -138,14 +138,14 @@ def _triangles(rows: int, columns: int) -> NDArray[np.int32]:
 
 
 def _opaque(picture: Picture) -> NDArray[np.bool_]:
-    """Tell where a map says something: not where its own alpha is 0."""
+    """Return where a map has values: not where its own alpha is 0."""
     if picture.alpha is None:
         return np.ones(picture.pixels.shape[:2], bool)
     return np.asarray(picture.pixels[..., picture.alpha] != 0)
 
 
 def _mask_of(picture: Picture) -> NDArray[np.bool_]:
-    """Tell where a mask is not zero: in any of its colours, and in its alpha."""
+    """Return where a mask is not zero, in any of its colours and in its alpha."""
     colours = picture.pixels[..., list(picture.colour)]
     return np.asarray((np.nan_to_num(colours) != 0).any(axis=2) & _opaque(picture))
 
@@ -163,12 +163,9 @@ def grid_flow(
     guides: Sequence[Callable[[Pixels], Guide]] = (),
     metric_channels: Sequence[int] | None = None,
 ) -> BeltramiFlow[GridManifold]:
-    """Make the flow on an image, whose owned texels are the pixels that are no holes, row by row.
-
-    `colours_of` and `guides` give what is at some pixels (row * width + column). Over heights, as on the plane, the
-    unit of length is the pixel, and not the spacing along the surface: on slopes samples lie further apart, so they
-    are smoothed less.
-    """
+    """Make the flow on an image, whose owned texels are the pixels that are not holes, row by row."""
+    # Over heights, as on the plane, the unit of length is the pixel, and not the spacing along the surface: samples on
+    # slopes are further apart, so they are smoothed less.
     valid, positions = surface.valid, surface.positions
     assert valid is not None
     if surface.heights is not None:
@@ -181,7 +178,7 @@ def grid_flow(
         atlas,
         painted(atlas, colours_of(atlas.owned_texels), kernel.thread_count),
         kernel,
-        walls=atlas.covered < valid.size,
+        stop_at_holes=atlas.covered < valid.size,
         guides=[guide(atlas.owned_texels) for guide in guides],
         metric_channels=metric_channels,
         unit=None if surface.heights is None else 1.0,
@@ -190,7 +187,7 @@ def grid_flow(
 
 
 def _over_the_plane(heights: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the places (x, y, height) of pixels, shape (H, W, 3)."""
+    """Return the positions (x, y, height) of pixels, shape (H, W, 3)."""
     rows, columns = heights.shape
     positions = np.empty((rows, columns, 3))
     positions[..., 0], positions[..., 1] = np.arange(columns), np.arange(rows)[:, None]

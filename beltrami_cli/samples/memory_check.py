@@ -1,4 +1,4 @@
-"""Whether the work on images fits into memory, told before any of them is decoded."""
+"""Checks that images fit into memory, before any of them is decoded."""
 
 from __future__ import annotations
 
@@ -21,26 +21,13 @@ if TYPE_CHECKING:
 
 _FLOATS = 2 * 4  # the old and the new colours of one image at a time, in single precision
 
-# Bytes for each texel of all textures together that smoothing takes besides the images, at most: with large arrays in
-# memory, and in files.
+# Bytes per texel of all textures that smoothing needs besides the images, at most: with large arrays in memory, and in
+# files.
 TEXEL_BYTES, TEXEL_BYTES_ON_DISK = 130, 8
 
 
-def require_room(images: Iterable[tuple[str, bytes]], access: Access) -> None:
-    """Refuse images that cannot fit into memory when they are decoded and smoothed.
-
-    Parameters
-    ----------
-    images : iterable of (str, bytes)
-        Names and contents of the files that are decoded together.
-    access : Access
-        How much memory there is.
-
-    Raises
-    ------
-    InputError
-        If the least that is certainly needed is more: all images as stored, and one of them twice as floats.
-    """
+def require_memory(images: Iterable[tuple[str, bytes]], access: Access) -> None:
+    """Raise InputError if images cannot fit into memory: all as stored, and one of them twice as floats."""
     if access.memory is None:
         return
     decoded, working = 0, 0
@@ -51,18 +38,12 @@ def require_room(images: Iterable[tuple[str, bytes]], access: Access) -> None:
             raise _too_large(name, size)
 
 
-def require_room_for_textures(
+def require_memory_for_textures(
     document: Document, slots: Iterable[Slot], wanted: TextureSettings, access: Access
 ) -> None:
-    """Do so for the chosen textures of a document, one slot at a time.
-
-    Raises
-    ------
-    InputError
-        As `require_room` and `Document.textured`.
-    """
+    """Raise InputError if the chosen textures of a document cannot fit into memory, slot by slot."""
     for slot in slots:
-        require_room(_chosen(document, slot, wanted), access)
+        require_memory(_chosen(document, slot, wanted), access)
 
 
 @contextlib.contextmanager
@@ -74,15 +55,12 @@ def checked_memory(
     target: str | None,
     works_on_disk: bool,
 ) -> Iterator[None]:
-    """Let the chosen textures of a document be painted in files, where there is too little memory to do it there.
-
-    The files have no name, and lie beside `target`, or in the folder for temporary files. InputError if even so there
-    is too little, or if what paints them does not work on disk.
-    """
+    """Paint the chosen textures of a document in temporary files where memory is too small for them."""
     if not works_on_disk:
-        require_room_for_textures(document, slots, wanted, access)
+        require_memory_for_textures(document, slots, wanted, access)
         yield
         return
+    # The files have no name, and lie beside `target`, or in the folder for temporary files.
     on_disk = False
     if access.memory is not None:
         for slot in slots:
@@ -98,7 +76,7 @@ def _folder_beside(target: str | None) -> Path:
 
 
 def _is_too_much(images: Iterable[tuple[str, bytes]], memory: int) -> bool:
-    """Tell whether images cannot be smoothed together in memory; refuse them if they cannot be in files either."""
+    """Return whether images cannot be smoothed together in memory; InputError if not even in files."""
     texels, decoded, largest = 0, 0, 0
     for name, size in _measured(images):
         texels += size.width * size.height
@@ -117,7 +95,7 @@ def _chosen(document: Document, slot: Slot, wanted: TextureSettings) -> Iterator
 
 
 def _measured(images: Iterable[tuple[str, bytes]]) -> Iterator[tuple[str, ImageSize]]:
-    """Measure images, but for those that cannot be: whoever decodes them tells what is wrong."""
+    """Measure images, except those that cannot be measured, whose decoder raises the error."""
     for name, data in images:
         size = measure_image(data)
         if size is not None:

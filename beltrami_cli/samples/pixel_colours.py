@@ -8,8 +8,8 @@ import numpy as np
 
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.colour_space import from_space, to_space
-from beltrami_cli.formats.image.picture import full_scale_one, is_associated, lends_colour
-from beltrami_cli.samples.samples import Change, store
+from beltrami_cli.formats.image.picture import full_scale_one, is_associated, supplies_colour
+from beltrami_cli.samples.samples import Change, channel_numbers, store
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -24,14 +24,25 @@ _BLOCK = 1 << 20  # pixels rounded at a time, which bounds the memory for them
 
 
 class ImageColours:
-    """The channels of a picture that take part: those that change, and those that only enter the metric.
+    """The channels of a picture that are sampled: those that change, and those that only enter the metric."""
 
-    These are red, green and blue, or grey, in the working space; then every further channel of the file as the
-    numbers that it holds (full scale 1); and opacity at the end, if it is smoothed. `names` are those of the N
-    channels, `channels` their numbers in the picture, `changing` the names of those that change, `metric_channels`
-    which of the N enter the metric (None: all), and `others` the names of those that are neither colours nor alpha.
-    UsageError if the settings name a channel or a space that the picture does not have.
-    """
+    # Red, green and blue, or grey, are in the working space; further channels of the file are used as stored (full
+    # scale 1); opacity is the last channel, if it is smoothed.
+
+    names: tuple[str, ...]
+    """Of all N channels."""
+
+    channels: list[int]
+    """Their numbers in the picture."""
+
+    changing: tuple[str, ...]
+    """The names of those that change."""
+
+    metric_channels: list[int] | None
+    """Which of the N enter the metric; None: all."""
+
+    others: tuple[str, ...]
+    """The names of those that are neither colours nor alpha."""
 
     def __init__(self, picture: Picture, settings: SmoothSettings) -> None:
         self._picture = picture
@@ -42,43 +53,39 @@ class ImageColours:
         named = dict(zip(_COLOURS[:3] if coloured else _COLOURS[3:], picture.colour, strict=True))
         for channel, name in enumerate(picture.channels):
             if channel not in (*picture.colour, picture.alpha):
-                # EXR tells R from r.
+                # EXR distinguishes R from r.
                 named[name.lower() if name.lower() not in named else f"{name}:{channel}"] = channel
         opacity = {}
         if settings.textures.alpha == "smooth" and picture.alpha is not None:
             opacity = {"alpha": picture.alpha}
         wanted, named_all = settings.embedding.metric_channels, named | opacity
         changing = _choose(named, settings.channels, picture.name) | opacity
-        counting = changing if wanted is None else _choose(named_all, wanted, picture.name)
-        chosen = {name: i for name, i in named_all.items() if name in changing or name in counting}
+        in_metric = changing if wanted is None else _choose(named_all, wanted, picture.name)
+        chosen = {name: i for name, i in named_all.items() if name in changing or name in in_metric}
         self.names, self.channels, self.changing = tuple(chosen), list(chosen.values()), tuple(changing)
-        self.metric_channels: list[int] | None = None
-        if counting.keys() != chosen.keys():
-            self.metric_channels = [self.names.index(name) for name in counting]
+        self.metric_channels = None
+        if in_metric.keys() != chosen.keys():
+            self.metric_channels = [self.names.index(name) for name in in_metric]
         self._coloured = [channel in picture.colour for channel in self.channels]
-        # Colours that are averaged along with alpha are weighted by it as they should be.
+        # Colours that are averaged together with alpha are weighted by it already.
         self._is_divided = is_associated(picture) and not opacity and self._space != "data"
         self.others = tuple(
             name for name, channel in chosen.items() if channel not in (*picture.colour, picture.alpha)
         )
 
-    def named(self, values: NDArray[np.float64]) -> dict[str, float]:
-        """Pair a value per channel with the channels' names."""
-        return {name: float(value) for name, value in zip(self.names, values, strict=True)}
-
     def usable(self) -> NDArray[np.bool_]:
-        """Tell which pixels have finite numbers in all channels that are smoothed, shape (H, W)."""
+        """Return which pixels have finite numbers in all sampled channels, shape (H, W)."""
         pixels = self._picture.pixels
         if pixels.dtype.kind != "f":
             return np.ones(pixels.shape[:2], bool)
         return np.asarray(np.isfinite(pixels[..., self.channels]).all(axis=2))
 
     def visible(self) -> NDArray[np.bool_]:
-        """Tell which pixels lend colours: not those of opacity 0, unless that is smoothed too; shape (H, W)."""
+        """Return which pixels supply colours, shape (H, W): not those of opacity 0, unless that is smoothed."""
         picture = self._picture
         if picture.alpha is None or picture.alpha in self.channels:
             return np.ones(picture.pixels.shape[:2], bool)
-        return lends_colour(picture, picture.pixels[..., picture.alpha])
+        return supplies_colour(picture, picture.pixels[..., picture.alpha])
 
     def samples(self, pixels: NDArray[np.int64]) -> NDArray[np.float32]:
         """Return the colours of some pixels (row * width + column) in the working space, shape (T, N)."""
@@ -103,13 +110,13 @@ class ImageColours:
         return pixels.reshape(-1, pixels.shape[2])
 
     def _opacity(self, pixels: NDArray[np.int64]) -> NDArray[np.float32]:
-        """Return what is multiplied into the colours of some pixels, shape (T, 1)."""
+        """Return the opacity by which the colours of some pixels are multiplied, shape (T, 1)."""
         if not self._is_divided:
             return np.ones((1, 1), np.float32)
         return full_scale_one(self._table(self._picture.pixels)[pixels, self._picture.alpha, None])
 
     def _working(self, stored: NDArray[np.float32], opacity: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Bring numbers of full scale 1 to the working space."""
+        """Convert numbers of full scale 1 to the working space, in place."""
         if any(self._coloured):
             if self._is_divided:
                 stored[:, self._coloured] /= opacity
@@ -120,7 +127,7 @@ class ImageColours:
     def _stored(
         self, before: NDArray[np.float32], samples: NDArray[np.float32], opacity: NDArray[np.float32]
     ) -> NDArray[np.float32]:
-        """Bring samples back from the working space; what did not change there comes back as it was."""
+        """Convert samples back from the working space; unchanged ones keep their numbers."""
         moved = self._working(before.copy(), opacity) != samples
         back = samples.copy()
         if any(self._coloured):
@@ -135,14 +142,7 @@ class ImageColours:
 
 
 def _choose(named: dict[str, int], wanted: tuple[str, ...] | None, name: str) -> dict[str, int]:
-    """Choose channels by their names, or by the first letters of those of colours."""
-    if wanted is None:
-        return named
-    chosen = {}
-    for word in wanted:
-        lower = word.lower()
-        fits = [other for other in named if lower == other or (lower == other[0] and other in _COLOURS)]
-        if not fits:
-            raise UsageError(f"there is no channel {word}; {name} has {', '.join(named)}")
-        chosen[fits[0]] = named[fits[0]]
-    return {other: channel for other, channel in named.items() if other in chosen}
+    """Choose channels by their names, or by the first letters of colours."""
+    names = tuple(named)
+    numbers = channel_numbers(names, wanted, f"{name} has", _COLOURS)
+    return {names[i]: named[names[i]] for i in numbers}

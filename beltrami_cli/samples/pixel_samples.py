@@ -21,7 +21,7 @@ from beltrami_cli.formats.image import (
 from beltrami_cli.formats.image.conversion import noise_losses
 from beltrami_cli.samples.guides import read_guide_images
 from beltrami_cli.samples.image_surface import grid_flow, read_surface
-from beltrami_cli.samples.memory_check import require_room
+from beltrami_cli.samples.memory_check import require_memory
 from beltrami_cli.samples.pixel_colours import ImageColours
 from beltrami_cli.samples.reports import ImageReport
 from beltrami_cli.samples.samples import Grains, Part, Repainted, Samples
@@ -66,7 +66,7 @@ class PixelSamples(Samples):
         colours_only: bool = False,
     ) -> None:
         refuse_options_of_meshes(settings, document.name)
-        require_room([(document.name, document.data)], access)
+        require_memory([(document.name, document.data)], access)
         self.settings, self.picture, self._suffix = settings, document.picture(), suffix
         chosen = settings
         if colours_only and settings.channels is None:

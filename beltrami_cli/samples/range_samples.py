@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 
 class RangeSamples(PaintedSamples):
-    """Vertices on a grid, which has for each place, shape (H, W), the number of a vertex, or -1."""
+    """Vertices on a grid, shape (H, W), of vertex numbers, or -1 at holes."""
 
     label = "range image"
 
@@ -70,14 +70,14 @@ class RangeSamples(PaintedSamples):
 
     def _working(self, places: NDArray[np.int64]) -> NDArray[np.float32]:
         """Return the colours at some places of the grid in the working space, shape (T, N)."""
-        colours = self.painted.colours[self.grid.reshape(-1)[places]][:, self.channels.taking_part]
+        colours = self.painted.colours[self.grid.reshape(-1)[places]][:, self.channels.sampled]
         return to_space(colours, self.painted.encoding, self.settings.space)
 
     def _guide_at(self, guide: Guide, places: NDArray[np.int64]) -> Guide:
         return Guide(guide.name, guide.values[self.grid.reshape(-1)[places]], guide.beta)
 
     def report(self, flow: BeltramiFlow[GridManifold], result: FlowResult) -> VertexReport:
-        """Put together what was done."""
+        """Return the report of a flow."""
         samples = len(flow.manifold.atlas.owned_texels)
         counts: dict[str, float] = {"triangles": len(self.painted.faces)}
         return self._report(flow, result, {**counts, "samples": samples, "hard_edge_samples": 0})
@@ -109,7 +109,7 @@ class RangeSamples(PaintedSamples):
         return RangeProbe(self.painted, self.grid, document.name, colours, self.flow())
 
     def repaint(self, new: NewColours) -> Repainted:
-        """Put the colours of places on the grid back to their vertices."""
+        """Write the colours of places on the grid back to their vertices."""
         painted, changing, written = self.painted, self.channels.changing, self.channels.written
         after = new.table()[:, written]
         moved = np.any(self._working(new.places)[:, written] != after, axis=1)
@@ -118,6 +118,6 @@ class RangeSamples(PaintedSamples):
         if len(vertices):
             before = painted.colours[:, changing]
             back = from_space(after[moved], painted.encoding, self.settings.space)
-            # The way there and back is not exact; what comes of it stays in range.
+            # Conversion there and back is not exact; its result stays in range.
             colours[vertices[:, None], changing] = np.clip(back, before.min(axis=0), before.max(axis=0))
         return Repainted(Change.between(painted.colours, colours), colours)

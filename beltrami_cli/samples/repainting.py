@@ -1,4 +1,4 @@
-"""New colours of texels put into the pictures of a slot, and the gutters around charts refilled."""
+"""Write new colours of texels into the pictures of a slot, and refill the gutters around charts."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _BLOCK = 1 << 16  # texels painted at a time, which bounds the memory for them i
 
 @dataclass(frozen=True)
 class Repainting:
-    """The way from the texels of an atlas to its textures; `gutter` texels around charts are refilled (None: none)."""
+    """Writes texels of an atlas to its textures; `gutter`: texels around charts that are refilled, None: none."""
 
     pictures: Sequence[Picture]
     colours: TexelColours
@@ -37,7 +37,7 @@ class Repainting:
     threads: int
 
     def repaint(self, index: int, new: NewColours) -> tuple[NDArray[Any], Change]:
-        """Return a picture's pixels with new colours, and how its covered texels changed; others keep their numbers."""
+        """Return a picture's pixels with new colours, and the change of its covered texels."""
         picture = self.pictures[index]
         pixels = large_arrays.copy_of(picture.pixels)
         change = self._paint(pixels, index, new.places, new.take)
@@ -50,7 +50,7 @@ class Repainting:
         return pixels, change
 
     def shift(self, index: int, added: NewColours, limits: tuple[float, float]) -> NDArray[Any]:
-        """Return a picture's pixels with something added to its colours, within limits, and to those of the gutter."""
+        """Return a picture's pixels with an offset added to its colours and gutter, within limits."""
         picture = self.pictures[index]
         pixels, shape = picture.pixels.copy(), picture.pixels.shape[:2]
         inside, texels = self._of_texture(added.places, index)
@@ -68,7 +68,7 @@ class Repainting:
         return pixels
 
     def _of_texture(self, texels: Indices, index: int) -> tuple[NDArray[np.bool_] | slice, Indices]:
-        """Choose the texels of one texture, and number them from its first."""
+        """Select the texels of one texture, and number them from its first."""
         if len(self.texture_offsets) == 2:  # there is no other
             return slice(None), texels
         begin, end = self.texture_offsets[index : index + 2].tolist()
@@ -78,7 +78,7 @@ class Repainting:
     def _near_charts(
         self, index: int, shape: tuple[int, ...], new: NewColours
     ) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.int64]]:
-        """Find what is covered of a texture, shape (H, W), and of the gutter near that the texels, and their rows."""
+        """Return the covered texels of a texture, shape (H, W), the gutter texels near them, and their rows."""
         assert self.gutter is not None
         covered, near = np.zeros(shape, bool), np.zeros(shape, bool)
         for block in large_arrays.blocks(len(new.places)):
@@ -95,7 +95,7 @@ class Repainting:
         texels: Indices,
         take: Callable[[slice, NDArray[np.bool_] | slice], NDArray[np.float32]],
     ) -> Change:
-        """Put samples into pixels like a picture's own, in place, and return how these change."""
+        """Write samples into pixels like a picture's own, in place, and return how these change."""
         picture, colours = self.pictures[index], self.colours
         table, changes = pixels.reshape(-1, pixels.shape[2]), []
         channels = colours.columns(index)

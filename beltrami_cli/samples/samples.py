@@ -1,7 +1,7 @@
-"""What is coloured in a document, as samples of an image manifold, and the way back into the document.
+"""Samples of an image manifold, taken from a document, and the way back into the document.
 
-Vertices, points, texels, pixels and vertices on a grid differ in how their colours are taken and given back, in nothing
-else: whoever gives samples new colours does not ask which they are.
+Vertices, points, texels, pixels and vertices on a grid differ only in how their colours are read and written back:
+code that gives samples new colours works for all of them.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 
+from beltrami_cli.errors import UsageError
 from beltrami_cli.formats.image.picture import as_stored
 from beltrami_cli.surface.colour_values import store_integers
 
@@ -39,7 +40,7 @@ Part = Literal["vertices", "textures", "image"]
 
 @dataclass(frozen=True)
 class Repainted:
-    """What new colours make of a document: colours of vertices, and places of those that moved, or image files."""
+    """New colours for a document: of vertices, with positions of those that moved, or image files."""
 
     change: Change
     colours: NDArray[np.float32] | None = None
@@ -50,16 +51,14 @@ class Repainted:
 
 @dataclass(frozen=True)
 class Grains:
-    """What noise is added to: colours in the working space, shape (K, N), and how random numbers belong to them.
+    """Colours that noise is added to, in the working space, and how random numbers are assigned to them."""
 
-    `number_of`, shape (K,), has equal numbers where samples are one place of the surface; they change alike. Where
-    `grey`, all channels are one. `stream` keeps the numbers of one part of a document apart from those of another.
-    """
-
-    colours: NDArray[np.float32]
-    number_of: NDArray[np.integer[Any]]
-    stream: int = 0
-    grey: NDArray[np.bool_] | None = None
+    colours: NDArray[np.float32]  # shape (K, N)
+    number_of: NDArray[
+        np.integer[Any]
+    ]  # shape (K,); equal at one place of the surface, where colours change alike
+    stream: int = 0  # separates the random numbers of parts of a document
+    grey: NDArray[np.bool_] | None = None  # where all channels are one
 
     @property
     def limits(self) -> tuple[float, float]:
@@ -68,44 +67,63 @@ class Grains:
         return low, 1.0 if self.colours.max(initial=1) <= 1 else np.inf
 
 
-class Samples(ABC):
-    """Coloured samples of a document, in the working space.
+def channel_numbers(
+    names: tuple[str, ...],
+    wanted: tuple[str, ...] | None,
+    owner_has: str,
+    abbreviable: tuple[str, ...] | None = None,
+) -> list[int]:
+    """Return the numbers of channels, ascending, by names or first letters (of all or some); None: all channels."""
+    if wanted is None:
+        return list(range(len(names)))
+    by_letter = names if abbreviable is None else abbreviable
+    numbers = set()
+    for word in wanted:
+        lower = word.lower()
+        fits = [
+            i for i, name in enumerate(names) if lower == name or (lower == name[0] and name in by_letter)
+        ]
+        if not fits:
+            raise UsageError(f"there is no channel {word}; {owner_has} {', '.join(names)}")
+        numbers.add(fits[0])
+    return sorted(numbers)
 
-    Making them raises UsageError if the settings name channels that are not there, or contradict the document.
-    """
+
+class Samples(ABC):
+    """Coloured samples of a document; UsageError if settings name absent channels or contradict the document."""
 
     part: ClassVar[Part]
     """The part of a document that they belong to."""
 
     label: str
-    """What people call them."""
+    """Their name in messages."""
 
     names: tuple[str, ...]
-    """The channels that take part: those that change, and those that only enter the metric."""
+    """The sampled channels: those that change, and those that only enter the metric."""
 
     @abstractmethod
     def flow(self) -> BeltramiFlow[Any]:
-        """Make the flow on these samples; it takes over what it needs, so that large surfaces are not held twice."""
+        """Make the flow on these samples; it takes over their memory, so that large surfaces are not stored twice."""
 
     @abstractmethod
     def report(self, flow: BeltramiFlow[Any], result: FlowResult) -> SamplesReport:
-        """Put together what a flow did, but for the change of colours."""
+        """Return the report of a flow, without the change of colours."""
 
     @abstractmethod
     def repaint(self, new: NewColours) -> Repainted:
-        """Put new colours, of which there are some for every sample, back; the samples are of no use afterwards."""
+        """Write new colours of all samples back; the samples cannot be used afterwards."""
 
     @abstractmethod
     def grains(self) -> Grains:
-        """Return what noise is added to."""
+        """Return the colours that noise is added to."""
 
     @abstractmethod
     def shift(self, grains: Grains, after: NDArray[np.float32]) -> Repainted:
-        """Put other colours in the place of those in `grains`; what lies beyond seams is shifted as far."""
+        """Replace the colours in `grains` by others; colours beyond seams are shifted by the same amount."""
 
     @abstractmethod
     def require_writable(self) -> None:
-        """Raise what is wrong with images as outputs, before anything is computed."""
+        """Raise errors about images as outputs, before anything is computed."""
 
     @abstractmethod
     def describe(self) -> dict[str, object]:
@@ -120,7 +138,7 @@ class Samples(ABC):
         return []
 
     def warnings(self, result: FlowResult) -> list[str]:
-        """Return what users should know once a flow was run."""
+        """Return warnings about a flow that was run."""
         del result
         return []
 
@@ -149,7 +167,7 @@ class Change:
 
     @classmethod
     def joined(cls, changes: Iterable[Change]) -> Change:
-        """Take several together."""
+        """Add up several changes."""
         parts = [dataclasses.astuple(change) for change in changes]
         counts, totals, squares, largest = zip(*parts, strict=True) if parts else ((), (), (), (0.0,))
         return cls(sum(counts), sum(totals), sum(squares), max(largest))
@@ -168,11 +186,7 @@ def store(
     channels: Sequence[int],
     threads: int,
 ) -> Change:
-    """Put values of full scale 1, shape (K, M), into pixels like a picture's, in place, each rounded once.
-
-    They go into the M channels of the K pixels, and are clipped to the range of the stored type. Those that equal
-    what is stored leave its bits as they are.
-    """
+    """Write values of full scale 1, shape (K, M), to M channels of K pixels, in place, clipped and rounded once."""
     if table.dtype.kind == "f":
         before = table[pixels[:, None], channels]
         for channel, old, new in zip(channels, before.T, values.T, strict=True):

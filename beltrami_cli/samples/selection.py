@@ -1,4 +1,4 @@
-"""What of a document is painted, as which samples, and in which format the document is written."""
+"""What is painted in a document, as which samples, and in which format the document is written."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Selection:
-    """What is painted of a document: its vertex colours, the textures of slots, or the image that it is."""
+    """What is painted in a document: its vertex colours, the textures of slots, or the image itself."""
 
     vertices: bool = False
     slots: tuple[Slot, ...] = ()
@@ -50,11 +50,7 @@ class OutputFormat:
 
 
 def select(document: Document, settings: SmoothSettings) -> Selection:
-    """Choose what is painted, by the settings and by what is there.
-
-    Raises InputError if there is nothing of what is asked for, and UsageError for options that the document has no
-    use for.
-    """
+    """Choose what is painted, by the settings and the document; errors if there is nothing, or for unfit options."""
     if isinstance(document, ImageDocument):
         from beltrami_cli.samples.pixel_samples import refuse_options_of_meshes
 
@@ -68,7 +64,7 @@ def select(document: Document, settings: SmoothSettings) -> Selection:
     coloured = settings.on != "texture" and document.has_vertex_colours()
     if settings.on == "vertices" or (settings.on == "auto" and not slots and coloured):
         if not coloured:
-            document.painted()  # raises, and says what there is instead
+            document.painted()  # raises an error with what there is instead
         return Selection(vertices=True)
     if settings.on == "both" and not (coloured and slots):
         missing = "vertex colours" if slots else "textures in the chosen slots"
@@ -130,7 +126,7 @@ def vertex_samples(document: Document, settings: SmoothSettings, access: Access)
 
 
 def coloured_vertices(document: Document) -> NDArray[np.intp]:
-    """Return the vertices of a document that have a place and a colour of their own."""
+    """Return the vertices of a document that have a position and a colour."""
     from beltrami_cli.samples.vertex_samples import coloured_rows
     from beltrami_cli.samples.voxels import LevelSetDocument
 
@@ -140,7 +136,7 @@ def coloured_vertices(document: Document) -> NDArray[np.intp]:
 def require_geometry(
     document: Document, selection: Selection, settings: SmoothSettings, target: OutputFormat
 ) -> None:
-    """Raise if positions are to be smoothed, and there are none that can be, or that the format can take back."""
+    """Raise errors if positions are to be smoothed, but there are none, or the format cannot store them."""
     if not settings.embedding.smooth_geometry:
         return
     if not selection.vertices:
@@ -155,7 +151,7 @@ def require_geometry(
 
 
 def require_scale(document: Document, selection: Selection) -> None:
-    """Raise InputError if distances on what is painted cannot be computed with."""
+    """Raise InputError if distances on the selected samples cannot be computed."""
     if selection.vertices:
         painted = document.painted()
         check_scale(painted.positions, painted.faces, document.name)
@@ -165,7 +161,7 @@ def require_scale(document: Document, selection: Selection) -> None:
 
 
 def _nothing_to_smooth(document: Document, present: Sequence[Slot], *, textures_only: bool) -> InputError:
-    """Return the error that there are no colours of the kind that is asked for, or that they are damaged."""
+    """Return the error that there are no colours of the requested kind, or that they are damaged."""
     why = ""
     if textures_only and not present and document.has_vertex_colours():
         return UnpaintedError(document.name, "it has no textures, only vertex colours", "use --on vertices")

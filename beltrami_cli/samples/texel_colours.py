@@ -11,7 +11,8 @@ import numpy as np
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.canvas import painted_by
 from beltrami_cli.flow.colour_space import from_space, to_space
-from beltrami_cli.formats.image.picture import full_scale_one, is_associated, lends_colour, without_alpha
+from beltrami_cli.formats.image.picture import full_scale_one, is_associated, supplies_colour, without_alpha
+from beltrami_cli.samples.samples import channel_numbers
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import texels_by_texture
 
@@ -28,12 +29,9 @@ if TYPE_CHECKING:
 
 COLOUR_SLOTS = ("baseColor", "emissive")
 
-# The channels that a data slot means; others of the same image belong to another slot.
-_SLOT_CHANNELS = {"occlusion": {"red", "grey"}, "metallicRoughness": {"green", "blue", "grey"}}
-
 
 def choose_textures(surface: TexturedSurface, wanted: TextureSettings) -> TexturedSurface:
-    """Keep the textures that the globs choose, which may be none."""
+    """Keep the textures that match the globs, possibly none."""
 
     def fits(texture: Texture) -> bool:
         by_name = not wanted.names or any(fnmatch(texture.name, glob) for glob in wanted.names)
@@ -56,64 +54,48 @@ def only_textures(surface: TexturedSurface, kept: list[int]) -> TexturedSurface:
     )
 
 
+# The channels that a data slot uses; others of the same image belong to another slot.
+_SLOT_CHANNELS = {"occlusion": {"red", "grey"}, "metallicRoughness": {"green", "blue", "grey"}}
+
+
 class TexelColours:
-    """Colours of the texels of several pictures, brought to the same channels.
+    """Colours of the texels of several pictures as samples with the same N channels, and back."""
 
-    Grey pictures beside coloured ones count as red = green = blue. With alpha, opacity is one more channel, 1 where a
-    picture has none.
+    names: tuple[str, ...]
+    """The channels of the samples: those that change, and those that enter the metric."""
 
-    Parameters
-    ----------
-    pictures : sequence of Picture
-        The textures of a slot.
-    slot : Slot
-        Colours are converted to the working space; data (normals, occlusion, roughness) are taken as they are.
-    settings : SmoothSettings
-        The working space, the channels, and whether alpha is smoothed.
+    metric_channels: list[int] | None
+    """The channels in the metric; None: all."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        The channels of the samples: those that change, and those that enter the metric.
-    metric_channels : list of int or None
-        Which of them enter the metric; None: all.
-    space : {"srgb", "linear", "oklab", "data"}
-        What they are in.
-
-    Raises
-    ------
-    UsageError
-        If the settings name a channel or a space that the pictures do not have.
-    """
+    space: Space
+    """The space of the samples: the working space, or data as stored."""
 
     def __init__(self, pictures: Sequence[Picture], slot: Slot, settings: SmoothSettings) -> None:
         self._pictures = pictures
-        self.space: Space = settings.space if slot in COLOUR_SLOTS else "data"
+        self.space = settings.space if slot in COLOUR_SLOTS else "data"
         self._is_normal = slot == "normal"
         self._width = max(len(picture.colour) for picture in pictures)
+        # Grey pictures beside coloured ones have red = green = blue.
         names = ("red", "green", "blue") if self._width == 3 else ("grey",)
         if self.space == "oklab" and self._width != 3:
             raise UsageError("the space oklab needs red, green and blue, but all textures are grey")
-        meant = _SLOT_CHANNELS.get(slot, set(names))
-        self._changing = [i for i in _choose(names, settings.channels) if names[i] in meant]
+        used = _SLOT_CHANNELS.get(slot, set(names))
+        changing = channel_numbers(names, settings.channels, "the textures have")
+        self._changing = [i for i in changing if names[i] in used]
         if not self._changing:
             raise UsageError(
-                f"no chosen channel belongs to the slot {slot}, which uses {' and '.join(sorted(meant))}"
+                f"no chosen channel belongs to the slot {slot}, which uses {' and '.join(sorted(used))}"
             )
         self._hides = slot in COLOUR_SLOTS and settings.textures.alpha != "smooth"
         self._alpha = settings.textures.alpha == "smooth" and any(p.alpha is not None for p in pictures)
-        wanted, opacity = settings.embedding.metric_channels, ("alpha",) if self._alpha else ()
-        counting = None if wanted is None else _choose((*names, *opacity), wanted)
-        # What only enters the metric is smoothed along, but not written.
-        self._kept = sorted({*self._changing, *(i for i in counting or () if i < len(names))})
-        self.names = tuple(names[i] for i in self._kept) + opacity
-        self.metric_channels: list[int] | None = None
-        if counting is not None:
-            self.metric_channels = [self.names.index((*names, *opacity)[i]) for i in counting]
-
-    def named(self, values: NDArray[np.float64]) -> dict[str, float]:
-        """Pair a value per channel with the channels' names."""
-        return {name: float(value) for name, value in zip(self.names, values, strict=True)}
+        wanted, all_names = settings.embedding.metric_channels, (*names, *(("alpha",) if self._alpha else ()))
+        in_metric = None if wanted is None else channel_numbers(all_names, wanted, "the textures have")
+        # Channels that only enter the metric are smoothed too, but not written.
+        self._kept = sorted({*self._changing, *(i for i in in_metric or () if i < len(names))})
+        self.names = tuple(names[i] for i in self._kept) + all_names[len(names) :]
+        self.metric_channels = None
+        if in_metric is not None:
+            self.metric_channels = [self.names.index(all_names[i]) for i in in_metric]
 
     def samples(self, atlas: Atlas) -> NDArray[np.float32]:
         """Return the colours of the owned cells in the working space, shape (T, N)."""
@@ -151,7 +133,7 @@ class TexelColours:
         return np.column_stack([working, opacity])
 
     def transparent(self, atlas: Atlas, textures: Sequence[Texture]) -> NDArray[np.bool_]:
-        """Tell which owned cells lend no colour, because their texel cannot be seen."""
+        """Return which owned cells supply no colour because their texel is transparent."""
         hidden = np.zeros(len(atlas.owned_texels), bool)
         if not any(self._can_hide(index, texture) for index, texture in enumerate(textures)):
             return hidden
@@ -161,12 +143,12 @@ class TexelColours:
         return hidden
 
     def hidden(self, index: int, texture: Texture, texels: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Tell which of some texels (row * width + column) of a picture lend no colour."""
+        """Return which of some texels (row * width + column) of a picture supply no colour."""
         picture = self._pictures[index]
         if not self._can_hide(index, texture):
             return np.zeros(len(texels), bool)
         table = picture.pixels.reshape(-1, picture.pixels.shape[2])
-        return ~lends_colour(picture, table[texels, picture.alpha])
+        return ~supplies_colour(picture, table[texels, picture.alpha])
 
     def _can_hide(self, index: int, texture: Texture) -> bool:
         return self._hides and self._pictures[index].alpha is not None and texture.alpha_hides
@@ -180,20 +162,20 @@ class TexelColours:
         return colour + ([picture.alpha] if self._alpha and picture.alpha is not None else [])
 
     def are_converted(self, index: int) -> bool:
-        """Tell whether samples of a picture are other numbers than those that it stores."""
+        """Return whether samples of a picture differ from the numbers that it stores."""
         picture = self._pictures[index]
         is_plain = self.space in ("data", picture.encoding) and len(picture.colour) == self._width
         return not is_plain or self._is_normal or self._is_divided(picture)
 
     def written(self, index: int, samples: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Choose what is stored of samples that are not converted, in the order of `columns`."""
+        """Return the channels of unconverted samples that are stored, in the order of `columns`."""
         chosen = self._written()[: len(self.columns(index))]
         return samples if chosen == list(range(samples.shape[1])) else samples[:, chosen]
 
     def changed(
         self, picture: Picture, stored: NDArray[Any], samples: NDArray[np.float32]
     ) -> NDArray[np.bool_]:
-        """Tell for which pixels of a picture, shape (K, C), samples differ in a channel that is written."""
+        """Return for which pixels of a picture, shape (K, C), samples differ in a channel that is written."""
         working = self._working(picture, stored)
         different = np.zeros(len(stored), bool)
         for channel in self._written():
@@ -212,19 +194,7 @@ class TexelColours:
         texels: NDArray[np.int64] | slice,
         samples: NDArray[np.float32],
     ) -> None:
-        """Put samples' colours into a picture's values, in place.
-
-        Parameters
-        ----------
-        values : ndarray of float32, shape (..., C)
-            The picture's channels at some or all of its texels, full scale 1.
-        index : int
-            Which picture.
-        texels : ndarray of int64, shape (K,), or slice
-            Which of these change, counted from the first.
-        samples : ndarray of float32, shape (K, N)
-            Their new colours in the working space.
-        """
+        """Write samples, shape (K, N), to some texels of a picture's values, shape (..., C), in place."""
         picture = self._pictures[index]
         table = values.reshape(-1, values.shape[-1])
         whole = self._widened(picture, self._straight(picture, table[texels]))
@@ -247,13 +217,13 @@ class TexelColours:
             table[texels, picture.alpha] = samples[:, -1]
 
     def opacity(self, picture: Picture) -> NDArray[np.float32] | None:
-        """Return what is multiplied into a picture's colours, but not into samples, shape (H, W); None: nothing."""
+        """Return the opacity by which a picture's colours, but not samples, are multiplied, shape (H, W), or None."""
         if not self._is_divided(picture):
             return None
         return full_scale_one(picture.pixels[..., picture.alpha])
 
     def _is_divided(self, picture: Picture) -> bool:
-        # Colours that are averaged along with alpha are weighted by it as they should be.
+        # Colours that are averaged together with alpha are weighted by it already.
         return self._hides and self.space != "data" and is_associated(picture)
 
     def _straight(self, picture: Picture, pixels: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -265,20 +235,8 @@ class TexelColours:
         return np.repeat(colours, self._width, axis=1) if colours.shape[1] < self._width else colours
 
 
-def _choose(names: tuple[str, ...], wanted: tuple[str, ...] | None) -> list[int]:
-    if wanted is None:
-        return list(range(len(names)))
-    chosen = set()
-    for word in wanted:
-        fits = [i for i, name in enumerate(names) if word.lower() in (name, name[0])]
-        if not fits:
-            raise UsageError(f"there is no channel {word}; the textures have {', '.join(names)}")
-        chosen.add(fits[0])
-    return sorted(chosen)
-
-
 def _renormalised(stored: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Make vectors of unit length of normals stored as (n + 1) / 2."""
+    """Normalise normals stored as (n + 1) / 2."""
     normals = 2 * stored - 1
     length = np.linalg.norm(normals, axis=1, keepdims=True)
     return np.where(length > 0, (normals / np.maximum(length, 1e-12) + 1) / 2, stored).astype(np.float32)

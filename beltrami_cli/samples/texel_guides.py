@@ -28,13 +28,13 @@ if TYPE_CHECKING:
     from beltrami_cli.surface.atlas import Atlas
     from beltrami_cli.surface.records import Slot, Texture, TexturedSurface
 
-# What a material looks like without a texture in a slot: glTF 2.0, section 3.9; a normal stands upright.
+# Values of a material without a texture in a slot: glTF 2.0, section 3.9; a normal is perpendicular to the surface.
 _WITHOUT = {"normal": (0.5, 0.5, 1.0), "emissive": (0.0, 0.0, 0.0)}
 
 
 @dataclass(frozen=True)
 class GuidedTexels:
-    """What guides are read for."""
+    """The texels that guides are read for."""
 
     document: Document
     surface: TexturedSurface
@@ -44,7 +44,7 @@ class GuidedTexels:
     access: Access
 
     def guides(self) -> list[Guide]:
-        """Read all guides, with a row for each owned texel."""
+        """Read all guides, with one row per owned texel."""
         return [self._guide(name, beta) for name, beta in self.settings.embedding.weighted_guides]
 
     def _guide(self, name: str, beta: float | None) -> Guide:
@@ -71,7 +71,7 @@ class GuidedTexels:
         return values
 
     def _of_slot(self, slot: Slot) -> NDArray[np.float32]:
-        """Return what another slot shows at each owned texel."""
+        """Return the values of another slot at each owned texel."""
         guiding = self.document.textured(slot)
         images = self._images(guiding, slot)
         width = images[0].shape[2] if images else 1
@@ -104,7 +104,7 @@ class GuidedTexels:
         return images
 
     def _shown_with(self, index: int, guiding: TexturedSurface, slot: Slot) -> int | None:
-        """Return which texture of the slot is shown where one of those that are smoothed is; None: none."""
+        """Return the texture of the guiding slot on the triangles of a smoothed texture; None: none."""
         faces = np.flatnonzero(self.surface.texture_of == index)
         shown = np.unique(guiding.texture_of[faces])
         name = self.surface.textures[index].name
@@ -132,7 +132,7 @@ def _at(image: NDArray[np.float32], texels: NDArray[np.int64]) -> NDArray[np.flo
 def _at_size(
     image: NDArray[np.float32], size: tuple[int, ...], texture: Texture, texels: NDArray[np.int64]
 ) -> NDArray[np.float32]:
-    """Return what an image shows at the centres of texels of an image of another size, or of the same."""
+    """Sample an image at the centres of texels of an image of another size, or of the same."""
     if image.shape[:2] == size:
         return _at(image, texels)
     row, column = np.divmod(texels, size[1])

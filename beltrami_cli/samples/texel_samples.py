@@ -44,15 +44,12 @@ _UNCOVERED = "no texel is covered by the surface, so nothing was smoothed; --unw
 _UNSEEN = (
     "all texels on the surface have an opacity of 0, so nothing was smoothed; --alpha smooth counts them, too"
 )
-# Per cent of texels with several places; fewer come of rounding at the borders of charts.
-_WORTH_SAYING = 1.0
+# Per cent of texels with several places; fewer are due to rounding at the borders of charts.
+_WORTH_REPORTING = 1.0
 
 
 class TexelSamples(Samples):
-    """Covered and visible texels of the chosen textures of a slot, together.
-
-    `document` has the slots that guide, if any do; `shared` are the images that other slots show, too.
-    """
+    """Covered and visible texels of the chosen textures of a slot, together."""
 
     part: ClassVar[Part] = "textures"
 
@@ -97,7 +94,7 @@ class TexelSamples(Samples):
         return BeltramiFlow(manifold, kernel)
 
     def require_writable(self) -> None:
-        """Raise what is wrong with the images as outputs, before anything is computed."""
+        """Raise errors about the images as outputs, before anything is computed."""
         for picture in self.pictures:
             check_writable(picture, self.settings.textures.image_suffix)
 
@@ -121,7 +118,7 @@ class TexelSamples(Samples):
         ]
 
     def report(self, flow: BeltramiFlow[GridManifold], result: FlowResult) -> SlotReport:
-        """Put together what was done."""
+        """Return the report of a flow."""
         if not flow.parameters.iterations:
             self._gutter = None  # what is not smoothed stays as it is
         self._is_smoothed = flow.parameters.iterations > 0
@@ -180,7 +177,7 @@ class TexelSamples(Samples):
         return TexelProbe(document, self.surface, self.pictures, colours, self.flow())
 
     def repaint(self, new: NewColours) -> Repainted:
-        """Encode the textures with new colours; those that did not change are the source's own files."""
+        """Encode the textures with new colours; unchanged ones are the source's own files."""
         is_covered = len(self.atlas.owned_texels) > 0
         notices = list(atlas_notices(self.atlas)) if self._is_smoothed or not is_covered else []
         painter = self._painter(self._gutter)
@@ -204,7 +201,7 @@ class TexelSamples(Samples):
         return Repainted(Change.joined(changes), images=images, notices=tuple(notices))
 
     def grains(self) -> Grains:
-        """Give texels numbers by where they are in the textures: where charts lie on the canvas does not matter."""
+        """Return the colours of texels, numbered by their place in the textures and not on the canvas."""
         atlas = self.atlas
         number = np.empty(len(atlas.owned_texels), np.int64)
         number[np.argsort(atlas.owned_texels)] = np.arange(len(number))
@@ -248,13 +245,13 @@ class TexelSamples(Samples):
 
 
 def atlas_of(surface: TexturedSurface, pictures: Sequence[Picture], kernel: KernelParameters) -> Atlas:
-    """Make the manifold of the texels of pictures, continued beyond seams as far as a kernel looks."""
+    """Make the atlas of the texels of pictures, continued beyond seams as far as a kernel reads."""
     sizes = [(picture.pixels.shape[1], picture.pixels.shape[0]) for picture in pictures]
     return build_atlas(surface, sizes, canvas_margin(kernel), kernel.thread_count)
 
 
 def atlas_counts(atlas: Atlas) -> dict[str, int]:
-    """Return what an atlas is made of."""
+    """Return the numbers of charts, seams and texels of an atlas."""
     return {
         "charts": atlas.charts,
         "seams": atlas.seams,
@@ -264,11 +261,11 @@ def atlas_counts(atlas: Atlas) -> dict[str, int]:
 
 
 def atlas_notices(atlas: Atlas) -> tuple[str, ...]:
-    """Return what users should know of texels that are covered more than once, or not at all."""
+    """Return notices about texels that are covered more than once, or not at all."""
     if not len(atlas.owned_texels):
         return (_UNSEEN if atlas.covered else _UNCOVERED,)
     share = 100 * atlas.overlapped / max(1, atlas.covered)
-    if share < _WORTH_SAYING:
+    if share < _WORTH_REPORTING:
         return ()
     return (
         f"{share:.0f} % of the covered texels lie at several places of the surface (mirrored, tiled or overlapping "
@@ -284,24 +281,20 @@ class _Joined:
 
 
 class SharedImages:
-    """What came of images so far, as far as further slots show them.
+    """Pixels of images so far, for those that several slots show."""
 
-    Occlusion is the red channel of an image, roughness and metalness are green and blue; they are mostly in one.
-    `keys` are those of the textures of all slots, one after the other.
-    """
+    # Occlusion is the red channel of an image, roughness and metalness are green and blue, mostly of the same image.
 
     def __init__(self, keys: Iterable[str] = ()) -> None:
-        self._left = Counter(keys)
+        self._remaining = Counter(keys)
         self._joined: dict[str, _Joined] = {}
 
     def join(
         self, slot: Slot, key: str, pixels: NDArray[Any], columns: Sequence[int]
     ) -> tuple[NDArray[Any], tuple[Slot, ...]]:
-        """Put what a slot made of an image, shape (H, W, C), together with what others made of other channels.
-
-        Also return the slots whose changes are in it. Colours and data are encoded differently, so they are not joined.
-        """
-        self._left[key] -= 1
+        """Combine an image's new pixels with the channels that other slots changed; also return these slots."""
+        # Colours and data are encoded differently, so they are not joined.
+        self._remaining[key] -= 1
         known = self._joined.get(key)
         slots: tuple[Slot, ...] = (slot,)
         if known is not None:
@@ -310,7 +303,7 @@ class SharedImages:
                 others = sorted(known.columns)
                 pixels[..., others] = known.pixels[..., others]
                 columns, slots = [*columns, *others], (*known.slots, slot)
-        if self._left[key] > 0:
+        if self._remaining[key] > 0:
             self._joined[key] = _Joined(pixels, set(columns), slots)
         else:
             self._joined.pop(key, None)

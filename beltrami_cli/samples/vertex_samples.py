@@ -16,7 +16,7 @@ from beltrami_cli.flow.embedding import Guide
 from beltrami_cli.flow.geometry import GeometryParameters
 from beltrami_cli.flow.mesh_manifold import MeshManifold
 from beltrami_cli.samples.reports import VertexReport
-from beltrami_cli.samples.samples import Change, Grains, Part, Repainted, Samples
+from beltrami_cli.samples.samples import Change, Grains, Part, Repainted, Samples, channel_numbers
 from beltrami_cli.samples.settings import describe_choice, describe_kernel
 from beltrami_cli.surface.geometry import bounds
 from beltrami_cli.surface.grouping import group_equal_rows
@@ -44,42 +44,28 @@ _PROBED_KERNELS = 1000
 
 @dataclass(frozen=True)
 class ChosenChannels:
-    """Columns of vertices' colours: those that samples have, those that change, and those in the metric.
+    """Columns of vertex colours."""
 
-    The latter are counted among the first; None: all.
-    """
-
-    taking_part: list[int]
+    sampled: list[int]
     changing: list[int]
-    metric: list[int] | None
+    metric: list[int] | None  # among the sampled ones; None: all
 
     @property
     def written(self) -> list[int]:
-        """Those that change, counted among those that take part."""
-        return [self.taking_part.index(channel) for channel in self.changing]
+        """Those that change, counted among the sampled ones."""
+        return [self.sampled.index(channel) for channel in self.changing]
 
 
 def choose_channels(painted: PaintedVertices, settings: SmoothSettings) -> ChosenChannels:
-    """Choose the columns of vertices' colours; UsageError if channels are named that are not there."""
-    changing = _columns(painted, settings.channels)
+    """Choose the columns of vertex colours; UsageError if the settings name absent channels."""
+    changing = channel_numbers(painted.channels, settings.channels, "the colours have")
     wanted = settings.embedding.metric_channels
-    counting = changing if wanted is None else _columns(painted, wanted)
-    channels = sorted({*changing, *counting})
-    metric = None if counting == channels else [channels.index(channel) for channel in counting]
+    in_metric = changing
+    if wanted is not None:
+        in_metric = channel_numbers(painted.channels, wanted, "the colours have")
+    channels = sorted({*changing, *in_metric})
+    metric = None if in_metric == channels else [channels.index(channel) for channel in in_metric]
     return ChosenChannels(channels, changing, metric)
-
-
-def _columns(painted: PaintedVertices, names: tuple[str, ...] | None) -> list[int]:
-    """Find the columns of channels by their names or first letters; None: all."""
-    if names is None:
-        return list(range(len(painted.channels)))
-    columns = []
-    for name in names:
-        fits = [i for i, channel in enumerate(painted.channels) if name.lower() in (channel, channel[0])]
-        if not fits:
-            raise UsageError(f"there is no channel {name}; the colours have {', '.join(painted.channels)}")
-        columns.append(fits[0])
-    return sorted(set(columns))
 
 
 def describe_colours(painted: PaintedVertices) -> dict[str, object]:
@@ -95,7 +81,7 @@ def describe_colours(painted: PaintedVertices) -> dict[str, object]:
 
 
 class PaintedSamples(Samples):
-    """What vertices on a mesh and vertices on a grid have in common; `guides` have a row a vertex."""
+    """The common part of vertices on a mesh and on a grid; `guides` have one row per vertex."""
 
     part: ClassVar[Part] = "vertices"
 
@@ -104,35 +90,35 @@ class PaintedSamples(Samples):
     ) -> None:
         self.painted, self.settings, self.guides = painted, settings, tuple(guides)
         self.channels = choose_channels(painted, settings)
-        self.names = tuple(painted.channels[channel] for channel in self.channels.taking_part)
+        self.names = tuple(painted.channels[channel] for channel in self.channels.sampled)
 
     def require_writable(self) -> None:
-        """Accept all: documents say themselves what they cannot hold."""
+        """Accept all: documents raise errors about what they cannot store."""
 
     def grains(self) -> Grains:
-        """Take a random number for each place, so that what a format splits stays together."""
+        """Assign one random number to each place, so that split vertices stay equal."""
         rows = self.coloured()
         painted, channels = self.painted, self.channels.changing
         colours = to_space(painted.colours[rows][:, channels], painted.encoding, self.settings.space)
         return Grains(colours, places_of(painted, rows))
 
     def coloured(self) -> NDArray[np.intp]:
-        """Return the vertices that have a place and a colour of their own."""
+        """Return the vertices that have a position and a colour."""
         return coloured_rows(self.painted)
 
     def shift(self, grains: Grains, after: NDArray[np.float32]) -> Repainted:
-        """Put other colours in the place of those in `grains`."""
+        """Replace the colours in `grains` by others."""
         painted, channels, rows = self.painted, self.channels.changing, self.coloured()
         back = from_space(after, painted.encoding, self.settings.space)
         colours = painted.colours.copy()
         changed = colours[rows]
-        # The way to the working space and back is not exact: what did not change keeps its bits.
+        # Conversion to the working space and back is not exact: unchanged colours keep their bits.
         changed[:, channels] = np.where(after != grains.colours, back, changed[:, channels])
         colours[rows] = changed
         return Repainted(Change.between(painted.colours, colours), colours)
 
     def _report(self, flow: BeltramiFlow[Any], result: FlowResult, counts: dict[str, float]) -> VertexReport:
-        """Put together what was done, with counts of the kind of samples."""
+        """Return the report, with counts of the kind of samples."""
         return VertexReport(
             counts={
                 "vertices": len(self.painted.positions),
@@ -152,7 +138,7 @@ class PaintedSamples(Samples):
 
 
 class VertexSamples(PaintedSamples):
-    """Vertices of a mesh; points without triangles are put on the surface that they lie on."""
+    """Vertices of a mesh; points without triangles are sampled on the surface that they lie on."""
 
     label = "vertex colours"
 
@@ -171,7 +157,7 @@ class VertexSamples(PaintedSamples):
     @cached_property
     def _sampled(self) -> tuple[SampledSurface, VertexSampling]:
         joined = self.joined
-        colours = joined.colours[:, self.channels.taking_part]
+        colours = joined.colours[:, self.channels.sampled]
         return sample_vertices(joined, to_space(colours, joined.encoding, self.settings.space))
 
     @property
@@ -185,20 +171,20 @@ class VertexSamples(PaintedSamples):
         return self._sampled[1]
 
     def flow(self) -> BeltramiFlow[MeshManifold]:
-        """Make the flow on these samples; it has its own order of the surface, of which only colours are kept here."""
+        """Make the flow on these samples; it reorders the surface, of which only colours are kept here."""
         geometry, own, (surface, sampling) = None, self.settings, self._sampled
         if own.embedding.smooth_geometry:
             geometry = GeometryParameters(sampling.place_of, own.embedding.normal_beta)
         guides = [Guide(guide.name, sampling.means(guide.values), guide.beta) for guide in self.guides]
         none = np.zeros((0, 3))
-        left = SampledSurface(none, none.astype(np.int32), none.astype(np.int32), surface.colours)
-        self._sampled = left, sampling
+        remaining = SampledSurface(none, none.astype(np.int32), none.astype(np.int32), surface.colours)
+        self._sampled = remaining, sampling
         metric = self.channels.metric
         manifold = MeshManifold(surface, own.kernel, guides=guides, metric_channels=metric, geometry=geometry)
         return BeltramiFlow(manifold, own.kernel)
 
     def report(self, flow: BeltramiFlow[MeshManifold], result: FlowResult) -> VertexReport:
-        """Put together what was done."""
+        """Return the report of a flow."""
         counts: dict[str, float] = {"triangles": len(self.painted.faces)}
         if self.is_cloud:
             counts = dataclasses.asdict(count_cloud(self.joined))
@@ -274,12 +260,12 @@ class VertexSamples(PaintedSamples):
         return VertexProbe(self.joined, self.sampling, document.name, colours, self.flow(), whole=whole)
 
     def repaint(self, new: NewColours) -> Repainted:
-        """Put the colours of samples back to all vertices that are one sample."""
+        """Write the colours of samples back to all vertices that are one sample."""
         painted, own, sampling = self.painted, self.channels, self.sampling
         after = new.table()[:, own.written]
         before = painted.colours[:, own.changing]
         back = from_space(after, painted.encoding, self.settings.space)
-        # The way there and back is not exact: what did not change keeps its bits, and what did stays in range.
+        # Conversion there and back is not exact: unchanged colours keep their bits, and changed ones stay in range.
         if len(before):
             back = np.clip(back, before.min(axis=0), before.max(axis=0))
         changed = np.any(after != self.surface.colours[:, own.written], axis=1)[sampling.sample_of]
@@ -288,7 +274,7 @@ class VertexSamples(PaintedSamples):
         return Repainted(Change.between(painted.colours, colours), colours, self._positions)
 
     def warnings(self, result: FlowResult) -> list[str]:
-        """Return what users should know of points far from all others, and of kernels cut short."""
+        """Return warnings about points far from all others, and kernels that were cut short."""
         found = []
         outliers = count_cloud(self.joined).outliers if self.is_cloud else 0
         if outliers:
@@ -296,9 +282,9 @@ class VertexSamples(PaintedSamples):
             where = "too far from others, in one line with them, or nowhere"
             found.append(f"{outliers} of {len(self.painted.positions)} points {alone} {where}")
         if result.truncated:
-            most = self.settings.kernel.max_samples
+            limit = self.settings.kernel.max_samples
             remedy = "lower t, or raise --max-samples"
-            found.append(f"{result.truncated} kernels were cut short at {most} samples; {remedy}")
+            found.append(f"{result.truncated} kernels were cut short at {limit} samples; {remedy}")
         return found
 
 
@@ -306,12 +292,12 @@ class LevelSetSamples(VertexSamples):
     """Vertices of a triangulated level set: those without a colour are in no triangle."""
 
     def coloured(self) -> NDArray[np.intp]:
-        """Return the vertices that have a place and a colour of their own."""
+        """Return the vertices that have a position and a colour."""
         return coloured_rows(self.painted, in_triangles=True)
 
 
 def coloured_rows(painted: PaintedVertices, *, in_triangles: bool = False) -> NDArray[np.intp]:
-    """Return the vertices whose place is finite, and perhaps only those in triangles."""
+    """Return the vertices with a finite position, or only those in triangles."""
     valid = np.asarray(np.isfinite(painted.positions).all(axis=1))
     if in_triangles:
         found = np.zeros(len(valid), bool)
@@ -321,7 +307,7 @@ def coloured_rows(painted: PaintedVertices, *, in_triangles: bool = False) -> ND
 
 
 def places_of(painted: PaintedVertices, rows: NDArray[np.intp]) -> NDArray[np.int32]:
-    """Give some vertices the number of the place that they stand at, shape (S,)."""
+    """Return the number of each vertex's place, shape (S,)."""
     columns = list(painted.positions[rows].T)
     if painted.space_of is not None:
         columns.append(painted.space_of[rows])
@@ -329,7 +315,7 @@ def places_of(painted: PaintedVertices, rows: NDArray[np.intp]) -> NDArray[np.in
 
 
 def require_surface(painted: PaintedVertices, name: str) -> None:
-    """Refuse a file whose vertices nothing joins."""
+    """Raise InputError if no triangles join the vertices of a file."""
     if not len(painted.faces):
         raise InputError(
             name,
@@ -340,18 +326,16 @@ def require_surface(painted: PaintedVertices, name: str) -> None:
 
 @dataclass(frozen=True)
 class CloudCounts:
-    """Triangles around points, each in the tangent plane, and points in none of them, which keep their colours."""
+    """Triangles around points, each in the tangent plane, and points without any, which keep their colours."""
 
     triangles: int
     outliers: int
 
 
 def with_surface(painted: PaintedVertices, settings: SmoothSettings) -> PaintedVertices:
-    """Return painted vertices with triangles: their own, or else those of the surface that the points lie on.
-
-    Points that are too far from all others, or in one line with them, are in no triangle; nor are those whose
-    position is not finite, which then is the middle of the others.
-    """
+    """Return painted vertices with their own triangles, or else those of the surface that the points lie on."""
+    # Points too far from all others, or in one line with them, are in no triangle; nor are those without a finite
+    # position, which then is the centre of the others.
     if len(painted.faces):
         return painted
     if settings.embedding.smooth_geometry:

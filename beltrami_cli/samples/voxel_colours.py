@@ -29,75 +29,32 @@ if TYPE_CHECKING:
     from beltrami_cli.surface.records import Encoding
     from beltrami_cli.surface.volume import Lattice, Volume
 
-# Other types have no full scale of their own: what their numbers mean is told from how large they are.
+# Other types have no full scale of their own: it is derived from their largest value.
 _FULL_SCALE = {"uint8": 255.0, "uint16": 65535.0}
 
 
 @dataclass(frozen=True)
 class Paint:
-    """Colours at the vertices of a level set.
+    """Colours at the V vertices of a level set."""
 
-    Attributes
-    ----------
-    colours : ndarray of float32, shape (V, C)
-        Full scale 1, C is 1 or 3; white where there is none.
-    alpha : ndarray of float32, shape (V,), or None
-        Opacity, where the source has it.
-    found : ndarray of bool, shape (V,)
-        Where there is a colour.
-    encoding : {"srgb", "linear"}
-        What the numbers mean.
-    stored : str
-        Type of the source.
-    notices : list of str
-        What the user should know.
-    """
-
-    colours: NDArray[np.float32]
-    alpha: NDArray[np.float32] | None
-    found: NDArray[np.bool_]
+    colours: NDArray[np.float32]  # full scale 1, one or three channels; white where there is none
+    alpha: NDArray[np.float32] | None  # opacity, shape (V,), where the source has it
+    found: NDArray[np.bool_]  # where there is a colour, shape (V,)
     encoding: Encoding
-    stored: str
+    stored: str  # type of the source
     notices: list[str] = field(default_factory=list)
 
     def vertices(self, positions: NDArray[np.float64], faces: NDArray[np.int32]) -> PaintedVertices:
-        """Return what is smoothed: triangles with a vertex that has no colour are no way for the others'."""
+        """Return the vertices to smooth; triangles with a vertex without a colour are left out."""
         names = ("red", "green", "blue") if self.colours.shape[1] == 3 else ("grey",)
         whole = np.ascontiguousarray(faces[self.found[faces].all(axis=1)])
         return PaintedVertices(positions, whole, self.colours, names, self.encoding, self.stored)
 
 
 def find_colours(
-    volume: Volume, path: str | None, name: str, access: Access, most: int
+    volume: Volume, path: str | None, name: str, access: Access, max_size: int
 ) -> tuple[GridColours | NearColours, str]:
-    """Find the colours of a level set.
-
-    Parameters
-    ----------
-    volume : Volume
-        The level set.
-    path : str or None
-        A file of colours: a volume, an archive of arrays, or any mesh or cloud with vertex colours. None: they are in
-        the volume's own file.
-    name : str
-        The volume as the user named it.
-    access : Access
-        What may be read.
-    most : int
-        Voxels, or points, that the file may have.
-
-    Returns
-    -------
-    colours : GridColours or NearColours
-        Where they are, and their numbers.
-    where : str
-        The file that they come from.
-
-    Raises
-    ------
-    InputError
-        If there are none, or they are damaged.
-    """
+    """Return the colours of a level set, from its file or the file at `path`, and the name of that file."""
     if path is None:
         if volume.colours is None:
             raise InputError(name, "the volume has no colours", "give a file that has them with --colours")
@@ -105,7 +62,7 @@ def find_colours(
     if path == "-":
         raise InputError(path, "colours are not read from a pipe", "name a file")
     data, folder = read_source(path, access), Path(path).parent
-    colours = read_colours(data, path, folder, most)
+    colours = read_colours(data, path, folder, max_size)
     if colours is None:
         painted = open_bytes(data, path, folder, access).painted()
         colours = NearColours(painted.positions, painted.colours, painted.encoding, painted.stored)
@@ -120,32 +77,7 @@ def paint(
     positions: NDArray[np.float64],
     threads: int,
 ) -> Paint:
-    """Find the colours of the vertices.
-
-    Parameters
-    ----------
-    source : GridColours or NearColours
-        Of `find_colours`.
-    where : str
-        The file that they come from, for messages.
-    lattice : Lattice
-        Of the level set.
-    known : ndarray of bool, shape (X, Y, Z)
-        Where its values are known: other voxels of its grid lend no colours.
-    positions : ndarray of float64, shape (V, 3)
-        Of the vertices, in space.
-    threads : int
-        To look for near colours with.
-
-    Returns
-    -------
-    Paint
-
-    Raises
-    ------
-    InputError
-        If no vertex gets a colour, or their full scale cannot be told.
-    """
+    """Return the colours of the vertices, shape (V, 3); voxels that are not `known` supply none."""
     if isinstance(source, GridColours):
         same = source.samples.shape[:3] == known.shape and _equal(source.lattice, lattice)
         stored = interpolate_colours(source, positions, known if same else None)
@@ -165,7 +97,7 @@ def _equal(one: Lattice, other: Lattice) -> bool:
 def _scaled(
     source: GridColours | NearColours, stored: NDArray[np.float64], found: NDArray[np.bool_], name: str
 ) -> Paint:
-    """Bring numbers as stored to the full scale 1, and part opacity from colours."""
+    """Scale stored numbers to full scale 1, and separate opacity from colours."""
     width = 3 if stored.shape[1] >= 3 else 1
     kind = source.samples.dtype.name
     notices: list[str] = []
@@ -181,11 +113,11 @@ def _scaled(
             f"{bare} of {len(found)} vertices have no colour nearby; they are white and lend none."
         )
     encoding = source.encoding if isinstance(source, NearColours) else "srgb"
-    told = source.stored if isinstance(source, NearColours) and source.stored else kind
-    return Paint(colours, alpha, found, encoding, told, notices)
+    stored_as = source.stored if isinstance(source, NearColours) and source.stored else kind
+    return Paint(colours, alpha, found, encoding, stored_as, notices)
 
 
 def _opacity(stored: NDArray[Any], found: NDArray[np.bool_], scale: float) -> NDArray[np.float32]:
-    """Return opacity of full scale 1; that of vertices without a colour is 1, since they are part of the surface."""
+    """Return opacity of full scale 1; it is 1 at vertices without a colour, which belong to the surface."""
     scale = scale if stored[found].max() > 1 else 1.0
     return np.where(found, np.clip(stored / scale, 0, 1), 1.0).astype(np.float32)

@@ -1,4 +1,4 @@
-"""A level set with colours as a document: triangulated first, then smoothed and written as any mesh is."""
+"""A level set with colours as a document: triangulated first, then smoothed and written like any mesh."""
 
 from __future__ import annotations
 
@@ -26,38 +26,14 @@ if TYPE_CHECKING:
     from beltrami_cli.surface.records import ImageFile, MovedVertices, PaintedVertices, Slot
     from beltrami_cli.surface.volume import Volume
 
-# More grid edges than these are cut by noise, or at a wrong level; and marching cubes counts in 32 bits.
-MOST_CROSSINGS = 1 << 26
+# More crossed grid edges are due to noise or a wrong level; and marching cubes counts in 32 bits.
+MAX_CROSSINGS = 1 << 26
 _BYTES_OF_VOXEL = 16  # its value in double precision, its colour, and what marching cubes takes
 _LARGEST_PLANE = 1 << 29  # samples in a layer, four to each counted in 32 bits
 
 
 class LevelSetDocument(Document):
-    """The triangulated surface of a volume, with its colours.
-
-    Vertices that no colour is known for are white, lend none and stay as they are.
-
-    Parameters
-    ----------
-    data : bytes
-        The file, whose kind in the registry is "volume".
-    name : str
-        The file as the user named it.
-    folder : pathlib.Path or None
-        Where it lies; None if it is piped in.
-    settings : LevelSetSettings
-        The level, which side of it is inside, and where the colours are.
-    access : Access
-        What may be read.
-    threads : int
-        To look for near colours with.
-
-    Raises
-    ------
-    InputError
-        If the file is damaged, too large, there is no surface at the level or no colour on it, or a package is
-        missing.
-    """
+    """The triangulated surface of a volume; vertices without a known colour are white and stay as they are."""
 
     format: ClassVar[str] = "level set"
 
@@ -72,8 +48,8 @@ class LevelSetDocument(Document):
     ) -> None:
         super().__init__(name)
         require_package("skimage.measure", "scikit-image", name, "to triangulate level sets")
-        most = _allowed(settings, access)
-        volume = read_volume(data, name, folder, most)
+        max_voxels = _allowed(settings, access)
+        volume = read_volume(data, name, folder, max_voxels)
         level = settings.level if settings.level is not None else volume.level or 0.0
         known = np.isfinite(volume.values)
         if volume.known is not None:
@@ -81,7 +57,7 @@ class LevelSetDocument(Document):
         self._facts = _facts_of(volume, known, level)
         vertices, faces = _triangulated(volume, known, level, settings.inside, name)
         positions = places(volume.lattice, vertices)
-        source, where = find_colours(volume, settings.colours, name, access, most)
+        source, where = find_colours(volume, settings.colours, name, access, max_voxels)
         painted = paint(source, where, volume.lattice, known, positions, threads)
         self.notices += painted.notices
         self._painted = painted.vertices(positions, faces)
@@ -104,11 +80,11 @@ class LevelSetDocument(Document):
         return self._contents
 
     def facts(self) -> dict[str, object]:
-        """Return what the grid is like."""
+        """Return facts about the grid."""
         return self._facts
 
     def references(self) -> Sequence[str]:
-        """Return nothing: the output is a mesh that stands alone."""
+        """Return nothing: the output is a mesh without other files."""
         return []
 
     def patch(
@@ -120,14 +96,14 @@ class LevelSetDocument(Document):
         images: Mapping[tuple[Slot, str], ImageFile] = NO_IMAGES,
         places: MovedVertices | None = None,
     ) -> Written:
-        """Raise: a volume is no output."""
+        """Raise InputError: volumes are not written."""
         raise InputError(
             self.name, "a level set is not written", "name an output in .ply, .obj, .glb or .gltf"
         )
 
 
 def _allowed(settings: LevelSetSettings, access: Access) -> int:
-    """Return how many voxels a grid may have."""
+    """Return the largest number of voxels of a grid."""
     if access.memory is None:
         return settings.max_voxels
     return min(settings.max_voxels, access.memory // _BYTES_OF_VOXEL)
@@ -143,7 +119,7 @@ def _triangulated(
     if values.shape[1] * values.shape[2] >= _LARGEST_PLANE:
         raise InputError(name, f"the grid of {values.shape} is too large in y and z", "cut it in pieces")
     crossings = find_crossings(values, level, known)
-    if crossings.count > MOST_CROSSINGS:
+    if crossings.count > MAX_CROSSINGS:
         cause = f"the surface at level {level:g} cuts {crossings.count} edges of the grid, as noise does"
         raise InputError(name, cause, "choose another --level, or smooth the values first")
     vertices, faces = np.empty((0, 3)), np.empty((0, 3), np.int32)
@@ -170,7 +146,7 @@ def _facts_of(volume: Volume, known: NDArray[np.bool_], level: float) -> dict[st
 
 
 def _range(values: NDArray[Any], known: NDArray[np.bool_]) -> tuple[float, float]:
-    """Return the least and the greatest known value; NaN if there is none."""
+    """Return the smallest and the largest known value; NaN if there is none."""
     first = int(np.argmax(known))
     if not known.flat[first]:
         return np.nan, np.nan

@@ -140,10 +140,10 @@ def _scaled(colours: NDArray[Any], share: NDArray[np.float32]) -> NDArray[Any]:
 
 
 def within(covered: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
-    """Tell which texels of a texture, or cells of a canvas, lie at most `reach` rows and columns from a covered one."""
+    """Return which cells are at most `reach` rows and columns from a covered one."""
     near, known = covered, 0
     while known < reach:
-        # What is within so many, together with itself moved to all sides as far as no gap is left in between.
+        # Dilate by shifted copies: the step is the largest that leaves no gap between them.
         step = min(2 * known + 1, reach - known)
         for axis in (0, 1):
             ahead, behind = [slice(None), slice(None)], [slice(None), slice(None)]

@@ -131,10 +131,10 @@ class SampledSurface:
     faces: NDArray[np.int32]  # (F, 3): triangles of the surface in space
     # Shape (W, 3): triangles that stand upright on hard colour edges: they have no area in space, and join
     # the samples on both sides through the colour jump.
-    walls: NDArray[np.int32]
+    bridges: NDArray[np.int32]
     colours: NDArray[np.float32]  # (S, N): colours in the working space, finite
 
     @property
     def all_faces(self) -> NDArray[np.int32]:
-        """Triangles of the surface and of its walls, shape (F + W, 3)."""
-        return np.concatenate([self.faces, self.walls]) if len(self.walls) else self.faces
+        """Triangles of the surface and of its bridges, shape (F + W, 3)."""
+        return np.concatenate([self.faces, self.bridges]) if len(self.bridges) else self.faces

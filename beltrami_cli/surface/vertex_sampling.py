@@ -1,11 +1,11 @@
 """Vertex colours as samples: what a format splits is joined, hard colour edges are bridged.
 
 Vertices that a format splits (for normals, texture coordinates, primitives) but that stand at exactly one place with
-one colour become one sample. Where coincident vertices differ in colour, each colour is a sample of its own, and walls
-join them: on the image manifold (X, beta I) a colour jump along an edge is an upright wall between the edge's two
-copies, with no extent in X and the jump in I. Both of its diagonals are laid, so that the result does not depend on the
-order of vertices. More than two copies of one edge (non-manifold edges) are joined in a chain, by the order of their
-colours.
+one colour become one sample. Where coincident vertices differ in colour, each colour is a sample of its own, and
+bridges join them: on the image manifold (X, beta I) a colour jump along an edge is an upright wall between the edge's
+two copies, with no extent in X and the jump in I. Both of its diagonals are laid, so that the result does not depend on
+the order of vertices. More than two copies of one edge (non-manifold edges) are joined in a chain, by the order of
+their colours.
 """
 
 from __future__ import annotations
@@ -52,19 +52,19 @@ def sample_vertices(
     place_of, first_of_place = group_places(painted.positions, painted.space_of)
     if len(first_of_place) == len(place_of):  # nothing is split: the vertices are the samples
         every = np.arange(len(place_of), dtype=np.int32)
-        no_walls = np.empty((0, 3), np.int32)
-        surface = SampledSurface(painted.positions, painted.faces, no_walls, np.ascontiguousarray(colours))
+        no_bridges = np.empty((0, 3), np.int32)
+        surface = SampledSurface(painted.positions, painted.faces, no_bridges, np.ascontiguousarray(colours))
         return surface, VertexSampling(every, every, every, len(every))
     sample_of, first_vertex = group_equal_rows(place_of, *painted.colours.T)
     faces = sample_of[painted.faces]
     sample_colours = np.ascontiguousarray(colours[first_vertex])
-    walls = build_walls(faces, place_of[first_vertex], sample_colours)
+    bridges = build_bridges(faces, place_of[first_vertex], sample_colours)
     positions = np.ascontiguousarray(painted.positions[first_vertex])
-    surface = SampledSurface(positions, faces, walls, sample_colours)
+    surface = SampledSurface(positions, faces, bridges, sample_colours)
     return surface, VertexSampling(sample_of, first_vertex, place_of[first_vertex], len(first_of_place))
 
 
-def build_walls(
+def build_bridges(
     faces: NDArray[np.int32], place_of: NDArray[np.int32], colours: NDArray[np.float32]
 ) -> NDArray[np.int32]:
     """Join the two sides of hard colour edges between samples by triangles, shape (W, 3)."""
@@ -102,5 +102,5 @@ def _wall_triangles(one: NDArray[np.int32], other: NDArray[np.int32]) -> NDArray
     )
     # Where the copies share an end, two of the four repeat a corner; the others are equal and count once.
     distinct = (triangles[:, 0] != triangles[:, 2]) & (triangles[:, 1] != triangles[:, 2])
-    walls: NDArray[np.int32] = triangles[distinct].astype(np.int32)
-    return walls
+    bridges: NDArray[np.int32] = triangles[distinct].astype(np.int32)
+    return bridges

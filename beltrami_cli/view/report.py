@@ -18,7 +18,7 @@ from beltrami_cli.jobs.compare.figures import figures
 from beltrami_cli.jobs.compare.parts import compare_images, compare_textures, compare_vertices
 from beltrami_cli.jobs.documents import document_from
 from beltrami_cli.jobs.writing.output import Output
-from beltrami_cli.samples.memory_check import require_room_for_textures
+from beltrami_cli.samples.memory_check import require_memory_for_textures
 from beltrami_cli.samples.selection import select
 from beltrami_cli.samples.settings import DEFAULTS, SmoothSettings
 from beltrami_cli.view.charts import histogram, seam_map, swipe
@@ -99,7 +99,7 @@ def _of_models(documents: tuple[Document, Document], settings: SmoothSettings, a
     one, other = documents
     selection = select(one, settings)
     for document in (one, other):
-        require_room_for_textures(document, selection.slots, settings.textures, access)
+        require_memory_for_textures(document, selection.slots, settings.textures, access)
     found = _Found()
     shown: Slot | None = None if selection.vertices and settings.on != "both" else selection.slots[0]
     if selection.vertices:

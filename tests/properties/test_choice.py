@@ -280,7 +280,7 @@ def test_samples_hold_their_share_of_rare_detail():
             np.float32
         )
         chosen = mesh_trial.choose_patches(colours, mesh_trial.fingerprints(colours, edges), edges)
-        assert 0.4 * rare.mean() < rare[chosen.samples[chosen.counting]].mean() < 1.8 * rare.mean()
+        assert 0.4 * rare.mean() < rare[chosen.samples[chosen.scored]].mean() < 1.8 * rare.mean()
 
 
 @pytest.mark.slow

@@ -15,7 +15,7 @@ from beltrami_cli.flow.geometry import GeometryParameters
 from beltrami_cli.flow.grid_manifold import GridManifold
 from beltrami_cli.flow.mesh_partitions import Neighbours
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.flow.partitions import InTurn, collect, plan_loans
+from beltrami_cli.flow.partitions import InTurn, collect, plan_transfers
 from beltrami_cli.samples.image_surface import ImageSurface, grid_flow
 from properties.split_surfaces import (
     FIXED,
@@ -164,12 +164,12 @@ class Share:
         self.owned, self.borrowed = np.array(owned, np.int64), np.array(borrowed, np.int64)
 
 
-def test_every_partition_is_lent_what_it_needs():
+def test_every_partition_receives_what_it_needs():
     shares = [Share([0, 3, 4], [1, 2, 7]), Share([1, 2], []), Share([5, 6, 7], [0, 2, 4])]
     values = np.random.default_rng(0).random((8, 2)).astype(np.float32)
-    for share, loans in zip(shares, plan_loans(shares, 8), strict=True):
-        lent = [values[shares[loan.lender].owned][loan.rows] for loan in loans]
-        assert np.array_equal(collect(loans, lent, 2), values[share.borrowed])
+    for share, transfers in zip(shares, plan_transfers(shares, 8), strict=True):
+        received = [values[shares[transfer.source].owned][transfer.rows] for transfer in transfers]
+        assert np.array_equal(collect(transfers, received, 2), values[share.borrowed])
 
 
 def test_rings_are_numbers_of_edges():

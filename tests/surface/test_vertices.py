@@ -109,9 +109,9 @@ def test_three_copies_of_an_edge_form_one_chain_and_walls_have_no_area():
     colours = np.array([[0.9]] * 2 + [[0.1]] * 2 + [[0.5]] * 2 + [[0.5]] * 3)
     record = painted(positions, faces, colours)
     surface, _ = sample_vertices(record, record.colours)
-    assert len(surface.walls) == 8
+    assert len(surface.bridges) == 8
     joined = {
-        frozenset(pair) for wall in surface.colours[surface.walls][:, :, 0].tolist() for pair in [set(wall)]
+        frozenset(pair) for wall in surface.colours[surface.bridges][:, :, 0].tolist() for pair in [set(wall)]
     }
     assert {tuple(round(v, 1) for v in sorted(pair)) for pair in joined} == {(0.1, 0.5), (0.5, 0.9)}
 
@@ -121,4 +121,4 @@ def test_copies_that_share_one_end_are_joined_by_a_single_triangle():
     faces = [[0, 1, 2], [0, 3, 4]]
     record = painted(positions, faces, np.array([[0.5], [0.2], [0.2], [0.7], [0.7]]))
     surface, _ = sample_vertices(record, record.colours)
-    assert len({frozenset(wall) for wall in surface.walls.tolist()}) == 1
+    assert len({frozenset(wall) for wall in surface.bridges.tolist()}) == 1

@@ -1,8 +1,21 @@
-"""The noise of colours on a grid: independent noise, and noise that neighbours and channels share.
+"""The noise of colours on a grid: independent noise, and noise that neighbouring cells share, as after JPEG or scaling.
 
-JPEG converts colours to their mean and differences of channels, and stores these in coarser steps, often for 2 x 2
-pixels together. The finer the detail of noise, the more of it is lost in the steps. So the noise that is left is found
-from the differences of channels at lower and lower resolution, where it is what it was.
+Independent noise is estimated from the diagonal Haar coefficients (a - b - c + d) / 2 of all 2 x 2 squares, which keep
+the noise and lose constants and slopes [1]_, in the tiles of 8 x 8 squares in which means of squares are even. On more
+than 200,000 filled cells, evenly spread bands of rows are used.
+
+JPEG transforms colours into their mean and differences of channels, and stores these in coarser steps, often for 2 x 2
+pixels together. Noise vanishes in the steps, the more the finer its detail is. So the remaining noise is estimated from
+the differences of channels at lower and lower resolution, where it is unchanged.
+
+Low quantiles of even tiles underestimate noise where details are few and large; means of these tiles overestimate it
+where there is texture. So the means are used within bounds for noise: its level in the coarsest scale of differences,
+which lost least and holds the least texture, and not much more in the mean of channels.
+
+References
+----------
+.. [1] D. Donoho, I. Johnstone, "Ideal spatial adaptation by wavelet shrinkage", Biometrika 81 (1994),
+   doi:10.1093/biomet/81.3.425
 """
 
 from __future__ import annotations
@@ -11,20 +24,20 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli.flow.noise.flat_patch_noise import Groups, Kind, weakest_levels
-from beltrami_cli.flow.noise.haar_noise import sigma_of_octaves
+from beltrami_cli.flow.noise.flat_patch_noise import Patches, WhiteNoise, flat_patch_sigma
+from beltrami_cli.flow.noise.haar_noise import sigma_of_covariances
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# So many squares make three thousand tiles, the tenth least of which is steady.
+# These squares make three thousand tiles, of which the lowest tenth is a stable estimate.
 _ENOUGH_SQUARES = 200_000
 
 # Share of its squares that a tile must hold, or as many as the fullest tile.
 _FULL_TILE = 0.5
 
 # Coefficients of overlapping squares are correlated, by -1/2 beside and 1/4 across: the sum of the squared correlations
-# is how many of them count as one degree of freedom. The means of the squares are as uneven as that on white noise.
+# is the number of coefficients per degree of freedom. Then the unevenness of the means of the squares on white noise.
 _HAAR_OVERLAP = 2.25
 _UNEVEN_TILES, _SPREAD_OF_TILES = 0.237, 0.253
 
@@ -34,29 +47,7 @@ _TILES_SHARE, _TILES_LEAST = 0.1, 20
 
 
 def estimate_sigma_on_grid(planes: NDArray[np.float32], filled: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Estimate the standard deviation of independent noise on a grid, per channel.
-
-    The diagonal Haar coefficients (a - b - c + d) / 2 of all 2 x 2 squares keep the noise and lose constants and
-    slopes [1]_; `weakest_levels` takes them from the tiles of 8 x 8 squares where means of squares are even. Of more
-    than 200,000 filled cells, bands of rows are looked at.
-
-    Parameters
-    ----------
-    planes : ndarray of float32, shape (N, R, C)
-        Colours.
-    filled : ndarray of bool, shape (R, C)
-        Which cells to look at.
-
-    Returns
-    -------
-    ndarray of float64, shape (N,)
-        In units of `planes`; 0 where no square is filled.
-
-    References
-    ----------
-    .. [1] D. Donoho, I. Johnstone, "Ideal spatial adaptation by wavelet shrinkage", Biometrika 81 (1994),
-       doi:10.1093/biomet/81.3.425
-    """
+    """Estimate sigma of independent noise of the filled cells, per channel; 0 where no square is filled."""
     from beltrami_cli._native import HAAR_TILE_SIDE, measure_haar_tiles
 
     step = max(1, int(np.count_nonzero(filled)) // _ENOUGH_SQUARES)
@@ -66,56 +57,56 @@ def estimate_sigma_on_grid(planes: NDArray[np.float32], filled: NDArray[np.bool_
     if not enough.any():
         return np.zeros(len(planes))
     freedom = float(count[enough].mean()) / _HAAR_OVERLAP
-    kind = Kind(freedom, _UNEVEN_TILES, _SPREAD_OF_TILES, _TILES_SHARE, _TILES_LEAST)
-    return weakest_levels(Groups(*measures[:, :, enough]), kind)
+    white = WhiteNoise(freedom, _UNEVEN_TILES, _SPREAD_OF_TILES, _TILES_SHARE, _TILES_LEAST)
+    return flat_patch_sigma(Patches(*measures[:, :, enough]), white)
 
 
-# The mean of three channels and two differences, of unit length and square to each other.
+# The mean of three channels and two differences, orthonormal.
 _OPPONENTS = np.array([[1, 1, 1], [1, 0, -1], [1, -2, 1]]) / np.sqrt([[3], [2], [6]])
 
-# What brings them into [0, 1], so that limits of the channels are not taken for theirs.
+# Factor and offset that bring them into [0, 1], so that the limits of the channels are not taken for theirs.
 _SCALE, _MIDDLE = 1 / np.sqrt(3), np.array([0, 0.5, 0.5])
 
-# Octaves that are told apart; in the last, and what is coarser, noise is what it was.
-_OCTAVES = 4
+# Scales that are estimated; in the last, and in coarser ones, noise is unchanged.
+_SCALES = 4
 
-# How much larger noise of differences may come out at half the resolution: on painted, baked and photographed textures
-# at most 1.6 times for independent noise of 2 to 40 of 255; more than twice for what JPEG leaves. Less there may be
-# texture, and more than in the mean of channels, whose steps are finer.
-_MOST, _LEAST = 1.7, 1.25 / 255
+# Bound on the growth of noise of differences at half the resolution: on painted, baked and photographed textures at
+# most 1.6 times for independent noise of 2 to 40 of 255; more than twice after JPEG. Below the least sigma it may be
+# texture, and above that in the mean of channels, whose steps are finer.
+_MOST_AT_HALF, _LEAST_SIGMA = 1.7, 1.25 / 255
 
-# Noise of differences at a quarter of the resolution is what that of the mean is at half; what is more is texture. Of
+# Noise of differences at a quarter of the resolution equals that of the mean at half; the excess is texture. In
 # pictures that were enlarged, noise grows in both, but less and less; texture does not.
 _TEXTURE, _SCALED = 1.5, 2.0
 
-# The same as `_MOST` at a quarter, for pictures whose colour is stored for 2 x 2 pixels: these have less than half of
-# the noise of the mean there, and textures have more.
-_MOST_QUARTER, _COLOURLESS = 3.0, 2.0
+# The same as `_MOST_AT_HALF` at a quarter, for pictures whose colour is stored for 2 x 2 pixels: these have less than
+# half of the noise of the mean there, and textures have more.
+_MOST_AT_QUARTER, _COLOURLESS = 3.0, 2.0
 
-# How much more noise the mean and the differences may have than the channels, whose noise is theirs if it is
-# independent: on the same textures at most 1.2 times.
+# Factor by which noise of mean and differences may exceed that of the channels, which it equals if it is independent:
+# on the same textures at most 1.2.
 _MISSING = 1.25
 
-# In differences, noise is believed to be so many times larger from one octave to the next; more is texture.
-_TRUSTED = 3.0
+# Bound on the growth of noise of differences from one scale to the next; more is texture.
+_MOST_PER_SCALE = 3.0
 
-# Steps keep some noise as a few large details, that a low quantile does not see: half of the next octave at least.
-_KEPT = 0.5
+# Steps keep some noise as a few large details, which a low quantile does not see: at least half of the next scale.
+_LEAST_OF_NEXT = 0.5
 
-# The mean is stored in the finest steps; these add to its noise up to so many times what was there before.
+# The mean is stored in the finest steps, which add to its noise up to this factor.
 _ADDED = 1.25
 
-# Share of the cells that tell enough alone, away from 0 and full scale.
+# Share of the cells away from 0 and full scale that suffices for an estimate.
 _ENOUGH_INSIDE = 0.2
 
-# Rows of a band, a multiple of the cells that the coarsest details span; and cells that are looked at in all.
+# Rows of a band, a multiple of the cells that the coarsest details span; and cells in all bands.
 _BAND, MOST_CELLS = 128, 200_000
 
-# Of fewer cells, and of fewer a side, coarse octaves tell nothing: texture may look like noise.
-_ENOUGH, _SMALLEST = 40_000, 64
+# With fewer cells, in all or per side, coarse scales are no estimate: texture may look like noise.
+_MIN_CELLS, _MIN_SIDE = 40_000, 64
 
-# Squares a side of a tile; of the tiles this share, but no fewer than so many, are taken to hold nothing but noise.
-_TILE, _SHARE, _FEWEST = 4, 0.1, 20
+# Squares per side of a tile; share and least number of the tiles that are taken for pure noise.
+_TILE, _TILE_SHARE, _MIN_TILES = 4, 0.1, 20
 
 # A tile with less variance in any of them was plain, or has lost all its noise.
 _PLAIN = 1e-9
@@ -124,121 +115,89 @@ _PLAIN = 1e-9
 def estimate_noise_on_grid(
     planes: NDArray[np.float32], filled: NDArray[np.bool_]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
-    """Estimate the standard deviation of noise on a grid, per channel, whether it is independent or not.
-
-    Parameters
-    ----------
-    planes : ndarray of float32, shape (N, R, C)
-        Colours.
-    filled : ndarray of bool, shape (R, C)
-        Which cells to look at.
-
-    Returns
-    -------
-    sigma : ndarray of float64, shape (N,)
-        In units of `planes`; 0 where nothing tells.
-    octaves : ndarray of float64, shape (L, N, N), or None
-        As of `noise_in_common`.
-    """
+    """Estimate sigma of noise, shape (N,), and its covariances if neighbouring cells share it, else None."""
     sigma = estimate_sigma_on_grid(planes, filled)
-    octaves = noise_in_common(planes, filled, sigma)
-    return (sigma if octaves is None else sigma_of_octaves(octaves)), octaves
+    covariances = correlated_covariances(planes, filled, sigma)
+    return (sigma if covariances is None else sigma_of_covariances(covariances)), covariances
 
 
-def noise_in_common(
+def correlated_covariances(
     planes: NDArray[np.float32], filled: NDArray[np.bool_], sigma: NDArray[np.float64]
 ) -> NDArray[np.float64] | None:
-    """Tell the noise that neighbouring cells of a grid have in common.
-
-    Parameters
-    ----------
-    planes : ndarray of float32, shape (N, R, C)
-        Colours, the first three channels of which are colours in [0, 1].
-    filled : ndarray of bool, shape (R, C)
-        Which cells to look at.
-    sigma : ndarray of float64, shape (N,)
-        Noise of the channels, as `estimate_sigma_on_grid` tells it.
-
-    Returns
-    -------
-    ndarray of float64, shape (L, N, N), or None
-        Covariances, octave by octave, see `octaves.draw_octaves`; None if the noise is independent, or where fewer than
-        three channels or few cells tell nothing of that.
-    """
-    if len(planes) < len(_OPPONENTS) or np.count_nonzero(filled) < _ENOUGH or min(filled.shape) < _SMALLEST:
+    """Return the covariances, shape (L, N, N), of noise shared by neighbours; None if it is independent."""
+    if (
+        len(planes) < len(_OPPONENTS)
+        or np.count_nonzero(filled) < _MIN_CELLS
+        or min(filled.shape) < _MIN_SIDE
+    ):
         return None
     rows = _some_rows(*filled.shape)
     colours, filled = planes[: len(_OPPONENTS), rows], filled[rows]
-    # Where noise was cut off there is less of it, in differences and in means of some cells each in its own way.
+    # Clipped noise is reduced in differences and in means of cells by different factors.
     inside = filled & ((colours > 0) & (colours < 1)).all(axis=0)
     if np.count_nonzero(inside) > _ENOUGH_INSIDE * np.count_nonzero(filled):
         filled = inside
-    # By BLAS it would start threads, which spin for as long as an iteration takes.
+    # Not by BLAS: its threads would spin for as long as an iteration takes.
     opponents = np.einsum("ij,jrc->irc", (_SCALE * _OPPONENTS).astype(np.float32), colours)
     opponents += _MIDDLE.astype(np.float32)[:, None, None]
-    octaves = [(opponents, filled)]
-    while len(octaves) < _OCTAVES:
-        octaves.append(_halved(*octaves[-1]))
-    least = (
-        np.array([2**level * estimate_sigma_on_grid(*octave) for level, octave in enumerate(octaves)])
-        / _SCALE
-    )
-    if not _is_in_common(least, sigma[: len(_OPPONENTS)]):
+    scales = [(opponents, filled)]
+    while len(scales) < _SCALES:
+        scales.append(_halved(*scales[-1]))
+    sigmas = [2**level * estimate_sigma_on_grid(*scale) for level, scale in enumerate(scales)]
+    by_quantile = np.array(sigmas) / _SCALE
+    if not _is_correlated(by_quantile, sigma[: len(_OPPONENTS)]):
         return None
-    mean = np.array([2**level * _mean_sigma(*octave) for level, octave in enumerate(octaves[:-1])]) / _SCALE
-    return _covariances(*_levels(least, mean), sigma)
+    sigmas = [2**level * _mean_sigma(*scale) for level, scale in enumerate(scales[:-1])]
+    return _covariances(*_levels(by_quantile, np.array(sigmas) / _SCALE), sigma)
 
 
-def _is_in_common(least: NDArray[np.float64], sigma: NDArray[np.float64]) -> bool:
-    """Tell so from the finest octaves of the mean and the differences, and from the channels."""
-    fine, half, quarter = least[:3, 1:]
-    brightness = least[1, 0]
+def _is_correlated(by_quantile: NDArray[np.float64], sigma: NDArray[np.float64]) -> bool:
+    """Decide from the finest scales of the mean and the differences, and from the channels."""
+    fine, half, quarter = by_quantile[:3, 1:]
+    brightness = by_quantile[1, 0]
     middle, coarse = _root_mean_square(half), _root_mean_square(quarter)
-    grows = np.all(half > _MOST * fine) and middle > _LEAST
+    grows = np.all(half > _MOST_AT_HALF * fine) and middle > _LEAST_SIGMA
     grows &= coarse < _SCALED * middle or (middle < brightness and coarse < _TEXTURE * brightness)
-    colourless = np.all(quarter > _MOST_QUARTER * fine) and _LEAST < coarse < brightness / _COLOURLESS
-    missing = _root_mean_square(least[0]) > _MISSING * max(_root_mean_square(sigma), _LEAST)
+    colourless = (
+        np.all(quarter > _MOST_AT_QUARTER * fine) and _LEAST_SIGMA < coarse < brightness / _COLOURLESS
+    )
+    missing = _root_mean_square(by_quantile[0]) > _MISSING * max(_root_mean_square(sigma), _LEAST_SIGMA)
     return bool(grows or colourless or missing)
 
 
 def _levels(
-    least: NDArray[np.float64], mean: NDArray[np.float64]
+    by_quantile: NDArray[np.float64], by_mean: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Put together what is told of the noise, octave by octave: of the mean of channels, and of their differences.
-
-    Low quantiles of even tiles tell too little where details are few and large; means of these tell too much where
-    there is texture. So the means are believed as far as noise can go: what it is in the coarsest octave of
-    differences, which lost least and holds the least texture, and in the mean of channels not much more.
-    """
-    brightness, difference = least[:, 0], np.sqrt(np.mean(np.square(least[:, 1:]), axis=1))
-    own = np.sqrt(np.mean(np.square(mean[:, 1:]), axis=1))
+    """Combine the estimates, scale by scale: noise of the mean of channels, and of their differences."""
+    brightness, difference = by_quantile[:, 0], np.sqrt(np.mean(np.square(by_quantile[:, 1:]), axis=1))
+    difference_by_mean = np.sqrt(np.mean(np.square(by_mean[:, 1:]), axis=1))
     before, last = difference[-2:]
-    most = min(max(before, min(last, _TRUSTED * before)), _ADDED * max(brightness[1], before))
-    differences = np.append(np.minimum(np.maximum(difference[:-1], own), most), most)
-    finest = min(max(brightness[0], mean[0, 0]), _ADDED * max(brightness[0], most))
-    limit = max(finest, _ADDED * most)
-    others = np.minimum(np.maximum(brightness[1:-1], mean[1:, 0]), limit)
-    levels = np.stack([[finest, *others, limit], differences])
-    for level in reversed(range(_OCTAVES - 1)):
-        levels[:, level] = np.maximum(levels[:, level], _KEPT * levels[:, level + 1])
+    bound = min(max(before, min(last, _MOST_PER_SCALE * before)), _ADDED * max(brightness[1], before))
+    differences = np.append(np.minimum(np.maximum(difference[:-1], difference_by_mean), bound), bound)
+    finest = min(max(brightness[0], by_mean[0, 0]), _ADDED * max(brightness[0], bound))
+    coarsest = max(finest, _ADDED * bound)
+    others = np.minimum(np.maximum(brightness[1:-1], by_mean[1:, 0]), coarsest)
+    levels = np.stack([[finest, *others, coarsest], differences])
+    for level in reversed(range(_SCALES - 1)):
+        levels[:, level] = np.maximum(levels[:, level], _LEAST_OF_NEXT * levels[:, level + 1])
     return levels[0], levels[1]
 
 
 def _covariances(
     brightness: NDArray[np.float64], differences: NDArray[np.float64], sigma: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return the covariances of all channels; those that are no colours have independent noise."""
+    """Return the covariances of all channels; channels that are not colours have independent noise."""
     count = len(_OPPONENTS)
-    octaves = np.tile(np.diag(np.square(sigma)), (_OCTAVES, 1, 1))
+    covariances = np.tile(np.diag(np.square(sigma)), (_SCALES, 1, 1))
     along = np.full((count, count), 1 / count)
     across = np.eye(count) - along
-    octaves[:, :count, :count] = np.multiply.outer(brightness**2, along)
-    octaves[:, :count, :count] += np.multiply.outer(differences**2, across)
-    return octaves
+    covariances[:, :count, :count] = np.multiply.outer(brightness**2, along)
+    covariances[:, :count, :count] += np.multiply.outer(differences**2, across)
+    return covariances
 
 
 def _mean_sigma(opponents: NDArray[np.float32], filled: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Tell the noise by the mean of all details in the tiles where means are most even; infinite without tiles."""
+    """Estimate noise from the mean of all details in the tiles with the most even means; infinite without tiles."""
     corners = _corners(opponents)
     whole = _all_filled(filled)
     mean = corners.mean(axis=0)
@@ -253,7 +212,7 @@ def _mean_sigma(opponents: NDArray[np.float32], filled: NDArray[np.bool_]) -> ND
     noisy = np.flatnonzero(energy.min(axis=0, initial=np.inf) > _PLAIN)
     if not len(noisy):
         return np.full(len(opponents), np.inf)
-    chosen = max(_FEWEST, int(_SHARE * len(noisy)))
+    chosen = max(_MIN_TILES, int(_TILE_SHARE * len(noisy)))
     even = noisy[np.argsort(uneven[noisy], kind="stable")[:chosen]]
     return np.asarray(np.sqrt(energy[:, even].mean(axis=1)), np.float64)
 
@@ -272,7 +231,7 @@ def _halved(
 
 
 def _all_filled(filled: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Tell which squares of 2 x 2 cells are filled."""
+    """Return which squares of 2 x 2 cells are filled."""
     rows, columns = (size // 2 * 2 for size in filled.shape)
     above, below = filled[:rows:2, :columns], filled[1:rows:2, :columns]
     both = above & below
@@ -280,7 +239,7 @@ def _all_filled(filled: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def _sums(values: NDArray[np.float32] | NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Sum over tiles; what is left over at the borders is left out."""
+    """Sum over tiles; incomplete tiles at the borders are left out."""
     rows, columns = (size // _TILE for size in values.shape)
     whole = values[: rows * _TILE, : columns * _TILE].reshape(rows, _TILE, columns, _TILE)
     return np.asarray(whole.sum(axis=(1, 3), dtype=np.float64))
@@ -291,7 +250,7 @@ def _root_mean_square(values: NDArray[np.float64]) -> float:
 
 
 def _some_rows(count: int, columns: int) -> slice | NDArray[np.intp]:
-    """Choose bands of rows, evenly spread, with about so many cells; all rows if there are no more."""
+    """Choose evenly spread bands of rows with about `MOST_CELLS` cells; all rows if there are no more."""
     bands = max(2, MOST_CELLS // (_BAND * max(1, columns)))
     if count <= _BAND * bands:
         return slice(None)

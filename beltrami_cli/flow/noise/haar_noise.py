@@ -1,8 +1,9 @@
-"""Noise that neighbouring cells of a grid have in common, octave by octave.
+"""Noise that neighbouring cells of a grid share, as covariances of its Haar details, scale by scale.
 
-The Haar transform takes a grid apart into the details of single cells, of means of 2 x 2 cells, of 4 x 4, and so on
-[1]_. Noise that is independent has the same variance in all of them. What was stored, scaled or compressed before has
-less in the finer ones, and channels share it.
+The Haar transform splits a grid into the details of single cells, of means of 2 x 2 cells, of 4 x 4, and so on [1]_.
+Independent noise has the same variance in all of them. Noise that was stored, scaled or compressed has less in the
+finer ones, and channels share it. Covariances have the shape (L, N, N): of N channels in the details of single cells,
+of 2 x 2 cells and so on, the last for all coarser ones, in units in which they are equal for independent noise.
 
 References
 ----------
@@ -20,51 +21,27 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
-def sigma_of_octaves(octaves: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the standard deviation of the noise of single cells, per channel.
-
-    Parameters
-    ----------
-    octaves : ndarray of float64, shape (L, N, N)
-        Covariances of the channels, see `draw_octaves`.
-
-    Returns
-    -------
-    ndarray of float64, shape (N,)
-    """
-    variances = np.diagonal(octaves, axis1=1, axis2=2)
-    # Of independent noise, three quarters are detail, and one is in the means of 2 x 2 cells.
-    shares = 3 / 4.0 ** np.arange(1, len(octaves) + 1)
-    total: NDArray[np.float64] = shares @ variances + variances[-1] / 4.0 ** len(octaves)
+def sigma_of_covariances(covariances: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return sigma of the noise of single cells, per channel, from covariances of shape (L, N, N)."""
+    variances = np.diagonal(covariances, axis1=1, axis2=2)
+    # Three quarters of independent noise are detail, and one quarter is in the means of 2 x 2 cells.
+    shares = 3 / 4.0 ** np.arange(1, len(covariances) + 1)
+    total: NDArray[np.float64] = shares @ variances + variances[-1] / 4.0 ** len(covariances)
     return np.sqrt(total)
 
 
-def draw_octaves(
-    octaves: NDArray[np.float64], shape: tuple[int, int], random: np.random.Generator
+def draw_haar_noise(
+    covariances: NDArray[np.float64], shape: tuple[int, int], random: np.random.Generator
 ) -> NDArray[np.float32]:
-    """Draw noise of some covariances.
-
-    Parameters
-    ----------
-    octaves : ndarray of float64, shape (L, N, N)
-        Covariances of the channels in the details of single cells, of 2 x 2 cells and so on, the last for all that are
-        coarser; in units by which they are equal for independent noise.
-    shape : (int, int)
-        Rows and columns.
-    random : numpy.random.Generator
-        Source of signs.
-
-    Returns
-    -------
-    ndarray of float32, shape (N, *shape)
-    """
-    levels = len(octaves)
+    """Draw noise, shape (N, *shape), of the given covariances of Haar details, shape (L, N, N)."""
+    levels = len(covariances)
     coarse = [-(-size // 2**levels) for size in shape]
-    noise = _mixed(octaves[-1], coarse, random) / np.float32(2**levels)
+    noise = _mixed(covariances[-1], coarse, random) / np.float32(2**levels)
     for level in reversed(range(levels)):
         rows, columns = noise.shape[1:]
         across, down, both = (
-            _mixed(octaves[level], (rows, columns), random) / np.float32(2 ** (level + 1)) for _ in range(3)
+            _mixed(covariances[level], (rows, columns), random) / np.float32(2 ** (level + 1))
+            for _ in range(3)
         )
         finer = np.empty((len(noise), rows, 2, columns, 2), np.float32)
         finer[:, :, 0, :, 0] = noise + across + down + both
@@ -78,10 +55,10 @@ def draw_octaves(
 def _mixed(
     covariance: NDArray[np.float64], shape: list[int] | tuple[int, int], random: np.random.Generator
 ) -> NDArray[np.float32]:
-    """Draw white noise of a covariance of the channels, shape (N, *shape)."""
+    """Draw white noise with a covariance of the channels, shape (N, *shape)."""
     values, vectors = np.linalg.eigh(covariance)
     root = (vectors * np.sqrt(np.maximum(values, 0))) @ vectors.T
     signs = (random.integers(0, 2, (len(root), *shape), np.int8) * 2 - 1).astype(np.float32)
-    # Not by BLAS, whose threads spin on.
+    # Not by BLAS, whose threads would spin on.
     mixed: NDArray[np.float32] = np.einsum("ij,jrc->irc", root.astype(np.float32), signs)
     return mixed

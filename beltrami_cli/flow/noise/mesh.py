@@ -1,4 +1,9 @@
-"""The noise level of colours on a surface, from neighbouring samples."""
+"""The noise level of colours on a surface, from neighbouring samples.
+
+A sample with k neighbours differs from their mean by noise of variance sigma^2 (1 + 1/k), and by what the image does
+there. Noise is estimated from the neighbourhoods in which means of means are even, so that the image does little. On
+more than 131,072 samples, evenly spread blocks of consecutive samples are used.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from beltrami_cli.flow.noise.flat_patch_noise import Groups, Kind, weakest_levels
+from beltrami_cli.flow.noise.flat_patch_noise import Patches, WhiteNoise, flat_patch_sigma
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -14,51 +19,34 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
-# Samples of a mesh, in blocks that follow each other, of which noise is told as well as of more.
+# Samples per block, and blocks, that suffice for an estimate.
 _BLOCK, _BLOCKS = 4096, 32
 
-# Means of squared residuals over a sample, its neighbours and theirs, on white noise on a triangle mesh of degree
-# six: how many independent ones they are worth, and how uneven they are.
+# Means of squared residuals over a sample, its neighbours and theirs, on white noise on a triangle mesh of degree six:
+# their degrees of freedom, and their unevenness.
 _FREEDOM_AROUND = 10.8
 _UNEVEN_AROUND, _SPREAD_AROUND = 0.0348, 0.675
 
 # Share of the neighbourhoods that are taken to be free of edges and texture, and how many at least. They overlap, so
-# many say little more than few; and on coarse meshes there are edges nearly everywhere. On painted, baked and
+# many give little more than few; and on coarse meshes there are edges nearly everywhere. On painted, baked and
 # photographed textures with noise of 5 to 40 of 255, estimates hardly differ between shares of 0.05 and 0.2.
 _AROUND_SHARE, _AROUND_LEAST = 0.05, 300
 
-# Rings over which detail is averaged where it is told for patches.
+# Rings over which detail is averaged to rank patches.
 _RINGS_OF_DETAIL = 5
 
 _NEIGHBOURS = 3  # fewer: a border or a stray edge, whose mean leans to one side
 
 
 def estimate_sigma(colours: NDArray[np.float32], edges: NDArray[np.int32]) -> NDArray[np.float64]:
-    """Estimate the standard deviation of independent noise, per channel.
-
-    A sample with k neighbours differs from their mean by noise of variance sigma^2 (1 + 1/k), and by what the image
-    does there; `weakest_levels` looks at the neighbourhoods where means of means are even, so that it does little. Of
-    more than 131,072 samples, blocks of rows are looked at.
-
-    Parameters
-    ----------
-    colours : ndarray of float32, shape (S, N)
-        Colours of the samples, those that follow each other near each other.
-    edges : ndarray of int32, shape (E, 2)
-        Distinct edges, without the walls of hard colour edges.
-
-    Returns
-    -------
-    ndarray of float64, shape (N,)
-        In units of `colours`; 0 where no sample has neighbours.
-    """
+    """Estimate sigma of independent noise, per channel of colours, shape (S, N); 0 without neighbours."""
     colours, edges = _some_samples(colours, edges)
     count = len(colours)
     degree = np.bincount(edges.ravel(), minlength=count)
     inside = degree >= _NEIGHBOURS
     if not inside.any():
         return np.zeros(colours.shape[1])
-    held = _around(inside.astype(np.float64), edges)[inside]
+    inner_count = _around(inside.astype(np.float64), edges)[inside]
     size = _around(np.ones(count), edges)[inside]
     found = []
     for values, residual in zip(colours.T.astype(np.float64), residuals(colours, edges), strict=True):
@@ -69,10 +57,10 @@ def estimate_sigma(colours: NDArray[np.float32], edges: NDArray[np.int32]) -> ND
             means = _and_beside(means, edges) / (degree + 1)
         even, level = (_around(part, edges)[inside] / size for part in (means**2, means))
         low, high, mean = (_around(part, edges)[inside] / size for part in (values <= 0, values >= 1, values))
-        energy = _around(squares, edges)[inside] / held
+        energy = _around(squares, edges)[inside] / inner_count
         found.append((energy, np.maximum(even - level**2, 0), low, high, mean))
-    kind = Kind(_FREEDOM_AROUND, _UNEVEN_AROUND, _SPREAD_AROUND, _AROUND_SHARE, _AROUND_LEAST)
-    return weakest_levels(Groups(*np.array(found).swapaxes(0, 1)), kind)
+    white = WhiteNoise(_FREEDOM_AROUND, _UNEVEN_AROUND, _SPREAD_AROUND, _AROUND_SHARE, _AROUND_LEAST)
+    return flat_patch_sigma(Patches(*np.array(found).swapaxes(0, 1)), white)
 
 
 def _some_samples(
@@ -110,7 +98,7 @@ def _beside(values: NDArray[np.float64], edges: NDArray[np.int32]) -> NDArray[np
 
 
 def residuals(values: NDArray[np.float32], edges: NDArray[np.int32]) -> Iterator[NDArray[np.float64]]:
-    """Go through the channels; find how samples differ from the mean of their neighbours, in units of their noise."""
+    """Yield for each channel how samples differ from the mean of their neighbours, in units of their noise."""
     count = len(values)
     degree = np.bincount(edges.ravel(), minlength=count)
     inside = degree >= _NEIGHBOURS
@@ -121,20 +109,7 @@ def residuals(values: NDArray[np.float32], edges: NDArray[np.int32]) -> Iterator
 
 
 def detail_around(colours: NDArray[np.float32], edges: NDArray[np.int32]) -> NDArray[np.float64]:
-    """Tell how uneven colours are around each sample, beyond what noise makes of them.
-
-    Parameters
-    ----------
-    colours : ndarray of float32, shape (S, N)
-        Noisy colours.
-    edges : ndarray of int32, shape (E, 2)
-        Distinct edges.
-
-    Returns
-    -------
-    ndarray of float64, shape (S,)
-        Squared steps along edges between means over neighbours, averaged over some rings.
-    """
+    """Return how uneven colours are around each sample, beyond what noise makes of them."""
     count = len(colours)
     size = np.bincount(edges.ravel(), minlength=count) + 1.0
     steps = np.zeros(len(edges))

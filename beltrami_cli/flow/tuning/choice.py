@@ -1,4 +1,4 @@
-"""Parameters of the kernel that are chosen from the data, so that the estimated error is least."""
+"""Parameters of the kernel that minimise the estimated error of the result."""
 
 from __future__ import annotations
 
@@ -30,87 +30,65 @@ _CONTRASTS = (0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0)
 # Noise that cannot be distinguished from the steps of an 8-bit file is none.
 _LEAST_NOISE = 0.5 / 255
 
-# Low quantiles underestimate noise that neighbours share, and its coarse steps are left as a few large details, which
-# kernels keep as if they were edges. So smoothness counts more. Enlarged pictures gain 0.9 dB by that, and what JPEG
-# left 0.5 dB.
+# Low quantiles underestimate noise that neighbours share, and its coarse steps remain as a few large details, which
+# kernels keep as if they were edges. So smoothness counts more. Enlarged pictures gain 0.9 dB by that, and JPEG 0.5 dB.
 _SHARED_BY_NEIGHBOURS = 1.5
 
 
 @dataclass(frozen=True)
-class Reach:
-    """What to try on a kind of manifold, and where the search starts.
-
-    The time step, growths of beta, numbers of regularised iterations, and `most` iterations in one schedule. `starts`:
-    beta times the noise, its growth, and the number of regularised iterations. `least_gain`: see `Grid`.
-    """
+class SearchRange:
+    """What to try on a kind of manifold, and where the search starts."""
 
     t: float
-    growths: tuple[float, ...]
-    guided: tuple[int, ...]
-    most: int
-    starts: tuple[tuple[float, float, int], ...]
-    least_gain: float = 0.0
+    growths: tuple[float, ...]  # of beta
+    regularised: tuple[int, ...]  # numbers of regularised iterations
+    max_iterations: int
+    starts: tuple[tuple[float, float, int], ...]  # beta times the noise, growth, regularised iterations
+    least_gain: float = 0.0  # see `Grid`
 
 
 # On painted, baked and photographed samples with noise of 5 to 40 of 255, other time steps and growths are hardly
-# better when tuned on the truth, and worse when they are chosen: more to choose from is more to choose wrong.
-# On a grid the window bounds the kernel, and a large time step only makes its weights more even.
-ON_GRIDS = Reach(8.0, (1.5, 3.0), (0, 1, 2, 3), 10, ((1.4, 1.5, 1), (1.4, 3.0, 2)))
-# On a mesh the time step alone bounds the kernel, and larger ones take longer than they gain.
-# The regularised metric takes sharp borders away, and from there a descent ends where noise is left. Iterations that
-# gain less than a fiftieth lead nowhere, while on grids many small gains add up.
-ON_MESHES = Reach(2.4, (1.3, 2.0), (0, 1, 2), 8, ((1.0, 2.0, 1), (1.4, 1.3, 0)), least_gain=0.02)
+# better when tuned on the truth, and worse when chosen by the estimate: more candidates, more wrong choices. On a grid
+# the window bounds the kernel, and a large time step only makes its weights more even.
+ON_GRIDS = SearchRange(8.0, (1.5, 3.0), (0, 1, 2, 3), 10, ((1.4, 1.5, 1), (1.4, 3.0, 2)))
+# On a mesh the time step alone bounds the kernel, and larger ones cost more time than they gain. The regularised metric
+# removes sharp borders, and from there a descent ends with remaining noise. Iterations that gain less than a fiftieth
+# lead nowhere, while on grids many small gains add up.
+ON_MESHES = SearchRange(2.4, (1.3, 2.0), (0, 1, 2), 8, ((1.0, 2.0, 1), (1.4, 1.3, 0)), least_gain=0.02)
 
 
 @dataclass(frozen=True)
 class Choice:
-    """What was chosen, and by what estimate.
+    """What was chosen, and by what estimate."""
 
-    Attributes
-    ----------
-    chosen : dict of str to float
-        The parameters that were free, with their values.
-    psnr : float or None
-        Estimated PSNR of the result, against the colours without noise; before averages of clipped noise are restored.
-        None: a fixed rule chose.
-    error : float or None
-        Its standard error in dB, if the estimate of the noise is right.
-    gain : float or None
-        How far that is above the estimated PSNR of the input.
-    candidates : int
-        Schedules that were compared.
-    samples : int
-        Samples of the surface that they were compared on.
-    correlated : bool
-        Whether neighbouring samples have noise in common, which was allowed for.
-    """
-
-    chosen: dict[str, float]
-    psnr: float | None = None
-    error: float | None = None
-    gain: float | None = None
-    candidates: int = 0
-    samples: int = 0
-    correlated: bool = False
+    chosen: dict[str, float]  # values of the parameters that were free
+    psnr: float | None = (
+        None  # estimated, against noise-free colours, before clipped averages are restored; None: by rule
+    )
+    error: float | None = None  # standard error of `psnr` in dB, if the estimate of the noise is right
+    gain: float | None = None  # in dB over the estimated PSNR of the input
+    candidates: int = 0  # schedules that were compared
+    samples: int = 0  # of the surface that they were compared on
+    correlated: bool = False  # whether neighbouring samples share noise, which was allowed for
 
 
 def choose(
-    trial: SampleTrial, manifold: Manifold, parameters: KernelParameters, reach: Reach
+    trial: SampleTrial, manifold: Manifold, parameters: KernelParameters, search_range: SearchRange
 ) -> tuple[KernelParameters, Choice]:
-    """Choose the free parameters by the least error that is estimated on a sample of the manifold."""
-    sigma, counting = manifold.sigma, manifold.counting
+    """Choose the free parameters by the smallest error that is estimated on a sample of the manifold."""
+    sigma, metric_sigma = manifold.sigma, manifold.metric_sigma
     noise = float(np.mean(np.square(sigma)))
-    scale = choose_beta(counting, 1.0) * manifold.unit if len(counting) else 0.0
-    grid = _grid(parameters, reach, scale, manifold.beta)
+    scale = choose_beta(metric_sigma, 1.0) * manifold.unit if len(metric_sigma) else 0.0
+    grid = _grid(parameters, search_range, scale, manifold.beta)
     weight = (_SHARED_BY_NEIGHBOURS if trial.correlated else 1.0) * SMOOTHNESS[parameters.strength]
     search = Search(RiskEstimate(trial, sigma), grid, noise, weight)
     best = search.run()
     values: dict[str, Any] = {
-        "iterations": best.guided + best.plain,
+        "iterations": best.regularised + best.plain,
         "t": best.t,
         "beta": best.beta,
         "beta_growth": best.growth,
-        "metric_steps": best.guided,
+        "metric_steps": best.regularised,
     }
     chosen: dict[str, Any] = {name: values[name] for name in parameters.free}
     estimate = _decibels(search.tried[best], noise)
@@ -123,28 +101,29 @@ def is_noisy(sigma: NDArray[np.float64]) -> bool:
     return bool(len(sigma)) and float(np.max(sigma, initial=0.0)) > _LEAST_NOISE
 
 
-def _grid(parameters: KernelParameters, reach: Reach, scale: float, by_rule: float) -> Grid:
-    """Return what may be chosen; `scale` is the beta by which noise has the length 1, and 0 if no colour counts."""
+def _grid(parameters: KernelParameters, search_range: SearchRange, scale: float, by_rule: float) -> Grid:
+    """Return what may be chosen; `scale`: the beta at which noise has the length 1, 0 if no colour counts."""
     free = parameters.free
     betas = tuple(sorted({contrast * scale for contrast in _CONTRASTS}))
-    growths, guided = reach.growths, reach.guided
+    growths, regularised = search_range.growths, search_range.regularised
     if "beta" not in free:
         betas = (by_rule if parameters.beta is None else parameters.beta,)
     if "beta_growth" not in free or scale == 0:
         growths = (parameters.beta_growth,)
     if parameters.metric_scale == 0:
-        guided = (0,)
+        regularised = (0,)
     elif "metric_steps" not in free:
-        guided = (parameters.metric_steps,)
+        regularised = (parameters.metric_steps,)
     iterations = None if "iterations" in free else parameters.iterations
     if iterations is not None:
-        guided = tuple(sorted({min(count, iterations) for count in guided}))
+        regularised = tuple(sorted({min(count, iterations) for count in regularised}))
     starts = tuple(
-        (_nearest(betas, contrast * scale), _nearest(growths, growth), _nearest(guided, count))
-        for contrast, growth, count in reach.starts
+        (_nearest(betas, contrast * scale), _nearest(growths, growth), _nearest(regularised, count))
+        for contrast, growth, count in search_range.starts
     )
-    t = reach.t if "t" in free else parameters.t
-    return Grid(betas, growths, t, guided, iterations, reach.most, starts, reach.least_gain)
+    t = search_range.t if "t" in free else parameters.t
+    limits = search_range.max_iterations, starts, search_range.least_gain
+    return Grid(betas, growths, t, regularised, iterations, *limits)
 
 
 def _nearest(values: tuple[float, ...], wanted: float) -> int:
@@ -152,53 +131,37 @@ def _nearest(values: tuple[float, ...], wanted: float) -> int:
 
 
 def _decibels(risk: Risk, noise: float) -> tuple[float, float, float]:
-    # An estimate of a small error may be negative; it is told as the least that can be told from 0.
+    # An estimate of a small error may be negative; it is reported as its standard error.
     value = max(risk.value, risk.error if np.isfinite(risk.error) else 0.0, 1e-12)
     in_decibels = 10 / np.log(10)
     error = in_decibels * risk.error / value
     return -10 * float(np.log10(value)), float(error), 10 * float(np.log10(noise / value))
 
 
-# Noise at which the numbers of iterations are told, and at which they start to grow with its logarithm.
+# Noise up to which `iterations` is used; above it the number grows with the logarithm of the noise.
 _SLIGHT = 5 / 255
 
 
 @dataclass(frozen=True)
 class Rule:
-    """What to run with where nothing is chosen by the error.
+    """Parameters for a noise level."""
 
-    Attributes
-    ----------
-    contrast : float
-        Beta times the noise.
-    growth, step : float
-        Growth of beta, and time step.
-    guided : int
-        Regularised iterations.
-    iterations : int
-        All iterations, where the noise is 5 of 255 or less: detail of the picture is lost before more noise is.
-    more : int
-        How many more where the noise is twice as much ...
-    most : int
-        ... up to so many.
-    """
-
-    contrast: float
-    growth: float
-    step: float
-    guided: int
-    iterations: int
-    more: int
-    most: int
+    contrast: float  # beta times the noise
+    growth: float  # of beta
+    step: float  # time step
+    regularised: int  # regularised iterations
+    iterations: int  # all iterations at noise of up to 5 of 255, where more would cost detail of the picture
+    more: int  # further iterations each time the noise doubles ...
+    max_iterations: int  # ... up to this many
 
     def count(self, noise: float) -> int:
         """Return the number of iterations for noise of a standard deviation, colours in [0, 1]."""
         doublings = max(0.0, float(np.log2(max(noise, _SLIGHT) / _SLIGHT)))
-        return min(self.most, self.iterations + round(self.more * doublings))
+        return min(self.max_iterations, self.iterations + round(self.more * doublings))
 
 
-# What loses least on average over noise of 5, 10, 20 and 40 of 255 on painted, baked and photographed models: ten
-# textures, of which flat ones ask for more iterations and rich ones for fewer, and eleven with colours at the vertices.
+# The least average loss over noise of 5, 10, 20 and 40 of 255 on painted, baked and photographed models: ten textures,
+# of which flat ones need more iterations and rich ones fewer, and eleven with colours at the vertices.
 RULE_ON_GRIDS = Rule(1.4, 3.0, 8.0, 1, 5, 0, 5)
 RULE_ON_MESHES = Rule(0.7, 2.0, 1.6, 0, 2, 1, 6)
 
@@ -206,17 +169,17 @@ RULE_ON_MESHES = Rule(0.7, 2.0, 1.6, 0, 2, 1, 6)
 def choose_by_rule(
     manifold: Manifold, parameters: KernelParameters, rule: Rule
 ) -> tuple[KernelParameters, Choice]:
-    """Set what is free by a rule for the noise of the channels that enter the metric."""
-    counting, beta = manifold.counting, manifold.beta
-    if "beta" in parameters.free and len(counting):
+    """Set the free parameters by a rule for the noise of the channels that enter the metric."""
+    metric_sigma, beta = manifold.metric_sigma, manifold.beta
+    if "beta" in parameters.free and len(metric_sigma):
         strength = float(np.sqrt(SMOOTHNESS[parameters.strength]))
-        beta = choose_beta(counting, rule.contrast) * manifold.unit / strength
+        beta = choose_beta(metric_sigma, rule.contrast) * manifold.unit / strength
     values: dict[str, Any] = {
-        "iterations": rule.count(overall_noise(counting)),
+        "iterations": rule.count(overall_noise(metric_sigma)),
         "t": rule.step,
         "beta": beta,
         "beta_growth": rule.growth,
-        "metric_steps": rule.guided,
+        "metric_steps": rule.regularised,
     }
     chosen: dict[str, Any] = {name: values[name] for name in parameters.free}
     return dataclasses.replace(parameters, **chosen, free=()), Choice(chosen)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli.flow.noise.haar_noise import draw_octaves, sigma_of_octaves
+from beltrami_cli.flow.noise.haar_noise import draw_haar_noise, sigma_of_covariances
 from beltrami_cli.flow.regularisation import guide_radius
 from beltrami_cli.flow.tuning.sure import SampleTrial, wanted_probes
 from beltrami_cli.surface.atlas import EMPTY, OWNED, refresh_halo
@@ -19,20 +19,20 @@ if TYPE_CHECKING:
     from beltrami_cli.surface.atlas import Atlas, Indices
 
 # Cells on which parameters are tried, as a share of all, so that trying takes no longer than smoothing: some sixty
-# iterations are tried, each twice. Fewer cells than the least say too little, and take about a second.
+# iterations are tried, each twice. Fewer cells than the least are too uncertain; these take about a second.
 _SHARE_TRIED = 1 / 25
 _LEAST_TRIED = 40_000
 
-# More say nothing new: by this many the risk is known to a tenth of a dB or better.
+# With this many cells the risk is known to a tenth of a dB or better.
 _MOST_TRIED = 100_000
 
 # Cells a side of the core of a block, whose result counts.
 _CORE = 64
 
-# Iterations carry what is wrong at a block's border inwards; most of a kernel's weight lies within so many cells.
+# Iterations spread errors from a block's border inwards; most of a kernel's weight lies within this many cells.
 _RIM = 8
 
-# With any seed the choice is as good; with this one it is the same every time.
+# Any seed is as good; a fixed one makes the choice reproducible.
 _SEED = 20
 
 
@@ -49,17 +49,17 @@ def grid_trial(manifold: GridManifold) -> SampleTrial:
         planes = np.ascontiguousarray(planes.reshape(len(planes), -1)[:, cells])
         planes[:, part.atlas.kind == EMPTY] = 0
         scored = np.flatnonzero(core & (part.atlas.kind == OWNED))
-    signs = _perturbations(wanted_probes(len(scored)), planes.shape, manifold.octaves)
+    signs = _perturbations(wanted_probes(len(scored)), planes.shape, manifold.noise_covariances)
     signs[..., part.atlas.kind == EMPTY] = 0
     for each in signs:
         refresh_halo(each, part.atlas)
-    return SampleTrial(part, planes, signs, scored, correlated=manifold.octaves is not None)
+    return SampleTrial(part, planes, signs, scored, correlated=manifold.noise_covariances is not None)
 
 
 def cut_blocks(
     manifold: GridManifold, cells: NDArray[np.int64], core: NDArray[np.bool_], reach: int
 ) -> GridManifold:
-    """Cut out blocks; what their borders cut off keeps its colours, as halo that is not refreshed."""
+    """Cut out blocks; cells beyond their borders keep their colours, as halo that is not refreshed."""
     side = cells.shape[1]
     at = np.arange(side)
     inner = (at >= reach) & (at < side - reach)
@@ -90,38 +90,33 @@ def _with_halo(part: Atlas, whole: Atlas, cells: NDArray[np.int64], core: NDArra
 
 
 def _perturbations(
-    count: int, shape: tuple[int, ...], octaves: NDArray[np.float64] | None
+    count: int, shape: tuple[int, ...], noise_covariances: NDArray[np.float64] | None
 ) -> NDArray[np.float32]:
-    """Return random planes like the noise: signs, or what neighbours and channels have in common as they do."""
+    """Return random planes like the noise: independent signs, or correlated as the noise is."""
     random = np.random.default_rng(_SEED)
-    if octaves is None:
+    if noise_covariances is None:
         return (random.integers(0, 2, (count, *shape), np.int8) * 2 - 1).astype(np.float32)
-    size = np.float32(np.sqrt(np.mean(np.square(sigma_of_octaves(octaves)))))
-    return np.stack([draw_octaves(octaves, (shape[1], shape[2]), random) / size for _ in range(count)])
+    size = np.float32(np.sqrt(np.mean(np.square(sigma_of_covariances(noise_covariances)))))
+    return np.stack(
+        [draw_haar_noise(noise_covariances, (shape[1], shape[2]), random) / size for _ in range(count)]
+    )
 
 
 def choose_blocks(atlas: Atlas, budget: int, reach: int) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Choose blocks spread evenly over the owned cells.
-
-    Returns
-    -------
-    cells : ndarray of int64, shape (blocks * side, side)
-        The flat index of each cell on the canvas; for what lies beyond it that of its last cell, in the margin.
-    core : ndarray of bool, shape (blocks * side, side)
-        The cells whose results count.
-    """
+    """Choose evenly spread blocks; return their cells and which are in a core, shape (blocks * side, side)."""
     rows, columns = atlas.kind.shape
     across = np.arange(0, columns, _CORE)
     bands = (atlas.kind[top : top + _CORE] == OWNED for top in range(0, rows, _CORE))
-    held = np.cumsum([np.add.reduceat(band.sum(axis=0), across) for band in bands])
+    totals = np.cumsum([np.add.reduceat(band.sum(axis=0), across) for band in bands])
     wanted = max(1, budget // _CORE**2)
-    chosen = np.unique(np.searchsorted(held, (np.arange(wanted) + 0.5) * held[-1] / wanted))
+    chosen = np.unique(np.searchsorted(totals, (np.arange(wanted) + 0.5) * totals[-1] / wanted))
     top, left = np.divmod(chosen, -(-columns // _CORE))
     margin = _RIM + reach
     side = np.arange(-margin, _CORE + margin)
     row = (top[:, None] * _CORE + side)[:, :, None]
     column = (left[:, None] * _CORE + side)[:, None, :]
     on = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
+    # What lies beyond the canvas has the flat index of its last cell, in the margin.
     cells = np.where(on, row * columns + column, atlas.kind.size - 1).reshape(-1, len(side))
     inside = (side >= 0) & (side < _CORE)
     core = np.tile(inside[:, None] & inside, (len(chosen), 1))
@@ -129,7 +124,7 @@ def choose_blocks(atlas: Atlas, budget: int, reach: int) -> tuple[NDArray[np.int
 
 
 def _rank(ascending: Indices, wanted: Indices) -> NDArray[np.int64]:
-    """Find where numbers stand in an ascending list, the first of equal ones; -1: nowhere."""
+    """Find where numbers are in an ascending list, the first of equal ones; -1: nowhere."""
     if not len(ascending):
         return np.full(wanted.shape, -1, np.int64)
     rank = np.minimum(np.searchsorted(ascending, wanted), len(ascending) - 1)

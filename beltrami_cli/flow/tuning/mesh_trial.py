@@ -16,24 +16,24 @@ if TYPE_CHECKING:
     from beltrami_cli.flow.mesh_manifold import MeshManifold
 
 # Samples to try parameters on, as a share of all, so that trying takes hardly longer than smoothing: some sixty
-# iterations are tried, each two or three times. Fewer than so many tell too little, and take some tenths of a second.
+# iterations are tried, each two or three times. Fewer than the least are too uncertain; these take tenths of a second.
 _SHARE_TRIED = 1 / 20
 LEAST_TRIED = 6_000
-# More tell nothing new.
+# More do not improve the choice.
 _MOST_TRIED = 40_000
 
-# Patches with their rims take nearly all of no more than so many times the samples to try on.
+# Up to this many times the samples to try on, patches with their rims would cover nearly the whole surface.
 _WHOLE = 1.2
 
-# Rings of a patch whose results count, and rings around these that only lend their colours.
+# Rings of a patch that are scored, and rings around these that only supply colours.
 _CORE, _RIM = 7, 3
 
-# A patch of so many rings has about so many samples, each ring six more than the last.
+# Samples of a patch with all its rings, each of which has six more than the last.
 _PATCH = 3 * (_CORE + _RIM) ** 2
 
-# Patches end early on small pieces, and overlap: a share of the samples wanted that is enough, and how often there are
-# more patches if it is not reached.
-_ENOUGH, _TURNS = 0.75, 3
+# Patches end early on small components, and overlap: the share of the wanted samples that suffices, and how often more
+# patches are added to reach it.
+_ENOUGH, _ROUNDS = 0.75, 3
 
 
 # Odd numbers with their bits well mixed, to hash with.
@@ -46,56 +46,34 @@ def mesh_trial(manifold: MeshManifold) -> SampleTrial:
     colours = manifold.colours
     around = fingerprints(colours, manifold.edges)
     patches = choose_patches(colours, around, manifold.edges)
-    signs = random_signs(colours, around, wanted_probes(int(np.count_nonzero(patches.counting))))
+    signs = random_signs(colours, around, wanted_probes(int(np.count_nonzero(patches.scored))))
     part, samples = manifold, patches.samples
     if len(samples) < manifold.size:
         part, colours, signs = manifold.cut(samples), colours[samples], signs[:, samples]
-    scored = np.flatnonzero(patches.counting) if not patches.counting.all() else None
+    scored = np.flatnonzero(patches.scored) if not patches.scored.all() else None
     return SampleTrial(part, colours, signs, scored)
 
 
 @dataclass(frozen=True)
-class Patches:
-    """Samples to try on.
-
-    Attributes
-    ----------
-    samples : ndarray of int64, shape (P,)
-        Their indices, ascending.
-    counting : ndarray of bool, shape (P,)
-        Those whose results count.
-    """
+class TrialSamples:
+    """Samples to try parameters on: ascending indices, shape (P,), and which of them are scored."""
 
     samples: NDArray[np.int64]
-    counting: NDArray[np.bool_]
+    scored: NDArray[np.bool_]
 
 
 def choose_patches(
     colours: NDArray[np.float32], around: NDArray[np.uint64], edges: NDArray[np.int32]
-) -> Patches:
-    """Choose patches spread at random over a surface, by the colours and not by the order of samples.
-
-    Parameters
-    ----------
-    colours : ndarray of float32, shape (S, N)
-        Noisy colours.
-    around : ndarray of uint64, shape (S,)
-        Their `fingerprints`.
-    edges : ndarray of int32, shape (E, 2)
-        Distinct edges; samples without any are left out.
-
-    Returns
-    -------
-    Patches
-    """
+) -> TrialSamples:
+    """Choose patches spread at random, by the `fingerprints` of colours and not by the order of samples."""
     joined = np.bincount(edges.ravel(), minlength=len(around)) > 0
     connected = np.flatnonzero(joined)
     budget = min(max(LEAST_TRIED, int(len(connected) * _SHARE_TRIED)), _MOST_TRIED)
     if len(connected) <= _WHOLE * budget:
-        return Patches(connected, np.ones(len(connected), bool))
+        return TrialSamples(connected, np.ones(len(connected), bool))
     ranked = _ranked(colours, around, edges, connected) if budget == LEAST_TRIED else None
     count = max(1, budget // _PATCH)
-    for _ in range(_TURNS):
+    for _ in range(_ROUNDS):
         middles = np.zeros(len(around), bool)
         if ranked is None:
             middles[connected[np.argpartition(around[connected], count - 1)[:count]]] = True
@@ -114,43 +92,28 @@ def _ranked(
     edges: NDArray[np.int32],
     connected: NDArray[np.int64],
 ) -> NDArray[np.int64]:
-    """Sort samples by the detail around them.
-
-    A score of patches at random may miss what detail there is, or hold little else; one from each part of this order
-    does neither. Many patches do neither at random.
-    """
+    """Sort samples by the detail around them."""
+    # A few patches at random may miss all detail, or hold nothing else; one from each part of this order does neither.
     detail = detail_around(colours, edges)[connected]
     return connected[np.lexsort((around[connected], detail))]
 
 
-def _grown(middles: NDArray[np.bool_], edges: NDArray[np.int32]) -> Patches:
-    """Let patches grow around some samples, ring by ring."""
-    reached, counting = middles.copy(), middles
+def _grown(middles: NDArray[np.bool_], edges: NDArray[np.int32]) -> TrialSamples:
+    """Grow patches around some samples, ring by ring."""
+    reached, scored = middles.copy(), middles
     low, high = np.ascontiguousarray(edges.T)
     for ring in range(_CORE + _RIM):
         leads_out = reached[low] != reached[high]
         reached[low[leads_out]] = True
         reached[high[leads_out]] = True
         if ring == _CORE - 1:
-            counting = reached.copy()
+            scored = reached.copy()
     samples = np.flatnonzero(reached)
-    return Patches(samples, counting[samples])
+    return TrialSamples(samples, scored[samples])
 
 
 def fingerprints(colours: NDArray[np.float32], edges: NDArray[np.int32]) -> NDArray[np.uint64]:
-    """Hash each sample's colours with those of its neighbours, and theirs.
-
-    Parameters
-    ----------
-    colours : ndarray of float32, shape (S, N)
-        Noisy colours.
-    edges : ndarray of int32, shape (E, 2)
-        Distinct edges.
-
-    Returns
-    -------
-    ndarray of uint64, shape (S,)
-    """
+    """Hash each sample's colours with those of its neighbours, and theirs; uint64, shape (S,)."""
     hashes = np.zeros(len(colours), np.uint64)
     # A sum does not depend on the order of channels, nor on that of neighbours.
     for own in _bits(colours):
@@ -164,25 +127,8 @@ def fingerprints(colours: NDArray[np.float32], edges: NDArray[np.int32]) -> NDAr
 
 
 def random_signs(colours: NDArray[np.float32], around: NDArray[np.uint64], count: int) -> NDArray[np.float32]:
-    """Return signs that look random but depend only on the colours around each sample.
-
-    So what is chosen by them is the same for a mesh that was turned, or whose vertices or channels come in another
-    order.
-
-    Parameters
-    ----------
-    colours : ndarray of float32, shape (S, N)
-        Noisy colours.
-    around : ndarray of uint64, shape (S,)
-        Their `fingerprints`.
-    count : int
-        How many signs each colour gets, at most 64.
-
-    Returns
-    -------
-    ndarray of float32, shape (count, S, N)
-        1 or -1.
-    """
+    """Return signs, shape (count, S, N), that look random but depend only on nearby colours; `count` <= 64."""
+    # So the choice is the same for a mesh that was rotated, or whose vertices or channels come in another order.
     signs = np.empty((count, *colours.shape), np.float32)
     for channel, own in enumerate(_bits(colours)):
         bits = _mixed(around + _mixed(own))

@@ -10,7 +10,7 @@ from beltrami_cli.flow.manifold import Step
 if TYPE_CHECKING:
     from beltrami_cli.flow.tuning.sure import Risk, RiskEstimate, State
 
-# Improvements by less than this share of the noise's variance are chance: some 0.1 dB of a good result.
+# Improvements by less than this share of the noise's variance are due to chance: some 0.1 dB of a good result.
 _WORTH_MOVING = 5e-4
 
 
@@ -21,12 +21,12 @@ class Schedule:
     beta: float
     growth: float
     t: float
-    guided: int
+    regularised: int
     plain: int
 
     def step(self, iteration: int) -> Step:
         """Return an iteration, counted from 0."""
-        return Step(self.beta * self.growth**iteration, self.t, iteration < self.guided)
+        return Step(self.beta * self.growth**iteration, self.t, iteration < self.regularised)
 
 
 Place: TypeAlias = tuple[int, int, int]
@@ -34,56 +34,49 @@ Place: TypeAlias = tuple[int, int, int]
 
 @dataclass(frozen=True)
 class Grid:
-    """The values that each parameter may take, ascending, and where the search starts.
-
-    `iterations`: how many there must be; None: up to `most`. `starts`: indices of beta, growth and regularised
-    iterations. `least_gain`: a path ends with an iteration that gains less than this share of the error.
-    """
+    """The values that each parameter may take, ascending, and where the search starts."""
 
     betas: tuple[float, ...]
     growths: tuple[float, ...]
     t: float
-    guided: tuple[int, ...]
-    iterations: int | None
-    most: int
-    starts: tuple[Place, ...]
-    least_gain: float = 0.0
+    regularised: tuple[int, ...]
+    iterations: int | None  # exact number; None: up to `max_iterations`
+    max_iterations: int
+    starts: tuple[Place, ...]  # indices of beta, growth and regularised iterations
+    least_gain: float = 0.0  # a path ends with an iteration that gains less than this share of the error
 
     def at(self, place: Place) -> Schedule:
-        """Return the schedule without plain iterations at some place in the grid."""
-        beta, growth, guided = place
-        return Schedule(self.betas[beta], self.growths[growth], self.t, self.guided[guided], 0)
+        """Return the schedule without plain iterations at a place in the grid."""
+        beta, growth, regularised = place
+        return Schedule(self.betas[beta], self.growths[growth], self.t, self.regularised[regularised], 0)
 
     def beside(self, place: Place, axis: int, way: int) -> Place | None:
         """Return the next place along an axis; None at its end."""
-        size = len((self.betas, self.growths, self.guided)[axis])
+        size = len((self.betas, self.growths, self.regularised)[axis])
         moved = place[axis] + way
         if not 0 <= moved < size:
             return None
-        beta, growth, guided = (moved if k == axis else old for k, old in enumerate(place))
-        return beta, growth, guided
+        beta, growth, regularised = (moved if k == axis else old for k, old in enumerate(place))
+        return beta, growth, regularised
 
 
 class Search:
-    """A descent over a grid of schedules, by an estimate of their error.
-
-    `noise` is the variance of the noise, and `weight` how much smoothness counts beside closeness to the input.
-    """
+    """A descent over a grid of schedules, by an estimate of their error; `noise` is the variance of the noise."""
 
     def __init__(self, estimate: RiskEstimate, grid: Grid, noise: float, weight: float = 1.0) -> None:
         self.tried: dict[Schedule, Risk] = {}
         self._estimate, self._grid = estimate, grid
         self._gain, self._weight = _WORTH_MOVING * noise, weight
         self._least: dict[Place, float] = {}
-        self._guided_states: dict[Schedule, State] = {}
+        self._regularised_states: dict[Schedule, State] = {}
 
     def run(self) -> Schedule:
         """Return the best schedule found."""
         if self._grid.iterations is None:
-            self._try(replace(self._grid.at(self._grid.starts[0]), guided=0), self._estimate.start)
+            self._try(replace(self._grid.at(self._grid.starts[0]), regularised=0), self._estimate.start)
         least = float("inf")
         for start in self._grid.starts:
-            # Else it lies no lower than where another descent ended.
+            # Otherwise it starts no lower than where another descent ended.
             if self._path(start) < least - self._gain:
                 least = self._descend(start)
         # All weights choose from the same schedules, so a larger one never chooses a gentler one.
@@ -110,34 +103,36 @@ class Search:
 
     def _walk(self, schedule: Schedule) -> float:
         wanted = self._grid.iterations
-        if wanted is not None and schedule.guided > wanted:
+        if wanted is not None and schedule.regularised > wanted:
             return float("inf")
-        state = self._after_guided(schedule)
+        state = self._after_regularised(schedule)
         risks: list[float] = []
         while True:
-            done = schedule.guided + schedule.plain
+            done = schedule.regularised + schedule.plain
             if wanted is None or done == wanted:
                 risks.append(self._try(schedule, state))
-            if done >= (self._grid.most if wanted is None else wanted) or self._ends(risks):
+            if done >= (self._grid.max_iterations if wanted is None else wanted) or self._ends(risks):
                 return min(risks)
             state = self._estimate.step(state, schedule.step(done))
             schedule = replace(schedule, plain=schedule.plain + 1)
 
     def _ends(self, risks: list[float]) -> bool:
-        """Tell whether the last iteration of a path gained too little to go on."""
+        """Return whether the last iteration of a path gained too little to continue."""
         return len(risks) > 1 and risks[-2] - risks[-1] < self._grid.least_gain * abs(risks[-2])
 
     def _try(self, schedule: Schedule, state: State) -> float:
         self.tried[schedule] = self._estimate.of(state)
         return self.tried[schedule].value
 
-    def _after_guided(self, schedule: Schedule) -> State:
+    def _after_regularised(self, schedule: Schedule) -> State:
         """Return the state after the regularised iterations, which longer schedules share."""
-        if schedule.guided == 0:
+        if schedule.regularised == 0:
             return self._estimate.start
         # The first iteration is the same whatever comes after it.
-        key = replace(schedule, growth=1.0) if schedule.guided == 1 else schedule
-        if key not in self._guided_states:
-            before = self._after_guided(replace(schedule, guided=schedule.guided - 1))
-            self._guided_states[key] = self._estimate.step(before, schedule.step(schedule.guided - 1))
-        return self._guided_states[key]
+        key = replace(schedule, growth=1.0) if schedule.regularised == 1 else schedule
+        if key not in self._regularised_states:
+            before = self._after_regularised(replace(schedule, regularised=schedule.regularised - 1))
+            self._regularised_states[key] = self._estimate.step(
+                before, schedule.step(schedule.regularised - 1)
+            )
+        return self._regularised_states[key]

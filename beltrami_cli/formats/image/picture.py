@@ -118,7 +118,7 @@ def without_alpha(picture: Picture, values: NDArray[np.float32]) -> NDArray[np.f
     return straight
 
 
-def lends_colour(picture: Picture, opacity: NDArray[Any]) -> NDArray[np.bool_]:
+def supplies_colour(picture: Picture, opacity: NDArray[Any]) -> NDArray[np.bool_]:
     """Return by their stored opacity which pixels have a colour: not those that cannot be seen.
 
     Where alpha is multiplied into integers, a few steps of opacity leave as few steps of colour, which says little.

@@ -17,7 +17,7 @@ from beltrami_cli.jobs.compare.parts import compare_images, compare_textures, co
 from beltrami_cli.jobs.documents import document_from
 from beltrami_cli.jobs.settings import Limits
 from beltrami_cli.jobs.writing.output import Output, Overwrite
-from beltrami_cli.samples.memory_check import require_room_for_textures
+from beltrami_cli.samples.memory_check import require_memory_for_textures
 from beltrami_cli.samples.selection import select
 from beltrami_cli.samples.settings import DEFAULTS, LevelSetSettings
 
@@ -157,6 +157,6 @@ def _compare_models(
         notices += [f"{test.name}: {notice}" for notice in moved]
     for slot in selection.slots:
         for document in documents:
-            require_room_for_textures(document, selection.slots, settings.textures, access)
+            require_memory_for_textures(document, selection.slots, settings.textures, access)
         parts += compare_textures(reference, test, slot, settings, weights, access)
     return parts, notices

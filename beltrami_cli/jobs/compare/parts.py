@@ -13,7 +13,7 @@ from beltrami_cli.formats.image import read_image
 from beltrami_cli.jobs.compare.figures import ComparedColours, SeamJumps
 from beltrami_cli.jobs.compare.measures import cie_lab, delta_e_2000, structural_similarity
 from beltrami_cli.jobs.compare.seams import near_seams, seam_steps, texel_areas
-from beltrami_cli.samples.memory_check import require_room
+from beltrami_cli.samples.memory_check import require_memory
 from beltrami_cli.samples.pixel_samples import PixelSamples
 from beltrami_cli.samples.selection import coloured_vertices
 from beltrami_cli.samples.texel_colours import TexelColours, choose_textures
@@ -159,7 +159,7 @@ def compare_images(
 ) -> ComparedColours:
     """Bring the pixels of two images together that can be seen in the reference, and are finite numbers there."""
     names = [document.name for document in documents]
-    require_room([(document.name, document.data) for document in documents], access)
+    require_memory([(document.name, document.data) for document in documents], access)
     _require_same_size(documents[0].picture(), documents[1].picture(), names[1])
     samples = [PixelSamples(document, settings, access, colours_only=True) for document in documents]
     one, other, valid = samples[0].colours, samples[1].colours, samples[0].valid
@@ -211,7 +211,7 @@ def compare_textures(
     """Bring the textures of a slot together, each a part of its own, texel by texel on the surface."""
     surface = reference.textured(slot)
     textures = _same_textures(surface, test.textured(slot), settings, (reference.name, test.name))
-    require_room(((texture.name, texture.data) for texture in textures), access)
+    require_memory(((texture.name, texture.data) for texture in textures), access)
     prepared = TexelSamples(surface, slot, settings)
     pictures = [read_image(texture.data, texture.name) for texture in textures]
     for old, new in zip(prepared.pictures, pictures, strict=True):

@@ -14,14 +14,14 @@ if TYPE_CHECKING:
 
 from beltrami_cli.surface.atlas import Atlas
 
-# What "near a seam" means, in texels.
+# Distance from a seam that counts as near, in texels.
 _NEAR = 4
 # A line through the values 1/2, 3/2 and 5/2 texels from a seam, by least squares, has this value at the seam.
 _EXTRAPOLATION = np.array([13, 4, -5]) / 12
 
 
 def near_seams(atlas: Atlas) -> NDArray[np.bool_]:
-    """Tell which owned cells are within 4 texels of a seam, shape (T,)."""
+    """Return which owned cells are within 4 texels of a seam, shape (T,)."""
     beside = np.zeros(atlas.kind.shape, bool)
     for inner, *_ in _lines(atlas, 1):
         beside.reshape(-1)[inner] = True
@@ -30,24 +30,8 @@ def near_seams(atlas: Atlas) -> NDArray[np.bool_]:
 
 
 def seam_steps(atlas: Atlas, colours: NDArray[np.float32]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Measure how far colours jump over seams.
-
-    The colours of three texels on a line across the seam are extrapolated to it, on the one side and on the other.
-
-    Parameters
-    ----------
-    atlas : Atlas
-        With T owned cells.
-    colours : ndarray of float32, shape (T, N)
-        Their colours.
-
-    Returns
-    -------
-    cells : ndarray of int64, shape (K,)
-        The owned cell at the seam, as the row of `colours`.
-    steps : ndarray of float64, shape (K,)
-        The difference of both sides there, mean over the channels.
-    """
+    """Return the owned cells at seams (rows of `colours`, shape (T, N)) and the jump there, mean over channels."""
+    # The colours of three texels on a line across the seam are extrapolated to it, from both sides.
     planes = np.zeros((colours.shape[1], *atlas.kind.shape), np.float32)
     planes.reshape(len(planes), -1)[:, atlas.owned_cells] = colours.T
     refresh_halo(planes, atlas, interpolated=True)
@@ -64,7 +48,7 @@ def seam_steps(atlas: Atlas, colours: NDArray[np.float32]) -> tuple[NDArray[np.i
 
 
 def _lines(atlas: Atlas, reach: int) -> list[list[NDArray[np.int64]]]:
-    """Find lines of cells across seams in all four directions: `reach` owned ones from the seam, then halo ones."""
+    """Return lines of cells across seams in all four directions: `reach` owned ones from the seam, then halo ones."""
     columns, size = atlas.kind.shape[1], atlas.kind.size
     owned = atlas.kind.reshape(-1) == OWNED
     beyond = np.zeros(size, bool)
@@ -82,17 +66,15 @@ def _lines(atlas: Atlas, reach: int) -> list[list[NDArray[np.int64]]]:
 
 
 def texel_areas(atlas: Atlas) -> NDArray[np.float64]:
-    """Compute the area on the surface that each owned cell stands for, shape (T,), in the surface's own unit squared.
-
-    Each square of four cells is the parallelogram of its sides; a cell has the mean of the squares around it.
-    """
+    """Return the surface area of each owned cell, shape (T,), in the surface's own unit squared."""
     across, down, diagonal = (plane.astype(np.float64) for plane in atlas.squared_lengths[:3])
     known = (atlas.kind != EMPTY)[:-1, :-1] & (atlas.kind != EMPTY)[1:, 1:]
     known &= (atlas.kind != EMPTY)[:-1, 1:] & (atlas.kind != EMPTY)[1:, :-1]
     sides = across[:-1, :-1], down[:-1, :-1], diagonal[:-1, :-1]
     known &= np.isfinite(sides[0]) & np.isfinite(sides[1]) & np.isfinite(sides[2])
     a, b, c = (np.where(known, side, 0) for side in sides)
-    # |a x b|^2 = |a|^2 |b|^2 - (a . b)^2, and |a + b|^2 tells a . b
+    # Each square of four cells is the parallelogram of its sides; a cell has the mean of the squares around it.
+    # |a x b|^2 = |a|^2 |b|^2 - (a . b)^2, where a . b follows from |a + b|^2.
     area = np.sqrt(np.maximum(a * b - ((c - a - b) / 2) ** 2, 0))
     total, count = np.zeros(atlas.kind.shape), np.zeros(atlas.kind.shape)
     for rows in (slice(None, -1), slice(1, None)):

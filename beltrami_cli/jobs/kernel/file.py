@@ -14,7 +14,7 @@ from beltrami_cli.jobs.documents import open_input
 from beltrami_cli.jobs.job import PLAIN_JOB, Job
 from beltrami_cli.jobs.kernel.output import SUFFIXES, ProbedKernel, encode
 from beltrami_cli.jobs.writing.output import Output
-from beltrami_cli.samples.memory_check import require_room_for_textures
+from beltrami_cli.samples.memory_check import require_memory_for_textures
 from beltrami_cli.samples.probes.location import read_location
 from beltrami_cli.samples.selection import require_scale, samples_of, select
 from beltrami_cli.samples.settings import DEFAULTS
@@ -70,7 +70,7 @@ def _probe_of(source: str, settings: SmoothSettings, access: Access, *, whole: b
         raise UsageError(
             f"{document.name}: a kernel is of one image; choose --on vertices, or --on texture and one of --slots"
         )
-    require_room_for_textures(document, selection.slots, settings.textures, access)
+    require_memory_for_textures(document, selection.slots, settings.textures, access)
     (samples,) = samples_of(document, selection, settings, access)
     return samples.probe(document, whole=whole)
 

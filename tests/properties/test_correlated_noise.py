@@ -10,8 +10,8 @@ from scipy.ndimage import gaussian_filter
 import beltrami_cli
 from beltrami_cli.flow.manifold import Step
 from beltrami_cli.flow.noise import grid
-from beltrami_cli.flow.noise.grid import estimate_sigma_on_grid, noise_in_common
-from beltrami_cli.flow.noise.haar_noise import draw_octaves, sigma_of_octaves
+from beltrami_cli.flow.noise.grid import correlated_covariances, estimate_sigma_on_grid
+from beltrami_cli.flow.noise.haar_noise import draw_haar_noise, sigma_of_covariances
 from beltrami_cli.flow.tuning.sure import RiskEstimate
 from formats.image_files import encode
 
@@ -52,11 +52,11 @@ def enlarged(shape, factor, sigma):
 
 
 def found(image):
-    """Return the octaves of an image of shape (R, C, N), and its noise if that is independent."""
+    """Return the covariances of an image of shape (R, C, N), and its noise if that is independent."""
     planes = np.ascontiguousarray(np.moveaxis(image, 2, 0), np.float32)
     filled = np.ones(planes.shape[1:], bool)
     sigma = estimate_sigma_on_grid(planes, filled)
-    return noise_in_common(planes, filled, sigma), sigma
+    return correlated_covariances(planes, filled, sigma), sigma
 
 
 def psnr(result, clean):
@@ -71,19 +71,19 @@ def details(noise):
 
 def test_drawn_noise_has_the_covariances_that_were_told():
     """In every octave, to four standard errors: of 16,384 and more coefficients, a covariance is known to 1 %."""
-    noise = draw_octaves(SHARED, (512, 512), np.random.default_rng(0))
-    assert noise.var(axis=(1, 2)) == pytest.approx(sigma_of_octaves(SHARED) ** 2, rel=0.04)
+    noise = draw_haar_noise(SHARED, (512, 512), np.random.default_rng(0))
+    assert noise.var(axis=(1, 2)) == pytest.approx(sigma_of_covariances(SHARED) ** 2, rel=0.04)
     for level, told in enumerate(SHARED[:3]):
         fine, noise = details(noise)
         drawn = np.cov(2**level * fine.reshape(3, -1))
         assert np.abs(drawn - told).max() < 0.04
 
 
-def test_equal_octaves_are_independent_noise():
+def test_equal_covariances_are_independent_noise():
     """Correlations of a quarter of a million cells with their neighbours are below 0.01."""
-    octaves = np.tile(np.diag([1.0, 4.0]), (3, 1, 1))
-    assert sigma_of_octaves(octaves) == pytest.approx([1, 2])
-    one, other = draw_octaves(octaves, (500, 501), np.random.default_rng(1))
+    covariances = np.tile(np.diag([1.0, 4.0]), (3, 1, 1))
+    assert sigma_of_covariances(covariances) == pytest.approx([1, 2])
+    one, other = draw_haar_noise(covariances, (500, 501), np.random.default_rng(1))
     assert abs(np.mean(one * other)) < 0.02
     for values in (one, other / 2):
         assert abs(np.mean(values[1:] * values[:-1])) < 0.01
@@ -113,14 +113,14 @@ class Blur:
 def test_the_estimated_error_is_the_true_one_where_neighbours_share_noise():
     """Over many draws within four standard errors and 3 per cent of the noise; by independent signs it is far off."""
     clean, sigma = np.moveaxis(painting(64), 2, 0), 0.06
-    octaves = sigma**2 * SHARED
-    own = sigma_of_octaves(octaves)
+    covariances = sigma**2 * SHARED
+    own = sigma_of_covariances(covariances)
     step = Step(beta=1 / sigma, t=2.4, regularised=False)
     differences = {"like": [], "unlike": []}
     for seed in range(30):
         random = np.random.default_rng(seed)
-        noisy = clean + draw_octaves(octaves, clean.shape[1:], random)
-        like = draw_octaves(octaves, clean.shape[1:], random) / np.sqrt(np.mean(own**2))
+        noisy = clean + draw_haar_noise(covariances, clean.shape[1:], random)
+        like = draw_haar_noise(covariances, clean.shape[1:], random) / np.sqrt(np.mean(own**2))
         for name, signs in (("like", like), ("unlike", random.choice([-1.0, 1.0], clean.shape))):
             estimate = RiskEstimate(Blur(noisy, signs[None]), own)
             state = estimate.step(estimate.step(estimate.start, step), step)
@@ -133,7 +133,7 @@ def test_the_estimated_error_is_the_true_one_where_neighbours_share_noise():
 
 
 @pytest.mark.parametrize("sigma", [2, 5, 20])
-def test_independent_noise_is_not_taken_for_noise_in_common(sigma):
+def test_independent_noise_is_not_taken_for_shared_noise(sigma):
     random = np.random.default_rng(0)
     grain = np.stack([gaussian_filter(random.standard_normal((256, 256)), 1.5) for _ in range(3)], axis=2)
     grain /= grain.std()
@@ -146,7 +146,7 @@ def test_independent_noise_is_not_taken_for_noise_in_common(sigma):
 
 
 @pytest.mark.parametrize(("grain", "contrast", "mean"), [(1.5, 0.05, 0.05), (3.0, 0.1, 0.1)])
-def test_rich_dark_texture_is_not_taken_for_noise_in_common(grain, contrast, mean):
+def test_rich_dark_texture_is_not_taken_for_shared_noise(grain, contrast, mean):
     """Noise that was cut off at 0 makes differences of channels smaller, too."""
     random = np.random.default_rng(0)
     texture = np.stack([gaussian_filter(random.standard_normal((256, 256)), grain) for _ in range(3)], axis=2)
@@ -166,28 +166,30 @@ def test_the_noise_that_jpeg_left_is_found(quality, subsampling, sigma, tmp_path
     image = jpeg(stored(painting(512), sigma), quality, subsampling, tmp_path)
     left = jpeg(stored(np.full((512, 512, 3), 0.5), sigma), quality, subsampling, tmp_path) - 128 / 255
     alpha = 0.5 + 0.03 * np.random.default_rng(1).standard_normal((512, 512, 1))
-    octaves, sigma = found(np.concatenate([image, alpha], axis=2))
-    assert sigma_of_octaves(octaves)[:3] == pytest.approx(left.std(axis=(0, 1)), rel=1 / 3)
-    assert sigma_of_octaves(octaves)[3] == pytest.approx(sigma[3])
+    covariances, sigma = found(np.concatenate([image, alpha], axis=2))
+    assert sigma_of_covariances(covariances)[:3] == pytest.approx(left.std(axis=(0, 1)), rel=1 / 3)
+    assert sigma_of_covariances(covariances)[3] == pytest.approx(sigma[3])
 
 
 @pytest.mark.parametrize("factor", [1.3, 2.0])
 def test_the_noise_of_an_enlarged_picture_is_found(factor):
     """Within a third, though its finest detail has next to none."""
     noise = enlarged((512, 512), factor, 10 / 255)
-    octaves, least = found(stored(painting(512) + noise, 0) / 255)
-    assert sigma_of_octaves(octaves) == pytest.approx(noise.std(axis=(0, 1)), rel=1 / 3)
+    covariances, least = found(stored(painting(512) + noise, 0) / 255)
+    assert sigma_of_covariances(covariances) == pytest.approx(noise.std(axis=(0, 1)), rel=1 / 3)
     assert (least < 0.7 * noise.std()).all()  # or nothing had to be found
 
 
 def test_of_a_large_picture_bands_tell_the_noise(monkeypatch):
     """About as all of it does, though they are an eighth."""
     noise = enlarged((2048, 512), 1.5, 10 / 255)
-    octaves = []
+    covariances = []
     for cells in (2048 * 512, 2 * 128 * 512):
         monkeypatch.setattr(grid, "MOST_CELLS", cells)
-        octaves.append(found(0.5 + noise)[0])
-    assert sigma_of_octaves(octaves[1]) == pytest.approx(sigma_of_octaves(octaves[0]), rel=0.1)
+        covariances.append(found(0.5 + noise)[0])
+    assert sigma_of_covariances(covariances[1]) == pytest.approx(
+        sigma_of_covariances(covariances[0]), rel=0.1
+    )
 
 
 @pytest.mark.parametrize("subsampling", ["4:4:4", "4:2:0"])
