@@ -201,11 +201,7 @@ class KernelParameters:
 def parameters_with(
     values: Mapping[str, Any], *, choose: bool = True, fast: bool = False
 ) -> KernelParameters:
-    """Make parameters of which some are given, and leave those that are not to be chosen.
-
-    Values may be None for a parameter that is not given. Without `choose`, what is not given has its default; with
-    `fast` it follows a fixed rule for the noise.
-    """
+    """Return parameters with the given values (None: not given); the others are chosen, or have defaults."""
     given = {name: value for name, value in values.items() if value is not None}
     free = tuple(name for name in TUNABLE if name not in given) if choose else ()
     return KernelParameters(**given, free=free, fast=fast)

@@ -20,11 +20,9 @@ _BRIGHTEST = 16.0  # four stops above white: float colours beyond this are taken
 
 
 def full_scale(colours: NDArray[np.float64], name: str) -> tuple[float, str]:
-    """Return the full scale of finite stored colours, shape (V, C), and a notice ("" where there is no doubt).
-
-    It is 255 if there are numbers above 1 and all are integers, or if one is above 16: colours of high dynamic range
-    may leave [0, 1], but hardly so far. Otherwise it is 1. Numbers beyond 255, up or down, raise InputError.
-    """
+    """Return the full scale of finite stored colours, shape (V, C), and a notice, "" where there is no doubt."""
+    # 255 if numbers exceed 1 and all are integers, or if one exceeds 16: colours of high dynamic range may leave
+    # [0, 1], but hardly so far. Otherwise 1.
     smallest, largest = float(colours.min()), float(colours.max())
     if largest > BYTE or smallest < -BYTE:
         cause = f"vertex colours go from {smallest:g} to {largest:g}, so that full scale is neither 1 nor 255"
@@ -49,11 +47,8 @@ def point_colour_scale(colours: NDArray[np.float64], name: str) -> tuple[float, 
 
 
 def intensity_scale(values: NDArray[np.float64]) -> tuple[float, str]:
-    """Return the full scale of finite intensities, shape (P, 1), of which scanners write any, and a notice or "".
-
-    It is 1, 255 or 65535 as for colours, else the largest magnitude. The smoothed values do not depend on it, only the
-    numbers in which noise and changes are reported.
-    """
+    """Return the full scale of finite intensities, shape (P, 1), and a notice or ""."""
+    # 1, 255 or 65535 as for colours, else the largest magnitude: it only affects reported noise and changes.
     if values.min() >= 0 and values.max() <= 1:
         return 1.0, ""
     scale = _integer_scale(values)

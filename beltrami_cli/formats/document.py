@@ -37,29 +37,21 @@ if TYPE_CHECKING:
 Bytes = bytes | bytearray | memoryview
 NO_IMAGES: Mapping[tuple[Slot, str], ImageFile] = {}
 PLACEHOLDER = b"\0"
-"""What stands in a part of a fingerprint where something was taken out that may differ."""
+"""Replaces what may differ in a part of a fingerprint."""
 
 
 @dataclass(frozen=True)
 class Written:
-    """The files of a document with new colours, or of a mesh converted to another format.
+    """The files of a document with new colours, or of a mesh converted to another format."""
 
-    Attributes
-    ----------
-    main : sequence of bytes-like
-        Pieces of the main file, to be written one after the other.
-    sidecars : mapping of str to bytes-like
-        Files beside it that are new or changed, by their path relative to the main file ("/" separates).
-    notices : tuple of str
-        Messages for the user, one sentence each: what the format cannot hold, what was rounded.
-    superseded : frozenset of str
-        Those of the document's references that nothing in the new files names any more.
-    """
-
-    main: Sequence[Bytes]
-    sidecars: Mapping[str, Bytes] = field(default_factory=dict)
-    notices: tuple[str, ...] = ()
-    superseded: frozenset[str] = frozenset()
+    main: Sequence[Bytes]  # pieces of the main file, in their order
+    sidecars: Mapping[str, Bytes] = field(
+        default_factory=dict
+    )  # new or changed, by path relative to the main file
+    notices: tuple[
+        str, ...
+    ] = ()  # for the user, one sentence each: what the format cannot hold, what was rounded
+    superseded: frozenset[str] = frozenset()  # the document's references that the new files no longer name
 
 
 @dataclass(frozen=True)
@@ -72,56 +64,31 @@ class NamedImage:
 
 @dataclass(frozen=True)
 class Fingerprint:
-    """A file taken apart, colours and images apart from all the rest, so that two files can be compared.
+    """A file with colours and images separated from all the rest, so that two files can be compared."""
 
-    Attributes
-    ----------
-    parts : mapping of str to bytes
-        Everything that is neither colour nor image, by its place in the file. Where a colour, an image or the name of
-        its file stands, there is a placeholder: files that differ in nothing but colours have equal parts.
-    colours : mapping of str to ndarray of float32, shape (n, C)
-        The colours, full scale 1, by what they are.
-    images : mapping of str to NamedImage
-        The images, by where they are used.
-    """
-
+    # Neither colours nor images, by place in the file; placeholders stand for these and for names of images, so that
+    # files that differ in nothing but colours have equal parts.
     parts: Mapping[str, bytes]
-    colours: Mapping[str, NDArray[np.float32]] = field(default_factory=dict)
-    images: Mapping[str, NamedImage] = field(default_factory=dict)
+    colours: Mapping[str, NDArray[np.float32]] = field(default_factory=dict)  # full scale 1, shape (n, C)
+    images: Mapping[str, NamedImage] = field(default_factory=dict)  # by where they are used
 
 
 class Document(ABC):
-    """An opened file. Nothing of it is changed: `patch` makes new bytes.
-
-    Attributes
-    ----------
-    format : str
-        The name of its line in the registry.
-    name : str
-        The file as the user named it, for messages.
-    notices : list of str
-        Messages for the user about this file, one sentence each, without the file's name.
-    """
+    """An opened file. It is never changed: `patch` makes new bytes."""
 
     format: ClassVar[str]
+    """The name of its line in the registry."""
 
     def __init__(self, name: str) -> None:
-        self.name = name
-        self.notices: list[str] = []
+        self.name = name  # of the file as the user named it, for messages
+        self.notices: list[str] = []  # for the user, one sentence each, without the file's name
 
     @abstractmethod
     def painted(self) -> PaintedVertices:
-        """Return the vertex colours and their surface, the same record at every call.
-
-        InputError if there are no vertex colours (`UnpaintedError`), or if they or the geometry are damaged.
-        """
+        """Return the vertex colours and their surface, always the same record; InputError without usable ones."""
 
     def grid(self) -> NDArray[np.int64] | None:
-        """Return the regular grid that the vertices were measured on, shape (H, W), or None if they are no range image.
-
-        It has the row of `painted()` at each place, -1 for none. Positions may then not be finite, where nothing was
-        measured.
-        """
+        """Return the rows of `painted()` on the grid of a range image, shape (H, W), -1: none; None without a grid."""
         return None
 
     def has_vertex_colours(self) -> bool:
@@ -158,11 +125,7 @@ class Document(ABC):
         return ()
 
     def textured(self, slot: Slot) -> TexturedSurface:
-        """Return the textures of a slot and the surface that they are painted on, the same record at every call.
-
-        InputError if the slot has no texture, an image is missing, unsupported or outside the model's folder, or
-        texture coordinates are damaged.
-        """
+        """Return the textures of a slot and their surface, always the same record; InputError without usable ones."""
         raise InputError(self.name, f"it has no {slot} texture")
 
     @abstractmethod

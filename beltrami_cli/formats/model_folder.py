@@ -53,11 +53,7 @@ class ModelFolder:
             return None
 
     def locate(self, name: str, within: PurePosixPath = _HERE) -> str:
-        r"""Return the path of a regular file, relative to the folder, with "/"; UnfitReferenceError if there is none.
-
-        The name is as in the model, "/" and "\" separating folders; `within` is the folder of the file that names it.
-        Where the access allows it, the path may start with ".." or "/", see `is_outside`.
-        """
+        """Return the path of a regular file, relative to the folder; UnfitReferenceError if there is none."""
         key = name, within
         if key not in self._known:  # A hostile file names the same one a million times.
             try:
@@ -191,10 +187,7 @@ def reserve(path: str, taken: set[str]) -> str:
 def name_of_new_image(
     path: str, suffix: str, models: tuple[str, str], taken: set[str], *, keeps: bool
 ) -> str:
-    """Return, and reserve, the path of an image that replaces another: the old one's, if that may be kept.
-
-    Otherwise it is named after the new one of two models, which are given by their stems.
-    """
+    """Return, and reserve, the path of an image that replaces another: the old one, or named by the stems."""
     inside = path_inside(path)
     new = with_suffix(inside if keeps else renamed(inside, *models), suffix)
     if keeps and new == path:
@@ -204,10 +197,7 @@ def name_of_new_image(
 
 
 def new_reference(name: str, path: str, new: str) -> bytes:
-    """Return how a file names another after its move from `path` to `new`: with the folder as it wrote it in `name`.
-
-    Both paths are relative to the model's folder, and differ in the last part only.
-    """
+    """Return how a file refers to another after its move from `path` to `new`, with the folder as in `name`."""
     if new == path:
         return os.fsencode(name)
     folder = 0 if is_outside(path) else max(name.rfind("/"), name.rfind("\\")) + 1

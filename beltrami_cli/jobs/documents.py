@@ -33,11 +33,7 @@ if TYPE_CHECKING:
 
 
 def open_input(source: str, settings: SmoothSettings, access: Access) -> Document:
-    """Read a file, or standard input for "-", as the document that it is.
-
-    Raises InputError if it cannot be read, or is of none of the formats, and UsageError if there are settings of
-    level sets, and it is none.
-    """
+    """Read a file, or standard input for "-", as a document; errors if it is unsupported, or no level set."""
     return document_from(read_source(source, access), source, settings, access)
 
 
@@ -68,11 +64,7 @@ def make_files(
     moved: bool,
     places: MovedVertices | None = None,
 ) -> Written:
-    """Return the files of a document with other colours and places; UsageError if the format cannot take textures over.
-
-    `colours` and `places` have rows as in ``document.painted()``; None: as they are. `stem` is the name of the output
-    without extension, for files beside it, and `moved` whether it lies in another folder than the source.
-    """
+    """Return the files of a document with other colours and positions; UsageError if textures cannot be converted."""
     target_format = kind.name
     if kind.is_own or kind.suffix is not None:
         return document.patch(colours, stem, moved=moved, images=images, places=places)
@@ -129,18 +121,13 @@ def _normals(
 
 @dataclass(frozen=True)
 class Sidecars:
-    """What lies beside an output.
+    """The files beside an output."""
 
-    The source's folder; unchanged files of the source, relative to it, that go along; whether changed files keep the
-    names of the source's (`moved` of `Document.patch`); the output's folder, and files in it that something else
-    names.
-    """
-
-    folder: Path
-    references: tuple[str, ...]
-    keep_names: bool
+    folder: Path  # of the source
+    references: tuple[str, ...]  # unchanged files of the source to copy, relative to its folder
+    keep_names: bool  # changed files keep the names of the source's
     target_folder: Path | None = None
-    strangers: frozenset[str] = frozenset()
+    strangers: frozenset[str] = frozenset()  # files in it that belong to something else
     notices: tuple[str, ...] = ()
 
     def complete(self, written: Written, access: Access = EVERYTHING_INSIDE) -> Written:
@@ -168,12 +155,9 @@ def plan_sidecars(
     output: Output | None,
     access: Access,
 ) -> Sidecars:
-    """Plan the files beside the output, and check that they may be written; `ends` are the source and the target.
-
-    In another folder than the source's they keep their names. If that folder has a file of such a name already, which
-    is not of the model that OUTPUT replaces, changed files are named after OUTPUT, as they are beside the source.
-    OutputError if a file exists and must not be replaced, or would have to give way to one of the same name.
-    """
+    """Plan the files beside the output, from `ends[0]` to `ends[1]`; OutputError if they may not be written."""
+    # In another folder than the source's, files keep their names. If that folder has a file of such a name already,
+    # which the old OUTPUT does not name, changed files are named after OUTPUT, as beside the source.
     source, target = ends
     moved = is_moved(source, target)
     references = tuple(document.references()) if moved and kind.is_own else ()
@@ -245,7 +229,7 @@ def _in_the_way(path: Path) -> OutputError:
 
 
 def is_moved(source: str, target: str) -> bool:
-    """Tell whether the output lies in another folder than the source."""
+    """Return whether the output is in another folder than the source."""
     if "-" in (source, target):
         return source != "-"
     return Path(source).resolve().parent != Path(os.path.realpath(target)).parent

@@ -50,7 +50,7 @@ class Job:
         return None if self.dry_run else Output(target, overwrite=self.overwrite, files=self.files)
 
     def access_besides(self, output: Output | None, guarded: Iterable[str]) -> Access:
-        """Return what may be read, such that no output replaces it, nor the `guarded` files."""
+        """Return the access to files that no output replaces, nor the `guarded` files."""
         if output is None:
             return self.access
         output.files.guard(guarded)

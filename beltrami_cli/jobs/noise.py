@@ -80,22 +80,14 @@ def noise_file(
     settings: SmoothSettings = DEFAULTS,
     job: Job = PLAIN_JOB,
 ) -> NoiseReport:
-    """Add noise to the colours of a model, of points, of a level set, or of an image, and change nothing else.
-
-    Of `settings` count those that say which colours are meant, and how images are written. Raises what `smooth_file`
-    does.
-    """
+    """Add noise to the selected colours of a model, points, a level set or an image, and change nothing else."""
     painter = Noising(noise)
     made = recolour(os.fspath(source), os.fspath(target), settings, painter, job)
     return NoiseReport(painter.added, made.written, made.warnings)
 
 
 def add_noise(grains: Grains, settings: NoiseSettings) -> NDArray[np.float32]:
-    """Add noise to colours of full scale 1, shape (K, N).
-
-    Colours that all lie within 0 and 1 are cut off there, as a camera does; others are not cut off on the side on which
-    some of them lie beyond.
-    """
+    """Add noise to colours of full scale 1, shape (K, N), clipped to [0, 1] unless some colours lie beyond."""
     colours, number_of = grains.colours, grains.number_of
     if not colours.size or settings.sigma == 0:
         return colours.copy()

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 _SIZE = re.compile(r"(\d+(?:\.\d+)?)\s*([KMGT]?)(?:i?B)?", re.IGNORECASE)
 _UNITS = {"": 1, "K": 1 << 10, "M": 1 << 20, "G": 1 << 30, "T": 1 << 40}
-_LARGEST = 1 << 60  # what the system can be told
+_LARGEST = 1 << 60  # accepted by the system as a limit
 _CGROUP_LIMITS = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes")
 # What the program itself takes: libraries, and for each processor the stacks of its threads.
 _PROGRAM, _PER_PROCESSOR = 160 << 20, 24 << 20
@@ -41,7 +41,7 @@ def show_size(size: int) -> str:
 
 
 def memory_of_machine() -> int | None:
-    """Return the bytes of memory that the machine or its container has; None if that cannot be told."""
+    """Return the bytes of memory of the machine or its container; None if they are unknown."""
     found = []
     with contextlib.suppress(AttributeError, OSError, ValueError):
         found.append(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
@@ -53,24 +53,8 @@ def memory_of_machine() -> int | None:
 
 @contextlib.contextmanager
 def limited_memory(size: int | None, name: str) -> Iterator[None]:
-    """Let the process take no more memory for a while than a job may have.
-
-    Parameters
-    ----------
-    size : int or None
-        Bytes; None: without a limit.
-    name : str
-        The file that the job is about, for the message.
-
-    Raises
-    ------
-    InputError
-        If the job wants more.
-
-    Notes
-    -----
-    Where the system has no such limit (Windows, macOS), only what is refused beforehand is refused.
-    """
+    """Limit the memory of the process in this context; InputError with the name of the file if more is needed."""
+    # Windows and macOS have no such limit: there only the checks before a job apply.
     try:
         with _data_limit(size):
             yield
@@ -102,15 +86,10 @@ def _data_limit(size: int | None) -> Iterator[None]:
 
 
 class Stopwatch:
-    """Adds up the time of named stages.
-
-    Attributes
-    ----------
-    stages : dict of str to dict
-        For each stage its "wall" and "cpu" seconds (all threads of the process), in the order of their start.
-    """
+    """Adds up the time of named stages."""
 
     def __init__(self) -> None:
+        # "wall" and "cpu" seconds (all threads of the process), in the order of their start.
         self.stages: dict[str, dict[str, float]] = {}
 
     @contextmanager

@@ -156,16 +156,15 @@ def _is_textured(document: Document, settings: SmoothSettings) -> bool:
 def _smooth_in_texture(
     document: Document, settings: SmoothSettings, wanted: BakeSettings, watch: Stopwatch, job: Job
 ) -> _Done:
-    """Smooth the textures, then make the new one; afterwards, where the old ones are no place to do so.
-
-    A new texture shows theirs between texels, which spreads noise over several and makes it look like a pattern.
-    """
+    """Smooth the textures, then make the new one; in the opposite order where textures are too small."""
     from beltrami_cli.jobs.new_texture import texture_from_textures
     from beltrami_cli.samples.texel_samples import TexelSamples
 
+    # A new texture shows the old ones between texels, which spreads noise over several and makes it look like a
+    # pattern.
     iterations, first = settings.kernel.iterations, None
     old_surface = document.textured("baseColor")
-    if iterations and _has_room(old_surface):
+    if iterations and _are_large_enough(old_surface):
         with watch.stage("smooth"):
             samples = TexelSamples(old_surface, "baseColor", _in_passing(settings))
             samples.require_writable()
@@ -196,13 +195,11 @@ def _smooth_on_vertices(
     job: Job,
     access: Access,
 ) -> _Done:
-    """Smooth the vertex colours, then make the texture.
-
-    In a texture their noise would be spread over several texels each, where it looks like a pattern and stays.
-    """
+    """Smooth the vertex colours, then make the texture."""
     from beltrami_cli.jobs.new_texture import texture_from_vertices
     from beltrami_cli.samples.vertex_samples import require_surface
 
+    # In a texture their noise would be spread over several texels each, where it looks like a pattern and stays.
     smoothed: list[Smoothed] = []
     require_surface(document.painted(), document.name)
     if settings.kernel.iterations > 0:
@@ -215,8 +212,8 @@ def _smooth_on_vertices(
     return _Done(made, _encoded(made, settings), list(made.notices), smoothed)
 
 
-def _has_room(surface: TexturedSurface) -> bool:
-    """Tell whether textures have a texel for each triangle; in palettes triangles are points, and share few colours."""
+def _are_large_enough(surface: TexturedSurface) -> bool:
+    """Return whether textures have a texel for each triangle, unlike palettes."""
     from beltrami_cli.formats.image.reading import measure_image
     from beltrami_cli.jobs.new_texture import texels_of
 

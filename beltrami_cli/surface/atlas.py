@@ -204,7 +204,7 @@ def grid_atlas(
 ) -> Atlas:
     """Lay out an image, shape (H, W), as one chart without seams, with `margin` empty cells around."""
     # Positions, shape (H, W, M), that are not finite are holes; without them pixels lie on the plane, 1
-    # apart. Nothing crosses a hole, and holes that touch at their corners are a closed wall.
+    # apart. Nothing crosses a hole, and holes that touch at their corners are a closed barrier.
     filled = _filled(shape, positions, valid)
     kind = np.pad(np.where(filled, np.uint8(OWNED), np.uint8(EMPTY)), margin)
     lengths = np.full((len(_STEPS), *kind.shape), np.inf, np.float32)

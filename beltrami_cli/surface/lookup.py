@@ -27,7 +27,7 @@ def look_up(
 ) -> NDArray[np.float64]:
     """Interpolate between the four texels around each place; exact where the four agree."""
     # Places are (u to the right, v down), (0, 0) the upper left corner of the image and (1, 1) the lower
-    # right. By the channel `alpha`, the opacity, what cannot be seen lends no colour.
+    # right. Where the channel `alpha`, the opacity, is transparent, no colour is taken.
     height, width = image.shape[:2]
     left, right, across = _taps(uv[:, 0], width, wrap[0])
     upper, lower, down = _taps(uv[:, 1], height, wrap[1])

@@ -43,7 +43,7 @@ def unwrapped(
     positions: NDArray[np.float32], faces: NDArray[np.uint32], sizes: list[int], wanted: float, padding: int
 ) -> tuple[NDArray[np.float64], int, int]:
     """Cut a mesh into charts and pack them; return corners in texels, shape (F, 3, 2), size and charts."""
-    # `sizes` are longest sides, ascending: one alone is filled; of several the first is taken that has room
+    # `sizes` are longest sides, ascending: a single one is filled; of several the first is taken that is large enough
     # for as many texels as wanted, or else the last is filled. If charts do not fit even when tiny, corners
     # reach beyond the size.
     import xatlas

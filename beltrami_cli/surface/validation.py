@@ -116,8 +116,8 @@ def _check_finite(table: NDArray[np.floating], what: str, name: str) -> None:
 
 
 # Squares of lengths are kept in single precision, which ends at 1.2e-38 and 3.4e38: lengths at 1e-19 and
-# 2e19. Texels and the edges of a mesh vary, and kernels reach further; with five decades between there is
-# room for all of them.
+# 2e19. Texels and the edges of a mesh vary, and kernels reach further; five decades of margin are enough for
+# all of them.
 _LEAST, _MOST = 1e-14, 1e14
 _ENOUGH_FACES = 100_000  # for a median that is off by a per cent or so
 

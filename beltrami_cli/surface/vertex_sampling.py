@@ -2,7 +2,7 @@
 
 Vertices that a format splits (for normals, texture coordinates, primitives) but that stand at exactly one place with
 one colour become one sample. Where coincident vertices differ in colour, each colour is a sample of its own, and
-bridges join them: on the image manifold (X, beta I) a colour jump along an edge is an upright wall between the edge's
+bridges join them: on the image manifold (X, beta I) a colour jump along an edge is an upright strip between the edge's
 two copies, with no extent in X and the jump in I. Both of its diagonals are laid, so that the result does not depend on
 the order of vertices. More than two copies of one edge (non-manifold edges) are joined in a chain, by the order of
 their colours.

@@ -66,11 +66,11 @@ class Volume:
 _NEIGHBOURS = 4  # points that a vertex takes its colour from: about what surrounds it on a surface
 _REACH = 4.0  # in voxels, or in distances between points where these are larger
 _PROBED = 10_000  # points whose distances to their neighbours are those of all within a per cent
-_WEIGHTLESS = 1e-6  # less than any voxel that lends has by chance
+_WEIGHTLESS = 1e-6  # less than the weight of any voxel that contributes
 
 
 def places(lattice: Lattice, at: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return where points in units of a lattice, shape (V, 3), stand in space."""
+    """Return the positions in space of points in units of a lattice, shape (V, 3)."""
     found: NDArray[np.float64] = lattice.origin + at @ lattice.axes
     return found
 
@@ -79,12 +79,12 @@ def interpolate_colours(
     colours: GridColours, positions: NDArray[np.float64], known: NDArray[np.bool_] | None = None
 ) -> NDArray[np.float64]:
     """Interpolate colours, as stored, between the eight voxels around each place, trilinearly."""
-    # Voxels that have no colour, are not known, or lie outside lend none: the weights of the others are
-    # raised to 1. NaN where no voxel around has a colour.
+    # Voxels that have no colour, are not known, or lie outside do not contribute: the weights of the others are
+    # normalised. NaN where no voxel around has a colour.
     samples = colours.samples
     sides = np.array(samples.shape[:3])
     at = np.linalg.solve(colours.lattice.axes.T, (positions - colours.lattice.origin).T).T
-    # A place on the grid that rounding puts beside it must not lend from a voxel further on.
+    # A place on the grid that rounding puts beside it must not take colour from a voxel further on.
     at = np.where(np.abs(at - np.rint(at)) < _WEIGHTLESS, np.rint(at), at)
     corner = np.floor(at)
     beyond = at - corner
@@ -95,10 +95,10 @@ def interpolate_colours(
         weight = np.where(step, beyond, 1 - beyond).prod(axis=1)
         inside = ((voxel >= 0) & (voxel < sides)).all(axis=1) & (weight > _WEIGHTLESS)
         index = tuple(voxel[inside].astype(np.intp).T)
-        lent = samples[index].astype(np.float64)
-        lends = has_colour(lent) if known is None else has_colour(lent) & known[index]
-        rows = np.flatnonzero(inside)[lends]
-        total[rows] += weight[rows, None] * lent[lends]
+        taken = samples[index].astype(np.float64)
+        valid = has_colour(taken) if known is None else has_colour(taken) & known[index]
+        rows = np.flatnonzero(inside)[valid]
+        total[rows] += weight[rows, None] * taken[valid]
         weights[rows] += weight[rows]
     return _mean(total, weights)
 
@@ -112,10 +112,10 @@ def nearest_colours(
     from scipy.spatial import cKDTree
 
     samples = colours.samples.astype(np.float64)
-    lends = has_colour(samples)
-    if not lends.any():
+    valid = has_colour(samples)
+    if not valid.any():
         return np.full((len(positions), samples.shape[1]), np.nan)
-    points, samples = colours.points[lends], samples[lends]
+    points, samples = colours.points[valid], samples[valid]
     tree, count = cKDTree(points), min(_NEIGHBOURS, len(points))
     probes = points[:: max(1, len(points) // _PROBED)]
     between = tree.query(probes, [min(count + 1, len(points))], workers=threads)[0]

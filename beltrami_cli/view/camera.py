@@ -104,11 +104,7 @@ def size_between(low: NDArray[np.float64], high: NDArray[np.float64]) -> float:
 def fitted(
     positions: NDArray[np.float64], rotation: NDArray[np.float64], field: float, aspect: float
 ) -> Camera:
-    """Place a camera so that all points, at least one, are seen and fill the view.
-
-    `field` is the angle of view along the shorter side in degrees, 0 for an orthographic camera; `aspect` is the width
-    of the view by its height.
-    """
+    """Place a camera so that all points, at least one, are visible and fill the view."""
     seen = positions @ rotation.T
     low, high = seen.min(axis=0), seen.max(axis=0)
     size = size_between(low, high)

@@ -58,11 +58,7 @@ def histogram(pairs: Sequence[ComparedColours]) -> str:
 
 
 def _bins(change: NDArray[np.float64]) -> tuple[int, float]:
-    """Return the number of bins of a histogram of changes in 255ths, and its largest change.
-
-    Changes of 8-bit colours are whole numbers: each bin holds equally many of them. An odd number of bins of an odd
-    number of values has none of these on its edges, where rounding would throw it to either side.
-    """
+    """Return the number of bins of a histogram of changes in 255ths, and its largest change."""
     wanted = max(1.0, float(np.percentile(np.abs(change), 99.5))) if change.size else 1.0
     step = -(-2 * wanted // _STEPS) // 2 * 2 + 1 if wanted > _FEW else 2 * wanted / _STEPS
     bins = 2 * int(wanted // step) + 1

@@ -100,10 +100,7 @@ def background_of(settings: RenderSettings, panels: Sequence[Panel]) -> Backgrou
 
 
 def richest_window(view: NDArray[np.float32], side: float) -> Window:
-    """Return the square window, the first of equals, that the model fills and in which brightness varies most.
-
-    `view` is linear light times opacity, and opacity; `side` is a fraction of the shorter side of the view.
-    """
+    """Return the square window, the first of equals, filled by the model, with the most varying brightness."""
     height, width = view.shape[:2]
     square = max(1, round(side * min(width, height)))
     brightness = linear_to_srgb(np.clip(view[..., :3].astype(np.float64) @ _LUMINANCE, 0, 1))

@@ -32,10 +32,7 @@ class Paint(Protocol):
     def __call__(
         self, faces: NDArray[np.int64], weights: NDArray[np.float64], footprints: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Return linear red, green, blue and opacity, (K, 4), at points of faces with barycentric weights, (K, 3).
-
-        `footprints` are the areas that the points stand for, in squared units of the model.
-        """
+        """Return linear red, green, blue and opacity, (K, 4), at points of faces with barycentric weights, (K, 3)."""
         ...
 
 

@@ -57,10 +57,7 @@ def render_file(
 
 
 class Preview:
-    """Draws INPUT and OUTPUT of a smoothing, with the detail in which there is most to see.
-
-    What would make it fail is found when it is made, before anything is computed.
-    """
+    """Draws INPUT and OUTPUT of a smoothing, with the richest detail; it fails before anything is computed."""
 
     def __init__(
         self,
@@ -96,7 +93,7 @@ class Preview:
 
 
 def is_preview(head: bytes) -> bool:
-    """Tell by its first bytes whether a file can be a preview, as PNG."""
+    """Return whether the first bytes of a file are those of a PNG, as previews have."""
     return head.startswith(_PNG) and head[_KIND] == b"IDAT"
 
 

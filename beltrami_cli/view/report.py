@@ -61,10 +61,7 @@ def report_file(
     overwrite: bool = False,
     access: Access = EVERYTHING_INSIDE,
 ) -> dict[str, Any]:
-    """Write a page on what changed between two models or images that differ in colours only; return all figures.
-
-    `parameters` is a file that `smooth` wrote with ``--report``.
-    """
+    """Write a page on what changed between two models or images that differ in colours only; return all figures."""
     names = [before, after]
     if "-" in names:
         raise UsageError("BEFORE and AFTER must be files and not pipes")

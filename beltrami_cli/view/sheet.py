@@ -42,10 +42,7 @@ class Background:
 
 @dataclass(frozen=True)
 class Panel:
-    """A view with a label above it and details below it, and where in the view these are.
-
-    Pictures have the shape (H, W, 4): linear light times opacity, and opacity.
-    """
+    """A view, shape (H, W, 4), with a label above it, details below it, and their windows in the view."""
 
     view: NDArray[np.float32]
     label: str = ""
@@ -67,10 +64,7 @@ def is_lost_on_white(views: Sequence[NDArray[np.float32]]) -> bool:
 
 
 def arranged(panels: Sequence[Panel | None], columns: int, background: Background) -> NDArray[np.uint8]:
-    """Put panels of one size into rows and columns, as sRGB (H, W, 3), or with opacity (H, W, 4) on no background.
-
-    None is an empty place; the first panel must not be one.
-    """
+    """Arrange panels of one size in rows and columns, as sRGB (H, W, 3), or (H, W, 4) without background."""
     present = [panel for panel in panels if panel is not None]
     width = present[0].view.shape[1]
     gap = _gap(width)
@@ -139,10 +133,7 @@ def _label(text: str, width: int, background: Background) -> NDArray[np.float64]
 
 
 def _lettering(text: str, size: tuple[int, int], height: int) -> NDArray[np.float32]:
-    """Return how much of each pixel of a strip a line of text in its middle covers, 0 to 1.
-
-    A text that is too long loses its beginning: names of files differ at their end.
-    """
+    """Return how much of each pixel of a strip is covered by a line of text in its middle, 0 to 1."""
     import OpenImageIO
 
     words, start = text, 0

@@ -47,10 +47,7 @@ MOST_TRIALS = 200
 
 @dataclass(frozen=True)
 class Trial:
-    """What one set of the swept parameters makes of a file, and its known figures against a reference, if there is one.
-
-    Figures are "psnr" and "psnr_near_seams" in dB, "ssim", and "delta_e" (the mean).
-    """
+    """The result of one set of the swept parameters, and its figures against a reference, if there is one."""
 
     parameters: dict[str, float]
     figures: dict[str, float]
@@ -72,11 +69,7 @@ def sweep_file(
     reference: str | None = None,
     job: Job = PLAIN_JOB,
 ) -> list[Trial]:
-    """Smooth a file with several settings, and write a picture, or a page (.html), of all results.
-
-    Each trial is what differs, by the names that are shown, and the settings. `columns` results stand side by side in a
-    picture. The reference is the same file without noise.
-    """
+    """Smooth a file with several settings, and write a picture, or a page (.html), of all results."""
     _check(source, len(trials), looks)
     is_page = Path(target).suffix.lower() in PAGES
     suffix = "" if is_page else picture_suffix(target, ", or .html for a page")

@@ -92,11 +92,7 @@ class SurfaceView:
     def draw(
         self, camera: Camera, size: tuple[int, int], window: Window, *, lit: bool
     ) -> NDArray[np.float32]:
-        """Draw a window of a view, `size` = (width, height) pixels: linear light times opacity, and opacity.
-
-        Each pixel is the mean of 9 rays. If lit, a lamp multiplies colours by 0.35 + 0.65 max(0, n . l) in linear
-        light, with the normal n on the side of the eye and the direction l towards the lamp.
-        """
+        """Draw a window of a view, `size` = (width, height) pixels: linear light times opacity, and opacity."""
         width, height = size
         image = np.zeros((height, width, 4), np.float32)
         rows, columns = self._covered(camera, size, window)

@@ -72,10 +72,7 @@ class ImageView:
         self._pyramid = Pyramid.of(sheet)
 
     def draw(self, size: tuple[int, int], window: Window) -> NDArray[np.float32]:
-        """Draw a window of a view that the image fills as far as its proportions allow.
-
-        The result is as of `SurfaceView.draw`. At its own size the image is unchanged; enlarged, texels are squares.
-        """
+        """Draw a window of a view that the image fills as far as its proportions allow, see `SurfaceView.draw`."""
         height, width = self._pyramid.levels[0].shape[:2]
         view = np.array(size) / [window[2] - window[0], window[3] - window[1]]
         scale = min(view[0] / width, view[1] / height)
@@ -119,10 +116,8 @@ def open_view(
 
 
 def sheet_of(picture: Picture, *, is_data: bool = False) -> NDArray[np.float32]:
-    """Return an image in linear light with opacity, (H, W, 4); data are shown as if they were display values.
-
-    Floats are clipped to what can be shown, and what is not finite is transparent.
-    """
+    """Return an image in linear light with opacity, (H, W, 4); data are shown as if they were display values."""
+    # Floats are clipped to the visible range, and what is not finite is transparent.
     values = to_float(picture) if is_data else without_alpha(picture, to_float(picture))
     channels = picture.colour if len(picture.colour) == 3 else picture.colour[:1] * 3
     colours = values[..., channels]
@@ -148,10 +143,7 @@ def light_of(painted: PaintedVertices) -> NDArray[np.float64]:
 
 
 def within_reach(positions: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return positions, times a power of two if squares of areas would overflow or underflow otherwise.
-
-    A picture shows no difference, and models that are alike are scaled alike.
-    """
+    """Return positions, times a power of two if squares of areas would overflow or underflow otherwise."""
     largest = np.max(np.abs(positions), where=np.isfinite(positions), initial=0.0)
     exponent = np.frexp(largest)[1]
     if abs(exponent) < _FAR:

@@ -177,8 +177,8 @@ def _fitted(edit: Edit, buffer: int, blob: _Blob, limit: int) -> bool:
     start, end = _span(view)
     after = min([limit, *(a for _, (a, _) in _spans(edit, buffer) if a >= end)])
     vacant = data.count(0, end, after) == after - end  # left by an earlier image, or padding
-    room = after if vacant else end
-    fits = start + len(blob.data) <= room
+    available = after if vacant else end
+    fits = start + len(blob.data) <= available
     data[start:end] = bytes(end - start)
     if fits:
         data[start : start + len(blob.data)] = blob.data

@@ -72,11 +72,8 @@ def noise_losses(picture: Picture, suffix: str | None, remedy: str) -> tuple[str
 def converted(
     picture: Picture, pixels: NDArray[Any], known: str, *, as_data: bool
 ) -> tuple[NDArray[Any], Any]:
-    """Return pixels as another format takes them, and their description (OpenImageIO.ImageSpec) for it.
-
-    Unless they are data, colours become linear light in floats and sRGB in integers. Metadata are kept that do not
-    belong to the old format.
-    """
+    """Return pixels as another format stores them, and their OpenImageIO.ImageSpec for it."""
+    # Unless they are data, colours become linear light in floats and sRGB in integers.
     stored = _type_in(_finest(picture, known), known)
     kept = _kept_channels(picture, known)
     values = without_alpha(picture, full_scale_one(pixels))[:, :, kept]

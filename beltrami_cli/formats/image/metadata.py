@@ -30,10 +30,7 @@ _PLAIN_MARKERS = (0x01, *range(0xD0, 0xD9))  # markers without a segment
 
 
 def carry_over(source: bytes, encoded: bytes, known: str) -> bytes:
-    """Return an encoded image with the metadata of another file of its format in place of its own.
-
-    These are colour profile, EXIF, XMP, texts, resolution and times of PNG, JPEG and WebP files; others stay unchanged.
-    """
+    """Return an encoded PNG, JPEG or WebP image with the metadata of another file; others stay unchanged."""
     match known:
         case "png":
             return _carry_png(source, encoded)

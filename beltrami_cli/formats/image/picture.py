@@ -21,52 +21,23 @@ _LEAST_STEPS = 16  # of opacity, for colours of 4 bits
 
 @dataclass(frozen=True)
 class Picture:
-    """A decoded image file.
-
-    Attributes
-    ----------
-    name : str
-        For messages.
-    pixels : ndarray of uint8, uint16 or float32, shape (H, W, C)
-        Row 0 is the upper one. The values are those of the file: alpha is not multiplied into colours that are
-        stored without it, orientation tags are not obeyed. Palettes are resolved. Half floats are float32 here.
-    channels : tuple of str
-        Names of the C channels.
-    colour : tuple of int
-        Which channels are the colours: grey, or red, green and blue.
-    alpha : int or None
-        Which channel is the opacity.
-    encoding : {"srgb", "linear"}
-        What colours mean: display values in integer types, linear light in floats.
-    stored : {"uint8", "uint16", "float16", "float32"}
-        Type of the colours in the file.
-    kinds : tuple of str
-        Type of every channel in the file; they differ in some EXR files only.
-    format : str
-        A key of `recognition.FORMATS`.
-    suffix : str
-        Extension for files of this kind, with the dot: the source's own if it fits the format.
-    notices : tuple of str
-        Messages for the user, one sentence each, with the image's name.
-    source : bytes
-        The file, whose metadata are carried over.
-    spec : OpenImageIO.ImageSpec
-        The file's description by OpenImageIO.
-    """
+    """A decoded image file."""
 
     name: str
+    # Shape (H, W, C), row 0 is the upper one, values as in the file: alpha is not multiplied into colours that are
+    # stored without it, orientation tags are ignored, palettes are resolved, and half floats are float32.
     pixels: NDArray[Any]
-    channels: tuple[str, ...]
-    colour: tuple[int, ...]
-    alpha: int | None
-    encoding: Encoding
-    stored: str
-    format: str
-    suffix: str
-    notices: tuple[str, ...]
-    kinds: tuple[str, ...]
-    source: bytes = field(repr=False)
-    spec: Any = field(repr=False)
+    channels: tuple[str, ...]  # names of the C channels
+    colour: tuple[int, ...]  # the channels that are grey, or red, green and blue
+    alpha: int | None  # the channel that is the opacity
+    encoding: Encoding  # display values in integer types, linear light in floats
+    stored: str  # type of the colours in the file: uint8, uint16, float16 or float32
+    format: str  # a key of `recognition.FORMATS`
+    suffix: str  # with the dot: the source's own if it fits the format
+    notices: tuple[str, ...]  # for the user, one sentence each, with the image's name
+    kinds: tuple[str, ...]  # type of every channel in the file; they differ in some EXR files only
+    source: bytes = field(repr=False)  # the file, whose metadata are carried over
+    spec: Any = field(repr=False)  # OpenImageIO.ImageSpec of the file
 
 
 def new_picture(pixels: NDArray[Any], name: str) -> Picture:
@@ -105,10 +76,7 @@ def is_associated(picture: Picture) -> bool:
 
 
 def without_alpha(picture: Picture, values: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return channels of full scale 1, shape (..., C), with no alpha multiplied into their colours.
-
-    Where hardly anything can be seen there is nothing to divide by, and colours stay as they are.
-    """
+    """Return channels of full scale 1, shape (..., C), with colours divided by alpha, except where it is nearly 0."""
     if not is_associated(picture):
         return values
     straight = values.copy()
@@ -119,10 +87,7 @@ def without_alpha(picture: Picture, values: NDArray[np.float32]) -> NDArray[np.f
 
 
 def supplies_colour(picture: Picture, opacity: NDArray[Any]) -> NDArray[np.bool_]:
-    """Return by their stored opacity which pixels have a colour: not those that cannot be seen.
-
-    Where alpha is multiplied into integers, a few steps of opacity leave as few steps of colour, which says little.
-    """
+    """Return from their stored opacity which pixels have a colour: not those that are transparent."""
     if not is_associated(picture):
         return np.asarray(opacity != 0)
     steps = np.inf if opacity.dtype.kind == "f" else np.iinfo(opacity.dtype).max
@@ -145,10 +110,7 @@ def full_scale_one(pixels: NDArray[Any]) -> NDArray[np.float32]:
 
 
 def as_stored(values: NDArray[np.float32], kind: str) -> NDArray[Any]:
-    """Round values of full scale 1 to a type, clipping them to its range; halves are returned as float32.
-
-    What is no number becomes 0 in integers.
-    """
+    """Round values of full scale 1 to a type, clipped to its range; NaN becomes 0 in integers, halves are float32."""
     if kind == "float32":
         return values
     if kind == "float16":

@@ -75,11 +75,7 @@ def _measured(data: bytes) -> ImageSize | None:
 
 
 def read_image(data: bytes, name: str, *, finite: bool = True) -> Picture:
-    """Decode an image file; with `finite`, values that are not finite are refused.
-
-    InputError if it is of no known format, damaged or cut off, of no size or too large, of a type of sample that is not
-    supported, in CMYK or CIELAB, or has values that are not finite and must not.
-    """
+    """Decode an image file; InputError if it is damaged or unsupported, or, with `finite`, not finite."""
     import OpenImageIO
 
     known = format_of(data, name)

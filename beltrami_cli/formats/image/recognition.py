@@ -8,27 +8,13 @@ from pathlib import PurePosixPath
 
 @dataclass(frozen=True)
 class ImageFormat:
-    """What a format can hold.
-
-    Attributes
-    ----------
-    suffixes : tuple of str
-        Extensions of its files, the usual one first.
-    types : tuple of str
-        Sample types as NumPy names, the coarsest first.
-    channels : tuple of int
-        Numbers of channels: 1 is grey, 3 red, green and blue; 2 and 4 have alpha besides.
-    signatures : tuple of bytes
-        What its files start with.
-    writable : bool
-        Whether what it holds can be written as it was; otherwise it is only read.
-    """
+    """The files and samples of a format."""
 
     suffixes: tuple[str, ...]
     types: tuple[str, ...] = ("uint8",)
-    channels: tuple[int, ...] = (1, 2, 3, 4)
+    channels: tuple[int, ...] = (1, 2, 3, 4)  # numbers of channels; 2 and 4 include alpha
     signatures: tuple[bytes, ...] = ()
-    writable: bool = True
+    writable: bool = True  # without loss of what it holds
 
     @property
     def alpha(self) -> bool:
@@ -108,10 +94,7 @@ def format_of(data: bytes, name: str) -> str | None:
 
 
 def suffix_for(data: bytes, name: str) -> str:
-    """Return the suffix of an image with its dot, "" if it is of no known format.
-
-    It is that of its name if that fits the content, otherwise the usual one of its format.
-    """
+    """Return the suffix of an image with its dot: its name's if that fits, else its format's, "" if unknown."""
     known, suffix = format_of(data, name), suffix_of(name).lower()
     if known is None:
         return ""

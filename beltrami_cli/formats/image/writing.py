@@ -43,31 +43,11 @@ def write_image(
     *,
     suffix: str | None = None,
     jpeg_quality: int = 98,
-    small: bool = False,
-    as_data: bool = False,
+    small: bool = False,  # spend time on a smaller file
+    as_data: bool = False,  # normals and the like, whose numbers no change of encoding may touch
 ) -> ImageFile:
-    """Encode pixels as the file that a picture came from, or as one of another format.
-
-    Parameters
-    ----------
-    picture : Picture
-        What is to be kept: type and number of samples, alpha, compression, chroma subsampling, metadata.
-    pixels : ndarray, shape (H, W, C)
-        Like ``picture.pixels`` in type and shape.
-    suffix : str, optional
-        Suffix of the format wanted, with the dot; by default the picture's own format.
-    jpeg_quality : int
-        Of lossy JPEG and WebP files, 1 to 100.
-    small : bool
-        Whether to spend time on a smaller file.
-    as_data : bool
-        Whether the colours are data (normals, roughness), which no change of encoding may touch.
-
-    Notes
-    -----
-    PNG, TIFF, TGA, BMP, lossless WebP and floats keep every value; in WebP, colours under an alpha of 0 are lost.
-    `losses` says what another format cannot hold. Errors: as `check_writable`, and ProcessingError from OpenImageIO.
-    """
+    """Encode pixels like those of a picture as the file that it came from, or in another format."""
+    # PNG, TIFF, TGA, BMP, lossless WebP and floats keep every value; in WebP, colours under an alpha of 0 are lost.
     known = check_writable(picture, suffix)
     if known != picture.format:
         values, spec = converted(picture, pixels, known, as_data=as_data)
@@ -82,10 +62,7 @@ def write_image(
 
 
 def check_writable(picture: Picture, suffix: str | None) -> str:
-    """Return the format, a key of `FORMATS`, that a suffix (None: the picture's own format) stands for.
-
-    UsageError if it is none, one that is only read, or not fit for an image this small.
-    """
+    """Return the format of a suffix (None: the picture's own); UsageError if it cannot hold this image."""
     known = picture.format if suffix is None else format_of_suffix(suffix)
     if known in _NEEDS_SUFFIX and min(picture.pixels.shape[:2]) < _LEAST_JPEG_2000:
         raise UsageError(f"{picture.name}: an image of fewer than 32 pixels a side cannot be written as JP2")

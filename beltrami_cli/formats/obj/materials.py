@@ -120,10 +120,7 @@ class Library:
 
 
 class Materials:
-    """Existing files that an OBJ file names, directly or through its materials.
-
-    `statements` are what stands behind its `mtllib` keywords, each with where it stands in the file.
-    """
+    """Existing files that an OBJ file names, directly or through its materials, from its `mtllib` statements."""
 
     def __init__(self, folder: ModelFolder, statements: Sequence[tuple[bytes, int]]) -> None:
         self.paths: list[str] = []  # of regular files inside the folder, relative to it, "/" separates
@@ -168,11 +165,7 @@ class Materials:
         return sum(used == path for library in self.libraries for _, used in library.maps)
 
     def affected(self, slot: Slot, path: str) -> Iterator[tuple[Library, Map]]:
-        """Yield all maps by which an image is seen in a slot.
-
-        With the base colour go maps of the same material to the same file for ambient light and opacity: they
-        show the same paint, and its alpha does not change.
-        """
+        """Yield all maps through which an image is visible in a slot."""
         for library in self.libraries:
             painted = {m.material for m, p in library.maps if p == path and SLOTS.get(m.keyword) == slot}
             for found, its_path in library.maps:

@@ -50,10 +50,7 @@ def new_colours(
     changed: NDArray[np.bool_],
     scale: float,
 ) -> NewNumbers:
-    """Spell the colours that changed, all of shape (V, 3), as the old ones are, within what is sensible.
-
-    `scale` is the stored number that is full scale, 1 or 255; `starts` and `ends` are where the colours stand.
-    """
+    """Format the colours that changed, all of shape (V, 3), like the old ones; `scale` is full scale, 1 or 255."""
     values = colours[changed].astype(np.float64) * scale
     decimals = 0
     found = _most_decimals(data, starts, ends) if len(values) else 0
@@ -112,10 +109,7 @@ def repainted(
     *,
     moved: bool,
 ) -> tuple[dict[str, Bytes], Spans, frozenset[str]]:
-    """Return the new files beside an OBJ file, new names in it, and which old files nothing names any more.
-
-    `source` is the stem of its name; the others are as for `Document.patch`.
-    """
+    """Return the new files beside an OBJ file, new names in it, and the old files that it no longer names."""
     taken = {path.casefold() for path in materials.paths}
     sidecars: dict[str, Bytes] = {}
     edits, superseded = _take_images(materials, images, (source, stem), sidecars, taken, moved=moved)

@@ -28,10 +28,7 @@ _BLOCK = 1 << 18  # indices read at a time, which bounds the memory for their di
 
 
 class Statements:
-    """The lines of a file that say something, as ranges of tokens.
-
-    Token t is ``data[starts[t]:ends[t]]``. Statement s has the keyword `heads[s]` and the tokens up to `stops[s]`.
-    """
+    """The statements of a file: s has the keyword `heads[s]` and the tokens up to `stops[s]`."""
 
     def __init__(self, data: bytes, name: str) -> None:
         self._data, self._name = data, name
@@ -86,11 +83,7 @@ class Statements:
         return values
 
     def corners(self, keyword: bytes) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-        """Return what the K corners of all polygons refer to among the statements of a keyword: `v`, `vt` or `vn`.
-
-        These are rows from 0, -1 where a corner has no index; with the tokens of the corners, and the P + 1 offsets of
-        polygons. Indices count from 1, negative ones back from the last such statement before the polygon.
-        """
+        """Return the rows of a keyword (v, vt, vn) at K corners, -1: none, their tokens, and polygon offsets."""
         targets, polygons = self.select(keyword), self.select(b"f")
         tokens, offsets = self.arguments(polygons)
         place, what = _INDICES[keyword]
@@ -174,10 +167,7 @@ class Statements:
 
 
 def _plain(data: bytes) -> bytes:
-    """Blank what is no statement and end with a line end; every other byte stays at its place.
-
-    Blanked are comments, a byte order mark, and the joints of continued lines.
-    """
+    """Blank comments, a byte order mark and joints of continued lines, and end with a line end; no byte moves."""
     text = data if data.endswith(b"\n") else data + b"\n"
     if text.startswith(_BYTE_ORDER_MARK):
         text = b"   " + text[3:]

@@ -78,10 +78,7 @@ def gather_textured(
     slot: Slot,
     name: str,
 ) -> tuple[TexturedSurface, list[str]]:
-    """Gather all triangles, the images that one slot of their materials shows, and notices.
-
-    `mesh` are the positions of all vertices, (V, 3), and the corners and offsets of polygons as for `triangulate`.
-    """
+    """Return all triangles, the images of one slot of their materials, and notices."""
     positions, corners, offsets = mesh
     palette = _Palette(materials, folder, slot, len(coordinates.names))
     for material in np.unique(coordinates.material_of).tolist():

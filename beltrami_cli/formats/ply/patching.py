@@ -109,10 +109,7 @@ def renamed_images(
     *,
     moved: bool,
 ) -> tuple[dict[str, Bytes], Spans, frozenset[str]]:
-    """Return new image files, new names by where old ones stand in the header, and the old files that nothing names.
-
-    `source` is the stem of the PLY file's name; the others are as for `Document.patch`.
-    """
+    """Return new image files, new names by their place in the header, and the old files that nothing names."""
     taken = {comment.path.casefold() for comment in comments if comment.path is not None}
     sidecars: dict[str, Bytes] = {}
     spans: Spans = {}

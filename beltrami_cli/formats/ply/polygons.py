@@ -79,10 +79,7 @@ def _check(
 
 
 def _unroll(strips: NDArray[np.int64], ends: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Turn strips, which -1 restarts, into triangles; every other one of a strip is turned round.
-
-    Triangles of fewer than three different corners only lead from one strip to the next, and are left out.
-    """
+    """Convert strips, which -1 restarts, to triangles, with every other one of a strip reversed."""
     if strips.size < 3:
         return np.empty((0, 3), np.int64)
     begins = np.zeros(len(strips), np.bool_)
@@ -100,10 +97,7 @@ def _unroll(strips: NDArray[np.int64], ends: NDArray[np.int64]) -> NDArray[np.in
 
 
 def read_grid(header: bytes, tables: Mapping[str, Table], name: str) -> NDArray[np.int64] | None:
-    """Return the vertices in their places on the grid, (H, W), -1 where nothing was measured; None if there is no grid.
-
-    Faces count more than a grid.
-    """
+    """Return the vertices on the grid, (H, W), -1 where nothing was measured; None without a grid, or with faces."""
     if any(tables[other].element.count for other in ("face", "tristrips") if other in tables):
         return None
     vertices = tables["vertex"].element.count

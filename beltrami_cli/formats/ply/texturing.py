@@ -79,10 +79,7 @@ def gather_textured(
     folder: ModelFolder,
     name: str,
 ) -> tuple[TexturedSurface, list[str]]:
-    """Gather all triangles with their texture coordinates, the images, and notices.
-
-    `mesh` are the positions of all vertices, (V, 3), and the corners and offsets of polygons as for `triangulate`.
-    """
+    """Return all triangles with their texture coordinates, the images, and notices."""
     positions, corners, offsets = mesh
     properties = find_coordinates(tables)
     if not comments or not properties:

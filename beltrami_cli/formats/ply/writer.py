@@ -74,10 +74,7 @@ def write_scalars_as_ply(
     scalars: Mapping[str, NDArray[np.float32]],
     comments: Sequence[str] = (),
 ) -> Written:
-    """Write triangles whose vertices have a colour, (V, 3), and a property of each name, (V,).
-
-    Programs that draw fields read this. Comments are lines of the header, without line breaks.
-    """
+    """Write triangles whose vertices have a colour, (V, 3), and scalar properties by name, (V,)."""
     names = [("x", "y", "z"), ("red", "green", "blue"), *((name,) for name in scalars)]
     blocks = [shortest_type(positions), shades, *(values[:, None] for values in scalars.values())]
     properties, rows = _vertex_element(names, blocks)
@@ -94,10 +91,7 @@ def _header(lines: Sequence[str]) -> str:
 def _vertex_element(
     columns: Sequence[tuple[str, ...]], blocks: Sequence[NDArray[Any] | None]
 ) -> tuple[list[str], NDArray[np.void]]:
-    """Return the lines and the rows of the vertex element.
-
-    `blocks` are the values of the names in `columns`, (V, number of names), or None where these are left out.
-    """
+    """Return the lines and the rows of the vertex element; `blocks` of None are left out."""
     fields = [
         (name, values.dtype.str[1:])
         for names, values in zip(columns, blocks, strict=True)

@@ -23,24 +23,12 @@ _MOST_SHOWN = 40  # characters of a token in a message
 
 @dataclass(frozen=True)
 class PointTable:
-    """The points of a text.
+    """The points of a text."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        Column names of a line above the points, in lower case; empty if there is none.
-    counts : tuple of int
-        What lines of a single number announce: the points that follow up to the next.
-    values : ndarray of float64, shape (P, K)
-        The numbers, which may be infinite or NaN.
-    starts, ends : ndarray of int64, shape (P, K)
-        Where they stand in the file.
-    """
-
-    names: tuple[str, ...]
-    counts: tuple[int, ...]
-    values: NDArray[np.float64]
-    starts: NDArray[np.int64]
+    names: tuple[str, ...]  # of the columns, in lower case, from a line above the points; or empty
+    counts: tuple[int, ...]  # of the points that follow lines of a single number
+    values: NDArray[np.float64]  # shape (P, K), maybe infinite or NaN
+    starts: NDArray[np.int64]  # where they are in the file, shape (P, K)
     ends: NDArray[np.int64]
 
 

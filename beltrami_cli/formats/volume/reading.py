@@ -27,10 +27,7 @@ def is_volume(data: bytes, name: str) -> bool:
 
 
 def read_volume(data: bytes, name: str, folder: Path | None, most: int) -> Volume:
-    """Read a level set of at most `most` samples; the data of an NRRD header may lie in the folder.
-
-    InputError if the file is damaged, too large, or of a kind that cannot be read, or a package is missing.
-    """
+    """Read a level set of at most `most` samples; InputError if it cannot be read."""
     if data.startswith(_OPENVDB):
         raise InputError(
             name,

@@ -34,7 +34,7 @@ def require_map(target: str) -> None:
 
 
 def is_map(head: bytes) -> bool:
-    """Tell by its first bytes whether a file is a map of vertices; pictures have no mark."""
+    """Return whether the first bytes of a file are those of a map of vertices; pictures have no mark."""
     return head.startswith(b"ply\n") and _SCALAR in head.partition(b"end_header\n")[0]
 
 

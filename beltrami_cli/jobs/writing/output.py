@@ -105,7 +105,7 @@ class Output:
             path = PurePosixPath(name)
             if (
                 path.is_absolute() or ".." in path.parts
-            ):  # No reader gives such a name; this is the last door.
+            ):  # No reader gives such a name; this is the last check.
                 raise OutputError(name, "would be written outside the output's folder")
             self._check_file(self.folder / name)
         self.files.check()
@@ -210,11 +210,10 @@ class _Staged:
 
 
 class FileSet:
-    """The files that one run writes. As a context, it removes in the end what was not put in place.
+    """The files that one run writes; as a context, it removes those that were not put in place."""
 
-    `reads` are files that only a result of them may replace: OUTPUT may be INPUT, but a report may not.
-    `guarded` are files that nothing may replace, such as guides.
-    """
+    # `reads` are files that only a result of them may replace: OUTPUT may be INPUT, but a report may not. `guarded`
+    # are files that nothing may replace, such as guides.
 
     def __init__(self, reads: Iterable[str] = (), guarded: Iterable[str] = ()) -> None:
         self._outputs: list[Output] = []

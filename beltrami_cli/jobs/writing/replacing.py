@@ -1,6 +1,6 @@
 """Writing files aside and putting them in place: the steps that `files.FileSet` is made of.
 
-To put written files in place needs no more room on the disk. If it fails for one, those before it are undone. Signals
+Putting written files in place needs no further disk space. If it fails for one, those before it are undone. Signals
 that would end the process wait until nothing is half done.
 """
 
@@ -60,10 +60,7 @@ def temporary_beside(path: Path) -> Path:
 
 @contextlib.contextmanager
 def endings_held() -> Iterator[Callable[[], None]]:
-    """Let signals that end the process wait; give a function that lets those come that have waited so far.
-
-    Masks would not do: other threads than this one may receive a signal, and Python then obeys it in this one.
-    """
+    """Defer signals that end the process, and return a function that delivers those that are waiting."""
     waiting: list[int] = []
     before: dict[int, signal._HANDLER] = {}
     if threading.current_thread() is threading.main_thread():
