@@ -23,6 +23,8 @@ from properties.split_surfaces import (
     SURFACE,
     image_flow,
     noisy,
+    outcome,
+    same_bits,
     smooth_mesh,
     textured_flow,
     wavy_surface,
@@ -116,16 +118,13 @@ def test_a_grid_in_partitions_has_the_bits_of_the_whole(make, name):
     parameters = KernelParameters(**{**FIXED, **ON_GRIDS[name]})
     flow = make(parameters)
     assert name == "world" or flow.manifold.find_clipped() is not None
-    whole, colours, gutter = flow.run(), flow.values(), flow.manifold.new_colours().beyond
+    whole = outcome(flow)
     for count in (1, 2, 5):
         runner = Sent()
         with in_partitions(count, runner):
-            flow = make(parameters)
-            parts = flow.run()
+            parts = outcome(make(parameters))
         assert runner.counts == [count]
-        assert np.array_equal(flow.values(), colours)
-        assert np.array_equal(flow.manifold.new_colours().beyond, gutter)
-        assert parts.samples_per_kernel == whole.samples_per_kernel
+        assert same_bits(parts, whole)
 
 
 def test_a_margin_that_is_one_cell_too_narrow_is_not_enough(monkeypatch):
