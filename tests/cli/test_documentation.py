@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from beltrami_cli.cli.main import COMMANDS, group
-from cli.commands import SAMPLES
+from cli.commands import SAMPLES, beltrami
 from formats.image_files import encode
 
 ROOT = Path(__file__).parents[2]
@@ -58,7 +58,8 @@ def parsed(words):
     """Check names and values as the command line does, and run nothing."""
     own = next((k for k, word in enumerate(words) if not word.startswith("-") and word in COMMANDS), None)
     assert own is not None, words
-    command(words[own]).make_context(words[own], list(words[own + 1 :]))
+    context = command(words[own]).make_context(words[own], list(words[own + 1 :]))
+    assert context.args == []
 
 
 @pytest.mark.parametrize(
@@ -155,7 +156,8 @@ def test_the_commands_of_the_readme_and_of_pages_to_start_with_run(words, stand_
     own = command(name).params
     small = ["--size", "40"] if name in ("render", "sweep") else []  # the last one counts
     overwriting = ["--overwrite"] if any(option.name == "overwrite" for option in own) else []
-    group.main([*words, *small, *overwriting], prog_name="beltrami", standalone_mode=False)
+    run = beltrami(*words, *small, *overwriting)
+    assert run.returncode == 0, run.stderr
 
 
 @pytest.mark.slow
