@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from beltrami_cli.surface.vertex_sampling import VertexSampling
 
 
-# Kernels that tell how many samples one holds: a mean within a few per cent, in milliseconds.
+# Kernels from which the mean number of samples is estimated, within a few per cent, in milliseconds.
 _PROBED_KERNELS = 1000
 
 

@@ -90,7 +90,7 @@ def unwrap(
 
 
 def require_few_faces(count: int, most: int, name: str) -> None:
-    """Raise InputError if unwrapping so many triangles takes longer than users allowed."""
+    """Raise InputError if unwrapping this number of triangles would take longer than users allowed."""
     if count > most:
         raise InputError(
             name,

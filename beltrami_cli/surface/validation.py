@@ -85,16 +85,6 @@ def guide_table(values: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64
     return rows
 
 
-def check_numbers(whole: dict[str, object], real: dict[str, object]) -> None:
-    """Refuse parameters that are no (whole) numbers, before anything is compared with them."""
-    for name, value in whole.items():
-        if not isinstance(value, (int, np.integer)):
-            raise UsageError(f"{name} is {value!r}, but must be a whole number")
-    for name, value in real.items():
-        if not isinstance(value, (int, float, np.integer, np.floating)):
-            raise UsageError(f"{name} is {value!r}, but must be a number")
-
-
 def array_of(values: ArrayLike, name: str) -> NDArray[Any]:
     """Make an array of anything like one; UsageError, with the name, if its rows are of several lengths."""
     try:
