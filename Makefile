@@ -4,7 +4,7 @@ PYTHON ?= python3
 VENV   ?= .venv
 BIN     = $(VENV)/bin
 
-.PHONY: demo figures gallery viewer docs build-docs man quick test test-minimum lint bench run-bench sanitize fuzz fuzz-readers fuzz-core survey samples clean help
+.PHONY: demo figures gallery viewer docs build-docs man parameters quick test test-minimum lint bench run-bench sanitize fuzz fuzz-readers fuzz-core survey samples clean help
 .DELETE_ON_ERROR:
 
 help:
@@ -16,6 +16,7 @@ help:
 	@echo "make test-minimum  the same with the oldest versions of what it depends on"
 	@echo "make docs      build the documentation as a site, in build/site"
 	@echo "make man       make the manual pages, in build/man"
+	@echo "make parameters  make docs/parameters.md anew from the declarations"
 	@echo "make lint      ruff, mypy and the import layers"
 	@echo "make bench     time the kernels, and compare them with other tools"
 	@echo "make sanitize  test the core under the address and undefined-behaviour sanitizers"
@@ -159,6 +160,9 @@ build-docs: $(VENV)/.installed-docs
 man: $(VENV)/.installed-test
 	$(BIN)/python -P -m beltrami_cli.cli.manual build/man "$$($(BIN)/python -P -c 'from importlib.metadata import version; print(version("beltrami-cli"))')"
 	@echo "The manual pages: build/man/*.1; read one with: man -l build/man/beltrami-smooth.1"
+
+parameters: $(VENV)/.installed-test
+	$(BIN)/python -P -m beltrami_cli.cli.manual docs/parameters.md
 
 # The batch rule. In a Makefile of your own, copy it and write `beltrami` for $(BIN)/beltrami; options for all files go into
 # BELTRAMI_FLAGS, for one into a target-specific variable:  face.clean.ply: BELTRAMI_FLAGS = -n 2

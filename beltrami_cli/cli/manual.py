@@ -1,4 +1,7 @@
-"""Manual pages made from the commands: `python -m beltrami_cli.cli.manual DIR VERSION`; the wheel holds them."""
+"""Pages made from the program: its manual, which the wheel holds, and the table of all parameters in docs/.
+
+`python -m beltrami_cli.cli.manual DIR VERSION` writes the manual, `python -m beltrami_cli.cli.manual FILE` the table.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +13,19 @@ from typing import TYPE_CHECKING
 import click
 
 from beltrami_cli.cli.main import COMMANDS, group
+from beltrami_cli.cli.options import flags_of
+from beltrami_cli.fields import REQUIRED, Parameter, parameters
+from beltrami_cli.flow.parameters import KernelParameters
+from beltrami_cli.jobs.settings import Limits, NoiseSettings
+from beltrami_cli.samples.settings import (
+    BakeSettings,
+    EmbeddingSettings,
+    ImageSettings,
+    LevelSetSettings,
+    SmoothSettings,
+    TextureSettings,
+)
+from beltrami_cli.view.settings import RenderSettings
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -25,16 +41,53 @@ _EXIT_STATUS = (
     ("0", "Done."), ("1", "Processing failed, or a limit is broken."), ("2", "Wrong usage."),
     ("3", "An input is unreadable or not fit."), ("4", "An output is not writable."), ("130", "Interrupted."),
 )  # fmt: skip
+_TABLE = """\
+# Parameters
+
+Made from the declarations in the code; `make parameters` writes this page anew. Names are those of Python keywords and of the fields in reports. In
+configuration files and manifests an option has its own name, without the dashes in front. What is "chosen from the data" is explained in
+[Tuning](tuning.md), and what each option means for which data in [Which flags](which-flags.md).
+"""
+_SECTIONS: tuple[tuple[str, type], ...] = (
+    ("Kernel: `KernelParameters`", KernelParameters),
+    ("Colours: `SmoothSettings`", SmoothSettings),
+    ("Textures: `TextureSettings`", TextureSettings),
+    ("Images: `ImageSettings`", ImageSettings),
+    ("Level sets: `LevelSetSettings`", LevelSetSettings),
+    ("Embedding: `EmbeddingSettings`", EmbeddingSettings),
+    ("New textures: `beltrami bake`, `smooth --unwrap`", BakeSettings),
+    ("Noise: `beltrami noise`", NoiseSettings),
+    ("Limits: `beltrami compare`", Limits),
+    ("Pictures: `beltrami render`", RenderSettings),
+)
+
+
+def parameter_table() -> str:
+    """Return a page with all parameters, a table for each record."""
+    lines = [_TABLE]
+    for title, record in _SECTIONS:
+        lines += [f"## {title}\n", "| name | option | default | allowed | unit | meaning |"]
+        lines.append("| --- | --- | --- | --- | --- | --- |")
+        for declared in parameters(record):
+            cells = [f"`{declared.name}`", *_cells(declared), declared.unit, declared.help]
+            lines.append(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |")
+        lines.append("")
+    return "\n".join(lines)
+
+
+def _cells(declared: Parameter) -> tuple[str, str, str]:
+    """Return the option, the default and the range of a parameter."""
+    flags = [] if declared.flags is None else [flag for flag in flags_of(declared) if flag.startswith("-")]
+    default = "required" if declared.default is REQUIRED else declared.default_in_words
+    return (
+        ", ".join(f"`{flag}`" for flag in flags),
+        default or ("off" if declared.kind is bool else ""),
+        "" if declared.kind is bool else declared.range,
+    )
 
 
 def manual(version: str) -> Iterator[tuple[str, str]]:
-    """Yield the names of the manual pages, such as ``beltrami-smooth.1``, and their text for man(7).
-
-    Parameters
-    ----------
-    version : str
-        Of the program.
-    """
+    """Yield the names of the manual pages, such as ``beltrami-smooth.1``, and their text for man(7)."""
     top = click.Context(group, info_name="beltrami", **group.context_settings)
     commands = {name: group.get_command(top, name) for name in sorted(COMMANDS)}
     listed = [
@@ -112,9 +165,12 @@ def _text(text: str) -> str:
     return f"\\&{safe}" if safe.startswith(".") else safe
 
 
-def main(folder: str, version: str) -> None:
-    """Write the manual pages into a folder, which is made."""
-    target = Path(folder)
+def main(target_name: str, version: str = "") -> None:
+    """Write the manual pages into a folder, which is made; without a version the table of parameters into a file."""
+    target = Path(target_name)
+    if not version:
+        target.write_text(parameter_table(), encoding="utf-8")
+        return
     target.mkdir(parents=True, exist_ok=True)
     for name, text in manual(version):
         (target / name).write_text(text, encoding="ascii")

@@ -87,6 +87,11 @@ def options_of(
     return decorate
 
 
+def flags_of(declared: Parameter) -> tuple[str, ...]:
+    """Return what is typed for the option of a parameter, and perhaps the name that click has for it."""
+    return declared.flags or ("--" + declared.name.replace("_", "-"),)
+
+
 def option_of(declared: Parameter) -> Decorator:
     """Return the option of a parameter."""
     attributes: dict[str, Any] = {}
@@ -103,7 +108,7 @@ def option_of(declared: Parameter) -> Decorator:
     elif not declared.unset and declared.default is not None:
         attributes["default"] = declared.show(declared.default) if declared.parse else declared.default
     return click.option(
-        *_flags(declared), cls=ParameterOption, declared=declared, help=_help(declared), **attributes
+        *flags_of(declared), cls=ParameterOption, declared=declared, help=_help(declared), **attributes
     )
 
 
@@ -130,7 +135,7 @@ def parsed(declared: Parameter, text: str) -> Any:
     try:
         return declared.parse(text)
     except ValueError as error:
-        flag = next(each for each in _flags(declared) if each.startswith("--"))
+        flag = next(each for each in flags_of(declared) if each.startswith("--"))
         raise UsageError(f"{flag} {error}") from None
 
 
@@ -265,16 +270,12 @@ def reading_from(values: Mapping[str, Any], source: str) -> Iterator[Access]:
         yield Access(outside=values["allow_outside"], memory=size)
 
 
-def _flags(declared: Parameter) -> tuple[str, ...]:
-    return declared.flags or ("--" + declared.name.replace("_", "-"),)
-
-
 def _destination(declared: Parameter) -> str:
     """Return the name that click has for the option of a parameter; empty if there is none."""
     if declared.flags is None:
         return ""
-    named = [flag for flag in _flags(declared) if flag.isidentifier()]
-    longest = _flags(declared)[-1].partition("/")[0]
+    named = [flag for flag in flags_of(declared) if flag.isidentifier()]
+    longest = flags_of(declared)[-1].partition("/")[0]
     return named[0] if named else longest.lstrip("-").replace("-", "_")
 
 
