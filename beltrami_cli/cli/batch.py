@@ -87,8 +87,8 @@ _PATHS = [each.name for each in parameters(SmoothSettings, deep=True) if each.me
 )  # fmt: skip
 @click.option(
     "--pieces", type=click.IntRange(1, 100_000), metavar="COUNT",
-    help="Cut every mesh and texture into so many pieces, which the workers of --scheduler smooth together: for those "
-    "that are too large for one machine's patience.",
+    help="Cut every mesh and texture into this many pieces, which the workers of --scheduler smooth together: for "
+    "those that take one machine too long.",
 )  # fmt: skip
 @options.smoothing
 @options.unwrapping
@@ -118,7 +118,7 @@ def command(
     """Smooth many files at the same time; each comes out as `beltrami smooth` makes it, to the last byte.
 
     INPUTS are files, globs, folders for all models and points in them and below, or manifests (.toml, .csv, .jsonl)
-    with parameters for each file. What fails is told, and the others go on. The end is a table, and a report with a
+    with parameters for each file. What fails is reported, and the others go on. The end is a table, and a report with a
     line of JSON for each file: what was read and written, with hashes, and what was done.
 
     A run that was killed leaves no file half written. Given the same again with --resume, it goes on.

@@ -22,15 +22,7 @@ _COLOURS = {"done": "green", "skipped": "dim", "failed": "bold red", "not starte
 
 
 class Display:
-    """Shows a line for each file in work and one for all, on a terminal only; tells failures at once.
-
-    Parameters
-    ----------
-    jobs : sequence of Item
-        All files.
-    messages : Messages
-        How much the user wants to hear.
-    """
+    """Shows a line for each file in work and one for all, on a terminal only; prints failures at once."""
 
     def __init__(self, jobs: Sequence[Item], messages: Messages) -> None:
         self._jobs, self._messages = jobs, messages
@@ -67,22 +59,22 @@ class Display:
         """Take it away for now."""
         self._end(key)
         if self._messages.verbose:
-            self._tell(f"{self._jobs[key].source}: wants more than its share of memory, so it waits")
+            self._print(f"{self._jobs[key].source}: wants more than its share of memory, so it waits")
 
     def finished(self, key: int, attempt: Attempt) -> None:
-        """Take it away, and tell what went wrong."""
+        """Take it away, and print what went wrong."""
         self._end(key)
         if self._bar is not None:
             self._bar.advance(self._all)
         outcome = attempt.outcome
         if attempt.traceback and self._messages.verbose >= 2:
-            self._tell(*attempt.traceback.splitlines())
+            self._print(*attempt.traceback.splitlines())
         if outcome.status == "failed":  # also with --quiet, as every error
-            self._tell(f"failed: {outcome.error}")
+            self._print(f"failed: {outcome.error}")
         elif self._messages.verbose and not self._messages.quiet:
-            self._tell(f"{outcome.status}: {outcome.output}, {outcome.seconds:.1f} s")
+            self._print(f"{outcome.status}: {outcome.output}, {outcome.seconds:.1f} s")
 
-    def _tell(self, *lines: str) -> None:
+    def _print(self, *lines: str) -> None:
         """Print lines above those that move."""
         for line in map(printable, lines):
             if self._bar is None:

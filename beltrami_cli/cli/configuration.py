@@ -26,24 +26,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Configuration:
-    """What a file says.
+    """What a file says."""
 
-    Attributes
-    ----------
-    path : str or None
-        The file; None: there is none.
-    is_named : bool
-        Whether the user named it; otherwise it was found.
-    common : mapping of str to object
-        Options for all commands that have them.
-    tables : mapping of str to mapping
-        Options by command.
-    """
-
-    path: str | None = None
-    is_named: bool = False
-    common: Mapping[str, object] = field(default_factory=dict)
-    tables: Mapping[str, Mapping[str, object]] = field(default_factory=dict)
+    path: str | None = None  # None: there is none
+    is_named: bool = False  # by the user; otherwise it was found
+    common: Mapping[str, object] = field(default_factory=dict)  # options for all commands that have them
+    tables: Mapping[str, Mapping[str, object]] = field(default_factory=dict)  # options by command
 
     def values(
         self,
@@ -52,23 +40,9 @@ class Configuration:
         names: Collection[str],
         inherited: tuple[str, Collection[str]],
     ) -> dict[str, Any]:
-        """Return the values of a command's options, as a default map of click.
+        """Return the values of a command's options, as a default map of click; UsageError if one cannot be set.
 
-        Parameters
-        ----------
-        name : str
-            The command.
-        command : callable
-            Gives a command by its name.
-        names : collection of str
-            The names of all commands.
-        inherited : tuple of str and collection of str
-            Another command whose table counts as well, and for which of its options.
-
-        Raises
-        ------
-        UsageError
-            If there is no such option, it cannot have the value, or the file was only found and may not set it.
+        `inherited` is another command whose table counts as well, and for which of its options.
         """
         try:
             for table in set(self.tables) - set(names):
@@ -109,19 +83,7 @@ class Configuration:
 
 
 def load(named: str | None) -> Configuration:
-    """Read the configuration.
-
-    Parameters
-    ----------
-    named : str or None
-        A file; None: beltrami.toml, or pyproject.toml with a table [tool.beltrami], in the working folder or the
-        nearest one above it, as far as `found_configuration.candidates` looks.
-
-    Raises
-    ------
-    InputError
-        If it cannot be read.
-    """
+    """Read the file that is named, or else the nearest one that is found; see `found_configuration.candidates`."""
     if named is not None:
         table = _table(Path(named))
         if table is None:
@@ -139,7 +101,7 @@ def load(named: str | None) -> Configuration:
 
 
 def _found_table(path: Path) -> dict[str, object] | None:
-    """Return what a file says that was found; a line tells the user if it is not to be trusted."""
+    """Return what a file says that was found; a warning says if it is not to be trusted."""
     try:
         return _parsed(path, read_found(path))
     except UntrustedError as error:

@@ -26,36 +26,28 @@ def counted(number: int, noun: str) -> str:
 
 
 class Messages:
-    """What is told to the user, by how much they want to hear.
-
-    Parameters
-    ----------
-    quiet : bool
-        Tell nothing.
-    verbose : int
-        0: results and warnings; 1 and more: details too.
-    """
+    """Messages to the user: none if quiet; results and warnings; details if verbose."""
 
     def __init__(self, *, quiet: bool, verbose: int) -> None:
         self.quiet = quiet
         self.verbose = verbose
 
     def say(self, text: str) -> None:
-        """Tell a result."""
+        """Print a result."""
         if not self.quiet:
             click.echo(printable(text), err=True)
 
     def detail(self, text: str) -> None:
-        """Tell what interests only those who asked for it."""
+        """Print what only --verbose shows."""
         if self.verbose and not self.quiet:
             click.echo(printable(text), err=True)
 
     def warn(self, text: str) -> None:
-        """Tell what the user should know."""
+        """Print a warning."""
         self.say(f"warning: {text}")
 
     def warn_of(self, name: str, warnings: Iterable[str]) -> None:
-        """Tell what the user should know of a file; what is said of images may start with its name already."""
+        """Print warnings about a file; those about images may start with its name already."""
         shown = "<stdin>" if name == "-" else name
         for text in warnings:
             self.warn(text if text.startswith(shown) else f"{shown}: {text}")

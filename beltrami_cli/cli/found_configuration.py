@@ -62,7 +62,7 @@ def read_found(path: Path) -> bytes:
 
 
 def mentions_us(path: Path) -> bool:
-    """Tell whether a file that is not read may have been meant for this program."""
+    """Whether a file that is not read may have been meant for this program."""
     if path.name == OWN_NAME:
         return True
     try:

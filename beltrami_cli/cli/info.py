@@ -43,10 +43,10 @@ def command(source: str, as_json: bool, verbose: int, **smoothing: Any) -> None:
             smooth["choice"] = _choice(smooth)
     for section, content in facts.items():
         for part in content if isinstance(content, list) and section == "textures" else [content]:
-            _tell(section, part)
+            _print(section, part)
 
 
-def _tell(section: str, part: Any) -> None:
+def _print(section: str, part: Any) -> None:
     """Print a section, and what smoothing would do to textures as one of its own."""
     if not part:
         return
@@ -55,7 +55,7 @@ def _tell(section: str, part: Any) -> None:
         part = {key: value for key, value in part.items() if key != "smooth"}
     click.echo("\n".join(map(printable, [section, *_lines(part, section)])))
     if nested is not None:
-        _tell("smooth", nested)
+        _print("smooth", nested)
 
 
 def _lines(content: Any, section: str) -> list[str]:
@@ -87,13 +87,13 @@ def _rows(key: str, value: Any) -> list[tuple[str, str]]:
 
 
 def _image(facts: dict[str, Any]) -> str:
-    """Tell all of a texture on a line."""
+    """Put all about a texture on a line."""
     facts = dict(facts)
     name, width, height = (facts.pop(key) for key in ("name", "width", "height"))
     kind, stored, channels = (facts.pop(key) for key in ("format", "stored", "channels"))
-    told = [f"covered {100 * facts.pop('covered'):.0f} %"]
-    told += [f"{key} {text}" for key, value in facts.items() for _, text in _rows(key, value)]
-    return f"{name}: {width} x {height} {kind}, {stored} {' '.join(channels)}; {', '.join(told)}"
+    shown = [f"covered {100 * facts.pop('covered'):.0f} %"]
+    shown += [f"{key} {text}" for key, value in facts.items() for _, text in _rows(key, value)]
+    return f"{name}: {width} x {height} {kind}, {stored} {' '.join(channels)}; {', '.join(shown)}"
 
 
 def _noise(share: float) -> str:

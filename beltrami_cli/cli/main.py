@@ -21,24 +21,10 @@ if TYPE_CHECKING:
 
     from beltrami_cli.cli.configuration import Configuration
 
-# Command -> module; a module is imported only when its command, or the list of all commands, is asked for.
-COMMANDS = {
-    name: name
-    for name in (
-        "bake",
-        "batch",
-        "check",
-        "compare",
-        "config",
-        "info",
-        "kernel",
-        "noise",
-        "render",
-        "report",
-        "smooth",
-        "sweep",
-    )
-}
+# Each is a module, which is imported only when its command, or the list of all commands, is asked for.
+COMMANDS = (
+    "bake", "batch", "check", "compare", "config", "info", "kernel", "noise", "render", "report", "smooth", "sweep",
+)  # fmt: skip
 
 INTERRUPTED = 130
 _ENDINGS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
@@ -127,14 +113,14 @@ def group(context: click.Context, config_path: str | None) -> None:
 
 
 def defaults_from(configuration: Configuration, name: str) -> dict[str, Any]:
-    """Return what a configuration says of a command; a batch takes over what `smooth` is told of a file."""
+    """Return what a configuration says of a command; for each file, a batch obeys the options of `smooth`, too."""
     if configuration.path is None:
         return {}
     return configuration.values(name, _command, COMMANDS, ("smooth", _shared_with_smooth(name)))
 
 
 def _command(name: str) -> click.Command:
-    module = importlib.import_module(f"beltrami_cli.cli.{COMMANDS[name]}")
+    module = importlib.import_module(f"beltrami_cli.cli.{name}")
     return with_variables(module.command, name, "smooth", _shared_with_smooth(name))
 
 
@@ -168,7 +154,7 @@ def main() -> NoReturn:
 
 
 def _run() -> int:
-    """Run the command line, tell how it failed if it did, and return the exit code."""
+    """Run the command line, print how it failed if it did, and return the exit code."""
     try:
         if not any(map(_verbosity, sys.argv[1:])):
             _part_from_libraries()

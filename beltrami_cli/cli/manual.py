@@ -44,9 +44,10 @@ _EXIT_STATUS = (
 _TABLE = """\
 # Parameters
 
-Made from the declarations in the code; `make parameters` writes this page anew. Names are those of Python keywords and of the fields in reports. In
-configuration files and manifests an option has its own name, without the dashes in front. What is "chosen from the data" is explained in
-[Tuning](tuning.md), and what each option means for which data in [Which flags](which-flags.md).
+Made from the declarations in the code; `make parameters` writes this page anew. Names are those of Python keywords and
+of the fields in reports. In configuration files and manifests an option has its own name, without the dashes in front.
+What is "chosen from the data" is explained in [Tuning](tuning.md), and what suits which data in
+[Which flags](which-flags.md).
 """
 _SECTIONS: tuple[tuple[str, type], ...] = (
     ("Kernel: `KernelParameters`", KernelParameters),

@@ -1,4 +1,4 @@
-"""What is told of a smoothing when it is done."""
+"""What is printed when a file has been smoothed."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     Done = VertexReport | ImageReport | SlotReport
 
 
-def tell_unchanged(messages: Messages, report: SmoothReport, *, unwrapped: bool, dry_run: bool) -> None:
+def show_unchanged(messages: Messages, report: SmoothReport, *, unwrapped: bool, dry_run: bool) -> None:
     """Say that no iterations were asked for, and the warnings."""
     messages.warn_of(report.input, report.warnings)
     same = Path(report.input).suffix.lower() == f".{report.format}" and not unwrapped
@@ -29,10 +29,10 @@ def tell_unchanged(messages: Messages, report: SmoothReport, *, unwrapped: bool,
     )
 
 
-def tell(messages: Messages, report: SmoothReport, *, dry_run: bool) -> None:
+def show_result(messages: Messages, report: SmoothReport, *, dry_run: bool) -> None:
     """Say what was done to the colours; in detail also the times, and which parameters were chosen by what."""
     messages.warn_of(report.input, report.warnings)
-    _tell_costs(messages, report, dry_run=dry_run)
+    _show_costs(messages, report, dry_run=dry_run)
     free = cast("list[str]", report.parameters["free"])
     for key in ("iterations", "t", "threshold", "metric_scale", "metric_steps", "space"):
         messages.detail(f"{key:>14}: {'chosen from the data' if key in free else report.parameters[key]}")
@@ -40,25 +40,25 @@ def tell(messages: Messages, report: SmoothReport, *, dry_run: bool) -> None:
     if report.vertices is not None:
         done = report.vertices
         what = counted(int(done.counts["vertices"]), "point" if "outliers" in done.counts else "vertex")
-        _tell_done(messages, name + what, done, done.counts["samples_per_kernel"])
+        _show_done(messages, name + what, done, done.counts["samples_per_kernel"])
         if done.geometry is not None:
             messages.say(name + _geometry(done.geometry, done.spacing))
     if report.image is not None:
         facts = report.image.image
         holes = f" with {counted(cast('int', facts['holes']), 'hole')}" if facts["holes"] else ""
         what = f"{facts['width']} x {facts['height']} pixels{holes}"
-        _tell_done(messages, name + what, report.image, report.image.samples_per_kernel)
+        _show_done(messages, name + what, report.image, report.image.samples_per_kernel)
     for slot in report.textures:
         textures = counted(len(slot.textures), f"{slot.slot} texture")
         charts = counted(slot.counts["charts"], "chart")
         what = f"{textures}, {counted(slot.counts['covered'], 'texel')} in {charts}"
-        _tell_done(messages, name + what, slot, slot.samples_per_kernel)
+        _show_done(messages, name + what, slot, slot.samples_per_kernel)
         if slot.counts["jumps"]:
             jumps = f"{slot.counts['jumps']} of {counted(slot.counts['seams'], 'seam')}"
             messages.detail(f"{jumps} are real colour edges and were not smoothed over")
 
 
-def _tell_costs(messages: Messages, report: SmoothReport, *, dry_run: bool) -> None:
+def _show_costs(messages: Messages, report: SmoothReport, *, dry_run: bool) -> None:
     for stage, seconds in report.stages.items():
         messages.detail(f"{stage:>14}: {seconds['wall']:.2f} s, {seconds['cpu']:.2f} s CPU")
     if report.peak_memory is not None:
@@ -67,7 +67,7 @@ def _tell_costs(messages: Messages, report: SmoothReport, *, dry_run: bool) -> N
         )
 
 
-def _tell_done(messages: Messages, what: str, done: Done, samples: float) -> None:
+def _show_done(messages: Messages, what: str, done: Done, samples: float) -> None:
     noise = f"{what}, noise {255 * max(done.noise.values(), default=0):.1f}/255"
     if not done.iterations:
         messages.say(f"{noise}, no more than rounding makes: the colours are left as they are")

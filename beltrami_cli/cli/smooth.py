@@ -9,7 +9,7 @@ import click
 
 from beltrami_cli.cli import options
 from beltrami_cli.cli.console import Messages
-from beltrami_cli.cli.outcome import tell, tell_unchanged
+from beltrami_cli.cli.outcome import show_result, show_unchanged
 from beltrami_cli.errors import OutputError, UsageError
 from beltrami_cli.jobs.job import Job
 
@@ -25,7 +25,7 @@ Examples:
   beltrami smooth scan.ply clean.ply                    all parameters chosen from the data
   beltrami smooth scan.ply clean.ply --strength strong  stronger; or gentle
   beltrami smooth scan.ply clean.ply --fast             by a fixed rule, without choosing
-  beltrami smooth scan.ply clean.ply -n 2 -v            two iterations; the rest chosen around it, and told
+  beltrami smooth scan.ply clean.ply -n 2 -v            two iterations; the rest chosen around it, and shown
   beltrami smooth photoscan.obj clean.obj               textures too, across their seams
   beltrami smooth scan.glb clean.glb -n 6 -t 8 --beta 12 --metric-steps 2    parameters by hand
   beltrami smooth scan.ply clean.glb --unwrap           in a new texture, for meshes without one
@@ -142,9 +142,9 @@ def command(
             _write_report(report_file, report)
         files.put_in_place()
     if not settings.kernel.iterations:
-        tell_unchanged(messages, report, unwrapped=unwrap is not None, dry_run=dry_run)
+        show_unchanged(messages, report, unwrapped=unwrap is not None, dry_run=dry_run)
         return
-    tell(messages, report, dry_run=dry_run)
+    show_result(messages, report, dry_run=dry_run)
 
 
 def _open_report(path: str, overwrite: Overwrite, files: FileSet) -> Output:
