@@ -36,6 +36,7 @@ def run(folder: Path, *arguments: object, **variables: str) -> subprocess.Comple
     return beltrami(*arguments, cwd=folder, env=variables)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", NAMED)
 def test_a_file_of_others_is_replaced_only_if_the_command_line_names_it(kind: str, tmp_path: Path) -> None:
     arguments, variable, name = NAMED[kind]
@@ -73,6 +74,7 @@ def test_a_file_of_others_is_replaced_only_if_the_command_line_names_it(kind: st
     )  # without --overwrite nothing is replaced
 
 
+@pytest.mark.slow
 def test_what_is_like_one_of_ours_is_not_taken_for_one(tmp_path: Path) -> None:
     shutil.copy(NOISY, tmp_path / "in.ply")
     shutil.copy(SAMPLES / "mirrored-noisy.png", tmp_path / "photo.png")

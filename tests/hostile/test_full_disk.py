@@ -30,6 +30,7 @@ CAN_MOUNT = (
 TARGETS = ("out/result.obj", "new/result.obj", "model.obj")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("most", [0, 1000, 50_000])
 def test_a_limit_on_the_size_of_files(most: int, tmp_path: Path) -> None:
     (tmp_path / "out.ply").write_text("precious")
@@ -63,6 +64,7 @@ print(code, snapshot(disk) == before)
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not CAN_MOUNT, reason="no file system can be mounted here")
 @pytest.mark.parametrize("target", TARGETS)
 @pytest.mark.parametrize("free", [0, 1, 2])  # pages; a probe takes none, OBJ, MTL and PNG take one each

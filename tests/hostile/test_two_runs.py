@@ -59,6 +59,7 @@ def end_together(processes: list[subprocess.Popen[str]]) -> list[int]:
     return [process.returncode for process in processes]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("links", ["links", "no links"])
 def test_of_two_that_write_at_the_same_time_one_wins(links: str, tmp_path: Path) -> None:
     for attempt in range(6):
@@ -79,6 +80,7 @@ def test_of_two_that_write_at_the_same_time_one_wins(links: str, tmp_path: Path)
         assert {path.read_text()[0] for path in files} == {winner}
 
 
+@pytest.mark.slow
 def test_of_two_commands_one_says_done(tmp_path: Path) -> None:
     for attempt in range(2):
         target = tmp_path / f"out{attempt}.ply"
@@ -93,6 +95,7 @@ def test_of_two_commands_one_says_done(tmp_path: Path) -> None:
     assert not list(tmp_path.glob(".*"))
 
 
+@pytest.mark.slow
 def test_of_two_batches_one_says_done(tmp_path: Path) -> None:
     shutil.copy(SAMPLES / "nonmanifold-noisy.ply", tmp_path / "a.ply")
     command = [*COMMAND, "batch", "a.ply", "--out-dir", "out", "-n", "1"]
