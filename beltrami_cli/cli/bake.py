@@ -29,16 +29,14 @@ The output is a new file: the triangles, and their colours. What else INPUT hold
 @options.output_format
 @options.reading
 @options.overwrite
-@options.quiet
-@options.verbose
+@options.messages
 def command(
     source: str,
     target: str,
     to: BakeTo,
     output_format: str | None,
     overwrite: bool,
-    quiet: bool,
-    verbose: int,
+    messages: Messages,
     **values: Any,
 ) -> None:
     """Move the colours of INPUT from its vertices to a texture, or from its textures to the vertices.
@@ -47,7 +45,6 @@ def command(
     mean of its sides, or stay split where a seam is a real colour edge.
     """
     settings = options.record_from(BakeSettings, values)
-    messages = Messages(quiet=quiet, verbose=verbose)
     from beltrami_cli.jobs.bake import bake_file
 
     with options.reading_from(values, source) as access, messages.progress() as progress:

@@ -11,7 +11,6 @@ import click
 from click.core import ParameterSource
 
 from beltrami_cli.cli import options
-from beltrami_cli.cli.console import Messages
 from beltrami_cli.cli.names import options_by_name, values_for
 from beltrami_cli.errors import OutputError, ProcessingError, UsageError
 from beltrami_cli.fields import parameters
@@ -23,6 +22,7 @@ if TYPE_CHECKING:
     from beltrami_cli.batch.item import Item, Outcome
     from beltrami_cli.batch.plan import Request
     from beltrami_cli.batch.run import Executor
+    from beltrami_cli.cli.console import Messages
 
 EPILOG = """\b
 Examples:
@@ -95,25 +95,16 @@ _PATHS = [each.name for each in parameters(SmoothSettings, deep=True) if each.me
 @options.output_format
 @options.reading
 @options.overwrite
-@options.quiet
-@options.verbose
+@options.messages
 def command(
     inputs: tuple[str, ...],
     out_dir: str,
-    suffix: str,
-    at_once: int | None,
-    resume: bool,
-    fail_fast: bool,
     report_path: str | None,
     scheduler: str | None,
     pieces: int | None,
-    output_format: str | None,
-    allow_outside: bool,
-    max_memory: int | None,
     overwrite: bool,
-    quiet: bool,
-    verbose: int,
-    **smoothing: Any,
+    messages: Messages,
+    **given: Any,
 ) -> None:
     """Smooth many files at the same time; each comes out as `beltrami smooth` makes it, to the last byte.
 
@@ -138,29 +129,31 @@ def command(
 
     if pieces is not None and scheduler is None:
         raise UsageError("--pieces are for the workers of a --scheduler; name one")
+    at_once, memory = given["at_once"], given["max_memory"]
     start = time.monotonic()
-    messages = Messages(quiet=quiet, verbose=verbose)
-    requests = plan(inputs, out_dir, suffix, output_format)
-    jobs = _jobs_for(requests, smoothing, outside=allow_outside, overwrite=overwrite)
+    requests = plan(inputs, out_dir, given["suffix"], given["output_format"])
+    jobs = _jobs_for(requests, given, overwrite=overwrite)
     path = report_path or _report_in(out_dir)
     named = (name for job in jobs for name in (job.source, job.target, *job.settings.files_besides()))
     _refuse_report(path, [*inputs, *named])
     with (
-        _executor(scheduler, pieces, at_once, max_memory, messages) as executor,
+        _executor(scheduler, pieces, at_once, memory, messages) as executor,
         Display(jobs, messages) as display,
     ):
         outcomes = run_batch(
             jobs,
             Record(
-                path, resume=resume, overwrite=options.overwrite_at("report_path", overwrite=overwrite)
+                path,
+                resume=given["resume"],
+                overwrite=options.overwrite_at("report_path", overwrite=overwrite),
             ),  # once there is somebody to do anything
             display,
             at_once=at_once or KernelParameters().thread_count,
-            memory=max_memory or memory_of_machine(),
-            fail_fast=fail_fast,
+            memory=memory or memory_of_machine(),
+            fail_fast=given["fail_fast"],
             executor=executor,
         )
-    if not quiet:
+    if not messages.quiet:
         show_table(outcomes)
     messages.say(f"{_counts(outcomes)} in {time.monotonic() - start:.1f} s; report: {path}")
     lost = sum(outcome.status == "failed" for outcome in outcomes)
@@ -170,15 +163,13 @@ def command(
         )
 
 
-def _jobs_for(
-    requests: Iterable[Request], values: dict[str, Any], *, outside: bool, overwrite: bool
-) -> list[Item]:
+def _jobs_for(requests: Iterable[Request], values: dict[str, Any], *, overwrite: bool) -> list[Item]:
     """Make the jobs of a batch from the options given here and what the manifests say besides."""
     from beltrami_cli.batch.item import Item
 
     common = options.settings_from(values), options.unwrapping_from(values)
     # What a preset takes the place of is not given.
-    given = {name: value for name, value in values.items() if options.is_given(name)}
+    given = {name: values[name] for name in SHARED_WITH_SMOOTH if options.is_given(name)}
     jobs = []
     for request in requests:
         try:
@@ -186,7 +177,9 @@ def _jobs_for(
         except (click.UsageError, UsageError, ValueError) as error:
             cause = error.format_message() if isinstance(error, click.UsageError) else str(error)
             raise UsageError(f"{request.origin}: {cause}") from error
-        jobs.append(Item(request.source, request.target, settings, unwrap, outside, overwrite))
+        jobs.append(
+            Item(request.source, request.target, settings, unwrap, values["allow_outside"], overwrite)
+        )
     return jobs
 
 

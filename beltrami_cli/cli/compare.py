@@ -68,8 +68,7 @@ _COLUMNS = (
     help="Replace the map if it exists; what is no map, only if --map is given beside it.",
 )
 @options.reading
-@options.quiet
-@options.verbose
+@options.messages
 def command(
     reference: str,
     test: str,
@@ -77,8 +76,7 @@ def command(
     as_json: bool,
     map_to: str | None,
     overwrite: bool,
-    quiet: bool,
-    verbose: int,
+    messages: Messages,
     **values: Any,
 ) -> int:
     """Measure how far the colours of TEST are from those of REFERENCE, and fail if they are further than allowed.
@@ -87,7 +85,6 @@ def command(
     formats and types may differ. Of textures the texels count that the surface covers.
     """
     settings = options.record_from(SmoothSettings, values)
-    messages = Messages(quiet=quiet, verbose=verbose)
     from beltrami_cli.jobs.compare.files import compare_files
 
     limits = options.record_from(Limits, values)
@@ -106,7 +103,7 @@ def command(
         from dataclasses import asdict
 
         click.echo(json.dumps(asdict(comparison), indent=2))
-    elif not quiet:
+    elif not messages.quiet:
         _show(comparison)
     for notice in comparison.notices:
         messages.warn(notice)

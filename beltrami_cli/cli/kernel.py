@@ -57,8 +57,7 @@ _OF_WRITING = (
 @options.preset
 @options.reading
 @options.overwrite
-@options.quiet
-@options.verbose
+@options.messages
 def command(
     source: str,
     target: str,
@@ -66,8 +65,7 @@ def command(
     iteration: int,
     whole: bool,
     overwrite: bool,
-    quiet: bool,
-    verbose: int,
+    messages: Messages,
     **smoothing: Any,
 ) -> None:
     """Write the geodesic distances and the weights of one kernel of FILE, to be looked at.
@@ -75,7 +73,6 @@ def command(
     Distances are on the image manifold, so they go through space and colour together.
     """
     settings = options.settings_from(smoothing)
-    messages = Messages(quiet=quiet, verbose=verbose)
     from beltrami_cli.jobs.job import Job
     from beltrami_cli.jobs.kernel.file import kernel_file
 

@@ -38,15 +38,13 @@ What --sigma S means:
 @options.output_format
 @options.reading
 @options.overwrite
-@options.quiet
-@options.verbose
+@options.messages
 def command(
     source: str,
     target: str,
     output_format: str | None,
     overwrite: bool,
-    quiet: bool,
-    verbose: int,
+    messages: Messages,
     **values: Any,
 ) -> None:
     """Add noise to the colours of INPUT, and write OUTPUT with nothing else changed: for tests and demonstrations.
@@ -57,7 +55,6 @@ def command(
     """
     settings = options.record_from(SmoothSettings, values)
     noise = options.record_from(NoiseSettings, values)
-    messages = Messages(quiet=quiet, verbose=verbose)
     from beltrami_cli.jobs.noise import noise_file
 
     with options.reading_from(values, source) as access:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 from contextlib import contextmanager
+from functools import wraps
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 from click.core import ParameterSource
 
+from beltrami_cli.cli.console import Messages
 from beltrami_cli.cli.names import variable_in_force
 from beltrami_cli.errors import UsageError
 from beltrami_cli.fields import REQUIRED, Parameter, parameters, parts
@@ -245,6 +247,16 @@ quiet = click.option("-q", "--quiet", is_flag=True, help="Print nothing but erro
 verbose = click.option(
     "-v", "--verbose", count=True, help="Print what is done; twice: also where an error arose."
 )
+
+
+def messages(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add the options of what is printed; the command gets the `Messages` that they make."""
+
+    @wraps(command)
+    def with_messages(*, quiet: bool, verbose: int, **given: Any) -> Any:
+        return command(messages=Messages(quiet=quiet, verbose=verbose), **given)
+
+    return quiet(verbose(with_messages))
 
 
 def overwrite_at(option: str, *, overwrite: bool) -> Overwrite:

@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from beltrami_cli.cli import options
-from beltrami_cli.cli.console import Messages
 from beltrami_cli.errors import UsageError
 from beltrami_cli.view.settings import VIEWS, RenderSettings
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+
+    from beltrami_cli.cli.console import Messages
 
 EPILOG = """\b
 Examples:
@@ -54,15 +55,13 @@ def render_settings_from(values: Mapping[str, Any], **made: Any) -> RenderSettin
 @click.option("--no-labels", is_flag=True, help="No words in the picture.")
 @options.reading
 @options.overwrite
-@options.quiet
-@options.verbose
+@options.messages
 def command(
     sources: tuple[str, ...],
     target: str,
     no_labels: bool,
     overwrite: bool,
-    quiet: bool,
-    verbose: int,
+    messages: Messages,
     **values: Any,
 ) -> None:
     """Draw each FILE, a model, points or an image, and write all as one picture.
@@ -72,7 +71,6 @@ def command(
     """
     if values["labels"] and no_labels:
         raise UsageError("--label and --no-labels contradict each other")
-    messages = Messages(quiet=quiet, verbose=verbose)
     settings = render_settings_from(values, **({"labels": ()} if no_labels else {}))
     from beltrami_cli.view.render import render_file
 

@@ -36,16 +36,14 @@ network. The models are drawn with WebGL by three.js (MIT licence, in the packag
 @options.options_of(SmoothSettings, only=("on", "slots", "space"), changed=options.UNMIXED)
 @options.reading
 @options.overwrite
-@options.quiet
-@options.verbose
+@options.messages
 def command(
     before: str,
     after: str,
     target: str,
     parameters: str | None,
     overwrite: bool,
-    quiet: bool,
-    verbose: int,
+    messages: Messages,
     **values: Any,
 ) -> None:
     """Write a page that shows what changed from BEFORE to AFTER, two models or two images alike in all but colours.
@@ -53,7 +51,6 @@ def command(
     It has both models under one camera with a swipe between them, textures at full size with a swipe, figures, a
     histogram of the change, and a map of the seams.
     """
-    messages = Messages(quiet=quiet, verbose=verbose)
     from beltrami_cli.view.report import report_file
 
     settings = options.record_from(SmoothSettings, values)

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from beltrami_cli.cli import options
-from beltrami_cli.cli.console import Messages
 from beltrami_cli.cli.outcome import show_result, show_unchanged
 from beltrami_cli.errors import OutputError, UsageError
 from beltrami_cli.jobs.job import Job
 
 if TYPE_CHECKING:
+    from beltrami_cli.cli.console import Messages
     from beltrami_cli.formats.access import Access
     from beltrami_cli.jobs.smoothing import SmoothReport
     from beltrami_cli.jobs.writing.output import FileSet, Output, Overwrite
@@ -70,18 +70,15 @@ with --beta. If edges soften, raise --beta, or say --strength gentle; if noise s
     help="Draw INPUT and OUTPUT side by side, with a detail; `beltrami render` draws others. It replaces files as "
     "--report does.",
 )  # fmt: skip
-@options.quiet
-@options.verbose
+@options.messages
 def command(
     source: str,
     target: str,
-    output_format: str | None,
     overwrite: bool,
     dry_run: bool,
     report_path: str | None,
     preview_path: str | None,
-    quiet: bool,
-    verbose: int,
+    messages: Messages,
     **smoothing: Any,
 ) -> None:
     """Smooth the colours of INPUT, in its vertices or textures or pixels, and write OUTPUT with nothing else changed.
@@ -101,7 +98,6 @@ def command(
     """
     settings = options.settings_from(smoothing)
     unwrap = options.unwrapping_from(smoothing)
-    messages = Messages(quiet=quiet, verbose=verbose)
     from beltrami_cli.jobs.smooth import smooth_file
     from beltrami_cli.jobs.writing.output import FileSet
 
@@ -128,7 +124,7 @@ def command(
             settings,
             unwrap=unwrap,
             job=Job(
-                format=output_format,
+                format=smoothing["output_format"],
                 overwrite=overwrite,
                 dry_run=dry_run,
                 progress=progress,

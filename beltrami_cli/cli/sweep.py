@@ -76,22 +76,19 @@ def _sweeping(command: Callable[..., Any]) -> Callable[..., Any]:
 @options.options_of(RenderSettings, without=_NOT_LOOKS)
 @options.reading
 @options.overwrite
-@options.quiet
-@options.verbose
+@options.messages
 def command(
     source: str,
     target: str,
     reference: str | None,
     overwrite: bool,
-    quiet: bool,
-    verbose: int,
+    messages: Messages,
     **given: Any,
 ) -> None:
     """Smooth INPUT with every combination of parameters, and show all results in one picture or page.
 
     The first views are the reference, if there is one, and INPUT as it is; the others show their parameters.
     """
-    messages = Messages(quiet=quiet, verbose=verbose)
     trials, columns = _trials(given)
     plain = trials[0][1]
     on = "vertices" if plain.on == "vertices" else "auto"
