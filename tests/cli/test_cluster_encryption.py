@@ -8,8 +8,8 @@ import time
 
 import pytest
 
-from cli.batches import QUICK, batch
-from cli.commands import SAMPLES
+from cli.batches import QUICK
+from cli.commands import COMMAND, SAMPLES
 from cli.dask_cluster import Cluster
 
 pytest.importorskip("distributed")
@@ -42,7 +42,13 @@ def test_an_encrypted_scheduler_does_the_files(certificates, tmp_path, monkeypat
     arguments = ("--out-dir", tmp_path / "out", "--overwrite", "--scheduler", cluster.address, *QUICK)
 
     def said(code):
-        return batch(tmp_path / "a.ply", *arguments, code=code)
+        # Dask reads the variables as it is loaded, so each run is a process of its own.
+        run = subprocess.run(
+            [*COMMAND, "batch", tmp_path / "a.ply", *arguments], check=False, capture_output=True, text=True
+        )
+        assert run.returncode == code, run.stderr
+        assert "Traceback" not in run.stderr
+        return run.stderr
 
     try:
         deadline = time.monotonic() + 60
