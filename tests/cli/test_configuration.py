@@ -123,6 +123,8 @@ def test_a_preset_beats_what_is_given_less_directly(run, tmp_path):
         ("[smoth]\nbeta = 8", "there is no command smoth", 2),
         ("betta = 8", "betta is no option of any command", 2),
         ('[smooth]\nbeta = "much"', "beta: 'much' is not a valid float", 2),
+        ("[smooth]\nthreads = 0", "threads is 0, but must be between 1 and 1024", 2),
+        ("[smooth]\ngutter = -1", "--gutter is -1, but must be", 2),
         ("[smooth]\nn = 3\niterations = 3", "given twice", 2),
         ("[smooth]\nbeta = ", "cannot be read", 3),
     ],
@@ -136,8 +138,21 @@ def test_faults_are_told_with_the_file(text, words, code, run, tmp_path):
     assert not (tmp_path / "out.ply").exists()
 
 
-def test_a_bad_value_of_a_variable_is_told_with_its_name(run):
-    assert "BELTRAMI_SMOOTH_BETA" in run("smooth", NOISY, "out.ply", code=2, BELTRAMI_SMOOTH_BETA="much")
+@pytest.mark.parametrize("value", ["much", "-1", "nan"])
+def test_a_bad_value_of_a_variable_is_refused_with_its_name(value, run):
+    assert "BELTRAMI_SMOOTH_BETA" in run("smooth", NOISY, "out.ply", code=2, BELTRAMI_SMOOTH_BETA=value)
+
+
+def test_what_is_shown_of_values_that_are_parsed_can_be_given_again(run, tmp_path):
+    output = run(
+        "config", BELTRAMI_RENDER_SIZE="80x60", BELTRAMI_RENDER_CROP="auto,0.1", BELTRAMI_NOISE_SIGMA="8%",
+        BELTRAMI_SWEEP_BETA="4,8",
+    )  # fmt: skip
+    assert in_force(output, "render", "size")[0] == "80x60"
+    assert in_force(output, "noise", "sigma")[0] == "8%"
+    again = tmp_path / "again.toml"
+    again.write_text(output)
+    assert tomllib.loads(run("--config", again, "config")) == tomllib.loads(output)
 
 
 def test_variables_for_other_things_do_no_harm(run):

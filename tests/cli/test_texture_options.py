@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import shutil
 import signal
-import struct
 import subprocess
 import time
-import zlib
 
 import numpy as np
 import pytest
@@ -15,6 +13,7 @@ import pytest
 from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.formats.registry import open_document
 from cli.commands import COMMAND, SAMPLES, beltrami
+from formats.image_files import encode
 
 MIRRORED = SAMPLES / "mirrored-noisy.obj"
 TORUS = SAMPLES / "torus-two-noisy.gltf"
@@ -31,23 +30,6 @@ SIDE = 64
 CHART = slice(SIDE // 4, 3 * SIDE // 4)
 
 
-def png(pixels):
-    """Encode RGBA pixels of 8 bits."""
-
-    def chunk(kind, data):
-        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
-
-    height, width = pixels.shape[:2]
-    rows = b"".join(b"\0" + row.tobytes() for row in pixels)
-    header = struct.pack(">IIBBBBB", width, height, 8, 6, 0, 0, 0)
-    return (
-        b"\x89PNG\r\n\x1a\n"
-        + chunk(b"IHDR", header)
-        + chunk(b"IDAT", zlib.compress(rows))
-        + chunk(b"IEND", b"")
-    )
-
-
 def noise():
     """Grey noise, opaque."""
     pixels = np.random.default_rng(1).integers(88, 168, (SIDE, SIDE, 4), dtype=np.uint8)
@@ -62,7 +44,7 @@ def square(tmp_path):
     def make(pixels):
         folder = tmp_path / "source"
         folder.mkdir()
-        (folder / "square.png").write_bytes(png(pixels))
+        (folder / "square.png").write_bytes(encode(pixels, "png"))
         (folder / "square.mtl").write_text("newmtl paint\nmap_Kd square.png\n")
         (folder / "square.obj").write_text(
             "mtllib square.mtl\nusemtl paint\nv 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"
@@ -259,6 +241,18 @@ def test_textured_gltf_converts_to_glb_with_its_textures(tmp_path):
     out = smooth(TORUS, tmp_path / "out.glb", "-n", "1")
     assert [path.name for path in tmp_path.iterdir()] == ["out.glb"]
     assert len(images(out)) == 2
+
+
+@pytest.mark.parametrize("iterations", ["0", "1"])
+def test_a_textured_model_in_another_format_is_refused_with_the_way_out(iterations, tmp_path):
+    run = beltrami("smooth", MIRRORED, tmp_path / "out.glb", "-n", iterations, "--fast")
+    assert run.returncode == 2
+    assert b"obj to glb" in run.stderr
+    assert b"--unwrap" in run.stderr
+    assert not list(tmp_path.iterdir())
+    if iterations != "0":
+        out = smooth(MIRRORED, tmp_path / "out.glb", "-n", "1", "--fast", "--unwrap", "--texture-size", "64")
+        assert len(images(out)) == 1
 
 
 def test_a_dry_run_writes_no_file_of_a_textured_model(tmp_path):
