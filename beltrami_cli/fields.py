@@ -88,12 +88,13 @@ class Parameter:
         if value is None and self.optional:
             return
         if self.several and not isinstance(value, (tuple, list)):
-            raise UsageError(f"{self.name} is {value!r}, but must be a tuple")
+            raise UsageError(f"{self.name} is of type {type(value).__name__}, but must be a tuple")
         for each in value if isinstance(value, (tuple, list)) and self.several else (value,):
             fault = self._fault(each)
             if fault:
                 name = f"one of {self.name}" if self.several else self.name
-                raise UsageError(f"{name} is {each}, but must be {fault}")
+                shown = each if isinstance(each, (str, int, float)) else f"of type {type(each).__name__}"
+                raise UsageError(f"{name} is {shown}, but must be {fault}")
 
     def _fault(self, value: Any) -> str:
         """Return what a value would have to be; empty if it is as it must be."""

@@ -107,6 +107,10 @@ def test_overrides_reach_the_records_within_and_leave_the_rest_to_be_chosen():
     settings = override(DEFAULTS, t=3.0, slots=("normal",), space="linear")
     assert (settings.kernel.t, settings.textures.slots, settings.space) == (3.0, ("normal",), "linear")
     assert set(DEFAULTS.kernel.free) - set(settings.kernel.free) == {"t"}
+    with pytest.raises(UsageError, match="height is of type list, but must be text"):
+        override(DEFAULTS, height=[[1.0, 2.0]])
+    with pytest.raises(UsageError, match="slots is of type str, but must be a tuple"):
+        override(DEFAULTS, slots="normal")
     with pytest.raises(UsageError, match="no parameter iteration; did you mean iterations"):
         override(DEFAULTS, iteration=3)
 
