@@ -15,11 +15,16 @@ from beltrami_cli.flow.grid_manifold import GridManifold
 from beltrami_cli.flow.manifold import NewColours
 from beltrami_cli.formats.image import check_writable, is_unchanged, losses, read_image, write_image
 from beltrami_cli.formats.image.conversion import noise_losses
-from beltrami_cli.samples.repainting import Repainting
 from beltrami_cli.samples.reports import SlotReport
 from beltrami_cli.samples.samples import Change, Grains, Part, Repainted, Samples
 from beltrami_cli.samples.settings import SLOTS, describe_choice, describe_kernel
-from beltrami_cli.samples.texel_colours import COLOUR_SLOTS, TexelColours, choose_textures, only_textures
+from beltrami_cli.samples.texel_colours import (
+    COLOUR_SLOTS,
+    Repainting,
+    TexelColours,
+    choose_textures,
+    only_textures,
+)
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import build_atlas, without_owned
 from beltrami_cli.surface.records import ImageFile

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING
 import click
 import pytest
 
-from beltrami_cli.cli.configuration import load
-from beltrami_cli.cli.found_configuration import candidates, may_be_found
+from beltrami_cli.cli.configuration import candidates, load, may_be_found
 from beltrami_cli.cli.main import COMMANDS, defaults_from, group
 from beltrami_cli.cli.names import long_name
 from beltrami_cli.errors import UsageError
