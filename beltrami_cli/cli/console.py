@@ -53,6 +53,25 @@ class Messages:
             self.warn(text if text.startswith(shown) else f"{shown}: {text}")
 
     @contextmanager
+    def work_shown(self, *, wanted: bool) -> Iterator[None]:
+        """Show how much work is ahead, which the package logs before it starts."""
+        import logging
+
+        handler, log = logging.Handler(logging.INFO), logging.getLogger("beltrami_cli")
+        handler.emit = lambda record: self.say(record.getMessage())  # type: ignore[method-assign]
+        if not wanted:
+            yield
+            return
+        before = log.level
+        log.addHandler(handler)
+        log.setLevel(logging.INFO)
+        try:
+            yield
+        finally:
+            log.removeHandler(handler)
+            log.setLevel(before)
+
+    @contextmanager
     def progress(self) -> Iterator[Callable[[str, int, int], None] | None]:
         """Give a function that draws a bar with a label and the time left; on a terminal only."""
         if self.quiet or not sys.stderr.isatty():

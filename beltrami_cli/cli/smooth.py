@@ -104,6 +104,7 @@ def command(
     with (
         options.reading_from(smoothing, source) as access,
         messages.progress() as progress,
+        messages.work_shown(wanted=messages.verbose > 0 or dry_run),
         FileSet([source, target]) as files,
     ):
         preview, report_file = None, None

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Generic, TypeVar, cast
 
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.grid_partitions import cut_grid
+from beltrami_cli.flow.kernel_work import announce, bounded
 from beltrami_cli.flow.manifold import Averaged, Manifold, Step
 from beltrami_cli.flow.mesh_manifold import MeshManifold
 from beltrami_cli.flow.mesh_partitions import cut_mesh, first_reach
@@ -37,7 +38,8 @@ class FlowResult:
     beta: float  # that was used, in units of length per unit of colour
     sigma: NDArray[np.float64]  # estimated noise by channel
     samples_per_kernel: float  # mean over samples and iterations
-    truncated: int  # kernels that `max_samples` cut short
+    truncated: int  # kernels that were cut short at ...
+    max_samples: int  # ... the largest that was allowed
     choice: Choice | None
 
 
@@ -96,7 +98,9 @@ class BeltramiFlow(Generic[AnyManifold]):
             raise UsageError("vertices are not moved in pieces; leave out --pieces, or --smooth-geometry")
         if moves:  # positions take the same iterations, and what is best for colours is not best for them
             parameters = dataclasses.replace(parameters, free=())
-        self.parameters, self.choice = tune(manifold, parameters)
+        chosen, self.choice = tune(manifold, parameters)
+        self.parameters = bounded(manifold, chosen)
+        announce(manifold, self.parameters)
         manifold.parameters = self.parameters
         chosen_beta = self.parameters.beta
         self.beta = manifold.beta if chosen_beta is None or manifold.beta == 0 else chosen_beta
@@ -127,8 +131,9 @@ class BeltramiFlow(Generic[AnyManifold]):
             manifold.restore(self._clipped, done.stacks[1])
         samples_per_kernel = done.samples / max(1, iterations * manifold.kernels)
         return FlowResult(
-            manifold.spacing, self.beta, manifold.sigma, samples_per_kernel, done.truncated, self.choice
-        )
+            manifold.spacing, self.beta, manifold.sigma, samples_per_kernel, done.truncated,
+            self.parameters.max_samples, self.choice,
+        )  # fmt: skip
 
     def _iterate(
         self, stacks: list[NDArray[np.float32]], progress: Callable[[int, int], None] | None

@@ -282,7 +282,7 @@ class VertexSamples(PaintedSamples):
             where = "too far from others, in one line with them, or nowhere"
             found.append(f"{outliers} of {len(self.painted.positions)} points {alone} {where}")
         if result.truncated:
-            limit = self.settings.kernel.max_samples
+            limit = result.max_samples
             remedy = "lower t, or raise --max-samples"
             found.append(f"{result.truncated} kernels were cut short at {limit} samples; {remedy}")
         return found

@@ -331,3 +331,13 @@ def test_the_version_is_that_of_the_package():
     from importlib.metadata import version
 
     assert version("beltrami-cli").encode() in beltrami("--version").stdout
+
+
+@pytest.mark.parametrize("option", ["-v", "--dry-run"])
+def test_the_work_ahead_is_told_before_it_starts(option, tmp_path):
+    run = beltrami("smooth", SAMPLES / "knot-noisy.ply", tmp_path / "out.ply", option, text=True)
+    said = run.stderr.splitlines()
+    assert said[0].startswith("work: parameters are tried on ")
+    assert "iterations, at most some" in said[1]
+    again = beltrami("smooth", SAMPLES / "knot-noisy.ply", tmp_path / "again.ply", text=True)
+    assert "work:" not in again.stderr

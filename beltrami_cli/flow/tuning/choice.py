@@ -10,6 +10,8 @@ import numpy as np
 
 from beltrami_cli.flow.embedding import choose_beta, overall_noise
 from beltrami_cli.flow.grid_manifold import GridManifold
+from beltrami_cli.flow.kernel_work import LOG, is_surface
+from beltrami_cli.flow.mesh_manifold import MeshManifold
 from beltrami_cli.flow.parameters import SMOOTHNESS
 from beltrami_cli.flow.tuning.grid_trial import grid_trial
 from beltrami_cli.flow.tuning.mesh_trial import mesh_trial
@@ -20,7 +22,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from beltrami_cli.flow.manifold import Manifold
-    from beltrami_cli.flow.mesh_manifold import MeshManifold
     from beltrami_cli.flow.parameters import KernelParameters
     from beltrami_cli.flow.tuning.sure import SampleTrial
 
@@ -193,11 +194,12 @@ def tune(manifold: Manifold, parameters: KernelParameters) -> tuple[KernelParame
     if not is_noisy(manifold.sigma):
         return dataclasses.replace(closed, iterations=0) if "iterations" in parameters.free else closed, None
     on_grid = isinstance(manifold, GridManifold)
-    if parameters.fast:
+    if parameters.fast or (isinstance(manifold, MeshManifold) and not is_surface(manifold)):
         return choose_by_rule(manifold, parameters, RULE_ON_GRIDS if on_grid else RULE_ON_MESHES)
     trial = (
         grid_trial(manifold)
         if isinstance(manifold, GridManifold)
         else mesh_trial(cast("MeshManifold", manifold))
     )
+    LOG.info("work: parameters are tried on %d of %d samples first", trial.samples, manifold.kernels)
     return choose(trial, manifold, parameters, ON_GRIDS if on_grid else ON_MESHES)

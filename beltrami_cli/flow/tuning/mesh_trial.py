@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from beltrami_cli.flow.kernel_work import without_hubs
 from beltrami_cli.flow.noise.mesh import detail_around
 from beltrami_cli.flow.tuning.sure import SampleTrial, wanted_probes
 
@@ -45,7 +46,8 @@ def mesh_trial(manifold: MeshManifold) -> SampleTrial:
     """Choose patches of a surface, and draw the perturbations of their colours."""
     colours = manifold.colours
     around = fingerprints(colours, manifold.edges)
-    patches = choose_patches(colours, around, manifold.edges)
+    # A patch that reached a hub would hold everything around it.
+    patches = choose_patches(colours, around, without_hubs(manifold.size, manifold.edges))
     signs = random_signs(colours, around, wanted_probes(int(np.count_nonzero(patches.scored))))
     part, samples = manifold, patches.samples
     if len(samples) < manifold.size:

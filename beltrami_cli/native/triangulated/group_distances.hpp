@@ -24,6 +24,13 @@ constexpr std::size_t parts = group_size / lane_count;
 // Where the kernels of a group reach more vertices than this, their distances do not fit the caches.
 constexpr std::size_t largest_region = 16384;
 
+// Where they reach more than so many times the samples that a kernel may hold, a march that ends at these is faster. Small
+// regions are swept at any rate.
+constexpr std::size_t reached_for_held = 10, always_swept = 2048;
+
+// Sweeps there and back after which a march is faster.
+constexpr int most_sweeps_at_hub = 20;
+
 // One bit for every lane in which a < b.
 inline std::uint32_t where_smaller(Lanes a, Lanes b) {
 #if defined(__AVX512F__)
@@ -43,9 +50,10 @@ inline std::uint32_t where_smaller(Lanes a, Lanes b) {
 
 class GroupDistances {
  public:
-  GroupDistances(const Segments& segments, float radius, GroupScratch& scratch)
+  GroupDistances(const Segments& segments, const KernelParameters& parameters, GroupScratch& scratch)
       : segments_(segments), scratch_(scratch),
-        beyond_(std::nextafter(radius, std::numeric_limits<float>::infinity())) {}
+        beyond_(std::nextafter(parameters.radius, std::numeric_limits<float>::infinity())),
+        most_(std::clamp(reached_for_held * std::min(parameters.max_samples, largest_region), always_swept, largest_region)) {}
 
   // Distances that are not known, or beyond the radius, stand just beyond it, so that no path leads further.
   float beyond() const { return beyond_; }
@@ -53,7 +61,7 @@ class GroupDistances {
   std::size_t size() const { return size_; }
 
   // Passes changes on, vertex by vertex, until there are none: then every distance is that of the shortest path, whatever
-  // the order, as sums along a path are rounded in the same way for all. Returns false if the region is too large.
+  // the order, as sums along a path are rounded in the same way for all. Returns false if that takes too long.
   bool find(const VertexGroup& group) {
     reserve(group_size);
     for (std::size_t lane = 0; lane < group.sources.size(); ++lane) {
@@ -62,9 +70,14 @@ class GroupDistances {
     }
     // What the sources are from each other comes first, or else they would all be passed on twice.
     for (const InnerSegment& segment : group.inner) join(segment);
-    for (bool any = true; any;) {
+    bool any = true;
+    for (int sweep = 0; any && fits_; ++sweep) {
       any = false;
       for (std::size_t place = 0; place < size_; ++place) any |= pass_on(place);
+      // Around a hub distances may run against the order of the places, and then move by one place a sweep.
+      if (!any || !at_hub_) continue;
+      for (std::size_t place = size_; place-- > 0;) any |= pass_on(place);
+      fits_ &= sweep < most_sweeps_at_hub;
     }
     for (std::size_t place = 0; place < size_; ++place) scratch_.place[static_cast<std::size_t>(scratch_.vertices[place])] = 0;
     return fits_;
@@ -129,7 +142,8 @@ class GroupDistances {
     for (std::size_t part = 0; part < parts; ++part) store(from.passed.data() + part * lane_count, here[part]);
     const std::uint32_t* offset = segments_.offsets.data() + scratch_.vertices[place];
     const std::uint32_t begin = offset[0], end = offset[1];
-    fits_ = size_ + (end - begin) <= largest_region;
+    at_hub_ |= end - begin > most_segments;
+    fits_ = size_ + (end - begin) <= most_;
     if (!fits_) return false;
     reserve(size_ + (end - begin));
     // Kept at hand: what is stored might change these pointers, for all that the compiler knows.
@@ -166,8 +180,9 @@ class GroupDistances {
   const Segments& segments_;
   GroupScratch& scratch_;
   float beyond_;
+  std::size_t most_;  // places
   std::size_t size_ = 0;
-  bool fits_ = true;
+  bool fits_ = true, at_hub_ = false;
 };
 
 }  // namespace

@@ -81,7 +81,8 @@ class GroupAverage {
     const auto rank = [&](std::size_t i) {
       return std::pair(vertices()[i] == sources_[lane] ? -1 : region()[i].passed[lane], vertices()[i]);
     };
-    std::vector<std::pair<float, Index>> order;
+    auto& order = scratch_.order;
+    order.clear();
     for (std::size_t i = 0; i < size_; ++i)
       if (region()[i].passed[lane] < beyond_) order.push_back(rank(i));
     const auto last = order.begin() + static_cast<std::ptrdiff_t>(job_.parameters.max_samples);
@@ -136,7 +137,7 @@ class GroupAverage {
 }  // namespace
 
 std::optional<KernelStatistics> sweep_group(const GroupJob& job, const VertexGroup& group, GroupScratch& scratch) {
-  GroupDistances distances(*job.segments, job.parameters.radius, scratch);
+  GroupDistances distances(*job.segments, job.parameters, scratch);
   if (!distances.find(group)) return std::nullopt;
   return GroupAverage(job, group.sources, scratch, distances).run();
 }

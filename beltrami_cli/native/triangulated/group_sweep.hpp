@@ -5,6 +5,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <optional>
+#include <utility>
 #include <vector>
 
 #include "instruction_set.hpp"
@@ -35,10 +36,11 @@ struct GroupScratch {
   std::vector<std::uint16_t> place;  // [vertex]: 1 + its place in the region, 0 outside
   std::vector<RegionPlace> region;   // in the order in which they are found
   std::vector<Index> vertices;       // [place]
+  std::vector<std::pair<float, Index>> order;  // of the samples of a kernel that is cut short
 };
 
-// Writes the smoothed colours of up to 16 sources. Writes nothing and returns nothing if they reach too many
-// vertices.
+// Writes the smoothed colours of up to 16 sources. Writes nothing and returns nothing if a march from each
+// is faster: they reach too many vertices.
 using SweepGroup = std::optional<KernelStatistics> (*)(const GroupJob& job, const VertexGroup& group,
                                                        GroupScratch& scratch);
 

@@ -15,6 +15,10 @@ namespace {
 // nothing.
 constexpr std::size_t groups_per_chunk = 16;
 
+std::uint64_t make_key(float distance, Index vertex) {
+  return std::uint64_t{std::bit_cast<std::uint32_t>(distance)} << 32 | static_cast<std::uint32_t>(vertex);
+}
+
 struct Worker {
   Worker(const Segments& segments) : scratch(static_cast<std::size_t>(segments.vertex_count())) {}
   GroupScratch scratch;
@@ -24,11 +28,12 @@ struct Worker {
 
 }  // namespace
 
-SegmentMarch::SegmentMarch(const Segments& segments)
-    : segments_(segments), nodes_(static_cast<std::size_t>(segments.vertex_count())) {}
+SegmentMarch::SegmentMarch(const Segments& segments, const HubLists& hubs)
+    : segments_(segments), hubs_(hubs), nodes_(static_cast<std::size_t>(segments.vertex_count())) {}
 
 std::span<const Reached> SegmentMarch::march(Index source, float radius, std::size_t max_count) {
   heap_.clear();
+  waiting_.clear();
   reached_.clear();
   truncated_ = false;
   radius_ = radius;
@@ -37,7 +42,11 @@ std::span<const Reached> SegmentMarch::march(Index source, float radius, std::si
     mark_ = 1;
   }
   relax(source, 0);
-  while (!heap_.empty()) {
+  while (!heap_.empty() || !waiting_.empty()) {
+    if (!waiting_.empty() && (heap_.empty() || waiting_.front().key < heap_.front())) {
+      take_hub_segment();
+      continue;
+    }
     std::pop_heap(heap_.begin(), heap_.end(), std::greater<>());
     const std::uint64_t key = heap_.back();
     heap_.pop_back();
@@ -50,9 +59,7 @@ std::span<const Reached> SegmentMarch::march(Index source, float radius, std::si
       break;
     }
     reached_.push_back({vertex, distance});
-    const auto row = static_cast<std::size_t>(vertex);
-    for (std::uint32_t i = segments_.offsets[row]; i < segments_.offsets[row + 1]; ++i)
-      relax(segments_.targets[i], distance + segments_.lengths[i]);
+    pass_on(vertex, distance);
   }
   return reached_;
 }
@@ -62,8 +69,37 @@ void SegmentMarch::relax(Index target, float distance) {
   Node& node = nodes_[static_cast<std::size_t>(target)];
   if (node.mark == mark_ && node.distance <= distance) return;
   node = {distance, mark_};
-  heap_.push_back(std::uint64_t{std::bit_cast<std::uint32_t>(distance)} << 32 | static_cast<std::uint32_t>(target));
+  heap_.push_back(make_key(distance, target));
   std::push_heap(heap_.begin(), heap_.end(), std::greater<>());
+}
+
+void SegmentMarch::pass_on(Index vertex, float distance) {
+  const std::uint32_t* offset = segments_.offsets.data() + vertex;
+  if (offset[1] - offset[0] > most_segments) {
+    const auto found = std::lower_bound(hubs_.hubs.begin(), hubs_.hubs.end(), vertex);
+    const auto hub = static_cast<std::uint32_t>(found - hubs_.hubs.begin());
+    wait_for(hub, hubs_.offsets[hub]);
+    return;
+  }
+  for (std::uint32_t i = offset[0]; i < offset[1]; ++i) relax(segments_.targets[i], distance + segments_.lengths[i]);
+}
+
+void SegmentMarch::wait_for(std::uint32_t hub, std::uint32_t next) {
+  if (next == hubs_.offsets[hub + 1]) return;
+  const std::uint32_t place = hubs_.places[next];
+  const float distance = nodes_[static_cast<std::size_t>(hubs_.hubs[hub])].distance + segments_.lengths[place];
+  if (!(distance <= radius_)) return;
+  waiting_.push_back({make_key(distance, segments_.targets[place]), hub, next});
+  std::push_heap(waiting_.begin(), waiting_.end(), std::greater<>());
+}
+
+void SegmentMarch::take_hub_segment() {
+  std::pop_heap(waiting_.begin(), waiting_.end(), std::greater<>());
+  const Waiting taken = waiting_.back();
+  waiting_.pop_back();
+  const float distance = std::bit_cast<float>(static_cast<std::uint32_t>(taken.key >> 32));
+  relax(static_cast<Index>(taken.key & 0xffffffffU), distance);
+  wait_for(taken.hub, taken.next + 1);
 }
 
 SegmentKernel::SegmentKernel(std::span<const Index> face_corners, Index vertex_count)
@@ -73,6 +109,7 @@ void SegmentKernel::update_metric(Rows<double> positions, Rows<float> colours, d
                                   unsigned threads) {
   if (lengths_.update(positions, colours, beta, scales, threads) || groups_.members.empty())
     groups_ = make_groups(positions, lengths_.segments(), threads);
+  hubs_ = sort_hubs(lengths_.segments());
 }
 
 KernelStatistics SegmentKernel::smooth(Rows<float> colours, const float* weights, const KernelParameters& parameters,
@@ -92,7 +129,7 @@ KernelStatistics SegmentKernel::smooth(Rows<float> colours, const float* weights
             worker.statistics += *done;
             continue;
           }
-          if (!worker.marching) worker.marching = std::make_unique<SegmentMarch>(lengths_.segments());
+          if (!worker.marching) worker.marching = std::make_unique<SegmentMarch>(lengths_.segments(), hubs_);
           march_group(members.sources, colours, weights, parameters, smoothed, *worker.marching, worker.statistics);
         }
       },
@@ -116,7 +153,7 @@ void SegmentKernel::march_group(std::span<const Index> sources, Rows<float> colo
 }
 
 std::vector<Reached> SegmentKernel::distances(Index source, float radius, std::size_t max_count) const {
-  SegmentMarch marching(lengths_.segments());
+  SegmentMarch marching(lengths_.segments(), hubs_);
   const auto reached = marching.march(source, radius, max_count);
   return {reached.begin(), reached.end()};
 }

@@ -15,11 +15,12 @@
 
 namespace beltrami::triangulated {
 
-// Shortest paths along segments from one source, by Dijkstra's algorithm. The scratch memory, 8 bytes a vertex, is reused
-// between marches.
+// Shortest paths along segments from one source, by Dijkstra's algorithm. At hubs, segments are taken from the shortest on,
+// one at a time, so that k samples take O(k log k) whatever the valence. The scratch memory, 8 bytes a vertex, is reused between
+// marches.
 class SegmentMarch {
  public:
-  explicit SegmentMarch(const Segments& segments);
+  SegmentMarch(const Segments& segments, const HubLists& hubs);
 
   // Vertices within `radius` of the source in order of distance, the source first; at most `max_count`.
   // Valid until the next call.
@@ -34,11 +35,23 @@ class SegmentMarch {
     std::uint32_t mark = 0;  // of the march that found the distance
   };
 
+  // The next segment of a hub whose list is being taken; its key is that of the vertex at its other end.
+  struct Waiting {
+    std::uint64_t key;
+    std::uint32_t hub, next;  // the number of the hub, and the place in the lists of hubs
+    bool operator>(const Waiting& other) const { return key > other.key; }
+  };
+
   void relax(Index target, float distance);
+  void pass_on(Index vertex, float distance);
+  void take_hub_segment();
+  void wait_for(std::uint32_t hub, std::uint32_t next);
 
   const Segments& segments_;
+  const HubLists& hubs_;
   std::vector<Node> nodes_;
   std::vector<std::uint64_t> heap_;  // distance bits in the high half, vertex in the low half
+  std::vector<Waiting> waiting_;     // a heap, too
   std::vector<Reached> reached_;
   std::uint32_t mark_ = 0;
   float radius_ = 0;
@@ -69,6 +82,7 @@ class SegmentKernel {
                    KernelStatistics& statistics) const;
 
   SegmentLengths lengths_;
+  HubLists hubs_;
   VertexGroups groups_;
 };
 

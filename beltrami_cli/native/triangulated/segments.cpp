@@ -1,7 +1,9 @@
 #include "triangulated/segments.hpp"
 
+#include <algorithm>
 #include <numeric>
 #include <stdexcept>
+#include <utility>
 
 namespace beltrami::triangulated {
 namespace {
@@ -89,6 +91,22 @@ Segments make_segments(const Topology& topology, const TrianglePlanes& planes) {
       },
       [&](Index a, Index b, Corner corner) { segments.round_corners[planes.at(corner)] = list(a, b); });
   return segments;
+}
+
+HubLists sort_hubs(const Segments& segments) {
+  HubLists lists{{}, {0}, {}};
+  for (Index vertex = 0; vertex < segments.vertex_count(); ++vertex) {
+    const std::uint32_t* offset = segments.offsets.data() + vertex;
+    if (offset[1] - offset[0] <= most_segments) continue;
+    lists.hubs.push_back(vertex);
+    for (std::uint32_t place = offset[0]; place < offset[1]; ++place)
+      if (segments.lengths[place] < no_segment) lists.places.push_back(place);
+    std::sort(lists.places.begin() + lists.offsets.back(), lists.places.end(), [&](std::uint32_t a, std::uint32_t b) {
+      return std::pair(segments.lengths[a], segments.targets[a]) < std::pair(segments.lengths[b], segments.targets[b]);
+    });
+    lists.offsets.push_back(static_cast<std::uint32_t>(lists.places.size()));
+  }
+  return lists;
 }
 
 }  // namespace beltrami::triangulated

@@ -38,6 +38,10 @@ constexpr float no_segment = 1e30F;
 // As many as the widest register holds may be read from any place in the lists.
 constexpr std::size_t spare_lengths = 16;
 
+// Vertices with more segments than this are hubs: what each kernel that reaches one does there must not take as long as the
+// list of the hub is.
+constexpr std::uint32_t most_segments = 512;
+
 // A place in the lists, for what is no segment.
 constexpr std::uint32_t no_place = std::numeric_limits<std::uint32_t>::max();
 
@@ -54,6 +58,15 @@ struct Segments {
 
   Index vertex_count() const { return static_cast<Index>(offsets.size() - 1); }
 };
+
+// The segments of hubs by length.
+struct HubLists {
+  std::vector<Index> hubs;             // ascending
+  std::vector<std::uint32_t> offsets;  // [hub], one more at the end
+  std::vector<std::uint32_t> places;   // of segments that are straight, those of each hub from the shortest on
+};
+
+HubLists sort_hubs(const Segments& segments);
 
 // All segments that a metric may make straight; no lengths yet. Throws std::length_error if the mesh is too large.
 Segments make_segments(const Topology& topology, const TrianglePlanes& planes);

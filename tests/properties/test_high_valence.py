@@ -1,0 +1,145 @@
+"""Vertices of very many triangles, and triangles that are no surface: bounded work, and the same results elsewhere."""
+
+import time
+
+import numpy as np
+import pytest
+
+from beltrami_cli._native import SegmentManifold
+from beltrami_cli.flow.kernel_work import is_surface
+from beltrami_cli.flow.mesh_manifold import MeshManifold
+from beltrami_cli.flow.parameters import KernelParameters
+from beltrami_cli.jobs.arrays import smooth
+from beltrami_cli.surface.records import SampledSurface
+
+SECONDS = 60  # of processor time; what is not bounded takes several times that
+
+
+def fan(count):
+    """Triangles around one vertex."""
+    angles = np.linspace(0, 2 * np.pi, count, endpoint=False)
+    rim = np.stack([np.cos(angles), np.sin(angles), 0 * angles], axis=1)
+    first = np.arange(count)
+    faces = np.stack([0 * first, first + 1, (first + 1) % count + 1], axis=1)
+    return np.vstack([np.zeros((1, 3)), rim]), faces.astype(np.int32)
+
+
+def book(count):
+    """Triangles on one edge."""
+    angles = np.linspace(0, 2 * np.pi, count, endpoint=False)
+    apexes = np.stack([np.cos(angles), np.sin(angles), np.full(count, 0.5)], axis=1)
+    faces = np.stack([0 * angles, 0 * angles + 1, np.arange(count) + 2], axis=1)
+    return np.vstack([[[0, 0, 0], [0, 0, 1]], apexes]), faces.astype(np.int32)
+
+
+def tangle(count, size):
+    """Triangles with corners at random."""
+    random = np.random.default_rng(1)
+    return random.random((size, 3)), random.integers(0, size, (count, 3)).astype(np.int32)
+
+
+def plane(side):
+    """A square of `side` x `side` vertices."""
+    y, x = np.mgrid[:side, :side]
+    at = np.arange(side * side, dtype=np.int32).reshape(side, side)
+    a, b, c, d = at[:-1, :-1].ravel(), at[:-1, 1:].ravel(), at[1:, :-1].ravel(), at[1:, 1:].ravel()
+    positions = np.stack([x.ravel(), y.ravel(), 0 * x.ravel()], axis=1).astype(float)
+    return positions, np.vstack([np.stack([a, b, d], axis=1), np.stack([a, d, c], axis=1)])
+
+
+def noisy(count):
+    return (0.5 + 0.08 * np.random.default_rng(2).standard_normal((count, 3))).astype(np.float32)
+
+
+def core_of(positions, faces, beta=0.0):
+    core = SegmentManifold(faces, len(positions))
+    core.update_metric(positions, noisy(len(positions)), beta, None, 1)
+    return core
+
+
+@pytest.mark.parametrize(
+    "mesh",
+    [fan(4_000), book(8_000), tangle(60_000, 30_000), tangle(60_000, 1_000)],
+    ids=["fan", "book", "30k", "1k"],
+)
+def test_what_is_no_surface_takes_seconds_by_default(mesh):
+    positions, faces = mesh
+    start = time.process_time()
+    result = smooth(positions, faces, noisy(len(positions)))
+    assert time.process_time() - start < SECONDS
+    assert np.isfinite(result.colours).all()
+
+
+@pytest.mark.parametrize("beta", [0.0, 6.0])
+def test_the_cost_of_a_fan_grows_as_its_valence(beta):
+    """Beyond what is swept at any rate, twice the valence takes twice as long; a factor of 4 is that of all pairs."""
+    seconds = []
+    for count in (4_000, 8_000, 16_000):
+        positions, faces = fan(count)
+        core, colours, times = core_of(positions, faces, beta), noisy(count + 1), []
+        for _ in range(3):
+            start = time.process_time()
+            core.smooth(colours, None, 2.4, 6.6, 200, 1, None)
+            times.append(time.process_time() - start)
+        seconds.append(min(times))
+    assert seconds[2] / seconds[0] < 2.5**2
+
+
+def test_a_march_past_a_hub_finds_the_distances_of_the_sweep():
+    """The colours of a few samples, which kernels average, tell how much each weighs."""
+    positions, faces = fan(1_500)
+    core, count = core_of(positions, faces, 6.0), 1_501
+    marks = np.zeros((count, 3), np.float32)
+    chosen = [0, 7, 1_100]
+    marks[chosen, [0, 1, 2]] = 1
+    swept = core.smooth(marks, None, 0.05, 0.9, count, 1, None)[0]
+    for source in (0, 1, 5, 750, 1_499):
+        held, distances = core.distances(source, 0.9, count)
+        assert (np.diff(distances) >= 0).all()
+        weights = np.zeros(count)
+        weights[held] = np.exp(-(distances.astype(float) ** 2) / 0.2)
+        np.testing.assert_allclose(swept[source], weights[chosen] / weights.sum(), atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "mesh", [fan(4_000), book(3_000), tangle(9_000, 4_000)], ids=["fan", "book", "tangle"]
+)
+def test_threads_change_nothing_where_kernels_are_cut_short(mesh):
+    positions, faces = mesh
+    core, colours = core_of(positions, faces, 4.0), noisy(len(positions))
+    one = core.smooth(colours, None, 2.4, 6.6, 100, 1, None)
+    several = core.smooth(colours, None, 2.4, 6.6, 100, 3, None)
+    assert np.array_equal(one[0], several[0])
+    assert one[1:] == several[1:]
+
+
+def test_a_hub_does_no_harm_to_the_rest_of_a_model():
+    positions, faces = plane(70)
+    hub, around = fan(2_000)
+    both = np.vstack([positions, hub + np.array([1_000, 0, 0])])
+    joined = np.vstack([faces, around + len(positions)]).astype(np.int32)
+    colours = noisy(len(both))
+    given = {"iterations": 2, "t": 2.4, "beta": 3.0, "metric_steps": 0}
+    result = smooth(both, joined, colours, **given)
+    free = smooth(both, joined, colours, **given, max_samples=2_500)
+    assert result.truncated > 1_500
+    assert free.truncated == 0
+    assert np.array_equal(result.colours[: len(positions)], free.colours[: len(positions)])
+
+
+@pytest.mark.parametrize(
+    ("mesh", "expected"),
+    [
+        (plane(60), True),
+        (fan(400), True),
+        (fan(2_000), False),
+        (book(2_000), False),
+        (tangle(9_000, 3_000), False),
+    ],
+    ids=["plane", "small fan", "fan", "book", "tangle"],
+)
+def test_parameters_are_tried_on_surfaces_only(mesh, expected):
+    positions, faces = mesh
+    none = np.zeros((0, 3), np.int32)
+    surface = SampledSurface(positions, faces, none, noisy(len(positions)))
+    assert is_surface(MeshManifold(surface, KernelParameters())) is expected
