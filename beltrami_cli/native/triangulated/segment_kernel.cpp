@@ -60,8 +60,24 @@ std::span<const Reached> SegmentMarch::march(Index source, float radius, std::si
     }
     reached_.push_back({vertex, distance});
     pass_on(vertex, distance);
+    // One more than the kernel takes, to know that it is cut short.
+    const std::size_t wanted = max_count - reached_.size() + 1;
+    if (heap_.size() / 2 > wanted) keep_nearest(wanted);
   }
   return reached_;
+}
+
+// Shortens the heap to the nearest vertices. What lies further away is never taken, since distances only fall.
+void SegmentMarch::keep_nearest(std::size_t count) {
+  std::erase_if(heap_, [&](std::uint64_t key) {
+    return key != make_key(nodes_[key & 0xffffffffU].distance, static_cast<Index>(key & 0xffffffffU));
+  });
+  if (heap_.size() > count) {
+    std::nth_element(heap_.begin(), heap_.begin() + static_cast<std::ptrdiff_t>(count) - 1, heap_.end());
+    heap_.resize(count);
+    radius_ = std::bit_cast<float>(static_cast<std::uint32_t>(heap_.back() >> 32));
+  }
+  std::make_heap(heap_.begin(), heap_.end(), std::greater<>());
 }
 
 void SegmentMarch::relax(Index target, float distance) {

@@ -45,6 +45,7 @@ class SegmentMarch {
   void relax(Index target, float distance);
   void pass_on(Index vertex, float distance);
   void take_hub_segment();
+  void keep_nearest(std::size_t count);
   void wait_for(std::uint32_t hub, std::uint32_t next);
 
   const Segments& segments_;
@@ -54,7 +55,7 @@ class SegmentMarch {
   std::vector<Waiting> waiting_;     // a heap, too
   std::vector<Reached> reached_;
   std::uint32_t mark_ = 0;
-  float radius_ = 0;
+  float radius_ = 0;  // beyond which nothing is looked for
   bool truncated_ = false;
 };
 
