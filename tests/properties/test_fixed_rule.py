@@ -46,7 +46,7 @@ def test_the_fixed_rule_smooths_further_where_there_is_more_noise():
         assert counts == sorted(counts)
         assert counts[0] == counts[2] == rule.iterations
         assert counts[3] == rule.iterations + rule.more
-        assert counts[-1] == rule.most
+        assert counts[-1] == rule.max_iterations
 
 
 @pytest.mark.slow
