@@ -52,7 +52,7 @@ SETTINGS = SmoothSettings(kernel=KernelParameters(iterations=1, beta=10, clippin
 ACCESS = Access(memory=4 << 30)
 PATIENCE = 180  # seconds
 MOST_MEMORY = 8 << 30  # bytes of addresses, which are always more than what is used
-PRELOADED = ("samples.textures.smooth", "samples.vertices.smooth", "jobs.conversion")
+PRELOADED = ("samples.texel_samples", "samples.vertex_samples")
 OUTCOMES = {
     "smoothed": "only colours changed",
     "converted": "read, written as PLY",
