@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Generic, TypeVar, cast
 
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.grid_partitions import cut_grid
-from beltrami_cli.flow.kernel_work import announce, bounded
 from beltrami_cli.flow.manifold import Averaged, Manifold, Step
 from beltrami_cli.flow.mesh_manifold import MeshManifold
 from beltrami_cli.flow.mesh_partitions import cut_mesh, first_reach
@@ -99,8 +98,9 @@ class BeltramiFlow(Generic[AnyManifold]):
         if moves:  # positions take the same iterations, and what is best for colours is not best for them
             parameters = dataclasses.replace(parameters, free=())
         chosen, self.choice = tune(manifold, parameters)
-        self.parameters = bounded(manifold, chosen)
-        announce(manifold, self.parameters)
+        work = manifold.work
+        self.parameters = work.bounded(chosen)
+        work.announce(self.parameters)
         manifold.parameters = self.parameters
         chosen_beta = self.parameters.beta
         self.beta = manifold.beta if chosen_beta is None or manifold.beta == 0 else chosen_beta

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from beltrami_cli.flow.noise.grid import estimate_sigma_on_grid
 from beltrami_cli.flow.regularisation import guide_radius
 from beltrami_cli.surface import large_arrays
-from beltrami_cli.surface.atlas import OWNED, refresh_halo
+from beltrami_cli.surface.atlas import EMPTY, OWNED, refresh_halo
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -24,6 +26,9 @@ _REPEATS_REACH = 3
 
 # Rows that are processed together.
 _ROWS = 256
+
+# Rows whose lengths are added at a time: the rounding of a sum depends on it.
+_ROWS_OF_A_SUM = 64
 
 # Cells whose colours are put on the canvas at a time: few enough to stay in the cache.
 _BLOCK = 1 << 16
@@ -74,6 +79,15 @@ def local_scales(atlas: Atlas, window: int) -> NDArray[np.float32]:
         right, below = atlas.squared_lengths[:2, first : band.stop + reach]
         scales[band] = local_scale(right, below, reach)[band.start - first : band.stop - first]
     return scales
+
+
+def mean_spacing(atlas: Atlas, scale: NDArray[np.float32]) -> float:
+    """Return the mean length that is 1 in local units, over the owned cells; 0 without any."""
+    total, count = 0.0, 0
+    for rows in large_arrays.blocks(len(atlas.kind), _ROWS_OF_A_SUM):
+        spacing = 1 / np.sqrt(scale[rows][atlas.kind[rows] == OWNED])
+        total, count = total + float(spacing.sum(dtype=np.float64)), count + len(spacing)
+    return total / count if count else 0.0
 
 
 def halo_repeats(atlas: Atlas, threads: int) -> NDArray[np.uint8] | None:
@@ -196,3 +210,41 @@ def _steps_over_seams(
         nothing = np.zeros((0, len(planes)), np.float32)
         return np.zeros(0, np.int32), nothing, nothing
     return np.concatenate(seams), np.concatenate(over), np.concatenate(before)
+
+
+def without_references(part: Atlas, whole: Atlas, cells: NDArray[np.int64]) -> Atlas:
+    """Return the atlas of some cells of another, whose halo others refresh."""
+    kind = part.kind
+    kind[cells == whole.kind.size - 1] = (
+        EMPTY  # the last cell is margin, or stands for cells beyond the canvas
+    )
+    cut = np.zeros(whole.kind.size, bool)
+    cut[whole.cut_cells] = True
+    nothing = np.zeros(0, np.int64)
+    return dataclasses.replace(
+        part,
+        cut_cells=np.flatnonzero(cut[cells.reshape(-1)]),
+        owned_cells=np.flatnonzero(kind == OWNED),
+        owned_texels=nothing,
+        halo_cells=nothing,
+        halo_taps=np.zeros((0, 4), np.int64),
+        halo_weights=np.zeros((0, 4), np.float32),
+        halo_seams=np.zeros(0, np.int32),
+        gutter_cells=nothing,
+        gutter_texels=nothing,
+        chart_of=np.zeros(0, np.int32),
+    )
+
+
+def end_at_seams(planes: NDArray[np.float32], atlas: Atlas, threads: int) -> None:
+    """Continue a guide as a constant, in place, beyond the seams whose two sides differ."""
+    from beltrami_cli._native import nearest_marked
+
+    sigma = estimate_sigma_on_grid(planes, atlas.kind == OWNED)
+    beyond = atlas.halo_cells[halo_beyond(atlas, find_colour_jumps(atlas, planes, sigma))]
+    if len(beyond):
+        wanted = np.zeros(atlas.kind.shape, bool)
+        wanted.reshape(-1)[beyond] = True
+        cells, nearest = nearest_marked(atlas.kind == OWNED, wanted, max(atlas.kind.shape), threads)
+        flat = planes.reshape(len(planes), -1)
+        flat[:, cells] = flat[:, nearest]

@@ -13,16 +13,30 @@ import numpy as np
 
 from beltrami_cli.flow.canvas import (
     colours_at,
+    end_at_seams,
     find_colour_jumps,
     halo_beyond,
     halo_repeats,
     local_scales,
+    mean_spacing,
     painted,
+    without_references,
 )
 from beltrami_cli.flow.clipping import find_clipped_on_canvas
-from beltrami_cli.flow.manifold import Averaged, Manifold, NewColours, SampledKernel, at_step, kernel_values
-from beltrami_cli.flow.noise.grid import estimate_noise_on_grid, estimate_sigma_on_grid
+from beltrami_cli.flow.kernel_work import KernelWork
+from beltrami_cli.flow.manifold import (
+    Averaged,
+    Manifold,
+    NewColours,
+    SampledKernel,
+    SampleTrial,
+    at_step,
+    kernel_values,
+)
+from beltrami_cli.flow.noise.grid import estimate_noise_on_grid
 from beltrami_cli.flow.regularisation import GridGaussian, guide_radius
+from beltrami_cli.flow.search_range import ON_GRIDS, RULE_ON_GRIDS
+from beltrami_cli.flow.tuning.grid_trial import choose_blocks, perturbations, tried_cells, with_halo
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import EMPTY, HALO, OWNED, refresh_halo, without_halo
 
@@ -64,6 +78,7 @@ class GridManifold(Manifold):
     """The image manifold of an atlas, with colours on its canvas that iterations change in place."""
 
     axis: ClassVar[int] = 0
+    search_range, rule = ON_GRIDS, RULE_ON_GRIDS
 
     def __init__(
         self,
@@ -90,7 +105,7 @@ class GridManifold(Manifold):
                 planes[:, rows][:, atlas.kind[rows] == EMPTY] = 0
         self.atlas, self.size, self.kernels = atlas, atlas.kind.size, len(atlas.owned_cells)
         scale = local_scales(atlas, parameters.window)
-        self.spacing = _mean_spacing(atlas, scale)
+        self.spacing = mean_spacing(atlas, scale)
         self.scale = scale if parameters.units == "spacing" else None
         self.repeats = halo_repeats(atlas, self.threads)
         if unit is None:
@@ -194,7 +209,7 @@ class GridManifold(Manifold):
             part._gaussian = None if gaussian is None else gaussian.from_row(samples.start)
         else:
             part._gaussian = None
-            part.atlas = _without_references(part.atlas, self.atlas, samples)
+            part.atlas = without_references(part.atlas, self.atlas, samples)
         return part
 
     def _take(self, planes: NDArray[Any], samples: slice | NDArray[np.int64]) -> NDArray[Any]:
@@ -202,6 +217,36 @@ class GridManifold(Manifold):
         if isinstance(samples, slice):
             return planes[..., samples, :]
         return np.ascontiguousarray(planes.reshape(*planes.shape[:-2], -1)[..., samples])
+
+    @property
+    def work(self) -> KernelWork:
+        """How much work its kernels are."""
+        return KernelWork(self.kernels, self.unit)
+
+    def trial(self) -> SampleTrial:
+        """Choose blocks of the canvas, and draw the perturbations of their colours."""
+        atlas, planes, own = self.atlas, self.colours, self.parameters
+        budget = tried_cells(atlas)
+        if len(atlas.owned_cells) <= budget:
+            part, scored = self.in_one_block(), atlas.owned_cells
+        else:
+            reach = own.window // 2 + guide_radius(own.metric_scale)
+            cells, core = choose_blocks(atlas, budget, reach)
+            part = self.cut_blocks(cells, core, reach)
+            planes = self._take(planes, cells)
+            planes[:, part.atlas.kind == EMPTY] = 0
+            scored = np.flatnonzero(core & (part.atlas.kind == OWNED))
+        signs = perturbations(len(scored), len(planes), part.atlas, self.noise_covariances)
+        return SampleTrial(part, planes, signs, scored, correlated=self.noise_covariances is not None)
+
+    def cut_blocks(self, cells: NDArray[np.int64], core: NDArray[np.bool_], reach: int) -> GridManifold:
+        """Cut out blocks; cells beyond their borders keep their colours, as halo that is not refreshed."""
+        side = cells.shape[1]
+        at = np.arange(side)
+        inner = (at >= reach) & (at < side - reach)
+        part = self.cut(cells, np.tile(inner[:, None] & inner, (len(cells) // side, 1)))
+        part.atlas = with_halo(part.atlas, self.atlas, cells, core)
+        return part
 
     def release(self) -> None:
         """Keep everything: averages need all that cuts need."""
@@ -313,7 +358,7 @@ class GridManifold(Manifold):
     def _laid_out(self, guide: Guide) -> NDArray[np.float32]:
         planes = painted(self.atlas, guide.values, self.threads)
         if guide.in_chart_frame:
-            _end_at_seams(planes, self.atlas, self.threads)
+            end_at_seams(planes, self.atlas, self.threads)
         return planes
 
     def _steps(self, stack: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -331,15 +376,6 @@ def scheme_of(parameters: KernelParameters) -> str:
     return "sweep" if parameters.window <= _WIDEST_SWEEP else "triangles"
 
 
-def _mean_spacing(atlas: Atlas, scale: NDArray[np.float32]) -> float:
-    """Return the mean length that is 1 in local units, over the owned cells; 0 without any."""
-    total, count = 0.0, 0
-    for rows in large_arrays.blocks(len(atlas.kind), _ROWS):
-        spacing = 1 / np.sqrt(scale[rows][atlas.kind[rows] == OWNED])
-        total, count = total + float(spacing.sum(dtype=np.float64)), count + len(spacing)
-    return total / count if count else 0.0
-
-
 def _split(planes: NDArray[np.float32], like: Sequence[NDArray[np.float32]]) -> list[NDArray[np.float32]]:
     return np.split(planes, np.cumsum([len(stack) for stack in like])[:-1])
 
@@ -347,41 +383,3 @@ def _split(planes: NDArray[np.float32], like: Sequence[NDArray[np.float32]]) -> 
 def _share(progress: Callable[[int], None] | None, before: int, share: float) -> Callable[[int], None] | None:
     """Add the work of earlier row blocks to the progress of one, of whose cells only a share is new."""
     return None if progress is None else lambda done: progress(before + int(done * share))
-
-
-def _without_references(part: Atlas, whole: Atlas, cells: NDArray[np.int64]) -> Atlas:
-    """Return the atlas of some cells of another, whose halo others refresh."""
-    kind = part.kind
-    kind[cells == whole.kind.size - 1] = (
-        EMPTY  # the last cell is margin, or stands for cells beyond the canvas
-    )
-    cut = np.zeros(whole.kind.size, bool)
-    cut[whole.cut_cells] = True
-    nothing = np.zeros(0, np.int64)
-    return dataclasses.replace(
-        part,
-        cut_cells=np.flatnonzero(cut[cells.reshape(-1)]),
-        owned_cells=np.flatnonzero(kind == OWNED),
-        owned_texels=nothing,
-        halo_cells=nothing,
-        halo_taps=np.zeros((0, 4), np.int64),
-        halo_weights=np.zeros((0, 4), np.float32),
-        halo_seams=np.zeros(0, np.int32),
-        gutter_cells=nothing,
-        gutter_texels=nothing,
-        chart_of=np.zeros(0, np.int32),
-    )
-
-
-def _end_at_seams(planes: NDArray[np.float32], atlas: Atlas, threads: int) -> None:
-    """Continue a guide as a constant, in place, beyond the seams whose two sides differ."""
-    from beltrami_cli._native import nearest_marked
-
-    sigma = estimate_sigma_on_grid(planes, atlas.kind == OWNED)
-    beyond = atlas.halo_cells[halo_beyond(atlas, find_colour_jumps(atlas, planes, sigma))]
-    if len(beyond):
-        wanted = np.zeros(atlas.kind.shape, bool)
-        wanted.reshape(-1)[beyond] = True
-        cells, nearest = nearest_marked(atlas.kind == OWNED, wanted, max(atlas.kind.shape), threads)
-        flat = planes.reshape(len(planes), -1)
-        flat[:, cells] = flat[:, nearest]

@@ -13,13 +13,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli.flow.mesh_manifold import MeshManifold
 from beltrami_cli.flow.parameters import KernelParameters
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
-
-    from beltrami_cli.flow.manifold import Manifold
 
 LOG = logging.getLogger(__name__)
 """Says how much work is ahead, before it starts."""
@@ -51,48 +48,67 @@ def without_hubs(size: int, edges: NDArray[np.int32]) -> NDArray[np.int32]:
     return edges[~hubs[edges].any(axis=1)] if hubs.any() else edges
 
 
-def is_surface(manifold: MeshManifold) -> bool:
-    """Whether parts of the mesh tell what is best for it: it is no tangle, and most samples are not beside hubs."""
-    beside = np.count_nonzero(find_hubs(manifold.size, manifold.edges)[manifold.edges])
-    return not _is_tangled(manifold) and bool(beside <= manifold.size / 2)
+class KernelWork:
+    """Work with kernels that a window bounds, whatever the samples are: those of a grid."""
 
+    def __init__(self, kernels: int, unit: float) -> None:
+        self.kernels = kernels
+        self._unit = unit or 1.0
 
-def bounded(manifold: Manifold, parameters: KernelParameters) -> KernelParameters:
-    """Return parameters with fewer samples a kernel, if the mesh needs that and the limit is the default."""
-    if not isinstance(manifold, MeshManifold) or parameters.max_samples != KernelParameters.max_samples:
+    @property
+    def is_surface(self) -> bool:
+        """Whether what is best for parts is best for the whole."""
+        return True
+
+    def bounded(self, parameters: KernelParameters) -> KernelParameters:
+        """Return parameters with fewer samples a kernel, if the samples need that and the limit is the default."""
         return parameters
-    beside = _degrees(manifold).astype(np.float64)
-    if not _is_tangled(manifold) and np.square(beside[beside > _HUB]).sum() < _MOST_BESIDE_HUBS:
-        return parameters
-    most = math.ceil(_LARGEST * _samples_on_surface(manifold, parameters))
-    return dataclasses.replace(parameters, max_samples=min(parameters.max_samples, most))
+
+    def samples(self, parameters: KernelParameters) -> float:
+        """Return how many samples all kernels of an iteration hold, at most."""
+        return self.kernels * min(self._on_even_surface(parameters), parameters.window**2)
+
+    def announce(self, parameters: KernelParameters) -> None:
+        """Log how much work is ahead."""
+        LOG.info(
+            "work: %d kernels in each of %d iterations, at most some %.2g million samples",
+            self.kernels, parameters.iterations, parameters.iterations * self.samples(parameters) / 1e6,
+        )  # fmt: skip
+
+    def _on_even_surface(self, parameters: KernelParameters) -> float:
+        """Return how many samples a kernel holds where samples are evenly spread."""
+        return 1 + _DENSITY * (parameters.radius / self._unit) ** 2
 
 
-def announce(manifold: Manifold, parameters: KernelParameters) -> None:
-    """Say how much work is ahead."""
-    each = min(_samples_on_surface(manifold, parameters), parameters.window**2)
-    samples = manifold.kernels * each
-    if isinstance(manifold, MeshManifold):
-        each = min(_samples_on_surface(manifold, parameters), parameters.max_samples)
-        degrees = _degrees(manifold)
-        beside = manifold.size if _is_tangled(manifold) else int(degrees[degrees > _HUB].sum())
-        beside = min(beside, manifold.size)
-        samples = (manifold.size - beside) * each + beside * min(parameters.max_samples, manifold.size)
-    samples *= parameters.iterations
-    LOG.info(
-        "work: %d kernels in each of %d iterations, at most some %.2g million samples",
-        manifold.kernels, parameters.iterations, samples / 1e6,
-    )  # fmt: skip
+class MeshWork(KernelWork):
+    """Work with the kernels of triangles, where hubs and tangles cost more."""
 
+    def __init__(self, kernels: int, unit: float, edges: NDArray[np.int32], faces: int) -> None:
+        super().__init__(kernels, unit)
+        degrees = np.bincount(edges.ravel(), minlength=kernels)
+        joined = int(np.count_nonzero(degrees))
+        self._is_tangled = joined >= _SMALL and joined - len(edges) + faces < _TANGLED * joined
+        self._hub_degrees = degrees[degrees > _HUB]
+        self._edges = edges
 
-def _degrees(manifold: MeshManifold) -> NDArray[np.int64]:
-    return np.bincount(manifold.edges.ravel(), minlength=manifold.size)
+    @property
+    def is_surface(self) -> bool:
+        """Whether it is no tangle, and most samples are not beside hubs."""
+        beside = np.count_nonzero(find_hubs(self.kernels, self._edges)[self._edges])
+        return not self._is_tangled and bool(beside <= self.kernels / 2)
 
+    def bounded(self, parameters: KernelParameters) -> KernelParameters:
+        """Bound kernels beside hubs and in tangles by twice what they would hold on an even surface."""
+        if parameters.max_samples != KernelParameters.max_samples:
+            return parameters
+        beside = np.square(self._hub_degrees.astype(np.float64)).sum()
+        if not self._is_tangled and beside < _MOST_BESIDE_HUBS:
+            return parameters
+        most = math.ceil(_LARGEST * self._on_even_surface(parameters))
+        return dataclasses.replace(parameters, max_samples=min(parameters.max_samples, most))
 
-def _is_tangled(manifold: MeshManifold) -> bool:
-    joined = int(np.count_nonzero(_degrees(manifold)))
-    return joined >= _SMALL and joined - len(manifold.edges) + len(manifold.faces) < _TANGLED * joined
-
-
-def _samples_on_surface(manifold: Manifold, parameters: KernelParameters) -> float:
-    return 1 + _DENSITY * (parameters.radius / (manifold.unit or 1)) ** 2
+    def samples(self, parameters: KernelParameters) -> float:
+        """Return how many samples all kernels of an iteration hold, at most."""
+        beside = self.kernels if self._is_tangled else min(int(self._hub_degrees.sum()), self.kernels)
+        each = min(self._on_even_surface(parameters), parameters.max_samples)
+        return (self.kernels - beside) * each + beside * min(parameters.max_samples, self.kernels)

@@ -24,8 +24,10 @@ if TYPE_CHECKING:
 
     from beltrami_cli.flow.clipping import ClippedChannels
     from beltrami_cli.flow.embedding import Guide
+    from beltrami_cli.flow.kernel_work import KernelWork
     from beltrami_cli.flow.parameters import KernelParameters
     from beltrami_cli.flow.regularisation import GridGaussian, MeshGaussian
+    from beltrami_cli.flow.search_range import Rule, SearchRange
     from beltrami_cli.surface.atlas import Indices
 
 
@@ -90,6 +92,12 @@ class Manifold(ABC):
     axis: ClassVar[int]
     """The axis of the channels in a stack."""
 
+    search_range: ClassVar[SearchRange]
+    """The parameters that are tried when they are chosen from the data."""
+
+    rule: ClassVar[Rule]
+    """The parameters for a noise level where nothing is tried."""
+
     size: int
     """Samples that an iteration goes through, for its progress."""
 
@@ -145,6 +153,15 @@ class Manifold(ABC):
     def forget_smoothing(self) -> None:
         """Free the memory that only regularised iterations need."""
         self._gaussian = None
+
+    @property
+    @abstractmethod
+    def work(self) -> KernelWork:
+        """How much work its kernels are."""
+
+    @abstractmethod
+    def trial(self) -> SampleTrial:
+        """Choose samples to try parameters on, and draw the perturbations of their colours."""
 
     @abstractmethod
     def release(self) -> None:
@@ -239,6 +256,31 @@ class SampledKernel:
         if not weights.any():  # a sample that stands for no area, alone
             return np.asarray(self.colours[0], np.float64)
         return np.asarray(np.average(self.colours, axis=0, weights=weights), np.float64)
+
+
+@dataclass(frozen=True)
+class SampleTrial:
+    """A part of a manifold to try iterations on; samples in `scored_samples` count, None: all."""
+
+    part: Manifold
+    start: NDArray[np.float32]  # stack of the noisy colours
+    signs: NDArray[np.float32]  # stacks like `start`
+    scored_samples: NDArray[np.int64] | None
+    correlated: bool = False  # neighbours share noise, and so do the perturbations
+
+    @property
+    def samples(self) -> int:
+        """How many samples count."""
+        return len(self.scored(self.start))
+
+    def step(self, state: NDArray[np.float32], step: Step) -> NDArray[np.float32]:
+        """Return the colours after an iteration."""
+        self.part.measure(state, step)
+        return self.part.average([state]).stacks[0]
+
+    def scored(self, state: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the colours of the samples that count, shape (S, N)."""
+        return state if self.scored_samples is None else self.part.take(state, self.scored_samples)
 
 
 def kernel_values(distances: NDArray[np.float32], t: float) -> NDArray[np.float32]:

@@ -13,9 +13,21 @@ import numpy as np
 
 from beltrami_cli.flow.clipping import find_clipped
 from beltrami_cli.flow.geometry import GeometryParameters, MovingPositions
-from beltrami_cli.flow.manifold import Averaged, Manifold, NewColours, SampledKernel, at_step, kernel_values
+from beltrami_cli.flow.kernel_work import MeshWork, without_hubs
+from beltrami_cli.flow.manifold import (
+    Averaged,
+    Manifold,
+    NewColours,
+    SampledKernel,
+    SampleTrial,
+    at_step,
+    kernel_values,
+)
 from beltrami_cli.flow.noise.mesh import estimate_sigma
 from beltrami_cli.flow.regularisation import MeshGaussian
+from beltrami_cli.flow.search_range import ON_MESHES, RULE_ON_MESHES
+from beltrami_cli.flow.tuning.mesh_trial import choose_patches, fingerprints, random_signs
+from beltrami_cli.flow.tuning.sure import wanted_probes
 from beltrami_cli.surface.geometry import edges_in_space, local_spacing, mean_side, vertex_areas
 
 if TYPE_CHECKING:
@@ -35,6 +47,7 @@ class MeshManifold(Manifold):
     """The image manifold of a sampled surface; `geometry`: positions are smoothed, too."""
 
     axis: ClassVar[int] = 1
+    search_range, rule = ON_MESHES, RULE_ON_MESHES
 
     moving: MovingPositions | None = None
     """The positions, if they are smoothed along with the colours."""
@@ -168,6 +181,24 @@ class MeshManifold(Manifold):
         part._weights = None if self._weights is None else spread(self._weights, 1)
         part.guides = [(spread(values), beta) for values, beta in self.guides]
         return part
+
+    @property
+    def work(self) -> MeshWork:
+        """How much work its kernels are."""
+        return MeshWork(self.size, self.unit, self.edges, len(self.faces))
+
+    def trial(self) -> SampleTrial:
+        """Choose patches of the surface, and draw the perturbations of their colours."""
+        colours = self.colours
+        around = fingerprints(colours, self.edges)
+        # A patch that reached a hub would hold everything around it.
+        patches = choose_patches(colours, around, without_hubs(self.size, self.edges))
+        signs = random_signs(colours, around, wanted_probes(int(np.count_nonzero(patches.scored))))
+        part, samples = self, patches.samples
+        if len(samples) < self.size:
+            part, colours, signs = self.cut(samples), colours[samples], signs[:, samples]
+        scored = np.flatnonzero(patches.scored) if not patches.scored.all() else None
+        return SampleTrial(part, colours, signs, scored)
 
     def fix_gain(self) -> None:
         """Let the parts that are cut from now on have the gain of the regularised metric of this surface."""

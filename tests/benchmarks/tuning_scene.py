@@ -18,7 +18,7 @@ from beltrami_cli.flow.grid_manifold import GridManifold
 from beltrami_cli.flow.manifold import Step
 from beltrami_cli.flow.mesh_manifold import MeshManifold
 from beltrami_cli.flow.parameters import TUNABLE, KernelParameters
-from beltrami_cli.flow.tuning.grid_trial import choose_blocks, cut_blocks
+from beltrami_cli.flow.tuning.grid_trial import choose_blocks
 from beltrami_cli.formats.image import read_image
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.surface.atlas import HALO, OWNED, build_atlas
@@ -118,7 +118,7 @@ def blocks_of(atlas, clean, most):
     whole = GridManifold(
         atlas, painted(atlas, clean.astype(np.float32), threads=1), KernelParameters(beta=0.0)
     )
-    part = cut_blocks(whole, cells, core, REACH).atlas
+    part = whole.cut_blocks(cells, core, REACH).atlas
     kind = part.kind.copy()
     kept = np.zeros(kind.size, bool)
     kept[part.halo_cells] = True

@@ -7,7 +7,7 @@ import pytest
 
 import beltrami_cli
 from beltrami_cli.flow.parameters import TUNABLE
-from beltrami_cli.flow.tuning.choice import RULE_ON_GRIDS, RULE_ON_MESHES
+from beltrami_cli.flow.search_range import RULE_ON_GRIDS, RULE_ON_MESHES
 from oracles import surfaces
 
 

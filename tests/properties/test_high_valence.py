@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from beltrami_cli._native import SegmentManifold
-from beltrami_cli.flow.kernel_work import is_surface
 from beltrami_cli.flow.mesh_manifold import MeshManifold
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.jobs.arrays import smooth
@@ -142,4 +141,4 @@ def test_parameters_are_tried_on_surfaces_only(mesh, expected):
     positions, faces = mesh
     none = np.zeros((0, 3), np.int32)
     surface = SampledSurface(positions, faces, none, noisy(len(positions)))
-    assert is_surface(MeshManifold(surface, KernelParameters())) is expected
+    assert MeshManifold(surface, KernelParameters()).work.is_surface is expected

@@ -4,26 +4,22 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from beltrami_cli.flow.embedding import choose_beta, overall_noise
-from beltrami_cli.flow.grid_manifold import GridManifold
-from beltrami_cli.flow.kernel_work import LOG, is_surface
-from beltrami_cli.flow.mesh_manifold import MeshManifold
+from beltrami_cli.flow.kernel_work import LOG
 from beltrami_cli.flow.parameters import SMOOTHNESS
-from beltrami_cli.flow.tuning.grid_trial import grid_trial
-from beltrami_cli.flow.tuning.mesh_trial import mesh_trial
 from beltrami_cli.flow.tuning.search import Grid, Search
 from beltrami_cli.flow.tuning.sure import Risk, RiskEstimate
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from beltrami_cli.flow.manifold import Manifold
+    from beltrami_cli.flow.manifold import Manifold, SampleTrial
     from beltrami_cli.flow.parameters import KernelParameters
-    from beltrami_cli.flow.tuning.sure import SampleTrial
+    from beltrami_cli.flow.search_range import Rule, SearchRange
 
 # Values that are tried of beta times the noise.
 _CONTRASTS = (0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0)
@@ -34,28 +30,6 @@ _LEAST_NOISE = 0.5 / 255
 # Low quantiles underestimate noise that neighbours share, and its coarse steps remain as a few large details, which
 # kernels keep as if they were edges. So smoothness counts more. Enlarged pictures gain 0.9 dB by that, and JPEG 0.5 dB.
 _SHARED_BY_NEIGHBOURS = 1.5
-
-
-@dataclass(frozen=True)
-class SearchRange:
-    """What to try on a kind of manifold, and where the search starts."""
-
-    t: float
-    growths: tuple[float, ...]  # of beta
-    regularised: tuple[int, ...]  # numbers of regularised iterations
-    max_iterations: int
-    starts: tuple[tuple[float, float, int], ...]  # beta times the noise, growth, regularised iterations
-    least_gain: float = 0.0  # see `Grid`
-
-
-# On painted, baked and photographed samples with noise of 5 to 40 of 255, other time steps and growths are hardly
-# better when tuned on the truth, and worse when chosen by the estimate: more candidates, more wrong choices. On a grid
-# the window bounds the kernel, and a large time step only makes its weights more even.
-ON_GRIDS = SearchRange(8.0, (1.5, 3.0), (0, 1, 2, 3), 10, ((1.4, 1.5, 1), (1.4, 3.0, 2)))
-# On a mesh the time step alone bounds the kernel, and larger ones cost more time than they gain. The regularised metric
-# removes sharp borders, and from there a descent ends with remaining noise. Iterations that gain less than a fiftieth
-# lead nowhere, while on grids many small gains add up.
-ON_MESHES = SearchRange(2.4, (1.3, 2.0), (0, 1, 2), 8, ((1.0, 2.0, 1), (1.4, 1.3, 0)), least_gain=0.02)
 
 
 @dataclass(frozen=True)
@@ -139,34 +113,6 @@ def _decibels(risk: Risk, noise: float) -> tuple[float, float, float]:
     return -10 * float(np.log10(value)), float(error), 10 * float(np.log10(noise / value))
 
 
-# Noise up to which `iterations` is used; above it the number grows with the logarithm of the noise.
-_SLIGHT = 5 / 255
-
-
-@dataclass(frozen=True)
-class Rule:
-    """Parameters for a noise level."""
-
-    contrast: float  # beta times the noise
-    growth: float  # of beta
-    step: float  # time step
-    regularised: int  # regularised iterations
-    iterations: int  # all iterations at noise of up to 5 of 255, where more would cost detail of the picture
-    more: int  # further iterations each time the noise doubles ...
-    max_iterations: int  # ... up to this many
-
-    def count(self, noise: float) -> int:
-        """Return the number of iterations for noise of a standard deviation, colours in [0, 1]."""
-        doublings = max(0.0, float(np.log2(max(noise, _SLIGHT) / _SLIGHT)))
-        return min(self.max_iterations, self.iterations + round(self.more * doublings))
-
-
-# The least average loss over noise of 5, 10, 20 and 40 of 255 on painted, baked and photographed models: ten textures,
-# of which flat ones need more iterations and rich ones fewer, and eleven with colours at the vertices.
-RULE_ON_GRIDS = Rule(1.4, 3.0, 8.0, 1, 5, 0, 5)
-RULE_ON_MESHES = Rule(0.7, 2.0, 1.6, 0, 2, 1, 6)
-
-
 def choose_by_rule(
     manifold: Manifold, parameters: KernelParameters, rule: Rule
 ) -> tuple[KernelParameters, Choice]:
@@ -193,13 +139,8 @@ def tune(manifold: Manifold, parameters: KernelParameters) -> tuple[KernelParame
         return closed, None
     if not is_noisy(manifold.sigma):
         return dataclasses.replace(closed, iterations=0) if "iterations" in parameters.free else closed, None
-    on_grid = isinstance(manifold, GridManifold)
-    if parameters.fast or (isinstance(manifold, MeshManifold) and not is_surface(manifold)):
-        return choose_by_rule(manifold, parameters, RULE_ON_GRIDS if on_grid else RULE_ON_MESHES)
-    trial = (
-        grid_trial(manifold)
-        if isinstance(manifold, GridManifold)
-        else mesh_trial(cast("MeshManifold", manifold))
-    )
+    if parameters.fast or not manifold.work.is_surface:
+        return choose_by_rule(manifold, parameters, manifold.rule)
+    trial = manifold.trial()
     LOG.info("work: parameters are tried on %d of %d samples first", trial.samples, manifold.kernels)
-    return choose(trial, manifold, parameters, ON_GRIDS if on_grid else ON_MESHES)
+    return choose(trial, manifold, parameters, manifold.search_range)

@@ -8,14 +8,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.flow.noise.haar_noise import draw_haar_noise, sigma_of_covariances
-from beltrami_cli.flow.regularisation import guide_radius
-from beltrami_cli.flow.tuning.sure import SampleTrial, wanted_probes
+from beltrami_cli.flow.tuning.sure import wanted_probes
 from beltrami_cli.surface.atlas import EMPTY, OWNED, refresh_halo
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from beltrami_cli.flow.grid_manifold import GridManifold
     from beltrami_cli.surface.atlas import Atlas, Indices
 
 # Cells on which parameters are tried, as a share of all, so that trying takes no longer than smoothing: some sixty
@@ -36,39 +34,12 @@ _RIM = 8
 _SEED = 20
 
 
-def grid_trial(manifold: GridManifold) -> SampleTrial:
-    """Choose blocks of a canvas, and draw the perturbations of their colours."""
-    atlas, planes, own = manifold.atlas, manifold.colours, manifold.parameters
-    budget = min(max(_LEAST_TRIED, int(len(atlas.owned_cells) * _SHARE_TRIED)), _MOST_TRIED)
-    if len(atlas.owned_cells) <= budget:
-        part, scored = manifold.in_one_block(), atlas.owned_cells
-    else:
-        reach = own.window // 2 + guide_radius(own.metric_scale)
-        cells, core = choose_blocks(atlas, budget, reach)
-        part = cut_blocks(manifold, cells, core, reach)
-        planes = np.ascontiguousarray(planes.reshape(len(planes), -1)[:, cells])
-        planes[:, part.atlas.kind == EMPTY] = 0
-        scored = np.flatnonzero(core & (part.atlas.kind == OWNED))
-    signs = _perturbations(wanted_probes(len(scored)), planes.shape, manifold.noise_covariances)
-    signs[..., part.atlas.kind == EMPTY] = 0
-    for each in signs:
-        refresh_halo(each, part.atlas)
-    return SampleTrial(part, planes, signs, scored, correlated=manifold.noise_covariances is not None)
+def tried_cells(atlas: Atlas) -> int:
+    """Return on how many cells parameters are tried; all, if there are not more."""
+    return min(max(_LEAST_TRIED, int(len(atlas.owned_cells) * _SHARE_TRIED)), _MOST_TRIED)
 
 
-def cut_blocks(
-    manifold: GridManifold, cells: NDArray[np.int64], core: NDArray[np.bool_], reach: int
-) -> GridManifold:
-    """Cut out blocks; cells beyond their borders keep their colours, as halo that is not refreshed."""
-    side = cells.shape[1]
-    at = np.arange(side)
-    inner = (at >= reach) & (at < side - reach)
-    part = manifold.cut(cells, np.tile(inner[:, None] & inner, (len(cells) // side, 1)))
-    part.atlas = _with_halo(part.atlas, manifold.atlas, cells, core)
-    return part
-
-
-def _with_halo(part: Atlas, whole: Atlas, cells: NDArray[np.int64], core: NDArray[np.bool_]) -> Atlas:
+def with_halo(part: Atlas, whole: Atlas, cells: NDArray[np.int64], core: NDArray[np.bool_]) -> Atlas:
     """Return the atlas of some cells of another, with those of its halo cells whose owned cells are there, too."""
     # A cell that is in several blocks is taken from the one whose core it is, and not from another's rim.
     owned = part.owned_cells
@@ -89,17 +60,20 @@ def _with_halo(part: Atlas, whole: Atlas, cells: NDArray[np.int64], core: NDArra
     )
 
 
-def _perturbations(
-    count: int, shape: tuple[int, ...], noise_covariances: NDArray[np.float64] | None
+def perturbations(
+    scored: int, channels: int, atlas: Atlas, noise_covariances: NDArray[np.float64] | None
 ) -> NDArray[np.float32]:
     """Return random planes like the noise: independent signs, or correlated as the noise is."""
-    random = np.random.default_rng(_SEED)
+    random, shape, count = np.random.default_rng(_SEED), atlas.kind.shape, wanted_probes(scored)
     if noise_covariances is None:
-        return (random.integers(0, 2, (count, *shape), np.int8) * 2 - 1).astype(np.float32)
-    size = np.float32(np.sqrt(np.mean(np.square(sigma_of_covariances(noise_covariances)))))
-    return np.stack(
-        [draw_haar_noise(noise_covariances, (shape[1], shape[2]), random) / size for _ in range(count)]
-    )
+        drawn = (random.integers(0, 2, (count, channels, *shape), np.int8) * 2 - 1).astype(np.float32)
+    else:
+        size = np.float32(np.sqrt(np.mean(np.square(sigma_of_covariances(noise_covariances)))))
+        drawn = np.stack([draw_haar_noise(noise_covariances, shape, random) / size for _ in range(count)])
+    drawn[..., atlas.kind == EMPTY] = 0
+    for planes in drawn:
+        refresh_halo(planes, atlas)
+    return drawn
 
 
 def choose_blocks(atlas: Atlas, budget: int, reach: int) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:

@@ -7,14 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli.flow.kernel_work import without_hubs
 from beltrami_cli.flow.noise.mesh import detail_around
-from beltrami_cli.flow.tuning.sure import SampleTrial, wanted_probes
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
-
-    from beltrami_cli.flow.mesh_manifold import MeshManifold
 
 # Samples to try parameters on, as a share of all, so that trying takes hardly longer than smoothing: some sixty
 # iterations are tried, each two or three times. Fewer than the least are too uncertain; these take tenths of a second.
@@ -40,20 +36,6 @@ _ENOUGH, _ROUNDS = 0.75, 3
 # Odd numbers with their bits well mixed, to hash with.
 _MIX = np.uint64(0x9E3779B97F4A7C15)
 _STIR = np.uint64(0xBF58476D1CE4E5B9)
-
-
-def mesh_trial(manifold: MeshManifold) -> SampleTrial:
-    """Choose patches of a surface, and draw the perturbations of their colours."""
-    colours = manifold.colours
-    around = fingerprints(colours, manifold.edges)
-    # A patch that reached a hub would hold everything around it.
-    patches = choose_patches(colours, around, without_hubs(manifold.size, manifold.edges))
-    signs = random_signs(colours, around, wanted_probes(int(np.count_nonzero(patches.scored))))
-    part, samples = manifold, patches.samples
-    if len(samples) < manifold.size:
-        part, colours, signs = manifold.cut(samples), colours[samples], signs[:, samples]
-    scored = np.flatnonzero(patches.scored) if not patches.scored.all() else None
-    return SampleTrial(part, colours, signs, scored)
 
 
 @dataclass(frozen=True)

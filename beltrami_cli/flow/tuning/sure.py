@@ -28,8 +28,6 @@ from beltrami_cli.flow.manifold import Step
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from beltrami_cli.flow.manifold import Manifold
-
 # The perturbation, in units of the noise: far above the rounding of float32. Distances on meshes have kinks where their
 # paths change, so a smaller one sees a derivative that varies from sample to sample, and a larger one changes the
 # kernels: on painted and photographed samples, half or twice as much chooses worse.
@@ -147,28 +145,3 @@ class RiskEstimate:
         parts = np.array([part.mean() for part in np.array_split(each, _PARTS) if len(part)])
         error = float(parts.std(ddof=1) / np.sqrt(len(parts))) if len(parts) > 1 else float("inf")
         return Risk(float(each.mean()), error, float(divergence.mean()))
-
-
-@dataclass(frozen=True)
-class SampleTrial:
-    """A `Trial` on a part of a manifold; samples in `scored_samples` count, None: all."""
-
-    part: Manifold
-    start: NDArray[np.float32]  # stack of the noisy colours
-    signs: NDArray[np.float32]  # stacks like `start`
-    scored_samples: NDArray[np.int64] | None
-    correlated: bool = False  # neighbours share noise, and so do the perturbations
-
-    @property
-    def samples(self) -> int:
-        """How many samples count."""
-        return len(self.scored(self.start))
-
-    def step(self, state: NDArray[np.float32], step: Step) -> NDArray[np.float32]:
-        """Return the colours after an iteration."""
-        self.part.measure(state, step)
-        return self.part.average([state]).stacks[0]
-
-    def scored(self, state: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the colours of the samples that count, shape (S, N)."""
-        return state if self.scored_samples is None else self.part.take(state, self.scored_samples)
