@@ -55,6 +55,8 @@ class Parameter:
         None  # makes the value from text; ValueError says what is wrong with it
     )
     show: Callable[[Any], str] = str  # makes that text from the value
+    is_daily: bool = False  # shown by --help; all others by --help-all only, under their group
+    group: str = ""  # of options in the help: the `group` of the record
     is_deliberate: bool = False  # names a file or lifts a limit, so no file that was merely found may set it
 
     @property
@@ -157,7 +159,8 @@ def parameters(record: Any, *, deep: bool = False) -> Iterator[Parameter]:
     """Give the parameters of a record, or its class, in their order; deep: also those of the records in it."""
     for each in dataclasses.fields(record):
         if _PARAMETER in each.metadata:
-            yield dataclasses.replace(each.metadata[_PARAMETER], name=each.name)
+            group = getattr(record, "group", "")
+            yield dataclasses.replace(each.metadata[_PARAMETER], name=each.name, group=group)
         elif deep and _PART in each.metadata:
             yield from parameters(each.metadata[_PART], deep=True)
 

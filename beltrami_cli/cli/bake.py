@@ -8,6 +8,7 @@ import click
 
 from beltrami_cli.cli import options
 from beltrami_cli.cli.console import Messages, counted
+from beltrami_cli.cli.help import HelpfulCommand
 from beltrami_cli.samples.settings import BakeSettings, BakeTo
 
 EPILOG = """\b
@@ -21,7 +22,7 @@ The output is a new file: the triangles, and their colours. What else INPUT hold
 """
 
 
-@click.command("bake", epilog=EPILOG)
+@click.command("bake", cls=HelpfulCommand, epilog=EPILOG)
 @click.argument("source", metavar="INPUT")
 @click.argument("target", metavar="OUTPUT")
 @click.option("--to", type=click.Choice(get_args(BakeTo)), required=True, help="Where the colours go.")

@@ -11,6 +11,7 @@ import click
 from click.core import ParameterSource
 
 from beltrami_cli.cli import options
+from beltrami_cli.cli.help import GroupedOption, HelpfulCommand
 from beltrami_cli.cli.names import options_by_name, values_for
 from beltrami_cli.errors import OutputError, ProcessingError, UsageError
 from beltrami_cli.fields import parameters
@@ -58,7 +59,10 @@ SHARED_WITH_SMOOTH = tuple(option.name for option in _OF_A_FILE.params if option
 _PATHS = [each.name for each in parameters(SmoothSettings, deep=True) if each.metavar == "FILE"]
 
 
-@click.command("batch", epilog=EPILOG)
+_CLUSTER = "Many machines"
+
+
+@click.command("batch", cls=HelpfulCommand, epilog=EPILOG)
 @click.argument("inputs", metavar="INPUTS...", nargs=-1, required=True)
 @click.option("--out-dir", metavar="DIR", required=True, help="Folder of the outputs; it is made.")
 @click.option(
@@ -81,12 +85,12 @@ _PATHS = [each.name for each in parameters(SmoothSettings, deep=True) if each.me
     help="Where a line of JSON for each file is written.  [default: batch.jsonl in DIR]",
 )  # fmt: skip
 @click.option(
-    "--scheduler", metavar="ADDRESS",
+    "--scheduler", metavar="ADDRESS", cls=GroupedOption, group=_CLUSTER,
     help="Do the files on the workers of this Dask scheduler: tcp://HOST:PORT, or the file (.json) in which it wrote "
     "where it is. Inputs and outputs lie on storage that all share, or are URLs. See docs/cluster.md.",
 )  # fmt: skip
 @click.option(
-    "--pieces", type=click.IntRange(1, 100_000), metavar="COUNT",
+    "--pieces", type=click.IntRange(1, 100_000), metavar="COUNT", cls=GroupedOption, group=_CLUSTER,
     help="Cut every mesh and texture into this many pieces, which the workers of --scheduler smooth together: for "
     "those that take one machine too long.",
 )  # fmt: skip

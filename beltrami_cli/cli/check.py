@@ -9,6 +9,7 @@ import click
 
 from beltrami_cli.cli import options
 from beltrami_cli.cli.console import printable
+from beltrami_cli.cli.help import HelpfulCommand
 
 EPILOG = """\b
 Examples:
@@ -21,7 +22,7 @@ Exit codes: 0 nothing but colours and images differs; 1 something else does; oth
 """
 
 
-@click.command("check", epilog=EPILOG)
+@click.command("check", cls=HelpfulCommand, epilog=EPILOG)
 @click.argument("before", metavar="BEFORE")
 @click.argument("after", metavar="AFTER")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")

@@ -10,6 +10,7 @@ import click
 
 from beltrami_cli.cli import options
 from beltrami_cli.cli.console import Messages, printable
+from beltrami_cli.cli.help import HelpfulCommand
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.jobs.settings import Limits
 from beltrami_cli.samples.settings import SmoothSettings
@@ -49,7 +50,7 @@ _COLUMNS = (
 )  # fmt: skip
 
 
-@click.command("compare", epilog=EPILOG)
+@click.command("compare", cls=HelpfulCommand, epilog=EPILOG)
 @click.argument("reference", metavar="REFERENCE")
 @click.argument("test", metavar="TEST")
 @options.options_of(Limits)

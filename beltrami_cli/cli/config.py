@@ -10,6 +10,7 @@ import click
 from click.core import ParameterSource
 
 from beltrami_cli.cli.console import printable
+from beltrami_cli.cli.help import HelpfulCommand
 from beltrami_cli.cli.names import long_name, variable_in_force
 
 if TYPE_CHECKING:
@@ -49,7 +50,7 @@ beltrami.toml (in pyproject.toml the tables are [tool.beltrami] and [tool.beltra
 """
 
 
-@click.command("config", epilog=EPILOG)
+@click.command("config", cls=HelpfulCommand, epilog=EPILOG)
 @click.argument("name", metavar="[COMMAND]", required=False)
 @click.pass_context
 def command(context: click.Context, name: str | None) -> None:
@@ -61,9 +62,9 @@ def command(context: click.Context, name: str | None) -> None:
 
     group = context.parent
     if group is None or (name is not None and name not in COMMANDS):
-        raise click.UsageError(f"there is no command {name}; there are {', '.join(sorted(COMMANDS))}")
+        raise click.UsageError(f"there is no command {name}; there are {', '.join(COMMANDS)}")
     configuration: Configuration = group.obj
-    names = sorted(COMMANDS) if name is None else [name]
+    names = list(COMMANDS) if name is None else [name]
     group.default_map = {each: defaults_from(configuration, each) for each in names}
     click.echo(f"# {printable(configuration.path or 'no file')} and the environment")
     for each in names:

@@ -9,6 +9,7 @@ import click
 
 from beltrami_cli.cli import options
 from beltrami_cli.cli.console import printable
+from beltrami_cli.cli.help import HelpfulCommand
 from beltrami_cli.cli.outcome import choice_in_words
 
 EPILOG = """\b
@@ -20,7 +21,7 @@ Examples:
 """
 
 
-@click.command("info", epilog=EPILOG)
+@click.command("info", cls=HelpfulCommand, epilog=EPILOG)
 @click.argument("source", metavar="FILE")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 @options.smoothing

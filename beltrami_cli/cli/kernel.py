@@ -8,6 +8,7 @@ import click
 
 from beltrami_cli.cli import options
 from beltrami_cli.cli.console import Messages, counted
+from beltrami_cli.cli.help import HelpfulCommand
 from beltrami_cli.samples.settings import SmoothSettings
 
 EPILOG = """\b
@@ -40,7 +41,7 @@ _OF_WRITING = (
 )  # fmt: skip
 
 
-@click.command("kernel", epilog=EPILOG)
+@click.command("kernel", cls=HelpfulCommand, epilog=EPILOG)
 @click.argument("source", metavar="FILE")
 @click.argument("target", metavar="OUTPUT")
 @click.option(

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import click
 
 from beltrami_cli.cli.console import printable
-from beltrami_cli.cli.names import blamed_variable, with_variables
+from beltrami_cli.cli.names import blamed_variable, spelled, with_variables
 from beltrami_cli.errors import BeltramiError
 
 if TYPE_CHECKING:
@@ -21,10 +21,21 @@ if TYPE_CHECKING:
 
     from beltrami_cli.cli.configuration import Configuration
 
-# Each is a module, which is imported only when its command, or the list of all commands, is asked for.
-COMMANDS = (
-    "bake", "batch", "check", "compare", "config", "info", "kernel", "noise", "render", "report", "smooth", "sweep",
-)  # fmt: skip
+# Each is a module, which is imported only when its command is asked for. The summaries fit a line of 80 columns.
+COMMANDS = {
+    "bake": "Move colours from vertices to a texture, or the other way.",
+    "batch": "Smooth many files at the same time.",
+    "check": "List what differs besides the colours of two files.",
+    "compare": "Measure how far colours are from a reference, with limits.",
+    "config": "Show the options in force, and where each comes from.",
+    "info": "Show what is coloured in files, and how noisy it is.",
+    "kernel": "Write the distances and the weights of one kernel.",
+    "noise": "Add noise to colours, for tests.",
+    "render": "Draw models, points and images as one picture.",
+    "report": "Write a page that shows what changed between two files.",
+    "smooth": "Smooth the colours of a model, of points or of an image.",
+    "sweep": "Smooth with many settings, and show all results together.",
+}
 
 INTERRUPTED = 130
 _ENDINGS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
@@ -43,11 +54,16 @@ class LazyGroup(click.Group):
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Return the names of all commands in alphabetical order."""
-        return sorted(COMMANDS)
+        return list(COMMANDS)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """Import a command."""
         return _command(cmd_name) if cmd_name in COMMANDS else None
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the names of all commands with their summaries."""
+        with formatter.section("Commands"):
+            formatter.write_dl(list(COMMANDS.items()))
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
@@ -78,6 +94,9 @@ Examples:
   beltrami config smooth                      options from files and the environment
 
 \b
+beltrami COMMAND --help shows the most important options of a command, --help-all all of them.
+
+\b
 Exit codes: 0 done; 1 processing failed; 2 wrong usage; 3 input unreadable or not fit;
 4 output not writable; 130 interrupted.
 
@@ -90,12 +109,16 @@ Shell completion, for bash (zsh and fish likewise):
 @click.group(
     cls=LazyGroup,
     epilog=EPILOG,
-    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+    context_settings={
+        "help_option_names": ["-h", "--help"],
+        "max_content_width": 100,
+        "token_normalize_func": spelled,
+    },
 )
 @click.option(
     "--config", "config_path", envvar="BELTRAMI_CONFIG", metavar="FILE", help="A TOML file with options."
 )
-@click.version_option(package_name="beltrami-cli", prog_name="beltrami")
+@click.version_option(None, "-V", "--version", package_name="beltrami-cli", prog_name="beltrami")
 @click.pass_context
 def group(context: click.Context, config_path: str | None) -> None:
     """Smooth the colours painted on 3-D meshes: on the surface itself, keeping edges.
@@ -121,6 +144,7 @@ def defaults_from(configuration: Configuration, name: str) -> dict[str, Any]:
 
 def _command(name: str) -> click.Command:
     module = importlib.import_module(f"beltrami_cli.cli.{name}")
+    module.command.short_help = COMMANDS[name]
     return with_variables(module.command, name, "smooth", _shared_with_smooth(name))
 
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from beltrami_cli.cli.help import DAILY, HelpfulCommand
 from beltrami_cli.cli.main import COMMANDS, group
 from beltrami_cli.cli.options import flags_of
 from beltrami_cli.fields import REQUIRED, Parameter, parameters
@@ -49,25 +50,20 @@ of the fields in reports. In configuration files and manifests an option has its
 What is "chosen from the data" is explained in [Tuning](tuning.md), and what suits which data in
 [Which flags](which-flags.md).
 """
-_SECTIONS: tuple[tuple[str, type], ...] = (
-    ("Kernel: `KernelParameters`", KernelParameters),
-    ("Colours: `SmoothSettings`", SmoothSettings),
-    ("Textures: `TextureSettings`", TextureSettings),
-    ("Images: `ImageSettings`", ImageSettings),
-    ("Level sets: `LevelSetSettings`", LevelSetSettings),
-    ("Embedding: `EmbeddingSettings`", EmbeddingSettings),
-    ("New textures: `beltrami bake`, `smooth --unwrap`", BakeSettings),
-    ("Noise: `beltrami noise`", NoiseSettings),
-    ("Limits: `beltrami compare`", Limits),
-    ("Pictures: `beltrami render`", RenderSettings),
-)
+_SECTIONS = (
+    KernelParameters, SmoothSettings, TextureSettings, ImageSettings, LevelSetSettings, EmbeddingSettings,
+    BakeSettings, NoiseSettings, Limits, RenderSettings,
+)  # fmt: skip
 
 
 def parameter_table() -> str:
     """Return a page with all parameters, a table for each record."""
     lines = [_TABLE]
-    for title, record in _SECTIONS:
-        lines += [f"## {title}\n", "| name | option | default | allowed | unit | meaning |"]
+    for record in _SECTIONS:
+        lines += [
+            f"## {record.group}: `{record.__name__}`\n",
+            "| name | option | default | allowed | unit | meaning |",
+        ]
         lines.append("| --- | --- | --- | --- | --- | --- |")
         for declared in parameters(record):
             cells = [f"`{declared.name}`", *_cells(declared), declared.unit, declared.help]
@@ -90,7 +86,7 @@ def _cells(declared: Parameter) -> tuple[str, str, str]:
 def manual(version: str) -> Iterator[tuple[str, str]]:
     """Yield the names of the manual pages, such as ``beltrami-smooth.1``, and their text for man(7)."""
     top = click.Context(group, info_name="beltrami", **group.context_settings)
-    commands = {name: group.get_command(top, name) for name in sorted(COMMANDS)}
+    commands = {name: group.get_command(top, name) for name in COMMANDS}
     listed = [
         (f"beltrami-{name}(1)", each.get_short_help_str(300)) for name, each in commands.items() if each
     ]
@@ -114,15 +110,24 @@ def _page(context: click.Context, version: str) -> Iterator[str]:
     yield ".SH DESCRIPTION"
     yield from _blocks(command.help or "")
     yield ".SH OPTIONS"
-    options = [each for each in command.get_params(context) if isinstance(each, click.Option)]
-    records = [option.get_help_record(context) for option in options]
-    yield from _pairs([record for record in records if record is not None])
+    for title, options in _option_groups(context).items():
+        if title != DAILY:
+            yield f'.SS "{_text(title)}"'
+        records = [option.get_help_record(context) for option in options]
+        yield from _pairs([record for record in records if record is not None])
     examples, _, rest = (command.epilog or "").partition("\n\n")
     yield ".SH EXAMPLES"
     yield from _verbatim(examples.split("\n")[2:])
     if rest.strip():
         yield ".SH NOTES"
         yield from _blocks(rest)
+
+
+def _option_groups(context: click.Context) -> dict[str, list[click.Option]]:
+    command = context.command
+    if isinstance(command, HelpfulCommand):
+        return command.option_groups(context)
+    return {DAILY: [each for each in command.get_params(context) if isinstance(each, click.Option)]}
 
 
 def _ending(name: str, commands: dict[str, click.Command | None]) -> Iterator[str]:

@@ -21,7 +21,12 @@ def long_name(option: click.Parameter) -> str:
 
 def plain(name: str) -> str:
     """Return the name of an option without dashes."""
-    return name.lstrip("-").replace("-", "_")
+    return spelled(name).lstrip("-").replace("-", "_")
+
+
+def spelled(name: str) -> str:
+    """Return the documented spelling of an option; the American one of colour is accepted everywhere."""
+    return name.replace("color", "colour")
 
 
 def options_by_name(command: click.Command) -> dict[str, click.Option]:
@@ -70,9 +75,11 @@ def with_variables(
     for option in command.params:
         if isinstance(option, click.Option) and not option.is_eager:
             commands = [name, other] if option.name in shared else [name]
-            option.envvar = [
+            variables = [
                 "_".join((_PREFIX, each, long_name(option))).upper().replace("-", "_") for each in commands
             ]
+            others = [each.replace("COLOUR", "COLOR") for each in variables if "COLOUR" in each]
+            option.envvar = [*variables, *others]
     return command
 
 

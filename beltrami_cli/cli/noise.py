@@ -8,6 +8,7 @@ import click
 
 from beltrami_cli.cli import options
 from beltrami_cli.cli.console import Messages, counted
+from beltrami_cli.cli.help import HelpfulCommand
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.settings import NoiseSettings
 from beltrami_cli.samples.settings import SmoothSettings
@@ -30,7 +31,7 @@ What --sigma S means:
 """
 
 
-@click.command("noise", epilog=EPILOG)
+@click.command("noise", cls=HelpfulCommand, epilog=EPILOG)
 @click.argument("source", metavar="INPUT")
 @click.argument("target", metavar="OUTPUT")
 @options.options_of(NoiseSettings)

@@ -11,6 +11,7 @@ import click
 from click.core import ParameterSource
 
 from beltrami_cli.cli.console import Messages
+from beltrami_cli.cli.help import GroupedOption
 from beltrami_cli.cli.names import variable_in_force
 from beltrami_cli.errors import UsageError
 from beltrami_cli.fields import REQUIRED, Parameter, parameters, parts
@@ -29,15 +30,17 @@ if TYPE_CHECKING:
 
 Record = TypeVar("Record")
 
+_FILES = "Files and memory"
+
 # Where the value of an option can come from that is not its default.
 _BY_DIRECTNESS = (ParameterSource.COMMANDLINE, ParameterSource.ENVIRONMENT, ParameterSource.DEFAULT_MAP)
 
 
-class ParameterOption(click.Option):
+class ParameterOption(GroupedOption):
     """An option that is made from the field of a parameter."""
 
     def __init__(self, *arguments: Any, declared: Parameter, **attributes: Any) -> None:
-        super().__init__(*arguments, **attributes)
+        super().__init__(*arguments, group="" if declared.is_daily else declared.group, **attributes)
         self.declared = declared
 
 
@@ -142,7 +145,7 @@ def parsed(declared: Parameter, text: str) -> Any:
 
 
 preset = click.option(
-    "--preset", type=click.Choice(sorted(PRESETS)),
+    "--preset", type=click.Choice(sorted(PRESETS)), cls=GroupedOption, group=KernelParameters.group,
     help="Parameters as a set, which single options still override. 'paper' is the paper's kernel to the letter: "
     "one iteration, t 0.5, threshold 0.01, a window of 7, on textures and images its parametric fast marching.",
 )  # fmt: skip
@@ -197,7 +200,7 @@ UNMIXED = {"space": {"choices": ("srgb", "linear", "data")}}
 def unwrapping(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add the options of a new texture, which `unwrapping_from` takes."""
     wanted = click.option(
-        "--unwrap", is_flag=True,
+        "--unwrap", is_flag=True, cls=GroupedOption, group=BakeSettings.group,
         help="Lay the mesh out on a new texture, and put its smoothed colours there: for meshes without texture "
         "coordinates, or with hopeless ones. OUTPUT is then a new file with the triangles and the texture.",
     )  # fmt: skip
@@ -230,16 +233,16 @@ overwrite = click.option(
     "--overwrite", is_flag=True, help="Replace OUTPUT, and the files beside it that it names, if they exist."
 )
 output_format = click.option(
-    "--format", "output_format", type=click.Choice([*OUTPUT_FORMATS, *IMAGE_FORMATS]),
+    "--format", "output_format", type=click.Choice([*OUTPUT_FORMATS, *IMAGE_FORMATS]), cls=GroupedOption, group=_FILES,
     help="Format of OUTPUT where its name does not say it, as with -.",
 )  # fmt: skip
 allow_outside = click.option(
-    "--allow-outside", is_flag=True,
+    "--allow-outside", is_flag=True, cls=GroupedOption, group=_FILES,
     help="Also read files that INPUT names beyond its own folder (absolute paths, '..', links). What OUTPUT needs of "
     "them anew goes into its own folder; nothing is written out there.",
 )  # fmt: skip
 max_memory = click.option(
-    "--max-memory", callback=_size, metavar="SIZE",
+    "--max-memory", callback=_size, metavar="SIZE", cls=GroupedOption, group=_FILES,
     help="Take no more memory, such as 500M or 4G: smooth keeps textures that need more in files meanwhile, and all "
     "else that does is refused.  [default: what the machine has]",
 )  # fmt: skip

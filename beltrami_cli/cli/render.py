@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from beltrami_cli.cli import options
+from beltrami_cli.cli.help import HelpfulCommand
 from beltrami_cli.errors import UsageError
 from beltrami_cli.view.settings import VIEWS, RenderSettings
 
@@ -47,7 +48,7 @@ def render_settings_from(values: Mapping[str, Any], **made: Any) -> RenderSettin
     return options.record_from(RenderSettings, values, **made)
 
 
-@click.command("render", epilog=EPILOG)
+@click.command("render", cls=HelpfulCommand, epilog=EPILOG)
 @click.argument("sources", nargs=-1, required=True, metavar="FILE...")
 @click.argument("target", metavar="OUT.png")
 @view

@@ -8,6 +8,7 @@ import click
 
 from beltrami_cli.cli import options
 from beltrami_cli.cli.console import Messages, counted
+from beltrami_cli.cli.help import HelpfulCommand
 from beltrami_cli.samples.settings import SmoothSettings
 
 EPILOG = """\b
@@ -24,7 +25,7 @@ network. The models are drawn with WebGL by three.js (MIT licence, in the packag
 """
 
 
-@click.command("report", epilog=EPILOG)
+@click.command("report", cls=HelpfulCommand, epilog=EPILOG)
 @click.argument("before", metavar="BEFORE")
 @click.argument("after", metavar="AFTER")
 @click.argument("target", metavar="OUT.html")

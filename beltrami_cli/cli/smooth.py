@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from beltrami_cli.cli import options
+from beltrami_cli.cli.help import HelpfulCommand
 from beltrami_cli.cli.outcome import show_result, show_unchanged
 from beltrami_cli.errors import OutputError, UsageError
 from beltrami_cli.jobs.job import Job
@@ -51,7 +52,7 @@ with --beta. If edges soften, raise --beta, or say --strength gentle; if noise s
 """
 
 
-@click.command("smooth", epilog=EPILOG)
+@click.command("smooth", cls=HelpfulCommand, epilog=EPILOG)
 @click.argument("source", metavar="INPUT")
 @click.argument("target", metavar="OUTPUT")
 @options.smoothing

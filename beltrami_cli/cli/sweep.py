@@ -10,6 +10,7 @@ import click
 
 from beltrami_cli.cli import options
 from beltrami_cli.cli.console import Messages, counted
+from beltrami_cli.cli.help import HelpfulCommand
 from beltrami_cli.cli.render import render_settings_from, view
 from beltrami_cli.fields import Parameter, parameters
 from beltrami_cli.flow.parameters import KernelParameters
@@ -63,7 +64,7 @@ def _sweeping(command: Callable[..., Any]) -> Callable[..., Any]:
     return command
 
 
-@click.command("sweep", epilog=EPILOG)
+@click.command("sweep", cls=HelpfulCommand, epilog=EPILOG)
 @click.argument("source", metavar="INPUT")
 @click.argument("target", metavar="OUT.png|OUT.html")
 @click.option(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args
 
 from beltrami_cli.fields import check, described, parameter
 
@@ -47,10 +47,12 @@ _MOST_GROWTH = 25.0
 class KernelParameters:
     """What the kernel is run with."""
 
+    group: ClassVar[str] = "Kernel"
+
     iterations: int = parameter(
         5,
         "Kernel iterations; more smooth further. 0 leaves every byte as it is.",
-        low=0, unset=_CHOSEN, flags=("-n", "--iterations"), metavar="N",
+        low=0, unset=_CHOSEN, flags=("-n", "--iterations"), metavar="N", is_daily=True,
     )  # fmt: skip
     t: float = parameter(
         2.4,
@@ -58,13 +60,14 @@ class KernelParameters:
         "textures and images the window bounds the kernel, so that it is this Gaussian only if the window "
         "holds it: raise --window for a large T.",
         low=0, is_open=True, unit="squared units of length, see --units", unset=_CHOSEN,
-        flags=("-t", "--time-step", "t"), metavar="T",
+        flags=("-t", "--time-step", "t"), metavar="T", is_daily=True,
     )  # fmt: skip
     beta: float | None = parameter(
         None,
         "How strongly edges are kept (full scale of colour is 1). 0 is a plain Gaussian on the surface; 5 "
         "to 40 suits strong to slight noise.",
         kind=float, low=0, unit="units of length per unit of colour", unset="chosen from the data", metavar="B",
+        is_daily=True,
     )  # fmt: skip
     beta_growth: float = parameter(
         2.0,
@@ -150,12 +153,13 @@ class KernelParameters:
         "Try nothing: what is not given follows a fixed rule for the noise. It takes no time, and results "
         "are some 0.2 dB worse on vertices, and 1.1 dB on textures and images. With --beta 0, --preset and "
         "--smooth-geometry nothing is tried either.",
+        is_daily=True,
     )  # fmt: skip
     strength: Strength = parameter(
         "normal",
         "Smooth less or more than what is estimated to be closest to the colours without noise. It changes "
         "only what is not given.",
-        choices=get_args(Strength),
+        choices=get_args(Strength), is_daily=True,
     )  # fmt: skip
 
     def __post_init__(self) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import ClassVar, Literal, get_args
 
 from beltrami_cli.fields import REQUIRED, check, parameter
 
@@ -46,22 +46,25 @@ def _parsed(text: str) -> float:
 class NoiseSettings:
     """What noise is added; UsageError if a value is out of its range."""
 
+    group: ClassVar[str] = "Noise"
+
     sigma: float = parameter(
         REQUIRED,
         "How much, of full scale: 20 is 20/255, as `beltrami info` shows noise; or as 20/255, 1310/65535 or "
         "8%.",
         kind=float, low=0, high=1, metavar="S", parse=sure_amount,
+        is_daily=True,
     )  # fmt: skip
     kind: Kind = parameter(
         "gaussian",
         "Of the same deviation everywhere; black and white samples; in proportion to the colour; to its "
         "square root.",
-        choices=get_args(Kind),
+        choices=get_args(Kind), is_daily=True,
     )  # fmt: skip
     seed: int = parameter(
         0,
         "The same seed gives the same noise, for any number of threads.",
-        low=0, metavar="K",
+        low=0, metavar="K", is_daily=True,
     )  # fmt: skip
 
     def __post_init__(self) -> None:
@@ -72,22 +75,26 @@ class NoiseSettings:
 class Limits:
     """What a comparison must keep to; None: anything goes. UsageError if nothing could keep to it."""
 
-    min_psnr: float | None = parameter(None, "Lowest PSNR allowed.", kind=float, unit="dB", metavar="DB")
+    group: ClassVar[str] = "Limits"
+
+    min_psnr: float | None = parameter(
+        None, "Lowest PSNR allowed.", kind=float, unit="dB", metavar="DB", is_daily=True
+    )
     min_ssim: float | None = parameter(
         None,
         "Lowest structural similarity allowed; 1 is equal.",
-        kind=float, high=1, metavar="S",
+        kind=float, high=1, metavar="S", is_daily=True,
     )  # fmt: skip
     max_delta_e: float | None = parameter(
         None,
         "Largest mean Delta E 2000 allowed.",
-        kind=float, low=0, metavar="E",
+        kind=float, low=0, metavar="E", is_daily=True,
     )  # fmt: skip
     max_seam_jump: float | None = parameter(
         None,
         "How much larger the mean colour step over seams may be than in REFERENCE: 1 is 1/255; or as 1/255 "
         "or 0.4%.",
-        kind=float, metavar="X", parse=amount,
+        kind=float, metavar="X", parse=amount, is_daily=True,
     )  # fmt: skip
 
     def __post_init__(self) -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args
 
 from beltrami_cli.errors import UsageError
 from beltrami_cli.fields import check, described, names_in, parameter, part
@@ -60,6 +60,8 @@ def _metric_channels(text: str) -> tuple[str, ...]:
 class TextureSettings:
     """Which textures are smoothed, and how they are written."""
 
+    group: ClassVar[str] = "Textures"
+
     slots: tuple[str, ...] = parameter(
         ("baseColor",),
         f"Textures of which material slots: {', '.join(SLOTS)}. All but the first two are taken as data.",
@@ -110,6 +112,8 @@ class TextureSettings:
 class ImageSettings:
     """The surface that an image lies on, and where it has holes."""
 
+    group: ClassVar[str] = "Images"
+
     height: str | None = parameter(
         None,
         "Of an image: an image of the same size with heights over its plane, which make it the surface (x, "
@@ -154,6 +158,8 @@ class ImageSettings:
 class LevelSetSettings:
     """The surface in a volume, and its colours."""
 
+    group: ClassVar[str] = "Level sets"
+
     level: float | None = parameter(
         None,
         "Of a level set: the value on its surface, such as 0.5 for occupancies.",
@@ -194,6 +200,8 @@ class LevelSetSettings:
 @dataclass(frozen=True)
 class EmbeddingSettings:
     """What enters the metric besides the colours that are smoothed, and what is smoothed besides them."""
+
+    group: ClassVar[str] = "Guides and geometry"
 
     guides: tuple[str, ...] = parameter(
         (),
@@ -257,6 +265,8 @@ def _all_chosen() -> KernelParameters:
 class SmoothSettings:
     """All parameters of a smoothing; by default those of the kernel that can be are chosen from the data."""
 
+    group: ClassVar[str] = "Colours"
+
     kernel: KernelParameters = part(KernelParameters, _all_chosen)
     space: Space = parameter(
         "srgb",
@@ -273,7 +283,7 @@ class SmoothSettings:
     on: Target = parameter(
         "auto",
         "The vertex colours, the textures, or both; auto takes the textures where there are any.",
-        choices=get_args(Target),
+        choices=get_args(Target), is_daily=True,
     )  # fmt: skip
     textures: TextureSettings = part(TextureSettings)  # images obey its alpha, jpeg_quality and small, too
     image: ImageSettings = part(ImageSettings)
@@ -302,6 +312,8 @@ DEFAULTS = SmoothSettings()
 @dataclass(frozen=True)
 class BakeSettings:
     """How a new texture is made."""
+
+    group: ClassVar[str] = "New textures"
 
     size: int | None = parameter(
         None,

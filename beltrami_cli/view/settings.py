@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import ClassVar, Literal, get_args
 
 from beltrami_cli.errors import UsageError
 from beltrami_cli.fields import check, parameter
@@ -65,11 +65,13 @@ def _size(text: str) -> tuple[int, int]:
 class RenderSettings:
     """How models and images are drawn; UsageError if a value is out of its range."""
 
+    group: ClassVar[str] = "Pictures"
+
     size: tuple[int, int] = parameter(
         (640, 640),
         "Width and height of each view.",
         low=16, high=LONGEST_SIDE, unit="pixels", metavar="N|WxH", parse=_size,
-        show=lambda size: "x".join(map(str, size)),
+        show=lambda size: "x".join(map(str, size)), is_daily=True,
     )  # fmt: skip
     azimuth: float = parameter(
         0.0,
@@ -95,7 +97,7 @@ class RenderSettings:
     lit: bool = parameter(
         False,
         "Let a lamp show the shape, or show colours as they are. Points have no shape, and are never lit.",
-        flags=("--lit/--unlit",),
+        flags=("--lit/--unlit",), is_daily=True,
     )  # fmt: skip
     background: str = parameter(
         "auto",
@@ -115,7 +117,7 @@ class RenderSettings:
     turntable: int = parameter(
         0,
         "Views all around in equal steps, in a row for each file; 0: one view.",
-        low=0, high=360, metavar="N",
+        low=0, high=360, metavar="N", is_daily=True,
     )  # fmt: skip
     crops: tuple[Crop, ...] = parameter(
         (),
@@ -123,13 +125,13 @@ class RenderSettings:
         "the upper left, and its side in fractions of the shorter side (0.2); auto: where the last file has "
         "most to see. Up to 5 times.",
         kind=Crop, flags=("--crop", "crops"), metavar="X,Y[,SIDE]|auto[,SIDE]", repeatable=True,
-        parse=Crop.parse,
+        parse=Crop.parse, is_daily=True,
     )  # fmt: skip
     labels: tuple[str, ...] | None = parameter(
         None,
         "Words above each view, once for each file.",
         kind=str, several=True, unset="the names of the files, if there are several",
-        flags=("--label", "labels"), metavar="TEXT", repeatable=True,
+        flags=("--label", "labels"), metavar="TEXT", repeatable=True, is_daily=True,
     )  # fmt: skip
     side_by_side: bool = parameter(
         True,

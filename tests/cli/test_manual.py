@@ -24,7 +24,8 @@ def test_there_is_a_page_for_every_command_and_one_for_all():
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_option_is_on_the_page_with_the_name_that_is_typed(name):
     command = group.get_command(click.Context(group), name)
-    options = [text for each in command.params if isinstance(each, click.Option) for text in each.opts]
+    shown = [each for each in command.params if isinstance(each, click.Option) and not each.hidden]
+    options = [text for each in shown for text in each.opts]
     page = PAGES[f"beltrami-{name}.1"].replace("\\-", "-")
     assert [text for text in options if not re.search(rf"^\.B .*{text}\b", page, re.MULTILINE)] == []
     assert re.findall(r"\.B (.*)\n\n", page) == []  # each is explained

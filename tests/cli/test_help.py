@@ -1,0 +1,113 @@
+"""--help shows what matters daily and names the rest, --help-all shows every option under its group."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+
+import click
+import pytest
+
+from beltrami_cli.cli.help import DAILY
+from beltrami_cli.cli.main import COMMANDS, group
+from beltrami_cli.cli.manual import manual
+from beltrami_cli.cli.names import options_by_name, values_for
+from beltrami_cli.cli.options import ParameterOption
+from cli.commands import beltrami
+
+
+def shown(*arguments):
+    run = beltrami(*arguments, env={"COLUMNS": 80}, text=True)
+    assert run.returncode == 0, run.stderr
+    return run.stdout
+
+
+def command(name):
+    return group.get_command(click.Context(group), name)
+
+
+def groups_of(name):
+    return command(name).option_groups(click.Context(command(name), info_name=name))
+
+
+def listed(text, option):
+    return re.search(rf"^  (-\w, )?{max(option.opts, key=len)}\b", text, re.MULTILINE) is not None
+
+
+LONG = [name for name in COMMANDS if len(groups_of(name)) > 1]
+
+
+def test_summaries_fit_a_line_of_80_columns():
+    lines = shown("--help").splitlines()
+    for name, summary in COMMANDS.items():
+        (line,) = [each for each in lines if each.startswith(f"  {name} ")]
+        assert line.endswith(summary)
+        assert len(line) <= 80
+        assert not summary.endswith("..")
+
+
+def test_the_list_of_commands_loads_no_command():
+    check = "; ".join([
+        "import sys; from beltrami_cli.cli.main import COMMANDS, group",
+        "group.main(['--help'], standalone_mode=False)",
+        "found = {f'beltrami_cli.cli.{name}' for name in COMMANDS} & set(sys.modules); assert not found, found",
+    ])  # fmt: skip
+    subprocess.run([sys.executable, "-P", "-c", check], check=True, stdout=subprocess.DEVNULL)
+
+
+def test_the_commands_with_many_options_have_them_in_groups():
+    assert set(LONG) == {"batch", "compare", "info", "kernel", "noise", "render", "smooth", "sweep"}
+    assert {"Textures", "Images", "Level sets"} < set(groups_of("smooth"))
+
+
+@pytest.mark.parametrize("name", LONG)
+def test_help_shows_what_matters_daily_and_names_the_other_groups(name):
+    text = shown(name, "--help")
+    for title, options in groups_of(name).items():
+        assert [each.name for each in options if listed(text, each) != (title == DAILY)] == []
+        assert title == DAILY or title.lower() in " ".join(text.split())
+    assert "--help-all" in text
+    assert len(text.splitlines()) < 85
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_help_all_shows_every_option_below_its_group(name):
+    text = shown(name, "--help-all")
+    assert text == shown(name, "--help") or name in LONG
+    for title, options in groups_of(name).items():
+        section = re.search(rf"^{title}:\n((?:  .*\n|\n(?=  -))*)", text, re.MULTILINE)[1]
+        assert [each.name for each in options if not (each.hidden or listed(section, each))] == []
+
+
+@pytest.mark.parametrize("name", LONG)
+def test_groups_are_those_of_the_records_that_declare_the_options(name):
+    for title, options in groups_of(name).items():
+        for option in options:
+            if isinstance(option, ParameterOption):
+                assert title == (DAILY if option.declared.is_daily else option.declared.group)
+
+
+def test_manual_pages_have_the_groups():
+    page = dict(manual("1.2.3"))["beltrami-smooth.1"]
+    assert [f'"{title}"' for title in groups_of("smooth") if title != DAILY] == re.findall(
+        r"^\.SS (.*)$", page, re.MULTILINE
+    )
+
+
+def test_the_version_has_a_letter():
+    assert shown("-V") == shown("--version") != ""
+
+
+def test_the_american_spelling_of_colour_is_understood_everywhere_and_documented_nowhere(tmp_path):
+    option = command("smooth").make_context("smooth", ["a", "b"], parent=click.Context(group))
+    assert option.params["colours"] is None
+    parent = click.Context(group, token_normalize_func=group.context_settings["token_normalize_func"])
+    typed = command("smooth").make_context("smooth", ["a", "b", "--colors", "c.ply"], parent=parent)
+    assert typed.params["colours"] == "c.ply"
+    assert values_for(options_by_name(command("smooth")), {"colors": "c.ply"}) == {"colours": "c.ply"}
+    (tmp_path / "own.toml").write_text('[smooth]\ncolors = "c.ply"\n')
+    assert 'colours = "c.ply"' in shown("--config", str(tmp_path / "own.toml"), "config", "smooth")
+    run = beltrami("config", "smooth", env={"BELTRAMI_SMOOTH_COLORS": "d.ply"}, text=True)
+    assert 'colours = "d.ply"  # BELTRAMI_SMOOTH_COLORS' in run.stdout
+    assert "color" not in shown("smooth", "--help-all").replace("baseColor", "").replace("COLOR_0", "")
