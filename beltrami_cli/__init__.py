@@ -18,11 +18,11 @@ if TYPE_CHECKING:
     from beltrami_cli.jobs.arrays import ImageResult, SmoothResult, smooth, smooth_image
     from beltrami_cli.jobs.inspect import inspect_file
     from beltrami_cli.jobs.job import Job
+    from beltrami_cli.jobs.settings import BakeSettings
     from beltrami_cli.jobs.smooth import smooth_file
     from beltrami_cli.jobs.smoothing import SmoothReport
     from beltrami_cli.samples.image_surface import ImageSurface
     from beltrami_cli.samples.settings import (
-        BakeSettings,
         EmbeddingSettings,
         ImageSettings,
         LevelSetSettings,
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 _HOME_OF = {
     "Access": "formats.access",
-    "BakeSettings": "samples.settings",
+    "BakeSettings": "jobs.settings",
     "BeltramiError": "errors",
     "EmbeddingSettings": "samples.settings",
     "ImageResult": "jobs.arrays",

@@ -57,7 +57,13 @@ class Parameter:
     show: Callable[[Any], str] = str  # makes that text from the value
     is_daily: bool = False  # shown by --help; all others by --help-all only, under their group
     group: str = ""  # of options in the help: the `group` of the record
-    is_deliberate: bool = False  # names a file or lifts a limit, so no file that was merely found may set it
+    is_file: bool = False  # names files that are read
+    lifts_limit: bool = False
+
+    @property
+    def is_deliberate(self) -> bool:
+        """Whether only users may set it, and no configuration file that was merely found."""
+        return self.is_file or self.lifts_limit
 
     @property
     def range(self) -> str:
@@ -168,6 +174,16 @@ def parameters(record: Any, *, deep: bool = False) -> Iterator[Parameter]:
 def parts(record: Any) -> dict[str, type]:
     """Return the records in a record, by the names of their fields."""
     return {each.name: each.metadata[_PART] for each in dataclasses.fields(record) if _PART in each.metadata}
+
+
+def named_files(record: Any) -> Iterator[str]:
+    """Give what parameters of a record, and of records in it, name as files to read."""
+    for each in dataclasses.fields(record):
+        value = getattr(record, each.name)
+        if _PART in each.metadata:
+            yield from named_files(value)
+        elif _PARAMETER in each.metadata and each.metadata[_PARAMETER].is_file and value is not None:
+            yield from map(str, value if isinstance(value, tuple) else [value])
 
 
 def check(record: Any) -> None:

@@ -23,8 +23,9 @@ from beltrami_cli.jobs.writing.output import FileSet
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from beltrami_cli.jobs.settings import BakeSettings
     from beltrami_cli.jobs.smoothing import SmoothReport
-    from beltrami_cli.samples.settings import BakeSettings, SmoothSettings
+    from beltrami_cli.samples.settings import SmoothSettings
 
     Progress = Callable[[str, int, int], None]
     """Called with a label, the work done and the work to do."""

@@ -9,7 +9,8 @@ import click
 from beltrami_cli.cli import options
 from beltrami_cli.cli.console import Messages, counted
 from beltrami_cli.cli.help import HelpfulCommand
-from beltrami_cli.samples.settings import BakeSettings, BakeTo
+from beltrami_cli.jobs.settings import BakeSettings
+from beltrami_cli.samples.settings import BakeTo
 
 EPILOG = """\b
 Examples:

@@ -15,7 +15,7 @@ from beltrami_cli.cli.help import GroupedOption, HelpfulCommand
 from beltrami_cli.cli.names import options_by_name, values_for
 from beltrami_cli.errors import OutputError, ProcessingError, UsageError
 from beltrami_cli.fields import parameters
-from beltrami_cli.samples.settings import BakeSettings, SmoothSettings
+from beltrami_cli.samples.settings import SmoothSettings
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from beltrami_cli.batch.plan import Request
     from beltrami_cli.batch.run import Executor
     from beltrami_cli.cli.console import Messages
+    from beltrami_cli.jobs.settings import BakeSettings
 
 EPILOG = """\b
 Examples:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -23,6 +23,18 @@ def counted(number: int, noun: str) -> str:
     """Return a number of things in words."""
     plural = f"{noun[:-2]}ices" if noun.endswith("vertex") else f"{noun}s"
     return f"{number} {noun if number == 1 else plural}"
+
+
+def choice_in_words(choice: dict[str, Any]) -> str:
+    """Return what was chosen, by what estimate, and how sure that is."""
+    chosen = ", ".join(f"{name} {value:.3g}" for name, value in choice["chosen"].items())
+    if choice["psnr"] is None:
+        return f"{chosen}; by the fixed rule of --fast"
+    shared = "; neighbours share noise, as in JPEG pictures" if choice["correlated"] else ""
+    return (
+        f"{chosen}; estimated PSNR {choice['psnr']:.1f} +- {choice['error']:.1f} dB, {choice['gain']:+.1f} dB "
+        f"against the input; the best of {choice['candidates']} on {choice['samples']} samples{shared}"
+    )
 
 
 class Messages:

@@ -8,9 +8,8 @@ from typing import Any
 import click
 
 from beltrami_cli.cli import options
-from beltrami_cli.cli.console import printable
+from beltrami_cli.cli.console import choice_in_words, printable
 from beltrami_cli.cli.help import HelpfulCommand
-from beltrami_cli.cli.outcome import choice_in_words
 
 EPILOG = """\b
 Examples:

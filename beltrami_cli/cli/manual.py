@@ -17,9 +17,8 @@ from beltrami_cli.cli.main import COMMANDS, group
 from beltrami_cli.cli.options import flags_of
 from beltrami_cli.fields import REQUIRED, Parameter, parameters
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.jobs.settings import Limits, NoiseSettings
+from beltrami_cli.jobs.settings import BakeSettings, Limits, NoiseSettings
 from beltrami_cli.samples.settings import (
-    BakeSettings,
     EmbeddingSettings,
     ImageSettings,
     LevelSetSettings,

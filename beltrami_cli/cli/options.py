@@ -19,7 +19,8 @@ from beltrami_cli.flow.parameters import PRESETS, KernelParameters, parameters_w
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.registry import OUTPUT_FORMATS
 from beltrami_cli.jobs.resources import limited_memory, memory_of_machine, parse_size
-from beltrami_cli.samples.settings import IMAGE_FORMATS, BakeSettings, SmoothSettings
+from beltrami_cli.jobs.settings import BakeSettings
+from beltrami_cli.samples.settings import IMAGE_FORMATS, SmoothSettings
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Mapping

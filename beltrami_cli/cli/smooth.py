@@ -3,23 +3,28 @@
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING, Any
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
 
 import click
 
 from beltrami_cli.cli import options
+from beltrami_cli.cli.console import choice_in_words, counted
 from beltrami_cli.cli.help import HelpfulCommand
-from beltrami_cli.cli.outcome import show_result, show_unchanged
 from beltrami_cli.errors import OutputError, UsageError
 from beltrami_cli.jobs.job import Job
+from beltrami_cli.jobs.resources import show_size
 
 if TYPE_CHECKING:
     from beltrami_cli.cli.console import Messages
-    from beltrami_cli.formats.access import Access
     from beltrami_cli.jobs.smoothing import SmoothReport
-    from beltrami_cli.jobs.writing.output import FileSet, Output, Overwrite
+    from beltrami_cli.jobs.writing.output import FileSet, Output
+    from beltrami_cli.samples.reports import ImageReport, SlotReport, VertexReport
     from beltrami_cli.samples.settings import SmoothSettings
     from beltrami_cli.view.render import Preview
+
+    Done = VertexReport | ImageReport | SlotReport
 
 EPILOG = """\b
 Examples:
@@ -108,66 +113,44 @@ def command(
         messages.work_shown(wanted=messages.verbose > 0 or dry_run),
         FileSet([source, target]) as files,
     ):
-        preview, report_file = None, None
-        if report_path is not None:
-            report_file = _open_report(
-                report_path, options.overwrite_at("report_path", overwrite=overwrite), files
-            )
+        job = Job(access, progress, overwrite, dry_run, smoothing["output_format"], files)
+        report_file = None if report_path is None else _open_report(report_path, overwrite, files)
+        preview = None
         if preview_path is not None:
-            if dry_run:
-                raise UsageError("--preview draws OUTPUT, which --dry-run does not write")
-            preview = _open_preview(
-                preview_path, source, target, settings, access,
-                options.overwrite_at("preview_path", overwrite=overwrite), files,
-            )  # fmt: skip
-        report = smooth_file(
-            source,
-            target,
-            settings,
-            unwrap=unwrap,
-            job=Job(
-                format=smoothing["output_format"],
-                overwrite=overwrite,
-                dry_run=dry_run,
-                progress=progress,
-                access=access,
-                files=files,
-            ),
-        )
+            preview = _open_preview(preview_path, (source, target), settings, job, files)
+        report = smooth_file(source, target, settings, unwrap=unwrap, job=job)
         if preview is not None:
             preview.draw()
         if report_file is not None:
             _write_report(report_file, report)
         files.put_in_place()
     if not settings.kernel.iterations:
-        show_unchanged(messages, report, unwrapped=unwrap is not None, dry_run=dry_run)
+        _show_unchanged(messages, report, unwrapped=unwrap is not None, dry_run=dry_run)
         return
-    show_result(messages, report, dry_run=dry_run)
+    _show_result(messages, report, dry_run=dry_run)
 
 
-def _open_report(path: str, overwrite: Overwrite, files: FileSet) -> Output:
+def _open_report(path: str, overwrite: bool, files: FileSet) -> Output:
     """Check that a report can be written before anything is computed."""
     from beltrami_cli.jobs.smoothing import is_report
     from beltrami_cli.jobs.writing.output import Output
 
     if path == "-":
         raise OutputError(path, "the report is a file; standard output is for OUTPUT", "name a file")
-    return Output(path, overwrite=overwrite, what="report", is_own=is_report, files=files)
+    replaced = options.overwrite_at("report_path", overwrite=overwrite)
+    return Output(path, overwrite=replaced, what="report", is_own=is_report, files=files)
 
 
 def _open_preview(
-    path: str,
-    source: str,
-    target: str,
-    settings: SmoothSettings,
-    access: Access,
-    overwrite: Overwrite,
-    files: FileSet,
+    path: str, names: tuple[str, str], settings: SmoothSettings, job: Job, files: FileSet
 ) -> Preview:
-    """Check that a preview can be drawn before anything is computed."""
+    """Check that a preview of INPUT and OUTPUT can be drawn before anything is computed."""
     from beltrami_cli.view.render import Preview
 
-    return Preview(path, source, target, settings, access, overwrite=overwrite, files=files)
+    if job.dry_run:
+        raise UsageError("--preview draws OUTPUT, which --dry-run does not write")
+    replaced = options.overwrite_at("preview_path", overwrite=job.overwrite)
+    return Preview(path, *names, settings, job.access, overwrite=replaced, files=files)
 
 
 def _write_report(output: Output, report: SmoothReport) -> None:
@@ -176,3 +159,76 @@ def _write_report(output: Output, report: SmoothReport) -> None:
     from beltrami_cli.formats.document import Written
 
     output.write(Written(main=[(json.dumps(asdict(report), indent=2) + "\n").encode()]))
+
+
+def _show_unchanged(messages: Messages, report: SmoothReport, *, unwrapped: bool, dry_run: bool) -> None:
+    """Say that no iterations were asked for, and the warnings."""
+    messages.warn_of(report.input, report.warnings)
+    same = Path(report.input).suffix.lower() == f".{report.format}" and not unwrapped
+    what = "would be" if dry_run else "is"
+    messages.say(
+        f"{report.output}: no iterations, so the file {what} copied unchanged"
+        if same
+        else f"{report.output}: no iterations, so the colours are unchanged"
+    )
+
+
+def _show_result(messages: Messages, report: SmoothReport, *, dry_run: bool) -> None:
+    """Say what was done to the colours; in detail also the times, and which parameters were chosen by what."""
+    messages.warn_of(report.input, report.warnings)
+    _show_costs(messages, report, dry_run=dry_run)
+    free = cast("list[str]", report.parameters["free"])
+    for key in ("iterations", "t", "threshold", "metric_scale", "metric_steps", "space"):
+        messages.detail(f"{key:>14}: {'chosen from the data' if key in free else report.parameters[key]}")
+    name = f"{report.output}: {'not written (dry run), ' if dry_run else ''}"
+    if report.vertices is not None:
+        done = report.vertices
+        what = counted(int(done.counts["vertices"]), "point" if "outliers" in done.counts else "vertex")
+        _show_done(messages, name + what, done, done.counts["samples_per_kernel"])
+        if done.geometry is not None:
+            messages.say(name + _geometry(done.geometry, done.spacing))
+    if report.image is not None:
+        facts = report.image.image
+        holes = f" with {counted(cast('int', facts['holes']), 'hole')}" if facts["holes"] else ""
+        what = f"{facts['width']} x {facts['height']} pixels{holes}"
+        _show_done(messages, name + what, report.image, report.image.samples_per_kernel)
+    for slot in report.textures:
+        textures = counted(len(slot.textures), f"{slot.slot} texture")
+        charts = counted(slot.counts["charts"], "chart")
+        what = f"{textures}, {counted(slot.counts['covered'], 'texel')} in {charts}"
+        _show_done(messages, name + what, slot, slot.samples_per_kernel)
+        if slot.counts["jumps"]:
+            jumps = f"{slot.counts['jumps']} of {counted(slot.counts['seams'], 'seam')}"
+            messages.detail(f"{jumps} are real colour edges and were not smoothed over")
+
+
+def _show_costs(messages: Messages, report: SmoothReport, *, dry_run: bool) -> None:
+    for stage, seconds in report.stages.items():
+        messages.detail(f"{stage:>14}: {seconds['wall']:.2f} s, {seconds['cpu']:.2f} s CPU")
+    if report.peak_memory is not None:
+        (messages.say if dry_run else messages.detail)(
+            f"{'peak memory':>14}: {show_size(report.peak_memory)}"
+        )
+
+
+def _show_done(messages: Messages, what: str, done: Done, samples: float) -> None:
+    noise = f"{what}, noise {255 * max(done.noise.values(), default=0):.1f}/255"
+    if not done.iterations:
+        messages.say(f"{noise}, no more than rounding makes: the colours are left as they are")
+        return
+    messages.say(
+        f"{noise}, beta {done.beta:.3g}, {samples:.0f} samples a kernel, "
+        f"mean change {255 * done.change['mean']:.1f}/255"
+    )
+    for guide, beta in done.guides.items():
+        messages.detail(f"guide {guide}: beta {beta:.3g}")
+    if done.choice is not None:
+        messages.detail(f"chosen: {choice_in_words(done.choice)}")
+
+
+def _geometry(geometry: dict[str, float], spacing: float) -> str:
+    share = geometry["mean_move"] / spacing if spacing else 0.0
+    return (
+        f"positions too, noise of the normals {math.degrees(geometry['normal_noise']):.1f} degrees, normal beta "
+        f"{geometry['normal_beta']:.3g}, mean move {geometry['mean_move']:.3g} ({share:.2f} sample spacings)"
+    )

@@ -94,7 +94,7 @@ class KernelParameters:
     max_samples: int = parameter(
         2000,
         "On vertices: the largest kernel, a guard against a time step that is too large. Warns when it "
-        "takes effect.",
+        "takes effect. The default is lowered where very many triangles meet at a vertex or form no surface.",
         low=1, high=2**31 - 1, unit="samples", metavar="COUNT",
     )  # fmt: skip
     threads: int | None = parameter(

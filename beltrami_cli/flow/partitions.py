@@ -116,37 +116,3 @@ class Runner(Protocol):
         progress: Callable[[int, int], None] | None,
     ) -> Joined:
         """Run all iterations from the values of all samples, shape (S, N); TooNarrowError if one is not exact."""
-
-
-class InTurn:
-    """Runs partitions one after the other, with all threads for each."""
-
-    def __init__(self, threads: int) -> None:
-        self._threads = threads
-
-    def run(
-        self,
-        partitions: Sequence[Partition],
-        values: NDArray[np.float32],
-        iterations: int,
-        progress: Callable[[int, int], None] | None,
-    ) -> Joined:
-        """Run all iterations, see `Runner`."""
-        transfers = plan_transfers(partitions, len(values))
-        own = [values[partition.owned] for partition in partitions]
-        samples, truncated = 0.0, 0
-        for iteration in range(iterations):
-            received = [
-                collect(plan, [own[transfer.source][transfer.rows] for transfer in plan], values.shape[1])
-                for plan in transfers
-            ]
-            for number, partition in enumerate(partitions):
-                threads = partition.threads or self._threads
-                step = partition.advance(own[number], received[number], iteration, threads)
-                if not step.is_exact:
-                    raise TooNarrowError
-                own[number] = step.values
-                samples, truncated = samples + step.samples, truncated + step.truncated
-                if progress is not None:
-                    progress(iteration * len(partitions) + number + 1, iterations * len(partitions))
-        return Joined(joined(partitions, own, values), samples, truncated)

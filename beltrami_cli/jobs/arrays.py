@@ -13,36 +13,36 @@ References
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, get_args
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from beltrami_cli.errors import UsageError
-from beltrami_cli.fields import override
 from beltrami_cli.flow.colour_space import from_space, to_space
 from beltrami_cli.flow.embedding import Guide, centred
+from beltrami_cli.jobs.array_arguments import (
+    checked_surface,
+    painted_arrays,
+    pixel_colours,
+    require_encoding,
+    settings_for,
+)
 from beltrami_cli.samples.guides import GuideImage
 from beltrami_cli.samples.image_surface import ImageSurface, grid_flow
 from beltrami_cli.samples.settings import DEFAULTS
 from beltrami_cli.samples.vertex_samples import VertexSamples, count_cloud
-from beltrami_cli.surface.records import Encoding, PaintedVertices
-from beltrami_cli.surface.validation import (
-    array_of,
-    check_mesh,
-    colour_table,
-    face_table,
-    guide_table,
-    position_table,
-)
+from beltrami_cli.surface.validation import guide_table
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable
 
     from numpy.typing import ArrayLike, NDArray
 
+    from beltrami_cli.flow.parameters import Space
     from beltrami_cli.flow.tuning.choice import Choice
     from beltrami_cli.samples.settings import SmoothSettings
     from beltrami_cli.samples.vertex_samples import CloudCounts
+    from beltrami_cli.surface.records import Encoding, PaintedVertices
 
     Progress = Callable[[int, int], None]
 
@@ -194,20 +194,9 @@ def smooth(
     .. [2] R. Kimmel, J. A. Sethian, "Computing geodesic paths on manifolds", PNAS 95(15), 1998,
        doi:10.1073/pnas.95.15.8431
     """
-    painted = _painted(positions, faces, colours, encoding)
-    settings = _settings(parameters, guide, painted.channels, overrides)
-    if len(painted.channels) != 3 and settings.space == "oklab":
-        raise UsageError("the space oklab needs three channels")
-    if settings.embedding.smooth_geometry and painted.positions.shape[1] != 3:
-        raise UsageError(f"smooth_geometry needs positions in 3 dimensions, not {painted.positions.shape[1]}")
-    if faces is None and painted.positions.shape[1] > 3:
-        raise UsageError(f"positions in {painted.positions.shape[1]} dimensions need faces")
-    guides = []
-    if guide is not None:
-        (_, beta), *_ = settings.embedding.weighted_guides
-        guides = [Guide("guide", centred(guide_table(guide, (len(painted.positions),))), beta)]
-    samples = VertexSamples(painted, settings, guides)
-    samples.is_cloud = faces is None
+    painted = painted_arrays(positions, faces, colours, encoding)
+    settings = settings_for(parameters, guide, painted.channels, overrides)
+    samples = _vertex_samples(painted, settings, guide, is_cloud=faces is None)
     flow = samples.flow()
     result = flow.run(progress)
     report, moving = samples.report(flow, result), flow.manifold.moving
@@ -284,19 +273,17 @@ def smooth_image(
     .. [2] A. Spira, R. Kimmel, "An efficient solution to the eikonal equation on parametric manifolds", Interfaces and
        Free Boundaries 6, 2004, doi:10.4171/IFB/102
     """
-    table, shape = _pixel_colours(colours)
+    table, shape = pixel_colours(colours)
     channels = tuple(map(str, range(table.shape[1])))
-    settings = _settings(parameters, guide, channels, overrides)
-    _require_encoding(encoding)
-    if settings.space == "oklab" and len(channels) != 3:
-        raise UsageError("the space oklab needs three channels")
+    settings = settings_for(parameters, guide, channels, overrides)
+    require_encoding(encoding)
     guides = []
     if guide is not None:
         (_, beta), *_ = settings.embedding.weighted_guides
         values = centred(guide_table(guide, shape)).reshape(*shape, -1)
         guides = [GuideImage("guide", values, beta).at]
     metric = settings.embedding.metric_channels
-    place = _image_surface(surface, table, shape)
+    place = checked_surface(surface, table, shape)
 
     def working(pixels: NDArray[np.int64]) -> NDArray[np.float32]:
         return to_space(table[pixels], encoding, settings.space)
@@ -305,13 +292,7 @@ def smooth_image(
     flow = grid_flow(place, working, settings.kernel, guides, numbers)
     result = flow.run(progress)
     pixels = flow.manifold.atlas.owned_texels
-    after = flow.values()
-    smoothed, moved = table.copy(), np.any(working(pixels) != after, axis=1)
-    if moved.any():
-        back = from_space(after[moved], encoding, settings.space)
-        # The way there and back is not exact; what comes of it stays in the range of the colours.
-        old = table[pixels]
-        smoothed[pixels[moved]] = np.clip(back, old.min(axis=0), old.max(axis=0))
+    smoothed = _repainted(table, pixels, (working(pixels), flow.values()), encoding, settings.space)
     return ImageResult(
         smoothed.reshape(*shape, -1),
         result.beta,
@@ -323,82 +304,37 @@ def smooth_image(
     )
 
 
-def _settings(
-    parameters: SmoothSettings, guide: ArrayLike | None, channels: Sequence[str], overrides: dict[str, Any]
-) -> SmoothSettings:
-    """Return the parameters with overrides; the channels of the metric by their names, and the guide by one."""
-    wanted = overrides.get("metric_channels")
-    if wanted is not None:
-        overrides["metric_channels"] = tuple(_channel(each, channels) for each in wanted)
+def _vertex_samples(
+    painted: PaintedVertices, settings: SmoothSettings, guide: ArrayLike | None, *, is_cloud: bool
+) -> VertexSamples:
+    """Return the samples of vertices; UsageError if their positions have too many dimensions."""
+    dimensions = painted.positions.shape[1]
+    if settings.embedding.smooth_geometry and dimensions != 3:
+        raise UsageError(f"smooth_geometry needs positions in 3 dimensions, not {dimensions}")
+    if is_cloud and dimensions > 3:
+        raise UsageError(f"positions in {dimensions} dimensions need faces")
+    guides = []
     if guide is not None:
-        overrides["guides"] = ("guide",)
-    return override(parameters, **overrides)
+        (_, beta), *_ = settings.embedding.weighted_guides
+        guides = [Guide("guide", centred(guide_table(guide, (len(painted.positions),))), beta)]
+    samples = VertexSamples(painted, settings, guides)
+    samples.is_cloud = is_cloud
+    return samples
 
 
-def _channel(channel: object, names: Sequence[str]) -> str:
-    """Return the name of a channel that is given by its number or name."""
-    if isinstance(channel, str) and channel in names:
-        return channel
-    if not isinstance(channel, (int, np.integer)) or not 0 <= channel < len(names):
-        raise UsageError(f"metric_channels names {channel!r}, but the {len(names)} channels count from 0")
-    return names[int(channel)]
-
-
-def _require_encoding(encoding: str) -> None:
-    if encoding not in get_args(Encoding):
-        raise UsageError(f"encoding is {encoding}, but must be {' or '.join(get_args(Encoding))}")
-
-
-def _painted(
-    positions: ArrayLike, faces: ArrayLike | None, colours: ArrayLike, encoding: Encoding
-) -> PaintedVertices:
-    _require_encoding(encoding)
-    places, shades = position_table(positions), colour_table(colours)
-    names = ("red", "green", "blue") if shades.shape[1] == 3 else tuple(map(str, range(shades.shape[1])))
-    stored = str(np.asarray(colours).dtype)
-    triangles = face_table([] if faces is None else faces, len(places))
-    painted = PaintedVertices(places, triangles, shades, names, encoding, stored)
-    check_mesh(painted, "the arrays")
-    return painted
-
-
-def _image_surface(
-    surface: ImageSurface | None, table: NDArray[np.float32], shape: tuple[int, int]
-) -> ImageSurface:
-    """Check where pixels lie; those whose colours are not finite are holes, too."""
-    valid = np.asarray(np.isfinite(table.reshape(*shape, -1)).all(axis=2))
-    if surface is None:
-        return ImageSurface(valid=valid)
-    if surface.positions is not None and surface.heights is not None:
-        raise UsageError("positions and heights are two surfaces for one image; give one of them")
-    positions, heights = surface.positions, surface.heights
-    if positions is not None:
-        positions = _pixel_array(positions, "positions", (*shape, None), "uif").astype(np.float64)
-    if heights is not None:
-        heights = _pixel_array(heights, "heights", shape, "uif").astype(np.float64)
-    if surface.valid is not None:
-        valid &= _pixel_array(surface.valid, "valid", shape, "bui").astype(bool)
-    return ImageSurface(heights, positions, valid)
-
-
-def _pixel_colours(colours: ArrayLike) -> tuple[NDArray[np.float32], tuple[int, int]]:
-    """Return the colours of all pixels, shape (H * W, C), and the shape (H, W)."""
-    image = array_of(colours, "colours")
-    if image.ndim not in (2, 3) or image.size == 0:
-        raise UsageError(f"colours must be of shape (H, W) or (H, W, C), not {image.shape}")
-    rows, columns = image.shape[:2]
-    return colour_table(image.reshape(rows * columns, -1)), (rows, columns)
-
-
-def _pixel_array(values: ArrayLike, name: str, shape: tuple[int | None, ...], kinds: str) -> NDArray[Any]:
-    """Take an array with a number for each pixel, or M numbers where the last of the shape is None."""
-    array = array_of(values, name)
-    fits = array.ndim == len(shape) and all(
-        b is None or a == b for a, b in zip(array.shape, shape, strict=True)
-    )
-    if not fits or array.dtype.kind not in kinds or 0 in array.shape:
-        wanted = ", ".join("M" if size is None else str(size) for size in shape)
-        raise UsageError(
-            f"{name} must be numbers of shape ({wanted}), not {array.dtype} of shape {array.shape}"
-        )
-    return array
+def _repainted(
+    table: NDArray[np.float32],
+    pixels: NDArray[np.int64],
+    values: tuple[NDArray[np.float32], NDArray[np.float32]],  # working colours of pixels, before and after
+    encoding: Encoding,
+    space: Space,
+) -> NDArray[np.float32]:
+    """Return the colours of all pixels after some of them changed, in the encoding of the input."""
+    before, after = values
+    smoothed, moved = table.copy(), np.any(before != after, axis=1)
+    if moved.any():
+        back = from_space(after[moved], encoding, space)
+        # The way there and back is not exact; what comes of it stays in the range of the colours.
+        old = table[pixels]
+        smoothed[pixels[moved]] = np.clip(back, old.min(axis=0), old.max(axis=0))
+    return smoothed

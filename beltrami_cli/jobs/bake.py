@@ -13,10 +13,11 @@ from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.image import read_image
 from beltrami_cli.formats.registry import open_document, sidecar_names, write_contents, write_textured
 from beltrami_cli.jobs.new_texture import as_rgba, texture_from_vertices
+from beltrami_cli.jobs.settings import BakeSettings
 from beltrami_cli.jobs.writing.output import Output
 from beltrami_cli.samples.memory_check import require_memory_for_textures
 from beltrami_cli.samples.selection import choose_format
-from beltrami_cli.samples.settings import DEFAULT_BAKE, DEFAULTS, BakeSettings, BakeTo
+from beltrami_cli.samples.settings import DEFAULTS, BakeTo
 from beltrami_cli.surface.colour_values import linear_to_srgb
 from beltrami_cli.surface.grouping import distinct_corners, group_equal_rows, group_places
 from beltrami_cli.surface.lookup import look_up, noise_around
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.image import Picture
     from beltrami_cli.surface.records import Encoding, TexturedSurface
 
+_DEFAULTS = BakeSettings()
 _ALIKE = 8 / 255  # a step that can hardly be seen, and that texels of several triangles' colours make anyway
 _SIGMAS = 4 * np.sqrt(2)  # of the difference of two noisy values
 _MEDIAN = 1.4826  # from the median magnitude to the standard deviation
@@ -54,7 +56,7 @@ def bake_file(
     source: str | os.PathLike[str],
     target: str | os.PathLike[str],
     to: BakeTo,
-    settings: BakeSettings = DEFAULT_BAKE,
+    settings: BakeSettings = _DEFAULTS,
     *,
     format: str | None = None,  # noqa: A002 -- the name of the option
     overwrite: bool = False,

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from beltrami_cli.formats.document import Document
     from beltrami_cli.formats.image import Picture
-    from beltrami_cli.samples.settings import BakeSettings
+    from beltrami_cli.jobs.settings import BakeSettings
     from beltrami_cli.surface.records import Encoding, ImageFile, MeshContents
     from beltrami_cli.surface.unwrap import Unwrapped
 

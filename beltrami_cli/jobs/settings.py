@@ -1,4 +1,4 @@
-"""The parameters of added noise and the limits of comparisons; light enough for the command line to import."""
+"""The parameters of added noise and new textures, and the limits of comparisons; light enough to import anywhere."""
 
 from __future__ import annotations
 
@@ -6,7 +6,10 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar, Literal, get_args
 
-from beltrami_cli.fields import REQUIRED, check, parameter
+from beltrami_cli.errors import UsageError
+from beltrami_cli.fields import REQUIRED, check, described, parameter
+
+_SMALLEST_SIDE, _LARGEST_SIDE = 16, 16384  # of a texture: less is of no use, graphics cards take no more
 
 Kind = Literal["gaussian", "salt-pepper", "speckle", "poisson"]
 
@@ -69,6 +72,38 @@ class NoiseSettings:
 
     def __post_init__(self) -> None:
         check(self)
+
+
+@described
+@dataclass(frozen=True)
+class BakeSettings:
+    """How a new texture is made."""
+
+    group: ClassVar[str] = "New textures"
+
+    size: int | None = parameter(
+        None,
+        "Longest side of the new texture.",
+        kind=int, low=_SMALLEST_SIDE, high=_LARGEST_SIDE, unit="texels",
+        unset="two texels along an edge, 256 to 8192; or as in the old texture", metavar="N",
+    )  # fmt: skip
+    padding: int = parameter(
+        4,
+        "Distance between the charts of a new texture.",
+        low=0, high=64, unit="texels", metavar="N",
+    )  # fmt: skip
+    keep_uv: bool = parameter(False, "Use the texture coordinates of INPUT rather than make new ones.")
+    max_unwrap_faces: int = parameter(
+        100_000,
+        "The largest mesh to unwrap: 16 thousand triangles take some 7 s, 82 thousand 2 minutes, as the "
+        "time grows faster than their number.",
+        low=1, unit="triangles", metavar="COUNT", lifts_limit=True,
+    )  # fmt: skip
+
+    def __post_init__(self) -> None:
+        check(self)
+        if self.size is not None and self.size <= 4 * self.padding:
+            raise UsageError(f"a size of {self.size} leaves no room between paddings of {self.padding}")
 
 
 @dataclass(frozen=True)

@@ -27,8 +27,9 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.document import Document
     from beltrami_cli.jobs.job import Job
     from beltrami_cli.jobs.new_texture import NewTexture
+    from beltrami_cli.jobs.settings import BakeSettings
     from beltrami_cli.jobs.smoothing import SmoothReport
-    from beltrami_cli.samples.settings import BakeSettings, SmoothSettings
+    from beltrami_cli.samples.settings import SmoothSettings
     from beltrami_cli.surface.records import ImageFile, TexturedSurface
 
 

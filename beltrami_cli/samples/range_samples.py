@@ -11,9 +11,9 @@ from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.colour_space import from_space, to_space
 from beltrami_cli.flow.embedding import Guide
 from beltrami_cli.samples.image_surface import ImageSurface, grid_flow
+from beltrami_cli.samples.painted_samples import PaintedSamples, describe_colours
 from beltrami_cli.samples.samples import Change, Repainted
 from beltrami_cli.samples.settings import DEFAULTS, describe_kernel
-from beltrami_cli.samples.vertex_samples import PaintedSamples, describe_colours
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -21,9 +21,9 @@ if TYPE_CHECKING:
 
     from beltrami_cli.formats.access import Access
     from beltrami_cli.formats.document import Document
+    from beltrami_cli.samples.painted_samples import PaintedSamples
     from beltrami_cli.samples.samples import Samples
     from beltrami_cli.samples.settings import SmoothSettings
-    from beltrami_cli.samples.vertex_samples import PaintedSamples
     from beltrami_cli.surface.records import Slot
 
 
@@ -127,7 +127,7 @@ def vertex_samples(document: Document, settings: SmoothSettings, access: Access)
 
 def coloured_vertices(document: Document) -> NDArray[np.intp]:
     """Return the vertices of a document that have a position and a colour."""
-    from beltrami_cli.samples.vertex_samples import coloured_rows
+    from beltrami_cli.samples.painted_samples import coloured_rows
     from beltrami_cli.samples.voxels import LevelSetDocument
 
     return coloured_rows(document.painted(), in_triangles=isinstance(document, LevelSetDocument))

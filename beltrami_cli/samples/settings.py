@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args
 
 from beltrami_cli.errors import UsageError
-from beltrami_cli.fields import check, described, names_in, parameter, part
+from beltrami_cli.fields import check, described, named_files, names_in, parameter, part
 from beltrami_cli.flow.parameters import TUNABLE, KernelParameters, Space
 
 if TYPE_CHECKING:
@@ -29,7 +29,6 @@ IMAGE_FORMATS = ("png", "jpg", "webp", "tif", "exr", "tga", "bmp", "hdr", "jxl",
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".exr", ".tga", ".bmp", ".hdr")
 
 MOST_VOXELS = 1 << 31  # rows and columns of the marching cubes are counted in 32 bits
-_SMALLEST_SIDE, _LARGEST_SIDE = 16, 16384  # of a texture: less is of no use, graphics cards take no more
 _WIDEST_GUTTER = 99_999
 
 
@@ -118,7 +117,7 @@ class ImageSettings:
         None,
         "Of an image: an image of the same size with heights over its plane, which make it the surface (x, "
         "y, S h). Depth images (EXR, 16-bit PNG) do as well. Where a height is no finite number is a hole.",
-        metavar="FILE", is_deliberate=True,
+        metavar="FILE", is_file=True,
     )  # fmt: skip
     height_scale: float = parameter(
         1.0,
@@ -129,13 +128,13 @@ class ImageSettings:
         None,
         "Of an image: an image of the same size with the place x, y, z of every pixel, as range scanners "
         "and bakers write them. Where one is not finite, or has an alpha of 0, is a hole.",
-        metavar="FILE", is_deliberate=True,
+        metavar="FILE", is_file=True,
     )  # fmt: skip
     mask: str | None = parameter(
         None,
         "Of an image: an image of the same size that is 0 at holes. They stay as they are and do not count, "
         "and nothing crosses them.",
-        metavar="FILE", is_deliberate=True,
+        metavar="FILE", is_file=True,
     )  # fmt: skip
 
     def __post_init__(self) -> None:
@@ -175,12 +174,12 @@ class LevelSetSettings:
         None,
         "Of a level set: a file with its colours, which may be on a grid of their own (.nrrd, .npz), or at "
         "points or vertices near the surface (.npz, PLY and all other models).",
-        unset="those in INPUT", metavar="FILE", is_deliberate=True,
+        unset="those in INPUT", metavar="FILE", is_file=True,
     )  # fmt: skip
     max_voxels: int = parameter(
         1 << 28,
         "Of a level set: the largest grid that is read.",
-        low=8, high=MOST_VOXELS, unit="voxels", metavar="COUNT", is_deliberate=True,
+        low=8, high=MOST_VOXELS, unit="voxels", metavar="COUNT", lifts_limit=True,
     )  # fmt: skip
 
     def __post_init__(self) -> None:
@@ -209,7 +208,7 @@ class EmbeddingSettings:
         "base colour. For textures a slot of the same materials, or an image of the same size; for images "
         "such an image; for vertices an attribute (normal, or as the file calls it), an array (.npy, .npz) "
         "with a row for each vertex, or a model whose vertex colours guide. May be repeated.",
-        flags=("--guide", "guides"), metavar="NAME|FILE", repeatable=True, is_deliberate=True,
+        flags=("--guide", "guides"), metavar="NAME|FILE", repeatable=True, is_file=True,
     )  # fmt: skip
     guide_betas: tuple[float, ...] = parameter(
         (),
@@ -299,48 +298,12 @@ class SmoothSettings:
 
     def files_besides(self, source: str | None = None) -> list[str]:
         """Return the files that are named here, besides the one that is smoothed."""
-        image, level_set = self.image, self.level_set
-        names = (image.height, image.positions, image.mask, level_set.colours, *self.embedding.guides)
         own = None if source in (None, "-") else Path(str(source)).resolve()
-        return [str(name) for name in names if Path(str(name)).is_file() and Path(str(name)).resolve() != own]
+        paths = map(Path, named_files(self))
+        return [str(path) for path in paths if path.is_file() and path.resolve() != own]
 
 
 DEFAULTS = SmoothSettings()
-
-
-@described
-@dataclass(frozen=True)
-class BakeSettings:
-    """How a new texture is made."""
-
-    group: ClassVar[str] = "New textures"
-
-    size: int | None = parameter(
-        None,
-        "Longest side of the new texture.",
-        kind=int, low=_SMALLEST_SIDE, high=_LARGEST_SIDE, unit="texels",
-        unset="two texels along an edge, 256 to 8192; or as in the old texture", metavar="N",
-    )  # fmt: skip
-    padding: int = parameter(
-        4,
-        "Distance between the charts of a new texture.",
-        low=0, high=64, unit="texels", metavar="N",
-    )  # fmt: skip
-    keep_uv: bool = parameter(False, "Use the texture coordinates of INPUT rather than make new ones.")
-    max_unwrap_faces: int = parameter(
-        100_000,
-        "The largest mesh to unwrap: 16 thousand triangles take some 7 s, 82 thousand 2 minutes, as the "
-        "time grows faster than their number.",
-        low=1, unit="triangles", metavar="COUNT", is_deliberate=True,
-    )  # fmt: skip
-
-    def __post_init__(self) -> None:
-        check(self)
-        if self.size is not None and self.size <= 4 * self.padding:
-            raise UsageError(f"a size of {self.size} leaves no room between paddings of {self.padding}")
-
-
-DEFAULT_BAKE = BakeSettings()
 
 
 def describe_settings(settings: SmoothSettings) -> dict[str, object]:

@@ -26,8 +26,6 @@ _FRONT = {
 Window = tuple[float, float, float, float]
 """Part of a view: left, upper, right and lower border, as fractions of its width and height."""
 
-WHOLE: Window = (0.0, 0.0, 1.0, 1.0)
-
 
 def centred_window(zoom: float) -> Window:
     """Return the middle of a view, which is enlarged by `zoom`."""

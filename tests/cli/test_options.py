@@ -13,8 +13,8 @@ from beltrami_cli.cli import options
 from beltrami_cli.cli.main import group
 from beltrami_cli.errors import UsageError
 from beltrami_cli.fields import override, parameters
-from beltrami_cli.jobs.settings import Limits, NoiseSettings
-from beltrami_cli.samples.settings import DEFAULTS, BakeSettings, SmoothSettings
+from beltrami_cli.jobs.settings import BakeSettings, Limits, NoiseSettings
+from beltrami_cli.samples.settings import DEFAULTS, SmoothSettings
 from beltrami_cli.view.settings import RenderSettings
 from cli.commands import COMMAND, SAMPLES, beltrami
 
@@ -66,6 +66,19 @@ def test_every_parameter_is_an_option_with_its_help_and_range(name, declared):
     assert declared.help in option.help
     if declared.kind in (int, float) and (declared.low, declared.high) != (None, None):
         assert declared.range in option.help
+
+
+@pytest.mark.parametrize(
+    "declared", [each for each in parameters(SmoothSettings, deep=True) if "FILE" in (each.metavar or "")],
+    ids=lambda each: each.name,
+)  # fmt: skip
+def test_files_that_parameters_name_are_guarded_and_named_by_users_only(declared, tmp_path):
+    path = tmp_path / "named.npy"
+    path.touch()
+    settings = override(DEFAULTS, **{declared.name: (str(path),) if declared.several else str(path)})
+    assert settings.files_besides() == [str(path)]
+    assert settings.files_besides(str(path)) == []
+    assert declared.is_deliberate
 
 
 @pytest.mark.parametrize(

@@ -146,6 +146,13 @@ def test_without_a_grid_of_the_right_size_vertices_are_no_image(size):
     assert PlyDocument(organised(size), "a.ply").grid() is None
 
 
+def test_a_ply_file_without_vertices_has_no_grid():
+    from beltrami_cli.formats.ply import PlyDocument
+
+    text = b"ply\nformat ascii 1.0\nelement range_grid 1\nproperty list uchar int vertex_indices\nend_header\n0\n"
+    assert PlyDocument(text, "a.ply").grid() is None
+
+
 def test_faces_count_more_than_a_grid(tmp_path):
     data = FILES["obj_info"].replace(
         b"end_header\n", b"element face 1\nproperty list uchar int vertex_indices\nend_header\n"

@@ -15,12 +15,13 @@ from beltrami_cli.flow.geometry import GeometryParameters
 from beltrami_cli.flow.grid_manifold import GridManifold
 from beltrami_cli.flow.mesh_partitions import Neighbours
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.flow.partitions import InTurn, collect, plan_transfers
+from beltrami_cli.flow.partitions import collect, plan_transfers
 from beltrami_cli.samples.image_surface import ImageSurface, grid_flow
 from properties.split_surfaces import (
     FIXED,
     ON_GRIDS,
     SURFACE,
+    InTurn,
     image_flow,
     noisy,
     outcome,

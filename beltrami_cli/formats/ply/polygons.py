@@ -100,6 +100,8 @@ def read_grid(header: bytes, tables: Mapping[str, Table], name: str) -> NDArray[
     """Return the vertices on the grid, (H, W), -1 where nothing was measured; None without a grid, or with faces."""
     if any(tables[other].element.count for other in ("face", "tristrips") if other in tables):
         return None
+    if "vertex" not in tables:
+        return None
     vertices = tables["vertex"].element.count
     sizes = {word.decode().lower(): int(number) for word, number in _SIZE.findall(header)}
     columns = next((sizes[word] for word in _COLUMNS if word in sizes), 0)

@@ -14,11 +14,12 @@ from beltrami_cli.jobs.compare.figures import ComparedColours, SeamJumps
 from beltrami_cli.jobs.compare.measures import cie_lab, delta_e_2000, structural_similarity
 from beltrami_cli.jobs.compare.seams import near_seams, seam_steps, texel_areas
 from beltrami_cli.samples.memory_check import require_memory
+from beltrami_cli.samples.painted_samples import choose_channels
 from beltrami_cli.samples.pixel_samples import PixelSamples
 from beltrami_cli.samples.selection import coloured_vertices
 from beltrami_cli.samples.texel_colours import TexelColours, choose_textures
 from beltrami_cli.samples.texel_samples import TexelSamples
-from beltrami_cli.samples.vertex_samples import choose_channels, with_surface
+from beltrami_cli.samples.vertex_samples import with_surface
 from beltrami_cli.samples.voxels import LevelSetDocument
 from beltrami_cli.surface.colour_values import srgb_to_linear
 from beltrami_cli.surface.geometry import vertex_areas

@@ -1,0 +1,137 @@
+"""The common part of coloured vertices, whether triangles join them or a grid does."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+from beltrami_cli.flow.colour_space import from_space, to_space
+from beltrami_cli.samples.reports import VertexReport
+from beltrami_cli.samples.samples import Change, Grains, Part, Repainted, Samples, channel_numbers
+from beltrami_cli.samples.settings import describe_choice
+from beltrami_cli.surface.grouping import group_equal_rows
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from beltrami_cli.flow.beltrami_flow import BeltramiFlow, FlowResult
+    from beltrami_cli.flow.embedding import Guide
+    from beltrami_cli.samples.settings import SmoothSettings
+    from beltrami_cli.surface.records import PaintedVertices
+
+
+@dataclass(frozen=True)
+class ChosenChannels:
+    """Columns of vertex colours."""
+
+    sampled: list[int]
+    changing: list[int]
+    metric: list[int] | None  # among the sampled ones; None: all
+
+    @property
+    def written(self) -> list[int]:
+        """Those that change, counted among the sampled ones."""
+        return [self.sampled.index(channel) for channel in self.changing]
+
+
+def choose_channels(painted: PaintedVertices, settings: SmoothSettings) -> ChosenChannels:
+    """Choose the columns of vertex colours; UsageError if the settings name absent channels."""
+    changing = channel_numbers(painted.channels, settings.channels, "the colours have")
+    wanted = settings.embedding.metric_channels
+    in_metric = changing
+    if wanted is not None:
+        in_metric = channel_numbers(painted.channels, wanted, "the colours have")
+    channels = sorted({*changing, *in_metric})
+    metric = None if in_metric == channels else [channels.index(channel) for channel in in_metric]
+    return ChosenChannels(channels, changing, metric)
+
+
+def describe_colours(painted: PaintedVertices) -> dict[str, object]:
+    """Return facts about colours of vertices, in JSON types."""
+    colours = painted.colours
+    return {
+        "channels": list(painted.channels),
+        "stored": painted.stored,
+        "encoding": painted.encoding,
+        "least": [float(value) for value in colours.min(axis=0)] if len(colours) else [],
+        "greatest": [float(value) for value in colours.max(axis=0)] if len(colours) else [],
+    }
+
+
+class PaintedSamples(Samples):
+    """The common part of vertices on a mesh and on a grid; `guides` have one row per vertex."""
+
+    part: ClassVar[Part] = "vertices"
+
+    def __init__(
+        self, painted: PaintedVertices, settings: SmoothSettings, guides: Sequence[Guide] = ()
+    ) -> None:
+        self.painted, self.settings, self.guides = painted, settings, tuple(guides)
+        self.channels = choose_channels(painted, settings)
+        self.names = tuple(painted.channels[channel] for channel in self.channels.sampled)
+
+    def require_writable(self) -> None:
+        """Accept all: documents raise errors about what they cannot store."""
+
+    def grains(self) -> Grains:
+        """Assign one random number to each place, so that split vertices stay equal."""
+        rows = self.coloured()
+        painted, channels = self.painted, self.channels.changing
+        colours = to_space(painted.colours[rows][:, channels], painted.encoding, self.settings.space)
+        return Grains(colours, places_of(painted, rows))
+
+    def coloured(self) -> NDArray[np.intp]:
+        """Return the vertices that have a position and a colour."""
+        return coloured_rows(self.painted)
+
+    def shift(self, grains: Grains, after: NDArray[np.float32]) -> Repainted:
+        """Replace the colours in `grains` by others."""
+        painted, channels, rows = self.painted, self.channels.changing, self.coloured()
+        back = from_space(after, painted.encoding, self.settings.space)
+        colours = painted.colours.copy()
+        changed = colours[rows]
+        # Conversion to the working space and back is not exact: unchanged colours keep their bits.
+        changed[:, channels] = np.where(after != grains.colours, back, changed[:, channels])
+        colours[rows] = changed
+        return Repainted(Change.between(painted.colours, colours), colours)
+
+    def _report(self, flow: BeltramiFlow[Any], result: FlowResult, counts: dict[str, float]) -> VertexReport:
+        """Return the report, with counts of the kind of samples."""
+        return VertexReport(
+            counts={
+                "vertices": len(self.painted.positions),
+                **counts,
+                "samples_per_kernel": round(result.samples_per_kernel, 2),
+                "truncated_kernels": result.truncated,
+            },
+            spacing=result.spacing,
+            beta=result.beta,
+            iterations=flow.parameters.iterations,
+            noise=self.named(result.sigma),
+            change={},
+            guides=flow.manifold.guide_betas,
+            geometry=None,
+            choice=describe_choice(result.choice),
+        )
+
+
+def coloured_rows(painted: PaintedVertices, *, in_triangles: bool = False) -> NDArray[np.intp]:
+    """Return the vertices with a finite position, or only those in triangles."""
+    valid = np.asarray(np.isfinite(painted.positions).all(axis=1))
+    if in_triangles:
+        found = np.zeros(len(valid), bool)
+        found[painted.faces] = True
+        valid &= found
+    return np.flatnonzero(valid)
+
+
+def places_of(painted: PaintedVertices, rows: NDArray[np.intp]) -> NDArray[np.int32]:
+    """Return the number of each vertex's place, shape (S,)."""
+    columns = list(painted.positions[rows].T)
+    if painted.space_of is not None:
+        columns.append(painted.space_of[rows])
+    return group_equal_rows(*columns)[0]
