@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from beltrami_cli.cli.console import Messages, printable
+from beltrami_cli.cli.console import NO_NOISE, Messages, printable
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -113,8 +113,7 @@ def show_table(outcomes: Sequence[Outcome]) -> None:
 def _figures(outcome: Outcome) -> tuple[str, str, str]:
     seconds = f"{outcome.seconds:.1f} s" if outcome.seconds else ""
     report: dict[str, Any] = outcome.report or {}
-    parts = [part for part in (report.get("vertices"), report.get("image")) if part]
-    parts += report.get("textures", [])
+    parts = _parts(report)
     if outcome.status == "failed" or not parts:
         return seconds, "", ""
     noise = max((max(part["noise"].values(), default=0.0) for part in parts), default=0.0)
@@ -122,11 +121,22 @@ def _figures(outcome: Outcome) -> tuple[str, str, str]:
     return seconds, f"{255 * noise:.1f}/255", f"{255 * change:.1f}/255"
 
 
+def _parts(report: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return what was smoothed of a file."""
+    parts = [report.get("vertices"), report.get("image"), *report.get("textures", [])]
+    return [part for part in parts if part]
+
+
 def _remark(outcome: Outcome) -> str:
     if outcome.error:
         return outcome.error
-    warnings = (outcome.report or {}).get("warnings")
-    return "; ".join(warnings) if isinstance(warnings, list) else ""
+    report: dict[str, Any] = outcome.report or {}
+    remarks = list(report.get("warnings", []))
+    parts = _parts(report)
+    is_chosen = "iterations" in report.get("parameters", {}).get("free", ())
+    if parts and is_chosen and not any(part["iterations"] for part in parts):
+        remarks.append(f"noise {NO_NOISE}, so it is left as it is")
+    return "; ".join(remarks)
 
 
 def _bar() -> Progress:

@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from beltrami_cli.cli import options
-from beltrami_cli.cli.console import printable
+from beltrami_cli.cli.console import counted, printable
 from beltrami_cli.cli.help import HelpfulCommand
 
 EPILOG = """\b
@@ -47,6 +47,13 @@ def command(before: str, after: str, as_json: bool, quiet: bool, verbose: int, *
         for difference in report.differences:
             mark = "colour" if difference.of_colour else "OTHER"
             click.echo(printable(f"{mark:>6}  {difference.what}: {difference.detail}"))
-        others = sum(not difference.of_colour for difference in report.differences)
-        click.echo(f"{others} things besides colours differ" if others else "nothing else differs")
+        click.echo(_summary(sum(not each.of_colour for each in report.differences), len(report.differences)))
     return 0 if report.faithful else 1
+
+
+def _summary(others: int, differences: int) -> str:
+    """Say how many things differ that are no colours, or that nothing does."""
+    if others:
+        verb = "differs" if others == 1 else "differ"
+        return f"{counted(others, 'thing')} besides colours {verb}"
+    return "nothing else differs" if differences else "nothing differs"

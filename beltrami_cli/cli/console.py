@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 printable = one_line
 """Text that moves no cursor and fits any terminal."""
 
+NO_NOISE = "no more than rounding makes"
+ALL_THE_SAME = "to smooth all the same, give -n 3 --beta 10"
+
 
 def counted(number: int, noun: str) -> str:
     """Return a number of things in words."""

@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from beltrami_cli.cli import options
-from beltrami_cli.cli.console import choice_in_words, printable
+from beltrami_cli.cli.console import ALL_THE_SAME, NO_NOISE, choice_in_words, printable
 from beltrami_cli.cli.help import HelpfulCommand
 
 EPILOG = """\b
@@ -72,7 +72,7 @@ def _choice(smooth: dict[str, Any]) -> str | None:
     """Say what would be chosen, and by what; None: all is given."""
     if "choice" in smooth:
         return choice_in_words(smooth["choice"])
-    return None if smooth["iterations"] else "nothing to smooth: the noise is no more than rounding makes"
+    return None if smooth["iterations"] else f"nothing to smooth: the noise is {NO_NOISE}; {ALL_THE_SAME}"
 
 
 def _rows(key: str, value: Any) -> list[tuple[str, str]]:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, cast
 import click
 
 from beltrami_cli.cli import options
-from beltrami_cli.cli.console import choice_in_words, counted
+from beltrami_cli.cli.console import ALL_THE_SAME, NO_NOISE, choice_in_words, counted
 from beltrami_cli.cli.help import HelpfulCommand
 from beltrami_cli.errors import OutputError, UsageError
 from beltrami_cli.jobs.job import Job
@@ -214,7 +214,7 @@ def _show_costs(messages: Messages, report: SmoothReport, *, dry_run: bool) -> N
 def _show_done(messages: Messages, what: str, done: Done, samples: float) -> None:
     noise = f"{what}, noise {255 * max(done.noise.values(), default=0):.1f}/255"
     if not done.iterations:
-        messages.say(f"{noise}, no more than rounding makes: the colours are left as they are")
+        messages.say(f"{noise}, {NO_NOISE}, so the colours are left as they are; {ALL_THE_SAME}")
         return
     messages.say(
         f"{noise}, beta {done.beta:.3g}, {samples:.0f} samples a kernel, "

@@ -15,6 +15,7 @@ from beltrami_cli.formats.image.recognition import is_image
 from beltrami_cli.jobs.writing.output import Output, Overwrite
 from beltrami_cli.view.drawing import draw_views
 from beltrami_cli.view.settings import DEFAULT_RENDER, MOST_PIXELS, Crop, RenderSettings
+from beltrami_cli.view.sheet import distinct_labels
 from beltrami_cli.view.tracing import require_embree
 from beltrami_cli.view.views import open_view
 
@@ -114,7 +115,7 @@ def encoded(picture: NDArray[np.uint8], target: str, suffix: str) -> Written:
 def _labels(names: Sequence[str], settings: RenderSettings) -> list[str]:
     labels = settings.labels
     if labels is None:
-        return [Path(name).name for name in names] if len(names) > 1 else [""]
+        return distinct_labels(names) if len(names) > 1 else [""]
     if labels and len(labels) != len(names):
         raise UsageError(f"there are {len(labels)} labels for {len(names)} files; give one --label for each")
     return list(labels) or [""] * len(names)

@@ -24,6 +24,7 @@ from beltrami_cli.samples.settings import DEFAULTS, SmoothSettings
 from beltrami_cli.view.charts import histogram, seam_map, swipe
 from beltrami_cli.view.models import ModelPacker, bounding_box
 from beltrami_cli.view.pages import PAGES, asset, page_from, table
+from beltrami_cli.view.sheet import distinct_labels
 from beltrami_cli.view.views import sheet_of, texture_sheet
 
 if TYPE_CHECKING:
@@ -151,7 +152,7 @@ def _page(names: list[str], found: _Found, parameters: str) -> bytes:
             f'<script type="application/json" id="models">{found.models}</script>\n'
             f"<script>{asset('three.js')}</script>\n<script>{asset('viewer.js')}</script>"
         )
-    short = [Path(name).name for name in names]
+    short = distinct_labels(names)
     return page_from(
         "report.html",
         title=html.escape(f"{short[0]} and {short[1]}"),

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import takewhile
+from pathlib import PurePath, PurePosixPath
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -48,6 +50,26 @@ class Panel:
     label: str = ""
     details: Sequence[NDArray[np.float32]] = ()
     windows: Sequence[Window] = ()
+
+
+def distinct_labels(paths: Sequence[str]) -> list[str]:
+    """Return the names of files; of files with equal names, also what differs in their folders."""
+    parts = [PurePath(path).parts for path in paths]
+    labels = []
+    for own in parts:
+        alike = [other[:-1] for other in parts if other[-1:] == own[-1:]]
+        first = _shared(alike)
+        last = _shared([folders[first:][::-1] for folders in alike])
+        differing = own[first : len(own) - 1 - last]
+        between = ("...",) if last and differing else ()
+        labels.append(str(PurePosixPath(*differing, *between, *own[-1:])))
+    return labels
+
+
+def _shared(rows: Sequence[Sequence[str]]) -> int:
+    """Return how many words all rows begin with."""
+    columns = zip(*rows, strict=False)  # as long as the shortest
+    return len([*takewhile(lambda column: len({*column}) == 1, columns)])
 
 
 def is_lost_on_white(views: Sequence[NDArray[np.float32]]) -> bool:

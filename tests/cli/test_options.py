@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 import subprocess
 
 import click
@@ -13,6 +14,7 @@ from beltrami_cli.cli import options
 from beltrami_cli.cli.main import group
 from beltrami_cli.errors import UsageError
 from beltrami_cli.fields import override, parameters
+from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.jobs.settings import BakeSettings, Limits, NoiseSettings
 from beltrami_cli.samples.settings import DEFAULTS, SmoothSettings
 from beltrami_cli.view.settings import RenderSettings
@@ -183,3 +185,14 @@ def test_no_iterations_say_that_the_file_was_copied(tmp_path):
     assert converted.returncode == 0
     assert b"copied" not in converted.stderr
     assert b"colours are unchanged" in converted.stderr
+
+
+def test_the_window_that_the_help_allows_is_the_one_that_is_taken():
+    smooth = group.get_command(click.Context(group), "smooth")
+    (window,) = (option for option in smooth.params if option.name == "window")
+    low, high = re.search(r"odd, and between (\d+) and (\d+)\]", window.help).groups()
+    for width in (int(low), int(high)):
+        assert KernelParameters(window=width).window == width
+    for width in (int(low) - 2, int(low) + 1, int(high) + 2):
+        with pytest.raises(UsageError, match=f"between {low} and {high}"):
+            KernelParameters(window=width)

@@ -236,6 +236,7 @@ def test_the_command_lists_and_exits_as_it_says(tmp_path: Path) -> None:
     assert (run.returncode, run.stderr) == (0, "")
     assert "colour  vertex colours:" in run.stdout
     assert run.stdout.endswith("nothing else differs\n")
+    assert check(str(source)).stdout == "nothing differs\n"
     data = json.loads(check(str(after), "--json").stdout)
     assert data["faithful"]
     assert data["differences"][0]["of_colour"]
@@ -243,6 +244,7 @@ def test_the_command_lists_and_exits_as_it_says(tmp_path: Path) -> None:
     run = check(str(after))
     assert run.returncode == 1
     assert "OTHER  what follows the last element" in run.stdout
+    assert run.stdout.endswith("\n1 thing besides colours differs\n")
     assert check(str(after), "-q").stdout == ""
     assert check(str(SAMPLES / "nonmanifold-noisy.obj")).returncode == 2
     assert check(str(tmp_path / "absent.ply")).returncode == 3

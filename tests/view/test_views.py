@@ -14,7 +14,7 @@ from beltrami_cli.view.camera import centred_window, fitted, orientation
 from beltrami_cli.view.drawing import draw_views, richest_window
 from beltrami_cli.view.paint import TexturePaint, VertexPaint
 from beltrami_cli.view.settings import RenderSettings
-from beltrami_cli.view.sheet import Background, Panel, arranged, displayed, is_lost_on_white
+from beltrami_cli.view.sheet import Background, Panel, arranged, displayed, distinct_labels, is_lost_on_white
 from beltrami_cli.view.tracing import AMBIENT, LAMP, SurfaceView
 from beltrami_cli.view.views import CloudView, ImageView, within_reach
 from oracles import surfaces
@@ -265,3 +265,18 @@ def test_what_would_be_lost_on_white_is_shown_on_grey():
     assert behind(bright, background="white") == white
     # A picture that fills its view has no outline that could be lost, however white it is.
     assert not is_lost_on_white([np.ones((8, 8, 4), np.float32)])
+
+
+@pytest.mark.parametrize(
+    ("paths", "labels"),
+    [
+        (["a/scan.ply", "b/other.ply"], ["scan.ply", "other.ply"]),
+        (["a/scan.ply", "b/scan.ply", "c/other.ply"], ["a/scan.ply", "b/scan.ply", "other.ply"]),
+        (["runs/1/out/scan.ply", "runs/2/out/scan.ply"], ["1/.../scan.ply", "2/.../scan.ply"]),
+        (["scan.ply", "clean/scan.ply"], ["scan.ply", "clean/scan.ply"]),
+        (["/data/scan.ply", "scan.ply"], ["/data/scan.ply", "scan.ply"]),
+        (["a/scan.ply", "a/scan.ply"], ["scan.ply", "scan.ply"]),
+    ],
+)
+def test_files_of_one_name_are_labelled_by_what_differs_in_their_paths(paths, labels):
+    assert distinct_labels(paths) == labels
