@@ -12,9 +12,9 @@ settings.load_profile("patient")
 
 # Signals, FIFOs, limits of resources, terminals and shells as POSIX has them.
 _OF_POSIX = [
-    "cli/test_batch_command.py",
+    "batch/test_batch_command.py",
+    "batch/test_shell_and_make.py",
     "cli/test_memory_option.py",
-    "cli/test_shell_and_make.py",
     "cli/test_smooth_command.py",
     "formats/test_gltf_container.py",
     "hostile",

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
+from batch.dask_cluster import Cluster
 from beltrami_cli.batch.cluster_files import ClusterExecutor
 from beltrami_cli.batch.cluster_partitions import ClusterRunner
 from beltrami_cli.batch.item import Item
@@ -27,7 +28,6 @@ from beltrami_cli.samples.image_surface import ImageSurface, grid_flow
 from beltrami_cli.samples.settings import SmoothSettings
 from beltrami_cli.surface.records import SampledSurface
 from cli.commands import SAMPLES
-from cli.dask_cluster import Cluster
 from oracles import surfaces
 
 REPEATS = 2

@@ -8,12 +8,12 @@ import shutil
 
 import pytest
 
+from batch.batches import QUICK, batch, files_in, lines_of, statuses, write_textured
 from beltrami_cli.batch.item import Item
 from beltrami_cli.batch.record import Record
 from beltrami_cli.batch.run import run_batch
 from beltrami_cli.errors import InputError
 from beltrami_cli.samples.settings import DEFAULTS
-from cli.batches import QUICK, batch, files_in, lines_of, statuses, write_textured
 from cli.commands import SAMPLES
 
 MINE = b"written by somebody else"

@@ -14,6 +14,7 @@ FOLDER = Path(__file__).parents[2] / "sample_data"
 def make():
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(FOLDER))
+        patch.delitem(sys.modules, "samples", raising=False)  # the folder of tests
         import make
 
         yield make

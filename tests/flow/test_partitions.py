@@ -17,7 +17,7 @@ from beltrami_cli.flow.mesh_partitions import Neighbours
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.partitions import collect, plan_transfers
 from beltrami_cli.samples.image_surface import ImageSurface, grid_flow
-from properties.split_surfaces import (
+from flow.split_surfaces import (
     FIXED,
     ON_GRIDS,
     SURFACE,

@@ -10,7 +10,7 @@ import pytest
 from beltrami_cli.flow import grid_manifold
 from beltrami_cli.flow.grid_manifold import GridManifold
 from beltrami_cli.flow.parameters import KernelParameters
-from properties.split_surfaces import FIXED, ON_GRIDS, image_flow, outcome, same_bits, textured_flow
+from flow.split_surfaces import FIXED, ON_GRIDS, image_flow, outcome, same_bits, textured_flow
 from properties.textured_planes import smoothed
 
 THREE_ITERATIONS = {**FIXED, "iterations": 3, "metric_steps": 2}

@@ -8,9 +8,9 @@ import time
 
 import pytest
 
-from cli.batches import QUICK
+from batch.batches import QUICK
+from batch.dask_cluster import Cluster
 from cli.commands import COMMAND, SAMPLES
-from cli.dask_cluster import Cluster
 
 pytest.importorskip("distributed")
 pytestmark = pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl makes the certificates")

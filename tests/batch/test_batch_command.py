@@ -11,8 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from beltrami_cli.formats.registry import open_document
-from cli.batches import (
+from batch.batches import (
     QUICK,
     batch,
     copies,
@@ -23,6 +22,7 @@ from cli.batches import (
     statuses,
     write_textured,
 )
+from beltrami_cli.formats.registry import open_document
 from cli.commands import COMMAND, SAMPLES, beltrami
 
 KINDS = ("terrain-noisy.ply", "nonmanifold-noisy.obj", "terrain-noisy.glb")

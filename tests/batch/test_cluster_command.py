@@ -10,16 +10,16 @@ import sys
 import numpy as np
 import pytest
 
+from batch.batches import QUICK, batch, copies, files_in, lines_of, smoothed, write_textured
+from batch.dask_cluster import Cluster
 from beltrami_cli.batch.cluster_partitions import ClusterRunner
 from beltrami_cli.batch.item import Item, do_item
 from beltrami_cli.cli.main import group
 from beltrami_cli.flow.beltrami_flow import in_partitions
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.samples.settings import SmoothSettings
-from cli.batches import QUICK, batch, copies, files_in, lines_of, smoothed, write_textured
 from cli.commands import COMMAND, SAMPLES
-from cli.dask_cluster import Cluster
-from properties.split_surfaces import FIXED, SURFACE, smooth_mesh
+from flow.split_surfaces import FIXED, SURFACE, smooth_mesh
 
 pytest.importorskip("distributed")
 
