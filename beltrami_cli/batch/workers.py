@@ -105,7 +105,8 @@ class Workers:
     def _start_process(self) -> _Worker:
         ours, theirs = self._context.Pipe()
         process = self._context.Process(target=_work, args=(theirs,), daemon=True)
-        process.start()
+        with _without_interrupts():
+            process.start()
         theirs.close()  # so that the pipe ends with the process
         return _Worker(process, ours)
 
@@ -116,6 +117,22 @@ class Workers:
         how = f"by signal {-code}" if code < 0 else f"with code {code}"
         cause = f"{item.source}: the process that worked on it ended {how}; there may be too little memory"
         return Attempt(failed(item, cause, 1), wants_memory=True)
+
+
+@contextlib.contextmanager
+def _without_interrupts() -> Iterator[None]:
+    """Start processes that Ctrl-C, which reaches all, does not end with a traceback while they load their modules."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    from multiprocessing import resource_tracker
+
+    resource_tracker.ensure_running()  # which would let the signal through again when it starts
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _work(pipe: Connection[Any, Any]) -> None:

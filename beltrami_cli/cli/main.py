@@ -12,12 +12,13 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import click
 
 from beltrami_cli.cli.console import printable
+from beltrami_cli.cli.interruption import Interruption, Listener
 from beltrami_cli.cli.names import blamed_variable, spelled, with_variables
-from beltrami_cli.errors import BeltramiError
+from beltrami_cli.cli.streams import prepare_streams
+from beltrami_cli.errors import BeltramiError, InputError
 
 if TYPE_CHECKING:
     from collections.abc import Collection
-    from types import FrameType
 
     from beltrami_cli.cli.configuration import Configuration
 
@@ -37,16 +38,7 @@ COMMANDS = {
     "sweep": "Smooth with many settings, and show all results together.",
 }
 
-INTERRUPTED = 130
-_ENDINGS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
-
-
-class Interruption(BaseException):
-    """Ctrl-C, or a request to end.
-
-    A KeyboardInterrupt that passes through exec, which libraries call while they are imported, makes Python kill itself
-    at its end, whatever exit code was asked for.
-    """
+_INTERRUPTED = "interrupted; files are as they were, or complete"
 
 
 class LazyGroup(click.Group):
@@ -98,7 +90,7 @@ beltrami COMMAND --help shows the most important options of a command, --help-al
 
 \b
 Exit codes: 0 done; 1 processing failed; 2 wrong usage; 3 input unreadable or not fit;
-4 output not writable; 130 interrupted.
+4 output not writable; 130 interrupted, 143 ended by SIGTERM, 129 by SIGHUP.
 
 \b
 Shell completion, for bash (zsh and fish likewise):
@@ -161,30 +153,20 @@ def main() -> NoReturn:
     """Run the command line and exit with the documented code."""
     # OpenBLAS takes some 30 MB a processor for products of large matrices, of which there are none here.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    heard = [
-        ending for ending in _ENDINGS if signal.getsignal(ending) is not signal.SIG_IGN
-    ]  # as nohup wants it
-    code = INTERRUPTED
-    try:
-        for ending in heard:
-            signal.signal(ending, _interrupt)
-        code = _run()
-    except Interruption:  # while the last words were said
-        pass
-    finally:  # What comes from now on ends the process without more ado.
-        for ending in heard:
-            signal.signal(ending, signal.SIG_DFL)
-    sys.exit(code)
+    sys.exit(Listener().run(_run))
 
 
 def _run() -> int:
     """Run the command line, print how it failed if it did, and return the exit code."""
     try:
-        if not any(map(_verbosity, sys.argv[1:])):
-            _part_from_libraries()
-        return group.main(prog_name="beltrami", standalone_mode=False) or 0
-    except (click.Abort, Interruption):
-        return _failure(INTERRUPTED, "interrupted; files are as they were, or complete")
+        prepare_streams(hear_libraries=any(map(_verbosity, sys.argv[1:])))
+        code = group.main(prog_name="beltrami", standalone_mode=False) or 0
+        sys.stdout.flush()
+        return code
+    except Interruption as error:
+        return _failure(error.exit_code, _INTERRUPTED)
+    except click.Abort:
+        return _failure(128 + signal.SIGINT, _INTERRUPTED)
     except click.ClickException as error:
         error.show()
         if variable := blamed_variable(error):
@@ -199,24 +181,17 @@ def _run() -> int:
     except Exception as error:  # the last resort: even a mistake of ours ends in one line
         if _wants_traceback():
             traceback.print_exc()
+        if not _has_working_folder():
+            return _failure(InputError.exit_code, "the working folder was removed; change to one that exists")
         cause = " ".join(f"{type(error).__name__}: {error}".split())
         return _failure(1, f"unexpected error: {cause}; run again with -vv and report it")
 
 
-def _interrupt(number: int, frame: FrameType | None) -> NoReturn:
-    raise Interruption
-
-
-def _part_from_libraries() -> None:
-    """Keep messages of image decoders, which write to the standard error themselves, out of ours."""
+def _has_working_folder() -> bool:
     try:
-        ours = os.dup(sys.stderr.fileno())
-    except (AttributeError, OSError, ValueError):  # There is none, or it is no file.
-        return
-    sys.stderr = os.fdopen(ours, "w", buffering=1, encoding=sys.stderr.encoding, errors="backslashreplace")
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nowhere, 2)
-    os.close(nowhere)
+        return bool(os.getcwd())  # noqa: PTH109
+    except OSError:
+        return False
 
 
 def _wants_traceback() -> bool:

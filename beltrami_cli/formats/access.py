@@ -100,9 +100,13 @@ def read_source(source: str, access: Access = EVERYTHING_INSIDE) -> bytes:
 
 def _read_stdin(access: Access) -> bytes:
     blocks, size = [], 0
-    while block := sys.stdin.buffer.read(_BLOCK):
-        blocks.append(block)
-        size += len(block)
-        if access.memory is not None and size > access.memory:
-            raise InputError("<stdin>", f"it has more than {access.memory} bytes", "raise --max-memory")
+    try:
+        while block := sys.stdin.buffer.read(_BLOCK):
+            blocks.append(block)
+            size += len(block)
+            if access.memory is not None and size > access.memory:
+                raise InputError("<stdin>", f"it has more than {access.memory} bytes", "raise --max-memory")
+    except OSError as error:
+        cause = f"cannot be read ({error.strerror or error})"
+        raise InputError("<stdin>", cause, "pipe the model in, or give a file") from error
     return b"".join(blocks)

@@ -118,7 +118,10 @@ class VertexSamples(PaintedSamples):
         manifold = flow.manifold
         moving = {}
         if manifold.moving is not None:
-            moving = {"normal_noise": manifold.moving.sigma, "normal_beta": manifold.moving.beta}
+            moving = {
+                "normal_noise": float(manifold.moving.sigma),
+                "normal_beta": float(manifold.moving.beta),
+            }
         held = round(manifold.samples_per_kernel(_PROBED_KERNELS, flow.step(0)), 1)
         return {
             "colours": describe_colours(painted),

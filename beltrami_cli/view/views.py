@@ -34,6 +34,7 @@ _NEIGHBOURS = 4  # on a square grid, all at one distance
 _SHARE = 0.75  # of the distance to the last of them: a little more than half the diagonal of the grid
 _LARGEST = 3.0  # times the median radius
 _LONE = 0.02  # radius in widths of the view of a place without neighbours
+_STAMPED = 12.0  # radius in samples, up to which discs are drawn all at once
 _SMALLEST = 0.75  # radius in samples, below which points would fall between them
 
 
@@ -190,8 +191,29 @@ def _discs(
 ) -> NDArray[np.float32]:
     """Return discs drawn over each other, (height, width, 4); later ones are nearer and hide earlier ones."""
     width, height = size
-    front = np.full(width * height, -1, np.int64)  # the number of the disc that is seen
-    reach = int(np.ceil(radii.max(initial=0)))
+    front = np.full((height, width), -1, np.int64)  # the number of the disc that is seen
+    is_small = radii <= _STAMPED
+    _stamp_small(front, np.flatnonzero(is_small), at, radii)
+    for number in np.flatnonzero(~is_small):
+        _stamp_large(front, number, at[number], radii[number])
+    image = np.zeros((height, width, 4), np.float32)
+    filled = front >= 0
+    image[filled, :3] = colours[front[filled]]
+    image[filled, 3] = 1
+    return image
+
+
+def _stamp_small(
+    front: NDArray[np.int64],
+    discs: NDArray[np.intp],
+    at: NDArray[np.float64],
+    radii: NDArray[np.float64],
+) -> None:
+    """Draw many small discs, all at once for each place around their centres."""
+    height, width = front.shape
+    seen = front.reshape(-1)
+    reach = int(np.ceil(radii[discs].max(initial=0)))
+    at, radii = at[discs], radii[discs]
     corner = np.floor(at).astype(np.int64)
     for down in range(-reach, reach + 1):
         for right in range(-reach, reach + 1):
@@ -199,10 +221,16 @@ def _discs(
             off = cell + 0.5 - at
             inside = np.einsum("kx,kx->k", off, off) <= radii**2
             inside &= ((cell >= 0) & (cell < (width, height))).all(axis=1)
-            discs = np.flatnonzero(inside)
-            np.maximum.at(front, cell[discs, 1] * width + cell[discs, 0], discs)
-    image = np.zeros((width * height, 4), np.float32)
-    filled = front >= 0
-    image[filled, :3] = colours[front[filled]]
-    image[filled, 3] = 1
-    return image.reshape(height, width, 4)
+            stamped = np.flatnonzero(inside)
+            np.maximum.at(seen, cell[stamped, 1] * width + cell[stamped, 0], discs[stamped])
+
+
+def _stamp_large(front: NDArray[np.int64], disc: np.intp, at: NDArray[np.float64], radius: float) -> None:
+    """Draw one disc, on the rows and columns that it covers."""
+    shape = front.shape[::-1]
+    first = np.clip(np.floor(at - radius), 0, shape).astype(np.int64)
+    last = np.clip(np.ceil(at + radius), 0, shape).astype(np.int64)
+    x, y = (np.arange(first[k], last[k]) + 0.5 - at[k] for k in (0, 1))
+    inside = np.square(x)[None, :] + np.square(y)[:, None] <= radius**2
+    part = front[first[1] : last[1], first[0] : last[0]]
+    np.maximum(part, disc, out=part, where=inside)

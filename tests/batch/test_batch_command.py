@@ -134,7 +134,7 @@ def test_a_run_that_is_killed_leaves_no_half_files_and_is_picked_up(number, tmp_
     process = subprocess.Popen([*COMMAND, *arguments], stderr=subprocess.DEVNULL)
     wait_for(lambda: len(list(out.glob("*.ply"))) >= 3)
     process.send_signal(number)
-    assert process.wait() == (130 if number == signal.SIGTERM else -number)
+    assert process.wait() == (143 if number == signal.SIGTERM else -number)
 
     whole = smoothed(scans / "00.ply", tmp_path / "one.ply", *QUICK, "-n", "3")
     made = {path.name: path.stat().st_mtime_ns for path in out.glob("*.ply")}

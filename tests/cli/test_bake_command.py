@@ -299,7 +299,7 @@ def test_an_interrupted_job_leaves_no_file_and_no_process(number, tmp_path):
         time.sleep(0.02)
     job.send_signal(number)
     said = job.communicate(timeout=20)[1]
-    assert job.returncode == 130
+    assert job.returncode == 128 + number
     assert b"files are as they were" in said
     assert child
     assert subprocess.run(["kill", "-0", child], capture_output=True, check=False).returncode != 0

@@ -8,6 +8,8 @@ import shutil
 
 import pytest
 
+from beltrami_cli import SmoothSettings, inspect_file
+from beltrami_cli.fields import override
 from cli.commands import SAMPLES, beltrami
 
 
@@ -157,3 +159,18 @@ def test_vertex_colours_beside_textures_are_described_and_said_to_stay(tmp_path)
     assert "--on both" in facts["notices"][0]
     assert "smooth" in info(tmp_path / "both.ply", "--fast", "--on", "both")
     assert "colours" not in info(tmp_path / "both.ply", "--fast", "--on", "texture")
+
+
+def kinds_in(value):
+    """The types of a value and of all in it."""
+    inner = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
+    return {type(value)}.union(*map(kinds_in, inner))
+
+
+@pytest.mark.parametrize("options", [("--fast",), ("--fast", "--smooth-geometry"), ("--preset", "paper")])
+def test_facts_are_of_json_types_alone_and_can_be_shown(options):
+    name = SAMPLES / "nonmanifold-noisy.obj"
+    settings = override(SmoothSettings(), smooth_geometry="--smooth-geometry" in options)
+    assert kinds_in(inspect_file(name, settings)) <= {dict, list, str, int, float, bool, type(None)}
+    run = beltrami("info", name, *options, text=True)
+    assert (run.returncode, run.stderr) == (0, "")

@@ -109,7 +109,7 @@ def main(source: Path, target: str, number: int) -> None:
         if code == 77:
             print(at - 1)
             return
-        if code not in (130, -signal.SIGKILL):
+        if code not in (128 + number, -signal.SIGKILL):
             print(f"step {at}: exit code {code}")
 
 

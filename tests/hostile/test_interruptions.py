@@ -73,6 +73,80 @@ def test_a_signal_at_a_random_moment(number: signal.Signals, tmp_path: Path) -> 
         time.sleep(moments.uniform(0.05, 1.1) * duration)
         process.send_signal(number)
         said = process.communicate(timeout=60)[1]
-        assert process.returncode in (0, 130, -number)
+        assert process.returncode in (0, 128 + number, -number)
         assert b"Traceback" not in said
         assert faults(before, snapshot(work), finished, number) == []
+
+
+# Ends itself at the n-th line that the command runs of its own, from the first one to the last; 77: there is none.
+AT_A_LINE = """
+import os, signal, sys
+import beltrami_cli.cli.main as command
+from beltrami_cli.cli import interruption
+number, files = int(sys.argv[1]), (command.__file__, interruption.__file__)
+
+def child(at):
+    left = at
+    def trace(frame, event, argument):
+        nonlocal left
+        if frame.f_code.co_filename not in files:
+            return None
+        left -= event == "line"
+        if event == "line" and left == 0:
+            os.kill(os.getpid(), number)
+        return trace
+    signal.signal(number, signal.SIG_DFL)
+    command.group.main = lambda **_: 0
+    sys.argv = ["beltrami"]
+    sys.settrace(trace)
+    try:
+        command.main()
+    finally:
+        sys.settrace(None)
+        if left > 0:
+            os._exit(77)
+
+for at in range(1, 500):
+    pid = os.fork()
+    if pid == 0:
+        child(at)
+    code = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+    if code == 77:
+        break
+    print(code)
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=lambda number: number.name)
+def test_a_signal_at_any_line_of_the_command(number: signal.Signals) -> None:
+    run = subprocess.run(
+        [sys.executable, "-c", AT_A_LINE, str(int(number))],
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=60,
+    )
+    codes = [int(code) for code in run.stdout.split()]
+    assert len(codes) > 30
+    assert set(codes) <= {0, 128 + number, -number}
+    assert "Traceback" not in run.stderr
+
+
+def test_a_signal_in_a_destructor_is_not_lost() -> None:
+    """Python drops exceptions there; the signal is sent again."""
+    program = (
+        "import os, signal, time\n"
+        "from beltrami_cli.cli.interruption import Listener\n"
+        "class Last:\n"
+        "    def __del__(self):\n"
+        "        os.kill(os.getpid(), signal.SIGTERM)\n"
+        "        for _ in range(1000):\n"
+        "            pass\n"
+        "def work():\n"
+        "    Last()\n"
+        "    time.sleep(20)\n"
+        "    return 0\n"
+        "os._exit(Listener().run(work))\n"
+    )
+    run = subprocess.run([sys.executable, "-c", program], capture_output=True, check=False, timeout=10)
+    assert (run.returncode, run.stderr) == (128 + signal.SIGTERM, b"")

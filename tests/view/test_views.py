@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import time
 
 import numpy as np
 import pytest
@@ -13,10 +14,10 @@ from beltrami_cli.surface.records import Texture, TexturedSurface
 from beltrami_cli.view.camera import centred_window, fitted, orientation
 from beltrami_cli.view.drawing import draw_views, richest_window
 from beltrami_cli.view.paint import TexturePaint, VertexPaint
-from beltrami_cli.view.settings import RenderSettings
+from beltrami_cli.view.settings import Crop, RenderSettings
 from beltrami_cli.view.sheet import Background, Panel, arranged, displayed, distinct_labels, is_lost_on_white
 from beltrami_cli.view.tracing import AMBIENT, LAMP, SurfaceView
-from beltrami_cli.view.views import CloudView, ImageView, within_reach
+from beltrami_cli.view.views import CloudView, ImageView, _discs, within_reach
 from oracles import surfaces
 
 pytest.importorskip("embreex")
@@ -280,3 +281,23 @@ def test_what_would_be_lost_on_white_is_shown_on_grey():
 )
 def test_files_of_one_name_are_labelled_by_what_differs_in_their_paths(paths, labels):
     assert distinct_labels(paths) == labels
+
+
+def test_discs_of_any_size_cover_the_samples_within_their_radius():
+    random = np.random.default_rng(8)
+    at, radii = random.uniform(-10, 90, (60, 2)), np.geomspace(0.75, 40, 60)[random.permutation(60)]
+    colours = random.random((60, 3)).astype(np.float32)
+    y, x = np.mgrid[:70, :80] + 0.5
+    expected = np.zeros((70, 80, 4), np.float32)
+    for place, radius, colour in zip(at, radii, colours, strict=True):
+        expected[(x - place[0]) ** 2 + (y - place[1]) ** 2 <= radius**2] = [*colour, 1]
+    assert np.array_equal(_discs(at, radii, colours, (80, 70)), expected)
+
+
+def test_a_few_points_are_drawn_in_a_moment():
+    colours = np.array([[1.0, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0]])
+    view = CloudView(np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]), colours)
+    start = time.process_time()
+    picture = draw_views([view], [""], RenderSettings(size=(600, 600), crops=(Crop(0.1, (0.5, 0.5)),)))
+    assert time.process_time() - start < 10
+    assert [255, 255, 0] in picture[:600, :600].tolist()[300]

@@ -1,0 +1,80 @@
+"""Standard streams that are closed or full, and a working folder that is gone: it works, or ends with a sentence."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+from typing import TYPE_CHECKING
+
+import pytest
+
+from cli.commands import COMMAND, SAMPLES
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+SCAN = SAMPLES / "nonmanifold-noisy.ply"
+QUICK = ("--fast", "-n", "1")
+
+
+def run(redirection: str, *arguments: str, **options: object) -> subprocess.CompletedProcess[bytes]:
+    """Run the command as a shell does with a redirection."""
+    return subprocess.run(
+        ["sh", "-c", f'exec "$@" {redirection}', "sh", *COMMAND, *arguments],
+        capture_output=True, check=False, timeout=60, **options,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "redirection", ["2>&-", "2>/dev/full", "0<&- 1>&- 2>&-", "0<&-", ">&-", ">/dev/full"]
+)
+def test_a_file_is_written_whatever_the_streams_are(redirection: str, tmp_path: Path) -> None:
+    done = run(redirection, "smooth", str(SCAN), str(tmp_path / "out.ply"), *QUICK)
+    assert done.returncode == 0
+    assert (tmp_path / "out.ply").read_bytes().startswith(b"ply")
+    assert [path.name for path in tmp_path.iterdir()] == ["out.ply"]
+
+
+@pytest.mark.parametrize(("redirection", "why"), [(">&-", b"is closed"), (">/dev/full", b"No space left")])
+@pytest.mark.parametrize(
+    "arguments", [("info", str(SCAN)), ("smooth", str(SCAN), "-", *QUICK), ("--help",), ("config",)]
+)
+def test_what_cannot_be_written_to_standard_output_is_said(
+    arguments: tuple[str, ...], redirection: str, why: bytes
+) -> None:
+    done = run(redirection, *arguments)
+    assert (done.returncode, done.stdout) == (4, b"")
+    *_, last = done.stderr.splitlines()
+    assert last.startswith(b"beltrami: <stdout>: ")
+    assert why in last
+    assert b"Traceback" not in done.stderr
+    assert b"unexpected" not in done.stderr
+
+
+def test_an_input_that_is_closed_is_an_empty_one() -> None:
+    done = run("<&-", "info", "-")
+    assert (done.returncode, done.stderr.count(b"\n")) == (3, 1)
+    assert b"<stdin>: the file is empty" in done.stderr
+
+
+def test_an_input_that_cannot_be_read_is_said(tmp_path: Path) -> None:
+    done = run(f"0> {tmp_path}/file", "info", "-")
+    assert (done.returncode, done.stderr.count(b"\n")) == (3, 1)
+    assert b"<stdin>: cannot be read" in done.stderr
+
+
+@pytest.mark.parametrize("home", [{}, {"HOME": ""}, {"HOME": "/nowhere"}])
+def test_a_working_folder_that_was_removed(home: dict[str, str], tmp_path: Path) -> None:
+    variables = {name: value for name, value in os.environ.items() if name != "HOME"} | home
+    gone = 'mkdir gone && cd gone && rmdir ../gone && exec "$@"'
+    ends = (str(SCAN), "out.ply"), (str(SCAN), str(tmp_path / "out.ply"))
+    codes = []
+    for source, target in ends:
+        arguments = ["sh", "-c", gone, "sh", *COMMAND, "smooth", source, target, *QUICK]
+        done = subprocess.run(arguments, cwd=tmp_path, env=variables, capture_output=True, check=False)
+        codes.append(done.returncode)
+        assert b"Traceback" not in done.stderr
+        assert b"unexpected" not in done.stderr
+    assert codes == [3, 0]
+    assert b"working folder" not in done.stderr
+    assert (tmp_path / "out.ply").exists()
