@@ -166,8 +166,9 @@ def _show_unchanged(messages: Messages, report: SmoothReport, *, unwrapped: bool
     messages.warn_of(report.input, report.warnings)
     same = Path(report.input).suffix.lower() == f".{report.format}" and not unwrapped
     what = "would be" if dry_run else "is"
+    names = ", but for the names of the files beside it" if len(report.written) > 1 else ""
     messages.say(
-        f"{report.output}: no iterations, so the file {what} copied unchanged"
+        f"{report.output}: no iterations, so the file {what} copied unchanged{names}"
         if same
         else f"{report.output}: no iterations, so the colours are unchanged"
     )

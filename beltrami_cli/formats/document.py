@@ -13,6 +13,7 @@ A format is a subclass of `Document`, in a folder of its own, and a line of `for
 
 from __future__ import annotations
 
+import re
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, ClassVar
@@ -20,7 +21,7 @@ from typing import TYPE_CHECKING, ClassVar
 from beltrami_cli.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
 
     import numpy as np
     from numpy.typing import NDArray
@@ -36,8 +37,34 @@ if TYPE_CHECKING:
 
 Bytes = bytes | bytearray | memoryview
 NO_IMAGES: Mapping[tuple[Slot, str], ImageFile] = {}
+# What references in some format cannot spell, or readers take for something else than the name of a file beside.
+_UNFIT = re.compile(r'[\x00-\x1f\x7f"\\:<>\ud800-\udfff]|^[\s.-]+|\s+$|(?<=\s)#')
 PLACEHOLDER = b"\0"
 """Replaces what may differ in a part of a fingerprint."""
+
+
+def _nothing(_: str) -> bool:
+    return False
+
+
+@dataclass(frozen=True)
+class Naming:
+    """How the files beside an output are named."""
+
+    stem: str  # of the output, without folder and extension
+    keeps: bool = False  # the output replaces its source, and new files those of the source
+    copies: bool = False  # the output lies in another folder, where it needs copies of unchanged files
+    is_taken: Callable[[str], bool] = _nothing  # whether a path beside the output is of something else
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "stem", _UNFIT.sub("_", self.stem))
+
+    def free_stem(self, sidecars: Callable[[str], Iterable[str]]) -> str:
+        """Return a stem, numbered from 2 on if need be, with which no file beside the output is of something else."""
+        stem, number = self.stem, 2
+        while any(self.is_taken(name) for name in sidecars(stem)):
+            stem, number = f"{self.stem}-{number}", number + 1
+        return stem
 
 
 @dataclass(frozen=True)
@@ -51,7 +78,8 @@ class Written:
     notices: tuple[
         str, ...
     ] = ()  # for the user, one sentence each: what the format cannot hold, what was rounded
-    superseded: frozenset[str] = frozenset()  # the document's references that the new files no longer name
+    # New paths relative to the main file of unchanged files beside the source, by which they are named there.
+    copies: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -132,9 +160,8 @@ class Document(ABC):
     def patch(
         self,
         colours: NDArray[np.float32] | None,
-        stem: str,
+        naming: Naming,
         *,
-        moved: bool,
         images: Mapping[tuple[Slot, str], ImageFile] = NO_IMAGES,
         places: MovedVertices | None = None,
     ) -> Written:
@@ -145,11 +172,8 @@ class Document(ABC):
         colours : ndarray of float32, shape (V, C), or None
             Rows as in `painted().colours`; None: unchanged. Every entry that equals the present one keeps its stored
             bytes; others are clipped to the range of the stored type and rounded to it once, to the nearest.
-        stem : str
-            Name of the output file without folder and extension, for naming changed sidecars.
-        moved : bool
-            Whether the output lies in another folder than the source. If it does, changed sidecars keep their names;
-            if not, they are named after `stem`, so that no source is overwritten.
+        naming : Naming
+            How the files beside the output are named, and whether unchanged ones are copied.
         images : mapping of (Slot, str) to ImageFile
             New images by slot and `Texture.key`, of the same size in pixels: each replaces that image in that slot and
             nowhere else. The type of file may change.

@@ -1,9 +1,8 @@
-"""Files beside a model that it names: which names are followed, and how new files there are called."""
+"""Files beside a model that it names: which names are followed, and where they lead."""
 
 from __future__ import annotations
 
 import contextlib
-import os
 import posixpath
 import re
 import stat
@@ -12,7 +11,6 @@ from pathlib import PurePosixPath
 from typing import TYPE_CHECKING
 
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access, read_regular
-from beltrami_cli.formats.image.recognition import format_of_suffix
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -145,60 +143,3 @@ def remedy_for(reason: str) -> str:
 def is_outside(path: str) -> bool:
     """Whether a located path leads out of the model's folder."""
     return path.startswith(("/", "../")) or path == ".." or bool(_SCHEME.match(path))
-
-
-def path_inside(path: str) -> str:
-    """Return a path as it is, or for one outside the folder its name alone: nothing is written out there."""
-    return PurePosixPath(path).name if is_outside(path) else path
-
-
-def renamed(path: str, source: str, stem: str) -> str:
-    """Return a path named after another model: its old stem, as a word, is replaced, or the new one put in front."""
-    name = PurePosixPath(path).name
-    word = rf"(?<![^\W_]){re.escape(source)}(?![^\W_])"
-    new, count = re.subn(word, lambda _: stem, name, count=1)
-    return str(PurePosixPath(path).with_name(new if count else f"{stem}_{name}"))
-
-
-def with_suffix(path: str, suffix: str) -> str:
-    """Return a path with the suffix of an image format; unchanged if it already has one of that format."""
-    old = PurePosixPath(path).suffix
-    if format_of_suffix(old) == format_of_suffix(suffix):
-        return path
-    return str(PurePosixPath(path).with_suffix(suffix))
-
-
-def unused(path: str, taken: set[str]) -> str:
-    """Return a path that is not among the taken ones (which are case folded), numbered from 2 on if need be."""
-    whole, number = PurePosixPath(path), 2
-    while path.casefold() in taken:
-        path = str(whole.with_name(f"{whole.stem}-{number}{whole.suffix}"))
-        number += 1
-    return path
-
-
-def reserve(path: str, taken: set[str]) -> str:
-    """Return a path as `unused` does, and add it to the taken ones."""
-    new = unused(path, taken)
-    taken.add(new.casefold())
-    return new
-
-
-def name_of_new_image(
-    path: str, suffix: str, models: tuple[str, str], taken: set[str], *, keeps: bool
-) -> str:
-    """Return, and reserve, the path of an image that replaces another: the old one, or named by the stems."""
-    inside = path_inside(path)
-    new = with_suffix(inside if keeps else renamed(inside, *models), suffix)
-    if keeps and new == path:
-        taken.add(new.casefold())
-        return new
-    return reserve(new, taken)
-
-
-def new_reference(name: str, path: str, new: str) -> bytes:
-    """Return how a file refers to another after its move from `path` to `new`, with the folder as in `name`."""
-    if new == path:
-        return os.fsencode(name)
-    folder = 0 if is_outside(path) else max(name.rfind("/"), name.rfind("\\")) + 1
-    return os.fsencode(name[:folder] + PurePosixPath(new).name)

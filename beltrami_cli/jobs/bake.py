@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,6 +11,7 @@ import numpy as np
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.image import read_image
 from beltrami_cli.formats.registry import open_document, sidecar_names, write_contents, write_textured
+from beltrami_cli.jobs.documents import naming_of
 from beltrami_cli.jobs.new_texture import as_rgba, texture_from_vertices
 from beltrami_cli.jobs.settings import BakeSettings
 from beltrami_cli.jobs.writing.output import Output
@@ -67,8 +67,11 @@ def bake_file(
     source, target = os.fspath(source), os.fspath(target)
     output = Output(target, overwrite=overwrite)
     document = open_document(source, access)
-    kind, stem = choose_format(document, target, format).name, Path(target).stem
-    output.check_sidecars(sidecar_names(kind, stem, ".png" if to == "texture" else None))
+    kind = choose_format(document, target, format).name
+    image_suffix = ".png" if to == "texture" else None
+    naming = naming_of(document, source, target, output, access)
+    stem = naming.free_stem(lambda stem: sidecar_names(kind, stem, image_suffix))
+    output.check_sidecars(sidecar_names(kind, stem, image_suffix))
     if to == "texture":
         written, counts, texture, notices = _to_texture(document, kind, stem, settings, progress)
     else:

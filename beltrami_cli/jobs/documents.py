@@ -11,16 +11,17 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from beltrami_cli.errors import BeltramiError, OutputError, UsageError
+from beltrami_cli.errors import BeltramiError, UsageError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access, read_regular, read_source
+from beltrami_cli.formats.document import Naming
 from beltrami_cli.formats.image.recognition import suffix_for
-from beltrami_cli.formats.registry import document_of, kind_of, open_document, write_contents
+from beltrami_cli.formats.registry import document_of, kind_of, open_document, sidecar_names, write_contents
 from beltrami_cli.surface.geometry import vertex_normals
 from beltrami_cli.surface.grouping import group_equal_rows
 from beltrami_cli.surface.records import ImageFile, MovedVertices
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Mapping
 
     from numpy.typing import NDArray
 
@@ -59,20 +60,18 @@ def make_files(
     colours: NDArray[np.float32] | None,
     images: Mapping[tuple[Slot, str], ImageFile],
     kind: OutputFormat,
-    stem: str,
-    *,
-    moved: bool,
+    naming: Naming,
     places: MovedVertices | None = None,
 ) -> Written:
     """Return the files of a document with other colours and positions; UsageError if textures cannot be converted."""
     target_format = kind.name
     if kind.is_own or kind.suffix is not None:
-        return document.patch(colours, stem, moved=moved, images=images, places=places)
+        return document.patch(colours, naming, images=images, places=places)
     from beltrami_cli.formats.gltf import GltfDocument
 
     if isinstance(document, GltfDocument) and target_format in ("glb", "gltf"):
         form: Literal["glb", "gltf"] = "glb" if target_format == "glb" else "gltf"
-        return document.repackaged(colours, stem, form, moved=moved, images=images, places=places)
+        return document.repackaged(colours, naming, form, images=images, places=places)
     if images or (document.slots() and not document.has_vertex_colours()):
         raise UsageError(
             f"textures cannot be converted from {document.format} to {target_format}; "
@@ -83,6 +82,7 @@ def make_files(
         contents = dataclasses.replace(contents, colours=colours)
     if places is not None:
         contents = _moved(contents, places)
+    stem = naming.free_stem(lambda stem: sidecar_names(target_format, stem, None))
     return write_contents(contents, target_format, stem)
 
 
@@ -124,26 +124,14 @@ class Sidecars:
     """The files beside an output."""
 
     folder: Path  # of the source
-    references: tuple[str, ...]  # unchanged files of the source to copy, relative to its folder
-    keep_names: bool  # changed files keep the names of the source's
-    target_folder: Path | None = None
-    strangers: frozenset[str] = frozenset()  # files in it that belong to something else
+    naming: Naming
     notices: tuple[str, ...] = ()
 
     def complete(self, written: Written, access: Access = EVERYTHING_INSIDE) -> Written:
-        """Add the unchanged files that the model still names, and the notices; OutputError as `plan_sidecars`."""
-        left = [n for n in self.references if n not in written.sidecars and n not in written.superseded]
-        copied = {name: read_regular(self.folder / name, access) for name in left}
-        self.check_copies(copied)
+        """Add the contents of the unchanged files that are copied, and the notices."""
+        copied = {new: read_regular(self.folder / old, access) for new, old in written.copies.items()}
         sidecars, notices = {**written.sidecars, **copied}, (*self.notices, *written.notices)
         return dataclasses.replace(written, sidecars=sidecars, notices=notices)
-
-    def check_copies(self, names: Iterable[str]) -> None:
-        """Raise OutputError if a file of the source would replace one of something else that is different."""
-        folder = self.target_folder
-        for name in self.strangers.intersection(names):
-            if folder is not None and not _equal(folder / name, self.folder / name):
-                raise _in_the_way(folder / name)
 
 
 def plan_sidecars(
@@ -155,41 +143,63 @@ def plan_sidecars(
     output: Output | None,
     access: Access,
 ) -> Sidecars:
-    """Plan the files beside the output, from `ends[0]` to `ends[1]`; OutputError if they may not be written."""
-    # In another folder than the source's, files keep their names. If that folder has a file of such a name already,
-    # which the old OUTPUT does not name, changed files are named after OUTPUT, as beside the source.
-    source, target = ends
-    moved = is_moved(source, target)
-    references = tuple(document.references()) if moved and kind.is_own else ()
-    plan = Sidecars(Path(source).parent, references, moved)
+    """Plan the files beside the output, from `ends[0]` to `ends[1]`; OutputError if they cannot be written."""
+    others: dict[str, None] = {}
+    naming = naming_of(document, *ends, output, access, others)
+    plan = Sidecars(Path(ends[0]).parent, naming)
     if output is None:
         return plan
-    names = _names(plan, document, selection, settings, kind, target)
-    output.check_sidecars(names.keys())
-    strangers = _strangers(output, {*names, *references}, target, access) if moved else frozenset()
-    if any(names.get(name) for name in strangers):
-        others = ", ".join(sorted(name for name in strangers if names.get(name)))
-        notice = f"{others} beside OUTPUT is of something else, and stays; what is new is named after OUTPUT."
-        plan = dataclasses.replace(plan, keep_names=False, notices=(notice,))
-        names = _names(plan, document, selection, settings, kind, target)
-        output.check_sidecars(names.keys())
-        strangers = _strangers(output, {*names, *references}, target, access)
-    plan = dataclasses.replace(plan, target_folder=output.folder, strangers=strangers)
-    if output.folder is not None and (blocked := [name for name in strangers if names.get(name)]):
-        raise _in_the_way(output.folder / min(blocked))
-    plan.check_copies(name for name, is_new in names.items() if not is_new)
-    return plan
+    output.check_sidecars(_names(naming, document, selection, settings, kind))
+    if not others:
+        return plan
+    names = ", ".join(others)
+    notice = f"{names} beside OUTPUT is of something else, and stays; the new file has a number in its name."
+    return dataclasses.replace(plan, notices=(notice,))
+
+
+def naming_of(
+    document: Document,
+    source: str,
+    target: str,
+    output: Output | None,
+    access: Access,
+    others: dict[str, None] | None = None,
+) -> Naming:
+    """Return how the files beside an output are named; files of something else that are in the way go to `others`."""
+    folder = None if output is None else output.folder
+    keeps = "-" not in (source, target) and Path(source).resolve() == Path(os.path.realpath(target))
+    if output is not None and keeps:
+        output.replaceable = frozenset(document.references())
+
+    def is_taken(name: str) -> bool:
+        if output is None or folder is None or not os.path.lexists(folder / name):
+            return False
+        if not output.replaceable:
+            output.replaceable = _references_of(target, access)
+        if name in output.replaceable:
+            return False
+        if others is not None:
+            others[name] = None
+        return True
+
+    return Naming(Path(target).stem, keeps, is_moved(source, target), is_taken)
+
+
+def _references_of(target: str, access: Access) -> frozenset[str]:
+    """Return the files that belong to an output that is there already."""
+    with suppress(BeltramiError):  # there may be none, or none that names files
+        return frozenset(open_document(target, dataclasses.replace(access, note=None)).references())
+    return frozenset()
 
 
 def _names(
-    plan: Sidecars,
+    naming: Naming,
     document: Document,
     selection: Selection,
     settings: SmoothSettings,
     kind: OutputFormat,
-    target: str,
-) -> dict[str, bool]:
-    """Find the files that would be written beside the output, by writing the old images anew; True: it is new."""
+) -> list[str]:
+    """Find the files that would be written beside the output, by writing the old images anew."""
     from beltrami_cli.samples.texel_colours import choose_textures
 
     suffix = settings.textures.image_suffix
@@ -202,30 +212,8 @@ def _names(
         for slot in selection.slots
         for texture in choose_textures(document.textured(slot), settings.textures).textures
     }
-    written = make_files(document, None, images, kind, Path(target).stem, moved=plan.keep_names)
-    copied = [name for name in plan.references if name not in written.superseded]
-    return dict.fromkeys(copied, False) | dict.fromkeys(written.sidecars, True)
-
-
-def _strangers(output: Output, names: set[str], target: str, access: Access) -> frozenset[str]:
-    """Find which of the names stand for files there that the old OUTPUT does not name."""
-    folder = output.folder
-    found = frozenset() if folder is None else frozenset(name for name in names if (folder / name).exists())
-    if found:
-        with suppress(BeltramiError):  # there may be no old OUTPUT, or none that names files
-            found -= set(open_document(target, dataclasses.replace(access, note=None)).references())
-    return found
-
-
-def _equal(one: Path, other: Path) -> bool:
-    with suppress(OSError):
-        return read_regular(one, EVERYTHING_INSIDE) == read_regular(other, EVERYTHING_INSIDE)
-    return False
-
-
-def _in_the_way(path: Path) -> OutputError:
-    cause = "is of something else than OUTPUT, and would be replaced by a file of the same name"
-    return OutputError(str(path), cause, "choose another folder")
+    written = make_files(document, None, images, kind, naming)
+    return [*written.sidecars, *written.copies]
 
 
 def is_moved(source: str, target: str) -> bool:

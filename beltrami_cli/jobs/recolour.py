@@ -7,7 +7,6 @@ are.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 from beltrami_cli.jobs.documents import is_moved, make_files, moved_vertices, open_input, plan_sidecars
@@ -18,7 +17,7 @@ from beltrami_cli.samples.selection import NOTHING, choose_format, samples_of, s
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from beltrami_cli.formats.document import Document, Written
+    from beltrami_cli.formats.document import Document, Naming, Written
     from beltrami_cli.jobs.job import Job
     from beltrami_cli.samples.samples import Repainted, Samples
     from beltrami_cli.samples.selection import OutputFormat, Selection
@@ -82,7 +81,7 @@ def recolour(source: str, target: str, settings: SmoothSettings, painter: Painte
             del samples
     with watch.stage("write"):
         in_place = not is_moved(source, target)
-        written = _files(document, painted, kind, Path(target).stem, sidecars.keep_names, in_place=in_place)
+        written = _files(document, painted, kind, sidecars.naming, in_place=in_place)
         written = sidecars.complete(written, access)
         if output is not None:
             output.write(written)
@@ -95,8 +94,7 @@ def _files(
     document: Document,
     painted: Sequence[Repainted],
     kind: OutputFormat,
-    stem: str,
-    keep_names: bool,
+    naming: Naming,
     *,
     in_place: bool,
 ) -> Written:
@@ -111,7 +109,7 @@ def _files(
             places = moved_vertices(document, each.positions)
     if in_place:
         images = {key: image for key, image in images.items() if _is_new(document, *key, image)}
-    return make_files(document, colours, images, kind, stem, moved=keep_names, places=places)
+    return make_files(document, colours, images, kind, naming, places)
 
 
 def _is_new(document: Document, slot: Slot, key: str, image: ImageFile) -> bool:

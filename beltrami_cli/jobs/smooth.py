@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import os
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,7 +12,7 @@ import numpy as np
 from beltrami_cli.errors import UsageError
 from beltrami_cli.fields import override
 from beltrami_cli.formats.registry import sidecar_names, write_textured
-from beltrami_cli.jobs.documents import open_input
+from beltrami_cli.jobs.documents import naming_of, open_input
 from beltrami_cli.jobs.job import PLAIN_JOB
 from beltrami_cli.jobs.recolour import recolour
 from beltrami_cli.jobs.resources import Stopwatch
@@ -106,7 +105,7 @@ def _smooth_unwrapped(
 ) -> SmoothReport:
     """Smooth the base colour, or else the vertex colours, in a new texture, and write a new file with that."""
     _check(settings)
-    watch, output, stem = Stopwatch(), job.output(target), Path(target).stem
+    watch, output = Stopwatch(), job.output(target)
     access = job.access_besides(output, settings.files_besides(source))
     with watch.stage("read"):
         document = open_input(source, settings, access)
@@ -114,8 +113,11 @@ def _smooth_unwrapped(
         if not textured:
             document.painted()  # raises if there are no colours at all
         kind = choose_format(document, target, job.format).name
+        image_suffix = settings.textures.image_suffix or ".png"
+        naming = naming_of(document, source, target, output, access)
+        stem = naming.free_stem(lambda stem: sidecar_names(kind, stem, image_suffix))
         if output is not None:
-            output.check_sidecars(sidecar_names(kind, stem, settings.textures.image_suffix or ".png"))
+            output.check_sidecars(sidecar_names(kind, stem, image_suffix))
     if settings.kernel.iterations:
         require_scale(document, Selection(not textured, ("baseColor",) if textured else ()))
     if textured:

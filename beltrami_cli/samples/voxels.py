@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from beltrami_cli.formats.access import Access
-    from beltrami_cli.formats.document import Written
+    from beltrami_cli.formats.document import Naming, Written
     from beltrami_cli.samples.settings import Inside, LevelSetSettings
     from beltrami_cli.surface.records import ImageFile, MovedVertices, PaintedVertices, Slot
     from beltrami_cli.surface.volume import Volume
@@ -90,9 +90,8 @@ class LevelSetDocument(Document):
     def patch(
         self,
         colours: NDArray[np.float32] | None,
-        stem: str,
+        naming: Naming,
         *,
-        moved: bool,
         images: Mapping[tuple[Slot, str], ImageFile] = NO_IMAGES,
         places: MovedVertices | None = None,
     ) -> Written:

@@ -24,6 +24,7 @@ from batch.batches import (
 )
 from beltrami_cli.formats.registry import open_document
 from cli.commands import COMMAND, SAMPLES, beltrami
+from hostile.textured_models import OTHER, PICTURE, write_model
 
 KINDS = ("terrain-noisy.ply", "nonmanifold-noisy.obj", "terrain-noisy.glb")
 
@@ -106,11 +107,11 @@ def test_resume_sees_that_a_file_beside_a_model_changed(tmp_path):
     write_textured(folder)
     out = tmp_path / "out"
     batch(folder, "--out-dir", out, "--resume", *QUICK)
-    before = (out / "skin.png").read_bytes()
+    before = (out / "model_skin.png").read_bytes()
     shutil.copy(SAMPLES / "mirrored-clean.png", folder / "skin.png")
     batch(folder, "--out-dir", out, "--resume", *QUICK)
     assert set(statuses(out).values()) == {"done"}
-    assert (out / "skin.png").read_bytes() != before
+    assert (out / "model_skin.png").read_bytes() != before
 
 
 @pytest.mark.slow
@@ -307,3 +308,23 @@ def test_a_file_that_wants_more_than_its_share_of_memory_is_done_alone(scans, tm
     said = batch(*inputs, "--out-dir", tmp_path / "out", "-j", 2, "--max-memory", 2 * share, "-v", *QUICK)
     assert "b.obj: wants more than its share of memory" in said
     assert set(statuses(tmp_path / "out").values()) == {"done"}
+
+
+@pytest.mark.parametrize("kind", ["obj", "ply", "gltf"])
+def test_models_whose_textures_have_one_name_go_to_one_folder(kind, tmp_path):
+    pictures = {"one": PICTURE, "two": OTHER}
+    for name, picture in pictures.items():
+        write_model(tmp_path / name, kind, "skin.png").rename(tmp_path / name / f"{name}.{kind}")
+        (tmp_path / name / "skin.png").write_bytes(picture)
+    out = tmp_path / "out"
+    batch(*(tmp_path / name / f"{name}.{kind}" for name in pictures), "--out-dir", out, "-j", 2, *QUICK)
+    assert set(statuses(out).values()) == {"done"}
+    for name in pictures:
+        alone = tmp_path / "alone" / f"{name}.{kind}"
+        alone.parent.mkdir(exist_ok=True)
+        smoothed(tmp_path / name / f"{name}.{kind}", alone, *QUICK)
+        for path in alone.parent.glob(f"{name}*"):
+            assert (out / path.name).read_bytes() == path.read_bytes()
+    assert {path.name for path in out.iterdir()} == {path.name for path in alone.parent.iterdir()} | {
+        "batch.jsonl"
+    }

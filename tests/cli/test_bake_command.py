@@ -260,16 +260,19 @@ def test_points_without_triangles_are_refused(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("there", ["out.obj", "out.mtl", "out.png"])
-def test_none_of_the_files_is_replaced_unless_overwriting_is_asked_for(there, sphere, tmp_path):
-    (tmp_path / there).write_text("precious")
-    refused = beltrami("bake", sphere, tmp_path / "out.obj", "--to", "texture")
+def test_an_output_is_replaced_only_if_that_is_asked_for_and_files_of_others_never(sphere, tmp_path):
+    arguments = "bake", sphere, tmp_path / "out.obj", "--to", "texture"
+    (tmp_path / "out.obj").write_text("precious")
+    refused = beltrami(*arguments)
     assert refused.returncode == 4
-    assert there.encode() in refused.stderr
-    assert sorted(path.name for path in tmp_path.iterdir()) == [there, "sphere.ply"]
-    assert (tmp_path / there).read_text() == "precious"
-    assert beltrami("bake", sphere, tmp_path / "out.obj", "--to", "texture", "--overwrite").returncode == 0
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["out.mtl", "out.obj", "out.png", "sphere.ply"]
+    assert b"out.obj: exists already" in refused.stderr
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["out.obj", "sphere.ply"]
+    (tmp_path / "out.png").write_text("precious")
+    names = ["out-2.mtl", "out-2.png", "out.obj", "out.png", "sphere.ply"]
+    for _ in range(2):  # the second time, it replaces its own files
+        assert beltrami(*arguments, "--overwrite").returncode == 0
+        assert sorted(path.name for path in tmp_path.iterdir()) == names
+        assert (tmp_path / "out.png").read_text() == "precious"
 
 
 def test_a_glb_goes_to_a_pipe(sphere):

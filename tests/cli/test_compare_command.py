@@ -14,6 +14,7 @@ import OpenImageIO
 import pytest
 
 from beltrami_cli.errors import InputError, UsageError
+from beltrami_cli.formats.document import Naming
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.compare.figures import check_limits
 from beltrami_cli.jobs.compare.files import compare_files
@@ -80,7 +81,7 @@ def test_one_wrong_vertex_is_found_and_counts_by_its_area(tmp_path):
     document = open_document(str(SAMPLES / "terrain-clean.ply"))
     colours = document.painted().colours.copy()
     colours[77, 1] = 1 - colours[77, 1]
-    (tmp_path / "t.ply").write_bytes(b"".join(document.patch(colours, "t", moved=True).main))
+    (tmp_path / "t.ply").write_bytes(b"".join(document.patch(colours, Naming("t", keeps=True)).main))
     compared = compare_files(SAMPLES / "terrain-clean.ply", tmp_path / "t.ply")
     error = compared.overall["worst"]["error"]
     assert compared.overall["worst"]["vertex"] == 77

@@ -93,4 +93,4 @@ def test_iterations_that_are_asked_for_are_run_all_the_same(square, tmp_path):
     run = beltrami("smooth", square, result, "-n", 2, "-t", 1, "--beta", 0, "--report", report)
     assert run.returncode == 0, run.stderr
     assert json.loads(report.read_text())["textures"][0]["iterations"] == 2
-    assert (tmp_path / "square.jpg").read_bytes() != (square.parent / "square.jpg").read_bytes()
+    assert (tmp_path / "result.jpg").read_bytes() != (square.parent / "square.jpg").read_bytes()

@@ -233,7 +233,7 @@ def test_no_iterations_carry_every_file_byte_by_byte_to_another_folder(name, tmp
 def test_smoothing_to_another_folder_carries_all_files_of_the_model(tmp_path):
     out = smooth(TORUS, tmp_path / "out.gltf", "-n", "1", "--material", "icing")
     assert len(list(tmp_path.glob("*.png"))) == 2
-    assert (tmp_path / "torus-two-noisy.bin").exists()
+    assert (tmp_path / "out.bin").exists()
     assert len(images(out)) == 2
 
 

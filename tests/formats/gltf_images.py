@@ -27,10 +27,10 @@ def save(written, name, folder):
     return folder / name
 
 
-def copied(document, source, folder):
-    for name in document.references():
-        (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        (folder / name).write_bytes((source.parent / name).read_bytes())
+def copied(written, source, folder):
+    for new, old in written.copies.items():
+        (folder / new).parent.mkdir(parents=True, exist_ok=True)
+        (folder / new).write_bytes((source.parent / old).read_bytes())
 
 
 def shown(path):

@@ -7,13 +7,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.errors import InputError
+from beltrami_cli.formats.document import Naming
 
 if TYPE_CHECKING:
     from beltrami_cli.formats.document import Document
 
 
 def patched(document: Document, colours: object) -> bytes:
-    return b"".join(document.patch(np.asarray(colours, np.float32), "out", moved=False).main)
+    return b"".join(document.patch(np.asarray(colours, np.float32), Naming("out")).main)
 
 
 def use(document: Document) -> None:

@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from beltrami_cli.errors import InputError
+from beltrami_cli.formats.document import Naming
 from beltrami_cli.formats.gltf import GltfDocument
 from formats.gltf_files import Model, joined, only_input_errors
 
@@ -36,9 +37,9 @@ def everything(data):
     document.references()
     document.contents()
     colours = (1 - document.painted().colours).clip(-1e30, 1e30)
-    document.patch(colours, "out", moved=False)
+    document.patch(colours, Naming("out"))
     for form in ("glb", "gltf"):
-        document.repackaged(colours, "out", form, moved=True)
+        document.repackaged(colours, Naming("out", keeps=True), form)
 
 
 GLB = small(sparse=True).glb()
@@ -87,7 +88,7 @@ def test_a_byte_order_mark_is_told_and_kept():
     data = b"\xef\xbb\xbf" + TEXT
     document = GltfDocument(data, "model.gltf", None)
     assert [notice for notice in document.notices if "byte order mark" in notice]
-    assert joined(document.patch(1 - document.painted().colours, "out", moved=False)).startswith(data[:20])
+    assert joined(document.patch(1 - document.painted().colours, Naming("out"))).startswith(data[:20])
 
 
 def test_form_is_told_by_content():
@@ -124,7 +125,7 @@ def test_files_inside_the_folder_are_found_and_listed(tmp_path):
     assert len(document.painted().colours) == 3
     assert document.references() == ["sub dir/ü.bin", "x.png"]
     assert [notice for notice in document.notices if "'y.png' is missing" in notice]
-    written = document.patch(1 - document.painted().colours, "out", moved=True)
+    written = document.patch(1 - document.painted().colours, Naming("out", keeps=True))
     assert list(written.sidecars) == ["sub dir/ü.bin"]
 
 
@@ -136,7 +137,7 @@ def test_two_buffers_over_one_file_stay_one_file(tmp_path):
     tree["bufferViews"][0]["buffer"] = 1  # the colours, seen through the second buffer
     document = GltfDocument(json.dumps(tree).encode(), "model.gltf", tmp_path)
     colours = 1 - document.painted().colours
-    written = document.patch(colours, "out", moved=False)
+    written = document.patch(colours, Naming("out"))
     (tmp_path / "out.bin").write_bytes(bytes(written.sidecars["out.bin"]))
     again = GltfDocument(joined(written), "out.gltf", tmp_path)
     assert {buffer["uri"] for buffer in json.loads(joined(written))["buffers"]} == {"out.bin"}
@@ -148,5 +149,5 @@ def test_percent_encoded_data_uris_are_read_and_rewritten():
     uri = "data:application/octet-stream," + "".join(f"%{octet:02x}" for octet in model.binary)
     document = GltfDocument(model.text(uri), "model.gltf", None)
     colours = 1 - document.painted().colours
-    again = GltfDocument(joined(document.patch(colours, "out", moved=False)), "out.gltf", None)
+    again = GltfDocument(joined(document.patch(colours, Naming("out"))), "out.gltf", None)
     np.testing.assert_allclose(again.painted().colours, colours, atol=0.5 / 255)

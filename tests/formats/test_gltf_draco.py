@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from beltrami_cli.errors import InputError
+from beltrami_cli.formats.document import Naming
 from beltrami_cli.formats.gltf import GltfDocument
 from beltrami_cli.surface.records import ImageFile
 from formats.gltf_comparison import byte_differences, json_differences
@@ -56,7 +57,7 @@ def test_new_colours_lie_beside_the_compressed_data_which_stays(in_order):
     model = draco_model(COLOURS, in_order=in_order)
     opened = document(model)
     painted = opened.painted()
-    after = joined(opened.patch(1 - painted.colours, "out", moved=False))
+    after = joined(opened.patch(1 - painted.colours, Naming("out")))
     (old, old_buffers), (new, new_buffers) = unpacked(model.glb()), unpacked(after)
     primitive = new["meshes"][0]["primitives"][0]
     found = numbers(new, new_buffers, primitive["attributes"]["COLOR_0"])
@@ -78,12 +79,12 @@ def test_new_colours_lie_beside_the_compressed_data_which_stays(in_order):
 def test_what_was_patched_is_read_back_and_then_patched_in_place():
     opened = document(draco_model(COLOURS))
     colours = opened.painted().colours
-    first = joined(opened.patch(1 - colours, "out", moved=False))
+    first = joined(opened.patch(1 - colours, Naming("out")))
     again = GltfDocument(first, "out.glb", None)
     painted = again.painted()
     assert triangles(painted.positions, painted.faces) == EXPECTED
     np.testing.assert_allclose(painted.colours, 1 - colours, atol=1e-6)
-    second = joined(again.patch(colours, "out", moved=False))
+    second = joined(again.patch(colours, Naming("out")))
     assert len(second) == len(first)
     np.testing.assert_array_equal(GltfDocument(second, "out.glb", None).painted().colours, colours)
 
@@ -91,7 +92,7 @@ def test_what_was_patched_is_read_back_and_then_patched_in_place():
 def test_colours_that_stay_give_back_the_same_bytes():
     model = draco_model(COLOURS)
     opened = document(model)
-    assert joined(opened.patch(opened.painted().colours.copy(), "out", moved=False)) == model.glb()
+    assert joined(opened.patch(opened.painted().colours.copy(), Naming("out"))) == model.glb()
 
 
 @settings(max_examples=20, deadline=None)
@@ -115,7 +116,7 @@ def test_accessors_that_describe_several_meshes_are_told_apart(same, stranger, s
     opened = document(model)
     painted = opened.painted()
     assert len(painted.positions) == len(GRID) * (1 if same else 2)
-    data = joined(opened.patch(1 - painted.colours, "out", moved=False))
+    data = joined(opened.patch(1 - painted.colours, Naming("out")))
     after, tree = GltfDocument(data, "out.glb", None), unpacked(data)[0]
     np.testing.assert_allclose(after.painted().colours, 1 - painted.colours, atol=1e-6)
     if stranger:
@@ -134,7 +135,7 @@ def test_textures_on_compressed_meshes_are_laid_out_and_replaced():
     expected = np.array([[where[tuple(corner)] for corner in face] for face in corners.tolist()])
     np.testing.assert_allclose(surface.uv, expected, atol=2**-16)
     new = ImageFile(picture(2, size=400), ".png")
-    after = joined(opened.patch(None, "out", moved=False, images={("baseColor", "image 0"): new}))
+    after = joined(opened.patch(None, Naming("out"), images={("baseColor", "image 0"): new}))
     before, now = unpacked(model.glb()), unpacked(after)
     assert byte_differences(before, now) == {"image"}
     assert set(json_differences(before[0], now[0])) <= {
@@ -167,7 +168,7 @@ def with_fallback(turned):
 def test_an_uncompressed_substitute_gets_the_same_colours():
     model = with_fallback(turned=False)
     opened = document(model)
-    after = joined(opened.patch(1 - opened.painted().colours, "out", moved=False))
+    after = joined(opened.patch(1 - opened.painted().colours, Naming("out")))
     tree, buffers = unpacked(after)
     attributes = tree["meshes"][0]["primitives"][0]["attributes"]
     points = numbers(tree, buffers, attributes["POSITION"])
@@ -179,7 +180,7 @@ def test_a_substitute_in_another_order_is_refused_rather_than_painted_wrong():
     opened = document(with_fallback(turned=True))
     colours = opened.painted().colours
     with pytest.raises(InputError, match="another order than the uncompressed geometry"):
-        opened.patch(1 - colours, "out", moved=False)
+        opened.patch(1 - colours, Naming("out"))
 
 
 def test_without_the_package_its_extra_is_named(monkeypatch):
@@ -236,7 +237,7 @@ def test_damaged_data_raises_only_input_errors(where, what, cut):
         model.binary[where : where + len(what)] = what
     with only_input_errors():
         opened = document(model)
-        opened.patch(1 - opened.painted().colours, "out", moved=False)
+        opened.patch(1 - opened.painted().colours, Naming("out"))
 
 
 @pytest.mark.parametrize("claimed", [None, b"\xff\xff\xff\x7f"])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from beltrami_cli.formats.document import Naming
 from beltrami_cli.formats.registry import open_document
 from formats.gltf_files import Textured, joined, opened, picture, unpacked
 from formats.gltf_images import (
@@ -36,8 +37,9 @@ def test_repeated_patches_do_not_grow_the_file_without_bound(tmp_path, form, eve
         }
         folder = tmp_path / str(run)
         folder.mkdir()
-        copied(document, path, folder)
-        path = save(document.patch(None, "m", moved=True, images=images), "m" + source.suffix, folder)
+        written = document.patch(None, Naming("m", copies=True), images=images)
+        copied(written, path, folder)
+        path = save(written, "m" + source.suffix, folder)
         got = {
             texture.key: texture.data for texture in open_document(str(path)).textured("baseColor").textures
         }
@@ -57,9 +59,13 @@ def test_an_image_at_the_end_is_cut_and_written_over(tmp_path):
     model.material(baseColor=model.texture(model.image(picture(1, size=500))))
     source = model.written_to(tmp_path)
     patch = open_document(str(source)).patch
-    smaller = joined(patch(None, "o", moved=True, images={("baseColor", "image 0"): new_image(1, size=100)}))
+    smaller = joined(
+        patch(None, Naming("o", keeps=True), images={("baseColor", "image 0"): new_image(1, size=100)})
+    )
     assert 390 <= source.stat().st_size - len(smaller) <= 410
-    same = joined(patch(None, "o", moved=True, images={("baseColor", "image 0"): new_image(1, size=500)}))
+    same = joined(
+        patch(None, Naming("o", keeps=True), images={("baseColor", "image 0"): new_image(1, size=500)})
+    )
     size = int.from_bytes(same[12:16], "little")
     assert same[: 20 + size] == source.read_bytes()[: 20 + size]
 
@@ -80,7 +86,7 @@ def test_bytes_that_something_else_reads_stay_where_they_are(tmp_path, reader):
         model.view(b"tiny")
     path = model.written_to(tmp_path)
     wanted = {("baseColor", "image 0"): new_image(2, size=60)}
-    patched = save(open_document(str(path)).patch(None, "o", moved=False, images=wanted), "o.glb", tmp_path)
+    patched = save(open_document(str(path)).patch(None, Naming("o"), images=wanted), "o.glb", tmp_path)
     check_rest(path, patched)
     assert shown(patched) == {(0, "baseColor"): wanted["baseColor", "image 0"].data}
     if reader == "all of it":
@@ -95,7 +101,7 @@ def test_images_that_grow_and_shrink_by_turns_reuse_their_bytes(tmp_path):
     for run in range(12):
         document = open_document(str(path))
         images = {("baseColor", f"image {run % 2}"): new_image(run, size=(300, 350)[run // 2 % 2])}
-        path = save(document.patch(None, "m", moved=False, images=images), "m.glb", tmp_path)
+        path = save(document.patch(None, Naming("m"), images=images), "m.glb", tmp_path)
         lengths.append(opened(path)[0]["buffers"][0]["byteLength"])
     assert max(lengths[8:]) <= max(lengths[4:8]) <= lengths[0] + 2 * 370
 
@@ -107,7 +113,7 @@ def test_an_image_that_lights_the_scene_is_kept_for_it(tmp_path):
     model.tree["extensions"] = {"EXT_lights_image_based": {"lights": [{"specularImages": [[0, 0]]}]}}
     path = model.written_to(tmp_path)
     wanted = {("baseColor", "image 0"): new_image(2)}
-    patched = save(open_document(str(path)).patch(None, "o", moved=False, images=wanted), "o.glb", tmp_path)
+    patched = save(open_document(str(path)).patch(None, Naming("o"), images=wanted), "o.glb", tmp_path)
     tree, buffers = unpacked(patched.read_bytes())
     assert image_bytes(tree, buffers, {}, 0) == picture(1)
     assert shown(patched) == {(0, "baseColor"): new_image(2).data}
@@ -123,7 +129,7 @@ def test_images_that_share_bytes_all_stay_in_use(tmp_path):
     source = model.written_to(tmp_path)
     document = open_document(str(source))
     (texture,) = document.textured("baseColor").textures
-    written = document.patch(None, "out", moved=False, images={("baseColor", texture.key): new_image(1)})
+    written = document.patch(None, Naming("out"), images={("baseColor", texture.key): new_image(1)})
     (old, _), (new, _) = unpacked(source.read_bytes()), unpacked(joined(written))
     assert [old[key] for key in ("images", "textures", "materials")] == [
         new[key] for key in ("images", "textures", "materials")

@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from beltrami_cli.errors import InputError
+from beltrami_cli.formats.document import Naming
 from beltrami_cli.formats.gltf import GltfDocument
 from formats.gltf_comparison import json_differences
 from formats.gltf_compressed import (
@@ -35,7 +36,7 @@ def document(model, folder=None):
 
 def stored_after(opened, colours):
     """Return the numbers of all accessors of a GLB with new colours."""
-    return decompressed(*unpacked(joined(opened.patch(colours, "out", moved=False))))
+    return decompressed(*unpacked(joined(opened.patch(colours, Naming("out")))))
 
 
 @pytest.mark.parametrize("extension", EXTENSIONS)
@@ -152,7 +153,7 @@ def test_only_the_compressed_colours_change(tmp_path_factory, extension, seed, f
             "flat": np.full(colours.shape, 0.5),
             "turned": 1 - colours,
         }
-        written = opened.patch(made[step].astype(np.float32), "out", moved=True)
+        written = opened.patch(made[step].astype(np.float32), Naming("out", keeps=True))
         for name, octets in written.sidecars.items():
             (folder / name).write_bytes(bytes(octets))
         data = joined(written)
@@ -212,11 +213,11 @@ def test_compressed_views_survive_the_way_to_text_and_back(tmp_path, changed):
     model = meshopt_model(COLOURS)
     opened = document(model)
     colours = 1 - opened.painted().colours if changed else None
-    text = opened.repackaged(colours, "out", "gltf", moved=True)
+    text = opened.repackaged(colours, Naming("out", keeps=True), "gltf")
     for name, octets in text.sidecars.items():
         (tmp_path / name).write_bytes(bytes(octets))
     between = GltfDocument(joined(text), "out.gltf", tmp_path)
-    tree, buffers = unpacked(joined(between.repackaged(None, "out", "glb", moved=True)))
+    tree, buffers = unpacked(joined(between.repackaged(None, Naming("out", keeps=True), "glb")))
     expected = decompressed(*unpacked(model.glb()))
     if changed:
         expected[1][:, :3] = 255 - expected[1][:, :3]
@@ -236,7 +237,7 @@ def test_a_substitute_that_becomes_part_of_the_file_is_no_substitute_any_more(tm
     (tmp_path / "plain.bin").write_bytes(bytes(model.fallback))
     (tmp_path / "packed.bin").write_bytes(bytes(model.binary))
     opened = GltfDocument(json.dumps(model.tree).encode(), "model.gltf", tmp_path)
-    merged = joined(opened.repackaged(None, "out", "glb", moved=True))
+    merged = joined(opened.repackaged(None, Naming("out", keeps=True), "glb"))
     (buffer,) = unpacked(merged)[0]["buffers"]
     assert "extensions" not in buffer
     again = GltfDocument(merged, "out.glb", None)
@@ -283,7 +284,7 @@ def test_colours_compressed_as_indices_are_refused_rather_than_damaged(mode):
     opened = document(model)
     colours = opened.painted().colours
     with pytest.raises(InputError, match=f"mode: is {mode}, which is not for vertex data"):
-        opened.patch(1 - colours, "out", moved=False)
+        opened.patch(1 - colours, Naming("out"))
 
 
 @pytest.mark.slow
@@ -295,4 +296,4 @@ def test_damaged_data_raises_only_input_errors(where, what):
     model.binary[where : where + len(what)] = what
     with only_input_errors():
         opened = document(model)
-        opened.patch(1 - opened.painted().colours, "out", moved=False)
+        opened.patch(1 - opened.painted().colours, Naming("out"))

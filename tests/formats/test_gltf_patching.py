@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from beltrami_cli.errors import InputError
+from beltrami_cli.formats.document import Naming
 from beltrami_cli.formats.gltf import GltfDocument
 from formats.gltf_files import Model, data_uri, joined, numbers, unpacked
 
@@ -121,7 +122,7 @@ def test_only_changed_colours_change_and_each_is_rounded_once(folder, arrangemen
     changed = rng.random(painted.colours.shape) < 0.4
     colours = np.where(changed, rng.random(painted.colours.shape), painted.colours).astype(np.float32)
 
-    written = document.patch(colours, "out", moved=moved)
+    written = document.patch(colours, Naming("out", keeps=moved))
 
     files = {"a%20b.bin": bytes(case.model.binary)} | dict(written.sidecars)
     files |= {name.replace(" ", "%20"): octets for name, octets in written.sidecars.items()}
@@ -204,7 +205,7 @@ def check_bounds(old, new, expected):
 def test_unchanged_colours_give_back_the_same_bytes(folder, arrangement, data, form, indent):
     case = data.draw(cases(arrangement))
     document, data = opened(case.model, form, folder, indent=indent)
-    written = document.patch(document.painted().colours.copy(), "out", moved=False)
+    written = document.patch(document.painted().colours.copy(), Naming("out"))
     assert joined(written) == data
     assert not written.sidecars
 
@@ -217,7 +218,7 @@ def test_colours_of_their_own_bytes_leave_the_json_verbatim(folder):
     position, colour = model.interleaved(positions, colours, normalized=True)
     model.mesh({"attributes": {"POSITION": position, "COLOR_0": colour}})
     document, data = opened(model, "glb", folder, indent=3)
-    after = joined(document.patch(1 - document.painted().colours, "out", moved=False))
+    after = joined(document.patch(1 - document.painted().colours, Naming("out")))
     length = int.from_bytes(data[12:16], "little")
     assert after[: 20 + length] == data[: 20 + length]
     assert len(after) == len(data)
@@ -230,9 +231,9 @@ def test_a_patch_is_undone_by_patching_back(folder):
     model.mesh({"attributes": {"POSITION": position, "COLOR_0": model.packed(stored, normalized=True)}})
     document, data = opened(model, "glb", folder)
     colours = document.painted().colours
-    after = joined(document.patch(colours[::-1].copy(), "out", moved=False))
+    after = joined(document.patch(colours[::-1].copy(), Naming("out")))
     assert after != data
-    assert joined(GltfDocument(after, "again", folder).patch(colours, "out", moved=False)) == data
+    assert joined(GltfDocument(after, "again", folder).patch(colours, Naming("out"))) == data
 
 
 def test_new_colours_must_be_finite_and_fit(folder):
@@ -241,9 +242,9 @@ def test_new_colours_must_be_finite_and_fit(folder):
     model.mesh({"attributes": {"POSITION": position, "COLOR_0": model.packed(np.eye(3, dtype="<f4"))}})
     document, _ = opened(model, "glb", folder)
     with pytest.raises(ValueError, match="finite"):
-        document.patch(np.full((3, 3), np.nan, np.float32), "out", moved=False)
+        document.patch(np.full((3, 3), np.nan, np.float32), Naming("out"))
     with pytest.raises(ValueError, match="shape"):
-        document.patch(np.zeros((4, 3), np.float32), "out", moved=False)
+        document.patch(np.zeros((4, 3), np.float32), Naming("out"))
 
 
 def test_sidecars_never_take_a_name_that_the_source_uses(tmp_path):
@@ -252,7 +253,7 @@ def test_sidecars_never_take_a_name_that_the_source_uses(tmp_path):
     model.mesh({"attributes": {"POSITION": position, "COLOR_0": model.packed(np.eye(3, dtype="<f4"))}})
     (tmp_path / "out.bin").write_bytes(bytes(model.binary))
     document = GltfDocument(model.text("out.bin"), "out.gltf", tmp_path)
-    written = document.patch(1 - document.painted().colours, "out", moved=False)
+    written = document.patch(1 - document.painted().colours, Naming("out"))
     assert list(written.sidecars) == ["out-2.bin"]
     assert json.loads(joined(written))["buffers"][0]["uri"] == "out-2.bin"
 
@@ -270,7 +271,7 @@ def test_no_view_is_added_where_something_names_one_that_is_not_there():
         "extras": {"bufferView": 2},
     }
     new = np.full((3, 3), 0.5, np.float32)
-    GltfDocument(json.dumps(tree).encode(), "x.gltf", None).patch(new, "x", moved=True)
+    GltfDocument(json.dumps(tree).encode(), "x.gltf", None).patch(new, Naming("x", keeps=True))
     tree["extras"]["bufferView"] = 1
     with pytest.raises(InputError, match=r"names bufferViews\[1\]"):
-        GltfDocument(json.dumps(tree).encode(), "x.gltf", None).patch(new, "x", moved=True)
+        GltfDocument(json.dumps(tree).encode(), "x.gltf", None).patch(new, Naming("x", keeps=True))

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from beltrami_cli.errors import OutputError
+from beltrami_cli.formats.document import Naming
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.surface.records import ImageFile
 from formats.gltf_files import SLOT_PATHS, WEBP, Textured, data_uri, joined, picture, unpacked
@@ -66,10 +67,9 @@ def test_only_the_asked_images_of_the_asked_slots_change(tmp_path_factory, model
                     same = name == slot or (name, slot) == ("diffuse", "baseColor")
                     if same and octets == texture.data:
                         expected[number, name] = file.data
-    written = document.patch(None, "out", moved=moved, images=wanted)
+    written = document.patch(None, Naming("out", copies=moved), images=wanted)
     folder = tmp_path_factory.mktemp("target") if moved else source.parent
-    if moved:
-        copied(document, source, folder)
+    copied(written, source, folder)
     path = save(written, "out" + source.suffix, folder)
     assert {file: file.read_bytes() for file in before} == before
     assert shown(path) == expected
@@ -96,7 +96,7 @@ def test_nothing_new_gives_back_the_same_bytes(tmp_path_factory, model, form, sa
         for slot in document.slots()
         for texture in document.textured(slot).textures
     }
-    written = document.patch(None, "out", moved=False, images=images if same else {})
+    written = document.patch(None, Naming("out"), images=images if same else {})
     assert joined(written) == source.read_bytes()
     assert not written.sidecars
 
@@ -107,7 +107,7 @@ def test_a_slot_apart_gets_a_texture_and_an_image_of_its_own(tmp_path):
     model.triangles(SQUARE, SQUARE[:, :2], model.material(occlusion=texture, metallicRoughness=texture))
     source = model.written_to(tmp_path)
     wanted = {("occlusion", "image 0"): new_image(1, ".jpg")}
-    tree, _ = unpacked(joined(open_document(str(source)).patch(None, "o", moved=True, images=wanted)))
+    tree, _ = unpacked(joined(open_document(str(source)).patch(None, Naming("o", keeps=True), images=wanted)))
     assert tree["textures"] == [
         {"source": 0, "sampler": 0, "name": "shared"},
         {"source": 1, "sampler": 0, "name": "shared"},
@@ -123,7 +123,7 @@ def test_a_slot_apart_gets_a_texture_and_an_image_of_its_own(tmp_path):
 def test_the_type_is_told_wherever_it_stands(tmp_path, place, suffix):
     source = with_images(tmp_path, 1, "gltf", place)
     wanted = {("baseColor", "image 0"): new_image(1, suffix)}
-    written = open_document(str(source)).patch(None, "out", moved=True, images=wanted)
+    written = open_document(str(source)).patch(None, Naming("out", keeps=True), images=wanted)
     tree = json.loads(joined(written))
     (image,), (texture,) = tree["images"], tree["textures"]
     if place == "view":
@@ -154,7 +154,7 @@ def test_webp_stays_webp_or_leaves_no_trace(tmp_path, fallback, suffix):
         model.tree["extensionsRequired"] = ["EXT_texture_webp"]
     document = open_document(str(model.written_to(tmp_path)))
     (key,) = (texture.key for texture in document.textured("baseColor").textures)
-    written = document.patch(None, "o", moved=True, images={("baseColor", key): new_image(1, suffix)})
+    written = document.patch(None, Naming("o", keeps=True), images={("baseColor", key): new_image(1, suffix)})
     tree, buffers = unpacked(joined(written))
     assert image_of(tree, buffers, {}, tree["textures"][0]) == new_image(1, suffix).data
     if suffix == ".webp":
@@ -173,7 +173,7 @@ def test_images_of_types_that_are_not_read_do_not_outlive_their_replacement(tmp_
     model.triangles(SQUARE, SQUARE[:, :2], model.material(baseColor=texture))
     model.tree["extensionsUsed"] = ["KHR_texture_basisu"]
     document = open_document(str(model.written_to(tmp_path)))
-    written = document.patch(None, "o", moved=True, images={("baseColor", "image 0"): new_image(1)})
+    written = document.patch(None, Naming("o", keeps=True), images={("baseColor", "image 0"): new_image(1)})
     tree, _ = unpacked(joined(written))
     assert tree["textures"] == [{"source": 0}]
     assert "extensionsUsed" not in tree
@@ -206,7 +206,7 @@ def test_image_files_are_named_after_the_output_and_spare_the_sources(
     model.files = {name: picture(1), "Taken.jpg": picture(3)}
     document = open_document(str(model.written_to(tmp_path, "gltf")))
     images = {("baseColor", "image 0"): new_image(1, suffix)}
-    written = document.patch(None, "out", moved=moved, images=images)
+    written = document.patch(None, Naming("out", keeps=moved), images=images)
     assert list(written.sidecars) == [expected]
     uri = json.loads(joined(written))["images"][0]["uri"]
     assert uri == expected.replace("%", "%25").replace(" ", "%20")
@@ -219,7 +219,7 @@ def test_a_name_that_stays_keeps_its_spelling(tmp_path):
     model.files = {"skin,(1).png": picture(1)}
     source = model.written_to(tmp_path, "gltf")
     images = {("baseColor", "image 0"): new_image(1)}
-    written = open_document(str(source)).patch(None, "out", moved=True, images=images)
+    written = open_document(str(source)).patch(None, Naming("out", keeps=True), images=images)
     assert joined(written) == source.read_bytes()
     assert written.sidecars == {"skin,(1).png": new_image(1).data}
 
@@ -227,10 +227,10 @@ def test_a_name_that_stays_keeps_its_spelling(tmp_path):
 def test_writing_beside_itself_spares_the_source_too(tmp_path):
     source = with_images(tmp_path, 1, "gltf", "file")
     wanted = {("baseColor", "image 0"): new_image(1)}
-    first = open_document(str(source)).patch(None, "model", moved=False, images=wanted)
+    first = open_document(str(source)).patch(None, Naming("model"), images=wanted)
     assert list(first.sidecars) == ["maps/model_0.png"]
     again = open_document(str(save(first, "model.gltf", tmp_path)))
-    second = again.patch(None, "model", moved=False, images={("baseColor", "image 0"): new_image(2)})
+    second = again.patch(None, Naming("model"), images={("baseColor", "image 0"): new_image(2)})
     assert list(second.sidecars) == ["maps/model_0-2.png"]
 
 
@@ -241,7 +241,7 @@ def test_images_are_replaced_on_the_way_to_the_other_form(tmp_path, place, form)
     document = open_document(str(source))
     wanted = {("baseColor", "image 1"): new_image(1, ".jpg")}
     other = "gltf" if form == "glb" else "glb"
-    written = document.repackaged(None, "out", other, moved=False, images=wanted)
+    written = document.repackaged(None, Naming("out"), other, images=wanted)
     found = open_document(str(save(written, f"out.{other}", tmp_path))).textured("baseColor")
     assert [texture.data for texture in found.textures] == [picture(0, size=300), new_image(1, ".jpg").data]
     if form == "gltf":
@@ -262,7 +262,7 @@ def test_colours_and_images_are_replaced_together(tmp_path):
     document = open_document(str(model.written_to(tmp_path)))
     wanted = {("baseColor", "image 0"): new_image(1, size=900)}
     colours = 1 - document.painted().colours
-    path = save(document.patch(colours, "o", moved=False, images=wanted), "o.glb", tmp_path)
+    path = save(document.patch(colours, Naming("o"), images=wanted), "o.glb", tmp_path)
     after = open_document(str(path))
     np.testing.assert_array_equal(after.painted().colours, colours)
     assert after.textured("baseColor").textures[0].data == new_image(1, size=900).data
@@ -271,11 +271,13 @@ def test_colours_and_images_are_replaced_together(tmp_path):
 def test_types_that_gltf_cannot_hold_are_refused(tmp_path):
     document = open_document(str(with_images(tmp_path, 1)))
     with pytest.raises(OutputError, match=r"cannot hold \.exr textures.*--texture-format"):
-        document.patch(None, "o", moved=True, images={("baseColor", "image 0"): ImageFile(b"v/1", ".exr")})
+        document.patch(
+            None, Naming("o", keeps=True), images={("baseColor", "image 0"): ImageFile(b"v/1", ".exr")}
+        )
 
 
 @pytest.mark.parametrize("key", [("baseColor", "image 9"), ("normal", "image 0"), ("baseColor", "x")])
 def test_images_that_were_not_handed_out_are_not_taken_back(tmp_path, key):
     document = open_document(str(with_images(tmp_path, 1)))
     with pytest.raises(ValueError, match="image"):
-        document.patch(None, "o", moved=True, images={key: new_image(1)})
+        document.patch(None, Naming("o", keeps=True), images={key: new_image(1)})

@@ -13,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from beltrami_cli.errors import BeltramiError, InputError
+from beltrami_cli.formats.document import Naming
 from beltrami_cli.formats.gltf import GltfDocument
 from beltrami_cli.surface.records import ImageFile
 from formats.gltf_compressed import draco_model, meshopt_model
@@ -59,12 +60,12 @@ def use_all(document):
         with contextlib.suppress(InputError):
             getattr(document, name)()
     with contextlib.suppress(BeltramiError):
-        document.patch(document.painted().colours * np.float32(0.5), "out", moved=True)
-        document.repackaged(None, "out", "gltf", moved=True)
+        document.patch(document.painted().colours * np.float32(0.5), Naming("out", keeps=True))
+        document.repackaged(None, Naming("out", keeps=True), "gltf")
     for slot in document.slots():
         with contextlib.suppress(BeltramiError):
             images = {(slot, t.key): ImageFile(b"new", ".png") for t in document.textured(slot).textures}
-            document.patch(None, "out", moved=False, images=images)
+            document.patch(None, Naming("out"), images=images)
 
 
 @pytest.fixture(scope="module")

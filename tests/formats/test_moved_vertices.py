@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from beltrami_cli.errors import InputError
+from beltrami_cli.formats.document import Naming
 from beltrami_cli.formats.gltf import GltfDocument
 from beltrami_cli.formats.obj import ObjDocument
 from beltrami_cli.formats.ply import PlyDocument
@@ -44,7 +45,7 @@ def test_only_coordinates_that_differ_change_in_a_ply_file(encoding, kind):
     normals = np.full((4, 3), np.nan, np.float32)
     normals[2] = [0.6, 0, 0.8]
     places = MovedVertices(CORNERS + MOVES, normals)
-    patched = joined(document.patch(None, "out", moved=False, places=places))
+    patched = joined(document.patch(None, Naming("out"), places=places))
     again = PlyDocument(patched, "model.ply", None)
     assert np.array_equal(again.painted().positions, CORNERS + MOVES)
     assert np.allclose(again.attribute("normal"), [[0, 0, 1], [0, 0, 1], [0.6, 0, 0.8], [0, 0, 1]])
@@ -64,11 +65,11 @@ def test_places_and_colours_change_together():
     document = PlyDocument(ply(encoding="binary_big_endian").data, "model.ply", None)
     colours = document.painted().colours.copy()
     colours[1] = [0.2, 0.4, 0.6]
-    written = document.patch(colours, "out", moved=False, places=MovedVertices(CORNERS + MOVES))
+    written = document.patch(colours, Naming("out"), places=MovedVertices(CORNERS + MOVES))
     again = PlyDocument(joined(written), "model.ply", None)
     assert np.array_equal(again.painted().positions, CORNERS + MOVES)
     assert np.allclose(again.painted().colours, colours, atol=1 / 510)
-    same = document.patch(None, "out", moved=False, places=MovedVertices(CORNERS))
+    same = document.patch(None, Naming("out"), places=MovedVertices(CORNERS))
     assert joined(same) == ply(encoding="binary_big_endian").data
 
 
@@ -93,7 +94,7 @@ def test_only_coordinates_that_differ_change_in_an_obj_file():
     document = ObjDocument(OBJ.encode(), "model.obj", None)
     places = document.painted().positions.copy()
     places[0, 2], places[2, 1], places[3, 1] = 0.1234567891, -1000.5, 1.25
-    written = document.patch(None, "out", moved=False, places=MovedVertices(places))
+    written = document.patch(None, Naming("out"), places=MovedVertices(places))
     expected = OBJ.replace("v 0 0 0 1", "v 0 0 0.1235 1", 1).replace("v 1 1 0", "v 1 -1000.5000 0")
     expected = expected.replace("1e0", "1.2500")
     assert joined(written).decode() == expected
@@ -106,7 +107,7 @@ def test_decimals_of_an_obj_file_follow_the_size_of_the_model():
         document = ObjDocument((text + "f 1 2 3\n").encode(), "model.obj", None)
         places = document.painted().positions.copy()
         places[0, 0] = 0.125 * scale
-        assert token in joined(document.patch(None, "out", moved=False, places=MovedVertices(places)))
+        assert token in joined(document.patch(None, Naming("out"), places=MovedVertices(places)))
 
 
 def test_normals_of_an_obj_file_are_an_attribute_if_each_vertex_has_one():
@@ -162,7 +163,7 @@ def test_places_in_a_gltf_file_go_back_through_its_nodes(form):
     normals = np.full((4, 3), np.nan, np.float32)
     normals[1] = world / np.linalg.norm(world)
     places = MovedVertices(to_world(CORNERS + MOVES), normals)
-    tree, buffers = unpacked(joined(document.patch(None, "out", moved=False, places=places)))
+    tree, buffers = unpacked(joined(document.patch(None, Naming("out"), places=places)))
     before, old_buffers = unpacked(source)
     assert np.allclose(numbers(tree, buffers, 0), CORNERS + MOVES, atol=1e-6)
     assert np.array_equal(numbers(tree, buffers, 0)[0], CORNERS[0])
@@ -186,7 +187,7 @@ def test_an_accessor_that_something_else_uses_is_spared():
     model.mesh(primitive)
     document = GltfDocument(model.glb(), "model.glb", None)
     places = MovedVertices(CORNERS + MOVES)
-    tree, buffers = unpacked(joined(document.patch(None, "out", moved=False, places=places)))
+    tree, buffers = unpacked(joined(document.patch(None, Naming("out"), places=places)))
     (primitive,) = tree["meshes"][0]["primitives"]
     assert np.array_equal(numbers(tree, buffers, primitive["targets"][0]["POSITION"]), CORNERS)
     assert np.allclose(numbers(tree, buffers, primitive["attributes"]["POSITION"]), CORNERS + MOVES)
@@ -198,7 +199,7 @@ def test_what_is_drawn_with_the_same_positions_moves_along():
     outline = {"attributes": {"POSITION": painted["attributes"]["POSITION"]}, "mode": 2}
     model.mesh(painted, outline)
     document = GltfDocument(model.glb(), "model.glb", None)
-    written = document.patch(None, "out", moved=False, places=MovedVertices(CORNERS + MOVES))
+    written = document.patch(None, Naming("out"), places=MovedVertices(CORNERS + MOVES))
     tree, buffers = unpacked(joined(written))
     assert tree["meshes"] == model.tree["meshes"]
     assert np.allclose(numbers(tree, buffers, 0), CORNERS + MOVES)
@@ -217,9 +218,9 @@ def test_parts_that_share_positions_move_together_or_not_at_all(apart):
     places = MovedVertices(document.painted().positions + moves)
     if apart:
         with pytest.raises(InputError, match=r"accessors\[0\].*move apart"):
-            document.patch(None, "out", moved=False, places=places)
+            document.patch(None, Naming("out"), places=places)
         return
-    tree, buffers = unpacked(joined(document.patch(None, "out", moved=False, places=places)))
+    tree, buffers = unpacked(joined(document.patch(None, Naming("out"), places=places)))
     assert np.allclose(numbers(tree, buffers, 0), CORNERS + MOVES)
 
 
@@ -249,6 +250,6 @@ def test_the_validator_finds_nothing_new_in_moved_files(placed, tmp_path):
     normals = RANDOM.normal(size=(4, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     places = MovedVertices(document.painted().positions + moves, normals.astype(np.float32))
-    target.write_bytes(joined(document.patch(None, "out", moved=False, places=places)))
+    target.write_bytes(joined(document.patch(None, Naming("out"), places=places)))
     before, after = issues(source, target)
     assert json.dumps(before) == json.dumps(after)

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.flow.parameters import KernelParameters
+from beltrami_cli.formats.document import Naming
 from beltrami_cli.formats.obj import ObjDocument
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.smooth import smooth_file
@@ -196,7 +197,7 @@ def test_polypaint_keeps_masks_and_every_byte_that_is_no_changed_colour(data: st
     new = levels[:, 1:] / np.float32(255)
     rows = data.draw(st.lists(st.integers(0, count - 1), max_size=5))
     new[rows] = np.random.default_rng(1).random((len(rows), 3), np.float32)
-    written = b"".join(document.patch(new.astype(np.float32), "out", moved=False).main)
+    written = b"".join(document.patch(new.astype(np.float32), Naming("out")).main)
     kept = {(i, c) for i in range(count) for c in range(4) if c == 0 or i not in rows}
     again = np.array(
         [
@@ -230,6 +231,6 @@ def test_damaged_polypaint_is_refused(lines: str, message: str) -> None:
 def test_colours_of_vertices_go_before_polypaint_which_stays_and_is_told_of() -> None:
     source = "v 0 0 0 1 0 0\nv 1 0 0 0 1 0\nv 0 1 0 0 0 1\n#MRGB ff000000ff000000ff000000\nf 1 2 3\n"
     document = ObjDocument(source.encode(), "x.obj", None)
-    written = b"".join(document.patch(document.painted().colours * np.float32(0.5), "out", moved=False).main)
+    written = b"".join(document.patch(document.painted().colours * np.float32(0.5), Naming("out")).main)
     assert b"#MRGB ff000000ff000000ff000000\n" in written
     assert any("#MRGB" in notice for notice in document.notices)

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from beltrami_cli.formats.document import Naming
 from beltrami_cli.formats.obj import ObjDocument
 
 LINES = st.sampled_from([
@@ -58,7 +59,7 @@ def test_only_changed_tokens_change(file: tuple[list[str], list[list[str]]], dat
     for _ in range(data.draw(st.integers(0, 4))):
         place = data.draw(st.integers(0, len(new) - 1)), data.draw(st.integers(0, 2))
         new[place] = data.draw(st.integers(0, 1000)) / 1000
-    patched = b"".join(document.patch(new, "out", moved=False).main)
+    patched = b"".join(document.patch(new, Naming("out")).main)
     changed = (new != before).ravel()
     style = r"\d+" if whole else r"\d\.\d{6}"
     pattern = [re.escape(piece) for piece in pieces]
@@ -76,19 +77,19 @@ def test_only_changed_tokens_change(file: tuple[list[str], list[list[str]]], dat
 def test_unchanged_colours_give_the_same_bytes(file: tuple[list[str], list[list[str]]]) -> None:
     source = "".join(file[0]).encode()
     document = ObjDocument(source, "random.obj", None)
-    assert b"".join(document.patch(document.painted().colours.copy(), "out", moved=False).main) == source
-    assert document.patch(None, "out", moved=False).main == [source]
+    assert b"".join(document.patch(document.painted().colours.copy(), Naming("out")).main) == source
+    assert document.patch(None, Naming("out")).main == [source]
 
 
 def test_decimals_follow_the_source_within_what_loses_nothing() -> None:
     for token, found in (("1", 6), ("0.5", 6), ("0.50000000", 8), ("0.5000000000000000", 9)):
         document = ObjDocument(f"v 0 0 0 {token} 0 0\n".encode(), "x.obj", None)
-        patched = b"".join(document.patch(np.full((1, 3), 0.2, np.float32), "out", moved=False).main)
+        patched = b"".join(document.patch(np.full((1, 3), 0.2, np.float32), Naming("out")).main)
         assert len(patched.split()[-1]) == 2 + found
 
 
 def test_whole_numbers_of_0_to_255_stay_whole_and_in_range() -> None:
     document = ObjDocument(b"v 0 0 0 200 0 7\n", "x.obj", None)
-    patched = document.patch(np.array([[1.5, -1, 0.5]], np.float32), "out", moved=False)
+    patched = document.patch(np.array([[1.5, -1, 0.5]], np.float32), Naming("out"))
     assert b"".join(patched.main) == b"v 0 0 0 255 0 128\n"
     assert "0..255" in document.notices[0]

@@ -13,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from beltrami_cli.errors import InputError
+from beltrami_cli.formats.document import Naming
 from beltrami_cli.formats.obj import ObjDocument
 from beltrami_cli.formats.registry import open_bytes
 
@@ -89,7 +90,7 @@ def test_uncoloured_vertices_and_their_faces_take_no_part() -> None:
     assert document.painted().faces.tolist() == [[0, 1, 2]]
     assert document.painted().positions[0].tolist() == [0, 0, 0]
     assert "1 of 4 vertices have no colour" in document.notices[0]
-    patched = document.patch(np.full((3, 3), 0.5, np.float32), "out", moved=False)
+    patched = document.patch(np.full((3, 3), 0.5, np.float32), Naming("out"))
     assert b"".join(patched.main).startswith(b"v 9 9 9\nv 0 0 0 0.500000 0.500000 0.500000\n")
 
 
@@ -139,7 +140,7 @@ def test_mutated_and_truncated_bytes_are_read_or_refused(data: st.DataObject) ->
         assert painted.faces.size == 0 or 0 <= painted.faces.min() <= painted.faces.max() < len(
             painted.positions
         )
-        document.patch(painted.colours * np.float32(0.5), "out", moved=False)
+        document.patch(painted.colours * np.float32(0.5), Naming("out"))
 
 
 def test_material_files_and_textures_inside_the_folder_are_referred_to(tmp_path: Path) -> None:

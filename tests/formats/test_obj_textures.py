@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from beltrami_cli.errors import InputError
+from beltrami_cli.formats.document import Naming
 from beltrami_cli.formats.obj import ObjDocument
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.surface.records import ImageFile
@@ -166,11 +167,11 @@ def test_damaged_coordinates_are_refused_with_their_line(tmp_path: Path, line: s
 
 def test_moved_files_keep_their_names_and_the_obj_its_bytes(tmp_path: Path) -> None:
     document = model(tmp_path, "newmtl one\nKd 1 1 1\nmap_Kd -o 1 1 a.png # c\n".replace(" # c", ""))
-    written = document.patch(None, "out", moved=True, images={("baseColor", "a.png"): NEW})
+    written = document.patch(None, Naming("out", keeps=True), images={("baseColor", "a.png"): NEW})
     assert b"".join(written.main) == (tmp_path / "model.obj").read_bytes()
     assert dict(written.sidecars) == {"a.png": b"new image"}
     other = ImageFile(b"new", ".exr")
-    written = document.patch(None, "out", moved=True, images={("baseColor", "a.png"): other})
+    written = document.patch(None, Naming("out", keeps=True), images={("baseColor", "a.png"): other})
     assert b"".join(written.main) == (tmp_path / "model.obj").read_bytes()
     assert dict(written.sidecars) == {
         "a.exr": b"new",
@@ -193,7 +194,7 @@ def test_beside_the_source_only_names_change(tmp_path: Path) -> None:
     document = open_document(str(tmp_path / "old model.obj"))
     document.textured("baseColor")
     key = "maps/old model_Skin.png"
-    written = document.patch(None, "new", moved=False, images={("baseColor", key): NEW})
+    written = document.patch(None, Naming("new"), images={("baseColor", key): NEW})
     assert b"".join(written.main).decode() == obj.replace("my lib.mtl", "new.mtl")
     assert dict(written.sidecars) == {
         "maps/new_Skin.png": b"new image",
@@ -210,13 +211,13 @@ def test_names_without_the_models_stem_get_the_new_one_in_front_and_none_is_take
     mtl = "newmtl one\nmap_Kd a.png\nmap_Ke model.png\nnorm out_a.png\n"
     document = model(tmp_path, mtl, **{"out_a.png": b"", "model.png": b"", "out.mtl": b""})
     images = {("baseColor", "a.png"): NEW, ("emissive", "model.png"): ImageFile(b"light", ".jpg")}
-    written = document.patch(None, "out", moved=False, images=images)
+    written = document.patch(None, Naming("out"), images=images)
     assert dict(written.sidecars) == {
         "out_a-2.png": b"new image",
         "out.jpg": b"light",
         "out.mtl": b"newmtl one\nmap_Kd out_a-2.png\nmap_Ke out.jpg\nnorm out_a.png\n",
     }
-    same = document.patch(None, "model", moved=False, images={("emissive", "model.png"): NEW})
+    same = document.patch(None, Naming("model"), images={("emissive", "model.png"): NEW})
     assert "model.png" not in same.sidecars
     assert "m.mtl" not in same.sidecars
 
@@ -225,7 +226,7 @@ def test_an_image_in_two_slots_is_replaced_in_one(tmp_path: Path) -> None:
     mtl = "newmtl one\nmap_Kd a.png\nmap_Ke a.png\n"
     document = model(tmp_path, mtl)
     for moved in (True, False):
-        written = document.patch(None, "out", moved=moved, images={("emissive", "a.png"): NEW})
+        written = document.patch(None, Naming("out", keeps=moved), images={("emissive", "a.png"): NEW})
         library = written.sidecars["m.mtl" if moved else "out.mtl"]
         assert library == b"newmtl one\nmap_Kd a.png\nmap_Ke out_a.png\n"
         assert written.sidecars["out_a.png"] == b"new image"
@@ -262,5 +263,5 @@ def test_colours_and_names_change_together_and_nothing_else(
     new = np.vstack([new[4:], new[:4]])
     document = model(folder, "newmtl one\nmap_Kd a.png\n", "\n".join([*rows, tail]))
     assert document.has_vertex_colours()
-    patched = document.patch(new, "a longer", moved=False, images={("baseColor", "a.png"): NEW})
+    patched = document.patch(new, Naming("a longer"), images={("baseColor", "a.png"): NEW})
     assert b"".join(patched.main).decode() == "\n".join([*wanted, tail.replace("m.mtl", "a longer.mtl")])

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from beltrami_cli.errors import InputError
+from beltrami_cli.formats.document import Naming
 from beltrami_cli.formats.ply import PlyDocument
 from formats.ply_files import ENCODINGS, build, coloured
 
@@ -22,7 +23,7 @@ def read(data: bytes) -> None:
     assert np.isfinite(painted.positions).all()
     assert np.isfinite(painted.colours).all()
     assert painted.faces.size == 0 or 0 <= painted.faces.min() <= painted.faces.max() < len(painted.positions)
-    document.patch(painted.colours * np.float32(0.5), "out", moved=False)
+    document.patch(painted.colours * np.float32(0.5), Naming("out"))
 
 
 @pytest.mark.parametrize("encoding", ENCODINGS)

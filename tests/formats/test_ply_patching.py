@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from beltrami_cli.formats.document import Naming
 from beltrami_cli.formats.ply import PlyDocument
 from formats.ply_files import CODES, ENCODINGS, Built, Table, build, coloured
 
@@ -98,7 +99,7 @@ def test_only_changed_colour_entries_change_and_they_are_rounded_once(
     )
     for row, channel in rows:
         new[row, channel] = data.draw(st.floats(0, 1, width=32))
-    patched = b"".join(document.patch(new, "out", moved=False).main)
+    patched = b"".join(document.patch(new, Naming("out")).main)
     full = FULL.get(CODES[kind], 1)
     changed = sorted(
         built.spans["vertex", row, names[channel]] for row, channel in np.argwhere(new != before)
@@ -125,9 +126,9 @@ def test_unchanged_colours_give_the_same_bytes(
     file: tuple[Built, tuple[str, ...], str, list[list[float]]],
 ) -> None:
     document = PlyDocument(file[0].data + b"trailing bytes", "random.ply")
-    same = document.patch(document.painted().colours.copy(), "out", moved=True)
+    same = document.patch(document.painted().colours.copy(), Naming("out", keeps=True))
     assert b"".join(same.main) == file[0].data + b"trailing bytes"
-    assert document.patch(None, "out", moved=True).main == [file[0].data + b"trailing bytes"]
+    assert document.patch(None, Naming("out", keeps=True)).main == [file[0].data + b"trailing bytes"]
 
 
 def test_text_keeps_spacing_tokens_and_line_ends() -> None:
@@ -142,7 +143,7 @@ def test_text_keeps_spacing_tokens_and_line_ends() -> None:
     assert np.rint(colours * 255).tolist() == [[9, 8, 7], [3, 2, 1]]
     colours[0, 1] = 200 / 255
     colours[1, 0] = 1
-    patched = b"".join(document.patch(colours, "out", moved=False).main)
+    patched = b"".join(document.patch(colours, Naming("out")).main)
     assert patched == data.replace(b"007  8 9", b"007  200 9").replace(b" 1 2 3", b" 1 2 255")
 
 
@@ -150,7 +151,7 @@ def test_float_text_round_trips_float32_in_a_plain_style() -> None:
     tables = coloured(colour="float", value=0.5)
     document = PlyDocument(build(tables).data, "x.ply")
     colours = np.random.default_rng(0).random((4, 3), np.float32)
-    patched = b"".join(document.patch(colours, "out", moved=False).main)
+    patched = b"".join(document.patch(colours, Naming("out")).main)
     np.testing.assert_array_equal(PlyDocument(patched, "y.ply").painted().colours, colours)
     assert max(len(token) for token in patched.split(b"end_header")[1].split()) <= 12
 
@@ -164,7 +165,7 @@ def test_integers_are_clipped_to_their_range_and_alpha_is_kept(encoding: str) ->
     built = build(tables, encoding)
     document = PlyDocument(built.data, "x.ply")
     new = np.tile(np.array([-1, 0.5, 2], np.float32), (4, 1))
-    patched = PlyDocument(b"".join(document.patch(new, "out", moved=False).main), "y.ply")
+    patched = PlyDocument(b"".join(document.patch(new, Naming("out")).main), "y.ply")
     assert np.rint(patched.painted().colours * 255).tolist() == [[0, 128, 255]] * 4
     alpha = patched.contents().alpha
     assert alpha is not None
@@ -176,7 +177,7 @@ def test_float_colours_of_0_to_255_keep_their_scale_with_a_notice() -> None:
     colours = document.painted().colours
     np.testing.assert_allclose(colours, 0.2)
     assert "0..255" in document.notices[0]
-    patched = b"".join(document.patch(colours * 2, "out", moved=False).main)
+    patched = b"".join(document.patch(colours * 2, Naming("out")).main)
     again = PlyDocument(patched, "y.ply")
     np.testing.assert_allclose(again.painted().colours, 0.4)
     assert "0..255" in again.notices[0]

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from trimesh.exchange.ply import load_ply
 
+from beltrami_cli.formats.document import Naming
 from beltrami_cli.formats.ply import PlyDocument
 from formats.ply_files import ENCODINGS, Table, build, coloured
 
@@ -113,10 +114,10 @@ def test_intensities_of_points_are_of_any_type_and_range(encoding, kind, values,
     assert len(painted.channels) == 1
     assert np.allclose(painted.colours[:, 0], expected, atol=1e-4)
     colours = painted.colours.copy()
-    assert b"".join(document.patch(colours, "x", moved=False).main) == data
+    assert b"".join(document.patch(colours, Naming("x")).main) == data
     colours[1] = new
     values = [values[0], stored, values[2]]
-    result = b"".join(document.patch(colours, "x", moved=False).main)
+    result = b"".join(document.patch(colours, Naming("x")).main)
     raw = load_ply(io.BytesIO(result))["metadata"]["_ply_raw"]["vertex"]["data"]
     assert np.allclose(raw["intensity"].ravel().astype(float), values, atol=1e-3)
     assert PlyDocument(result, "x.ply").fingerprint().parts == document.fingerprint().parts

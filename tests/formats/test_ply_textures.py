@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from beltrami_cli.errors import InputError
+from beltrami_cli.formats.document import Naming
 from beltrami_cli.formats.ply import PlyDocument
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.surface.records import ImageFile
@@ -191,7 +192,7 @@ def test_only_the_name_changes_and_colours_beside_it(
             row[5] = 255 - colour
     suffix = data.draw(st.sampled_from([".png", ".exr"]))
     image = ImageFile(b"new", suffix)
-    written = document.patch(colours, "out", moved=moved, images={("baseColor", "a b.png"): image})
+    written = document.patch(colours, Naming("out", keeps=moved), images={("baseColor", "a b.png"): image})
     name = ("a b" if moved else "out_a b") + suffix
     comments = ["made by a test", f"TextureFile {name}", "TextureFile b.png", f"TextureFile {name}", "last"]
     assert b"".join(bytes(piece) for piece in written.main) == build(tables, encoding, newline, comments).data
@@ -204,6 +205,6 @@ def test_the_models_stem_is_replaced_in_names_and_sources_stay(tmp_path: Path) -
     (tmp_path / "model_0.png").write_bytes(b"x")
     document = opened(tmp_path, pentagon(), "ascii", "\n", "model_0.png")
     for stem, name in (("clean", "clean_0.png"), ("model", "model_0-2.png")):
-        written = document.patch(None, stem, moved=False, images={("baseColor", "model_0.png"): NEW})
+        written = document.patch(None, Naming(stem), images={("baseColor", "model_0.png"): NEW})
         assert list(written.sidecars) == [name]
-    assert document.patch(None, "x", moved=True).main == [(tmp_path / "model.ply").read_bytes()]
+    assert document.patch(None, Naming("x", keeps=True)).main == [(tmp_path / "model.ply").read_bytes()]

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from beltrami_cli.errors import InputError, UnpaintedError
 from beltrami_cli.formats.access import Access
+from beltrami_cli.formats.document import Naming
 from beltrami_cli.formats.points import NpzPointsDocument, write_npz
 from formats.points_files import patched, use
 from formats.volume_files import npz
@@ -88,7 +89,7 @@ def test_only_the_colours_change_and_every_other_array_stays(compressed, stored,
     document = opened(data)
     same = document.painted().colours
     assert patched(document, same) == data
-    assert b"".join(document.patch(None, "out", moved=False).main) == data
+    assert b"".join(document.patch(None, Naming("out")).main) == data
     new = same.copy()
     new[2] = [1, 0.5, 0]
     result = patched(document, new)

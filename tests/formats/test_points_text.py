@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from beltrami_cli.errors import InputError, UnpaintedError
+from beltrami_cli.formats.document import Naming
 from beltrami_cli.formats.points import TextPointsDocument, write_pts, write_xyz
 from formats.points_files import patched, use
 
@@ -113,7 +114,7 @@ def test_colours_that_stay_keep_their_bytes_to_the_last():
     document = opened(b"  1 2.50 3 010 +20 030 # a\r\n\r\n// b\r\n4,5,6;\t40 50\t60")
     same = document.painted().colours
     assert patched(document, same) == b"  1 2.50 3 010 +20 030 # a\r\n\r\n// b\r\n4,5,6;\t40 50\t60"
-    assert b"".join(document.patch(None, "out", moved=False).main) == patched(document, same)
+    assert b"".join(document.patch(None, Naming("out")).main) == patched(document, same)
     # A change that is lost in rounding is none.
     assert patched(document, same + np.float32(1e-4)) == patched(document, same)
     other = same.copy()

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from beltrami_cli.errors import InputError, UnpaintedError
 from beltrami_cli.formats.access import Access
+from beltrami_cli.formats.document import Naming
 from beltrami_cli.formats.read_only.polygons import ColouredPolygons, colours_of_vertices
 from beltrami_cli.formats.registry import open_bytes
 from beltrami_cli.jobs.smooth import smooth_file
@@ -143,7 +144,7 @@ def test_they_are_smoothed_and_written_as_another_format_with_a_line_that_says_s
     smoothed = linear_to_srgb(again.colours) if again.encoding == "linear" else again.colours
     assert smoothed.std() < (levels / 255).std()
     with pytest.raises(InputError, match="name an output in"):
-        opened((tmp_path / "in.off").read_bytes(), "x.off").patch(None, "out", moved=True)
+        opened((tmp_path / "in.off").read_bytes(), "x.off").patch(None, Naming("out", keeps=True))
 
 
 @settings(max_examples=60, deadline=None)

@@ -16,6 +16,7 @@ import numpy as np
 from beltrami_cli import smooth
 from beltrami_cli.errors import BeltramiError, InputError, UsageError
 from beltrami_cli.formats.access import Access
+from beltrami_cli.formats.document import Naming
 from beltrami_cli.formats.image import read_image, write_image
 from beltrami_cli.formats.registry import open_bytes
 from beltrami_cli.formats.volume import is_volume
@@ -54,7 +55,9 @@ def read_model(data: bytes, name: str) -> None:
                 surface = document.textured(slot)
                 assert np.isfinite(surface.uv[surface.texture_of >= 0]).all()
                 images = {(slot, texture.key): ImageFile(b"new", ".png") for texture in surface.textures}
-                _compare(document, document.patch(None, "out", moved=True, images=images), Path(folder))
+                _compare(
+                    document, document.patch(None, Naming("out", keeps=True), images=images), Path(folder)
+                )
 
 
 def _use_vertices(document: Document, folder: Path) -> None:
@@ -70,7 +73,7 @@ def _use_vertices(document: Document, folder: Path) -> None:
     doubtful = any("taken for" in notice for notice in document.notices)
     if document.format in ("ply", "obj", "gltf", "glb") and not doubtful:
         colours = np.clip(painted.colours * np.float32(0.5), 0, 1)
-        _compare(document, document.patch(colours, "out", moved=True), folder)
+        _compare(document, document.patch(colours, Naming("out", keeps=True)), folder)
 
 
 def _compare(before: Document, written: Written, folder: Path) -> None:

@@ -43,7 +43,9 @@ def child(target: str, at: int, number: int) -> None:
 
     def job(**_: object) -> int:
         output = Output(target, overwrite=True)
-        output.write(Written([b"new ", b"model"], {"maps.mtl": b"new", "maps/skin.png": b"new"}))
+        sidecars = {"maps.mtl": b"new", "maps/skin.png": b"new"}
+        output.replaceable = frozenset(sidecars)
+        output.write(Written([b"new ", b"model"], sidecars))
         return 0
 
     command.group.main = job

@@ -138,7 +138,7 @@ def test_when_allowed_they_are_read_and_new_ones_written_inside(
     new = sorted(set(after) - set(before))
     assert all(Path(path).parent.name == target.parent.name for path in new)
     images = [path for path in new if path.endswith(".png")]
-    assert images == [f"{target.parent.name}/{'key.png' if moved else 'result_key.png'}"]
+    assert images == [f"{target.parent.name}/result_key.png"]
     # Alone, in a folder of its own, the result is whole.
     (texture,) = open_document(str(target)).textured("baseColor").textures
     assert texture.data == after[images[0]][1] != PICTURE

@@ -13,6 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from beltrami_cli.errors import InputError, UsageError
+from beltrami_cli.formats.document import Naming
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.check import check_files
 from beltrami_cli.jobs.smooth import smooth_file
@@ -39,7 +40,7 @@ def halved(source: Path, target: Path) -> Path:
     """Write a file with darker vertex colours."""
     document = open_document(str(source))
     colours = document.painted().colours * np.float32(0.5)
-    return saved(document.patch(colours, target.stem, moved=source.parent != target.parent), target)
+    return saved(document.patch(colours, Naming(target.stem, keeps=source.parent != target.parent)), target)
 
 
 @pytest.mark.slow
@@ -139,7 +140,9 @@ def leaves(tree: Any, place: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
 def test_every_member_of_a_gltf_counts(name: str, tmp_path: Path) -> None:
     if name == "nonmanifold":
         saved(
-            open_document(str(SAMPLES / f"{name}-noisy.glb")).repackaged(None, "x", "gltf", moved=True),
+            open_document(str(SAMPLES / f"{name}-noisy.glb")).repackaged(
+                None, Naming("x", keeps=True), "gltf"
+            ),
             tmp_path / "before.gltf",
         )  # type: ignore[attr-defined]
     else:

@@ -1,4 +1,4 @@
-"""Files beside an output: those of other models stay, superseded ones are not copied, none is written twice."""
+"""Files beside an output: named after it, never in the way of those of others, and none is written twice."""
 
 from __future__ import annotations
 
@@ -7,15 +7,18 @@ import json
 import numpy as np
 import pytest
 
-from beltrami_cli.errors import InputError, OutputError
+from beltrami_cli.errors import InputError
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.image import read_image
 from beltrami_cli.formats.registry import open_bytes, open_document
+from beltrami_cli.jobs.bake import bake_file
+from beltrami_cli.jobs.check import check_files
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.noise import noise_file
-from beltrami_cli.jobs.settings import NoiseSettings
+from beltrami_cli.jobs.settings import BakeSettings, NoiseSettings
 from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.samples.settings import SmoothSettings, TextureSettings
+from cli.commands import SAMPLES
 from formats.image_files import encode
 from hostile.textured_models import OTHER, PICTURE, write_model
 
@@ -86,49 +89,112 @@ def test_tiles_are_not_called_missing(kind, tmp_path):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_model_leaves_the_files_of_another_in_the_same_folder(kind, tmp_path):
+def test_models_whose_textures_have_one_name_go_to_one_folder(kind, tmp_path):
     one, other = (model(tmp_path / name, kind, data) for name, data in (("a", PICTURE), ("b", OTHER)))
     out = tmp_path / "out"
     smooth(one, out / f"one.{kind}")
     before = contents(out)
-    report = smooth(other, out / f"other.{kind}")
+    report = smooth_file(other, out / f"other.{kind}", SmoothSettings(kernel=KERNEL))  # replaces nothing
     after = contents(out)
     assert {name: after[name] for name in before} == before
+    assert all(name.startswith(("one.", "one_", "other.", "other_")) for name in after)
     smooth(other, tmp_path / "alone" / f"other.{kind}")
     assert texture(out / f"other.{kind}").data == texture(tmp_path / "alone" / f"other.{kind}").data
-    assert any("skin.png" in warning and "stays" in warning for warning in report.warnings)
+    assert report.warnings == []
     # Once more, both are replaced by themselves, under the names that they have.
     smooth(one, out / f"one.{kind}")
     smooth(other, out / f"other.{kind}")
     assert contents(out) == after
 
 
+def test_models_of_one_name_in_several_formats_go_to_one_folder(tmp_path):
+    sources = [
+        model(tmp_path / kind, kind, data) for kind, data in zip(KINDS, (PICTURE, OTHER, OTHER), strict=True)
+    ]
+    out = tmp_path / "out"
+    reports = [smooth(source, out / source.name) for source in sources]
+    files = contents(out)
+    assert [any("stays" in warning for warning in report.warnings) for report in reports] == [
+        False,
+        True,
+        True,
+    ]
+    for source in sources:
+        smooth(source, tmp_path / "alone" / source.suffix / source.name)
+        alone = texture(tmp_path / "alone" / source.suffix / source.name)
+        assert texture(out / source.name).data == alone.data
+        smooth(source, out / source.name)  # once more, it replaces its own files
+    assert contents(out) == files
+
+
 def test_noise_leaves_the_files_of_another_model_too(tmp_path):
     one, other = (model(tmp_path / name, "obj", data) for name, data in (("a", PICTURE), ("b", OTHER)))
     (tmp_path / "out").mkdir()
     for source, name in ((one, "one"), (other, "other")):
-        noise_file(
-            source, tmp_path / "out" / f"{name}.obj", NoiseSettings(sigma=0.1), job=Job(overwrite=True)
-        )
+        noise_file(source, tmp_path / "out" / f"{name}.obj", NoiseSettings(sigma=0.1))
     assert texture(tmp_path / "out" / "one.obj").data != texture(tmp_path / "out" / "other.obj").data
-    assert texture(tmp_path / "out" / "one.obj").name == "skin.png"
+    assert texture(tmp_path / "out" / "one.obj").name == "one_skin.png"
 
 
-def test_unchanged_files_of_one_name_but_other_content_are_refused(tmp_path):
+def test_unchanged_files_of_one_name_but_other_content_are_copied_each_for_itself(tmp_path):
     sources = [model(tmp_path / name, "obj", PICTURE) for name in ("a", "b")]
     for number, source in enumerate(sources):
         library = source.parent / "m.mtl"
-        library.write_text(library.read_text() + "map_Ks shine.png\n")
-        (source.parent / "shine.png").write_bytes([PICTURE, OTHER][number])
-    out = tmp_path / "out"
-    smooth(sources[0], out / "one.obj")
-    before = contents(out)
-    with pytest.raises(OutputError, match=r"shine\.png.* choose another folder"):
-        smooth(sources[1], out / "other.obj")
-    assert contents(out) == before
-    (sources[1].parent / "shine.png").write_bytes(PICTURE)
-    smooth(sources[1], out / "other.obj")
-    assert contents(out)["shine.png"] == PICTURE
+        library.write_text(library.read_text() + "map_Ks maps/shine.png\n")
+        (source.parent / "maps").mkdir()
+        (source.parent / "maps" / "shine.png").write_bytes([PICTURE, OTHER][number])
+        smooth(source, tmp_path / "out" / f"{source.parent.name}.obj")
+        assert check_files(source, tmp_path / "out" / f"{source.parent.name}.obj").faithful
+    shines = contents(tmp_path / "out" / "maps")
+    assert shines == {"a_shine.png": PICTURE, "b_shine.png": OTHER}
+    assert "map_Ks maps/b_shine.png" in (tmp_path / "out" / "b.mtl").read_text()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_in_its_own_place_a_model_keeps_the_names_of_its_files(kind, tmp_path):
+    source = model(tmp_path, kind, PICTURE)
+    before = contents(tmp_path)
+    smooth(source, source)
+    after = contents(tmp_path)
+    assert after.keys() == before.keys()
+    assert {name for name in before if after[name] != before[name]} == {"skin.png"}
+    smooth(source, source, image_suffix=".jpg")
+    assert contents(tmp_path).keys() == before.keys() | {"skin.jpg"}
+    assert texture(source).name == "skin.jpg"
+
+
+@pytest.mark.parametrize(
+    "stem", [".x", " x ", "a\nb", 'a"b', "a: b", "a\\b", "-o 1", "#x", "x" * 240, "h\u00e4ut\u00e9"]
+)
+@pytest.mark.parametrize("kind", KINDS)
+def test_names_that_references_cannot_spell_still_lead_to_the_files(kind, stem, tmp_path):
+    source = model(tmp_path / "in", kind, PICTURE)
+    target = tmp_path / "out" / f"{stem}.{kind}"
+    smooth(source, target)
+    assert check_files(source, target).faithful
+    assert texture(target).data != PICTURE
+
+
+def test_a_file_that_appears_meanwhile_is_not_replaced(tmp_path):
+    source, out = model(tmp_path / "in", "obj", PICTURE), tmp_path / "out"
+    out.mkdir()
+    settings, meant = SmoothSettings(kernel=KERNEL), out / "one_skin.png"
+    job = Job(overwrite=True, progress=lambda *_: meant.write_bytes(b"of somebody else"))
+    smooth_file(source, out / "one.obj", settings, job=job)
+    assert meant.read_bytes() == b"of somebody else"
+    assert texture(out / "one.obj").name == "one_skin-2.png"
+
+
+def test_new_textures_do_not_replace_those_of_another_file(tmp_path):
+    ply = SAMPLES / "nonmanifold-clean.ply"
+    for name in ("scan.obj", "scan.ply"):
+        bake_file(ply, tmp_path / name, "texture", overwrite=True)
+    smooth_file(ply, tmp_path / "scan.gltf", job=Job(overwrite=True), unwrap=BakeSettings())
+    assert [texture(tmp_path / f"scan.{kind}").name for kind in KINDS] == [
+        "scan.png",
+        "scan-2.png",
+        "scan-3.png",
+    ]
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -138,8 +204,8 @@ def test_an_image_that_becomes_one_of_another_format_is_not_copied_besides(kind,
     smooth(source, target, image_suffix=".jpg")
     named = open_document(str(target)).references()
     assert {path.name for path in target.parent.iterdir()} == {source.name, *named}
-    assert "skin.jpg" in named
-    assert "skin.png" not in named
+    assert "model_skin.jpg" in named
+    assert "model_skin.png" not in named
 
 
 def test_an_image_that_comes_out_as_it_was_replaces_no_other(tmp_path):
@@ -148,9 +214,10 @@ def test_an_image_that_comes_out_as_it_was_replaces_no_other(tmp_path):
     flat = model(tmp_path / "b", "gltf", encode(np.full((16, 16, 3), 90, np.uint8), "png"))
     smooth(flat, tmp_path / "c" / "model.gltf")  # encoded as it is here
     before = contents(tmp_path / "out")
-    with pytest.raises(OutputError, match="choose another folder"):
-        smooth(tmp_path / "c" / "model.gltf", tmp_path / "out" / "other.gltf")
-    assert contents(tmp_path / "out") == before
+    smooth(tmp_path / "c" / "model.gltf", tmp_path / "out" / "other.gltf")
+    after = contents(tmp_path / "out")
+    assert {name: after[name] for name in before} == before
+    assert texture(tmp_path / "out" / "other.gltf").data == texture(tmp_path / "c" / "model.gltf").data
 
 
 def test_an_old_image_that_something_else_shows_is_copied_though(tmp_path):
@@ -159,7 +226,7 @@ def test_an_old_image_that_something_else_shows_is_copied_though(tmp_path):
     library.write_text(library.read_text() + "map_Ks skin.png\n")
     target = tmp_path / "out" / "model.obj"
     smooth(source, target, image_suffix=".jpg")
-    assert contents(target.parent)["skin.png"] == PICTURE
+    assert contents(target.parent)["model_skin.png"] == PICTURE
 
 
 def test_occlusion_and_roughness_of_one_image_stay_one_image(tmp_path):
@@ -182,7 +249,7 @@ def test_occlusion_and_roughness_of_one_image_stay_one_image(tmp_path):
     assert (both != read_image(PICTURE, "skin.png").pixels).any(axis=(0, 1)).all()
     tree = json.loads(target.read_text())
     assert len(tree["images"]) == len(tree["textures"]) == 1
-    assert {path.name for path in target.parent.iterdir()} == {"model.gltf", "skin.png"}
+    assert {path.name for path in target.parent.iterdir()} == {"model.gltf", "model_skin.png"}
 
 
 def test_an_image_that_two_slots_show_alike_is_written_once(tmp_path):
@@ -191,5 +258,5 @@ def test_an_image_that_two_slots_show_alike_is_written_once(tmp_path):
     library.write_text(library.read_text() + "map_Ke skin.png\n")
     target = tmp_path / "out" / "model.obj"
     smooth(source, target, slots=("baseColor", "emissive"))
-    assert {path.name for path in target.parent.iterdir()} == {"model.obj", "m.mtl", "skin.png"}
+    assert {path.name for path in target.parent.iterdir()} == {"model.obj", "model.mtl", "model_skin.png"}
     assert texture(target).data != PICTURE

@@ -63,7 +63,7 @@ def smoothed_texture(path, settings=SETTINGS):
         "vt .25 .25\nvt .75 .25\nvt .75 .75\nvt .25 .75\nf 1/1 2/2 3/3 4/4\n"
     )
     beltrami_cli.smooth_file(path.parent / "square.obj", folder / "square.obj", settings)
-    return pixels_of(folder / path.name)
+    return pixels_of(folder / f"square_{path.name}")
 
 
 @pytest.mark.parametrize("smoothed", [smoothed_image, smoothed_texture])

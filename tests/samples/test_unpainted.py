@@ -92,7 +92,7 @@ def test_a_texture_that_cannot_be_seen_is_told_from_one_that_is_not_covered(tmp_
 
 
 def test_what_a_change_would_do_to_an_image_is_not_told_of_a_copy(tmp_path: Path) -> None:
-    model = write_model(tmp_path, "obj", "skin.png")
+    model = write_model(tmp_path, "obj", "skin.png", "model.mtl")
     two = np.zeros((32, 32, 3), np.uint8)
     two[:, 16:] = 255
     (tmp_path / "skin.png").write_bytes(encoded(two, "P"))

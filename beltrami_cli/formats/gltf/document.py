@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from beltrami_cli.formats.document import Written
+    from beltrami_cli.formats.document import Naming, Written
     from beltrami_cli.formats.gltf.container import GltfForm
     from beltrami_cli.formats.gltf.json_text import Tree
     from beltrami_cli.surface.records import ImageFile, Slot, TexturedSurface
@@ -124,22 +124,20 @@ class GltfDocument(Document):
     def patch(  # noqa: D102
         self,
         colours: NDArray[np.float32] | None,
-        stem: str,
+        naming: Naming,
         *,
-        moved: bool,
         images: Mapping[tuple[Slot, str], ImageFile] = NO_IMAGES,
         places: MovedVertices | None = None,
     ) -> Written:
         form = self.container.kind
-        return self.repackaged(colours, stem, form, moved=moved, images=images, places=places)
+        return self.repackaged(colours, naming, form, images=images, places=places)
 
     def repackaged(
         self,
         colours: NDArray[np.float32] | None,
-        stem: str,
+        naming: Naming,
         form: GltfForm,
         *,
-        moved: bool,
         images: Mapping[tuple[Slot, str], ImageFile] = NO_IMAGES,
         places: MovedVertices | None = None,
     ) -> Written:
@@ -151,7 +149,7 @@ class GltfDocument(Document):
             move(edit, self.surface.blocks, self.painted().positions, places)
         compress_again(edit)
         repaint(edit, self.images, images)
-        return written(edit, stem, form, self._folder, moved=moved)
+        return written(edit, naming, form, self._folder)
 
     def references(self) -> Sequence[str]:
         """Return the existing buffers and images beside the file, and those of the buffers that a patch changes."""

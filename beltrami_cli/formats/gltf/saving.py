@@ -1,18 +1,15 @@
 """The files of an edited glTF in either form, binary or text, and the names of those beside it.
 
-A new image or buffer never takes the name of a file that the source uses, unless the output goes elsewhere (`moved`)
-and it keeps its own. `stem` is the name of the output without folder and extension, as for `Document.patch`.
+A new image or buffer never takes the name of a file that the source uses, unless the output replaces the source.
 """
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from beltrami_cli.formats.document import Written
 from beltrami_cli.formats.gltf.compression import MESHOPT
 from beltrami_cli.formats.gltf.container import BIN_CHUNK, JSON_CHUNK, Chunk, encoded, glb_pieces
-from beltrami_cli.formats.gltf.entries import Entry
 from beltrami_cli.formats.gltf.json_text import revised
 from beltrami_cli.formats.gltf.textures import media_type
 from beltrami_cli.formats.gltf.uris import (
@@ -22,14 +19,12 @@ from beltrami_cli.formats.gltf.uris import (
     named_files,
     read,
     relative_name,
-    used_names,
 )
-from beltrami_cli.formats.model_folder import UnfitReferenceError, path_inside, renamed, unused, with_suffix
+from beltrami_cli.formats.model_folder import UnfitReferenceError, is_outside
+from beltrami_cli.formats.naming import NewNames
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from beltrami_cli.formats.document import Bytes
+    from beltrami_cli.formats.document import Bytes, Naming
     from beltrami_cli.formats.gltf.container import GltfForm
     from beltrami_cli.formats.gltf.edit import Edit
     from beltrami_cli.formats.gltf.json_text import Tree
@@ -39,42 +34,46 @@ if TYPE_CHECKING:
 _ALIGNMENT = 8  # of merged buffers: more than any component needs, and what KHR extensions ask for
 
 
-def written(edit: Edit, stem: str, form: GltfForm, folder: ModelFolder, *, moved: bool) -> Written:
+def written(edit: Edit, naming: Naming, form: GltfForm, folder: ModelFolder) -> Written:
     """Return the files of an edit; the source itself if nothing was edited and the form is its own."""
-    if form == edit.container.kind:
-        return _same_form(edit, stem, moved=moved)
-    return _as_glb(edit, folder) if form == "glb" else _as_gltf(edit, stem, moved=moved)
+    if form == "glb" and edit.container.kind != form:
+        return _as_glb(edit, folder)
+    names = _names(edit, naming, folder)
+    return (_same_form if form == edit.container.kind else _as_gltf)(edit, names, folder)
 
 
-def _same_form(edit: Edit, stem: str, *, moved: bool) -> Written:
-    root = edit.container.root
+def _names(edit: Edit, naming: Naming, folder: ModelFolder) -> NewNames:
+    used = named_files(edit.container.root)
+    missing = [name for name in used if folder.find(name) is None]
+    return NewNames(naming, edit.container.name, used, missing)
+
+
+def _same_form(edit: Edit, names: NewNames, folder: ModelFolder) -> Written:
+    sidecars = _place_buffers(edit, names) | _place_images(edit, names)
+    copies = _place_copies(edit, names, folder)
     if not edit.buffers and not edit.images and edit.tree == edit.container.tree:
-        return Written([edit.container.data], {}, tuple(edit.notices))
-    sidecars = _place_buffers(edit, _sidecar_names(root, stem), moved=moved)
-    sidecars |= _place_images(edit, stem, moved=moved)
+        return Written([edit.container.data], {}, tuple(edit.notices), copies)
     chunk = edit.buffers.get(0) if _source(edit, 0) == "chunk" else None
-    kept = used_names(Entry(edit.container.name, "", edit.tree))
-    superseded = {name for name in named_files(root) if name.casefold() not in kept}
-    pieces = edit.container.rebuilt(edit.tree, chunk)
-    return Written(pieces, sidecars, tuple(edit.notices), frozenset(superseded))
+    return Written(edit.container.rebuilt(edit.tree, chunk), sidecars, tuple(edit.notices), copies)
 
 
-def _as_gltf(edit: Edit, stem: str, *, moved: bool) -> Written:
-    """Return a binary file as text, its BIN chunk as the sidecar ``stem.bin``."""
+def _as_gltf(edit: Edit, names: NewNames, folder: ModelFolder) -> Written:
+    """Return a binary file as text, its BIN chunk as a sidecar."""
     tree, buffers = edit.tree, edit.accessors.buffers
-    names = _sidecar_names(edit.container.root, stem)
     sidecars: dict[str, Bytes] = {}
     if len(buffers) and buffers.source(0) == "chunk":
         data: Bytes = edit.buffers[0] if 0 in edit.buffers else buffers.stored(0)
         length = tree["buffers"][0]["byteLength"]
-        name = next(names)
+        name = names.new(".bin")
         sidecars[name] = data[:length] if len(data) - length < 4 else data  # without the chunk's padding
         tree["buffers"][0]["uri"] = as_uri(name)
-    sidecars |= _place_buffers(edit, names, moved=moved)
-    sidecars |= _place_images(edit, stem, moved=moved)
+    sidecars |= _place_buffers(edit, names)
+    sidecars |= _place_images(edit, names)
+    copies = _place_copies(edit, names, folder)
     lost = [chunk for chunk in edit.container.chunks if chunk.kind != BIN_CHUNK]
     notices = [f"{len(lost)} GLB chunk(s) of unknown type cannot be kept in a .gltf file."] if lost else []
-    return Written([encoded(revised(edit.container.text, tree))], sidecars, (*edit.notices, *notices))
+    text = encoded(revised(edit.container.text, tree))
+    return Written([text], sidecars, (*edit.notices, *notices), copies)
 
 
 def _as_glb(edit: Edit, folder: ModelFolder) -> Written:
@@ -90,7 +89,7 @@ def _as_glb(edit: Edit, folder: ModelFolder) -> Written:
     return Written(glb_pieces([Chunk(JSON_CHUNK, text), *chunks]), {}, tuple(notices))
 
 
-def _place_buffers(edit: Edit, names: Iterator[str], *, moved: bool) -> dict[str, Bytes]:
+def _place_buffers(edit: Edit, names: NewNames) -> dict[str, Bytes]:
     """Put changed buffers into data URIs or sidecars, which are returned; the BIN chunk is not among them."""
     sidecars: dict[str, Bytes] = {}
     entries, buffers = edit.tree.get("buffers", []), edit.accessors.buffers
@@ -100,7 +99,7 @@ def _place_buffers(edit: Edit, names: Iterator[str], *, moved: bool) -> dict[str
             entries[index]["uri"] = data_uri(entries[index]["uri"], data)
         elif source == "file":
             old = relative_name(buffers.uris[index] or "", outside=True)
-            name = path_inside(old) if moved else next(names)
+            name = names.other(old, ".bin")
             sidecars[name] = data
             for other in range(len(buffers)):
                 if buffers.canonical(other) == index and name != old:
@@ -115,39 +114,49 @@ def _source(edit: Edit, index: int) -> str:
     return buffers.source(index)
 
 
-def _sidecar_names(root: Entry, stem: str) -> Iterator[str]:
-    """Generate ``stem.bin``, ``stem-2.bin``, ... without names that the file already uses."""
-    taken = used_names(root)
-    number = 1
-    while True:
-        name = f"{stem}.bin" if number == 1 else f"{stem}-{number}.bin"
-        if name.casefold() not in taken:
-            yield name
-        number += 1
-
-
-def _place_images(edit: Edit, stem: str, *, moved: bool) -> dict[str, Bytes]:
+def _place_images(edit: Edit, names: NewNames) -> dict[str, Bytes]:
     """Name the new image files, which are returned, and put their names into the tree."""
     sidecars: dict[str, Bytes] = {}
     chosen: dict[tuple[str, bool, ImageFile], str] = {}
-    taken, source = used_names(edit.container.root), Path(edit.container.name).stem
     entries, known = edit.tree.get("images", []), len(edit.container.root.entries("images"))
     for index, file in edit.images.items():
         old = relative_name(entries[index]["uri"], outside=True)
         key = old, index < known, file
         if key not in chosen:
-            keeps = moved and index < known  # a copy of an image never keeps the name of that
-            name = with_suffix(
-                path_inside(old) if keeps else renamed(path_inside(old), source, stem), file.suffix
-            )
-            if not keeps or name != old:
-                name = unused(name, taken)
-            chosen[key] = name
-            taken.add(name.casefold())
-            sidecars[name] = file.data
+            # A copy of an image never keeps the name of that.
+            chosen[key] = names.image(old, file.suffix, is_replaced=index < known)
+            sidecars[chosen[key]] = file.data
         if chosen[key] != old:
             entries[index]["uri"] = as_uri(chosen[key])
     return sidecars
+
+
+def _place_copies(edit: Edit, names: NewNames, folder: ModelFolder) -> dict[str, str]:
+    """Give files that stay as they are their names in another folder; return the old paths by the new ones."""
+    new_of: dict[str, str] = {}
+    for kind in ("buffers", "images") if names.copies else ():
+        for index, entry in enumerate(edit.tree.get(kind, [])):
+            uri = entry.get("uri")
+            if uri is None or is_data(uri) or _is_changed(edit, kind, index):
+                continue
+            try:
+                path = folder.locate(relative_name(uri, outside=folder.access.outside))
+            except UnfitReferenceError:
+                continue
+            if is_outside(path):
+                continue
+            if path not in new_of:
+                new_of[path] = names.image(path) if kind == "images" else names.other(path, ".bin")
+            entry["uri"] = as_uri(new_of[path])
+    return {new: path for path, new in new_of.items()}
+
+
+def _is_changed(edit: Edit, kind: str, index: int) -> bool:
+    """Return whether an edit has new bytes for an image or a buffer."""
+    if kind == "images":
+        return index in edit.images
+    buffers = edit.accessors.buffers
+    return index >= len(buffers) or buffers.canonical(index) in edit.buffers
 
 
 def _merge_buffers(edit: Edit) -> bytearray:

@@ -107,11 +107,6 @@ def named_files(root: Entry) -> set[str]:
     return names
 
 
-def used_names(root: Entry) -> set[str]:
-    """Return the names of all files that a glTF names, case folded."""
-    return {name.casefold() for name in named_files(root)}
-
-
 def _external(root: Entry) -> Iterator[tuple[Entry, str]]:
     """Give the buffers and images that are files of their own, with their URIs."""
     for entry in [*root.entries("buffers"), *root.entries("images")]:

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from beltrami_cli.formats.document import Naming
     from beltrami_cli.formats.image.picture import Picture
     from beltrami_cli.surface.records import ImageFile, MovedVertices, Slot
 
@@ -67,12 +68,11 @@ class ImageDocument(Document):
     def patch(
         self,
         colours: NDArray[np.float32] | None,
-        stem: str,
+        naming: Naming,
         *,
-        moved: bool,
         images: Mapping[tuple[Slot, str], ImageFile] = NO_IMAGES,
         places: MovedVertices | None = None,
     ) -> Written:
         """Return the image that takes its place, or the file as it is."""
-        del colours, stem, moved, places
+        del colours, naming, places
         return Written([image.data for image in images.values()] or [self.data])

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import codecs
+import dataclasses
 from functools import cached_property
-from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -25,10 +25,11 @@ from beltrami_cli.surface.records import MeshContents, MovedVertices, PaintedVer
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
+    from pathlib import Path
 
     from numpy.typing import NDArray
 
-    from beltrami_cli.formats.document import Bytes
+    from beltrami_cli.formats.document import Naming
     from beltrami_cli.formats.obj.materials import Library
     from beltrami_cli.formats.obj.texturing import Coordinates
     from beltrami_cli.surface.records import ImageFile, Slot, TexturedSurface
@@ -99,19 +100,16 @@ class ObjDocument(Document):
     def patch(
         self,
         colours: NDArray[np.float32] | None,
-        stem: str,
+        naming: Naming,
         *,
-        moved: bool,
         images: Mapping[tuple[Slot, str], ImageFile] = NO_IMAGES,
         places: MovedVertices | None = None,
     ) -> Written:
         """Return the files with other colours and images; see `Document.patch`."""
-        sidecars: dict[str, Bytes] = {}
+        beside = Written([])
         spans: Spans = {}
-        superseded: frozenset[str] = frozenset()
-        if images:
-            source = Path(self.name).stem
-            sidecars, spans, superseded = repainted(self._materials, images, source, stem, moved=moved)
+        if images or naming.copies:
+            beside, spans = repainted(self._materials, images, self.name, naming)
         data = exchange_spans(self._data, spans)
         known, paint = self._scan.vertices, self._scan.polypaint
         starts, ends = (shifted(tokens, spans) for tokens in (known.token_starts, known.token_ends))
@@ -126,7 +124,8 @@ class ObjDocument(Document):
             changed = places.positions != known.positions[known.coloured]
             parts.append(new_positions(data, starts[:, :3], ends[:, :3], places.positions, changed))
         notices = (_STALE,) if places is not None and "normal" in self.attributes() else ()
-        return Written(renumbered(data, parts) if parts else [data], sidecars, notices, superseded)
+        main = renumbered(data, parts) if parts else [data]
+        return dataclasses.replace(beside, main=main, notices=notices)
 
     def require_movable(self) -> None:
         """Check nothing: any number can be exchanged in a text."""

@@ -9,13 +9,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli.formats.model_folder import (
-    is_outside,
-    name_of_new_image,
-    new_reference,
-    path_inside,
-    reserve,
-)
+from beltrami_cli.formats.document import Written
+from beltrami_cli.formats.model_folder import is_outside
+from beltrami_cli.formats.naming import NewNames, new_reference, path_inside
 from beltrami_cli.formats.tokens import Spans, exchange_spans, exchange_tokens
 
 if TYPE_CHECKING:
@@ -23,7 +19,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from beltrami_cli.formats.document import Bytes
+    from beltrami_cli.formats.document import Bytes, Naming
     from beltrami_cli.formats.obj.materials import Library, Map, Materials
     from beltrami_cli.surface.records import ImageFile, Slot
 
@@ -102,60 +98,67 @@ def _most_decimals(data: bytes, starts: NDArray[np.int64], ends: NDArray[np.int6
 
 
 def repainted(
-    materials: Materials,
-    images: Mapping[tuple[Slot, str], ImageFile],
-    source: str,
-    stem: str,
-    *,
-    moved: bool,
-) -> tuple[dict[str, Bytes], Spans, frozenset[str]]:
-    """Return the new files beside an OBJ file, new names in it, and the old files that it no longer names."""
-    taken = {path.casefold() for path in materials.paths}
+    materials: Materials, images: Mapping[tuple[Slot, str], ImageFile], source: str, naming: Naming
+) -> tuple[Written, Spans]:
+    """Return the files beside an OBJ file, without the file itself, and the new names in it."""
+    missing = [found.name for library in materials.libraries for found, path in library.maps if path is None]
+    names = NewNames(naming, source, materials.paths, missing)
     sidecars: dict[str, Bytes] = {}
-    edits, superseded = _take_images(materials, images, (source, stem), sidecars, taken, moved=moved)
+    edits = _take_images(materials, images, names, sidecars)
+    copies = _copy_images(materials, names, edits) if names.copies else {}
     spans: Spans = {}
     for library in materials.libraries:
-        if library.path not in edits:
+        own = edits.get(library.path, {})
+        outside = is_outside(library.path)
+        is_new = bool(own) and (outside or exchange_spans(library.data, own) != library.data)
+        if not is_new and (outside or not names.copies):
             continue
-        new = library.path
-        if not is_outside(new) and exchange_spans(library.data, edits[new]) == library.data:
-            continue
-        if is_outside(library.path):
-            _take_along(materials, library, edits[library.path], sidecars, taken)
-        if not moved or is_outside(library.path):
-            new = reserve(str(PurePosixPath(path_inside(library.path)).with_name(f"{stem}.mtl")), taken)
-            for name, start, end in library.mentions:
-                spans[start, end] = new_reference(name, library.path, new)
-            superseded.add(library.path)
-        sidecars[new] = exchange_spans(library.data, edits[library.path])
-    return sidecars, spans, frozenset(superseded)
+        if outside:
+            _take_along(materials, library, own, sidecars, names)
+        new = names.other(library.path, ".mtl")
+        for name, start, end in library.mentions:
+            spans[start, end] = new_reference(name, library.path, new)
+        if is_new:
+            sidecars[new] = exchange_spans(library.data, own)
+        else:
+            copies[new] = library.path
+    return Written([], sidecars, copies=copies), spans
 
 
 def _take_images(
     materials: Materials,
     images: Mapping[tuple[Slot, str], ImageFile],
-    models: tuple[str, str],
+    names: NewNames,
     sidecars: dict[str, Bytes],
-    taken: set[str],
-    *,
-    moved: bool,
-) -> tuple[dict[str, Spans], set[str]]:
-    """Put new images among the sidecars; return new names by library, and the old images that nothing names then."""
+) -> dict[str, Spans]:
+    """Put new images among the sidecars; return new names by library."""
     edits: dict[str, Spans] = {}
-    renamings: dict[str, int] = {}
     for (path, image), slots in _by_file(images).items():
         # What two slots show alike is one file; with the base colour go maps that are of other slots, too.
         affected = list(
             {id(found): (of, found) for s in slots for of, found in materials.affected(s, path)}.values()
         )
         # Its name is free only if no map that keeps the old image has it.
-        keeps = moved and len(affected) == materials.uses(path)
-        new = name_of_new_image(path, image.suffix, models, taken, keeps=keeps)
+        new = names.image(path, image.suffix, is_replaced=len(affected) == materials.uses(path))
         sidecars[new] = image.data
-        renamings[path] = renamings.get(path, 0) + (len(affected) if new != path else 0)
         for library, found in affected:
             edits.setdefault(library.path, {})[found.start, found.end] = _spelled(found, path, new, library)
-    return edits, {path for path, count in renamings.items() if count == materials.uses(path)}
+    return edits
+
+
+def _copy_images(materials: Materials, names: NewNames, edits: dict[str, Spans]) -> dict[str, str]:
+    """Name the images that stay as they are, in libraries inside the folder; return the old paths by the new ones."""
+    new_of: dict[str, str] = {}
+    for library in materials.libraries:
+        for found, path in library.maps:
+            if path is None or is_outside(path) or is_outside(library.path):
+                continue
+            own = edits.setdefault(library.path, {})
+            if (found.start, found.end) not in own:
+                if path not in new_of:
+                    new_of[path] = names.image(path)
+                own[found.start, found.end] = _spelled(found, path, new_of[path], library)
+    return {new: path for path, new in new_of.items()}
 
 
 def _by_file(images: Mapping[tuple[Slot, str], ImageFile]) -> dict[tuple[str, ImageFile], list[Slot]]:
@@ -168,14 +171,15 @@ def _by_file(images: Mapping[tuple[Slot, str], ImageFile]) -> dict[tuple[str, Im
 
 def _spelled(found: Map, path: str, new: str, library: Library) -> bytes:
     """Return how a library names an image that was at one path and is to be at another."""
-    if is_outside(path) or is_outside(library.path):
+    climbs = ".." in PurePosixPath(found.name.replace("\\", "/")).parts
+    if is_outside(path) or is_outside(library.path) or (climbs and new != path):
         home = PurePosixPath(path_inside(library.path)).parent
         return os.fsencode("../" * len(home.parts) + new)
     return new_reference(found.name, path, new)
 
 
 def _take_along(
-    materials: Materials, library: Library, edits: Spans, sidecars: dict[str, Bytes], taken: set[str]
+    materials: Materials, library: Library, edits: Spans, sidecars: dict[str, Bytes], names: NewNames
 ) -> None:
     """Make a library from outside the folder, which is written inside, find its other images from there."""
     copies: dict[str, str] = {}
@@ -183,7 +187,8 @@ def _take_along(
         if path is None or (found.start, found.end) in edits:
             continue
         if path not in copies:
-            copies[path] = reserve(path_inside(path), taken) if is_outside(path) else path
-            if is_outside(path):
+            is_copied = is_outside(path) or names.copies
+            copies[path] = names.image(path) if is_copied else path
+            if is_copied:
                 sidecars[copies[path]] = materials.read(path)
         edits[found.start, found.end] = os.fsencode(copies[path])

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 from functools import cached_property
 from itertools import pairwise
-from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -34,13 +34,16 @@ from beltrami_cli.surface.records import MeshContents, MovedVertices, PaintedVer
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping, Sequence
+    from pathlib import Path
 
     from numpy.typing import NDArray
 
+    from beltrami_cli.formats.document import Naming
     from beltrami_cli.formats.ply.header import Header
     from beltrami_cli.formats.ply.tables import Table
     from beltrami_cli.formats.ply.texturing import TextureComment
     from beltrami_cli.formats.ply.vertex_properties import Colours, Paint
+    from beltrami_cli.formats.tokens import Spans
     from beltrami_cli.surface.records import ImageFile, Slot, TexturedSurface
 
 
@@ -114,15 +117,16 @@ class PlyDocument(Document):
     def patch(
         self,
         colours: NDArray[np.float32] | None,
-        stem: str,
+        naming: Naming,
         *,
-        moved: bool,
         images: Mapping[tuple[Slot, str], ImageFile] = NO_IMAGES,
         places: MovedVertices | None = None,
     ) -> Written:
         """Return the files with other colours and images; see `Document.patch`."""
-        source = Path(self.name).stem
-        sidecars, spans, superseded = renamed_images(self._images, images, source, stem, moved=moved)
+        beside = Written([])
+        spans: Spans = {}
+        if images or naming.copies:
+            beside, spans = renamed_images(self._images, images, self.name, naming)
         header = exchange_spans(self._data[: self._header.end], spans)
         changes = [] if colours is None else self._recoloured(colours)
         changes += [] if places is None else moved_changes(self._vertices, self._kinds, places)
@@ -130,7 +134,7 @@ class PlyDocument(Document):
             pieces = [header, *patch_body(self._data, self._header, self._vertices, changes)]
         else:
             pieces = [header, memoryview(self._data)[self._header.end :]] if spans else [self._data]
-        return Written(pieces, sidecars, superseded=superseded)
+        return dataclasses.replace(beside, main=pieces)
 
     def _recoloured(self, colours: NDArray[np.float32]) -> list[Change]:
         changed = colours != self._colours.values

@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.model_folder import name_of_new_image, new_reference
+from beltrami_cli.formats.document import Written
+from beltrami_cli.formats.model_folder import is_outside
+from beltrami_cli.formats.naming import NewNames, new_reference
 from beltrami_cli.formats.ply.tables import indices, values_in_bytes
 from beltrami_cli.formats.ply.vertex_properties import NORMAL, POSITION, attribute_names
 from beltrami_cli.formats.tokens import exchange_tokens, find_tokens
@@ -18,7 +20,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from beltrami_cli.formats.document import Bytes
+    from beltrami_cli.formats.document import Bytes, Naming
     from beltrami_cli.formats.ply.header import Header
     from beltrami_cli.formats.ply.tables import Table
     from beltrami_cli.formats.ply.texturing import TextureComment
@@ -105,21 +107,25 @@ def renamed_images(
     comments: Sequence[TextureComment],
     images: Mapping[tuple[Slot, str], ImageFile],
     source: str,
-    stem: str,
-    *,
-    moved: bool,
-) -> tuple[dict[str, Bytes], Spans, frozenset[str]]:
-    """Return new image files, new names by their place in the header, and the old files that nothing names."""
-    taken = {comment.path.casefold() for comment in comments if comment.path is not None}
+    naming: Naming,
+) -> tuple[Written, Spans]:
+    """Return the files beside a PLY file, without the file itself, and new names by their place in the header."""
+    present = [comment.path for comment in comments if comment.path is not None]
+    missing = [comment.name for comment in comments if comment.path is None]
+    names = NewNames(naming, source, present, missing)
     sidecars: dict[str, Bytes] = {}
-    spans: Spans = {}
-    superseded: set[str] = set()
+    copies: dict[str, str] = {}
+    new_of: dict[str, str] = {}
     for (_, path), image in images.items():
-        new = name_of_new_image(path, image.suffix, (source, stem), taken, keeps=moved)
-        sidecars[new] = image.data
-        if new != path:
-            superseded.add(path)
-        for comment in comments:
-            if comment.path == path and new != path:
-                spans[comment.start, comment.end] = new_reference(comment.name, path, new)
-    return sidecars, spans, frozenset(superseded)
+        new_of[path] = names.image(path, image.suffix)
+        sidecars[new_of[path]] = image.data
+    for path in present if names.copies else ():
+        if path not in new_of and not is_outside(path):
+            new_of[path] = names.image(path)
+            copies[new_of[path]] = path
+    spans: Spans = {}
+    for comment in comments:
+        if comment.path is not None and comment.path in new_of and new_of[comment.path] != comment.path:
+            new = new_reference(comment.name, comment.path, new_of[comment.path])
+            spans[comment.start, comment.end] = new
+    return Written([], sidecars, copies=copies), spans

@@ -39,6 +39,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from beltrami_cli.formats.document import Naming
     from beltrami_cli.surface.records import ImageFile, Slot
 
 
@@ -130,9 +131,8 @@ class NpzPointsDocument(Document):
     def patch(
         self,
         colours: NDArray[np.float32] | None,
-        stem: str,
+        naming: Naming,
         *,
-        moved: bool,
         images: Mapping[tuple[Slot, str], ImageFile] = NO_IMAGES,
         places: MovedVertices | None = None,
     ) -> Written:

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from beltrami_cli.formats.document import Bytes
+    from beltrami_cli.formats.document import Bytes, Naming
     from beltrami_cli.formats.points.columns import Columns
     from beltrami_cli.formats.points.table import PointTable
     from beltrami_cli.surface.records import ImageFile, Slot
@@ -75,9 +75,8 @@ class TextPointsDocument(Document):
     def patch(
         self,
         colours: NDArray[np.float32] | None,
-        stem: str,
+        naming: Naming,
         *,
-        moved: bool,
         images: Mapping[tuple[Slot, str], ImageFile] = NO_IMAGES,
         places: MovedVertices | None = None,
     ) -> Written:

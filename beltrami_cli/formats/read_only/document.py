@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from beltrami_cli.formats.document import Written
+    from beltrami_cli.formats.document import Naming, Written
     from beltrami_cli.formats.read_only.polygons import ColouredPolygons
     from beltrami_cli.surface.records import ImageFile, MovedVertices, Slot
 
@@ -120,9 +120,8 @@ class ReadOnlyDocument(Document):
     def patch(
         self,
         colours: NDArray[np.float32] | None,
-        stem: str,
+        naming: Naming,
         *,
-        moved: bool,
         images: Mapping[tuple[Slot, str], ImageFile] = NO_IMAGES,
         places: MovedVertices | None = None,
     ) -> Written:

@@ -66,6 +66,7 @@ class Output:
         self.path = Path(os.path.realpath(target))
         self.is_device = not self.is_stdout and _is_special(self.path)
         self._sidecars: tuple[str, ...] = ()
+        self.replaceable: frozenset[str] = frozenset()  # files beside an old OUTPUT, which belong to it
         self._is_alone = files is None
         self.files = FileSet(reads) if files is None else files
         self.files.add(self)
@@ -109,6 +110,11 @@ class Output:
                 raise OutputError(name, "would be written outside the output's folder")
             self._check_file(self.folder / name)
         self.files.check()
+
+    def may_replace(self, path: Path) -> bool:
+        """Whether a file of the output may replace one that is there."""
+        own = {self.path, *(self.path.parent / name for name in self.replaceable)}
+        return self.overwrite and path in own
 
     def write(self, written: Written) -> None:
         """Write all files, or, in a set of others, write them aside; OutputError leaves all files as they were."""
@@ -277,7 +283,7 @@ class FileSet:
         """Write files of an output aside; OutputError if that fails."""
         with endings_held() as deliver:
             for path, pieces in files.items():
-                aside = Aside(temporary_beside(path), path, overwrite=output.overwrite)
+                aside = Aside(temporary_beside(path), path, overwrite=output.may_replace(path))
                 try:
                     make_folder(path.parent, self._cleaning)
                     self._cleaning.callback(aside.temporary.unlink, missing_ok=True)
