@@ -10,6 +10,8 @@ from beltrami_cli.flow.mesh_manifold import MeshManifold
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.jobs.arrays import smooth
 from beltrami_cli.surface.records import SampledSurface
+from oracles.fast_marching import Manifold
+from properties.manifolds import image_manifold
 
 SECONDS = 60  # of processor time; what is not bounded takes several times that
 
@@ -56,6 +58,10 @@ def core_of(positions, faces, beta=0.0):
     return core
 
 
+def marching_core(positions, faces, beta):
+    return image_manifold(positions, faces, noisy(len(positions)), beta)
+
+
 @pytest.mark.parametrize(
     "mesh",
     [fan(4_000), book(8_000), tangle(60_000, 30_000), tangle(60_000, 1_000)],
@@ -98,6 +104,34 @@ def test_a_march_past_a_hub_finds_the_distances_of_the_sweep():
         weights = np.zeros(count)
         weights[held] = np.exp(-(distances.astype(float) ** 2) / 0.2)
         np.testing.assert_allclose(swept[source], weights[chosen] / weights.sum(), atol=1e-6)
+
+
+def test_the_cost_of_fast_marching_on_a_fan_grows_as_its_valence():
+    seconds = []
+    for count in (4_000, 16_000):
+        positions, faces = fan(count)
+        core, colours, times = marching_core(positions, faces, 6.0), noisy(count + 1), []
+        for _ in range(3):
+            start = time.process_time()
+            core.smooth(colours, None, 2.4, 6.6, 100, 1, None)
+            times.append(time.process_time() - start)
+        seconds.append(min(times))
+    assert seconds[1] / seconds[0] < 2.5**2
+
+
+@pytest.mark.parametrize("mesh", [fan(700), book(700)], ids=["fan", "book"])
+def test_fast_marching_past_a_hub_finds_the_distances_of_a_textbook_march(mesh):
+    positions, faces = mesh
+    colours = noisy(len(positions))
+    core = marching_core(positions, faces, 6.0)
+    oracle = Manifold(np.hstack([positions, 6.0 * colours.astype(float)]), faces)
+    for source in (0, 1, 5, 350):
+        truth = oracle.distances(source)
+        for most in (20, 200, len(positions)):
+            held, distances = core.distances(source, 100.0, most)
+            assert (np.diff(distances) >= 0).all()
+            np.testing.assert_allclose(distances, np.sort(truth)[: len(held)], rtol=1e-3, atol=1e-5)
+            np.testing.assert_allclose(distances, truth[held], rtol=1e-3, atol=1e-5)
 
 
 @pytest.mark.parametrize(

@@ -11,6 +11,9 @@ namespace {
 // Four children a node: half the levels of a binary heap, and they share a cache line.
 constexpr std::size_t arity = 4;
 
+// Vertices with more links than this are hubs: a kernel that reaches one must not take as long as its list of links is.
+constexpr Index most_links = 512;
+
 // Non-negative floats order like their bit patterns; the vertex below them makes the order total.
 std::uint64_t make_key(float distance, Index vertex) {
   return std::uint64_t{std::bit_cast<std::uint32_t>(distance)} << 32 | static_cast<std::uint32_t>(vertex);
@@ -24,6 +27,8 @@ FastMarching::FastMarching(const Stencils& stencils, const Selection& selection)
 std::span<const Reached> FastMarching::march(Index source, float radius, std::size_t max_count) {
   begin_march();
   radius_ = radius;
+  wanted_ = max_count;
+  bound_ = ~std::uint64_t{0};
   if (selection_.places != nullptr) centre_ = selection_.places[source];
   relax(source, 0);
   while (!heap_.empty()) {
@@ -38,9 +43,27 @@ std::span<const Reached> FastMarching::march(Index source, float radius, std::si
     }
     node.mark = accepted_mark_;
     reached_.push_back({vertex, node.distance});
+    wanted_ = max_count - reached_.size() + 1;  // one more than the kernel takes, to know that it is cut short
     update_from(vertex, node.distance);
   }
   return reached_;
+}
+
+// Shortens the heap to the nearest vertices, as many as can still be taken: further ones never are, since distances only
+// fall. So a vertex of very many links does not fill it.
+void FastMarching::keep_nearest() {
+  std::erase_if(heap_, [&](std::uint64_t key) {
+    const auto vertex = static_cast<Index>(key & 0xffffffffU);
+    const Node& node = nodes_[static_cast<std::size_t>(vertex)];
+    return node.mark == accepted_mark_ || key != make_key(node.distance, vertex);
+  });
+  if (heap_.size() > wanted_) {
+    std::nth_element(heap_.begin(), heap_.begin() + static_cast<std::ptrdiff_t>(wanted_) - 1, heap_.end());
+    heap_.resize(wanted_);
+    bound_ = heap_.back();
+    radius_ = std::bit_cast<float>(static_cast<std::uint32_t>(bound_ >> 32));
+  }
+  std::sort(heap_.begin(), heap_.end());  // a heap of any arity
 }
 
 void FastMarching::begin_march() {
@@ -57,15 +80,11 @@ void FastMarching::begin_march() {
 
 void FastMarching::update_from(Index vertex, float distance) {
   const auto row = static_cast<std::size_t>(vertex);
-  for (Index i = stencils_.link_offsets[row]; i < stencils_.link_offsets[row + 1]; ++i) {
-    const Link& link = stencils_.links[static_cast<std::size_t>(i)];
-    if (nodes_[static_cast<std::size_t>(link.target)].mark == accepted_mark_) continue;
-    const Index last = stencils_.links[static_cast<std::size_t>(i) + 1].first_partner;
-    float best = distance + link.length;
-    for (Index p = link.first_partner; p < last; ++p)
-      best = through_partner(stencils_.partners[static_cast<std::size_t>(p)], distance, best);
-    relax(link.target, best);
-  }
+  const Index first = stencils_.link_offsets[row], last = stencils_.link_offsets[row + 1];
+  if (last - first > most_links)
+    update_from_hub(vertex, distance);
+  else
+    for (Index link = first; link < last; ++link) update_over(link, distance);
   for (Index i = stencils_.split_offsets[row]; i < stencils_.split_offsets[row + 1]; ++i) {
     const SplitLink& split = stencils_.splits[static_cast<std::size_t>(i)];
     if (nodes_[static_cast<std::size_t>(split.target)].mark == accepted_mark_) continue;
@@ -73,6 +92,47 @@ void FastMarching::update_from(Index vertex, float distance) {
     for (const Partner& partner : split.partners) best = through_partner(partner, distance, best);
     relax(split.target, best);
   }
+}
+
+void FastMarching::update_over(Index index, float distance) {
+  const Link& link = stencils_.links[static_cast<std::size_t>(index)];
+  if (nodes_[static_cast<std::size_t>(link.target)].mark == accepted_mark_) return;
+  const Index last = stencils_.links[static_cast<std::size_t>(index) + 1].first_partner;
+  float best = distance + link.length;
+  for (Index p = link.first_partner; p < last; ++p)
+    best = through_partner(stencils_.partners[static_cast<std::size_t>(p)], distance, best);
+  relax(link.target, best);
+}
+
+// Does what update_over does for all links: those with accepted partners, and of the others the shortest.
+void FastMarching::update_from_hub(Index vertex, float distance) {
+  const Hub& hub = hub_of(vertex);
+  for (const Reached& reached : reached_) {
+    const auto [begin, end] = std::ranges::equal_range(hub.by_partner, reached.vertex, {}, &PartneredLink::partner);
+    for (auto each = begin; each != end; ++each) update_over(each->link, distance);
+  }
+  for (const Index index : hub.by_length) {
+    const Link& link = stencils_.links[static_cast<std::size_t>(index)];
+    if (distance + link.length > radius_) break;
+    if (nodes_[static_cast<std::size_t>(link.target)].mark != accepted_mark_)
+      relax(link.target, distance + link.length);
+  }
+}
+
+const FastMarching::Hub& FastMarching::hub_of(Index vertex) {
+  const auto [found, is_new] = hubs_.try_emplace(vertex);
+  Hub& hub = found->second;
+  if (!is_new) return hub;
+  const auto row = static_cast<std::size_t>(vertex);
+  for (Index index = stencils_.link_offsets[row]; index < stencils_.link_offsets[row + 1]; ++index) {
+    hub.by_length.push_back(index);
+    const auto at = static_cast<std::size_t>(index);
+    for (Index p = stencils_.links[at].first_partner; p < stencils_.links[at + 1].first_partner; ++p)
+      hub.by_partner.push_back({stencils_.partners[static_cast<std::size_t>(p)].vertex, index});
+  }
+  std::ranges::sort(hub.by_length, {}, [&](Index index) { return stencils_.links[static_cast<std::size_t>(index)].length; });
+  std::ranges::sort(hub.by_partner, {}, &PartneredLink::partner);
+  return hub;
 }
 
 float FastMarching::through_partner(const Partner& partner, float distance, float best) const {
@@ -91,13 +151,13 @@ bool FastMarching::outside_window(Index vertex) const {
 }
 
 void FastMarching::relax(Index target, float distance) {
-  if (!(distance <= radius_)) return;
+  const std::uint64_t key = make_key(distance, target);
+  if (!(distance <= radius_) || key > bound_) return;
   if (selection_.places != nullptr && outside_window(target)) return;
   Node& node = nodes_[static_cast<std::size_t>(target)];
   if (node.mark == close_mark_ && node.distance <= distance) return;
   node = {distance, close_mark_};
   std::size_t hole = heap_.size();
-  const std::uint64_t key = make_key(distance, target);
   heap_.push_back(key);
   while (hole > 0) {
     const std::size_t parent = (hole - 1) / arity;
@@ -106,6 +166,7 @@ void FastMarching::relax(Index target, float distance) {
     hole = parent;
   }
   heap_[hole] = key;
+  if (heap_.size() / 2 > wanted_) keep_nearest();
 }
 
 std::uint64_t FastMarching::pop() {

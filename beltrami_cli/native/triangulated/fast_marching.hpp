@@ -6,6 +6,7 @@
 
 #include <cstdint>
 #include <span>
+#include <unordered_map>
 #include <vector>
 
 #include "triangulated/stencils.hpp"
@@ -48,11 +49,24 @@ class FastMarching {
     std::uint32_t mark = 0;
   };
 
+  // Links of a vertex with very many.
+  struct PartneredLink {
+    Index partner, link;
+  };
+  struct Hub {
+    std::vector<Index> by_length;
+    std::vector<PartneredLink> by_partner;
+  };
+
   void begin_march();
   void relax(Index target, float distance);
   void update_from(Index vertex, float distance);
+  void update_over(Index index, float distance);
+  void update_from_hub(Index vertex, float distance);
+  const Hub& hub_of(Index vertex);
   float through_partner(const Partner& partner, float distance, float best) const;
   std::uint64_t pop();
+  void keep_nearest();
 
   bool outside_window(Index vertex) const;
 
@@ -62,8 +76,11 @@ class FastMarching {
   std::vector<Node> nodes_;
   std::vector<std::uint64_t> heap_;  // distance bits in the high half, vertex in the low half
   std::vector<Reached> reached_;
+  std::unordered_map<Index, Hub> hubs_;  // as far as they were reached
   std::uint32_t close_mark_ = 0, accepted_mark_ = 0;
-  float radius_ = 0;
+  float radius_ = 0;  // beyond which nothing is looked for; in the heap, beyond bound_
+  std::uint64_t bound_ = 0;
+  std::size_t wanted_ = 0;  // how many vertices can still be taken, and one more
   bool truncated_ = false;
 };
 
