@@ -26,7 +26,6 @@ _HEAD = re.compile(rb'\{"input": ".*", "output": ".*", "status": "')
 _START = b'{"input": "'
 _LONGEST = 1 << 26  # bytes of a line
 _SHA256 = re.compile(r"[0-9a-f]{64}")
-_TEMPORARY = re.compile(r"\..+\.[0-9a-f]{12}\.tmp")  # as `replacing.temporary_beside` names them
 
 
 class Record:
@@ -84,16 +83,6 @@ def is_ours(outcome: Outcome | None) -> bool:
     return place_of(outcome.output) in outcome.written and all(
         not exists(name) or _holds({name: digest}) for name, digest in outcome.written.items()
     )
-
-
-def remove_leftovers(outcome: Outcome | None) -> None:
-    """Remove what a run that was killed left half written beside its output."""
-    if outcome is None or outcome.status != "started" or is_url(outcome.output):
-        return
-    folder = Path(place_of(outcome.output)).parent
-    for path in folder.glob(".*.tmp"):
-        if _TEMPORARY.fullmatch(path.name) and path.stat().st_mtime >= outcome.time - 1:
-            path.unlink(missing_ok=True)
 
 
 def _is_record(head: bytes) -> bool:

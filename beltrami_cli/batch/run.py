@@ -7,7 +7,7 @@ from collections import deque
 from typing import TYPE_CHECKING, Protocol
 
 from beltrami_cli.batch.item import Attempt, failed, outcome_of
-from beltrami_cli.batch.record import is_done, is_ours, remove_leftovers
+from beltrami_cli.batch.record import is_done, is_ours
 from beltrami_cli.batch.storage import exists, make_folder_of
 from beltrami_cli.batch.workers import Workers
 from beltrami_cli.errors import OutputError
@@ -106,8 +106,6 @@ class _Batch:
         return self._outcomes_of_all()
 
     def _to_do(self) -> deque[int]:
-        for earlier in self._earlier:
-            remove_leftovers(earlier)
         return deque(key for key in range(len(self._items)) if not self._skips(key))
 
     def _outcomes_of_all(self) -> list[Outcome]:

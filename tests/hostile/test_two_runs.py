@@ -1,8 +1,9 @@
-"""Two runs on one output at the same time, without --overwrite: exactly one of them writes it, and says so."""
+"""Two runs on one output at the same time: one of them writes it, or with --overwrite one whole set of files wins."""
 
 from __future__ import annotations
 
 import errno
+import fcntl
 import json
 import os
 import shutil
@@ -14,6 +15,7 @@ import pytest
 
 from beltrami_cli.errors import OutputError
 from beltrami_cli.formats.document import Written
+from beltrami_cli.jobs.writing import replacing
 from beltrami_cli.jobs.writing.output import Output
 from cli.commands import COMMAND, SAMPLES
 
@@ -34,7 +36,19 @@ if sys.argv[3] == "no links":
         raise PermissionError(errno.EPERM, "Operation not permitted")
 
     os.link = link
-output = Output(sys.argv[1], overwrite=False)
+overwrite = sys.argv[3] == "overwrite"
+if overwrite:  # so slowly that each would meet the other
+    import time
+    from beltrami_cli.jobs.writing import replacing
+
+    put = replacing._put
+
+    def put_slowly(*arguments):
+        put(*arguments)
+        time.sleep(0.02)
+
+    replacing._put = put_slowly
+output = Output(sys.argv[1], overwrite=overwrite)
 content = sys.argv[2].encode() * 100_000
 print("ready", flush=True)
 sys.stdin.readline()
@@ -59,25 +73,54 @@ def end_together(processes: list[subprocess.Popen[str]]) -> list[int]:
     return [process.returncode for process in processes]
 
 
+def files_of_two_writers(folder: Path, how: str) -> tuple[list[int], dict[str, str]]:
+    """Let two processes write the same files; return their exit codes, and the letter that each file is of."""
+    folder.mkdir()
+    processes = [
+        subprocess.Popen(
+            [sys.executable, "-P", "-c", WRITER, str(folder / "out.obj"), letter, how],
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        )
+        for letter in "AB"
+    ]  # fmt: skip
+    codes = end_together(processes)
+    files = [path for path in folder.rglob("*") if path.is_file()]
+    return codes, {path.relative_to(folder).as_posix(): path.read_text()[0] for path in files}
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("links", ["links", "no links"])
 def test_of_two_that_write_at_the_same_time_one_wins(links: str, tmp_path: Path) -> None:
     for attempt in range(6):
-        folder = tmp_path / str(attempt)
-        folder.mkdir()
-        processes = [
-            subprocess.Popen(
-                [sys.executable, "-P", "-c", WRITER, str(folder / "out.obj"), letter, links],
-                stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-            )
-            for letter in "AB"
-        ]  # fmt: skip
-        codes = end_together(processes)
+        codes, letters = files_of_two_writers(tmp_path / str(attempt), links)
         assert sorted(codes) == [0, 4]
-        winner = "AB"[codes.index(0)]
-        files = {path for path in folder.rglob("*") if path.is_file()}
-        assert {path.relative_to(folder).as_posix() for path in files} == {"out.obj", "a.mtl", "maps/a.png"}
-        assert {path.read_text()[0] for path in files} == {winner}
+        assert letters == dict.fromkeys(["out.obj", "a.mtl", "maps/a.png"], "AB"[codes.index(0)])
+
+
+def test_of_two_that_replace_files_at_the_same_time_one_whole_set_stays(tmp_path: Path) -> None:
+    for attempt in range(3):
+        codes, letters = files_of_two_writers(tmp_path / str(attempt), "overwrite")
+        assert codes == [0, 0]
+        assert set(letters) == {"out.obj", "a.mtl", "maps/a.png"}
+        assert len(set(letters.values())) == 1
+
+
+def test_a_run_that_waits_for_another_for_too_long_leaves_all_as_it_was(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(replacing, "_PATIENCE", 0.1)
+    (tmp_path / "out.obj").write_text("old")
+    output = Output(str(tmp_path / "out.obj"), overwrite=True)
+    descriptor = os.open(tmp_path, os.O_RDONLY)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX)
+        with pytest.raises(OutputError, match="another run"):
+            output.write(Written([b"new"], {"a.mtl": b"new"}))
+    finally:
+        os.close(descriptor)
+    assert [path.name for path in tmp_path.iterdir()] == ["out.obj"]
+    output.write(Written([b"new"]))
+    assert (tmp_path / "out.obj").read_text() == "new"
 
 
 @pytest.mark.slow

@@ -22,11 +22,12 @@ from beltrami_cli.jobs.writing.replacing import (
     Aside,
     check_writable,
     endings_held,
+    folders_locked,
     make_folder,
     put_together,
-    temporary_beside,
     write_aside,
 )
+from beltrami_cli.jobs.writing.temporary import remove_leftovers, temporary_beside
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -109,6 +110,7 @@ class Output:
             ):  # No reader gives such a name; this is the last check.
                 raise OutputError(name, "would be written outside the output's folder")
             self._check_file(self.folder / name)
+            remove_leftovers(self.folder / name)
         self.files.check()
 
     def may_replace(self, path: Path) -> bool:
@@ -184,7 +186,8 @@ class Output:
                 raise OutputError(self.target, f"the folder {folder} does not exist", "make it first")
             if not self.path.parent.is_dir():
                 raise OutputError(self.target, f"{folder} is no folder", "choose another place")
-            check_writable(self.path.parent)
+            check_writable(self.path)
+            remove_leftovers(self.path)
         except OSError as error:
             cause = f"the folder {folder} cannot be written to ({error.strerror})"
             raise OutputError(self.target, cause, "choose another folder") from error
@@ -315,10 +318,11 @@ class FileSet:
         """Give all files their names; OutputError if that fails, and then all is as it was."""
         for write in self._streams:
             write()
-        with endings_held():
+        with endings_held() as deliver:
             staged = sorted(self._staged.values(), key=_rank)
             try:
-                put_together([each.aside for each in staged])
+                with folders_locked((path.parent for path in self._staged), deliver):
+                    put_together([each.aside for each in staged])
             except OSError as error:
                 blamed = next((each.name for each in staged if str(each.aside.path) == error.filename), "")
                 if isinstance(error, FileExistsError):

@@ -7,13 +7,17 @@ that would end the process wait until nothing is half done.
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import shutil
 import signal
 import stat
 import threading
+import time
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
+
+from beltrami_cli.jobs.writing.temporary import temporary_beside
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -22,6 +26,8 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.document import Bytes
 
 _ENDINGS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+
+_PATIENCE, _PAUSE = 30.0, 0.02  # seconds that a run waits for another, and between two looks
 
 
 @dataclass(frozen=True)
@@ -45,17 +51,54 @@ def put_together(files: Sequence[Aside]) -> None:
         undoing.pop_all()
 
 
-def check_writable(folder: Path) -> None:
-    """Make a file in a folder and remove it; OSError if that is not possible."""
-    probe = temporary_beside(folder / "probe")
+def check_writable(path: Path) -> None:
+    """Make a file beside a path and remove it; OSError if that is not possible."""
+    probe = temporary_beside(path)
     with endings_held():
         os.close(os.open(probe, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600))
         probe.unlink()
 
 
-def temporary_beside(path: Path) -> Path:
-    """Return a name that nobody has, beside a file."""
-    return path.with_name(f".{path.name[:200]}.{os.urandom(6).hex()}.tmp")
+@contextlib.contextmanager
+def folders_locked(folders: Iterable[Path], deliver: Callable[[], None]) -> Iterator[None]:
+    """Let no other run put files in place in these folders meanwhile; OSError if one does so for very long."""
+    # In one order for all, so that two runs do not wait for each other. `deliver` lets signals through while it waits.
+    with contextlib.ExitStack() as locks:
+        for folder in sorted(set(folders)):
+            descriptor = _opened_folder(folder)
+            if descriptor is not None:
+                locks.callback(os.close, descriptor)  # which unlocks it
+                _lock(descriptor, folder, deliver)
+        yield
+
+
+def _opened_folder(folder: Path) -> int | None:
+    """Open a folder; None where it cannot be, as on Windows, or without the right to list it."""
+    try:
+        return os.open(folder, os.O_RDONLY | getattr(os, "O_DIRECTORY", 0))
+    except OSError:
+        return None
+
+
+def _lock(descriptor: int, folder: Path, deliver: Callable[[], None]) -> None:
+    try:
+        import fcntl
+    except ImportError:  # Windows
+        return
+    end = time.monotonic() + _PATIENCE
+    while True:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            deliver()
+            if time.monotonic() > end:
+                cause = f"another run has been putting files in place there for {_PATIENCE:.0f} s"
+                raise OSError(errno.EBUSY, cause, str(folder)) from None
+            time.sleep(_PAUSE)
+        except OSError:  # There are no locks on this file system.
+            return
+        else:
+            return
 
 
 @contextlib.contextmanager
