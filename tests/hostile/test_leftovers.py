@@ -44,12 +44,14 @@ def test_the_next_run_removes_what_a_killed_one_left_and_not_what_a_live_one_use
         assert process.stdout is not None
         assert process.stdout.readline() == b"ready\n"
         assert len(leftovers(tmp_path)) == 3
-        Output(str(target), overwrite=True).write(FILES)
+        output = Output(str(target), overwrite=True)
+        output.replaceable = frozenset(FILES.sidecars)
+        output.write(FILES)
         assert len(leftovers(tmp_path)) == 3
         process.send_signal(signal.SIGKILL)
     Output(str(tmp_path / "other.obj"), overwrite=True).check_sidecars(["other.mtl"])
     assert len(leftovers(tmp_path)) == 3
-    Output(str(target), overwrite=True).write(FILES)
+    Output(str(target), overwrite=True).check_sidecars(FILES.sidecars)
     assert leftovers(tmp_path) == []
 
 

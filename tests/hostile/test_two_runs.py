@@ -49,6 +49,8 @@ if overwrite:  # so slowly that each would meet the other
 
     replacing._put = put_slowly
 output = Output(sys.argv[1], overwrite=overwrite)
+if overwrite:
+    output.replaceable = frozenset(["a.mtl", "maps/a.png"])
 content = sys.argv[2].encode() * 100_000
 print("ready", flush=True)
 sys.stdin.readline()
