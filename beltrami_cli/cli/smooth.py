@@ -35,7 +35,7 @@ Examples:
   beltrami smooth photoscan.obj clean.obj               textures too, across their seams
   beltrami smooth scan.glb clean.glb -n 6 -t 8 --beta 12 --metric-steps 2    parameters by hand
   beltrami smooth scan.ply clean.glb --unwrap           in a new texture, for meshes without one
-  beltrami smooth scan.glb clean.ply                    smooth vertex colours and convert
+  beltrami smooth photoscan.obj clean.glb               smooth and convert, with all textures
   beltrami smooth photo.jpg clean.png                   an image, on its plane
   beltrami smooth photo.png clean.png --height depth.exr --height-scale 200  an image on a height map
   beltrami smooth cloud.ply clean.ply                   points without faces; .xyz, .pts and .npz too
@@ -92,7 +92,7 @@ def command(
     INPUT and OUTPUT are PLY, OBJ, glTF or GLB files, points (.xyz, .pts, .npz), images (PNG, JPEG, TIFF, EXR and what
     else OpenImageIO reads), or - for a pipe. OUTPUT keeps the bytes of INPUT apart from the colours. With another
     extension it is converted, and what the other format cannot hold is said: vertex colours go to any format, textures
-    between glTF and GLB, images to any image format; other textured files keep their format.
+    with their materials to glTF, GLB, OBJ and PLY, images to any image format. -n 0 converts and smooths nothing.
 
     Points without faces are smoothed on the surface that they lie on; those far from all others stay as they are. In
     .xyz and .pts the columns are x y z r g b, x y z intensity, or x y z intensity r g b, or what a first line calls

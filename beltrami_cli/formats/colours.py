@@ -12,7 +12,7 @@ from beltrami_cli.surface.colour_values import linear_to_srgb
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from beltrami_cli.surface.records import MeshContents
+    from beltrami_cli.surface.records import MeshContents, VertexColours
 
 BYTE = 255.0
 _INTEGER_SCALES = (BYTE, 65535.0)
@@ -67,7 +67,7 @@ def _integer_scale(values: NDArray[np.float64]) -> float | None:
     return next((scale for scale in _INTEGER_SCALES if largest <= scale), None)
 
 
-def display_colours(contents: MeshContents) -> tuple[NDArray[np.float32], list[str]]:
+def display_colours(contents: MeshContents | VertexColours) -> tuple[NDArray[np.float32], list[str]]:
     """Return sRGB values of full scale 1, shape (V, 3), and a notice for each thing that was changed."""
     colours, notices = contents.colours, []
     if contents.encoding == "linear":

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
         MovedVertices,
         PaintedVertices,
         Slot,
+        TexturedMesh,
         TexturedSurface,
     )
 
@@ -189,6 +190,10 @@ class Document(ABC):
     @abstractmethod
     def contents(self) -> MeshContents:
         """Return the mesh for conversion to another format; InputError as `painted`."""
+
+    def textured_mesh(self, colours: NDArray[np.float32] | None = None) -> TexturedMesh:
+        """Return all triangles with materials and images, for conversion; `colours` as in `patch`."""
+        raise InputError(self.name, f"the textures of a {self.format} file cannot be converted")
 
     def fingerprint(self) -> Fingerprint:
         """Take the file apart for comparison with another; InputError if that is not possible or it is damaged."""

@@ -47,6 +47,7 @@ _READABLE = (
 
 
 _JSON = rb"(?:\xef\xbb\xbf)?[ \t\r\n]*\{"
+_COMMON = (".png", ".jpg", ".jpeg")
 _BY_NAME = None  # in place of a mark: a file is recognised by its name alone
 
 
@@ -66,6 +67,8 @@ class Format:
         (MeshContents, stem) -> Written and (TexturedMesh, stem) -> Written; empty: there is none.
     sidecars, textured_sidecars : str
         Suffixes of the files that the writers put beside the main one; ".*" is that of the texture.
+    images : tuple of str
+        Suffixes of the images that the format can hold; empty: any.
     aliases : tuple of str
         Further suffixes, without the dot.
     kind : {"image", "volume", "model"}
@@ -80,6 +83,7 @@ class Format:
     textured_writer: str = ""
     sidecars: str = ""
     textured_sidecars: str = ""
+    images: tuple[str, ...] = ()
     aliases: tuple[str, ...] = ()
     kind: Kind = "model"
 
@@ -132,8 +136,11 @@ FORMATS = (
     Format("volume", _is_volume, "volume", "read_volume", kind="volume"),
     Format("ply", _starts(rb"ply[\n\r \t]"), "ply", "PlyDocument", "write_ply", "write_textured_ply", "", ".*"),
     Format("obj", _BY_NAME, "obj", "ObjDocument", "write_obj", "write_textured_obj", "", ".mtl .*"),
-    Format("glb", _starts(rb"glTF"), "gltf", "GltfDocument", "write_glb", "write_textured_glb"),
-    Format("gltf", _starts(_JSON), "gltf", "GltfDocument", "write_gltf", "write_textured_gltf", ".bin", ".bin .*"),
+    Format("glb", _starts(rb"glTF"), "gltf", "GltfDocument", "write_glb", "write_textured_glb", images=_COMMON),
+    Format(
+        "gltf", _starts(_JSON), "gltf", "GltfDocument",
+        "write_gltf", "write_textured_gltf", ".bin", ".bin .*", _COMMON,
+    ),
     Format("xyz", _BY_NAME, "points", "TextPointsDocument", "write_xyz", aliases=("xyzrgb",)),
     Format("pts", _BY_NAME, "points", "TextPointsDocument", "write_pts"),
     Format("npz", _is_npz, "points", "NpzPointsDocument", "write_npz"),
@@ -217,10 +224,32 @@ def write_contents(contents: MeshContents, name: str, stem: str) -> Written:
 
 
 def write_textured(mesh: TexturedMesh, name: str, stem: str) -> Written:
-    """Write a mesh with one texture as a new file of a format; UsageError if the format has no textures."""
+    """Write a mesh with textures as a new file of a format; UsageError if the format has none, or not such ones."""
     line = _with_textures(name)
+    for image in mesh.images:
+        if line.images and image.file.suffix not in line.images:
+            raise UsageError(
+                f"a .{name} file takes PNG and JPEG textures, not {image.file.suffix}; "
+                "choose --texture-format png or jpg"
+            )
     written: Written = line.load(line.textured_writer)(mesh, stem)
     return written
+
+
+def textured_sidecars(mesh: TexturedMesh, name: str, stem: str) -> list[str]:
+    """Return the files that `write_textured` puts beside the main one; as if all images had a suffix that is held."""
+    from beltrami_cli.formats.textured_mesh import image_names
+
+    line = _with_textures(name)
+    suffixes = line.textured_sidecars.split()
+    images = image_names(mesh, stem) if ".*" in suffixes else []
+    return [*(stem + suffix for suffix in suffixes if suffix != ".*"), *images]
+
+
+def held_images(name: str) -> tuple[str, ...] | None:
+    """Return the suffixes of the textures that a format can hold, empty for any; None: it has no textures."""
+    line = _WRITERS[name]
+    return line.images if line.textured_writer else None
 
 
 def sidecar_names(name: str, stem: str, image_suffix: str | None) -> list[str]:

@@ -15,7 +15,17 @@ from beltrami_cli.errors import BeltramiError, UsageError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access, read_regular, read_source
 from beltrami_cli.formats.document import Naming
 from beltrami_cli.formats.image.recognition import suffix_for
-from beltrami_cli.formats.registry import document_of, kind_of, open_document, sidecar_names, write_contents
+from beltrami_cli.formats.registry import (
+    document_of,
+    held_images,
+    kind_of,
+    open_document,
+    sidecar_names,
+    textured_sidecars,
+    write_contents,
+    write_textured,
+)
+from beltrami_cli.formats.textured_mesh import as_if_with_suffixes, with_images, with_suffixes
 from beltrami_cli.surface.geometry import vertex_normals
 from beltrami_cli.surface.grouping import group_equal_rows
 from beltrami_cli.surface.records import ImageFile, MovedVertices
@@ -72,10 +82,11 @@ def make_files(
     if isinstance(document, GltfDocument) and target_format in ("glb", "gltf"):
         form: Literal["glb", "gltf"] = "glb" if target_format == "glb" else "gltf"
         return document.repackaged(colours, naming, form, images=images, places=places)
+    if is_converted_with_textures(document, kind):
+        return _converted(document, colours, images, target_format, naming, moved_too=places is not None)
     if images or (document.slots() and not document.has_vertex_colours()):
         raise UsageError(
-            f"textures cannot be converted from {document.format} to {target_format}; "
-            f"give the output the extension .{document.format}, or add --unwrap, which makes one new texture of them"
+            f"a .{target_format} file has no textures; end the name of the output in .glb, .gltf, .obj or .ply"
         )
     contents = document.contents()
     if colours is not None:
@@ -84,6 +95,35 @@ def make_files(
         contents = _moved(contents, places)
     stem = naming.free_stem(lambda stem: sidecar_names(target_format, stem, None))
     return write_contents(contents, target_format, stem)
+
+
+def is_converted_with_textures(document: Document, kind: OutputFormat) -> bool:
+    """Return whether a document is written anew, as another format that can hold its textures."""
+    if kind.is_own or kind.suffix is not None or held_images(kind.name) is None or not document.slots():
+        return False
+    return not (kind.name in ("glb", "gltf") and document.format in ("glb", "gltf"))
+
+
+def _converted(
+    document: Document,
+    colours: NDArray[np.float32] | None,
+    images: Mapping[tuple[Slot, str], ImageFile],
+    target_format: str,
+    naming: Naming,
+    *,
+    moved_too: bool,
+) -> Written:
+    """Return the files of a textured document in another format that has textures."""
+    if moved_too:
+        raise UsageError(
+            f"{document.name}: positions that --smooth-geometry moves cannot be converted together with textures; "
+            f"give the output the extension .{document.format}"
+        )
+    mesh = with_images(document.textured_mesh(colours), images)
+    mesh, notices = with_suffixes(mesh, held_images(target_format) or ())
+    stem = naming.free_stem(lambda stem: textured_sidecars(mesh, target_format, stem))
+    written = write_textured(mesh, target_format, stem)
+    return dataclasses.replace(written, notices=(*notices, *written.notices))
 
 
 def _moved(contents: MeshContents, places: MovedVertices) -> MeshContents:
@@ -212,6 +252,11 @@ def _names(
         for slot in selection.slots
         for texture in choose_textures(document.textured(slot), settings.textures).textures
     }
+    if is_converted_with_textures(document, kind):
+        held = held_images(kind.name) or ()
+        mesh = as_if_with_suffixes(with_images(document.textured_mesh(), images), held)
+        stem = naming.free_stem(lambda stem: textured_sidecars(mesh, kind.name, stem))
+        return textured_sidecars(mesh, kind.name, stem)
     written = make_files(document, None, images, kind, naming)
     return [*written.sidecars, *written.copies]
 

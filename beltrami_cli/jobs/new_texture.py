@@ -15,7 +15,14 @@ from beltrami_cli.surface.baking import bake, interpolated, overlap, texels_for_
 from beltrami_cli.surface.colour_values import linear_to_srgb
 from beltrami_cli.surface.lookup import look_up
 from beltrami_cli.surface.polygons import triangulate
-from beltrami_cli.surface.records import Texture, TexturedMesh, TexturedSurface
+from beltrami_cli.surface.records import (
+    Material,
+    MaterialMap,
+    MeshImage,
+    Texture,
+    TexturedMesh,
+    TexturedSurface,
+)
 from beltrami_cli.surface.unwrap import require_few_faces, unwrap
 
 if TYPE_CHECKING:
@@ -63,7 +70,9 @@ class NewTexture:
         """Return the mesh with the texture as a file, for the writers."""
         alpha = self.pixels[..., 3:]
         transparent = bool(alpha.size and (alpha < alpha.max()).any())
-        return TexturedMesh(self.positions, self.faces, self.uv, image, transparent)
+        shown = MaterialMap(0, ("clamp", "clamp"))
+        material = Material(maps={"baseColor": shown}, alpha="blend" if transparent else "opaque")
+        return TexturedMesh(self.positions, self.faces, self.uv, (material,), (MeshImage(image),))
 
 
 def texture_from_vertices(

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from numpy.typing import NDArray
 
 
@@ -110,17 +112,70 @@ class ImageFile:
     suffix: str  # its usual extension, lower case, with the dot: ".png", ".jpg", ".webp", ".exr",
 
 
+AlphaMode = Literal["opaque", "mask", "blend"]
+
+
+@dataclass(frozen=True)
+class MaterialMap:
+    """The image that a material has in a slot."""
+
+    image: int  # index into `TexturedMesh.images`
+    wrap: tuple[Wrap, Wrap] = ("repeat", "repeat")
+
+
+@dataclass(frozen=True)
+class Material:
+    """How triangles look; colours are display values, by which the maps are multiplied."""
+
+    name: str = ""  # empty: the writer names it
+    maps: Mapping[Slot, MaterialMap] = field(default_factory=dict)
+    colour: tuple[float, ...] = (1.0, 1.0, 1.0)
+    emission: tuple[float, ...] = (0.0, 0.0, 0.0)
+    opacity: float = 1.0
+    metalness: float = 0.0
+    roughness: float = 1.0
+    alpha: AlphaMode = "opaque"  # whether opacity, and that of the base colour map, is to be seen
+
+
+@dataclass(frozen=True)
+class MeshImage:
+    """An image of a mesh with textures."""
+
+    file: ImageFile
+    name: str = ""  # of the file in the source; empty: named after the model
+    key: str = ""  # as in `Texture`
+
+
+@dataclass(frozen=True)
+class VertexColours:
+    """Colours of all vertices of a mesh that has textures as well; the fields are as in `MeshContents`."""
+
+    colours: NDArray[np.float32]
+    encoding: Encoding
+    stored: str
+    alpha: NDArray[np.float32] | None = None
+
+
 @dataclass(frozen=True)
 class TexturedMesh:
-    """A whole mesh with one texture, for writing it as a new file."""
+    """A whole mesh with materials and their images, for writing it as a new file."""
 
     positions: NDArray[np.float64]  # (V, 3): vertex positions
     faces: NDArray[np.int32]  # (F, 3): triangles, at least one
-    # Shape (F, 3, 2): texture coordinates of every corner in [0, 1]: u to the right, v down, as in
-    # `TexturedSurface`.
+    # Shape (F, 3, 2): texture coordinates of every corner: u to the right, v down, as in
+    # `TexturedSurface`. NaN where a triangle has none.
     uv: NDArray[np.float64]
-    image: ImageFile
-    transparent: bool = False  # whether its alpha is to be seen
+    materials: tuple[Material, ...]
+    images: tuple[MeshImage, ...]
+    source: str = (
+        ""  # stem of the file that it comes from, in the place of which the output's stands in names
+    )
+    material_of: NDArray[np.int32] | None = None  # (F,): index into `materials`; None: all have the first
+    groups: tuple[str, ...] = ("",)  # names of the objects that it consists of; empty: the model's name
+    group_of: NDArray[np.int32] | None = None  # (F,): index into `groups`; None: all are in the first
+    normals: NDArray[np.float32] | None = None  # (F, 3, 3): of every corner; NaN where there is none
+    colours: VertexColours | None = None
+    left_out: tuple[str, ...] = ()  # as in `MeshContents`
 
 
 @dataclass(frozen=True)

@@ -244,15 +244,12 @@ def test_textured_gltf_converts_to_glb_with_its_textures(tmp_path):
 
 
 @pytest.mark.parametrize("iterations", ["0", "1"])
-def test_a_textured_model_in_another_format_is_refused_with_the_way_out(iterations, tmp_path):
-    run = beltrami("smooth", MIRRORED, tmp_path / "out.glb", "-n", iterations, "--fast")
-    assert run.returncode == 2
-    assert b"obj to glb" in run.stderr
-    assert b"--unwrap" in run.stderr
-    assert not list(tmp_path.iterdir())
-    if iterations != "0":
-        out = smooth(MIRRORED, tmp_path / "out.glb", "-n", "1", "--fast", "--unwrap", "--texture-size", "64")
-        assert len(images(out)) == 1
+def test_a_textured_model_is_converted_with_its_textures(iterations, tmp_path):
+    out = smooth(MIRRORED, tmp_path / "out.glb", "-n", iterations, "--fast")
+    assert len(images(out)) == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["out.glb"]
+    out = smooth(MIRRORED, tmp_path / "new.glb", "-n", "1", "--fast", "--unwrap", "--texture-size", "64")
+    assert len(images(out)) == 1
 
 
 def test_a_dry_run_writes_no_file_of_a_textured_model(tmp_path):

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 from functools import cached_property
+from pathlib import PurePath
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -26,6 +28,7 @@ from beltrami_cli.formats.gltf.painted import (
 )
 from beltrami_cli.formats.gltf.repainting import repaint
 from beltrami_cli.formats.gltf.saving import written
+from beltrami_cli.formats.gltf.textured_mesh import read_textured_mesh
 from beltrami_cli.formats.gltf.textured_surface import gather_textured
 from beltrami_cli.formats.gltf.textures import Images, present_slots
 from beltrami_cli.formats.gltf.uris import files_beside
@@ -42,7 +45,11 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.document import Naming, Written
     from beltrami_cli.formats.gltf.container import GltfForm
     from beltrami_cli.formats.gltf.json_text import Tree
-    from beltrami_cli.surface.records import ImageFile, Slot, TexturedSurface
+    from beltrami_cli.surface.records import ImageFile, Slot, TexturedMesh, TexturedSurface
+
+
+# What conversion leaves out of a file with textures, too.
+_NOT_TEXTURED = ("skins", "animations", "cameras", "morph targets")
 
 
 class GltfDocument(Document):
@@ -168,6 +175,25 @@ class GltfDocument(Document):
             normals=self._normals(),
             left_out=tuple(_left_out(self.container.tree)),
         )
+
+    def textured_mesh(self, colours: NDArray[np.float32] | None = None) -> TexturedMesh:  # noqa: D102
+        stored = "float32"
+        by_primitive: dict[tuple[int, int], NDArray[np.float32]] = {}
+        if self.has_vertex_colours():
+            painted = self.painted()
+            stored, values = painted.stored, painted.colours if colours is None else colours
+            alpha = _opacity(self.stored_colours)
+            rows = values if alpha is None else np.column_stack([values, alpha])
+            for block in self.surface.blocks:
+                own = rows[block.first_row : block.first_row + block.count]
+                by_primitive |= dict.fromkeys(block.users, own)
+        mesh = read_textured_mesh(
+            self.root, self.accessors, self.images, by_primitive, stored, PurePath(self.name).stem
+        )
+        others = [what for what in _left_out(self.container.tree) if what in _NOT_TEXTURED]
+        if any(node.get("children") for node in objects(self.container.tree.get("nodes"))):
+            others.append("node hierarchy")
+        return dataclasses.replace(mesh, left_out=(*mesh.left_out, *others))
 
     def fingerprint(self) -> Fingerprint:  # noqa: D102
         parts, images = fingerprint(self.container, self.accessors, self.images)

@@ -55,6 +55,22 @@ def placements(root: Entry) -> list[Placement]:
     return found
 
 
+def instances(root: Entry) -> list[tuple[int, Placement, str]]:
+    """Return every mesh that a node of the default scene shows (of all scenes, if none is), its place and its name."""
+    nodes, meshes = root.entries("nodes"), root.entries("meshes")
+    children, scenes = _children(nodes), root.entries("scenes")
+    chosen = [scenes[root.integer("scene", below=len(scenes))]] if "scene" in root else scenes
+    found, seen = [], set[int]()
+    for scene in chosen:
+        for node, matrix in _walk(scene, nodes, children, seen):
+            if "mesh" in nodes[node]:
+                mesh = nodes[node].integer("mesh", below=len(meshes))
+                place = np.eye(4) if "skin" in nodes[node] else matrix
+                name = nodes[node].text("name") or meshes[mesh].text("name") or ""
+                found.append((mesh, Placement(place, 0, 1), name))
+    return found
+
+
 def _children(nodes: list[Entry]) -> list[list[int]]:
     parent: dict[int, int] = {}
     children = []
@@ -130,6 +146,17 @@ def in_world(
     if not np.isfinite(moved).all():
         raise accessors[index].entry.fault("", "positions overflow in world space")
     return moved
+
+
+def turned(normals: NDArray[np.float64], matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return unit normals, shape (n, 3), in the common space; those of length zero stay zero."""
+    a, b, c = matrix[:3, :3].T
+    # The cofactor matrix is the inverse transpose times the determinant, and exists for flat scales too.
+    cofactors = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=1)
+    sign = -1.0 if a @ cofactors[:, 0] < 0 else 1.0
+    moved: NDArray[np.float64] = normals @ (sign * cofactors).T
+    length = np.linalg.norm(moved, axis=1, keepdims=True)
+    return moved / np.where(length > 0, length, 1)
 
 
 def attribute_accessor(primitive: Entry, name: str, accessors: Accessors) -> int:

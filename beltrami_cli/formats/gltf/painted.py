@@ -13,7 +13,14 @@ import numpy as np
 
 from beltrami_cli.errors import UnpaintedError
 from beltrami_cli.formats.gltf.accessors import fractions
-from beltrami_cli.formats.gltf.geometry import attribute_accessor, drawing, drawn, in_world, position_accessor
+from beltrami_cli.formats.gltf.geometry import (
+    attribute_accessor,
+    drawing,
+    drawn,
+    in_world,
+    position_accessor,
+    turned,
+)
 from beltrami_cli.surface.records import PaintedVertices
 
 if TYPE_CHECKING:
@@ -97,13 +104,7 @@ def normals_of(blocks: Sequence[Block], accessors: Accessors) -> NDArray[np.floa
     for block in blocks:
         if block.normal is None:
             return None
-        a, b, c = block.placement.matrix[:3, :3].T
-        # The cofactor matrix is the inverse transpose times the determinant, and exists for flat scales too.
-        cofactors = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=1)
-        sign = -1.0 if a @ cofactors[:, 0] < 0 else 1.0
-        turned = accessors.values(block.normal) @ (sign * cofactors).T
-        length = np.linalg.norm(turned, axis=1, keepdims=True)
-        parts.append(turned / np.where(length > 0, length, 1))
+        parts.append(turned(accessors.values(block.normal), block.placement.matrix))
     return np.concatenate(parts).astype(np.float32)
 
 

@@ -41,7 +41,10 @@ SLOT_PATHS: dict[Slot, tuple[tuple[str, ...], ...]] = {
 }
 """Where a material holds the textureInfos of a slot; where there are several, a viewer shows one or the other."""
 
-_WRAPS: dict[int, Wrap] = {10497: "repeat", 33648: "mirror", 33071: "clamp"}
+WRAPS: dict[Wrap, int] = {"repeat": 10497, "mirror": 33648, "clamp": 33071}
+"""The numbers by which samplers say what lies beyond an image."""
+
+_KINDS = {number: kind for kind, number in WRAPS.items()}
 _MEDIA = ((b"\x89PNG", "image/png"), (b"\xff\xd8\xff", "image/jpeg"), (b"\xabKTX 20", "image/ktx2"))
 _TRANSFORM = "KHR_texture_transform"
 _VARIANTS = "KHR_materials_variants"
@@ -114,9 +117,9 @@ class Images:
         both: list[Wrap] = []
         for key in ("wrapS", "wrapT"):
             kind = sampler.integer(key, default=10497)
-            if kind not in _WRAPS:
+            if kind not in _KINDS:
                 raise sampler.fault(key, f"is {kind}, which glTF does not define")
-            both.append(_WRAPS[kind])
+            both.append(_KINDS[kind])
         return both[0], both[1]
 
     def data(self, index: int) -> bytes:

@@ -1,4 +1,4 @@
-"""A coloured mesh, or a mesh with one texture, written as a new, minimal glTF file."""
+"""A coloured mesh written as a new, minimal glTF file, and the parts of such files."""
 
 from __future__ import annotations
 
@@ -7,22 +7,20 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from beltrami_cli.errors import InputError, UsageError
+from beltrami_cli.errors import InputError
 from beltrami_cli.formats.document import Written
 from beltrami_cli.formats.gltf.accessors import COMPONENTS, Stored, padded_elements, quantised
 from beltrami_cli.formats.gltf.container import BIN_CHUNK, JSON_CHUNK, Chunk, encoded, glb_pieces
 from beltrami_cli.formats.gltf.edit import INDEX_DATA, VERTEX_DATA
-from beltrami_cli.formats.gltf.image_storage import MEDIA
 from beltrami_cli.formats.gltf.uris import as_uri
 from beltrami_cli.surface.colour_values import srgb_to_linear
-from beltrami_cli.surface.grouping import distinct_corners
 from beltrami_cli.surface.polygons import triangulate
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from beltrami_cli.formats.gltf.json_text import Tree
-    from beltrami_cli.surface.records import MeshContents, TexturedMesh
+    from beltrami_cli.surface.records import MeshContents, VertexColours
 
 _STORED_AS = {
     ("linear", "uint8"): "<u1",
@@ -37,54 +35,37 @@ sRGB levels are closest near black, where one of 255 is 20 of 65535 linear steps
 
 _COMPONENT_TYPE = {np.dtype(name): number for number, name in COMPONENTS.items()}
 _MOST_FOR_U16 = 65535  # vertices: index 65535 would mean the restart of a strip
-_LINEAR, _MIPMAPS, _CLAMP = 9729, 9987, 33071
 
 
 def write_glb(contents: MeshContents, stem: str) -> Written:
     """Write a mesh as one binary file; its colours become linear, as glTF demands, and `stem` its name."""
     notices: list[str] = []
-    return _binary(*_coloured(contents, stem, notices), notices)
+    return binary_file(*_coloured(contents, stem, notices), notices)
 
 
 def write_gltf(contents: MeshContents, stem: str) -> Written:
     """Write a mesh as JSON text with its numbers in the sidecar ``stem.bin``; otherwise as `write_glb`."""
     notices: list[str] = []
     tree, arrays = _coloured(contents, stem, notices)
-    return _text(tree, arrays, stem, {}, notices)
+    return text_file(tree, arrays, stem, {}, notices)
 
 
-def write_textured_glb(mesh: TexturedMesh, stem: str) -> Written:
-    """Write a mesh and its texture as one binary file; vertices are split where texture coordinates differ."""
-    notices: list[str] = []
-    tree, arrays = _textured(mesh, stem, notices)
-    view = arrays.add_bytes(mesh.image.data)
-    tree["images"] = [{"bufferView": view, "mimeType": MEDIA[mesh.image.suffix], "name": stem}]
-    return _binary(tree, arrays, notices)
-
-
-def write_textured_gltf(mesh: TexturedMesh, stem: str) -> Written:
-    """Write a mesh as JSON text, with its numbers and its texture in files beside it; else as `write_textured_glb`."""
-    notices: list[str] = []
-    tree, arrays = _textured(mesh, stem, notices)
-    image = stem + mesh.image.suffix
-    tree["images"] = [{"uri": as_uri(image), "name": stem}]
-    return _text(tree, arrays, stem, {image: mesh.image.data}, notices)
-
-
-def _binary(tree: Tree, arrays: _Arrays, notices: list[str]) -> Written:
+def binary_file(tree: Tree, arrays: Arrays, notices: list[str]) -> Written:
+    """Return a file of both chunks."""
     tree["buffers"] = [{"byteLength": len(arrays.binary)}]
     text = json.dumps(tree, ensure_ascii=False, separators=(",", ":"))
     pieces = glb_pieces([Chunk(JSON_CHUNK, encoded(text)), Chunk(BIN_CHUNK, bytes(arrays.binary))])
     return Written(pieces, notices=tuple(notices))
 
 
-def _text(tree: Tree, arrays: _Arrays, stem: str, images: dict[str, bytes], notices: list[str]) -> Written:
+def text_file(tree: Tree, arrays: Arrays, stem: str, images: dict[str, bytes], notices: list[str]) -> Written:
+    """Return JSON text, with the numbers and images in files beside it."""
     tree["buffers"] = [{"byteLength": len(arrays.binary), "uri": as_uri(f"{stem}.bin")}]
     text = json.dumps(tree, ensure_ascii=False, indent=2) + "\n"
     return Written([encoded(text)], {f"{stem}.bin": bytes(arrays.binary), **images}, tuple(notices))
 
 
-class _Arrays:
+class Arrays:
     """Accessors, their views, and the bytes behind them, while they are put together."""
 
     def __init__(self) -> None:
@@ -126,18 +107,18 @@ class _Arrays:
         return len(self.views) - 1
 
 
-def _coloured(contents: MeshContents, stem: str, notices: list[str]) -> tuple[Tree, _Arrays]:
-    positions = _single_precision(contents.positions, stem, notices)
-    colours = _colours(contents, notices)
+def _coloured(contents: MeshContents, stem: str, notices: list[str]) -> tuple[Tree, Arrays]:
+    positions = single_precision(contents.positions, stem, notices)
+    colours = linear_colours(contents, notices)
     faces = triangulate(contents.positions, contents.corners, contents.offsets)
     if np.any(np.diff(contents.offsets) > 3):
         notices.append("Quads and polygons are cut into triangles.")
     if contents.left_out:
         notices.append(f"glTF output leaves out: {', '.join(contents.left_out)}.")
-    arrays = _Arrays()
+    arrays = Arrays()
     attributes = {"POSITION": arrays.add(positions, bounds=True), "COLOR_0": arrays.add(colours)}
     if contents.normals is not None:
-        attributes["NORMAL"] = arrays.add(_unit(contents.normals))
+        attributes["NORMAL"] = arrays.add(unit_normals(contents.normals))
     primitive: Tree = {"attributes": attributes, "material": 0}
     if len(faces):
         primitive["indices"] = arrays.add_faces(faces, len(positions))
@@ -153,32 +134,7 @@ def _coloured(contents: MeshContents, stem: str, notices: list[str]) -> tuple[Tr
     return _model(primitive, {"materials": [material]}, arrays, stem), arrays
 
 
-def _textured(mesh: TexturedMesh, stem: str, notices: list[str]) -> tuple[Tree, _Arrays]:
-    uv = mesh.uv.reshape(-1, 2).astype("<f4")
-    first, vertex_of = distinct_corners(mesh.faces.ravel(), *uv.T)
-    positions = _single_precision(mesh.positions[mesh.faces.ravel()[first]], stem, notices)
-    if mesh.image.suffix not in (".png", ".jpg", ".jpeg"):
-        raise UsageError(
-            f"glTF takes PNG and JPEG textures, not {mesh.image.suffix}; choose --texture-format png or jpg"
-        )
-    arrays = _Arrays()
-    attributes = {"POSITION": arrays.add(positions, bounds=True), "TEXCOORD_0": arrays.add(uv[first])}
-    indices = arrays.add_faces(vertex_of.reshape(-1, 3), len(first))
-    base = {"baseColorTexture": {"index": 0}, "metallicFactor": 0, "roughnessFactor": 1}
-    material: Tree = {"name": stem, "pbrMetallicRoughness": base, "doubleSided": True}
-    if mesh.transparent:
-        material["alphaMode"] = "BLEND"
-    painting = {
-        "materials": [material],
-        "textures": [{"sampler": 0, "source": 0}],
-        "samplers": [{"magFilter": _LINEAR, "minFilter": _MIPMAPS, "wrapS": _CLAMP, "wrapT": _CLAMP}],
-    }
-    return _model(
-        {"attributes": attributes, "indices": indices, "material": 0}, painting, arrays, stem
-    ), arrays
-
-
-def _model(primitive: Tree, painting: Tree, arrays: _Arrays, stem: str) -> Tree:
+def _model(primitive: Tree, painting: Tree, arrays: Arrays, stem: str) -> Tree:
     """Return the JSON of a file of one primitive, with the members that paint it."""
     return {
         "asset": {"version": "2.0", "generator": "beltrami"},
@@ -192,7 +148,7 @@ def _model(primitive: Tree, painting: Tree, arrays: _Arrays, stem: str) -> Tree:
     }
 
 
-def _single_precision(exact: NDArray[np.float64], stem: str, notices: list[str]) -> Stored:
+def single_precision(exact: NDArray[np.float64], stem: str, notices: list[str]) -> Stored:
     """Return positions as glTF stores them; a notice is added if that rounds them."""
     with np.errstate(over="ignore"):
         positions = exact.astype("<f4")
@@ -205,7 +161,7 @@ def _single_precision(exact: NDArray[np.float64], stem: str, notices: list[str])
     return positions
 
 
-def _colours(contents: MeshContents, notices: list[str]) -> Stored:
+def linear_colours(contents: MeshContents | VertexColours, notices: list[str]) -> Stored:
     """Return COLOR_0 as stored, shape (V, 3), or (V, 4) with alpha."""
     colours = contents.colours
     if contents.encoding == "srgb":
@@ -222,7 +178,7 @@ def _colours(contents: MeshContents, notices: list[str]) -> Stored:
     return quantised(colours, np.dtype(_STORED_AS.get((contents.encoding, contents.stored), "<f4")))
 
 
-def _unit(normals: NDArray[np.float32]) -> Stored:
+def unit_normals(normals: NDArray[np.float32]) -> Stored:
     """Return normals of length one; where there is none, upwards, since glTF allows no others."""
     exact = np.nan_to_num(normals.astype(np.float64), posinf=0, neginf=0)
     length = np.linalg.norm(exact, axis=1, keepdims=True)

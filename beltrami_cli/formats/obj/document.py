@@ -5,6 +5,7 @@ from __future__ import annotations
 import codecs
 import dataclasses
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -17,22 +18,23 @@ from beltrami_cli.formats.model_folder import ModelFolder
 from beltrami_cli.formats.obj.materials import Materials
 from beltrami_cli.formats.obj.patching import new_colours, new_positions, renumbered, repainted
 from beltrami_cli.formats.obj.statements import Statements
+from beltrami_cli.formats.obj.textured_mesh import read_textured_mesh
 from beltrami_cli.formats.obj.texturing import gather_textured, read_coordinates
 from beltrami_cli.formats.obj.vertices import Scan, among, read_normals, repainted_entries, scan_file
+from beltrami_cli.formats.textured_mesh import POLYGONS_CUT
 from beltrami_cli.formats.tokens import Spans, exchange_spans, exchange_tokens, shifted, zeroed
 from beltrami_cli.surface.polygons import triangulate
-from beltrami_cli.surface.records import MeshContents, MovedVertices, PaintedVertices
+from beltrami_cli.surface.records import MeshContents, MovedVertices, PaintedVertices, VertexColours
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
-    from pathlib import Path
 
     from numpy.typing import NDArray
 
     from beltrami_cli.formats.document import Naming
     from beltrami_cli.formats.obj.materials import Library
     from beltrami_cli.formats.obj.texturing import Coordinates
-    from beltrami_cli.surface.records import ImageFile, Slot, TexturedSurface
+    from beltrami_cli.surface.records import ImageFile, Slot, TexturedMesh, TexturedSurface
 
 _CHANNELS = ("red", "green", "blue")
 _STALE = "The vertices moved, but the normals ('vn') are as they were; make them anew, or leave them out."
@@ -159,9 +161,6 @@ class ObjDocument(Document):
         colours = self._colours
         vertices = self._scan.vertices
         corners, offsets = self._polygons
-        alpha = vertices.alpha
-        if alpha is not None and alpha.max() > 1:  # Beside colours of 0..255 opacity may still be of 0..1.
-            alpha = alpha / self._scale
         return MeshContents(
             positions=vertices.positions[vertices.coloured],
             corners=corners,
@@ -169,9 +168,34 @@ class ObjDocument(Document):
             colours=colours,
             encoding="srgb",
             stored=self._stored,
-            alpha=None if alpha is None else np.clip(alpha, 0, 1).astype(np.float32),
+            alpha=self._alpha(),
             left_out=self._scan.dropped,
         )
+
+    def textured_mesh(self, colours: NDArray[np.float32] | None = None) -> TexturedMesh:
+        """Return all triangles with their materials; see `Document.textured_mesh`."""
+        statements, vertices = Statements(self._data, self.name), self._scan.vertices
+        source = Path(self.name).stem
+        mesh = read_textured_mesh(statements, self._scan, self._coordinates, self._materials, source)
+        if (np.diff(self._scan.offsets) > 3).any():
+            mesh = dataclasses.replace(mesh, left_out=(*mesh.left_out, POLYGONS_CUT))
+        if not vertices.coloured.size:
+            return mesh
+        if len(vertices.coloured) < len(vertices.positions):
+            left_out = (*mesh.left_out, "vertex colours, which some vertices do not have")
+            return dataclasses.replace(mesh, left_out=left_out)
+        values = self._colours if colours is None else colours
+        shown = VertexColours(values, "srgb", self._stored, self._alpha())
+        return dataclasses.replace(mesh, colours=shown)
+
+    def _alpha(self) -> NDArray[np.float32] | None:
+        """Return the opacity of the coloured vertices."""
+        alpha = self._scan.vertices.alpha
+        if alpha is None:
+            return None
+        if alpha.max() > 1:  # Beside colours of 0..255 opacity may still be of 0..1.
+            alpha = alpha / self._scale
+        return np.clip(alpha, 0, 1).astype(np.float32)
 
     def fingerprint(self) -> Fingerprint:
         """Take the file and its libraries apart; see `Document.fingerprint`."""

@@ -64,6 +64,7 @@ class Map:
     scale: tuple[float, float] = (1.0, 1.0)  # texture coordinates (v up) are multiplied by this
     offset: tuple[float, float] = (0.0, 0.0)  # and this is added
     clamped: bool = False  # whether the image is not repeated
+    channel: str = ""  # of the image, where a map of one number says which: r, g, b, m for alpha, l, z
 
 
 def read_maps(text: bytes) -> tuple[list[str], list[Map]]:
@@ -81,7 +82,7 @@ def read_maps(text: bytes) -> tuple[list[str], list[Map]]:
 
 def _read_map(material: str, keyword: str, rest: bytes, start: int) -> Map:
     """Read options up to the file name, which may hold blanks and stand in quotes."""
-    scale, offset, clamped = (1.0, 1.0), (0.0, 0.0), False
+    scale, offset, clamped, channel = (1.0, 1.0), (0.0, 0.0), False, ""
     at = 0
     while option := _OPTION.match(rest, at):
         at = option.end()
@@ -92,11 +93,15 @@ def _read_map(material: str, keyword: str, rest: bytes, start: int) -> Map:
             offset = _pair(option[2], 0.0)
         elif option[3] and option[3].lower() == b"clamp":
             clamped = option[4].lower() == b"on"
+        elif option[3] and option[3].lower() == b"imfchan":
+            channel = option[4].lower().decode("ascii", "replace")
     name = rest[at:]
     if len(name) > 2 and name[:1] == name[-1:] == b'"':
         name, at = name[1:-1], at + 1
     begin = start + at
-    return Map(material, keyword, os.fsdecode(name), begin, begin + len(name), scale, offset, clamped)
+    return Map(
+        material, keyword, os.fsdecode(name), begin, begin + len(name), scale, offset, clamped, channel
+    )
 
 
 def _pair(numbers: bytes, default: float) -> tuple[float, float]:

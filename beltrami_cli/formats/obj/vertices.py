@@ -217,7 +217,7 @@ def among(
 
 def read_normals(statements: Statements, corners: NDArray[np.int32], count: int) -> NDArray[np.float64]:
     """Read the unit normals of all vertices, shape (count, 3); NaN where no corner of a vertex has one."""
-    values = _unit_normals(statements)
+    values = unit_normals(statements)
     rows, tokens, _ = statements.corners(b"vn")
     given = rows >= 0
     normals = np.full((count, 3), np.nan)
@@ -230,7 +230,7 @@ def read_normals(statements: Statements, corners: NDArray[np.int32], count: int)
     return normals
 
 
-def _unit_normals(statements: Statements) -> NDArray[np.float64]:
+def unit_normals(statements: Statements) -> NDArray[np.float64]:
     """Return all `vn` statements as unit vectors, shape (N, 3)."""
     chosen = statements.select(b"vn")
     tokens, offsets = statements.arguments(chosen)

@@ -1,4 +1,4 @@
-"""Writing a whole mesh as an OBJ file, with colours of vertices or with one texture.
+"""Writing a whole mesh as an OBJ file, with colours of vertices, or with materials and their textures.
 
 Colours have six decimals, all other numbers as many digits as they need to be read back the same.
 """
@@ -6,12 +6,13 @@ Colours have six decimals, all other numbers as many digits as they need to be r
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from beltrami_cli.formats.colours import display_colours, left_out
 from beltrami_cli.formats.document import Written
+from beltrami_cli.formats.textured_mesh import image_names, material_names, not_converted, with_slots
 from beltrami_cli.formats.tokens import blocks
 from beltrami_cli.surface.geometry import shortest_type
 from beltrami_cli.surface.grouping import distinct_corners
@@ -21,10 +22,18 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from beltrami_cli.surface.records import MeshContents, TexturedMesh
+    from beltrami_cli.surface.records import Material, MeshContents, Slot, TexturedMesh, VertexColours
 
 _BLOCK = 1 << 16  # lines made at a time, which bounds the memory that their tokens take
 _MATERIAL = "painted"
+_SLOTS: tuple[Slot, ...] = ("baseColor", "emissive", "normal", "metallicRoughness")
+# By whether corners have texture coordinates and normals.
+_FACES = {
+    (False, False): "f {} {} {}\n",
+    (True, False): "f {}/{} {}/{} {}/{}\n",
+    (False, True): "f {}//{} {}//{} {}//{}\n",
+    (True, True): "f {}/{}/{} {}/{}/{} {}/{}/{}\n",
+}
 
 
 def write_obj(contents: MeshContents, stem: str) -> Written:
@@ -59,20 +68,97 @@ def _polygon_lines(corners: NDArray[np.int32], offsets: NDArray[np.int64], style
 
 
 def write_textured_obj(mesh: TexturedMesh, stem: str) -> Written:
-    """Write a mesh and its texture, with a library and an image beside it that are named after `stem`."""
-    first, coordinate_of = distinct_corners(*mesh.uv.reshape(-1, 2).T)
-    coordinates = (mesh.uv.reshape(-1, 2)[first] * [1, -1] + [0, 1]).astype(np.float32)
-    image = stem + mesh.image.suffix
-    pieces = [
-        f"mtllib {stem}.mtl\n".encode(),
-        *_lines("v {} {} {}\n", shortest_type(mesh.positions)),
-        *_lines("vt {} {}\n", coordinates),
-        f"usemtl {_MATERIAL}\n".encode(),
-        *_triangle_lines(mesh.faces + 1, coordinate_of.reshape(-1, 3) + 1),
-    ]
-    alpha = f"map_d -imfchan m -clamp on {image}\n" if mesh.transparent else ""
-    material = f"newmtl {_MATERIAL}\nKd 1 1 1\nillum 1\nmap_Kd -clamp on {image}\n{alpha}"
-    return Written(pieces, {f"{stem}.mtl": material.encode(), image: mesh.image.data})
+    """Write a mesh with its materials, with a library and images beside it that are named after `stem`."""
+    mesh = with_slots(mesh, _SLOTS)
+    names, images = material_names(mesh.materials, _MATERIAL), image_names(mesh, stem)
+    vertices, notices = _textured_vertices(mesh.positions, mesh.colours)
+    coordinates, coordinate_of = _distinct(mesh.uv)
+    pieces = [f"mtllib {stem}.mtl\n".encode(), *vertices]
+    pieces += _lines("vt {} {}\n", (coordinates * [1, -1] + [0, 1]).astype(np.float32))
+    columns: list[NDArray[Any]] = [mesh.faces + 1, coordinate_of]
+    if mesh.normals is not None:
+        normals, normal_of = _distinct(mesh.normals)
+        pieces += _lines("vn {} {} {}\n", normals)
+        columns.append(normal_of)
+    pieces += _parts(mesh, names, np.stack(columns, axis=2))
+    library = "".join(
+        _library_entry(name, material, images) for name, material in zip(names, mesh.materials, strict=True)
+    )
+    files = {name: image.file.data for name, image in zip(images, mesh.images, strict=True)}
+    mirrored = any("mirror" in shown.wrap for material in mesh.materials for shown in material.maps.values())
+    lost = not_converted(mesh, ["mirrored repetition of textures"] if mirrored else [])
+    return Written(pieces, {f"{stem}.mtl": library.encode(), **files}, (*notices, *lost))
+
+
+def _textured_vertices(
+    positions: NDArray[np.float64], colours: VertexColours | None
+) -> tuple[list[bytes], list[str]]:
+    if colours is None:
+        return [*_lines("v {} {} {}\n", shortest_type(positions))], []
+    values, notices = display_colours(colours)
+    if colours.alpha is not None and (colours.alpha < 1).any():
+        notices.append("Opacity of vertices is dropped: they hold red, green and blue only.")
+    return [*_vertex_lines(positions, values)], notices
+
+
+def _distinct(corners: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.int64]]:
+    """Return the distinct rows of (F, 3, C) numbers, and which of them every corner has, from 1; 0 for NaN."""
+    rows = corners.reshape(-1, corners.shape[2])
+    given = ~np.isnan(rows).any(axis=1)
+    first, number_of = distinct_corners(*rows[given].T)
+    numbers = np.zeros(len(rows), np.int64)
+    numbers[given] = number_of + 1
+    return rows[given][first], numbers.reshape(-1, 3)
+
+
+def _parts(mesh: TexturedMesh, names: list[str], indices: NDArray[np.integer]) -> Iterator[bytes]:
+    """Write triangles, shape (F, 3, 2 or 3), below the names of their groups and materials."""
+    count = len(mesh.faces)
+    group_of = np.zeros(count, np.int32) if mesh.group_of is None else mesh.group_of
+    material_of = np.zeros(count, np.int32) if mesh.material_of is None else mesh.material_of
+    has_uv, has_normals = np.zeros((2, count), np.bool_)
+    has_uv |= (indices[:, :, 1] > 0).all(axis=1)
+    if indices.shape[2] > 2:
+        has_normals |= (indices[:, :, 2] > 0).all(axis=1)
+    kinds = np.column_stack([group_of, material_of, has_uv, has_normals])
+    starts = np.flatnonzero(np.append(True, (kinds[1:] != kinds[:-1]).any(axis=1)))
+    group, material = ("" if mesh.groups == ("",) else None), None
+    for start, stop in pairwise([*starts.tolist(), count]):
+        name = " ".join(mesh.groups[group_of[start]].split())
+        if name != group:
+            yield f"g {name or 'default'}\n".encode()
+            group = name
+        if material_of[start] != material:
+            material = material_of[start]
+            yield f"usemtl {names[material]}\n".encode()
+        kept = [0, *([1] if has_uv[start] else []), *([2] if has_normals[start] else [])]
+        yield from _triangle_lines(indices[start:stop, :, kept], _FACES[has_uv[start], has_normals[start]])
+
+
+def _library_entry(name: str, material: Material, images: list[str]) -> str:
+    """Return a material as a library has it; metalness and roughness as the common extension has them."""
+    lines = [f"newmtl {name}", f"Kd {_numbers(material.colour)}"]
+    lines += [f"Ke {_numbers(material.emission)}"] if any(material.emission) else []
+    lines += [f"d {material.opacity:.6g}"] if material.opacity < 1 else []
+    if "metallicRoughness" in material.maps or (material.metalness, material.roughness) != (0, 1):
+        lines += [f"Pm {material.metalness:.6g}", f"Pr {material.roughness:.6g}"]
+    lines.append("illum 1")
+    keywords: dict[Slot, tuple[str, ...]] = {
+        "baseColor": ("map_Kd", *(["map_d -imfchan m"] if material.alpha != "opaque" else [])),
+        "emissive": ("map_Ke",),
+        "normal": ("norm",),
+        "metallicRoughness": ("map_Pr -imfchan g", "map_Pm -imfchan b"),
+    }
+    for slot, words in keywords.items():
+        if slot in material.maps:
+            shown = material.maps[slot]
+            clamp = "-clamp on " if shown.wrap == ("clamp", "clamp") else ""
+            lines += [f"{word} {clamp}{images[shown.image]}" for word in words]
+    return "\n".join(lines) + "\n"
+
+
+def _numbers(values: tuple[float, ...]) -> str:
+    return " ".join(f"{value:.6g}" for value in values)
 
 
 def _lines(style: str, rows: NDArray[np.float32] | NDArray[np.float64]) -> Iterator[bytes]:
@@ -80,10 +166,10 @@ def _lines(style: str, rows: NDArray[np.float32] | NDArray[np.float64]) -> Itera
         yield "".join([style.format(*row) for row in zip(*_spelled(rows[block]), strict=True)]).encode()
 
 
-def _triangle_lines(vertices: NDArray[np.integer], coordinates: NDArray[np.integer]) -> Iterator[bytes]:
-    for block in blocks(len(vertices), _BLOCK):
-        corners = np.stack([vertices[block], coordinates[block]], axis=2).reshape(-1, 6).tolist()
-        yield "".join(["f {}/{} {}/{} {}/{}\n".format(*corner) for corner in corners]).encode()
+def _triangle_lines(indices: NDArray[np.integer], style: str) -> Iterator[bytes]:
+    for block in blocks(len(indices), _BLOCK):
+        corners = indices[block].reshape(-1, 3 * indices.shape[2]).tolist()
+        yield "".join([style.format(*corner) for corner in corners]).encode()
 
 
 def _spelled(rows: NDArray[np.float32] | NDArray[np.float64]) -> list[list[str]]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from functools import cached_property
 from itertools import pairwise
+from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -17,7 +18,13 @@ from beltrami_cli.formats.ply.header import read_header
 from beltrami_cli.formats.ply.patching import Change, moved_changes, patch_body, renamed_images, require_real
 from beltrami_cli.formats.ply.polygons import VERTEX_LISTS, read_grid, read_polygons
 from beltrami_cli.formats.ply.tables import indices, read_tables
-from beltrami_cli.formats.ply.texturing import find_coordinates, gather_textured, read_comments
+from beltrami_cli.formats.ply.texturing import (
+    COORDINATE_LISTS,
+    find_coordinates,
+    gather_textured,
+    mesh_of_surface,
+    read_comments,
+)
 from beltrami_cli.formats.ply.vertex_properties import (
     NORMAL,
     POSITION,
@@ -28,13 +35,13 @@ from beltrami_cli.formats.ply.vertex_properties import (
     read_colours,
     store_colours,
 )
+from beltrami_cli.formats.textured_mesh import POLYGONS_CUT
 from beltrami_cli.formats.tokens import exchange_spans, exchange_tokens, find_tokens, zeroed
 from beltrami_cli.surface.polygons import triangulate
-from beltrami_cli.surface.records import MeshContents, MovedVertices, PaintedVertices
+from beltrami_cli.surface.records import MeshContents, MovedVertices, PaintedVertices, VertexColours
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping, Sequence
-    from pathlib import Path
 
     from numpy.typing import NDArray
 
@@ -44,7 +51,7 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.ply.texturing import TextureComment
     from beltrami_cli.formats.ply.vertex_properties import Colours, Paint
     from beltrami_cli.formats.tokens import Spans
-    from beltrami_cli.surface.records import ImageFile, Slot, TexturedSurface
+    from beltrami_cli.surface.records import ImageFile, Slot, TexturedMesh, TexturedSurface
 
 
 class PlyDocument(Document):
@@ -184,6 +191,25 @@ class PlyDocument(Document):
             ),
         )
 
+    def textured_mesh(self, colours: NDArray[np.float32] | None = None) -> TexturedMesh:
+        """Return all triangles with a material for each image; see `Document.textured_mesh`."""
+        shown = None
+        used: set[str | None] = {*POSITION, *find_coordinates(self._tables)}
+        if self.has_vertex_colours():
+            values = self._colours.values if colours is None else colours
+            used |= {*self._paint.names, self._paint.alpha}
+            shown = VertexColours(values, "srgb", str(np.dtype(self._paint.type)), self._alpha())
+        has_normals = self._kinds.keys() >= {*NORMAL}
+        used |= set(NORMAL) if has_normals else set()
+        left_out = [
+            what
+            for what in _left_out(self._header, used, COORDINATE_LISTS)
+            if what != "comments" or self._header.comments > len(self._images)
+        ]
+        left_out += [POLYGONS_CUT] if (np.diff(self._polygons[1]) > 3).any() else []
+        normals = self._normals() if has_normals else None
+        return mesh_of_surface(self._textured, normals, shown, Path(self.name).stem, tuple(left_out))
+
     def facts(self) -> dict[str, object]:
         """Return what the header says."""
         elements = self._header.elements
@@ -277,11 +303,13 @@ class PlyDocument(Document):
         return np.clip(self._columns(NORMAL, "normal"), -largest, largest).astype(np.float32)
 
 
-def _left_out(header: Header, used: Collection[str]) -> tuple[str, ...]:
-    """Return what is in a file but some properties of the vertices, and the vertices of faces."""
+def _left_out(
+    header: Header, used: Collection[str | None], of_faces: Collection[str] = ()
+) -> tuple[str, ...]:
+    """Return what is in a file but some properties of the vertices, and the vertices and others of faces."""
     dropped = []
     for element in header.elements:
-        known = used if element.name == "vertex" else VERTEX_LISTS.get(element.name, ())
+        known = used if element.name == "vertex" else (*VERTEX_LISTS.get(element.name, ()), *of_faces)
         others = [other.name for other in element.properties if other.name not in known]
         if element.name != "vertex" and element.name not in VERTEX_LISTS:
             dropped.append(f"element {element.name}")

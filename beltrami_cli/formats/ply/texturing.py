@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.errors import InputError
+from beltrami_cli.formats.image import suffix_for
 from beltrami_cli.formats.model_folder import (
     LEFT_ALONE,
     LEFT_OUTSIDE,
@@ -22,8 +23,17 @@ from beltrami_cli.formats.model_folder import (
     remedy_for,
 )
 from beltrami_cli.formats.ply.vertex_properties import finite_columns
+from beltrami_cli.formats.textured_mesh import alpha_mode
 from beltrami_cli.surface.polygons import triangulate_corners
-from beltrami_cli.surface.records import Texture, TexturedSurface
+from beltrami_cli.surface.records import (
+    ImageFile,
+    Material,
+    MaterialMap,
+    MeshImage,
+    Texture,
+    TexturedMesh,
+    TexturedSurface,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -32,11 +42,14 @@ if TYPE_CHECKING:
 
     from beltrami_cli.formats.model_folder import ModelFolder
     from beltrami_cli.formats.ply.tables import Table
+    from beltrami_cli.surface.records import VertexColours
 
 _COMMENT = re.compile(rb"(?:\n|\r)comment[ \t]+TextureFile[ \t:]++([^\r\n]*[^\s])", re.IGNORECASE)
 _OF_VERTICES = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"), ("texture_s", "texture_t"))
 _OF_FACES = "texcoord"
 _NUMBER = "texnumber"
+COORDINATE_LISTS = (_OF_FACES, _NUMBER)
+"""Properties of faces that say which part of which image they show."""
 
 
 @dataclass(frozen=True)
@@ -166,3 +179,42 @@ def _face_coordinates(
         row = int(np.searchsorted(offsets, int(np.argmin(finite)), side="right")) - 1
         raise InputError(name, f"a texture coordinate of face {row} is not finite", "repair the file")
     return values, bare
+
+
+def mesh_of_surface(
+    surface: TexturedSurface,
+    normals: NDArray[np.float32] | None,
+    colours: VertexColours | None,
+    source: str,
+    left_out: tuple[str, ...],
+) -> TexturedMesh:
+    """Return a surface as a mesh with a material for each image, named after it; normals and colours by vertex."""
+    images = [
+        MeshImage(ImageFile(each.data, suffix_for(each.data, each.name) or ".png"), each.name, each.key)
+        for each in surface.textures
+    ]
+    materials = [
+        Material(
+            each.name.rpartition(".")[0],
+            {"baseColor": MaterialMap(number, each.wrap)},
+            alpha=alpha_mode(each.data, each.name),
+        )
+        for number, each in enumerate(surface.textures)
+    ]
+    bare = surface.texture_of < 0
+    uv = surface.uv.copy()
+    uv[bare] = np.nan
+    if bare.any():
+        materials.append(Material("untextured"))
+    return TexturedMesh(
+        positions=surface.positions,
+        faces=surface.faces,
+        uv=uv,
+        materials=tuple(materials),
+        images=tuple(images),
+        source=source,
+        material_of=np.where(bare, len(surface.textures), surface.texture_of).astype(np.int32),
+        normals=None if normals is None else normals[surface.faces],
+        colours=colours,
+        left_out=left_out,
+    )

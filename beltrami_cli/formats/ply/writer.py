@@ -1,4 +1,4 @@
-"""Writing a whole mesh as a little-endian PLY file: with colours, with one texture, or with numbers at its vertices.
+"""Writing a whole mesh as a little-endian PLY file: with colours, with textures, or with numbers at its vertices.
 
 Positions become floats if that loses nothing, otherwise doubles. Colours keep 8 or 16 bit and become floats from any
 other type. They are display values, so linear ones go through the sRGB transfer function; from 8 bit they become
@@ -16,6 +16,7 @@ from beltrami_cli.formats.document import Written
 from beltrami_cli.formats.ply.header import TYPES
 from beltrami_cli.formats.ply.tables import values_in_bytes
 from beltrami_cli.formats.ply.vertex_properties import store_colours
+from beltrami_cli.formats.textured_mesh import image_names, not_converted, with_slots
 from beltrami_cli.surface.geometry import shortest_type
 
 if TYPE_CHECKING:
@@ -23,15 +24,29 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from beltrami_cli.surface.records import MeshContents, TexturedMesh
+    from beltrami_cli.surface.records import MeshContents, Slot, TexturedMesh, VertexColours
 
 _NAMES = {code: name for name, code in reversed(TYPES.items())}
 _INTEGERS = {"uint8": "u1", "uint16": "u2"}  # the stored types that remain as they are
+_PLACES = (("x", "y", "z"), ("nx", "ny", "nz"))
+_SLOTS: tuple[Slot, ...] = ("baseColor",)
+_CHANNELS = ("red", "green", "blue", "alpha")
 _MANY = 255  # corners that a list whose count is a uchar can have
 
 
 def write_ply(contents: MeshContents, stem: str) -> Written:
     """Write a mesh with colours of vertices; there is one file, so that `stem` does not matter."""
+    colours, notices = _stored_colours(contents)
+    columns = [*_PLACES, _CHANNELS[: colours.shape[1]]]
+    blocks = [shortest_type(contents.positions), contents.normals, colours]
+    properties, rows = _vertex_element(columns, blocks)
+    announced, polygons = _face_element(contents.corners, contents.offsets)
+    header = _header([*properties, *announced]).encode()
+    return Written([header, rows.tobytes(), polygons], notices=(*notices, *left_out(contents)))
+
+
+def _stored_colours(contents: MeshContents | VertexColours) -> tuple[NDArray[Any], list[str]]:
+    """Return colours as they are stored, with alpha if there is any, and notices."""
     colours, notices = display_colours(contents)
     kind = _INTEGERS.get(contents.stored, "f4")
     if contents.encoding == "linear" and kind == "u1":
@@ -39,32 +54,59 @@ def write_ply(contents: MeshContents, stem: str) -> Written:
         notices.append("Linear 8-bit colours are written as 16-bit sRGB, so that dark steps stay apart.")
     if contents.alpha is not None:
         colours = np.column_stack([colours, contents.alpha])
-    columns = [("x", "y", "z"), ("nx", "ny", "nz"), ("red", "green", "blue", "alpha")[: colours.shape[1]]]
     scale = 1.0 if kind == "f4" else float(np.iinfo(kind).max)
-    blocks = [shortest_type(contents.positions), contents.normals, store_colours(colours, scale, kind)]
-    properties, rows = _vertex_element(columns, blocks)
-    announced, polygons = _face_element(contents.corners, contents.offsets)
-    header = _header([*properties, *announced]).encode()
-    return Written([header, rows.tobytes(), polygons], notices=(*notices, *left_out(contents)))
+    return store_colours(colours, scale, kind), notices
 
 
 def write_textured_ply(mesh: TexturedMesh, stem: str) -> Written:
-    """Write a mesh and its texture as MeshLab and photogrammetry programs do; the image is named after `stem`."""
-    positions = shortest_type(mesh.positions)
-    properties, rows = _vertex_element([("x", "y", "z")], [positions])
-    faces = np.empty(
-        len(mesh.faces), [("corners", "u1"), ("vertices", "<i4", 3), ("numbers", "u1"), ("uv", "<f4", (3, 2))]
+    """Write a mesh and its textures as MeshLab and photogrammetry programs do; images are named after `stem`."""
+    mesh = with_slots(mesh, _SLOTS)
+    normals, lost = _normals_by_vertex(mesh)
+    colours, notices = (None, []) if mesh.colours is None else _stored_colours(mesh.colours)
+    columns = [*_PLACES, () if colours is None else _CHANNELS[: colours.shape[1]]]
+    properties, rows = _vertex_element(columns, [shortest_type(mesh.positions), normals, colours])
+    announced, faces = _textured_faces(mesh)
+    images = image_names(mesh, stem)
+    header = _header([*(f"comment TextureFile {image}" for image in images), *properties, *announced])
+    files = {name: image.file.data for name, image in zip(images, mesh.images, strict=True)}
+    lost += ["names of materials"] if any(material.name for material in mesh.materials) else []
+    lost += ["groups and objects"] if len(mesh.groups) > 1 else []
+    return Written(
+        [header.encode(), rows.tobytes(), faces.tobytes()], files, (*notices, *not_converted(mesh, lost))
     )
-    faces["corners"], faces["vertices"] = 3, mesh.faces
-    faces["numbers"], faces["uv"] = 6, mesh.uv * [1, -1] + [0, 1]
-    image = stem + mesh.image.suffix
+
+
+def _normals_by_vertex(mesh: TexturedMesh) -> tuple[NDArray[np.float32] | None, list[str]]:
+    """Return the normals of vertices, shape (V, 3), if all corners of a vertex have the same, and what is left out."""
+    if mesh.normals is None:
+        return None, []
+    normals = np.zeros((len(mesh.positions), 3), np.float32)
+    normals[mesh.faces.ravel()] = mesh.normals.reshape(-1, 3)
+    if np.array_equal(normals[mesh.faces], mesh.normals):
+        return normals, []
+    return None, ["normals, which differ at the corners of one vertex"]
+
+
+def _textured_faces(mesh: TexturedMesh) -> tuple[list[str], NDArray[np.void]]:
+    """Return the lines and the rows of triangles with their texture coordinates."""
+    image_of = np.array([m.maps["baseColor"].image if m.maps else -1 for m in mesh.materials], np.int32)
+    numbers = image_of[np.zeros(len(mesh.faces), int) if mesh.material_of is None else mesh.material_of]
+    numbers[np.isnan(mesh.uv).any(axis=(1, 2))] = -1
+    fields: list[Any] = [("corners", "u1"), ("vertices", "<i4", 3), ("numbers", "u1"), ("uv", "<f4", (3, 2))]
     announced = [
-        f"element face {len(faces)}",
+        f"element face {len(mesh.faces)}",
         "property list uchar int vertex_indices",
         "property list uchar float texcoord",
     ]
-    header = _header([f"comment TextureFile {image}", *properties, *announced])
-    return Written([header.encode(), rows.tobytes(), faces.tobytes()], {image: mesh.image.data})
+    if numbers.any():
+        fields.append(("image", "<i4"))
+        announced.append("property int texnumber")
+    faces = np.empty(len(mesh.faces), fields)
+    faces["corners"], faces["vertices"] = 3, mesh.faces
+    faces["numbers"], faces["uv"] = 6, np.nan_to_num(mesh.uv) * [1, -1] + [0, 1]
+    if numbers.any():
+        faces["image"] = numbers
+    return announced, faces
 
 
 def write_scalars_as_ply(

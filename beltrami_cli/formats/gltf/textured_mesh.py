@@ -1,0 +1,268 @@
+"""A whole glTF file with its materials, for writing it in another format."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, get_args
+
+import numpy as np
+
+from beltrami_cli.errors import InputError
+from beltrami_cli.formats.gltf.accessors import fractions
+from beltrami_cli.formats.gltf.geometry import (
+    TRIANGLES,
+    attribute_accessor,
+    drawing_mode,
+    drawn,
+    in_world,
+    instances,
+    position_accessor,
+    turned,
+)
+from beltrami_cli.formats.gltf.textured_surface import image_key
+from beltrami_cli.formats.gltf.textured_writer import OWN_COLOURS
+from beltrami_cli.formats.gltf.textures import texture_uses
+from beltrami_cli.formats.image import suffix_for
+from beltrami_cli.formats.model_folder import UnfitReferenceError
+from beltrami_cli.formats.textured_mesh import shown_materials
+from beltrami_cli.surface.colour_values import linear_to_srgb
+from beltrami_cli.surface.records import (
+    ImageFile,
+    Material,
+    MaterialMap,
+    MeshImage,
+    Slot,
+    TexturedMesh,
+    VertexColours,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from beltrami_cli.formats.gltf.accessors import Accessors
+    from beltrami_cli.formats.gltf.entries import Entry
+    from beltrami_cli.formats.gltf.geometry import Placement
+    from beltrami_cli.formats.gltf.textures import Images, TextureUse
+    from beltrami_cli.surface.records import AlphaMode
+
+    # Colours of the vertices of a primitive by mesh and number, shape (n, 3) or with opacity (n, 4), linear.
+    PrimitiveColours = Mapping[tuple[int, int], NDArray[np.float32]]
+
+_MOST_ROWS = np.iinfo(np.int32).max
+_ALPHA: dict[str, AlphaMode] = {"MASK": "mask", "BLEND": "blend"}
+_KNOWN = ("POSITION", "NORMAL", "COLOR_0", OWN_COLOURS)
+
+
+def read_textured_mesh(
+    root: Entry, accessors: Accessors, images: Images, colours: PrimitiveColours, stored: str, source: str
+) -> TexturedMesh:
+    """Return the triangles of the default scene, at every place where a node shows them, with their materials."""
+    reading = _Reading(accessors, _Materials(root, images), colours)
+    for mesh, placement, name in instances(root):
+        for number, primitive in enumerate(root.entries("meshes")[mesh].entries("primitives")):
+            reading.take(primitive, placement, name, (mesh, number))
+    if not reading.parts:
+        raise InputError(root.name, "its scene has no triangles, so there is nothing to show a texture")
+    return reading.mesh(stored, source)
+
+
+@dataclass
+class _Materials:
+    """The materials of a file, and the images that they show."""
+
+    root: Entry
+    images: Images
+    left_out: list[str] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.shown: list[MeshImage] = []
+        self._index_of: dict[int, int] = {}
+        slots: tuple[Slot, ...] = get_args(Slot)
+        uses = {slot: texture_uses(self.root, slot) for slot in slots}
+        entries = self.root.entries("materials")
+        self.placed: list[TextureUse | None] = []
+        self.materials = [
+            self._material(entry, {slot: uses[slot][index][0] for slot in slots if uses[slot][index]})
+            for index, entry in enumerate(entries)
+        ]
+        self.materials.append(Material(metalness=1.0))
+        self.placed.append(None)
+
+    def _material(self, entry: Entry, uses: Mapping[Slot, TextureUse]) -> Material:
+        maps: dict[Slot, MaterialMap] = {}
+        first: TextureUse | None = None
+        for slot, use in uses.items():
+            if first is not None and (use.coordinates, use.transform) != (first.coordinates, first.transform):
+                self.left_out.append(f"{slot} maps with texture coordinates of their own")
+                continue
+            try:
+                image = self.images.canonical(self.images.shown(use.texture))
+                maps[slot] = MaterialMap(self._image(image), self.images.wrap(use.texture))
+                first = first or use
+            except UnfitReferenceError as error:
+                self.left_out.append(f"a {slot} image, which {error}")
+        self.placed.append(first)
+        base = entry.entry("pbrMetallicRoughness")
+        factor = base.numbers("baseColorFactor", 4) or [1.0] * 4
+        self.left_out += entry.entry("extensions").value
+        return Material(
+            name=entry.text("name") or "",
+            maps=maps,
+            colour=_display(factor[:3]),
+            emission=_display(entry.numbers("emissiveFactor", 3) or [0.0] * 3),
+            opacity=min(max(factor[3], 0.0), 1.0),
+            metalness=base.number("metallicFactor", default=1.0),
+            roughness=base.number("roughnessFactor", default=1.0),
+            alpha=_ALPHA.get(entry.text("alphaMode") or "", "opaque"),
+        )
+
+    def _image(self, image: int) -> int:
+        if image not in self._index_of:
+            data, name = self.images.data(image), self.images.name(image)
+            self._index_of[image] = len(self.shown)
+            file = ImageFile(data, suffix_for(data, name) or ".png")
+            self.shown.append(MeshImage(file, name, image_key(image)))
+        return self._index_of[image]
+
+
+def _display(linear: Sequence[float]) -> tuple[float, ...]:
+    values = linear_to_srgb(np.clip(np.array(linear), 0, 1))
+    return tuple(float(value) for value in values)
+
+
+@dataclass(frozen=True)
+class _Part:
+    """The triangles of a primitive at one place; arrays have a row for each vertex, or for each corner."""
+
+    positions: NDArray[np.float64]
+    faces: NDArray[np.int64]
+    uv: NDArray[np.float64]
+    normals: NDArray[np.float64]
+    colours: NDArray[np.float32] | None
+    material: int
+    group: str
+
+
+class _Reading:
+    """Parts while primitives are being taken one by one."""
+
+    def __init__(self, accessors: Accessors, materials: _Materials, colours: PrimitiveColours) -> None:
+        self._accessors, self._materials, self._colours = accessors, materials, colours
+        self.parts: list[_Part] = []
+        self._rows = 0
+        self._left_out: list[str] = []
+
+    def take(self, primitive: Entry, placement: Placement, group: str, number: tuple[int, int]) -> None:
+        """Take the triangles of a primitive."""
+        attributes = primitive.entry("attributes")
+        if drawing_mode(primitive) < TRIANGLES or "POSITION" not in attributes:
+            self._left_out += ["points and lines"] if "POSITION" in attributes else []
+            return
+        index = position_accessor(primitive, self._accessors)
+        count = self._accessors[index].count
+        faces = drawn(primitive, self._accessors, count, placement)
+        if not len(faces):
+            return
+        self._rows += count
+        if self._rows > _MOST_ROWS:
+            raise self._accessors[index].entry.fault("", f"more than {_MOST_ROWS} vertices")
+        last = len(self._materials.materials) - 1
+        material = primitive.integer("material", below=last) if "material" in primitive else last
+        use = self._materials.placed[material]
+        self._note_others(attributes, use)
+        positions = in_world(self._accessors.values(index), placement, self._accessors, index)
+        uv = self._coordinates(primitive, use, count)
+        normals = self._normals(primitive, placement, count)
+        colours = self._own_colours(primitive, number, count)
+        self.parts.append(_Part(positions, faces, uv[faces], normals[faces], colours, material, group))
+
+    def _note_others(self, attributes: Entry, use: TextureUse | None) -> None:
+        coordinates = "TEXCOORD_0" if use is None else use.coordinates
+        for name in attributes.value:
+            if name.startswith("TEXCOORD_") and name != coordinates:
+                self._left_out.append("further texture coordinates")
+            elif name not in _KNOWN and name != coordinates and not name.startswith(("JOINTS_", "WEIGHTS_")):
+                self._left_out.append(f"attribute {name}")
+
+    def _values(self, primitive: Entry, name: str, width: int, count: int) -> NDArray[np.float64] | None:
+        """Return an attribute of the vertices, shape (count, width), None if there is none."""
+        attributes = primitive.entry("attributes")
+        if name not in attributes:
+            return None
+        index = attribute_accessor(primitive, name, self._accessors)
+        accessor = self._accessors[index]
+        if (accessor.width, accessor.count) != (width, count):
+            raise attributes.fault(
+                name, f"is {accessor.count} {accessor.shape}, which do not fit {count} vertices"
+            )
+        return self._accessors.values(index)
+
+    def _coordinates(self, primitive: Entry, use: TextureUse | None, count: int) -> NDArray[np.float64]:
+        uv = self._values(primitive, "TEXCOORD_0" if use is None else use.coordinates, 2, count)
+        if uv is None:
+            return np.full((count, 2), np.nan)
+        placed = uv if use is None else use.placed(uv)
+        return np.where(np.isfinite(placed), placed, np.nan)
+
+    def _normals(self, primitive: Entry, placement: Placement, count: int) -> NDArray[np.float64]:
+        normals = self._values(primitive, "NORMAL", 3, count)
+        return np.full((count, 3), np.nan) if normals is None else turned(normals, placement.matrix)
+
+    def _own_colours(
+        self, primitive: Entry, number: tuple[int, int], count: int
+    ) -> NDArray[np.float32] | None:
+        if number in self._colours:
+            self._note_tint(primitive, self._colours[number])
+            return self._colours[number]
+        if OWN_COLOURS not in primitive.entry("attributes"):
+            return None
+        index = attribute_accessor(primitive, OWN_COLOURS, self._accessors)
+        colours = fractions(self._accessors.finite(index, "colour"))
+        return colours if colours.shape in ((count, 3), (count, 4)) else None
+
+    def _note_tint(self, primitive: Entry, colours: NDArray[np.float32]) -> None:
+        material = primitive.value.get("material", len(self._materials.materials) - 1)
+        if "baseColor" in self._materials.materials[material].maps and (colours[:, :3] != 1).any():
+            self._left_out.append("the tint of textures by their vertex colours")
+
+    def mesh(self, stored: str, source: str) -> TexturedMesh:
+        """Return what was taken."""
+        starts = np.cumsum([0, *(len(part.positions) for part in self.parts)])[:-1]
+        placed = zip(self.parts, starts.tolist(), strict=True)
+        uv = np.concatenate([part.uv for part in self.parts])
+        normals = np.concatenate([part.normals for part in self.parts]).astype(np.float32)
+        counts = [len(part.faces) for part in self.parts]
+        groups = tuple(dict.fromkeys(part.group for part in self.parts))
+        group_of = np.repeat([groups.index(part.group) for part in self.parts], counts)
+        numbers = np.repeat([part.material for part in self.parts], counts)
+        materials, material_of = shown_materials(self._materials.materials, numbers)
+        return TexturedMesh(
+            positions=np.concatenate([part.positions for part in self.parts]),
+            faces=np.concatenate([part.faces + start for part, start in placed]).astype(np.int32),
+            uv=uv,
+            materials=materials,
+            images=tuple(self._materials.shown),
+            source=source,
+            material_of=material_of,
+            groups=groups,
+            group_of=group_of.astype(np.int32),
+            normals=None if np.isnan(normals).all() else normals,
+            colours=self._vertex_colours(stored),
+            left_out=(*self._materials.left_out, *self._left_out),
+        )
+
+    def _vertex_colours(self, stored: str) -> VertexColours | None:
+        """Return the colours of all vertices; those of parts without any are white, as glTF has it."""
+        if all(part.colours is None for part in self.parts):
+            return None
+        rows = np.ones((self._rows, 4), np.float32)
+        row = 0
+        for part in self.parts:
+            count = len(part.positions)
+            if part.colours is not None:
+                rows[row : row + count, : part.colours.shape[1]] = part.colours
+            row += count
+        alpha = rows[:, 3] if (rows[:, 3] < 1).any() else None
+        return VertexColours(rows[:, :3], "linear", stored, alpha)

@@ -1,0 +1,158 @@
+"""Meshes with textures on their way to another format: names of their files, new images, and what is left out."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import PurePosixPath
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from beltrami_cli.formats.document import Naming
+from beltrami_cli.formats.naming import NewNames
+from beltrami_cli.surface.records import ImageFile, Material, MaterialMap, MeshImage
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterable, Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from beltrami_cli.surface.records import AlphaMode, Slot, TexturedMesh
+
+POLYGONS_CUT = "quads and polygons, which are cut into triangles"
+_FIT = ".png"  # the suffix of images that a format cannot hold as they are
+
+
+def image_names(mesh: TexturedMesh, stem: str) -> list[str]:
+    """Return names for the files of the images, after the model, all different."""
+    names, found = NewNames(Naming(stem), mesh.source, (), ()), []
+    for image in mesh.images:
+        # A reference in MTL and PLY is the rest of a line, of which programs cut the blanks at the ends.
+        plain = " ".join(PurePosixPath(image.name).stem.split())
+        suffix = image.file.suffix
+        found.append(names.image(plain + suffix) if plain else names.new(suffix))
+    return found
+
+
+def material_names(materials: Sequence[Material], default: str) -> list[str]:
+    """Return names for the materials, all different, on one line each; `default` where there is none."""
+    names: dict[str, None] = {}
+    for material in materials:
+        plain = name = " ".join(material.name.split()) or default
+        while name in names:
+            name = f"{plain}-{len(names) + 1}"
+        names[name] = None
+    return list(names)
+
+
+def with_images(mesh: TexturedMesh, images: Mapping[tuple[Slot, str], ImageFile]) -> TexturedMesh:
+    """Return a mesh with other images, by slot and key; each replaces that image in that slot alone."""
+    known = list(mesh.images)
+    index_of: dict[tuple[Slot, str], int] = {}
+    materials = []
+    for material in mesh.materials:
+        maps = dict(material.maps)
+        for slot, shown in material.maps.items():
+            old = mesh.images[shown.image]
+            new = images.get((slot, old.key))
+            if new is None:
+                continue
+            if (slot, old.key) not in index_of:
+                index_of[slot, old.key] = len(known)
+                known.append(dataclasses.replace(old, file=new))
+            maps[slot] = dataclasses.replace(shown, image=index_of[slot, old.key])
+        materials.append(dataclasses.replace(material, maps=maps))
+    return _without_unused(dataclasses.replace(mesh, materials=tuple(materials), images=tuple(known)))
+
+
+def with_slots(mesh: TexturedMesh, slots: Collection[Slot]) -> TexturedMesh:
+    """Return a mesh with the maps of some slots alone, and the others among what is left out."""
+    lost = {slot for material in mesh.materials for slot in material.maps if slot not in slots}
+    materials = tuple(
+        dataclasses.replace(
+            material, maps={slot: shown for slot, shown in material.maps.items() if slot in slots}
+        )
+        for material in mesh.materials
+    )
+    left_out = (*mesh.left_out, *(f"{slot} maps" for slot in sorted(lost)))
+    return _without_unused(dataclasses.replace(mesh, materials=materials, left_out=left_out))
+
+
+def with_suffixes(mesh: TexturedMesh, suffixes: Collection[str]) -> tuple[TexturedMesh, list[str]]:
+    """Return a mesh whose images have one of some suffixes, and notices; the others are written as PNG."""
+    images: list[MeshImage] = []
+    notices: list[str] = []
+    for image in mesh.images:
+        if suffixes and image.file.suffix not in suffixes:
+            fit, lost = _as_png(image)
+            images.append(fit)
+            notices += lost
+        else:
+            images.append(image)
+    changed = sum(new is not old for new, old in zip(images, mesh.images, strict=True))
+    if changed:
+        held = ", ".join(suffix[1:] for suffix in suffixes)
+        notices.append(f"Textures written as PNG, since the format holds {held} only: {changed}.")
+    return dataclasses.replace(mesh, images=tuple(images)), notices
+
+
+def as_if_with_suffixes(mesh: TexturedMesh, suffixes: Collection[str]) -> TexturedMesh:
+    """Return a mesh whose images have the suffixes that `with_suffixes` gives them, and their old bytes."""
+    images = []
+    for image in mesh.images:
+        fits = not suffixes or image.file.suffix in suffixes
+        file = dataclasses.replace(image.file, suffix=image.file.suffix if fits else _FIT)
+        images.append(dataclasses.replace(image, file=file))
+    return dataclasses.replace(mesh, images=tuple(images))
+
+
+def _as_png(image: MeshImage) -> tuple[MeshImage, tuple[str, ...]]:
+    from beltrami_cli.formats.image import losses, read_image, write_image
+
+    picture = read_image(image.file.data, image.name)
+    new = write_image(picture, picture.pixels, suffix=_FIT)
+    return dataclasses.replace(image, file=new), losses(picture, _FIT)
+
+
+def _without_unused(mesh: TexturedMesh) -> TexturedMesh:
+    used = sorted({shown.image for material in mesh.materials for shown in material.maps.values()})
+    number_of = {old: new for new, old in enumerate(used)}
+    materials = tuple(
+        dataclasses.replace(
+            material,
+            maps={
+                slot: MaterialMap(number_of[shown.image], shown.wrap) for slot, shown in material.maps.items()
+            },
+        )
+        for material in mesh.materials
+    )
+    return dataclasses.replace(mesh, materials=materials, images=tuple(mesh.images[old] for old in used))
+
+
+def alpha_mode(data: bytes, name: str) -> AlphaMode:
+    """Return how an image is seen through, in formats whose materials do not say it."""
+    from beltrami_cli.formats.image.reading import measure_image, read_image
+
+    size = measure_image(data)
+    if size is None or size.channels not in (2, 4):
+        return "opaque"
+    picture = read_image(data, name, finite=False)
+    opacity = picture.pixels[..., picture.alpha or 0]
+    most = np.iinfo(opacity.dtype).max if opacity.dtype.kind == "u" else 1
+    if picture.alpha is None or not (opacity < most).any():
+        return "opaque"
+    return "mask" if np.isin(opacity, (0, most)).all() else "blend"
+
+
+def shown_materials(
+    materials: Sequence[Material], material_of: NDArray[np.integer]
+) -> tuple[tuple[Material, ...], NDArray[np.int32]]:
+    """Return the materials that triangles have, and which of these each has."""
+    used, number_of = np.unique(material_of, return_inverse=True)
+    return tuple(materials[index] for index in used), number_of.astype(np.int32)
+
+
+def not_converted(mesh: TexturedMesh, others: Iterable[str] = ()) -> tuple[str, ...]:
+    """Return the notice of what a conversion drops, or nothing."""
+    left = list(dict.fromkeys([*mesh.left_out, *others]))
+    return (f"Not converted: {'; '.join(left)}.",) if left else ()

@@ -1,0 +1,335 @@
+"""Textured models in another format: what both formats have a place for is kept, and the rest is said in one line."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+
+from beltrami_cli.errors import UsageError
+from beltrami_cli.formats.image import read_image
+from beltrami_cli.formats.registry import open_document
+from beltrami_cli.jobs.smooth import smooth_file
+from cli.commands import SAMPLES
+from formats.gltf_files import Textured, opened
+from formats.gltf_validator import issues, needs_validator
+from formats.image_files import encode, noise
+from formats.ply_files import Table, build
+
+NAMES = ("skin", "glow", "bumps", "metal")
+IMAGES = {name: encode(noise("uint8", 3, 8, 8, seed), "png") for seed, name in enumerate(NAMES)}
+MTL = """newmtl outer skin
+Kd 0.5 0.5 0.5
+map_Kd -clamp on skin.png
+map_Ke -clamp on glow.png
+norm -clamp on bumps.png
+map_Pr -imfchan g -clamp on metal.png
+map_Pm -imfchan b -clamp on metal.png
+newmtl glass
+Kd 0.25 0.5 1
+d 0.5
+newmtl nowhere used
+Kd 1 0 0
+"""
+OBJ = """mtllib m.mtl
+v 0 0 0 1 0 0
+v 1 0 0 0 1 0
+v 1 1 0.25 0 0 1
+v 0 1 0 1 1 0
+v 0.5 0.5 1 0.2 0.4 0.6
+vt -0.25 0
+vt 1 0
+vt 1 1.5
+vt 0 1
+vn 0 0 1
+vn 1 0 0
+vn 0 1 0
+o left half
+usemtl outer skin
+f 1/1/1 2/2/1 3/3/2 4/4/3
+usemtl glass
+f 1//2 2//2 5//2
+o right half
+usemtl outer skin
+f 2/1/1 3/2/2 5/3/3
+f 3 4 5
+"""
+
+
+def write(folder, **files):
+    folder.mkdir(exist_ok=True)
+    for name, data in files.items():
+        (folder / name.replace("_", ".")).write_bytes(data if isinstance(data, bytes) else data.encode())
+    return folder
+
+
+@pytest.fixture
+def model(tmp_path):
+    images = {f"{name}_png": data for name, data in IMAGES.items()}
+    return write(tmp_path / "in", model_obj=OBJ, m_mtl=MTL, **images) / "model.obj"
+
+
+def converted(source, target):
+    """Convert a file, and return the mesh that it then holds, and the warnings."""
+    target.parent.mkdir(exist_ok=True)
+    report = smooth_file(source, target, iterations=0)
+    return open_document(str(target)).textured_mesh(), report.warnings
+
+
+def corners(mesh, *, materials=True, groups=True, normals=True):
+    """All triangles as rows of what they are like, in an order that does not depend on the file's."""
+    rows = [mesh.positions[mesh.faces].reshape(-1, 9), np.nan_to_num(mesh.uv.reshape(-1, 6), nan=9)]
+    if normals:
+        rows.append(np.nan_to_num(mesh.normals.reshape(-1, 9), nan=9))
+    if mesh.colours is not None and normals:
+        rows.append(mesh.colours.colours[mesh.faces].reshape(-1, 9).round(4))
+    columns = np.column_stack(rows).astype(np.float32).round(5) + 0.0
+    names = [
+        (
+            mesh.groups[mesh.group_of[face]] if groups else "",
+            mesh.materials[mesh.material_of[face]].name.removesuffix("-3") if materials else "",
+        )
+        for face in range(len(mesh.faces))
+    ]
+    return sorted(zip(names, map(tuple, columns.tolist()), strict=True))
+
+
+def shown(mesh):
+    """The images that each material has in each slot, with how they are repeated."""
+    return {
+        (material.name, slot): (mesh.images[each.image].file.data, each.wrap)
+        for material in mesh.materials
+        for slot, each in material.maps.items()
+    }
+
+
+@pytest.mark.parametrize(
+    "way", [("out.glb",), ("out.gltf",), ("mid.glb", "out.obj"), ("mid.gltf", "out.obj")]
+)
+def test_coordinates_normals_names_groups_maps_and_colours_come_through(way, model, tmp_path):
+    before = open_document(str(model)).textured_mesh()
+    source = model
+    for number, name in enumerate(way):
+        target = tmp_path / f"step {number}" / name
+        after, _ = converted(source, target)
+        source = target
+    assert corners(after, normals=False) == corners(before, normals=False)
+    assert shown(after) == shown(before)
+    skin, glass = (next(m for m in after.materials if m.name == name and m.alpha == alpha)
+                   for name, alpha in (("outer skin", "opaque"), ("glass", "blend")))  # fmt: skip
+    assert set(skin.maps) == {"baseColor", "emissive", "normal", "metallicRoughness"}
+    np.testing.assert_allclose(glass.colour, (0.25, 0.5, 1), atol=1e-5)
+    assert glass.opacity == 0.5
+    old, new = (mesh.normals[~np.isnan(mesh.normals).any(axis=(1, 2))] for mesh in (before, after))
+    assert {*map(tuple, new.reshape(-1, 9).tolist())} <= {*map(tuple, old.reshape(-1, 9).tolist())}
+    assert len(new) == len(old) == 4
+    rows = {
+        tuple(p): tuple(c)
+        for p, c in zip(after.positions.tolist(), after.colours.colours.round(3).tolist(), strict=True)
+    }
+    if after.colours.encoding == "srgb":
+        assert rows[0.5, 0.5, 1.0] == pytest.approx((0.2, 0.4, 0.6), abs=2e-3)
+
+
+def test_a_reader_of_others_sees_the_same_triangles(model, tmp_path):
+    converted(model, tmp_path / "out" / "out.glb")
+    scene = trimesh.load(tmp_path / "out" / "out.glb")
+    assert {name.rsplit("_", 1)[0] for name in scene.geometry} >= {"left half", "right half"}
+    skins = [each for each in scene.geometry.values() if each.visual.material.name == "outer skin"]
+    uv = np.concatenate([each.visual.uv for each in skins if each.visual.uv is not None])
+    assert uv.min() == -0.25
+    assert uv.max() == 1.5
+    pixels = np.asarray(
+        next(each for each in skins if each.visual.uv is not None).visual.material.baseColorTexture
+    )
+    assert np.array_equal(pixels, read_image(IMAGES["skin"], "skin.png").pixels)
+
+
+def test_images_are_named_after_the_output(model, tmp_path):
+    converted(model, tmp_path / "out" / "new.gltf")
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == sorted(
+        ["new.gltf", "new.bin", *(f"new_{name}.png" for name in NAMES)]
+    )
+    converted(tmp_path / "out" / "new.gltf", tmp_path / "back" / "back.obj")
+    assert sorted(path.name for path in (tmp_path / "back").iterdir()) == sorted(
+        ["back.obj", "back.mtl", *(f"back_{name}.png" for name in NAMES)]
+    )
+
+
+def test_what_is_lost_is_said_in_one_line(model, tmp_path):
+    (_, said) = converted(model, tmp_path / "out.ply")
+    lines = [line for line in said if line.startswith("Not converted")]
+    assert len(lines) == 1
+    for what in (
+        "quads",
+        "emissive maps",
+        "normal maps",
+        "metallicRoughness maps",
+        "names of materials",
+        "groups",
+    ):
+        assert what in lines[0]
+    (_, said) = converted(model, tmp_path / "out.glb")
+    assert any("quads" in line for line in said)
+    assert any("_COLOR_0" in line for line in said)
+    (model.parent / "m.mtl").write_text(MTL + "map_Ks skin.png\nmap_refl skin.png\n")
+    (model.parent / "skin.png").unlink()
+    (_, said) = converted(model, tmp_path / "other.glb")
+    assert any("baseColor map 'skin.png', which cannot be read" in line for line in said)
+
+
+@needs_validator
+@pytest.mark.parametrize("name", ["out.glb", "out.gltf"])
+def test_the_validator_has_nothing_against_it(name, model, tmp_path):
+    converted(model, tmp_path / "out" / name)
+    converted(SAMPLES / "mirrored-noisy.obj", tmp_path / "other" / name)
+    for found in issues(tmp_path / "out" / name, tmp_path / "other" / name):
+        assert [issue for issue in found if issue[0] < 1] == []
+        # Tangents are left to viewers, as in all files without them.
+        assert {code for severity, code, *_ in found if severity == 1} <= {
+            "MESH_PRIMITIVE_GENERATED_TANGENT_SPACE"
+        }
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "name", ["head-tex-noisy.obj", "mirrored-noisy.obj", "torus-two-noisy.gltf", "tiled-noisy.glb"]
+)
+def test_pictures_look_the_same(name, tmp_path):
+    pytest.importorskip("embreex")
+    from beltrami_cli.view.render import render_file
+    from beltrami_cli.view.settings import RenderSettings
+
+    other = "out.obj" if name.endswith(("glb", "gltf")) else "out.glb"
+    converted(SAMPLES / name, tmp_path / other)
+    pictures = []
+    for path in (SAMPLES / name, tmp_path / other):
+        target = tmp_path / f"{path.suffix[1:]}.png"
+        render_file([str(path)], str(target), RenderSettings(size=(96, 96)))
+        pictures.append(read_image(target.read_bytes(), target.name).pixels.astype(int))
+    assert np.abs(pictures[0] - pictures[1]).max() <= 1
+    assert pictures[0].std() > 10
+
+
+def test_smoothed_textures_and_colours_are_those_of_the_own_format(model, tmp_path):
+    for target in ("own/model.obj", "out.glb"):
+        (tmp_path / target).parent.mkdir(exist_ok=True)
+        smooth_file(model, tmp_path / target, iterations=1, t=1.0, beta=2.0, on="both")
+    own, other = (
+        open_document(str(tmp_path / name)).textured_mesh() for name in ("own/model.obj", "out.glb")
+    )
+    assert shown(own) == shown(other)
+    assert shown(own)["outer skin", "baseColor"][0] != IMAGES["skin"]
+    assert shown(own)["outer skin", "emissive"][0] == IMAGES["glow"]
+    assert corners(own, normals=False) == corners(other, normals=False)
+
+
+def test_images_that_gltf_cannot_hold_become_png_with_the_same_pixels(tmp_path):
+    pixels = noise("uint8", 3, 8, 8)
+    mtl = MTL.replace("skin.png", "skin.tga")
+    images = {f"{name}_png": data for name, data in IMAGES.items()}
+    folder = write(tmp_path / "in", model_obj=OBJ, m_mtl=mtl, skin_tga=encode(pixels, "targa"), **images)
+    mesh, said = converted(folder / "model.obj", tmp_path / "out.glb")
+    image = mesh.images[next(m for m in mesh.materials if m.maps).maps["baseColor"].image]
+    assert image.file.suffix == ".png"
+    assert np.array_equal(read_image(image.file.data, "x.png").pixels, pixels)
+    assert any("written as PNG" in line for line in said)
+
+
+@pytest.mark.parametrize(
+    ("values", "mode"), [((0, 255), "mask"), ((0, 90, 255), "blend"), ((255,), "opaque")]
+)
+def test_transparent_images_stay_transparent_and_cut_outs_sharp(values, mode, tmp_path):
+    pixels = noise("uint8", 4, 8, 8)
+    pixels[..., 3] = np.resize(np.array(values, np.uint8), (8, 8))
+    obj = OBJ.replace("outer skin", "skin").replace("map_Ke", "#")
+    mtl = "newmtl skin\nmap_Kd skin.png\n"
+    folder = write(tmp_path / "in", model_obj=obj, m_mtl=mtl, skin_png=encode(pixels, "png"))
+    mesh, _ = converted(folder / "model.obj", tmp_path / "out.glb")
+    assert {m.alpha for m in mesh.materials if m.maps} == {mode}
+    back, _ = converted(tmp_path / "out.glb", tmp_path / "back.obj")
+    assert {m.alpha for m in back.materials if m.maps} == {mode}
+    assert ("map_d" in (tmp_path / "back.mtl").read_text()) == (mode != "opaque")
+
+
+def test_ply_with_several_images_keeps_which_face_shows_which(tmp_path):
+    vertices = Table(
+        "vertex", [(axis, "float") for axis in "xyz"], [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]
+    )
+    faces = Table(
+        "face",
+        [("vertex_indices", "uchar int"), ("texcoord", "uchar float"), ("texnumber", "int")],
+        [
+            [[0, 1, 2], [0, 0, 1, 0, 1, 1], 1],
+            [[0, 2, 3], [0, 0, 1, 1, 0, 1], 0],
+            [[1, 2, 3], [0, 0, 1, 1, 0, 1], -1],
+        ],
+    )
+    data = build([vertices, faces], comments=["TextureFile skin.png", "TextureFile glow.png"]).data
+    folder = write(tmp_path / "in", x_ply=data, skin_png=IMAGES["skin"], glow_png=IMAGES["glow"])
+    before = open_document(str(folder / "x.ply")).textured_mesh()
+    for name in ("out.glb", "out.obj", "out.ply"):
+        after, said = converted(folder / "x.ply", tmp_path / name)
+        assert corners(after, materials=False, groups=False, normals=False) == corners(
+            before, materials=False, groups=False, normals=False
+        )
+        names = [before.materials[index].name for index in before.material_of]
+        assert names == ["glow", "skin", "untextured"]
+        of_image = {data: name for name, data in IMAGES.items()}
+        images = {
+            of_image[after.images[after.materials[index].maps["baseColor"].image].file.data]
+            for index in after.material_of
+            if after.materials[index].maps
+        }
+        assert images == {"skin", "glow"}
+        assert not any("comments" in line for line in said)
+
+
+def test_every_place_where_a_gltf_mesh_is_shown_is_in_the_obj(tmp_path):
+    model = Textured()
+    place = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], "f4")
+    uv = np.array([[0, 0], [1, 0], [0, 1]], "f4")
+    material = model.material("paint", baseColor=model.texture(model.image(IMAGES["skin"])))
+    model.triangles(place, uv, material)
+    model.tree["nodes"][0]["name"] = "first"
+    model.tree["nodes"].append({"mesh": 0, "translation": [0, 0, 5], "name": "second"})
+    model.tree["scenes"][0]["nodes"] = [0, 1]
+    source = model.written_to(tmp_path)
+    mesh, _ = converted(source, tmp_path / "out.obj")
+    assert mesh.groups[-2:] == ("first", "second")
+    assert sorted({z for _, _, z in mesh.positions.tolist()}) == [0, 5]
+    assert len(mesh.faces) == 2
+
+
+def test_colours_beside_textures_do_not_tint_them_and_survive(model, tmp_path):
+    converted(model, tmp_path / "out.glb")
+    tree = opened(tmp_path / "out.glb")[0]
+    for mesh in tree["meshes"]:
+        for primitive in mesh["primitives"]:
+            textured = "baseColorTexture" in tree["materials"][primitive["material"]]["pbrMetallicRoughness"]
+            assert ("_COLOR_0" in primitive["attributes"]) == textured
+            assert ("COLOR_0" in primitive["attributes"]) != textured
+
+
+def test_formats_without_textures_are_refused(tmp_path):
+    with pytest.raises(UsageError, match=r"a \.xyz file has no textures"):
+        smooth_file(SAMPLES / "mirrored-noisy.obj", tmp_path / "out.xyz", iterations=0)
+    assert not list(tmp_path.glob("out*"))
+
+
+def test_a_name_with_a_line_end_cannot_add_statements(tmp_path):
+    model = Textured()
+    place = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], "f4")
+    material = model.material(
+        "a\nmap_Ks /etc/x", baseColor=model.texture(model.image(IMAGES["skin"], "a\nb/../c.png"))
+    )
+    model.triangles(place, np.eye(3, 2, dtype="f4"), material)
+    model.tree["nodes"][0]["name"] = "x\nmtllib /etc/passwd"
+    converted(model.written_to(tmp_path), tmp_path / "out.obj")
+    lines = [
+        *(tmp_path / "out.obj").read_text().splitlines(),
+        *(tmp_path / "out.mtl").read_text().splitlines(),
+    ]
+    assert not any(line.startswith(("map_Ks", "mtllib /")) for line in lines)
+    assert {path.name for path in tmp_path.iterdir()} >= {"out.obj", "out.mtl", "out_c.png"}
+    assert (tmp_path / "out_c.png").read_bytes() == IMAGES["skin"]
