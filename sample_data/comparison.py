@@ -11,7 +11,7 @@ SUFFIX_OF = {mime: suffix for suffix, mime in MIME.items()}
 
 
 def same(stored: bytes, made: bytes, suffix: str) -> bool:
-    """Tell whether two files of a kind are the same: images in their pixels, all else in every byte."""
+    """Return whether two files of a kind are the same: images in their pixels, all else in every byte."""
     if stored == made:
         return True
     if suffix in {".png", ".jpg", ".exr"}:
@@ -20,7 +20,7 @@ def same(stored: bytes, made: bytes, suffix: str) -> bool:
 
 
 def same_glb(stored: bytes, made: bytes) -> bool:
-    """Tell whether two GLB files differ in how their images are packed and in nothing else."""
+    """Return whether two GLB files differ in how their images are packed and in nothing else."""
     try:
         (one, views), (other, others) = unpacked(stored), unpacked(made)
     except (struct.error, ValueError, KeyError):

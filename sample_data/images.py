@@ -71,7 +71,7 @@ def decode(data: bytes, suffix: str) -> NDArray[np.generic]:
 
 
 def alike(one: bytes, other: bytes, suffix: str) -> bool:
-    """Tell whether two image files show the same, though another version of an encoder packed them.
+    """Return whether two image files show the same, though another version of an encoder packed them.
 
     JPEG encoders may round differently: there a level of difference is allowed.
     """

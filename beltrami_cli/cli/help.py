@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-_FEW = 12  # so many options are shown at once
+_FEW = 12  # up to this many options are shown at once
 _EXAMPLES = 8  # lines of examples in the short help
 
 DAILY = "Options"  # the group of options without one

@@ -38,8 +38,8 @@ def main():
             ours = score(image)
             others = [run(scene.noisy[number], score) for run in FILTERS.values()]
             gains.append(np.subtract(ours, others))
-            told = " | ".join(f"{covered:.2f}, {near:.2f}" for covered, near in (ours, *others))
-            print(f"| {scene.name}, image {number + 1} | {told} |", flush=True)
+            reported = " | ".join(f"{covered:.2f}, {near:.2f}" for covered, near in (ours, *others))
+            print(f"| {scene.name}, image {number + 1} | {reported} |", flush=True)
     met = True
     for name, gain in zip(FILTERS, np.swapaxes(gains, 0, 1), strict=True):
         covered, near = gain[:, 0].mean(), np.nanmean(gain[:, 1])

@@ -36,9 +36,9 @@ def main():
     rows, seconds = [], []
     for name, scene in (("sorted", lambda: torus), ("in random order", lambda: shuffled(torus))):
         with console.status(f"Smooth {options.vertices:,} vertices, {name}"):
-            told = smooth_file(scene(), options.threads)
-        count, memory = told["vertices"]["counts"]["vertices"], told["peak_memory"]
-        cpu = {stage: times["cpu"] for stage, times in told["stages"].items()}
+            reported = smooth_file(scene(), options.threads)
+        count, memory = reported["vertices"]["counts"]["vertices"], reported["peak_memory"]
+        cpu = {stage: times["cpu"] for stage, times in reported["stages"].items()}
         seconds.append(sum(cpu.values()))
         stages = ", ".join(f"{stage} {spent:.2f}" for stage, spent in cpu.items())
         rows.append((f"{count:,} vertices, {name}: CPU", f"{seconds[-1]:.1f} s ({stages})", ""))

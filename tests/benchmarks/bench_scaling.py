@@ -75,11 +75,11 @@ def smooth(source, folder):
     command = [sys.executable, "-c", measured, *scenes.SMOOTH, source, target]
     command += [*SETTINGS, "--threads", "1", "--quiet", "--report", report]
     run = subprocess.run(command, check=True, cwd=scenes.ROOT, capture_output=True, text=True)
-    told = json.loads(report.read_text())
-    samples = sum(slot["counts"]["covered"] for slot in told["textures"])
-    if told["vertices"] is not None:
-        samples = told["vertices"]["counts"]["vertices"]
-    return samples, float(run.stdout), told["peak_memory"]
+    reported = json.loads(report.read_text())
+    samples = sum(slot["counts"]["covered"] for slot in reported["textures"])
+    if reported["vertices"] is not None:
+        samples = reported["vertices"]["counts"]["vertices"]
+    return samples, float(run.stdout), reported["peak_memory"]
 
 
 def draw(rows, path):

@@ -71,7 +71,7 @@ def smooth(source, target, settings, clipping="restore"):
 def quality_rows(quick):
     """Measure the PSNR over covered texels, and near seams, beside the filters; all tuned on the truth.
 
-    Rows are also told on stderr when they are known, for all of them together take long.
+    Rows are also printed on stderr when they are known, for all of them together take long.
     """
     rows, gains = [], []
     for scene in scenes(quick):
@@ -101,8 +101,8 @@ def image_rows(scene, number, best, settings, torn, unrestored):
             continue
         rows.append(Row(f"{where}: {name}", decibels(reached)))
         beside[name] = np.subtract(best, reached)
-    told = "c {}, {} regularised and {} plain iterations, t {}, growth {}".format(*settings)
-    rows.append(Row(f"{where}: beltrami, {told}", decibels(best)))
+    reported = "c {}, {} regularised and {} plain iterations, t {}, growth {}".format(*settings)
+    rows.append(Row(f"{where}: beltrami, {reported}", decibels(best)))
     rows.append(Row(f"{where}: beltrami, the same with --clipping keep", decibels(unrestored)))
     if np.isfinite(torn[1]):
         halo = best[1] - torn[1]
@@ -121,8 +121,10 @@ def mean_rows(gains):
             if not len(finite):
                 continue
             mean = float(finite.mean())
-            told = f"mean of {len(finite)} images, {what}: beltrami above {name}", f"{mean:+.2f} dB"
-            rows.append(Row(*told, f">= +{goal} dB", mean >= goal) if "bilateral" in name else Row(*told))
+            reported = f"mean of {len(finite)} images, {what}: beltrami above {name}", f"{mean:+.2f} dB"
+            rows.append(
+                Row(*reported, f">= +{goal} dB", mean >= goal) if "bilateral" in name else Row(*reported)
+            )
     return rows
 
 

@@ -110,8 +110,8 @@ def solver_rows(options):
         what = (
             f"{len(order):,} vertices, {samples} samples a kernel: along segments, per vertex and iteration"
         )
-        told = f"{segments:.2f} us, {marching / segments:.1f} x faster than fast marching"
-        rows.append(Row(what, told, f"<= {goal} us", segments <= goal))
+        reported = f"{segments:.2f} us, {marching / segments:.1f} x faster than fast marching"
+        rows.append(Row(what, reported, f"<= {goal} us", segments <= goal))
     return rows
 
 
@@ -181,11 +181,11 @@ def million_rows(options):
         command = [*scenes.SMOOTH, source, target, "-n", "10", "-t", "0.7"]
         command += ["--beta", str(BETA), "--quiet", "--report", report]
         subprocess.run(command, check=True, cwd=scenes.ROOT)
-        told = json.loads(report.read_text())
-    memory, held = told["peak_memory"] / 1e9, told["vertices"]["counts"]["samples_per_kernel"]
+        reported = json.loads(report.read_text())
+    memory, held = reported["peak_memory"] / 1e9, reported["vertices"]["counts"]["samples_per_kernel"]
     what = f"PLY file of {len(torus.positions):,} vertices, 10 iterations, {held:.1f} samples a kernel"
     rows = [Row(f"{what}: peak memory", f"{memory:.2f} GB", "< 1 GB", memory < 1)]
-    for stage, times in told["stages"].items():
+    for stage, times in reported["stages"].items():
         rows.append(Row(f"{what}: {stage}", f"{times['cpu']:.2f} s CPU, {times['wall']:.2f} s wall"))
     return rows
 

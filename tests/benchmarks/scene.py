@@ -61,7 +61,7 @@ def chequer(positions):
 
 
 def patches(positions):
-    """Return 200 cells of random colours: borders of any contrast, many too weak to be told from noise."""
+    """Return 200 cells of random colours: borders of any contrast, many too weak to be distinguished from noise."""
     random = np.random.default_rng(3)
     centres = random.standard_normal((200, 3))
     cell = np.argmax(positions @ (centres / np.linalg.norm(centres, axis=1, keepdims=True)).T, axis=1)

@@ -74,7 +74,7 @@ def bilateral_seconds(noisy):
 
 
 def opencv():
-    """Return OpenCV's module, told to use one thread."""
+    """Return OpenCV's module, set to use one thread."""
     try:
         import cv2
     except ImportError as error:

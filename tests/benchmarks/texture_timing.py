@@ -28,7 +28,7 @@ SCALE = beltrami_cli.KernelParameters().metric_scale
 
 
 def smoothing(iterations, contrast, guided, step=STEP, *, threads=1, **others):
-    """Return the settings of so many iterations, the first `guided` of them with the regularised metric."""
+    """Return the settings of some iterations, the first `guided` of them with the regularised metric."""
     settings = {
         "iterations": iterations,
         "t": step,
@@ -70,8 +70,8 @@ def time_rows(repeats):
         what = f"{where}: {kind} iteration, 7 x 7"
         rows.append(Row(f"{what}, per covered texel", f"{1e6 * each:.3f} us"))
         ratio = each / bilateral
-        told = f"{what}, in bilateral passes", f"{ratio:.2f}"
-        rows.append(Row(*told, f"<= {goal}", ratio <= goal) if goal else Row(*told))
+        reported = f"{what}, in bilateral passes", f"{ratio:.2f}"
+        rows.append(Row(*reported, f"<= {goal}", ratio <= goal) if goal else Row(*reported))
     ratio = seconds["set-up"] / seconds["plain"]
     value = f"{seconds['set-up']:.3f} s, {ratio:.2f} plain iterations"
     return [*rows, Row(f"{where}: set-up", value, "<= 1 iteration", ratio <= 1)]
@@ -129,5 +129,5 @@ def whole_job(source, folder):
     start = time.perf_counter()
     subprocess.run(command, check=True, cwd=ROOT)
     seconds = time.perf_counter() - start
-    told = json.loads(report.read_text())
-    return told["peak_memory"], sum(slot["counts"]["covered"] for slot in told["textures"]), seconds
+    reported = json.loads(report.read_text())
+    return reported["peak_memory"], sum(slot["counts"]["covered"] for slot in reported["textures"]), seconds

@@ -68,7 +68,7 @@ def smooth(scene, **options):
 
 
 def time_step_for(samples, scene, beta):
-    """Return the t for which kernels hold about so many samples on the noisy scene.
+    """Return the t for which kernels hold about this many samples on the noisy scene.
 
     Their number grows almost in proportion to t, so that a few steps of proportion find it.
     """

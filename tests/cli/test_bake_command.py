@@ -179,8 +179,8 @@ def test_unwrap_smooths_textures_as_well_as_they_are_smoothed_without(name, tmp_
     truth, before, after = (tmp_path / f"{which}.glb" for which in ("truth", "before", "after"))
     for source, result, number in ((clean, truth, ("-n", 0)), (noisy, before, ("-n", 0)), (noisy, after, ())):
         assert beltrami("smooth", source, result, "--unwrap", "--fast", *number).returncode == 0
-    told = (beltrami("compare", truth, result, "--json").stdout for result in (before, after))
-    psnr_before, psnr_after = (json.loads(text)["overall"]["psnr"] for text in told)
+    reported = (beltrami("compare", truth, result, "--json").stdout for result in (before, after))
+    psnr_before, psnr_after = (json.loads(text)["overall"]["psnr"] for text in reported)
     # In the new texture lookups average the noise of texels, by 3 dB; what is left would be taken for a pattern.
     assert psnr_after > psnr_before + 6
 

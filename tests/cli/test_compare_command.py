@@ -178,7 +178,7 @@ def test_points_elsewhere_and_other_texture_coordinates_are_refused(tmp_path):
 
 
 @pytest.mark.slow
-def test_the_exit_code_and_each_broken_limit_are_told():
+def test_the_exit_code_and_each_broken_limit_are_reported():
     kept = beltrami("compare", CLEAN, NOISY, "--min-psnr", 20, "--max-seam-jump", 40)
     assert kept.returncode == 0, kept.stderr
     assert kept.stdout.startswith(b"part ")

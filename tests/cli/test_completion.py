@@ -11,7 +11,7 @@ import pytest
 
 from cli.commands import COMMAND
 
-# What zsh and bash are to show is taken from the functions that complete; fish tells it.
+# What zsh and bash are to show is taken from the functions that complete; fish prints it.
 BASH = """
 eval "$(_BELTRAMI_COMPLETE=bash_source beltrami)"
 complete -p beltrami > /dev/null || exit 1

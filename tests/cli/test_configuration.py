@@ -1,4 +1,4 @@
-"""Options from files and the environment: flags win, then variables, files, defaults; `beltrami config` tells."""
+"""Options from files and the environment: flags win, then variables, files, defaults; `beltrami config` shows which."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def test_flags_win_over_variables_over_files_over_defaults(run, tmp_path):
     assert result("flag.ply", "--beta", "20", BELTRAMI_SMOOTH_BETA="8") == expected(20)
 
 
-def test_config_tells_what_is_in_force_and_where_from(run, tmp_path):
+def test_config_shows_what_is_in_force_and_where_from(run, tmp_path):
     path = tmp_path / "beltrami.toml"
     path.write_text('threads = 2\n[smooth]\nbeta = 3\nchannels = ["red", "green"]\nsmall = true\n')
     output = run("config", BELTRAMI_SMOOTH_BETA="8", BELTRAMI_KERNEL_TIME_STEP="0.7")
@@ -129,7 +129,7 @@ def test_a_preset_beats_what_is_given_less_directly(run, tmp_path):
         ("[smooth]\nbeta = ", "cannot be read", 3),
     ],
 )
-def test_faults_are_told_with_the_file(text, words, code, run, tmp_path):
+def test_faults_are_reported_with_the_file(text, words, code, run, tmp_path):
     path = tmp_path / "beltrami.toml"
     path.write_text(text)
     said = run("smooth", NOISY, "out.ply", code=code)

@@ -205,7 +205,7 @@ def test_positions_may_go_into_another_format(tmp_path):
         ([TEXTURED.with_suffix(".png"), "out.png", "--smooth-geometry"], 2, b"--smooth-geometry"),
     ],
 )  # fmt: skip
-def test_what_does_not_fit_is_told_in_one_line(arguments, code, words, tmp_path):
+def test_what_does_not_fit_is_reported_in_one_line(arguments, code, words, tmp_path):
     np.save(tmp_path / "odd.npy", np.zeros((3, 3)))
     np.savez(tmp_path / "many.npz", one=np.zeros(2539), two=np.zeros(2539))
     hollow = np.zeros(2539)

@@ -64,8 +64,8 @@ def test_a_clean_file_comes_out_as_it_was_and_the_report_says_why(name, tmp_path
     assert run.returncode == 0, run.stderr
     assert b"left as they are" in run.stderr
     assert result.read_bytes() == (SAMPLES / name).read_bytes()
-    told = json.loads(report.read_text())
-    done = told["vertices"] or told["image"] or told["textures"][0]
+    reported = json.loads(report.read_text())
+    done = reported["vertices"] or reported["image"] or reported["textures"][0]
     assert done["iterations"] == 0
     # One line says what was measured and what to give, and that does it.
     (line,) = run.stderr.decode().splitlines()

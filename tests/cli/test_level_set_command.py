@@ -45,7 +45,7 @@ def test_a_pipe_takes_an_archive_and_gives_a_ply_file(volume):
     assert run.stdout[:4] == b"ply\n"
 
 
-def test_info_tells_of_the_grid_and_of_its_surface(volume):
+def test_info_describes_the_grid_and_of_its_surface(volume):
     facts = json.loads(beltrami("info", volume, "--json", *OPTIONS).stdout)
     assert facts["file"]["format"] == "level set"
     assert facts["file"]["level"] == 0.5

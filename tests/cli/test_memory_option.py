@@ -71,7 +71,7 @@ def test_a_traceback_comes_on_demand_only(verb: str, tmp_path) -> None:
     assert plain.returncode == 3
     assert plain.stderr.count(b"\n") == 1
     assert b"Traceback" not in plain.stderr
-    told = beltrami(verb, bad, *others, "-vv")
-    assert told.returncode == 3
-    assert b"Traceback" in told.stderr
-    assert told.stderr.endswith(plain.stderr)
+    reported = beltrami(verb, bad, *others, "-vv")
+    assert reported.returncode == 3
+    assert b"Traceback" in reported.stderr
+    assert reported.stderr.endswith(plain.stderr)

@@ -174,21 +174,21 @@ def test_a_dry_run_reports_and_writes_nothing(tmp_path):
     assert json.loads(report.read_text())["written"] == []
 
 
-def test_the_report_tells_parameters_counts_times_memory_and_changes(tmp_path):
+def test_the_report_holds_parameters_counts_times_memory_and_changes(tmp_path):
     report = tmp_path / "report.json"
     assert beltrami("smooth", NOISY, tmp_path / "out.ply", "-n", 2, "--report", report).returncode == 0
-    told = json.loads(report.read_text())
-    assert told["parameters"]["iterations"] == 2
-    assert told["parameters"]["beta"] is None
-    vertices = told["vertices"]
+    reported = json.loads(report.read_text())
+    assert reported["parameters"]["iterations"] == 2
+    assert reported["parameters"]["beta"] is None
+    vertices = reported["vertices"]
     assert vertices["beta"] > 0
     assert vertices["counts"]["samples"] == vertices["counts"]["vertices"]
-    assert set(told["stages"]) == {"read", "smooth", "write"}
-    assert told["peak_memory"] > 1e6
+    assert set(reported["stages"]) == {"read", "smooth", "write"}
+    assert reported["peak_memory"] > 1e6
     before, after = colours(NOISY), colours(tmp_path / "out.ply")
     # The report is made before the colours are rounded to 8 bit, which moves each by half a level at most.
     assert abs(vertices["change"]["mean"] - np.abs(after - before).mean()) < 0.5 / 255
-    assert told["written"] == [str(tmp_path / "out.ply")]
+    assert reported["written"] == [str(tmp_path / "out.ply")]
 
 
 @pytest.mark.slow
@@ -334,7 +334,7 @@ def test_the_version_is_that_of_the_package():
 
 
 @pytest.mark.parametrize("option", ["-v", "--dry-run"])
-def test_the_work_ahead_is_told_before_it_starts(option, tmp_path):
+def test_the_work_ahead_is_reported_before_it_starts(option, tmp_path):
     run = beltrami("smooth", SAMPLES / "knot-noisy.ply", tmp_path / "out.ply", option, text=True)
     said = run.stderr.splitlines()
     assert said[0].startswith("work: parameters are tried on ")

@@ -87,21 +87,21 @@ def test_the_estimated_error_is_the_true_one(monkeypatch, epsilon, bias):
 
 
 def test_the_estimate_knows_its_own_error():
-    """The told standard error is that of repeated draws, within a factor of two: it comes of 16 parts only."""
+    """The reported standard error is that of repeated draws, within a factor of two: it comes of 16 parts only."""
     clean = painting(48)
     step = Step(beta=1.4 / SIGMA, t=2.4, regularised=False)
-    values, told = [], []
+    values, reported = [], []
     for seed in range(30):
         trial = Blur(noisy(clean, seed=seed).astype(np.float64), seed + 1000)
         estimate = RiskEstimate(trial, np.full(3, SIGMA))
         state = estimate.step(estimate.start, step)
         found = estimate.of(state)
         values.append(found.value - np.mean((state.plain - clean) ** 2))
-        told.append(found.error)
-    assert 0.5 < np.mean(told) / np.std(values, ddof=1) < 2
+        reported.append(found.error)
+    assert 0.5 < np.mean(reported) / np.std(values, ddof=1) < 2
 
 
-def test_more_perturbations_tell_the_divergence_more_exactly():
+def test_more_perturbations_give_the_divergence_more_exactly():
     """Four make half the spread; of twenty draws it is known within a third."""
     clean = painting(24)
     image = noisy(clean).astype(np.float64)
@@ -296,12 +296,12 @@ def test_what_is_given_is_kept(given):
 
 
 def test_what_is_given_is_used():
-    """Two iterations of the chosen rest are what the flow gives when told all of it."""
+    """Two iterations of the chosen rest are what the flow gives when given all of it."""
     image = noisy(painting(48))
     partly = beltrami_cli.smooth_image(image, space="data", iterations=2)
-    told = beltrami_cli.smooth_image(image, space="data", iterations=2, **partly.choice.chosen)
-    assert told.choice is None
-    assert np.array_equal(partly.colours, told.colours)
+    reported = beltrami_cli.smooth_image(image, space="data", iterations=2, **partly.choice.chosen)
+    assert reported.choice is None
+    assert np.array_equal(partly.colours, reported.colours)
 
 
 def test_nothing_is_chosen_for_a_linear_kernel():
@@ -321,7 +321,7 @@ def test_strength_smooths_less_or_more():
         assert change["gentle", fast] < change["strong", fast]
 
 
-def test_parameters_tell_what_is_open():
+def test_parameters_know_what_is_open():
     assert CHOSEN.is_open
     assert not KernelParameters().is_open
     assert not dataclasses.replace(CHOSEN, beta=0.0).is_open

@@ -1,4 +1,4 @@
-"""Noise that neighbouring cells have in common: found in what JPEG left, drawn as told, and errors right with it."""
+"""Noise that neighbouring cells have in common: found in what JPEG left, drawn as asked, and errors right with it."""
 
 from __future__ import annotations
 
@@ -69,14 +69,14 @@ def details(noise):
     return np.stack([a - b + c - d, a + b - c - d, a - b - c + d], axis=1) / 2, (a + b + c + d) / 4
 
 
-def test_drawn_noise_has_the_covariances_that_were_told():
+def test_drawn_noise_has_the_covariances_that_were_given():
     """In every octave, to four standard errors: of 16,384 and more coefficients, a covariance is known to 1 %."""
     noise = draw_haar_noise(SHARED, (512, 512), np.random.default_rng(0))
     assert noise.var(axis=(1, 2)) == pytest.approx(sigma_of_covariances(SHARED) ** 2, rel=0.04)
-    for level, told in enumerate(SHARED[:3]):
+    for level, given in enumerate(SHARED[:3]):
         fine, noise = details(noise)
         drawn = np.cov(2**level * fine.reshape(3, -1))
-        assert np.abs(drawn - told).max() < 0.04
+        assert np.abs(drawn - given).max() < 0.04
 
 
 def test_equal_covariances_are_independent_noise():
@@ -153,7 +153,7 @@ def test_rich_dark_texture_is_not_taken_for_shared_noise(grain, contrast, mean):
     assert found(stored((mean + contrast / texture.std() * texture).clip(0, 1), 5) / 255)[0] is None
 
 
-def test_less_than_three_channels_tell_nothing():
+def test_fewer_than_three_channels_show_nothing():
     assert found(stored(painting(64), 20)[..., :2] / 255)[0] is None
 
 
@@ -180,7 +180,7 @@ def test_the_noise_of_an_enlarged_picture_is_found(factor):
     assert (least < 0.7 * noise.std()).all()  # or nothing had to be found
 
 
-def test_of_a_large_picture_bands_tell_the_noise(monkeypatch):
+def test_the_noise_of_a_large_picture_is_estimated_from_bands(monkeypatch):
     """About as all of it does, though they are an eighth."""
     noise = enlarged((2048, 512), 1.5, 10 / 255)
     covariances = []

@@ -32,8 +32,8 @@ def test_a_fixed_rule_sets_what_is_not_given_when_time_counts():
     fast = beltrami_cli.smooth_image(image, space="data", fast=True)
     assert set(fast.choice.chosen) == set(TUNABLE)
     assert fast.choice.candidates == 0
-    told = beltrami_cli.smooth_image(image, space="data", **fast.choice.chosen)
-    assert np.array_equal(fast.colours, told.colours)
+    reported = beltrami_cli.smooth_image(image, space="data", **fast.choice.chosen)
+    assert np.array_equal(fast.colours, reported.colours)
     partly = beltrami_cli.smooth_image(image, space="data", iterations=2, fast=True)
     assert partly.choice.chosen == {
         name: value for name, value in fast.choice.chosen.items() if name != "iterations"

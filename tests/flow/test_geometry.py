@@ -148,7 +148,7 @@ def test_the_noise_of_normals_is_found_whichever_way_the_surface_lies():
         assert found == pytest.approx(0.05, rel=0.06)
 
 
-def test_normals_and_their_tensors_tell_faces_creases_and_corners():
+def test_normals_and_their_tensors_distinguish_faces_creases_and_corners():
     alone = np.arange(len(CUBE), dtype=np.int32)
     normals = vertex_normals(CUBE, CUBE_FACES, alone)
     tensors = normal_tensors(CUBE, CUBE_FACES, alone)

@@ -116,7 +116,7 @@ def test_without_metric_channels_and_guides_it_is_the_linear_kernel(smooth):
 
 
 @both
-def test_only_the_metric_channels_tell_distances(smooth):
+def test_only_the_metric_channels_make_distances(smooth):
     parameters = {"beta": 6.0, "clipping": "keep"}
     first = smooth(NOISY[:, :1], **parameters)[:, 0]
     # With channel 0 alone in the metric, it is smoothed as if it were alone, and the others by the same kernel.

@@ -91,7 +91,7 @@ def test_the_cost_of_a_fan_grows_as_its_valence(beta):
 
 
 def test_a_march_past_a_hub_finds_the_distances_of_the_sweep():
-    """The colours of a few samples, which kernels average, tell how much each weighs."""
+    """The colours of a few samples, which kernels average, show how much each weighs."""
     positions, faces = fan(1_500)
     core, count = core_of(positions, faces, 6.0), 1_501
     marks = np.zeros((count, 3), np.float32)

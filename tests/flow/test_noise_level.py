@@ -46,7 +46,7 @@ def grain(size, seed=0):
 
 
 @pytest.mark.parametrize("channels", [1, 3])
-def test_white_noise_is_told_exactly(channels):
+def test_white_noise_is_estimated_exactly(channels):
     """On average over seeds, within two per cent: biases of choosing even groups, and of quantiles, are that small."""
     positions, faces = surfaces.icosphere(4)
     plain, ball = np.full((128, 128, channels), 0.5), np.full((len(positions), channels), 0.5)
@@ -58,7 +58,7 @@ def test_white_noise_is_told_exactly(channels):
 
 
 @pytest.mark.slow
-def test_the_noise_of_a_large_mesh_is_told_by_parts_of_it():
+def test_the_noise_of_a_large_mesh_is_estimated_from_parts_of_it():
     """Rows of a grid follow each other, so blocks of rows are strips of it; the painting is steps and slopes."""
     rows, columns = 500, 400
     y, x = np.mgrid[:rows, :columns]
@@ -99,14 +99,14 @@ def test_edges_of_a_coarse_mesh_are_not_taken_for_noise(sigma, waves, tolerance)
 @pytest.mark.parametrize("level", [0.5, 0.97, 0.03])
 @pytest.mark.parametrize("sigma", [5, 20])
 def test_noise_is_found_near_the_limits_too(level, sigma):
-    """On half white or half black images, where samples of the other half tell."""
+    """On half white or half black images, which is measured on the other half."""
     clean = np.full((128, 128, 1), level)
     clean[:, 64:] = 0.5
     assert on_grid(stored(noisy(clean, sigma / 255))) == pytest.approx(sigma, rel=0.06)
 
 
 def test_noise_is_found_where_all_is_cut_off():
-    """On white everywhere, half of the noise is gone; the share and the mean of the rest tell it."""
+    """On white everywhere, half of the noise is gone; the share and the mean of the rest show it."""
     assert on_grid(stored(noisy(np.ones((128, 128, 1)), 30 / 255))) == pytest.approx(30, rel=0.15)
 
 

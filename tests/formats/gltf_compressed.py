@@ -19,7 +19,7 @@ DRACO = "KHR_draco_mesh_compression"
 
 
 def draco_bytes(colours, *, in_order=False):
-    """Encode the grid; positions and texture coordinates are kept well enough to be told by rounding."""
+    """Encode the grid; positions and texture coordinates are kept well enough to be recovered by rounding."""
     return DracoPy.encode(
         GRID,
         CORNERS,

@@ -84,14 +84,14 @@ def test_what_is_no_gltf_is_refused(text, cause):
         GltfDocument(text, "model.gltf", None)
 
 
-def test_a_byte_order_mark_is_told_and_kept():
+def test_a_byte_order_mark_is_reported_and_kept():
     data = b"\xef\xbb\xbf" + TEXT
     document = GltfDocument(data, "model.gltf", None)
     assert [notice for notice in document.notices if "byte order mark" in notice]
     assert joined(document.patch(1 - document.painted().colours, Naming("out"))).startswith(data[:20])
 
 
-def test_form_is_told_by_content():
+def test_form_is_recognised_by_content():
     assert GltfDocument(GLB, "model.gltf", None).format == "glb"
     assert GltfDocument(TEXT, "model.glb", None).format == "gltf"
 

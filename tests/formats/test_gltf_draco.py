@@ -97,7 +97,7 @@ def test_colours_that_stay_give_back_the_same_bytes():
 
 @settings(max_examples=20, deadline=None)
 @given(same=st.booleans(), stranger=st.booleans(), seed=st.integers(0, 99))
-def test_accessors_that_describe_several_meshes_are_told_apart(same, stranger, seed):
+def test_accessors_that_describe_several_meshes_are_kept_apart(same, stranger, seed):
     """Exporters merge equal descriptions, though each compressed mesh has colours of its own."""
     rng, model = np.random.default_rng(seed), Textured()
     first = draco_primitive(model, COLOURS)

@@ -102,7 +102,7 @@ def test_the_same_form_is_a_patch():
     assert joined(document.repackaged(document.painted().colours, Naming("b"), "glb")) == data
 
 
-def test_lost_chunks_are_told():
+def test_lost_chunks_are_reported():
     document = GltfDocument(model_with_colours().glb((b"XTRA", b"1234")), "a.glb", None)
     written = document.repackaged(document.painted().colours, Naming("b"), "gltf")
     assert [notice for notice in written.notices if "unknown type" in notice]

@@ -120,7 +120,7 @@ def test_a_slot_apart_gets_a_texture_and_an_image_of_its_own(tmp_path):
 
 @pytest.mark.parametrize("place", ["view", "data", "file"])
 @pytest.mark.parametrize("suffix", sorted(HEADS))
-def test_the_type_is_told_wherever_it_stands(tmp_path, place, suffix):
+def test_the_type_is_given_wherever_it_stands(tmp_path, place, suffix):
     source = with_images(tmp_path, 1, "gltf", place)
     wanted = {("baseColor", "image 0"): new_image(1, suffix)}
     written = open_document(str(source)).patch(None, Naming("out", keeps=True), images=wanted)

@@ -252,7 +252,7 @@ def test_basisu_is_refused_by_name_unless_it_has_a_fallback(tmp_path, fallback):
 
 
 @pytest.mark.parametrize("reason", ["missing", "outside", "web", "coordinates", "no image", "packed"])
-def test_what_cannot_be_read_is_told_and_left_out(tmp_path, reason):
+def test_what_cannot_be_read_is_reported_and_left_out(tmp_path, reason):
     model = Textured("file")
     broken = model.image(picture(1, KTX2 if reason == "packed" else JPEG), "gone.png")
     uris = {"outside": "../gone.png", "web": "https://example.org/gone.png", "missing": "elsewhere.png"}

@@ -103,7 +103,7 @@ def test_the_file_is_what_others_read_too():
     assert numbers(tree, buffers, tree["meshes"][0]["primitives"][0]["indices"]).dtype == np.uint16
 
 
-def test_losses_are_told():
+def test_losses_are_reported():
     far = SQUARE + 0.1
     notices = " ".join(
         write_glb(mesh(mesh().colours * 2, positions=far, left_out=("materials",)), "x").notices

@@ -130,6 +130,6 @@ def test_a_compression_that_is_not_built_in_is_no_damage() -> None:
         at = first + 2 + 12 * entry
         if int.from_bytes(data[at : at + 2], "little") == 259:  # Compression
             data[at + 8 : at + 10] = (34712).to_bytes(2, "little")  # JPEG 2000, which libtiff never decodes
-    told = r"does not read how the TIF image is compressed .* save it without compression"
-    with pytest.raises(InputError, match=told):
+    reported = r"does not read how the TIF image is compressed .* save it without compression"
+    with pytest.raises(InputError, match=reported):
         read_image(bytes(data), "x.tif")

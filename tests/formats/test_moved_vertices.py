@@ -231,7 +231,7 @@ def test_parts_that_share_positions_move_together_or_not_at_all(apart):
         ({"node": {"scale": [1, 0, 1]}}, "scales the positions to nothing"),
     ],
 )
-def test_positions_that_cannot_be_replaced_are_told_before_anything_is_computed(arguments, said):
+def test_positions_that_cannot_be_replaced_are_reported_before_anything_is_computed(arguments, said):
     model = Model()
     model.mesh(square(model, positions=arguments.get("positions")), **arguments.get("node", {}))
     with pytest.raises(InputError, match=said):

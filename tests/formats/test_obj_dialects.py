@@ -228,7 +228,7 @@ def test_damaged_polypaint_is_refused(lines: str, message: str) -> None:
         ObjDocument((SQUARE + lines).encode(), "x.obj", None).painted()
 
 
-def test_colours_of_vertices_go_before_polypaint_which_stays_and_is_told_of() -> None:
+def test_colours_of_vertices_go_before_polypaint_which_stays_and_is_mentioned() -> None:
     source = "v 0 0 0 1 0 0\nv 1 0 0 0 1 0\nv 0 1 0 0 0 1\n#MRGB ff000000ff000000ff000000\nf 1 2 3\n"
     document = ObjDocument(source.encode(), "x.obj", None)
     written = b"".join(document.patch(document.painted().colours * np.float32(0.5), Naming("out")).main)

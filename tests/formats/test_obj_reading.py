@@ -74,7 +74,9 @@ def test_polygons_are_kept_for_conversion_and_cut_for_the_surface() -> None:
         (["1 2 3 1 .1 .2 .3 .5", "4 5 6 2 .4 .5 .6 1"], [0.5, 1]),
     ],
 )
-def test_weights_and_alpha_are_told_from_colours(lines: list[str], alpha: list[float] | None) -> None:
+def test_weights_and_alpha_are_distinguished_from_colours(
+    lines: list[str], alpha: list[float] | None
+) -> None:
     contents = opened("".join(f"v {line}\n" for line in lines).encode()).contents()
     assert contents.positions.tolist() == [[1, 2, 3], [4, 5, 6]]
     np.testing.assert_array_equal(contents.colours, np.array([[0.1, 0.2, 0.3], [0.4, 0.5, 0.6]], np.float32))

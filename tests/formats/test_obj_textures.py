@@ -125,7 +125,7 @@ def test_options_scale_shift_and_clamp(tmp_path: Path) -> None:
     assert surface.textures[0].key == "sub dir/4 a.png"
 
 
-def test_slots_are_told_by_their_keywords(tmp_path: Path) -> None:
+def test_slots_are_recognised_by_their_keywords(tmp_path: Path) -> None:
     mtl = "newmtl one\nmap_Ks b.png\nmap_Ke b.png\nmap_Bump -bm 0.5 b.png\nnorm a.png\n"
     document = model(tmp_path, mtl)
     assert document.slots() == ("emissive", "normal")

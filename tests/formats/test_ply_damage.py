@@ -29,7 +29,7 @@ def read(data: bytes) -> None:
 @pytest.mark.parametrize("encoding", ENCODINGS)
 def test_every_truncation_is_an_error(encoding: str) -> None:
     data = build(coloured(4, [[0, 1, 2], [0, 1, 2, 3]]), encoding).data
-    # The last blanks of a text may go, and nothing can tell a shortened last token from a shorter number.
+    # The last blanks of a text may go, and a shortened last token looks like a shorter number.
     whole = len(data.rstrip()) if encoding == "ascii" else len(data)
     for length in range(whole):
         with pytest.raises(InputError):

@@ -111,7 +111,7 @@ def test_dae_polygons_with_a_skin_are_where_they_were_bound() -> None:
 
 
 @pytest.mark.slow
-def test_dae_polygons_that_cannot_be_read_are_told_of() -> None:
+def test_dae_polygons_that_cannot_be_read_are_mentioned() -> None:
     with pytest.raises(InputError, match="it is damaged, or not understood"):
         opened(DAE.replace("1 1 0 0 1 0<", "1,1 0 0 1 0<").encode(), "x.dae").painted()
     broken = '<node><instance_geometry url="#gone"/></node></visual_scene>'

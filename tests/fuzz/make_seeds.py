@@ -1,4 +1,4 @@
-"""Makes the seeds of the fuzzers, a small file for each custom: `python tests/fuzz/make_seeds.py`."""
+"""Makes the seeds of the fuzzers, a small file for each dialect: `python tests/fuzz/make_seeds.py`."""
 
 from __future__ import annotations
 

@@ -2,7 +2,7 @@
 
     python tests/fuzz/run.py TARGET [--seconds N] [--found FOLDER]
 
-What is found new is kept in the folder for next time; what fails is written beside it and told.
+What is found new is kept in the folder for next time; what fails is written beside it and reported.
 """
 
 from __future__ import annotations

@@ -69,7 +69,7 @@ def _use_vertices(document: Document, folder: Path) -> None:
     for name in document.attributes()[:3]:
         with contextlib.suppress(InputError):
             document.attribute(name)
-    # What numbers mean that can mean two things may look otherwise in the result; the user is told.
+    # What numbers mean that can mean two things may look otherwise in the result; the user sees a notice.
     doubtful = any("taken for" in notice for notice in document.notices)
     if document.format in ("ply", "obj", "gltf", "glb") and not doubtful:
         colours = np.clip(painted.colours * np.float32(0.5), 0, 1)

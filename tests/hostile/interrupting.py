@@ -14,7 +14,7 @@ from pathlib import Path
 
 from hostile.folders import snapshot
 
-# What a process does to files, as it tells its audit hooks.
+# What a process does to files, as its audit hooks see it.
 STEPS = ("os.rename", "os.remove", "os.mkdir", "os.rmdir", "os.chmod", "os.link", "os.truncate")
 MOST_STEPS = 200
 

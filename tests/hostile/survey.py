@@ -96,7 +96,7 @@ def attempt(source: Path, out: Path) -> tuple[str, str]:
 
 
 def _within_range(document: Document, target: Path) -> bool:
-    """Tell whether averages lie within what they were made of, or on the nearest value that the file can hold."""
+    """Return whether averages lie within what they were made of, or on the nearest value that the file can hold."""
     before, after = document.painted().colours, open_document(str(target), ACCESS).painted().colours
     slack = 1 / 255 + 1e-4 * np.abs(before).max()
     low, high = before.min(axis=0), before.max(axis=0)
@@ -174,7 +174,7 @@ def mutations(source: Path, count: int) -> Iterator[tuple[str, str]]:
 
 
 def state(folder: Path) -> dict[str, str]:
-    """Return what is in a folder, so that it can be told later whether anything changed."""
+    """Return what is in a folder, so that it can be seen later whether anything changed."""
     return {
         str(path): hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else ""
         for path in folder.rglob("*")
@@ -200,7 +200,7 @@ def main() -> int:
     )
     parser.add_argument("folders", nargs="+", metavar="[NAME=]FOLDER")
     parser.add_argument("--mutations", type=int, default=0)
-    parser.add_argument("--list", action="store_true", help="Tell what came of each file.")
+    parser.add_argument("--list", action="store_true", help="Print what came of each file.")
     chosen = parser.parse_args()
     for name in ("OpenImageIO", *(f"beltrami_cli.{name}" for name in PRELOADED)):
         importlib.import_module(name)

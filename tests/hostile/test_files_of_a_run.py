@@ -45,7 +45,7 @@ def textured(tmp_path: Path) -> Path:
 def test_what_cannot_be_written_leaves_output_as_it_was(option: str, exists: bool, tmp_path: Path) -> None:
     if exists:
         (tmp_path / "out.png").write_text("precious")
-    link = tmp_path / "full.png"  # a preview needs a name that tells its format
+    link = tmp_path / "full.png"  # a preview needs a name with an extension
     link.symlink_to(FULL)
     line = refused(tmp_path, "smooth", PHOTO, "out.png", *QUICK, option, link, "--overwrite")
     assert "No space left" in line

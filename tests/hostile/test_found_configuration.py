@@ -61,9 +61,9 @@ def test_every_option_that_is_not_listed_is_refused_in_a_line_that_names_the_way
         path.write_text(f"{table.format(name)}{long_name(option)} = {value}\n")
         with pytest.raises(UsageError) as refused:
             defaults_from(load(None), name)
-        told = str(refused.value)
-        assert all(word in told for word in (str(path), long_name(option), "--config"))
-        assert "\n" not in told
+        reported = str(refused.value)
+        assert all(word in reported for word in (str(path), long_name(option), "--config"))
+        assert "\n" not in reported
 
 
 def test_what_may_be_set_exists_and_is_harmless() -> None:

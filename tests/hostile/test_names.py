@@ -1,4 +1,4 @@
-"""Names that mean nothing, or say the wrong thing: what a file is, its content tells."""
+"""Names that mean nothing, or say the wrong thing: a file is what its content is."""
 
 from __future__ import annotations
 

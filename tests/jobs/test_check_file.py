@@ -125,7 +125,7 @@ def assert_damage_is_found(before: Path, after: Path, data: st.DataObject) -> No
 
 
 def same_but_for_spelling(*texts: bytes) -> bool:
-    """Tell whether texts are the same without the last three numbers of vertices of six."""
+    """Return whether texts are the same without the last three numbers of vertices of six."""
     blanked = {re.sub(rb"(?m)^(v(?: \S+){3})(?: \S+){3}", rb"\1", text) for text in texts}
     return len(blanked) == 1
 

@@ -215,9 +215,9 @@ def test_the_command_adds_what_it_is_asked_for(tmp_path):
 
 def test_that_jpeg_takes_noise_away_is_said(tmp_path):
     jpeg = SAMPLES / "scan-clean.jpg"
-    for target, told in (("a.jpg", 1), ("a.png", 0)):
+    for target, reported in (("a.jpg", 1), ("a.png", 0)):
         warnings = noise_file(jpeg, tmp_path / target, NoiseSettings(SIGMA)).warnings
-        assert sum("takes some of the noise away" in warning for warning in warnings) == told
+        assert sum("takes some of the noise away" in warning for warning in warnings) == reported
     assert any(
         "--texture-format" in w
         for w in noise_file(SAMPLES / "scan-clean.glb", tmp_path / "a.glb", NoiseSettings(SIGMA)).warnings

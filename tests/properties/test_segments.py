@@ -99,7 +99,7 @@ def test_distances_lie_between_geodesics_and_paths_over_edges_on_any_mesh(painte
 
 
 def graph_distances(embedded, faces, extra):
-    """Return the shortest paths between vertices through so many extra points on every edge of every face."""
+    """Return the shortest paths between vertices through some extra points on every edge of every face."""
     points, links, number = list(embedded), [], {}
 
     def on_edge(a, b):

@@ -200,7 +200,7 @@ def two_charts(jump, pattern=0.0):
 @pytest.mark.parametrize(
     ("jump", "pattern", "expected"), [(0.0, 0.0, 0), (33 / 255, 0.0, 2), (0.0, 40 / 255, 2)]
 )
-def test_a_seam_whose_sides_really_differ_is_told_from_a_noisy_one(jump, pattern, expected):
+def test_a_seam_whose_sides_really_differ_is_distinguished_from_a_noisy_one(jump, pattern, expected):
     board, picture = two_charts(jump, pattern)
     _, flow = smooth_image(board.surface(), board.image_of(picture))
     assert flow.manifold.jumps == expected

@@ -62,7 +62,7 @@ def test_even_less_memory_is_refused_by_name(tmp_path, on_disk):
     assert not list((tmp_path / "out").iterdir())
 
 
-def test_a_full_disk_is_told_and_leaves_nothing(tmp_path, monkeypatch, on_disk):
+def test_a_full_disk_is_reported_and_leaves_nothing(tmp_path, monkeypatch, on_disk):
     def full(*_):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 

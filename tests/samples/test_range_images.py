@@ -56,7 +56,7 @@ def stanford(rows=ROWS, columns=COLUMNS, listed=None):
 
 
 def organised(size, text=False):
-    """Every place a vertex, NaN where nothing was measured; `size` tells the grid."""
+    """Every place a vertex, NaN where nothing was measured; `size` describes the grid."""
     places, colours, measured = scene()
     places[~measured] = np.nan
     form = "ascii" if text else "binary_little_endian"

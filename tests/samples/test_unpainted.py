@@ -36,7 +36,7 @@ OBJ = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
         ("a.obj", f"mtllib gone.mtl\n{OBJ}", "'gone.mtl' is missing"),
     ],
 )
-def test_the_reason_is_told(name: str, text: str, reason: str, tmp_path: Path) -> None:
+def test_the_reason_is_reported(name: str, text: str, reason: str, tmp_path: Path) -> None:
     (tmp_path / name).write_text(text)
     with pytest.raises(UnpaintedError, match=f"neither vertex colours nor textures .*{reason}"):
         smooth_file(tmp_path / name, tmp_path / "out.ply")
@@ -48,7 +48,7 @@ def test_vertex_colours_are_not_denied_where_textures_are_asked_for(tmp_path: Pa
         smooth_file(tmp_path / "a.obj", tmp_path / "out.obj", SmoothSettings(on="texture"))
 
 
-def test_slots_that_are_asked_for_and_empty_are_told_of(tmp_path: Path) -> None:
+def test_slots_that_are_asked_for_and_empty_are_mentioned(tmp_path: Path) -> None:
     model = write_model(tmp_path, "gltf", "skin.png")
     (tmp_path / "skin.png").write_bytes(PICTURE)
     settings = SmoothSettings(textures=TextureSettings(slots=("baseColor", "normal")))
@@ -70,13 +70,13 @@ def encoded(pixels: np.ndarray, mode: str | None = None) -> bytes:
     return buffer.getvalue()
 
 
-def test_a_texture_that_cannot_be_seen_is_told_from_one_that_is_not_covered(tmp_path: Path) -> None:
+def test_a_texture_that_cannot_be_seen_is_distinguished_from_one_that_is_not_covered(tmp_path: Path) -> None:
     model = write_model(tmp_path, "obj", "skin.png")
     noise = np.random.default_rng(1).integers(0, 256, (32, 32, 4), np.uint8)
     noise[..., 3] = 0
     (tmp_path / "skin.png").write_bytes(encoded(noise))
-    (told,) = smooth_file(model, tmp_path / "o.obj", job=Job(dry_run=True)).warnings
-    assert told.endswith("nothing was smoothed; --alpha smooth counts them, too")
+    (reported,) = smooth_file(model, tmp_path / "o.obj", job=Job(dry_run=True)).warnings
+    assert reported.endswith("nothing was smoothed; --alpha smooth counts them, too")
     smoothed = smooth_file(
         model,
         tmp_path / "o.obj",
@@ -87,11 +87,11 @@ def test_a_texture_that_cannot_be_seen_is_told_from_one_that_is_not_covered(tmp_
     noise[..., 3] = 255
     (tmp_path / "skin.png").write_bytes(encoded(noise))
     model.write_text(re.sub(r"vt .*", "vt 0.5 0.5", model.read_text()))
-    (told,) = smooth_file(model, tmp_path / "o.obj", job=Job(dry_run=True)).warnings
-    assert told.endswith("--unwrap makes a new atlas")
+    (reported,) = smooth_file(model, tmp_path / "o.obj", job=Job(dry_run=True)).warnings
+    assert reported.endswith("--unwrap makes a new atlas")
 
 
-def test_what_a_change_would_do_to_an_image_is_not_told_of_a_copy(tmp_path: Path) -> None:
+def test_what_a_change_would_do_to_an_image_is_not_said_of_a_copy(tmp_path: Path) -> None:
     model = write_model(tmp_path, "obj", "skin.png", "model.mtl")
     two = np.zeros((32, 32, 3), np.uint8)
     two[:, 16:] = 255
@@ -105,5 +105,7 @@ def test_what_a_change_would_do_to_an_image_is_not_told_of_a_copy(tmp_path: Path
         encoded(np.random.default_rng(2).integers(0, 256, (32, 32, 3), np.uint8), "P")
     )
     for source in (model, tmp_path / "skin.png"):
-        (told,) = smooth_file(source, tmp_path / source.with_stem("new").name, job=Job(dry_run=True)).warnings
-        assert "palette" in told
+        (reported,) = smooth_file(
+            source, tmp_path / source.with_stem("new").name, job=Job(dry_run=True)
+        ).warnings
+        assert "palette" in reported

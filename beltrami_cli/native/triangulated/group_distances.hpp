@@ -24,7 +24,7 @@ constexpr std::size_t parts = group_size / lane_count;
 // Where the kernels of a group reach more vertices than this, their distances do not fit the caches.
 constexpr std::size_t largest_region = 16384;
 
-// Where they reach more than so many times the samples that a kernel may hold, a march that ends at these is faster. Small
+// Where they reach more than this many times the samples that a kernel may hold, a march that ends at these is faster. Small
 // regions are swept at any rate.
 constexpr std::size_t reached_for_held = 10, always_swept = 2048;
 
