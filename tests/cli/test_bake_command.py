@@ -86,6 +86,7 @@ def test_one_colour_stays_exactly_that_colour(extension, tmp_path):
     assert (contents.alpha == alpha).all()
 
 
+@pytest.mark.slow
 def test_linear_colours_of_gltf_make_the_texture_that_those_of_ply_make(sphere, tmp_path):
     glb = tmp_path / "sphere.glb"
     assert beltrami("smooth", sphere, glb, "-n", 0).returncode == 0

@@ -75,6 +75,7 @@ def test_a_clean_file_comes_out_as_it_was_and_the_report_says_why(name, tmp_path
     assert result.read_bytes() != (SAMPLES / name).read_bytes()
 
 
+@pytest.mark.slow
 def test_the_table_of_a_batch_and_info_say_it_too(tmp_path):
     common = "batch", SAMPLES / "head-clean.ply", "-j", 1, "--out-dir"
     assert b"left as it is" in beltrami(*common, "out", cwd=tmp_path).stderr

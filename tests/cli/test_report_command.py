@@ -169,6 +169,7 @@ def test_figures_and_parameters_are_those_of_the_other_commands(tmp_path):
     assert "<svg" in text
 
 
+@pytest.mark.slow
 def test_what_cannot_be_shown_is_said_and_nothing_written(tmp_path):
     plain = tmp_path / "run.json"
     plain.write_text("[]")

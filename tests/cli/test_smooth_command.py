@@ -50,20 +50,20 @@ def test_no_iterations_give_the_very_same_file(extension, tmp_path):
 
 
 def test_stdout_carries_data_only_and_messages_go_to_stderr(tmp_path):
-    to_file = beltrami("smooth", NOISY, tmp_path / "out.ply", "-v")
+    to_file = beltrami("smooth", NOISY, tmp_path / "out.ply", "-v", "--fast")
     assert to_file.stdout == b""
     assert b"beta" in to_file.stderr
-    assert beltrami("smooth", NOISY, tmp_path / "quiet.ply", "-q").stderr == b""
-    through_pipe = beltrami("smooth", "-", "-", stdin=NOISY.read_bytes())
+    assert beltrami("smooth", NOISY, tmp_path / "quiet.ply", "-q", "--fast").stderr == b""
+    through_pipe = beltrami("smooth", "-", "-", "--fast", stdin=NOISY.read_bytes())
     assert through_pipe.stdout == (tmp_path / "out.ply").read_bytes()
 
 
 @pytest.mark.slow
 def test_glb_goes_through_a_pipe_and_the_format_can_be_chosen(tmp_path):
     glb = SAMPLES / "terrain-noisy.glb"
-    piped = beltrami("smooth", "-", "-", stdin=glb.read_bytes())
+    piped = beltrami("smooth", "-", "-", "--fast", stdin=glb.read_bytes())
     assert piped.stdout[:4] == b"glTF"
-    converted = beltrami("smooth", "-", "-", "--format", "ply", stdin=glb.read_bytes())
+    converted = beltrami("smooth", "-", "-", "--fast", "--format", "ply", stdin=glb.read_bytes())
     assert converted.stdout[:4] == b"ply\n"
     assert converted.returncode == 0
 
@@ -76,7 +76,7 @@ def test_an_existing_output_is_kept_unless_overwriting_is_asked_for(tmp_path):
     assert b"--overwrite" in refused.stderr
     assert result.read_text() == "precious"
     result.chmod(0o640)
-    assert beltrami("smooth", NOISY, result, "--overwrite").returncode == 0
+    assert beltrami("smooth", NOISY, result, "--overwrite", "--fast").returncode == 0
     assert stat.S_IMODE(result.stat().st_mode) == 0o640
     assert [path.name for path in tmp_path.iterdir()] == ["out.ply"]
 
@@ -106,8 +106,8 @@ def test_an_output_that_cannot_be_is_named_as_the_user_named_it(target, words, t
 def test_a_file_may_be_smoothed_in_place_when_overwriting_is_asked_for(tmp_path):
     scan, result = tmp_path / "scan.ply", tmp_path / "out.ply"
     shutil.copy(NOISY, scan)
-    assert beltrami("smooth", NOISY, result).returncode == 0
-    assert beltrami("smooth", scan, scan, "--overwrite").returncode == 0
+    assert beltrami("smooth", NOISY, result, "--fast").returncode == 0
+    assert beltrami("smooth", scan, scan, "--overwrite", "--fast").returncode == 0
     assert scan.read_bytes() == result.read_bytes()
 
 
@@ -115,7 +115,7 @@ def test_a_link_stays_and_what_it_points_to_is_replaced(tmp_path):
     real, link = tmp_path / "real.ply", tmp_path / "link.ply"
     real.write_text("old")
     link.symlink_to(real)
-    assert beltrami("smooth", NOISY, link, "--overwrite").returncode == 0
+    assert beltrami("smooth", NOISY, link, "--overwrite", "--fast").returncode == 0
     assert link.is_symlink()
     assert real.read_bytes()[:3] == b"ply"
 
@@ -167,7 +167,7 @@ def test_a_full_device_is_an_output_error():
 
 def test_a_dry_run_reports_and_writes_nothing(tmp_path):
     report = tmp_path / "report.json"
-    run = beltrami("smooth", NOISY, tmp_path / "out.ply", "--dry-run", "--report", report)
+    run = beltrami("smooth", NOISY, tmp_path / "out.ply", "--dry-run", "--fast", "--report", report)
     assert run.returncode == 0
     assert re.search(rb"peak memory: [1-9][0-9.]*M\n", run.stderr)
     assert [path.name for path in tmp_path.iterdir()] == ["report.json"]
@@ -176,7 +176,9 @@ def test_a_dry_run_reports_and_writes_nothing(tmp_path):
 
 def test_the_report_holds_parameters_counts_times_memory_and_changes(tmp_path):
     report = tmp_path / "report.json"
-    assert beltrami("smooth", NOISY, tmp_path / "out.ply", "-n", 2, "--report", report).returncode == 0
+    assert (
+        beltrami("smooth", NOISY, tmp_path / "out.ply", "-n", 2, "--fast", "--report", report).returncode == 0
+    )
     reported = json.loads(report.read_text())
     assert reported["parameters"]["iterations"] == 2
     assert reported["parameters"]["beta"] is None
@@ -193,14 +195,14 @@ def test_the_report_holds_parameters_counts_times_memory_and_changes(tmp_path):
 
 @pytest.mark.slow
 def test_the_guard_on_samples_warns_when_it_bites(tmp_path):
-    run = beltrami("smooth", NOISY, tmp_path / "out.ply", "--max-samples", 5)
+    run = beltrami("smooth", NOISY, tmp_path / "out.ply", "--max-samples", 5, "--fast")
     assert run.returncode == 0
     assert b"warning" in run.stderr
     assert b"--max-samples" in run.stderr
 
 
 def test_channels_that_were_not_chosen_keep_their_bytes(tmp_path):
-    assert beltrami("smooth", NOISY, tmp_path / "out.ply", "--channels", "g").returncode == 0
+    assert beltrami("smooth", NOISY, tmp_path / "out.ply", "--channels", "g", "--fast").returncode == 0
     before, after = colours(NOISY), colours(tmp_path / "out.ply")
     assert np.array_equal(before[:, [0, 2]], after[:, [0, 2]])
     assert not np.array_equal(before[:, 1], after[:, 1])
@@ -333,11 +335,12 @@ def test_the_version_is_that_of_the_package():
     assert version("beltrami-cli").encode() in beltrami("--version").stdout
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("option", ["-v", "--dry-run"])
 def test_the_work_ahead_is_reported_before_it_starts(option, tmp_path):
     run = beltrami("smooth", SAMPLES / "knot-noisy.ply", tmp_path / "out.ply", option, text=True)
     said = run.stderr.splitlines()
     assert said[0].startswith("work: parameters are tried on ")
     assert "iterations, at most some" in said[1]
-    again = beltrami("smooth", SAMPLES / "knot-noisy.ply", tmp_path / "again.ply", text=True)
+    again = beltrami("smooth", SAMPLES / "knot-noisy.ply", tmp_path / "again.ply", "--fast", text=True)
     assert "work:" not in again.stderr

@@ -34,6 +34,7 @@ def test_a_page_has_all_combinations_with_the_figures_of_smooth_and_compare(tmp_
     assert f"best beta {best['parameters']['beta']:g}, n {best['parameters']['n']:g}".encode() in run.stderr
 
 
+@pytest.mark.slow
 def test_a_picture_begins_the_trials_in_a_row_of_their_own(tmp_path):
     sheet, one = tmp_path / "sheet.png", tmp_path / "one.png"
     smooth = tmp_path / "smooth.ply"

@@ -257,6 +257,7 @@ def test_a_dry_run_writes_no_file_of_a_textured_model(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_an_interrupt_while_textures_are_smoothed_leaves_nothing_behind(tmp_path):
     source = tmp_path / "source"
     source.mkdir()

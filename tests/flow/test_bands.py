@@ -23,6 +23,7 @@ def low_row_blocks(monkeypatch):
     monkeypatch.setattr(grid_manifold, "TILE_ROWS", 1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("make", [textured_flow, image_flow])
 @pytest.mark.parametrize("name", ON_GRIDS)
 def test_row_blocks_have_the_bits_of_the_whole(make, name, monkeypatch):

@@ -226,6 +226,7 @@ def test_the_choice_does_not_depend_on_threads_or_repetition():
     assert np.array_equal(first.colours, second.colours)
 
 
+@pytest.mark.slow
 def test_the_choice_does_not_depend_on_the_order_of_vertices_or_the_pose():
     positions, faces = surfaces.icosphere(3)
     colours = noisy(np.full((len(positions), 3), 0.5))

@@ -62,6 +62,7 @@ def marching_core(positions, faces, beta):
     return image_manifold(positions, faces, noisy(len(positions)), beta)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "mesh",
     [fan(4_000), book(8_000), tangle(60_000, 30_000), tangle(60_000, 1_000)],
@@ -75,6 +76,7 @@ def test_what_is_no_surface_takes_seconds_by_default(mesh):
     assert np.isfinite(result.colours).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("beta", [0.0, 6.0])
 def test_the_cost_of_a_fan_grows_as_its_valence(beta):
     """Beyond what is swept at any rate, twice the valence takes twice as long; a factor of 4 is that of all pairs."""
@@ -146,6 +148,7 @@ def test_threads_change_nothing_where_kernels_are_cut_short(mesh):
     assert one[1:] == several[1:]
 
 
+@pytest.mark.slow
 def test_a_hub_does_no_harm_to_the_rest_of_a_model():
     positions, faces = plane(70)
     hub, around = fan(2_000)

@@ -126,6 +126,7 @@ def test_line_art_and_flat_paint_have_no_noise():
     assert (on_grid(image) < 0.5).all()
 
 
+@pytest.mark.slow
 def test_colours_without_noise_stay():
     y, x = np.mgrid[:96, :96] / 96
     disc = (x - 0.45) ** 2 + (y - 0.5) ** 2 < 0.08
@@ -138,6 +139,7 @@ def test_colours_without_noise_stay():
     assert psnr(beltrami_cli.smooth(positions, faces, colours, space="data").colours, colours) > 45
 
 
+@pytest.mark.slow
 def test_a_rich_texture_without_noise_stays():
     clean = stored(0.5 + 0.6 * (grain(128) - 0.5))
     assert psnr(beltrami_cli.smooth_image(clean, space="data").colours, clean) > 45

@@ -72,6 +72,7 @@ def test_a_mesh_in_partitions_has_the_bits_of_the_whole(name):
         assert (parts.truncated > 0) == (whole.truncated > 0)
 
 
+@pytest.mark.slow
 def test_kernels_that_are_too_large_for_groups_have_the_bits_of_the_whole_too():
     surface = wavy_surface(65)
     large = {"solver": "segments", "t": 32.0, "max_samples": 20, "iterations": 1}

@@ -42,6 +42,7 @@ def test_revised_text_parses_to_the_new_tree(old, new, style, ascii_only, crlf):
     assert parsed(revised(text, new), "") == new
 
 
+@pytest.mark.slow
 @settings(max_examples=80, deadline=None)
 @given(old=trees, key=st.text(max_size=3), value=values, style=styles)
 def test_revision_writes_what_the_style_of_the_source_would(old, key, value, style):

@@ -181,6 +181,7 @@ def test_archives_whose_headers_are_false_are_refused_before_anything_is_read(me
     refused(npz_of_members(values=member))
 
 
+@pytest.mark.slow
 def test_an_archive_that_unpacks_to_much_costs_no_more_than_its_refusal():
     size = 32 * MEGABYTE  # of zeros: some 32 kB packed
     assert "are allowed" in refused(npz_of_members(values=header_only((2, 2, size // 16), data=bytes(size))))

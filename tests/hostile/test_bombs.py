@@ -11,6 +11,7 @@ import subprocess
 import sys
 import zipfile
 import zlib
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import pytest
@@ -20,7 +21,6 @@ from formats.image_files import png_chunk
 from hostile.textured_models import PICTURE, write_model
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
     from pathlib import Path
 
 LIMIT = "300M"
@@ -67,18 +67,26 @@ def painted(count: int, **accessor: object) -> dict[str, object]:
     }
 
 
-def with_texture(image: bytes) -> Callable[[Path], Path]:
+Data = bytes | Callable[[], bytes]
+
+
+def made(data: Data) -> bytes:
+    """What takes long to make is made when it is needed."""
+    return data if isinstance(data, bytes) else data()
+
+
+def with_texture(image: Data) -> Callable[[Path], Path]:
     def make(folder: Path) -> Path:
         path = write_model(folder, "ply", "bomb.png")
-        (folder / "bomb.png").write_bytes(image)
+        (folder / "bomb.png").write_bytes(made(image))
         return path
 
     return make
 
 
-def file(name: str, data: bytes) -> Callable[[Path], Path]:
+def file(name: str, data: Data) -> Callable[[Path], Path]:
     def make(folder: Path) -> Path:
-        (folder / name).write_bytes(data)
+        (folder / name).write_bytes(made(data))
         return folder / name
 
     return make
@@ -105,6 +113,11 @@ def with_library(text: str) -> Callable[[Path], Path]:
         return path
 
     return make
+
+
+def zeros(count: int) -> bytes:
+    """As much as can be compressed to next to nothing."""
+    return zlib.compress(bytes(count), 9)
 
 
 def package(relationships: str) -> bytes:
@@ -204,14 +217,14 @@ BOMBS: dict[str, Callable[[Path], Path]] = {
     "blanks behind TextureFile": file(
         "a.ply", ply(f"comment TextureFile{' ' * MANY}", "element vertex 1", "property float x")
     ),
-    "relationships without end": file("a.3mf", package("<Relationship " * MANY)),
+    "relationships without end": file("a.3mf", lambda: package("<Relationship " * MANY)),
     "comments before OFF": file("a.off", b"#\n" * MANY * 10),
     "pixels by the header": with_texture(png(65535, 65535, zlib.compress(b""))),
-    "pixels that are there": with_texture(png(8192, 8192, zlib.compress(bytes(8192 * (3 * 8192 + 1)), 9))),
-    "profile": with_texture(png(4, 4, b"", png_chunk(b"iCCP", b"a\0\0" + zlib.compress(bytes(1 << 28), 9)))),
-    "text": with_texture(png(4, 4, b"", png_chunk(b"zTXt", b"a\0\0" + zlib.compress(bytes(1 << 28), 9)))),
+    "pixels that are there": with_texture(lambda: png(8192, 8192, zeros(8192 * (3 * 8192 + 1)))),
+    "profile": with_texture(lambda: png(4, 4, b"", png_chunk(b"iCCP", b"a\0\0" + zeros(1 << 28)))),
+    "text": with_texture(lambda: png(4, 4, b"", png_chunk(b"zTXt", b"a\0\0" + zeros(1 << 28)))),
     "archive": file("a.obj", b"PK\x03\x04" + bytes(100)),
-    "compressed": file("a.ply", gzip.compress(bytes(1 << 24))),
+    "compressed": file("a.ply", lambda: gzip.compress(bytes(1 << 24))),
 }
 
 

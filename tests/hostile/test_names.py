@@ -12,7 +12,7 @@ from beltrami_cli.formats.image import read_image
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.smooth import smooth_file
 from hostile.folders import snapshot
-from hostile.textured_models import PICTURE, write_model
+from hostile.textured_models import ONCE, PICTURE, write_model
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -27,7 +27,7 @@ def test_an_image_of_any_name_is_smoothed_by_its_content(kind: str, name: str, t
     (tmp_path / "in" / name).write_bytes(PICTURE)
     target = tmp_path / "out" / model.name
     target.parent.mkdir()
-    smooth_file(model, target)
+    smooth_file(model, target, ONCE)
     (texture,) = open_document(str(target)).textured("baseColor").textures
     assert texture.data != PICTURE
     assert texture.name.lower().endswith(".png")

@@ -16,7 +16,7 @@ from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.jobs.writing.output import Output
 from hostile.folders import snapshot
-from hostile.textured_models import OTHER, PICTURE, write_model
+from hostile.textured_models import ONCE, OTHER, PICTURE, write_model
 
 KINDS = ("obj", "ply", "gltf")
 OUTSIDE = Access(outside=True)
@@ -132,7 +132,7 @@ def test_when_allowed_they_are_read_and_new_ones_written_inside(
     target = (world / "out" if moved else world / "in") / f"result.{kind}"
     target.parent.mkdir(exist_ok=True)
     before = snapshot(world)
-    smooth_file(model, target, job=Job(access=OUTSIDE))
+    smooth_file(model, target, ONCE, job=Job(access=OUTSIDE))
     after = snapshot(world)
     assert {path: after[path] for path in before} == before
     new = sorted(set(after) - set(before))
@@ -154,7 +154,7 @@ def test_a_library_from_outside_comes_inside_with_all_its_images(moved: bool, wo
     target = (world / "out" if moved else world / "in") / "result.obj"
     target.parent.mkdir(exist_ok=True)
     before = snapshot(world)
-    smooth_file(model, target, job=Job(access=OUTSIDE))
+    smooth_file(model, target, ONCE, job=Job(access=OUTSIDE))
     after = snapshot(world)
     assert {path: after[path] for path in before} == before
     document = open_document(str(target))

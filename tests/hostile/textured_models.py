@@ -8,8 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
+from beltrami_cli.flow.parameters import KernelParameters
+from beltrami_cli.samples.settings import SmoothSettings
 from formats.image_files import encode
 
+# Given, so that nothing is chosen from the data, which takes longer.
+ONCE = SmoothSettings(KernelParameters(iterations=1, beta=1))
 PICTURE = encode(np.random.default_rng(1).integers(0, 256, (16, 16, 3), np.uint8), "png")
 OTHER = encode(np.random.default_rng(2).integers(0, 256, (16, 16, 3), np.uint8), "png")
 

@@ -19,10 +19,12 @@ from beltrami_cli import (
     smooth_file,
     smooth_image,
 )
+from beltrami_cli.fields import override
 from beltrami_cli.formats.image import read_image, to_float
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.samples.image_surface import ImageSurface
 from formats.image_files import RARER_SUFFIXES, SUFFIXES, encode, icc_profile
+from hostile.textured_models import ONCE
 
 ROWS, COLUMNS = 36, 44
 KINDS = [
@@ -103,7 +105,7 @@ def test_profile_and_texts_stay(tmp_path):
     for name in ("a.png", "a.tif", "a.jpg"):
         source = save(tmp_path / name, pixels_of("uint8", 3), ICCProfile=icc_profile(), Artist="me")
         target = tmp_path / f"b{source.suffix}"
-        smooth_file(source, target)
+        smooth_file(source, target, ONCE)
         old, new = load(source).spec, load(target).spec
         assert new.getattribute("Artist") == old.getattribute("Artist") == "me"
         if name != "a.png":  # where OpenImageIO writes no profile as small as this one
@@ -146,12 +148,12 @@ def test_another_extension_converts_and_says_what_is_lost(tmp_path):
 def test_channels_beyond_colours_are_smoothed_too_unless_left_out(tmp_path):
     pixels = pixels_of("uint16", 5)
     source = save(tmp_path / "a.tif", pixels)
-    report = smooth_file(source, tmp_path / "b.tif")
+    report = smooth_file(source, tmp_path / "b.tif", ONCE)
     assert list(report.image.noise)[:3] == ["red", "green", "blue"]
     assert len(report.image.noise) == 4
     assert any("--channels leaves them out" in warning for warning in report.warnings)
     assert (load(tmp_path / "b.tif").pixels != pixels)[..., 4].any()
-    report = smooth_file(source, tmp_path / "c.tif", SmoothSettings(channels=("r", "green")))
+    report = smooth_file(source, tmp_path / "c.tif", override(ONCE, channels=("r", "green")))
     changed = (load(tmp_path / "c.tif").pixels != pixels).any(axis=(0, 1))
     assert changed.tolist() == [True, True, False, False, False]
     assert report.image.image["smoothed"] == ["red", "green"]
@@ -162,7 +164,7 @@ def test_channels_beyond_colours_are_smoothed_too_unless_left_out(tmp_path):
 def test_alpha_is_smoothed_if_asked_for_and_then_nothing_is_hidden(tmp_path):
     pixels = pixels_of("uint16", 4)
     source = save(tmp_path / "a.png", pixels)
-    report = smooth_file(source, tmp_path / "b.png", SmoothSettings(textures=TextureSettings(alpha="smooth")))
+    report = smooth_file(source, tmp_path / "b.png", override(ONCE, alpha="smooth"))
     assert list(report.image.noise) == ["red", "green", "blue", "alpha"]
     assert report.image.image["holes"] == 0
     hidden = pixels[..., 3] == 0
@@ -174,13 +176,13 @@ def test_what_is_no_finite_number_is_a_hole_that_stays(tmp_path):
     pixels = pixels_of("float", 3)
     pixels[4:8, 5:9], pixels[20, 30, 1] = np.nan, -np.inf
     source = save(tmp_path / "a.exr", pixels)
-    report = smooth_file(source, tmp_path / "b.exr")
+    report = smooth_file(source, tmp_path / "b.exr", ONCE)
     holes = ~np.isfinite(pixels).all(axis=2)
     new = load(tmp_path / "b.exr").pixels
     assert new[holes].tobytes() == pixels[holes].tobytes()
     assert np.isfinite(new[~holes]).all()
     assert any("17 pixels" in warning for warning in report.warnings)
-    report = smooth_file(source, tmp_path / "b.png")
+    report = smooth_file(source, tmp_path / "b.png", ONCE)
     assert any("no number becomes 0" in warning for warning in report.warnings)
 
 

@@ -254,6 +254,7 @@ def test_no_beta_makes_noise_free_colours_move_visibly():
     assert error < exp(-log(10) * 4.5)  # PSNR above 45 dB
 
 
+@pytest.mark.slow
 def test_many_iterations_of_a_growing_beta_do_not_overflow(noisy_terrain):
     positions, faces, colours = noisy_terrain
     parameters = {"beta": 8.0, "beta_growth": 3.0, "t": 1.0, "metric_steps": 0}

@@ -40,6 +40,7 @@ def face(figures):
     return figures["face"], figures["face"].run()
 
 
+@pytest.mark.slow
 def test_the_gaussian_blurs_a_step_edge(step):
     module, result = step
     # Ten Gaussians of variance 2 t = 1, cut off at the threshold, are one of the deviation sqrt(10) (1 - 0.047)^(1/2),
@@ -80,6 +81,7 @@ def test_the_plane_is_smoothed_evenly(waves):
     assert module.evenness(result) < 0.04
 
 
+@pytest.mark.slow
 def test_level_parts_of_the_surface_are_smoothed_like_the_plane(waves):
     module, result = waves
     assert module.relative_smoothing(result, 0, module.LEVEL) == pytest.approx(1, abs=0.05)
@@ -101,6 +103,7 @@ def test_kernels_on_the_face_hold_about_the_papers_twenty_pixels(face):
     assert result.regular_of_equal_kernels.samples == pytest.approx(result.surface.samples, abs=0.5)
 
 
+@pytest.mark.slow
 def test_the_forehead_is_smoothed_as_in_the_regular_image_and_the_lips_less(face):
     module, result = face
     ratio = {

@@ -13,6 +13,7 @@ import pytest
 from oracles import topology
 
 OpenImageIO = pytest.importorskip("OpenImageIO")
+pytestmark = pytest.mark.slow  # they are baked anew
 FOLDER = Path(__file__).parents[2] / "sample_data"
 NAMES = ("head-tex", "torus-two", "mirrored", "tiled", "sphere-exr", "scan")
 CHARTS = {"head-tex": 24, "torus-two": 2, "mirrored": 1, "tiled": 1, "sphere-exr": 6, "scan": 100}
@@ -92,7 +93,6 @@ def bilinear(image, uv):
     return (1 - fy) * above + fy * ((1 - fx) * image[y + 1, x] + fx * image[y + 1, x + 1])
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_charts_are_as_many_as_stated(samples, name):
     assert charts(samples[f"{name}-clean"]) == CHARTS[name]
@@ -108,7 +108,6 @@ def test_closed_samples_are_closed_and_oriented_outwards(samples, name, euler):
     assert (np.cross(a, b) * c).sum() > 0
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", SEAMED)
 def test_triangles_keep_their_side_in_the_image_and_no_texel_has_two(samples, make, name):
     sample = samples[f"{name}-clean"]

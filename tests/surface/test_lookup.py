@@ -49,6 +49,7 @@ def test_noise_is_found_and_planes_have_none():
     assert noise_around(noisy, uv, CLAMP).std() == pytest.approx(0.05, rel=0.1)
 
 
+@pytest.mark.slow
 @given(
     st.integers(0, 2**32 - 1), st.integers(1, 40), st.integers(1, 40), st.floats(0.001, 1), st.floats(0.01, 1),
     st.integers(0, 80),

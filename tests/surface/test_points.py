@@ -75,6 +75,7 @@ def test_of_points_at_random_only_wide_gaps_are_left_open():
     assert len(found - expected) < 0.001 * len(expected)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ratio", [3, 10, 20])
 def test_the_dense_lines_of_a_scanner_are_joined_with_each_other(ratio):
     rng = np.random.default_rng(2)

@@ -122,6 +122,7 @@ def test_more_texels_than_there_is_room_for_fill_the_largest_size():
     assert 0.8 * 128 < corners.max() <= 128
 
 
+@pytest.mark.slow
 def test_the_same_mesh_gives_the_same_atlas_in_any_unit_and_place():
     positions, faces = surfaces.icosphere(2)
     one = unwrapped(positions, faces)
@@ -129,12 +130,14 @@ def test_the_same_mesh_gives_the_same_atlas_in_any_unit_and_place():
     assert np.array_equal(one.uv, unwrapped(1024 * positions, faces).uv)
 
 
+@pytest.mark.slow
 def test_vertices_that_a_format_splits_do_not_cut_charts():
     positions, faces = surfaces.icosphere(2)
     soup = positions[faces].reshape(-1, 3), np.arange(3 * len(faces)).reshape(-1, 3)
     assert unwrapped(*soup).charts == unwrapped(positions, faces).charts
 
 
+@pytest.mark.slow
 def test_vertices_of_no_triangle_do_not_count():
     positions, faces = surfaces.icosphere(2)
     stray = np.concatenate([positions, [[1e9, 0, 0], [0, 0, -1e300]]])
@@ -233,6 +236,7 @@ def test_files_in_the_current_folder_do_not_stand_in_for_modules(monkeypatch, tm
     assert unwrapped(np.eye(3), [[0, 1, 2]]).charts == 1
 
 
+@pytest.mark.slow
 def test_xatlas_is_loaded_by_the_other_process_only():
     code = (
         "import sys, numpy; from beltrami_cli.surface.unwrap import unwrap\n"

@@ -227,6 +227,7 @@ def test_the_richest_window_is_where_the_contrast_is():
     assert not (left < 76 and right > 60 and upper < 46 and lower > 30)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scale", [1e-198, 1e198, 1e300])
 @pytest.mark.parametrize("with_faces", [True, False])
 def test_models_of_any_size_look_alike(scale, with_faces):
