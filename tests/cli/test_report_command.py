@@ -155,6 +155,7 @@ def test_equal_colours_are_called_equal(tmp_path):
     assert "<td>equal</td>" in reported(knot, knot, tmp_path / "page.html").read_text()
 
 
+@pytest.mark.slow
 def test_figures_and_parameters_are_those_of_the_other_commands(tmp_path):
     source, target, record = SAMPLES / "head-tex-noisy.glb", tmp_path / "a.glb", tmp_path / "run.json"
     assert beltrami("smooth", source, target, "-n", 1, "--beta", 7.25, "--report", record).returncode == 0

@@ -25,6 +25,7 @@ def run(redirection: str, *arguments: str, **options: object) -> subprocess.Comp
     )  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "redirection", ["2>&-", "2>/dev/full", "0<&- 1>&- 2>&-", "0<&-", ">&-", ">/dev/full"]
 )
@@ -35,6 +36,7 @@ def test_a_file_is_written_whatever_the_streams_are(redirection: str, tmp_path: 
     assert [path.name for path in tmp_path.iterdir()] == ["out.ply"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("redirection", "why"), [(">&-", b"is closed"), (">/dev/full", b"No space left")])
 @pytest.mark.parametrize(
     "arguments", [("info", str(SCAN)), ("smooth", str(SCAN), "-", *QUICK), ("--help",), ("config",)]
@@ -63,6 +65,7 @@ def test_an_input_that_cannot_be_read_is_said(tmp_path: Path) -> None:
     assert b"<stdin>: cannot be read" in done.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("home", [{}, {"HOME": ""}, {"HOME": "/nowhere"}])
 def test_a_working_folder_that_was_removed(home: dict[str, str], tmp_path: Path) -> None:
     variables = {name: value for name, value in os.environ.items() if name != "HOME"} | home

@@ -10,6 +10,8 @@ import pytest
 
 FIGURES = Path(__file__).parents[2] / "docs" / "figures"
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def figures():
@@ -40,7 +42,6 @@ def face(figures):
     return figures["face"], figures["face"].run()
 
 
-@pytest.mark.slow
 def test_the_gaussian_blurs_a_step_edge(step):
     module, result = step
     # Ten Gaussians of variance 2 t = 1, cut off at the threshold, are one of the deviation sqrt(10) (1 - 0.047)^(1/2),
@@ -73,7 +74,6 @@ def test_kernels_beside_the_edge_reach_over_it_only_if_they_are_gaussian(step):
     assert module.share_beyond_edge(module.BETA, result.noisy) < 1e-6
 
 
-@pytest.mark.slow
 def test_the_plane_is_smoothed_evenly(waves):
     module, result = waves
     # Sixteen squares of 56 x 56 pixels with grains of about 3: some 300 independent ones each, so that the energy of
@@ -81,7 +81,6 @@ def test_the_plane_is_smoothed_evenly(waves):
     assert module.evenness(result) < 0.04
 
 
-@pytest.mark.slow
 def test_level_parts_of_the_surface_are_smoothed_like_the_plane(waves):
     module, result = waves
     assert module.relative_smoothing(result, 0, module.LEVEL) == pytest.approx(1, abs=0.05)
@@ -96,14 +95,12 @@ def test_slopes_are_smoothed_less_the_steeper_they_are(waves):
     assert result.samples[1] < 0.5 * result.samples[0]
 
 
-@pytest.mark.slow
 def test_kernels_on_the_face_hold_about_the_papers_twenty_pixels(face):
     module, result = face
     assert result.surface.samples == pytest.approx(module.PAPERS_SAMPLES, abs=1)
     assert result.regular_of_equal_kernels.samples == pytest.approx(result.surface.samples, abs=0.5)
 
 
-@pytest.mark.slow
 def test_the_forehead_is_smoothed_as_in_the_regular_image_and_the_lips_less(face):
     module, result = face
     ratio = {

@@ -295,6 +295,7 @@ def test_discs_of_any_size_cover_the_samples_within_their_radius():
     assert np.array_equal(_discs(at, radii, colours, (80, 70)), expected)
 
 
+@pytest.mark.slow
 def test_a_few_points_are_drawn_in_a_moment():
     colours = np.array([[1.0, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0]])
     view = CloudView(np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]), colours)
