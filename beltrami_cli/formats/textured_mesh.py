@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from beltrami_cli.surface.records import AlphaMode, Slot, TexturedMesh
 
 POLYGONS_CUT = "quads and polygons, which are cut into triangles"
+_LARGEST = 1e30
 _FIT = ".png"  # the suffix of images that a format cannot hold as they are
 
 
@@ -28,7 +29,7 @@ def image_names(mesh: TexturedMesh, stem: str) -> list[str]:
     names, found = NewNames(Naming(stem), mesh.source, (), ()), []
     for image in mesh.images:
         # A reference in MTL and PLY is the rest of a line, of which programs cut the blanks at the ends.
-        plain = " ".join(PurePosixPath(image.name).stem.split())
+        plain = plain_name(PurePosixPath(image.name).stem)
         suffix = image.file.suffix
         found.append(names.image(plain + suffix) if plain else names.new(suffix))
     return found
@@ -38,11 +39,26 @@ def material_names(materials: Sequence[Material], default: str) -> list[str]:
     """Return names for the materials, all different, on one line each; `default` where there is none."""
     names: dict[str, None] = {}
     for material in materials:
-        plain = name = " ".join(material.name.split()) or default
+        plain = name = plain_name(material.name) or default
         while name in names:
             name = f"{plain}-{len(names) + 1}"
         names[name] = None
     return list(names)
+
+
+def plain_name(name: str) -> str:
+    """Return a name on one line, in characters: bytes that are no UTF-8 are taken for Latin-1."""
+    line = " ".join(name.split())
+    try:
+        line.encode()
+    except UnicodeEncodeError:
+        return line.encode(errors="surrogateescape").decode("latin-1")
+    return line
+
+
+def usable_coordinates(uv: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return texture coordinates, NaN in place of those that single precision does not hold."""
+    return np.where(np.abs(uv) < _LARGEST, uv, np.nan)
 
 
 def with_images(mesh: TexturedMesh, images: Mapping[tuple[Slot, str], ImageFile]) -> TexturedMesh:

@@ -317,6 +317,23 @@ def test_formats_without_textures_are_refused(tmp_path):
     assert not list(tmp_path.glob("out*"))
 
 
+def test_names_that_are_no_utf_8_and_coordinates_beyond_single_precision_are_no_obstacle(tmp_path):
+    obj = (
+        OBJ.replace("outer skin", "Haut \xe4")
+        .replace("o left half", "o H\xe4lfte")
+        .replace("vt 1 1.5", "vt 1e300 1")
+    )
+    mtl = MTL.replace("outer skin", "Haut \xe4")
+    images = {f"{name}_png": data for name, data in IMAGES.items()}
+    folder = write(tmp_path / "in", model_obj=obj.encode("latin-1"), m_mtl=mtl.encode("latin-1"), **images)
+    for name in ("out.glb", "out.gltf", "out.ply", "back/out.obj"):
+        source = folder / "model.obj" if "obj" not in name else tmp_path / "out.glb"
+        mesh, _ = converted(source, tmp_path / name)
+        if not name.endswith("ply"):
+            assert "Haut \xe4" in {material.name for material in mesh.materials}
+            assert "H\xe4lfte" in mesh.groups
+
+
 def test_a_name_with_a_line_end_cannot_add_statements(tmp_path):
     model = Textured()
     place = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], "f4")

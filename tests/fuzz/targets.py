@@ -18,7 +18,8 @@ from beltrami_cli.errors import BeltramiError, InputError, UsageError
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.document import Naming
 from beltrami_cli.formats.image import read_image, write_image
-from beltrami_cli.formats.registry import open_bytes
+from beltrami_cli.formats.registry import held_images, open_bytes, textured_sidecars, write_textured
+from beltrami_cli.formats.textured_mesh import as_if_with_suffixes
 from beltrami_cli.formats.volume import is_volume
 from beltrami_cli.formats.volume.reading import read_volume
 from beltrami_cli.surface.records import ImageFile
@@ -47,7 +48,8 @@ def read_model(data: bytes, name: str) -> None:
         document = open_bytes(main, name, Path(folder), ACCESS)
         document.facts()
         document.references()
-        for use in (document.fingerprint, document.contents, lambda: _use_vertices(document, Path(folder))):
+        uses = (document.fingerprint, document.contents, lambda: _use_vertices(document, Path(folder)))
+        for use in (*uses, lambda: _convert(document)):
             with contextlib.suppress(InputError):
                 use()
         for slot in document.slots()[:2]:
@@ -74,6 +76,18 @@ def _use_vertices(document: Document, folder: Path) -> None:
     if document.format in ("ply", "obj", "gltf", "glb") and not doubtful:
         colours = np.clip(painted.colours * np.float32(0.5), 0, 1)
         _compare(document, document.patch(colours, Naming("out", keeps=True)), folder)
+
+
+def _convert(document: Document) -> None:
+    """Write a textured model in the formats that have textures."""
+    if document.slots():
+        mesh = document.textured_mesh()
+        for form in ("glb", "obj", "ply"):
+            held = held_images(form)
+            assert held is not None
+            fit = as_if_with_suffixes(mesh, held)
+            assert len({*textured_sidecars(fit, form, "out")}) == len(textured_sidecars(fit, form, "out"))
+            write_textured(fit, form, "out")
 
 
 def _compare(before: Document, written: Written, folder: Path) -> None:

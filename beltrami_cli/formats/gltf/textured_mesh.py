@@ -24,7 +24,7 @@ from beltrami_cli.formats.gltf.textured_writer import OWN_COLOURS
 from beltrami_cli.formats.gltf.textures import texture_uses
 from beltrami_cli.formats.image import suffix_for
 from beltrami_cli.formats.model_folder import UnfitReferenceError
-from beltrami_cli.formats.textured_mesh import shown_materials
+from beltrami_cli.formats.textured_mesh import shown_materials, usable_coordinates
 from beltrami_cli.surface.colour_values import linear_to_srgb
 from beltrami_cli.surface.records import (
     ImageFile,
@@ -203,8 +203,7 @@ class _Reading:
         uv = self._values(primitive, "TEXCOORD_0" if use is None else use.coordinates, 2, count)
         if uv is None:
             return np.full((count, 2), np.nan)
-        placed = uv if use is None else use.placed(uv)
-        return np.where(np.isfinite(placed), placed, np.nan)
+        return usable_coordinates(uv if use is None else use.placed(uv))
 
     def _normals(self, primitive: Entry, placement: Placement, count: int) -> NDArray[np.float64]:
         normals = self._values(primitive, "NORMAL", 3, count)

@@ -18,7 +18,7 @@ from beltrami_cli.formats.gltf.writer import (
     text_file,
     unit_normals,
 )
-from beltrami_cli.formats.textured_mesh import image_names, not_converted, shown_materials
+from beltrami_cli.formats.textured_mesh import image_names, not_converted, plain_name, shown_materials
 from beltrami_cli.surface.colour_values import srgb_to_linear
 from beltrami_cli.surface.grouping import distinct_corners
 
@@ -75,7 +75,7 @@ def _textured(mesh: TexturedMesh, stem: str, notices: list[str]) -> tuple[Tree, 
     mesh = _with_bare_materials(mesh)
     parts = _Parts(mesh, stem, notices)
     meshes = [
-        {"primitives": parts.primitives(faces), "name": " ".join(name.split()) or stem}
+        {"primitives": parts.primitives(faces), "name": plain_name(name) or stem}
         for name, faces in _groups(mesh)
     ]
     textures = _Textures()
@@ -195,7 +195,7 @@ def _material(material: Material, textures: _Textures, stem: str) -> Tree:
     has_metal = "metallicRoughness" in material.maps
     base: Tree = {}
     tree: Tree = {
-        "name": " ".join(material.name.split()) or stem,
+        "name": plain_name(material.name) or stem,
         "pbrMetallicRoughness": base,
         "doubleSided": True,
     }

@@ -11,7 +11,7 @@ import numpy as np
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.image import read_image, suffix_for
 from beltrami_cli.formats.obj.vertices import unit_normals
-from beltrami_cli.formats.textured_mesh import alpha_mode, shown_materials
+from beltrami_cli.formats.textured_mesh import alpha_mode, shown_materials, usable_coordinates
 from beltrami_cli.surface.polygons import triangulate_corners
 from beltrami_cli.surface.records import ImageFile, Material, MaterialMap, MeshImage, TexturedMesh
 
@@ -48,7 +48,8 @@ def read_textured_mesh(
     numbers = np.where(coordinates.material_of < 0, unnamed, coordinates.material_of)[polygon]
     uv = np.append(coordinates.values, [[np.nan, np.nan]], axis=0)[coordinates.corners[cut]]
     scale, offset = (np.array(values)[numbers] for values in zip(*reading.placed, strict=True))
-    uv = uv * scale[:, None] + offset[:, None]
+    with np.errstate(over="ignore", invalid="ignore"):
+        uv = usable_coordinates(uv * scale[:, None] + offset[:, None])
     uv[..., 1] = 1 - uv[..., 1]
     shown, material_of = shown_materials(reading.materials, numbers)
     groups, group_of, lost = _groups(statements, polygon)

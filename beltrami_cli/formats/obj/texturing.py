@@ -90,7 +90,8 @@ def gather_textured(
     if not (texture_of >= 0).any():
         raise InputError(name, *palette.excuse())
     uv = np.append(coordinates.values, [[0.0, 0.0]], axis=0)[coordinates.corners[cut]]
-    uv = uv * palette.scale[material_of][:, None, :] + palette.offset[material_of][:, None, :]
+    with np.errstate(over="ignore", invalid="ignore"):
+        uv = uv * palette.scale[material_of][:, None, :] + palette.offset[material_of][:, None, :]
     uv[:, :, 1] = 1 - uv[:, :, 1]
     if not np.isfinite(uv[texture_of >= 0]).all():
         raise InputError(name, "the options of a texture map move texture coordinates to infinity")

@@ -12,7 +12,13 @@ import numpy as np
 
 from beltrami_cli.formats.colours import display_colours, left_out
 from beltrami_cli.formats.document import Written
-from beltrami_cli.formats.textured_mesh import image_names, material_names, not_converted, with_slots
+from beltrami_cli.formats.textured_mesh import (
+    image_names,
+    material_names,
+    not_converted,
+    plain_name,
+    with_slots,
+)
 from beltrami_cli.formats.tokens import blocks
 from beltrami_cli.surface.geometry import shortest_type
 from beltrami_cli.surface.grouping import distinct_corners
@@ -124,7 +130,7 @@ def _parts(mesh: TexturedMesh, names: list[str], indices: NDArray[np.integer]) -
     starts = np.flatnonzero(np.append(True, (kinds[1:] != kinds[:-1]).any(axis=1)))
     group, material = ("" if mesh.groups == ("",) else None), None
     for start, stop in pairwise([*starts.tolist(), count]):
-        name = " ".join(mesh.groups[group_of[start]].split())
+        name = plain_name(mesh.groups[group_of[start]])
         if name != group:
             yield f"g {name or 'default'}\n".encode()
             group = name

@@ -23,7 +23,7 @@ from beltrami_cli.formats.model_folder import (
     remedy_for,
 )
 from beltrami_cli.formats.ply.vertex_properties import finite_columns
-from beltrami_cli.formats.textured_mesh import alpha_mode
+from beltrami_cli.formats.textured_mesh import alpha_mode, usable_coordinates
 from beltrami_cli.surface.polygons import triangulate_corners
 from beltrami_cli.surface.records import (
     ImageFile,
@@ -202,7 +202,7 @@ def mesh_of_surface(
         for number, each in enumerate(surface.textures)
     ]
     bare = surface.texture_of < 0
-    uv = surface.uv.copy()
+    uv = usable_coordinates(surface.uv)
     uv[bare] = np.nan
     if bare.any():
         materials.append(Material("untextured"))
