@@ -41,3 +41,12 @@ def plain_image(path, colour, size=40):
     """Write an image of one 8-bit colour."""
     path.write_bytes(encode(np.tile(np.uint8(colour), (size, size, 1)), "png"))
     return path
+
+
+def painted_file(path, positions, faces, colours, alpha=None, stored="uint8"):
+    offsets = np.arange(0, 3 * len(faces) + 1, 3)
+    contents = MeshContents(
+        positions, faces.ravel(), offsets, colours.astype(np.float32), "srgb", stored, alpha
+    )
+    path.write_bytes(b"".join(bytes(piece) for piece in write_ply(contents, path.stem).main))
+    return path

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import signal
 import subprocess
-import sys
 import time
 
 import numpy as np
@@ -14,22 +13,12 @@ from scipy.spatial import cKDTree
 
 from beltrami_cli.formats.image import read_image, write_image
 from beltrami_cli.formats.image.picture import new_picture
-from beltrami_cli.formats.ply import write_ply
 from beltrami_cli.formats.registry import open_document
-from beltrami_cli.surface.records import MeshContents
 from cli.commands import COMMAND, SAMPLES, beltrami
+from cli.pictures import painted_file
 from oracles import surfaces
 
 FORMATS = ("ply", "obj", "glb", "gltf")
-
-
-def painted_file(path, positions, faces, colours, alpha=None, stored="uint8"):
-    offsets = np.arange(0, 3 * len(faces) + 1, 3)
-    contents = MeshContents(
-        positions, faces.ravel(), offsets, colours.astype(np.float32), "srgb", stored, alpha
-    )
-    path.write_bytes(b"".join(bytes(piece) for piece in write_ply(contents, path.stem).main))
-    return path
 
 
 def smooth_colours(positions):
@@ -282,12 +271,6 @@ def test_a_glb_goes_to_a_pipe(sphere):
     assert run.stdout[:4] == b"glTF"
 
 
-def test_a_dry_run_writes_nothing(sphere, tmp_path):
-    run = beltrami("smooth", sphere, tmp_path / "out.obj", "--unwrap", "--dry-run", "-n", 1)
-    assert run.returncode == 0, run.stderr
-    assert [path.name for path in tmp_path.iterdir()] == ["sphere.ply"]
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupted_job_leaves_no_file_and_no_process(number, tmp_path):
@@ -308,13 +291,3 @@ def test_an_interrupted_job_leaves_no_file_and_no_process(number, tmp_path):
     assert child
     assert subprocess.run(["kill", "-0", child], capture_output=True, check=False).returncode != 0
     assert [path.name for path in tmp_path.iterdir()] == ["large.ply"]
-
-
-def test_help_loads_nothing_heavy():
-    code = (
-        "import sys; from beltrami_cli.cli.main import group; group.main(['bake', '--help'], standalone_mode=False);"
-        "sys.exit(any(name in sys.modules for name in ('numpy', 'OpenImageIO', 'xatlas', 'scipy', 'rich')))"
-    )
-    run = subprocess.run([sys.executable, "-P", "-c", code], capture_output=True, check=False, timeout=60)
-    assert run.returncode == 0
-    assert b"Examples:" in run.stdout

@@ -22,13 +22,6 @@ def test_options_of_the_kernel_apply(tmp_path):
     assert "before: red" in printed
 
 
-def test_the_preset_is_the_papers(tmp_path):
-    target = tmp_path / "kernel.json"
-    assert beltrami("kernel", HEAD, target, "--at", "3", "--preset", "paper").returncode == 0
-    facts = json.loads(target.read_text())
-    assert (facts["t"], facts["threshold"], facts["regularised_metric"]) == (0.5, 0.01, False)
-
-
 def test_a_table_goes_through_a_pipe_with_a_row_for_each_sample(tmp_path):
     run = beltrami("kernel", "-", "-", "--at", "1234", "-q", stdin=HEAD.read_bytes())
     assert run.returncode == 0, run.stderr

@@ -109,13 +109,6 @@ def test_info_describes_a_cloud(clouds):
     assert b"outliers" in beltrami("info", clouds / "scan.pts").stdout
 
 
-def test_one_kernel_of_a_cloud_can_be_looked_at(clouds, tmp_path):
-    target = tmp_path / "kernel.ply"
-    run = beltrami("kernel", clouds / "scan.ply", target, "--at", str(SIDE * SIDE // 2 + SIDE // 4))
-    assert run.returncode == 0, run.stderr
-    assert target.stat().st_size > 1000
-
-
 @pytest.mark.slow
 def test_intensities_alone_are_smoothed(tmp_path):
     positions, colours, _ = scan()
@@ -196,16 +189,6 @@ def test_points_that_were_not_measured_stay_and_do_not_count(tmp_path, extension
     else:
         found = np.load(target)["colours"] if extension == "npz" else np.loadtxt(target)[:, 3:]
     assert np.abs(found.astype(int) - expected).max() <= 1
-
-
-@pytest.mark.parametrize("points", [1, 2])
-def test_hardly_any_points_stay_as_they_are(tmp_path, points):
-    source = tmp_path / "few.xyz"
-    source.write_bytes(b"0 0 0 10 20 30\n1 2 3 40 50 60\n"[: 15 * points])
-    run = beltrami("smooth", source, tmp_path / "out.xyz")
-    assert run.returncode == 0, run.stderr
-    assert (tmp_path / "out.xyz").read_bytes() == source.read_bytes()
-    assert f"{points} of {points} points".encode() in run.stderr
 
 
 @pytest.mark.parametrize(

@@ -102,17 +102,6 @@ def test_a_wider_window_smooths_a_large_time_step_further(square, tmp_path):
     assert wide < 0.7 * narrow
 
 
-def test_the_papers_preset_is_one_iteration_and_not_the_default(square, tmp_path):
-    source = square(noise())
-    paper = pixels(smooth(source, tmp_path / "paper" / "out.obj", "--preset", "paper", "--beta", "5"))
-    once = pixels(
-        smooth(source, tmp_path / "once" / "out.obj", "--preset", "paper", "-n", "1", "--beta", "5")
-    )
-    default = pixels(smooth(source, tmp_path / "default" / "out.obj", "--beta", "5"))
-    assert np.array_equal(paper, once)
-    assert not np.array_equal(paper, default)
-
-
 def test_no_metric_steps_are_the_same_as_no_metric_scale(square, tmp_path):
     source = square(noise())
     common = ("-n", "2", "--beta", "10", "-t", "2.4", "--beta-growth", "2")
@@ -199,12 +188,6 @@ def test_another_image_format_is_named_in_the_material_and_opens_again(source, k
     assert images(out)[0].format == {"jpg": "jpeg"}.get(kind, kind)
 
 
-def test_the_number_of_threads_changes_no_byte(tmp_path):
-    for threads in ("1", "2"):
-        smooth(MIRRORED, tmp_path / threads / "out.obj", "-n", "1", "--threads", threads)
-    assert files(tmp_path / "1") == files(tmp_path / "2")
-
-
 @pytest.mark.parametrize(
     ("source", "on"),
     [
@@ -250,11 +233,6 @@ def test_a_textured_model_is_converted_with_its_textures(iterations, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["out.glb"]
     out = smooth(MIRRORED, tmp_path / "new.glb", "-n", "1", "--fast", "--unwrap", "--texture-size", "64")
     assert len(images(out)) == 1
-
-
-def test_a_dry_run_writes_no_file_of_a_textured_model(tmp_path):
-    smooth(MIRRORED, tmp_path / "out.obj", "-n", "1", "--dry-run")
-    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.slow

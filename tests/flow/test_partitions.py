@@ -13,9 +13,7 @@ from beltrami_cli.flow.beltrami_flow import in_partitions
 from beltrami_cli.flow.embedding import Guide
 from beltrami_cli.flow.geometry import GeometryParameters
 from beltrami_cli.flow.grid_manifold import GridManifold
-from beltrami_cli.flow.mesh_partitions import Neighbours
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.flow.partitions import collect, plan_transfers
 from beltrami_cli.samples.image_surface import ImageSurface, grid_flow
 from flow.split_surfaces import (
     FIXED,
@@ -154,26 +152,3 @@ def test_nothing_to_do_is_nothing_in_partitions_too():
     assert np.array_equal(result, values)
     assert np.array_equal(mesh.colours, SURFACE.colours)
     assert len(empty) == 0
-
-
-class Share:
-    """A partition that only owns and borrows."""
-
-    threads = None
-
-    def __init__(self, owned, borrowed):
-        self.owned, self.borrowed = np.array(owned, np.int64), np.array(borrowed, np.int64)
-
-
-def test_every_partition_receives_what_it_needs():
-    shares = [Share([0, 3, 4], [1, 2, 7]), Share([1, 2], []), Share([5, 6, 7], [0, 2, 4])]
-    values = np.random.default_rng(0).random((8, 2)).astype(np.float32)
-    for share, transfers in zip(shares, plan_transfers(shares, 8), strict=True):
-        received = [values[shares[transfer.source].owned][transfer.rows] for transfer in transfers]
-        assert np.array_equal(collect(transfers, received, 2), values[share.borrowed])
-
-
-def test_rings_are_numbers_of_edges():
-    path = np.array([[0, 1], [1, 2], [2, 3], [3, 4], [5, 6]], np.int32)
-    assert Neighbours(7, path).rings(0, 2, 2).tolist() == [0, 0, 1, 2, -1, -1, -1]
-    assert Neighbours(3, np.zeros((0, 2), np.int32)).rings(1, 2, 5).tolist() == [-1, 0, -1]

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.document import Naming
 from beltrami_cli.formats.gltf import GltfDocument
-from formats.gltf_files import Model, joined, only_input_errors
+from formats.gltf_files import Model, joined
 
 
 def small(sparse=False):
@@ -53,17 +53,6 @@ def test_truncated_files_raise_input_errors(cut, text):
     if text or cut:
         with pytest.raises(InputError):
             everything(data)
-
-
-@pytest.mark.slow
-@settings(max_examples=400, deadline=None)
-@given(text=st.booleans(), where=st.floats(0, 1, exclude_max=True), what=st.binary(min_size=1, max_size=3))
-def test_damaged_bytes_raise_only_input_errors(text, where, what):
-    data = bytearray(TEXT if text else GLB)
-    start = int(where * len(data))
-    data[start : start + len(what)] = what
-    with only_input_errors():
-        everything(bytes(data))
 
 
 @pytest.mark.parametrize(

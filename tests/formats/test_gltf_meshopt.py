@@ -24,7 +24,7 @@ from formats.gltf_compressed import (
     packed_attribute,
     packed_view,
 )
-from formats.gltf_files import joined, numbers, only_input_errors, picture, unpacked
+from formats.gltf_files import joined, numbers, picture, unpacked
 
 EXTENSIONS = ("EXT_meshopt_compression", "KHR_meshopt_compression")
 COLOURS = np.random.default_rng(7).integers(0, 256, (len(GRID), 4)).astype("u1")
@@ -285,15 +285,3 @@ def test_colours_compressed_as_indices_are_refused_rather_than_damaged(mode):
     colours = opened.painted().colours
     with pytest.raises(InputError, match=f"mode: is {mode}, which is not for vertex data"):
         opened.patch(1 - colours, Naming("out"))
-
-
-@pytest.mark.slow
-@settings(max_examples=150, deadline=None)
-@given(where=st.integers(0, 2000), what=st.binary(min_size=1, max_size=5))
-def test_damaged_data_raises_only_input_errors(where, what):
-    model = meshopt_model(COLOURS)
-    where %= len(model.binary) - len(what)
-    model.binary[where : where + len(what)] = what
-    with only_input_errors():
-        opened = document(model)
-        opened.patch(1 - opened.painted().colours, Naming("out"))

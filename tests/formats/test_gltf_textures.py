@@ -311,14 +311,6 @@ def test_coordinates_that_are_not_finite_are_refused(tmp_path):
         surface(model, tmp_path)
 
 
-def test_compressed_geometry_is_refused_by_name(tmp_path):
-    model = Textured()
-    mesh = square(model, model.material(baseColor=model.texture(model.image(picture(1)))))
-    model.tree["meshes"][mesh]["primitives"][0]["extensions"] = {"KHR_draco_mesh_compression": {}}
-    with pytest.raises(InputError, match="KHR_draco_mesh_compression"):
-        surface(model, tmp_path)
-
-
 def test_vertex_colours_are_seen_without_reading_them(tmp_path):
     model = Textured()
     mesh = square(model, model.material(baseColor=model.texture(model.image(picture(1)))))

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import contextlib
 import io
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.document import Naming
@@ -122,27 +119,6 @@ def test_the_message_names_the_cause_and_the_line(data: bytes, message: str) -> 
     with pytest.raises(InputError) as caught:
         opened(data).painted()
     assert message in str(caught.value)
-
-
-@pytest.mark.slow
-@settings(max_examples=300, deadline=None)
-@given(st.data())
-def test_mutated_and_truncated_bytes_are_read_or_refused(data: st.DataObject) -> None:
-    good = bytearray(
-        b"mtllib a b.mtl\n" + THREE + b"v 1 1 0 .5 .5 .5 \\\n 1 # a\r\nf 1/1 2//2 4/1/3 -2\nf 1 2 3\n"
-    )
-    for _ in range(data.draw(st.integers(0, 4))):
-        at = data.draw(st.integers(0, len(good) - 1))
-        good[at : at + data.draw(st.integers(0, 2))] = data.draw(st.binary(max_size=3))
-    document = opened(bytes(good[: data.draw(st.integers(0, len(good)))]))
-    with contextlib.suppress(InputError):
-        painted = document.painted()
-        assert np.isfinite(painted.positions).all()
-        assert np.isfinite(painted.colours).all()
-        assert painted.faces.size == 0 or 0 <= painted.faces.min() <= painted.faces.max() < len(
-            painted.positions
-        )
-        document.patch(painted.colours * np.float32(0.5), Naming("out"))
 
 
 def test_material_files_and_textures_inside_the_folder_are_referred_to(tmp_path: Path) -> None:

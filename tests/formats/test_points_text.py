@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from beltrami_cli.errors import InputError, UnpaintedError
 from beltrami_cli.formats.document import Naming
 from beltrami_cli.formats.points import TextPointsDocument, write_pts, write_xyz
-from formats.points_files import patched, use
+from formats.points_files import patched
 
 RGB = ("red", "green", "blue")
 PLAIN = b"0 0 0 10 20 30\n1 0 0.5 40 50 60\n0 1 -2e-1 255 0 128\n"
@@ -188,17 +188,3 @@ def test_what_is_written_is_read_back(writer):
     assert np.array_equal(again.painted().positions, contents.positions)
     assert np.allclose(again.painted().colours, contents.colours, atol=1e-6)
     assert np.array_equal(again.attribute("normal"), contents.normals)
-
-
-@given(st.binary(max_size=300))
-def test_no_bytes_end_in_anything_but_points_or_one_line(data):
-    use(opened(data))
-
-
-@given(st.integers(0, len(PLAIN) - 1), st.binary(min_size=1, max_size=3))
-def test_no_damage_ends_in_anything_but_points_or_one_line(place, put):
-    data = b"3\n" + PLAIN[:place] + put + PLAIN[place + len(put) :]
-    document = opened(data)
-    use(document)
-    if document.has_vertex_colours():
-        assert patched(document, document.painted().colours) == data

@@ -13,13 +13,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from beltrami_cli.errors import InputError, UnpaintedError
-from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.document import Naming
 from beltrami_cli.formats.read_only.polygons import ColouredPolygons, colours_of_vertices
 from beltrami_cli.formats.registry import open_bytes
 from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.surface.colour_values import linear_to_srgb
-from formats.read_only_files import FACES, LEVELS, OBJECT, SQUARE, coff, model, opened, stl, threemf
+from formats.read_only_files import FACES, LEVELS, SQUARE, coff, opened, stl
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -164,26 +163,3 @@ def test_vertices_have_the_mean_of_their_corners_and_nothing_beyond(data: st.Dat
         else:
             assert (result[vertex] >= own.min(axis=0) - 1e-6).all()
             assert (result[vertex] <= own.max(axis=0) + 1e-6).all()
-
-
-GOOD = {"x.off": coff("float"), "x.stl": stl([1 << 15, 1 << 15]), "x.3mf": threemf(model(OBJECT))}
-
-
-@pytest.mark.slow
-@settings(max_examples=300, deadline=None)
-@given(st.data())
-def test_damage_is_read_or_refused(data: st.DataObject) -> None:
-    name = data.draw(st.sampled_from(sorted(GOOD)))
-    bad = bytearray(GOOD[name])
-    for _ in range(data.draw(st.integers(1, 4))):
-        at = data.draw(st.integers(0, len(bad) - 1))
-        bad[at : at + data.draw(st.integers(0, 2))] = data.draw(st.binary(max_size=3))
-    try:
-        painted = open_bytes(
-            bytes(bad[: data.draw(st.integers(1, len(bad)))]), name, None, Access(memory=1 << 28)
-        ).painted()
-    except InputError:
-        return
-    assert np.isfinite(painted.positions).all()
-    assert np.isfinite(painted.colours).all()
-    assert painted.faces.size == 0 or 0 <= painted.faces.min() <= painted.faces.max() < len(painted.positions)

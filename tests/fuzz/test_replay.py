@@ -11,7 +11,7 @@ from fuzz.targets import TARGETS, attempt
 
 CORPUS = Path(__file__).with_name("corpus")
 SEEDS = sorted(path for path in CORPUS.rglob("*") if path.is_file() and path.parent.name != "core")
-MUTATIONS = 25
+MUTATIONS = 80
 
 
 def mutated(data: bytes, others: list[bytes], chance: random.Random) -> bytes:

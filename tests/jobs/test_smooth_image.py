@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-import beltrami_cli
 from beltrami_cli import smooth_image
 from beltrami_cli.errors import UsageError
 from beltrami_cli.samples.image_surface import ImageSurface
@@ -120,8 +119,3 @@ def test_progress_rises_to_the_whole_and_can_stop_the_work():
 
     with pytest.raises(KeyboardInterrupt):
         smooth_image(IMAGE, progress=stop)
-
-
-def test_it_is_offered_by_the_package():
-    assert beltrami_cli.smooth_image is smooth_image
-    assert "smooth_image" in beltrami_cli.__all__

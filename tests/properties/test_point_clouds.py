@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.spatial import Delaunay
-from scipy.spatial.transform import Rotation
 
 import beltrami_cli
 from beltrami_cli.errors import UsageError
@@ -89,36 +88,6 @@ def test_constants_are_fixed_points_and_the_range_is_kept():
     assert (result >= colours.min(axis=0)).all()
     assert (result <= colours.max(axis=0)).all()
     assert result.std() < 0.5 * colours.std()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("scale", "shift"), [(1, 0), (1000, 0), (1e-3, 4.2e6)])
-def test_rotation_shift_and_scale_make_no_difference(scale, shift):
-    """What remains is the rounding of positions: of doubles at 4e6, some 1e-9, of a spacing of 1e-3 some 1e-6."""
-    positions, _ = surfaces.terrain(30, 30, 0.15, 8)
-    positions[:, :2] += np.random.default_rng(9).uniform(-0.3, 0.3, (900, 2))
-    colours = strips(positions, 6)
-    turned = Rotation.random(None, np.random.default_rng(10)).apply(positions) * scale + shift
-    expected = beltrami_cli.smooth(positions, None, colours, beta=10).colours
-    assert np.abs(beltrami_cli.smooth(turned, None, colours, beta=10).colours - expected).max() < 2e-4
-
-
-@pytest.mark.slow
-def test_a_permutation_of_the_points_permutes_the_result():
-    positions = np.concatenate([scattered(1500, 30), np.repeat(scattered(50, 30, 11), 3, axis=0)])
-    colours = noisy(len(positions))
-    order = np.random.default_rng(12).permutation(len(positions))
-    result = beltrami_cli.smooth(positions, None, colours, beta=10).colours
-    permuted = beltrami_cli.smooth(positions[order], None, colours[order], beta=10).colours
-    # Walls of hard edges are joined, and distances added up, in another order.
-    assert np.abs(permuted - result[order]).max() < 1e-4
-
-
-@pytest.mark.slow
-def test_threads_make_no_difference():
-    positions = scattered(3000, 50)
-    one = beltrami_cli.smooth(positions, None, noisy(3000), threads=1)
-    assert np.array_equal(beltrami_cli.smooth(positions, None, noisy(3000), threads=3).colours, one.colours)
 
 
 def test_sheets_close_to_each_other_keep_their_colours_apart():
