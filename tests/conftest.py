@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 
 from hypothesis import settings
+
+# A shell that starts tests in the background has them ignore Ctrl-C, which the commands that they start would inherit.
+if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # Another process on the same processors makes any example last.
 settings.register_profile("patient", settings(deadline=None))
