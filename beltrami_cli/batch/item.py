@@ -16,8 +16,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from beltrami_cli.batch.storage import hash_at, is_url, staged
 from beltrami_cli.errors import BeltramiError, InputError
 from beltrami_cli.formats.access import Access
-from beltrami_cli.jobs.job import Job
-from beltrami_cli.jobs.resources import limited_memory
+from beltrami_cli.jobs.job import Job, limited_memory
 from beltrami_cli.jobs.writing.output import FileSet
 
 if TYPE_CHECKING:

@@ -7,8 +7,8 @@ from typing import Any, get_args
 import click
 
 from beltrami_cli.cli import options
+from beltrami_cli.cli.commands import HelpfulCommand
 from beltrami_cli.cli.console import Messages, counted
-from beltrami_cli.cli.help import HelpfulCommand
 from beltrami_cli.jobs.settings import BakeSettings
 from beltrami_cli.samples.settings import BakeTo
 

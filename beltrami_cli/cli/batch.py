@@ -11,8 +11,7 @@ import click
 from click.core import ParameterSource
 
 from beltrami_cli.cli import options
-from beltrami_cli.cli.help import GroupedOption, HelpfulCommand
-from beltrami_cli.cli.names import options_by_name, values_for
+from beltrami_cli.cli.commands import GroupedOption, HelpfulCommand, options_by_name, values_for
 from beltrami_cli.errors import OutputError, ProcessingError, UsageError
 from beltrami_cli.fields import parameters
 from beltrami_cli.samples.settings import SmoothSettings
@@ -130,7 +129,7 @@ def command(
     from beltrami_cli.batch.run import run_batch
     from beltrami_cli.cli.batch_display import Display, show_table
     from beltrami_cli.flow.parameters import KernelParameters
-    from beltrami_cli.jobs.resources import memory_of_machine
+    from beltrami_cli.jobs.job import memory_of_machine
 
     if pieces is not None and scheduler is None:
         raise UsageError("--pieces are for the workers of a --scheduler; name one")

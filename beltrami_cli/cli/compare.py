@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from beltrami_cli.cli import options
+from beltrami_cli.cli.commands import HelpfulCommand
 from beltrami_cli.cli.console import Messages, printable
-from beltrami_cli.cli.help import HelpfulCommand
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.jobs.settings import Limits
 from beltrami_cli.samples.settings import SmoothSettings

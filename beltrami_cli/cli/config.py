@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING
 import click
 from click.core import ParameterSource
 
+from beltrami_cli.cli.commands import HelpfulCommand, long_name, variable_in_force
 from beltrami_cli.cli.console import printable
-from beltrami_cli.cli.help import HelpfulCommand
-from beltrami_cli.cli.names import long_name, variable_in_force
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

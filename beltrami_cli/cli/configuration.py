@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from beltrami_cli.cli.commands import long_name, options_by_name, plain, values_for
 from beltrami_cli.cli.console import printable
-from beltrami_cli.cli.names import long_name, options_by_name, plain, values_for
 from beltrami_cli.cli.options import ParameterOption
 from beltrami_cli.errors import InputError, UsageError
 

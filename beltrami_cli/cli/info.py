@@ -8,8 +8,8 @@ from typing import Any
 import click
 
 from beltrami_cli.cli import options
+from beltrami_cli.cli.commands import HelpfulCommand
 from beltrami_cli.cli.console import ALL_THE_SAME, NO_NOISE, choice_in_words, printable
-from beltrami_cli.cli.help import HelpfulCommand
 
 EPILOG = """\b
 Examples:

@@ -11,10 +11,9 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
+from beltrami_cli.cli.commands import blamed_variable, spelled, with_variables
 from beltrami_cli.cli.console import printable
-from beltrami_cli.cli.interruption import Interruption, Listener
-from beltrami_cli.cli.names import blamed_variable, spelled, with_variables
-from beltrami_cli.cli.streams import prepare_streams
+from beltrami_cli.cli.process import Interruption, Listener, prepare_streams
 from beltrami_cli.errors import BeltramiError, InputError
 
 if TYPE_CHECKING:

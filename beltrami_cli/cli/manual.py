@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from beltrami_cli.cli.help import DAILY, HelpfulCommand
+from beltrami_cli.cli.commands import DAILY, HelpfulCommand
 from beltrami_cli.cli.main import COMMANDS, group
 from beltrami_cli.cli.options import flags_of
 from beltrami_cli.fields import REQUIRED, Parameter, parameters

@@ -10,15 +10,14 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 from click.core import ParameterSource
 
+from beltrami_cli.cli.commands import GroupedOption, variable_in_force
 from beltrami_cli.cli.console import Messages
-from beltrami_cli.cli.help import GroupedOption
-from beltrami_cli.cli.names import variable_in_force
 from beltrami_cli.errors import UsageError
 from beltrami_cli.fields import REQUIRED, Parameter, parameters, parts
 from beltrami_cli.flow.parameters import PRESETS, KernelParameters, parameters_with
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.registry import OUTPUT_FORMATS
-from beltrami_cli.jobs.resources import limited_memory, memory_of_machine, parse_size
+from beltrami_cli.jobs.job import limited_memory, memory_of_machine, parse_size
 from beltrami_cli.jobs.settings import BakeSettings
 from beltrami_cli.samples.settings import IMAGE_FORMATS, SmoothSettings
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from beltrami_cli.cli import options
-from beltrami_cli.cli.help import HelpfulCommand
+from beltrami_cli.cli.commands import HelpfulCommand
 from beltrami_cli.errors import UsageError
 from beltrami_cli.view.settings import VIEWS, RenderSettings
 

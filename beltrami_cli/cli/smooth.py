@@ -10,11 +10,10 @@ from typing import TYPE_CHECKING, Any, cast
 import click
 
 from beltrami_cli.cli import options
+from beltrami_cli.cli.commands import HelpfulCommand
 from beltrami_cli.cli.console import ALL_THE_SAME, NO_NOISE, choice_in_words, counted
-from beltrami_cli.cli.help import HelpfulCommand
 from beltrami_cli.errors import OutputError, UsageError
-from beltrami_cli.jobs.job import Job
-from beltrami_cli.jobs.resources import show_size
+from beltrami_cli.jobs.job import Job, show_size
 
 if TYPE_CHECKING:
     from beltrami_cli.cli.console import Messages

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from beltrami_cli.cli import options
+from beltrami_cli.cli.commands import HelpfulCommand
 from beltrami_cli.cli.console import Messages, counted
-from beltrami_cli.cli.help import HelpfulCommand
 from beltrami_cli.cli.render import render_settings_from, view
 from beltrami_cli.fields import Parameter, parameters
 from beltrami_cli.flow.parameters import KernelParameters

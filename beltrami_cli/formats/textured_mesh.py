@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.formats.document import Naming
-from beltrami_cli.formats.naming import NewNames
+from beltrami_cli.formats.model_folder import NewNames
 from beltrami_cli.surface.records import ImageFile, Material, MaterialMap, MeshImage
 
 if TYPE_CHECKING:

@@ -1,15 +1,23 @@
-"""How a job is done: what it may read, how it reports progress, and what it may write."""
+"""How a job is done: what it may read and write, how it reports progress, and what memory and time it takes."""
 
 from __future__ import annotations
 
+import contextlib
+import os
+import re
+import sys
+import time
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING
 
+from beltrami_cli.errors import InputError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Iterable, Iterator
 
     from beltrami_cli.jobs.writing.output import FileSet, Output
 
@@ -62,3 +70,105 @@ class Job:
 
 
 PLAIN_JOB = Job()
+
+_SIZE = re.compile(r"(\d+(?:\.\d+)?)\s*([KMGT]?)(?:i?B)?", re.IGNORECASE)
+_UNITS = {"": 1, "K": 1 << 10, "M": 1 << 20, "G": 1 << 30, "T": 1 << 40}
+_LARGEST = 1 << 60  # accepted by the system as a limit
+_CGROUP_LIMITS = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes")
+# What the program itself takes: libraries, and for each processor the stacks of its threads.
+_PROGRAM, _PER_PROCESSOR = 160 << 20, 24 << 20
+
+
+def parse_size(text: str) -> int:
+    """Return the bytes that a text like 500M or 1.5G means, in powers of 1024; ValueError if it is none."""
+    match = _SIZE.fullmatch(text.strip())
+    if match is None or len(match[1]) > 20:
+        raise ValueError(text)
+    return min(int(float(match[1]) * _UNITS[match[2].upper()]), _LARGEST)
+
+
+def show_size(size: int) -> str:
+    """Return a number of bytes in the unit that suits it."""
+    for unit, scale in reversed(_UNITS.items()):
+        if size >= scale > 1:
+            return f"{size / scale:.3g}{unit}"
+    return str(size)
+
+
+def memory_of_machine() -> int | None:
+    """Return the bytes of memory of the machine or its container; None if they are unknown."""
+    found = []
+    with contextlib.suppress(AttributeError, OSError, ValueError):
+        found.append(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
+    for path in _CGROUP_LIMITS:
+        with contextlib.suppress(OSError, ValueError):  # "max" is no limit
+            found.append(int(Path(path).read_text(encoding="ascii")))
+    return min((size for size in found if size > 0), default=None)
+
+
+@contextlib.contextmanager
+def limited_memory(size: int | None, name: str) -> Iterator[None]:
+    """Limit the memory of the process in this context; InputError with the name of the file if more is needed."""
+    # Windows and macOS have no such limit: there only the checks before a job apply.
+    try:
+        with _data_limit(size):
+            yield
+    except MemoryError as error:
+        limit = "the memory of this machine" if size is None else f"{show_size(size)} of memory"
+        raise InputError(
+            name, f"needs more than {limit}", "raise --max-memory, or give a smaller model"
+        ) from error
+
+
+@contextlib.contextmanager
+def _data_limit(size: int | None) -> Iterator[None]:
+    try:
+        import resource
+    except ImportError:
+        yield
+        return
+    if size is None:
+        yield
+        return
+    before, most = resource.getrlimit(resource.RLIMIT_DATA)
+    wanted = size + _PROGRAM + _PER_PROCESSOR * (os.cpu_count() or 1)
+    known = [limit for limit in (before, most) if limit != resource.RLIM_INFINITY]
+    resource.setrlimit(resource.RLIMIT_DATA, (min([wanted, *known]), most))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_DATA, (before, most))
+
+
+class Stopwatch:
+    """Adds up the time of named stages."""
+
+    def __init__(self) -> None:
+        # "wall" and "cpu" seconds (all threads of the process), in the order of their start.
+        self.stages: dict[str, dict[str, float]] = {}
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Measure what runs in the context as the stage `name`."""
+        wall, cpu = time.perf_counter(), time.process_time()
+        times = self.stages.setdefault(name, {"wall": 0.0, "cpu": 0.0})
+        try:
+            yield
+        finally:
+            times["wall"] += time.perf_counter() - wall
+            times["cpu"] += time.process_time() - cpu
+
+
+def peak_memory() -> int | None:
+    """Return the largest resident size of this process so far, in bytes, or None where it is not known."""
+    status = Path("/proc/self/status")
+    if status.exists():
+        # On Linux ru_maxrss also counts what the process that started this one held at that moment.
+        fields = dict(line.split(":", 1) for line in status.read_text().splitlines())
+        return int(fields["VmHWM"].split()[0]) * 1024 if "VmHWM" in fields else None
+    try:
+        import resource
+    except ImportError:  # Windows
+        return None
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak if sys.platform == "darwin" else peak * 1024

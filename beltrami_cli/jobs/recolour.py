@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
 from beltrami_cli.jobs.documents import is_moved, make_files, moved_vertices, open_input, plan_sidecars
-from beltrami_cli.jobs.resources import Stopwatch
+from beltrami_cli.jobs.job import Stopwatch
 from beltrami_cli.samples.memory_check import checked_memory
 from beltrami_cli.samples.selection import NOTHING, choose_format, samples_of, select
 

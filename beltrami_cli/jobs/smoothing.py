@@ -7,7 +7,7 @@ import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from beltrami_cli.jobs.resources import peak_memory
+from beltrami_cli.jobs.job import peak_memory
 from beltrami_cli.samples.selection import require_geometry, require_scale
 from beltrami_cli.samples.settings import describe_settings
 

@@ -9,10 +9,9 @@ import sys
 import click
 import pytest
 
-from beltrami_cli.cli.help import DAILY
+from beltrami_cli.cli.commands import DAILY, options_by_name, values_for
 from beltrami_cli.cli.main import COMMANDS, group
 from beltrami_cli.cli.manual import manual
-from beltrami_cli.cli.names import options_by_name, values_for
 from beltrami_cli.cli.options import ParameterOption
 from cli.commands import beltrami
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.jobs.resources import limited_memory, memory_of_machine, parse_size, show_size
+from beltrami_cli.jobs.job import limited_memory, memory_of_machine, parse_size, show_size
 from cli.commands import SAMPLES, beltrami
 
 

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 import click
 import pytest
 
+from beltrami_cli.cli.commands import long_name
 from beltrami_cli.cli.configuration import candidates, load, may_be_found
 from beltrami_cli.cli.main import COMMANDS, defaults_from, group
-from beltrami_cli.cli.names import long_name
 from beltrami_cli.errors import UsageError
 from cli.commands import SAMPLES, beltrami
 from hostile.folders import snapshot

@@ -13,7 +13,7 @@ import pytest
 from beltrami_cli.formats.document import Written
 from beltrami_cli.jobs.writing import temporary
 from beltrami_cli.jobs.writing.output import Output
-from beltrami_cli.jobs.writing.temporary import remove_leftovers, temporary_beside
+from beltrami_cli.jobs.writing.replacing import remove_leftovers, temporary_beside
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -20,8 +20,7 @@ from beltrami_cli.formats.gltf.uris import (
     read,
     relative_name,
 )
-from beltrami_cli.formats.model_folder import UnfitReferenceError, is_outside
-from beltrami_cli.formats.naming import NewNames
+from beltrami_cli.formats.model_folder import NewNames, UnfitReferenceError, is_outside
 
 if TYPE_CHECKING:
     from beltrami_cli.formats.document import Bytes, Naming

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.formats.document import Written
-from beltrami_cli.formats.model_folder import is_outside
-from beltrami_cli.formats.naming import NewNames, new_reference, path_inside
+from beltrami_cli.formats.model_folder import NewNames, is_outside, new_reference, path_inside
 from beltrami_cli.formats.tokens import Spans, exchange_spans, exchange_tokens
 
 if TYPE_CHECKING:

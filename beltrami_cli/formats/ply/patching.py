@@ -9,8 +9,7 @@ import numpy as np
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.document import Written
-from beltrami_cli.formats.model_folder import is_outside
-from beltrami_cli.formats.naming import NewNames, new_reference
+from beltrami_cli.formats.model_folder import NewNames, is_outside, new_reference
 from beltrami_cli.formats.ply.tables import indices, values_in_bytes
 from beltrami_cli.formats.ply.vertex_properties import NORMAL, POSITION, attribute_names
 from beltrami_cli.formats.tokens import exchange_tokens, find_tokens

@@ -25,9 +25,10 @@ from beltrami_cli.jobs.writing.replacing import (
     folders_locked,
     make_folder,
     put_together,
+    remove_leftovers,
+    temporary_beside,
     write_aside,
 )
-from beltrami_cli.jobs.writing.temporary import remove_leftovers, temporary_beside
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping
