@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import sys
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +17,8 @@ from beltrami_cli.jobs.settings import Limits
 from beltrami_cli.samples.settings import SmoothSettings
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
     from beltrami_cli.flow.parameters import Weights
     from beltrami_cli.jobs.compare.figures import Verdict
     from beltrami_cli.jobs.compare.files import Comparison
@@ -25,6 +28,7 @@ Examples:
   beltrami compare truth.ply clean.ply                                   a table
   beltrami compare truth.glb clean.glb --min-psnr 35 --max-delta-e 2     exit code 1 if a limit is broken
   beltrami compare golden.obj new.obj --max-seam-jump 1 --weights area   seams may not be seen more than before
+  beltrami compare truth.glb clean.glb --slots baseColor                 nothing but the base colour
   beltrami compare truth.png clean.png --json | jq .overall.psnr
   beltrami compare truth.glb clean.glb --map differences.png             dark is equal, bright differs
   beltrami compare truth.ply clean.ply --map differences.ply
@@ -37,7 +41,10 @@ What is measured, for each texture and for the vertices, and for all together:
   seams      PSNR and mean dE within 4 texels of seams; of vertices, where the file splits them
   jump       the mean step of colours over seams, extrapolated from three texels on either side (of vertices,
              between those at one place), in TEST minus in REFERENCE. Noise makes steps too
-A limit holds for each texture alone. SSIM is of Wang et al. 2004, Delta E of CIE 142-2001 (Sharma et al. 2005).
+All that is coloured is compared: each texture of each slot, and vertex colours; parts that are equal beside others
+are called identical. A limit holds for each part alone. Vertices that moved break any limit unless --max-move allows
+it. What is not compared is said, such as opacity.
+SSIM is of Wang et al. 2004, Delta E of CIE 142-2001 (Sharma et al. 2005).
 
 \b
 Exit codes: 0 all limits are kept, or none given; 1 a limit is broken; 3 one cannot be measured, such as SSIM of
@@ -48,6 +55,13 @@ See docs/ci.md for GitHub Actions and Makefiles.
 _COLUMNS = (
     "part", "samples", "PSNR dB", "SSIM", "dE mean", "dE 95 %", "dE worst", "seams: dB", "seams: dE", "jump /255",
 )  # fmt: skip
+_LIMITS = {
+    "min_psnr": ("PSNR", 1.0, " dB"),
+    "min_ssim": ("SSIM", 1.0, ""),
+    "max_delta_e": ("mean Delta E 2000", 1.0, ""),
+    "max_seam_jump": ("colour step over seams beyond the reference's", 255.0, "/255"),
+    "max_move": ("largest move of a vertex", 100.0, " % of the model's size"),
+}
 
 
 @click.command("compare", cls=HelpfulCommand, epilog=EPILOG)
@@ -55,7 +69,7 @@ _COLUMNS = (
 @click.argument("test", metavar="TEST")
 @options.options_of(Limits)
 @options.options_of(KernelParameters, only=("weights",))
-@options.options_of(SmoothSettings, only=options.COLOURS, changed=options.UNMIXED)
+@options.options_of(SmoothSettings, only=options.COLOURS, changed=options.COMPARED)
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 @click.option(
     "--map",
@@ -83,9 +97,10 @@ def command(
     """Measure how far the colours of TEST are from those of REFERENCE, and fail if they are further than allowed.
 
     Both are files of one model, with the same triangles, vertices and sizes of textures, or two images of one size;
-    formats and types may differ. Of textures the texels count that the surface covers.
+    formats and types may differ. All that is coloured is compared, if --slots and --on do not narrow it. Of textures
+    the texels count that the surface covers.
     """
-    settings = options.record_from(SmoothSettings, values)
+    settings = options.compared_from(values)
     from beltrami_cli.jobs.compare.files import compare_files
 
     limits = options.record_from(Limits, values)
@@ -127,21 +142,17 @@ def _show(comparison: Comparison) -> None:
     worst = comparison.overall["worst"]
     if worst is not None and worst["error"] > 0:
         click.echo(printable(f"worst sample: {_worst(worst)}"))
+    if comparison.geometry is not None and not comparison.has_moved:
+        click.echo("geometry: equal")
     for verdict in comparison.limits:
         click.echo(printable(f"{'ok' if verdict.kept else 'BROKEN':>6}  {_describe(verdict)}"))
 
 
 def _describe(verdict: Verdict) -> str:
     """Say what was measured, and what was allowed."""
-    scale, unit = {"min_psnr": (1.0, " dB"), "max_seam_jump": (255.0, "/255")}.get(verdict.limit, (1.0, ""))
+    name, scale, unit = _LIMITS[verdict.limit]
     measured = "infinite" if verdict.measured is None else f"{scale * verdict.measured:.4g}{unit}"
     word = "at least" if verdict.limit.startswith("min") else "at most"
-    name = {
-        "min_psnr": "PSNR",
-        "min_ssim": "SSIM",
-        "max_delta_e": "mean Delta E 2000",
-        "max_seam_jump": "colour step over seams beyond the reference's",
-    }[verdict.limit]
     return f"{verdict.part}: {name} {measured}, allowed {word} {scale * verdict.allowed:.4g}{unit}"
 
 
@@ -150,6 +161,8 @@ def _row(name: str, part: dict[str, Any]) -> list[str]:
     psnr = (
         _number(part["psnr"], "{:.2f}") if part["psnr"] is not None else "equal" if part["samples"] else "-"
     )
+    if part.get("identical"):
+        return [name, str(part["samples"] or "-"), "identical", *["-"] * (len(_COLUMNS) - 3)]
     near_psnr = "-" if near is None else "equal" if near["psnr"] is None else f"{near['psnr']:.2f}"
     return [
         name,
@@ -178,25 +191,37 @@ def _worst(worst: dict[str, Any]) -> str:
     )
 
 
-def _table(head: tuple[str, ...], rows: list[list[str]]) -> None:
+def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
     rows = [[printable(cell) for cell in row] for row in rows]
-    if sys.stdout.isatty():
-        from rich import box
-        from rich.console import Console
-        from rich.table import Table
-        from rich.text import Text
+    width = shutil.get_terminal_size().columns if sys.stdout.isatty() else None
+    for line in table_lines(head, rows, width):
+        click.echo(line)
 
-        table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
-        for number, name in enumerate(head):
-            table.add_column(name, justify="right" if number else "left", overflow="fold")
-        for row in rows:
-            table.add_row(*map(Text, row))
-        Console().print(table)
+
+def table_lines(
+    head: Sequence[str], rows: Sequence[Sequence[str]], width: int | None = None
+) -> Iterator[str]:
+    """Give the lines of a table, in which no number is broken: names stand above where lines are too short."""
+    lines = _aligned([head, *rows])
+    if width is None or len(lines[0]) <= width:
+        yield from lines
         return
-    widths = [max(len(row[number]) for row in (list(head), *rows)) for number in range(len(head))]
-    for row in (list(head), *rows):
-        first, *others = (
-            cell.rjust(width) if number else cell.ljust(width)
-            for number, (cell, width) in enumerate(zip(row, widths, strict=True))
-        )
-        click.echo("  ".join([first, *others]))
+    parted = [name.partition(" ") for name in head[1:]]
+    first, second = ([words[k] for words in parted] for k in (0, 2))
+    numbers = _aligned([["", *first], ["", *second], *(["", *row[1:]] for row in rows)])
+    if len(numbers[0]) <= width:
+        yield from numbers[:2]
+        for row, line in zip(rows, numbers[2:], strict=True):
+            yield from (row[0], line)
+        return
+    for name, *cells in rows:
+        yield name
+        yield from (f"  {line}" for line in _aligned(list(zip(head[1:], cells, strict=True))))
+
+
+def _aligned(rows: Sequence[Sequence[str]]) -> list[str]:
+    """Return rows as lines: the first column to the left, the others to the right."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return [
+        "  ".join([row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:])]).rstrip() for row in rows
+    ]

@@ -19,7 +19,7 @@ from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.registry import OUTPUT_FORMATS
 from beltrami_cli.jobs.job import limited_memory, memory_of_machine, parse_size
 from beltrami_cli.jobs.settings import BakeSettings
-from beltrami_cli.samples.settings import IMAGE_FORMATS, SmoothSettings
+from beltrami_cli.samples.settings import IMAGE_FORMATS, SmoothSettings, TextureSettings
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Mapping
@@ -195,6 +195,17 @@ COLOURS = (
 ENCODING = ("gutter", "image_suffix", "jpeg_quality", "small")
 # Averages alone can be taken in Oklab.
 UNMIXED = {"space": {"choices": ("srgb", "linear", "data")}}
+COMPARED: dict[str, dict[str, Any]] = {
+    **UNMIXED,
+    "on": {"help": "The vertex colours, the textures, or both; auto takes what there is."},
+    "slots": {"unset": "all that the files have"},
+}
+
+
+def compared_from(values: Mapping[str, Any]) -> SmoothSettings:
+    """Make the settings of a comparison, of all slots if none are given."""
+    made = {} if values["slots"] else {"slots": ()}
+    return record_from(SmoothSettings, values, textures=record_from(TextureSettings, values, **made))
 
 
 def unwrapping(command: Callable[..., Any]) -> Callable[..., Any]:

@@ -34,7 +34,7 @@ network. The models are drawn with WebGL by three.js (MIT licence, in the packag
     metavar="FILE.json",
     help="Also show the parameters, from what `beltrami smooth --report` wrote.",
 )
-@options.options_of(SmoothSettings, only=("on", "slots", "space"), changed=options.UNMIXED)
+@options.options_of(SmoothSettings, only=("on", "slots", "space"), changed=options.COMPARED)
 @options.reading
 @options.overwrite
 @options.messages
@@ -54,10 +54,19 @@ def command(
     """
     from beltrami_cli.view.report import report_file
 
-    settings = options.record_from(SmoothSettings, values)
+    settings = options.compared_from(values)
     with options.reading_from(values, before) as access:
         found = report_file(
             before, after, target, settings, parameters=parameters, overwrite=overwrite, access=access
         )
-    psnr = "nothing differs" if found["psnr"] is None else f"{found['psnr']:.2f} dB from one to the other"
-    messages.say(f"{target}: {counted(found['samples'], 'sample')}, {psnr}")
+    for notice in found["notices"]:
+        messages.warn(notice)
+    messages.say(f"{target}: {counted(found['samples'], 'sample')}, {_result(found)}")
+
+
+def _result(found: dict[str, Any]) -> str:
+    if not found["samples"]:
+        return "so no colours are compared"
+    if found["psnr"] is None:
+        return "whose colours are equal" if found["notices"] else "nothing differs"
+    return f"{found['psnr']:.2f} dB from one to the other"

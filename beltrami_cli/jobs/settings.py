@@ -45,6 +45,14 @@ def _parsed(text: str) -> float:
     return float(text) / 255
 
 
+def share(text: str) -> float:
+    """Read a part of something: 0.001, or 0.1%; or ValueError."""
+    try:
+        return float(text[:-1]) / 100 if text.endswith("%") else float(text)
+    except ValueError:
+        raise ValueError(f"is {text!r}, but must be a share such as 0.001 or 0.1%") from None
+
+
 @dataclass(frozen=True)
 class NoiseSettings:
     """What noise is added; UsageError if a value is out of its range."""
@@ -130,6 +138,13 @@ class Limits:
         "How much larger the mean colour step over seams may be than in REFERENCE: 1 is 1/255; or as 1/255 "
         "or 0.4%.",
         kind=float, metavar="X", parse=amount, is_daily=True,
+    )  # fmt: skip
+
+    max_move: float | None = parameter(
+        None,
+        "How far a vertex may be from its place in REFERENCE, such as 0.1%. With other limits alone, it may "
+        "not move by more than rounding.",
+        kind=float, low=0, unit="longest sides of the model", metavar="SHARE", parse=share,
     )  # fmt: skip
 
     def __post_init__(self) -> None:

@@ -15,12 +15,9 @@ from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access, read_source
 from beltrami_cli.formats.document import Written
 from beltrami_cli.formats.image.document import ImageDocument
 from beltrami_cli.jobs.compare.figures import figures
-from beltrami_cli.jobs.compare.parts import compare_images, compare_textures, compare_vertices
-from beltrami_cli.jobs.documents import document_from
+from beltrami_cli.jobs.compare.files import Compared, compare_documents, open_both
+from beltrami_cli.jobs.compare.models import EVERYTHING
 from beltrami_cli.jobs.writing.output import Output
-from beltrami_cli.samples.memory_check import require_memory_for_textures
-from beltrami_cli.samples.selection import select
-from beltrami_cli.samples.settings import DEFAULTS, SmoothSettings
 from beltrami_cli.view.charts import histogram, seam_map, swipe
 from beltrami_cli.view.models import ModelPacker, bounding_box
 from beltrami_cli.view.pages import PAGES, asset, page_from, table
@@ -30,6 +27,7 @@ from beltrami_cli.view.views import sheet_of, texture_sheet
 if TYPE_CHECKING:
     from beltrami_cli.formats.document import Document
     from beltrami_cli.jobs.compare.figures import ComparedColours
+    from beltrami_cli.samples.settings import SmoothSettings
     from beltrami_cli.surface.records import Slot
 
 _MOST_CROPS = 8
@@ -46,7 +44,7 @@ _VIEWER = """<h2>The model</h2>
 class _Found:
     """What two files have in common, and the parts of the page that show it."""
 
-    pairs: list[ComparedColours] = dataclasses.field(default_factory=list)
+    compared: Compared
     crops: list[str] = dataclasses.field(default_factory=list)
     seams: list[str] = dataclasses.field(default_factory=list)
     models: str = ""
@@ -56,7 +54,7 @@ def report_file(
     before: str,
     after: str,
     target: str,
-    settings: SmoothSettings = DEFAULTS,
+    settings: SmoothSettings = EVERYTHING,
     *,
     parameters: str | None = None,
     overwrite: bool = False,
@@ -73,45 +71,30 @@ def report_file(
     access = output.files.watching(access)
     shown = "" if parameters is None else _parameters(parameters, access)
     data = read_source(before, access), read_source(after, access)
-    one, other = (document_from(each, name, settings, access) for each, name in zip(data, names, strict=True))
-    if isinstance(one, ImageDocument) or isinstance(other, ImageDocument):
-        found = _of_images((one, other), settings, access)
+    documents = open_both((before, after), data, settings, access)
+    found = _Found(compare_documents(documents, settings, "uniform", access))
+    if isinstance(documents[0], ImageDocument) and isinstance(documents[1], ImageDocument):
+        sheets = [
+            sheet_of(document.picture()) for document in documents if isinstance(document, ImageDocument)
+        ]
+        found.crops.append(swipe(sheets[0], sheets[1], Path(after).name))
     else:
-        found = _of_models((one, other), settings, access)
+        _add_models(found, documents)
     output.write(Written(main=[_page(names, found, shown)]))
-    return figures(found.pairs)
+    return {**figures(found.compared.measured()), "notices": found.compared.all_notices()}
 
 
-def _of_images(documents: tuple[Document, Document], settings: SmoothSettings, access: Access) -> _Found:
-    images = [document for document in documents if isinstance(document, ImageDocument)]
-    if len(images) != 2:
-        raise InputError(
-            documents[1].name, "it and the other file are no two images", "compare files of one kind"
-        )
-    pair = compare_images(images, settings, access)
-    sheets = [sheet_of(image.picture()) for image in images]
-    return _Found([pair], [swipe(sheets[0], sheets[1], Path(images[1].name).name)])
-
-
-def _of_models(documents: tuple[Document, Document], settings: SmoothSettings, access: Access) -> _Found:
-    one, other = documents
-    selection = select(one, settings)
-    for document in (one, other):
-        require_memory_for_textures(document, selection.slots, settings.textures, access)
-    found = _Found()
-    shown: Slot | None = None if selection.vertices and settings.on != "both" else selection.slots[0]
-    if selection.vertices:
-        found.pairs.append(compare_vertices(one, other, settings, "uniform")[0])
-    for slot in selection.slots:
-        paired = compare_textures(one, other, slot, settings, "uniform", access)
-        found.pairs += paired
-        found.seams += [drawn for pair in paired if (drawn := seam_map(pair))]
-        found.crops += _crops(one, other, slot, _MOST_CROPS - len(found.crops))
-    packer = ModelPacker(bounding_box(one, shown))
-    for document in (one, other):
+def _add_models(found: _Found, documents: tuple[Document, Document]) -> None:
+    """Add what shows two models: the models themselves, textures, and seams."""
+    slots = found.compared.slots
+    found.seams += [drawn for part in found.compared.parts if (drawn := seam_map(part))]
+    for slot in slots:
+        found.crops += _crops(*documents, slot, _MOST_CROPS - len(found.crops))
+    shown = slots[0] if slots else None
+    packer = ModelPacker(bounding_box(documents[0], shown))
+    for document in documents:
         packer.add(document, shown)
     found.models = packer.as_json()
-    return found
 
 
 def _crops(one: Document, other: Document, slot: Slot, most: int) -> list[str]:
@@ -160,12 +143,18 @@ def _page(names: list[str], found: _Found, parameters: str) -> bytes:
         summary=html.escape(f"Before: {names[0]}. After: {names[1]}."),
         model=model,
         crops=_section(f"{'Textures' if found.models else 'The image'} at full size", found.crops),
-        figures=table(_rows(found.pairs)),
-        histogram=histogram(found.pairs),
+        figures=table(_rows(found.compared.parts)) + _listed(found.compared.all_notices()),
+        histogram=histogram(found.compared.measured()),
         seams=_section("Seams, by how much they changed", found.seams),
         parameters=parameters,
         scripts=scripts,
     )
+
+
+def _listed(sentences: list[str]) -> str:
+    """Return a list of what is to be known, or nothing."""
+    items = "".join(f"<li>{html.escape(sentence)}</li>" for sentence in sentences)
+    return f"\n<ul>{items}</ul>" if items else ""
 
 
 def _section(title: str, parts: list[str]) -> str:
@@ -177,8 +166,9 @@ def _section(title: str, parts: list[str]) -> str:
 def _rows(pairs: list[ComparedColours]) -> list[list[str]]:
     """Return the figures of each part, and of all together."""
     rows = [_COLUMNS]
-    parts = [(pair.name, [pair]) for pair in pairs]
-    for name, chosen in [*parts, *([("all", pairs)] if len(pairs) > 1 else [])]:
+    measured = [pair for pair in pairs if not pair.is_identical]
+    parts = [(pair.name, [pair]) for pair in measured]
+    for name, chosen in [*parts, *([("all", measured)] if len(measured) > 1 else [])]:
         found: dict[str, Any] = figures(chosen)
         delta_e, jump = found["delta_e"] or {}, found["seam_jump"] or {}
         change = np.concatenate([np.abs(pair.test - pair.reference).ravel() for pair in chosen])
@@ -190,7 +180,8 @@ def _rows(pairs: list[ComparedColours]) -> list[list[str]]:
                 f"{255 * jump['reference']:.2f} to {255 * jump['test']:.2f}" if jump else "",
             ]
         )  # fmt: skip
-    return rows
+    alike = [pair.name for pair in pairs if pair.is_identical]
+    return rows + [[name, "", "identical", *[""] * (len(_COLUMNS) - 3)] for name in alike]
 
 
 def _psnr(found: dict[str, Any]) -> str:

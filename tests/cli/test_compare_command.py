@@ -128,7 +128,7 @@ def test_a_limit_holds_for_each_texture_alone(tmp_path):
     compared = compare_files(
         SAMPLES / "torus-two-clean.gltf", tmp_path / "m" / "torus-two-clean.gltf", Limits(min_psnr=31)
     )
-    assert [verdict.kept for verdict in compared.limits] == [True, False]
+    assert [verdict.kept for verdict in compared.limits] == [True, False, True]  # the geometry is the last
     assert compared.parts[1]["psnr"] == pytest.approx(psnr_of(8 / 255), abs=1e-3)
     assert compared.overall["psnr"] > 31
 
@@ -198,15 +198,16 @@ def test_json_and_map(tmp_path):
     assert run.returncode == 1
     compared = json.loads(run.stdout)
     assert set(compared) == {
-        *("reference", "test", "weights", "space", "parts", "overall"),
+        *("reference", "test", "weights", "space", "parts", "overall", "geometry"),
         *("limits", "passed", "map_scale", "notices"),
     }
     figures = {"samples", "psnr", "ssim", "delta_e", "worst", "near_seams", "seam_jump"}
     assert set(compared["overall"]) == figures
-    assert set(compared["parts"][0]) == {"name", "kind", *figures}
+    assert set(compared["parts"][0]) == {"name", "kind", "identical", *figures}
     assert [(limit["limit"], limit["kept"]) for limit in compared["limits"]] == [
         ("min_ssim", True),
         ("max_delta_e", False),
+        ("max_move", True),
     ]
     file = OpenImageIO.ImageInput.open(str(drawn))
     pixels = file.read_image("uint8").astype(int)

@@ -15,6 +15,7 @@ from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.document import Naming
 from beltrami_cli.formats.obj import ObjDocument
 from beltrami_cli.formats.registry import open_document
+from beltrami_cli.jobs.check import check_files
 from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.samples.settings import SmoothSettings
 from hostile.folders import snapshot
@@ -71,11 +72,17 @@ def write_everything(folder: Path, newline: str = "\n") -> Path:
 def test_all_dialects_together_in_another_folder(newline: str, tmp_path: Path) -> None:
     model = write_everything(tmp_path / "in", newline)
     (tmp_path / "out").mkdir()
-    report = smooth_file(model, tmp_path / "out" / "model.obj")
+    report = smooth_file(model, tmp_path / "out" / "clean.obj")
     before, after = snapshot(tmp_path / "in"), snapshot(tmp_path / "out")
-    assert sorted(after) == sorted(before)
-    changed = [path for path in after if after[path] != before[path]]
-    assert changed == ["maps/red brick.png", "maps/slate.png"]
+    assert len(after) == len(before)
+    assert all("clean" in path for path in after if path != "maps")
+    differences = check_files(model, tmp_path / "out" / "clean.obj").differences
+    assert all(difference.of_colour for difference in differences)
+    changed = {difference.detail.partition(":")[0] for difference in differences}
+    assert changed == {
+        "maps\\red brick.png, now maps\\clean_red brick.png",
+        "maps/slate.png, now maps/clean_slate.png",
+    }
     assert [t["name"] for slot in report.textures for t in slot.textures] == ["red brick.png", "slate.png"]
     assert any("'gone.mtl' is missing" in warning for warning in report.warnings)
     assert any("1 triangles of textured materials have no texture coordinates" in w for w in report.warnings)

@@ -9,12 +9,14 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from beltrami_cli.errors import InputError
+from beltrami_cli.jobs.compare.models import ROUNDED_MOVE
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
     from numpy.typing import NDArray
 
+    from beltrami_cli.jobs.compare.models import Moves
     from beltrami_cli.jobs.settings import Limits
 
 _FIGURES = {"min_psnr": "psnr", "min_ssim": "ssim", "max_delta_e": "delta_e", "max_seam_jump": "seam_jump"}
@@ -52,10 +54,18 @@ class ComparedColours:
     near_seams: NDArray[np.bool_] | None = None
     jumps: SeamJumps | None = None
     size: tuple[int, int] | None = None  # rows and columns of an image or texture
+    # Whether it has the same colours in both, beside a part that is measured; of a texture they are not taken then.
+    is_identical: bool = False
+    other_opacity: bool = False  # whether opacity differs, which is not measured
 
     def squares(self) -> NDArray[np.float64]:
         """Return the squared error of each sample, mean over its channels, shape (S,)."""
         return np.asarray(np.square(self.test.astype(np.float64) - self.reference).mean(axis=1), np.float64)
+
+    def described(self) -> dict[str, object]:
+        """Return what it is and its figures, in JSON types."""
+        own = {"name": self.name, "kind": self.kind, "identical": self.is_identical}
+        return {**own, **figures([self])}
 
     def worst(self) -> dict[str, object]:
         """Return where the largest error in any channel is, and what it is, in JSON types; empty without samples."""
@@ -159,10 +169,10 @@ def check_limits(
 ) -> tuple[list[Verdict], list[str]]:
     """Hold the figures of each part that has samples to the limits; return notices of what nothing can break."""
     # A limit that cannot be measured raises InputError: what nobody can check must not pass.
-    held = [part for part in parts if part["samples"]]
+    held = [part for part in parts if part["samples"] and not part.get("identical")]
     verdicts: list[Verdict] = []
     for limit, allowed in vars(limits).items():
-        if allowed is None:
+        if allowed is None or limit not in _FIGURES:
             continue
         for part in held:
             if limit == "max_seam_jump" and part["near_seams"] is None:
@@ -178,3 +188,11 @@ def check_limits(
             verdicts.append(Verdict(limit, part["name"], allowed, measured, kept))
     seamless = limits.max_seam_jump is not None and all(part["near_seams"] is None for part in held)
     return verdicts, ["--max-seam-jump is kept, because there is no seam"] if seamless else []
+
+
+def check_moves(moves: Moves, limits: Limits) -> list[Verdict]:
+    """Hold the geometry to its limit; where there is none, but others, to what rounding explains."""
+    if all(allowed is None for allowed in vars(limits).values()):
+        return []
+    allowed = ROUNDED_MOVE if limits.max_move is None else limits.max_move
+    return [Verdict("max_move", "geometry", allowed, moves.largest, moves.largest <= allowed)]

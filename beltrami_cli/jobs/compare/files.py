@@ -11,14 +11,14 @@ from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access, read_source
 from beltrami_cli.formats.image.document import ImageDocument
 from beltrami_cli.formats.registry import kind_of
-from beltrami_cli.jobs.compare.figures import Verdict, check_limits, figures
+from beltrami_cli.jobs.compare.figures import Verdict, check_limits, check_moves, figures
 from beltrami_cli.jobs.compare.map import draw_map, is_map, require_map
+from beltrami_cli.jobs.compare.models import EVERYTHING, Moves, choose_parts, moves_between
 from beltrami_cli.jobs.compare.parts import compare_images, compare_textures, compare_vertices
 from beltrami_cli.jobs.documents import document_from
 from beltrami_cli.jobs.settings import Limits
 from beltrami_cli.jobs.writing.output import Output, Overwrite
 from beltrami_cli.samples.memory_check import require_memory_for_textures
-from beltrami_cli.samples.selection import select
 from beltrami_cli.samples.settings import DEFAULTS, LevelSetSettings
 
 if TYPE_CHECKING:
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.document import Document
     from beltrami_cli.jobs.compare.figures import ComparedColours
     from beltrami_cli.samples.settings import SmoothSettings
+    from beltrami_cli.surface.records import Slot
 
 _UNLIMITED = Limits()
 
@@ -38,26 +39,33 @@ class Comparison:
     test: str
     weights: str  # what a sample counts
     space: str  # what colours were taken as
-    parts: list[dict[str, Any]]  # "name", "kind" and figures of each texture, the image, or the vertices
-    overall: dict[str, Any]  # those of all parts together
+    # "name", "kind" and figures of each texture, the image, or the vertices; "identical" is what is equal beside others
+    parts: list[dict[str, Any]]
+    overall: dict[str, Any]  # those of all parts together that are not identical
+    geometry: dict[str, float] | None  # how far vertices moved, in longest sides of the model; None: an image
     limits: list[Verdict]
     passed: bool  # whether each part keeps to each limit
     map_scale: float | None  # the Delta E that the brightest colour of the map stands for
     notices: list[str]
+
+    @property
+    def has_moved(self) -> bool:
+        """Whether vertices moved by more than rounding explains."""
+        return self.geometry is not None and not Moves(*self.geometry.values()).is_rounding
 
 
 def compare_files(
     reference: str | os.PathLike[str],
     test: str | os.PathLike[str],
     limits: Limits = _UNLIMITED,
-    settings: SmoothSettings = DEFAULTS,
+    settings: SmoothSettings = EVERYTHING,
     *,
     weights: Weights = "uniform",
     map_to: str | os.PathLike[str] | None = None,
     overwrite: Overwrite = False,
     access: Access = EVERYTHING_INSIDE,
 ) -> Comparison:
-    """Compare the colours of two files of one model, or of two images."""
+    """Compare the colours of two files of one model, or of two images; by default all that is coloured."""
     names = os.fspath(reference), os.fspath(test)
     if names == ("-", "-"):
         raise UsageError("only one of REFERENCE and TEST can be standard input")
@@ -69,26 +77,24 @@ def compare_files(
         output.files.guard(settings.files_besides())
         access = output.files.watching(access)
     data = read_source(names[0], access), read_source(names[1], access)
-    documents = _open(names, data, settings, access)
-    parts, model, notices = _compare(documents, settings, weights, access)
-    _require_samples(parts, documents[0].name)
-    described = [{"name": part.name, "kind": part.kind, **figures([part])} for part in parts]
+    documents = open_both(names, data, settings, access)
+    compared = compare_documents(documents, settings, weights, access)
+    _require_samples(compared.parts, documents[0].name)
+    described = [part.described() for part in compared.parts]
     verdicts, untested = check_limits(described, limits, documents[1].name)
+    moves = compared.moves
+    verdicts += [] if moves is None else check_moves(moves, limits)
     scale = None
     if output is not None and target is not None:
-        written, scale = draw_map(parts, model, target)
+        written, scale = draw_map(compared.parts, documents[0], target)
         output.write(written)
+    geometry = None if moves is None else dataclasses.asdict(moves)
+    passed = all(verdict.kept for verdict in verdicts)
+    notices = [*compared.all_notices(), *untested]
     return Comparison(
-        *names,
-        weights,
-        settings.space,
-        described,
-        figures(parts),
-        verdicts,
-        all(verdict.kept for verdict in verdicts),
-        scale,
-        [*notices, *_left_out(parts), *untested],
-    )
+        *names, weights, settings.space, described, figures(compared.measured()), geometry, verdicts, passed,
+        scale, notices,
+    )  # fmt: skip
 
 
 def _require_samples(parts: list[ComparedColours], name: str) -> None:
@@ -105,19 +111,45 @@ def _require_samples(parts: list[ComparedColours], name: str) -> None:
             raise InputError(name, cause, "use --weights uniform")
 
 
-def _left_out(parts: list[ComparedColours]) -> list[str]:
-    """Say of which parts nothing is compared."""
-    return [
-        f"{part.name} is not compared, because no texel of it is both covered by the surface and visible"
-        for part in parts
-        if not len(part.reference)
-    ]
+@dataclass(frozen=True)
+class Compared:
+    """What two documents have in common, and how far it differs."""
+
+    parts: list[ComparedColours]  # the vertices first
+    moves: Moves | None = None  # of the vertices of a model
+    slots: tuple[Slot, ...] = ()  # whose textures are among the parts
+    notices: tuple[str, ...] = ()
+
+    def measured(self) -> list[ComparedColours]:
+        """Return the parts that figures are of."""
+        return [part for part in self.parts if not part.is_identical]
+
+    def all_notices(self) -> list[str]:
+        """Return what users should know, above all what is not compared."""
+        found = [*self.notices]
+        if self.moves is not None and not self.moves.is_rounding:
+            found.append(
+                f"its vertices are not where those of the reference are: {move_in_words(self.moves)}"
+            )
+        for part in self.parts:
+            if not len(part.reference) and not part.is_identical:
+                cause = "no texel of it is both covered by the surface and visible"
+                found.append(f"{part.name} is not compared, because {cause}")
+            if part.other_opacity:
+                found.append(f"{part.name}: opacity differs, and is not compared")
+        return found
 
 
-def _compare(
+def move_in_words(moves: Moves) -> str:
+    """Say how far vertices moved."""
+    largest, mean = (f"{100 * move:.3g} %" for move in (moves.largest, moves.mean))
+    return f"they moved by up to {largest} of the model's size, {mean} on average"
+
+
+def compare_documents(
     documents: tuple[Document, Document], settings: SmoothSettings, weights: Weights, access: Access
-) -> tuple[list[ComparedColours], Document | None, list[str]]:
-    """Return the parts, vertices first, the reference if it is a model, and notices."""
+) -> Compared:
+    """Bring the colours of two models, or of two images, together."""
     images = [document for document in documents if isinstance(document, ImageDocument)]
     if len(images) == 1:
         kinds = ["an image" if document in images else "a model" for document in documents]
@@ -127,12 +159,28 @@ def _compare(
             "compare two files of one kind",
         )
     if images:
-        return [compare_images(images, settings, access)], None, []
-    parts, notices = _compare_models(documents, settings, weights, access)
-    return parts, documents[0], notices
+        return Compared([compare_images(images, _of_images(settings), access)])
+    selection, notices = choose_parts(documents, settings)
+    reference, test = documents
+    parts = []
+    if selection.vertices:
+        is_extra = bool(selection.slots)
+        parts.append(compare_vertices(reference, test, settings, weights, is_extra=is_extra))
+    for number, slot in enumerate(selection.slots):
+        for document in documents:
+            require_memory_for_textures(document, selection.slots, settings.textures, access)
+        is_extra = number > 0
+        parts += compare_textures(reference, test, slot, settings, weights, access, is_extra=is_extra)
+    return Compared(parts, moves_between(documents, selection), selection.slots, tuple(notices))
 
 
-def _open(
+def _of_images(settings: SmoothSettings) -> SmoothSettings:
+    """Return settings for images, which have no slots, so that all of them are none."""
+    slots = settings.textures.slots or DEFAULTS.textures.slots
+    return dataclasses.replace(settings, textures=dataclasses.replace(settings.textures, slots=slots))
+
+
+def open_both(
     names: tuple[str, str], data: tuple[bytes, bytes], settings: SmoothSettings, access: Access
 ) -> tuple[Document, Document]:
     """Open both; one may be a level set, and the other the mesh that was made of it."""
@@ -143,20 +191,3 @@ def _open(
         for each, name, volume in zip(data, names, volumes, strict=True)
     )
     return one, other
-
-
-def _compare_models(
-    documents: tuple[Document, Document], settings: SmoothSettings, weights: Weights, access: Access
-) -> tuple[list[ComparedColours], list[str]]:
-    reference, test = documents
-    selection = select(reference, settings)
-    parts, notices = [], [f"{reference.name}: {notice}" for notice in selection.notices]
-    if selection.vertices:
-        part, moved = compare_vertices(reference, test, settings, weights)
-        parts.append(part)
-        notices += [f"{test.name}: {notice}" for notice in moved]
-    for slot in selection.slots:
-        for document in documents:
-            require_memory_for_textures(document, selection.slots, settings.textures, access)
-        parts += compare_textures(reference, test, slot, settings, weights, access)
-    return parts, notices

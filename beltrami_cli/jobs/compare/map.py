@@ -38,12 +38,12 @@ def is_map(head: bytes) -> bool:
     return head.startswith(b"ply\n") and _SCALAR in head.partition(b"end_header\n")[0]
 
 
-def draw_map(parts: Sequence[ComparedColours], model: Document | None, target: str) -> tuple[Written, float]:
+def draw_map(parts: Sequence[ComparedColours], model: Document, target: str) -> tuple[Written, float]:
     """Draw the images and textures among parts, or else the vertices of a model; return the scale, too."""
     # The scale is the Delta E, or 100 times the error of data, that the brightest colour stands for.
-    images = [part for part in parts if part.kind != "vertices"]
-    if len(images) < len(parts) and (not images or target.lower().endswith(".ply")):
-        return _draw_vertices(parts[0], cast("Document", model), target)
+    images = [part for part in parts if part.size is not None]
+    if parts[0].kind == "vertices" and (not images or target.lower().endswith(".ply")):
+        return _draw_vertices(parts[0], model, target)
     return _draw_images(images, target)
 
 

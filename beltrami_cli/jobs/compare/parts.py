@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections import Counter
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -12,6 +13,7 @@ from beltrami_cli.flow.colour_space import to_space
 from beltrami_cli.formats.image import read_image
 from beltrami_cli.jobs.compare.figures import ComparedColours, SeamJumps
 from beltrami_cli.jobs.compare.measures import cie_lab, delta_e_2000, structural_similarity
+from beltrami_cli.jobs.compare.models import require_one_model, same_textures
 from beltrami_cli.jobs.compare.seams import near_seams, seam_steps, texel_areas
 from beltrami_cli.samples.memory_check import require_memory
 from beltrami_cli.samples.painted_samples import choose_channels
@@ -36,21 +38,18 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.image import Picture
     from beltrami_cli.formats.image.document import ImageDocument
     from beltrami_cli.samples.settings import SmoothSettings
-    from beltrami_cli.surface.records import PaintedVertices, Slot, Texture, TexturedSurface
+    from beltrami_cli.surface.records import PaintedVertices, Slot, Texture
 
+_STEP = 0.75 / 255  # of opacity, which 8 bits store
 _BLOCK = 1 << 18  # colours compared at a time, which bounds the memory for them
-# Positions that two files of one model may differ by, of the model's size, and texture coordinates: text is
-# often rounded to six digits.
-_ROUNDING = 1e-5
-_OTHER_MODEL = "compare two files of one model"
 
 
 def compare_vertices(
-    reference: Document, test: Document, settings: SmoothSettings, weights: Weights
-) -> tuple[ComparedColours, tuple[str, ...]]:
-    """Bring the vertex colours of two models together; return notices, too."""
+    reference: Document, test: Document, settings: SmoothSettings, weights: Weights, *, is_extra: bool = False
+) -> ComparedColours:
+    """Bring the vertex colours of two models together; `is_extra`: beside textures."""
     one, other = reference.painted(), test.painted()
-    moved = _require_one_model((reference, test), (one, other))
+    require_one_model((reference, test), (one, other))
     rows = np.intersect1d(coloured_vertices(reference), coloured_vertices(test))
     channels = choose_channels(one, settings).changing
     colours = [
@@ -61,7 +60,7 @@ def compare_vertices(
         raise InputError(test.name, "some of its colours are no finite numbers, which cannot be compared")
     place, _ = group_places(one.positions[rows], None if one.space_of is None else one.space_of[rows])
     split = np.bincount(place)[place] > 1 if len(place) else np.zeros(0, bool)
-    part = ComparedColours(
+    return ComparedColours(
         "vertex colours",
         "vertices",
         colours[0],
@@ -71,64 +70,28 @@ def compare_vertices(
         colour_differences(colours[0], colours[1], settings.space),
         near_seams=split if split.any() else None,
         jumps=_jumps(colours, place) if split.any() else None,
+        is_identical=is_extra and np.array_equal(colours[0], colours[1]),
+        other_opacity=_differ(*(_vertex_opacity(document) for document in (reference, test))),
     )
-    notices = ("its vertices are not where those of the reference are; only colours are compared",)
-    return part, notices if moved > 1 else ()
 
 
-def _require_one_model(
-    documents: tuple[Document, Document], painted: tuple[PaintedVertices, PaintedVertices]
-) -> float:
-    """Raise InputError if two models differ in more than colours and positions; return how far vertices move."""
-    one, other = painted
-    names = documents[0].name, documents[1].name
-    counts = len(one.positions), len(other.positions)
-    if counts[0] != counts[1]:
-        raise InputError(
-            names[1], f"it has {counts[1]} coloured vertices, but {names[0]} {counts[0]}", _OTHER_MODEL
-        )
-    _require_same_triangles(_triangles(documents[0]), _triangles(documents[1]), names)
-    if one.channels != other.channels:
-        cause = (
-            f"its colours are {', '.join(other.channels)}, but those of {names[0]} {', '.join(one.channels)}"
-        )
-        raise InputError(names[1], cause, "compare files with the same channels")
-    moved = _largest_move(one, other)
-    if not len(one.faces) and moved > 1:
-        raise InputError(names[1], f"its points are not where those of {names[0]} are", _OTHER_MODEL)
-    return moved
+def _vertex_opacity(document: Document) -> NDArray[np.floating] | None:
+    return None if isinstance(document, LevelSetDocument) else document.contents().alpha
 
 
-def _triangles(document: Document) -> NDArray[np.int32]:
-    """Return the triangles of a model, shape (F, 3); of a level set those without colours too."""
-    if isinstance(document, LevelSetDocument):
-        return document.contents().corners.reshape(-1, 3)
-    return document.painted().faces
+def _opacity(picture: Picture) -> NDArray[np.floating] | None:
+    if picture.alpha is None:
+        return None
+    values = picture.pixels[..., picture.alpha]
+    return values / np.iinfo(values.dtype).max if values.dtype.kind == "u" else values
 
 
-def _require_same_triangles(
-    faces: NDArray[np.int32], others: NDArray[np.int32], names: tuple[str, str]
-) -> None:
-    if len(faces) != len(others):
-        raise InputError(
-            names[1], f"it has {len(others)} triangles, but {names[0]} {len(faces)}", _OTHER_MODEL
-        )
-    if not np.array_equal(faces, others):
-        first = int((faces != others).any(axis=1).argmax())
-        raise InputError(names[1], f"its triangle {first} is another than that of {names[0]}", _OTHER_MODEL)
-
-
-def _largest_move(one: PaintedVertices, other: PaintedVertices) -> float:
-    """Return how far vertices are from each other at most, in units of what rounding explains."""
-    known = np.isfinite(one.positions).all(axis=1) & np.isfinite(other.positions).all(axis=1)
-    if not known.any():
-        return 0.0
-    places = one.positions[known]
-    size = float((places.max(axis=0) - places.min(axis=0)).max()) + float(np.abs(places).max()) * 1e-2
-    move = float(np.abs(other.positions[known] - places).max())
-    if size > 0:
-        return move / (_ROUNDING * size)
-    return np.inf if move > 0 else 0.0
+def _differ(one: NDArray[np.floating] | None, other: NDArray[np.floating] | None) -> bool:
+    """Return whether two opacities differ by more than rounding; None: all is opaque."""
+    if one is None and other is None:
+        return False
+    difference = (1.0 if one is None else one) - (1.0 if other is None else other)
+    return bool(np.abs(difference).max(initial=0) > _STEP)
 
 
 def _areas(painted: PaintedVertices, rows: NDArray[np.intp], settings: SmoothSettings) -> NDArray[np.float64]:
@@ -174,7 +137,9 @@ def compare_images(
     colours = one.samples(pixels), other.samples(pixels)
     space = settings.space if set(one.names) <= {"red", "green", "blue", "grey"} else "data"
     size = (valid.shape[0], valid.shape[1])
-    return _part_of_image("image", "image", colours, pixels, size, np.ones(len(pixels)), space)
+    part = _part_of_image("image", "image", colours, pixels, size, np.ones(len(pixels)), space)
+    opacity = [None if "alpha" in one.names else _opacity(document.picture()) for document in documents]
+    return dataclasses.replace(part, other_opacity=_differ(*opacity))
 
 
 def _part_of_image(
@@ -208,10 +173,18 @@ def compare_textures(
     settings: SmoothSettings,
     weights: Weights,
     access: Access,
+    *,
+    is_extra: bool = False,
 ) -> list[ComparedColours]:
-    """Bring the textures of a slot together, each a part of its own, texel by texel on the surface."""
+    """Bring the textures of a slot together, each a part of its own, texel by texel on the surface.
+
+    `is_extra`: beside another part, so that it is enough to say of equal files that they are.
+    """
     surface = reference.textured(slot)
-    textures = _same_textures(surface, test.textured(slot), settings, (reference.name, test.name))
+    textures = same_textures(surface, test.textured(slot), settings, (reference.name, test.name))
+    olds = choose_textures(surface, settings.textures).textures
+    if is_extra and [texture.data for texture in olds] == [texture.data for texture in textures]:
+        return [_identical(name) for name in _names(slot, olds)]
     require_memory(((texture.name, texture.data) for texture in textures), access)
     prepared = TexelSamples(surface, slot, settings)
     pictures = [read_image(texture.data, texture.name) for texture in textures]
@@ -224,7 +197,23 @@ def compare_textures(
     atlas = prepared.atlas
     both = prepared.colours.samples(atlas), colours.samples(atlas)
     counted = texel_areas(atlas) if weights == "area" else np.ones(len(atlas.owned_texels))
-    return _parts(prepared, both, counted, slot, prepared.colours.space)
+    opacities = [[_opacity(picture) for picture in each] for each in (prepared.pictures, pictures)]
+    hides = [texture.alpha_hides for texture in prepared.surface.textures]
+    differ = [hidden and _differ(old, new) for hidden, old, new in zip(hides, *opacities, strict=True)]
+    parts = _parts(prepared, both, counted, slot, prepared.colours.space)
+    return [dataclasses.replace(part, other_opacity=each) for part, each in zip(parts, differ, strict=True)]
+
+
+def _identical(name: str) -> ComparedColours:
+    none = np.zeros((0, 3), np.float32)
+    rows = np.zeros((0, 2), np.int64)
+    return ComparedColours(name, "texture", none, none, rows, np.zeros(0), None, is_identical=True)
+
+
+def _names(slot: Slot, textures: Sequence[Texture]) -> list[str]:
+    """Return the names of parts; of textures with equal names also what the files know them by."""
+    count = Counter(texture.name for texture in textures)
+    return [f"{slot} {texture.name if count[texture.name] == 1 else texture.key}" for texture in textures]
 
 
 def _parts(
@@ -240,14 +229,14 @@ def _parts(
     cells, before = seam_steps(atlas, both[0])
     _, after = seam_steps(atlas, both[1])
     texture_of = np.searchsorted(atlas.texture_offsets, atlas.owned_texels, side="right") - 1
+    names = _names(slot, prepared.surface.textures)
     parts = []
     for index, picture in enumerate(prepared.pictures):
         inside, here = texture_of == index, texture_of[cells] == index
         texels = atlas.owned_texels[inside] - atlas.texture_offsets[index]
         colours = both[0][inside], both[1][inside]
-        name = f"{slot} {prepared.surface.textures[index].name}"
         size = picture.pixels.shape[:2]
-        part = _part_of_image(name, "texture", colours, texels, size, weights[inside], space)
+        part = _part_of_image(names[index], "texture", colours, texels, size, weights[inside], space)
         near_here = near[inside] if near[inside].any() else None
         jumps = SeamJumps(before[here], after[here]) if here.any() else None
         parts.append(dataclasses.replace(part, near_seams=near_here, jumps=jumps))
@@ -275,24 +264,6 @@ def _require_same_size(old: Picture, new: Picture, name: str) -> None:
         raise InputError(
             name, f"it has {sizes[1]} pixels, but {old.name} {sizes[0]}", "compare images of one size"
         )
-
-
-def _same_textures(
-    surface: TexturedSurface, other: TexturedSurface, settings: SmoothSettings, names: tuple[str, str]
-) -> tuple[Texture, ...]:
-    """Return the textures of the one surface that are the chosen ones of the other."""
-    _require_same_triangles(surface.faces, other.faces, names)
-    if len(surface.textures) != len(other.textures):
-        cause = f"it has {len(other.textures)} textures, but {names[0]} {len(surface.textures)}"
-        raise InputError(names[1], cause, _OTHER_MODEL)
-    used = surface.texture_of >= 0
-    same = np.array_equal(surface.texture_of, other.texture_of)
-    if not same or not np.allclose(surface.uv[used], other.uv[used], rtol=0, atol=_ROUNDING):
-        cause = f"its texture coordinates are not those of {names[0]}"
-        raise InputError(names[1], cause, _OTHER_MODEL)
-    numbered = [dataclasses.replace(texture, key=str(i)) for i, texture in enumerate(surface.textures)]
-    chosen = choose_textures(dataclasses.replace(surface, textures=tuple(numbered)), settings.textures)
-    return tuple(other.textures[int(texture.key)] for texture in chosen.textures)
 
 
 def colour_differences(

@@ -1,0 +1,176 @@
+"""Two models are compared in all that is coloured, and what is not compared is said."""
+
+from __future__ import annotations
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+from beltrami_cli.cli.compare import table_lines
+from beltrami_cli.errors import InputError
+from beltrami_cli.jobs.compare.files import compare_files
+from beltrami_cli.jobs.settings import Limits
+from beltrami_cli.samples.settings import SmoothSettings
+from cli.commands import beltrami
+from formats.image_files import encode
+
+SLOTS = {"baseColor": "colour.png", "emissive": "glow.png", "normal": "bumps.png"}
+PLACES = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)]
+
+
+def write(folder, *, seed=0, other="", places=PLACES, without="", opacity=False):
+    """Write a square with vertex colours and textures in three slots, of which one may be another, or missing."""
+    folder.mkdir()
+    shade = 0.75 if other == "vertex colours" else 0.25
+    vertices = [f"v {x} {y} {z} {shade} 0.5 0.5" for x, y, z in places]
+    corners = ["vt 0 0", "vt 1 0", "vt 1 1", "vt 0 1", "usemtl m", "f 1/1 2/2 3/3", "f 1/1 3/3 4/4"]
+    (folder / "m.obj").write_text("\n".join(["mtllib m.mtl", *vertices, *corners]) + "\n")
+    maps = zip(("map_Kd", "map_Ke", "norm"), SLOTS.items(), strict=True)
+    lines = [f"{keyword} {file}" for keyword, (slot, file) in maps if slot != without]
+    (folder / "m.mtl").write_text("\n".join(["newmtl m", *lines]) + "\n")
+    for number, (slot, file) in enumerate(SLOTS.items()):
+        rng = np.random.default_rng([seed, number, slot == other])
+        pixels = rng.integers(0, 256, (32, 32, 4 if opacity else 3), np.uint8)
+        if opacity:
+            pixels[..., 3] = 200 if other == "opacity" else 100
+            pixels[..., :3] = 9
+        (folder / file).write_bytes(encode(pixels, "png"))
+    return folder / "m.obj"
+
+
+@pytest.mark.parametrize("other", ["emissive", "normal", "vertex colours", "baseColor"])
+def test_whatever_differs_is_found_and_held_to_the_limits(other, tmp_path):
+    one, test = write(tmp_path / "a"), write(tmp_path / "b", other=other)
+    compared = compare_files(one, test, Limits(min_psnr=60))
+    assert [verdict.part.partition(" ")[0] for verdict in compared.limits if not verdict.kept] == [
+        other.partition(" ")[0]
+    ]
+    assert compared.notices == []
+    same = {
+        part["name"].partition(" ")[0]: part["identical"] or part["psnr"] is None for part in compared.parts
+    }
+    assert same == {name: name != other.partition(" ")[0] for name in ("vertex", *SLOTS)}
+    assert beltrami("compare", one, test, "--min-psnr", 60, "-q").returncode == 1
+    page = beltrami("report", one, test, tmp_path / "page.html")
+    assert b"nothing differs" not in page.stderr
+    assert b"are equal" not in page.stderr
+
+
+def test_equal_files_are_equal_in_everything(tmp_path):
+    one = write(tmp_path / "a")
+    compared = compare_files(one, one, Limits(min_psnr=60, max_delta_e=0, min_ssim=1))
+    assert compared.passed
+    assert len(compared.parts) == 4
+    assert compared.overall["samples"] == 32 * 32  # of what is measured, the base colour
+    assert b"nothing differs" in beltrami("report", one, one, tmp_path / "page.html").stderr
+
+
+@pytest.mark.parametrize(
+    ("options", "compared", "left_out"),
+    [
+        (
+            ("--slots", "baseColor"),
+            ["baseColor colour.png"],
+            "vertex colours, emissive textures, normal textures",
+        ),
+        (("--on", "vertices"), ["vertex colours"], "baseColor textures, emissive textures, normal textures"),
+        (
+            ("--on", "both", "--slots", "emissive"),
+            ["vertex colours", "emissive glow.png"],
+            "baseColor textures, normal textures",
+        ),
+        (
+            ("--texture", "glow*"),
+            ["emissive glow.png"],
+            "vertex colours, baseColor textures, normal textures, ",
+        ),
+    ],
+)
+def test_what_is_not_compared_is_said(options, compared, left_out, tmp_path):
+    one, test = write(tmp_path / "a"), write(tmp_path / "b", seed=1)
+    run = beltrami("compare", one, test, "--json", *options)
+    assert run.returncode == 0
+    assert [part["name"] for part in json.loads(run.stdout)["parts"]] == compared
+    assert f"not compared: {left_out}".encode() in run.stderr
+
+
+def test_what_only_one_file_has_is_no_success(tmp_path):
+    one, test = write(tmp_path / "a"), write(tmp_path / "b", without="normal")
+    for pair in ((one, test), (test, one)):
+        with pytest.raises(InputError, match=r"b.m\.obj: it has no normal textures.*choose what both have"):
+            compare_files(*pair)
+    assert compare_files(one, test, settings=SmoothSettings()).passed
+
+
+def test_a_slot_that_neither_can_be_read_in_is_left_out_and_named(tmp_path):
+    one, test = write(tmp_path / "a"), write(tmp_path / "b")
+    (one.parent / SLOTS["emissive"]).unlink()
+    with pytest.raises(InputError, match="emissive"):
+        compare_files(one, test)
+    (test.parent / SLOTS["emissive"]).unlink()
+    compared = compare_files(one, test)
+    assert not any("emissive" in part["name"] for part in compared.parts)
+
+
+def test_a_limit_that_a_differing_part_cannot_have_is_no_success(tmp_path):
+    one, test = write(tmp_path / "a"), write(tmp_path / "b", other="normal")
+    with pytest.raises(InputError, match=r"normal bumps\.png: --max-delta-e cannot be tested"):
+        compare_files(one, test, Limits(max_delta_e=5))
+    assert compare_files(one, one, Limits(max_delta_e=5)).passed
+
+
+@pytest.mark.parametrize("on", ["vertices", "texture"])
+def test_vertices_that_moved_break_every_comparison_with_limits_but_their_own(on, tmp_path):
+    moved = [(0, 0, 0), (1, 0, 0), (1, 1.002, 0), (0, 1, 0)]
+    one, test = write(tmp_path / "a"), write(tmp_path / "b", places=moved)
+    options = ("compare", one, test, "--on", on)
+    said = beltrami(*options)
+    assert said.returncode == 0
+    assert b"moved by up to 0.198 %" in said.stderr  # the size counts the distance from the origin a little
+    assert b"geometry: equal" not in said.stdout
+    assert b"BROKEN  geometry: largest move" in beltrami(*options, "--min-psnr", 30).stdout
+    assert beltrami(*options, "--min-psnr", 30).returncode == 1
+    assert beltrami(*options, "--min-psnr", 30, "--max-move", "0.5%").returncode == 0
+    assert beltrami(*options, "--max-move", "0.001").returncode == 1
+    assert b"nothing differs" not in beltrami("report", one, test, tmp_path / "page.html").stderr
+
+
+def test_opacity_that_differs_is_said(tmp_path):
+    one = write(tmp_path / "a", opacity=True)
+    test = write(tmp_path / "b", opacity=True, other="opacity")
+    assert any("opacity differs" in notice for notice in compare_files(one, test).notices)
+    assert compare_files(one, one).notices == []
+    images = one.parent / "colour.png", test.parent / "colour.png"
+    assert any("opacity differs" in notice for notice in compare_files(*images).notices)
+
+
+def test_textures_of_one_name_are_told_apart(tmp_path):
+    models = [write(tmp_path / name) for name in ("a", "b")]
+    for model in models:
+        text = model.read_text()
+        model.write_text(f"{text}v 5 0 0 1 1 1\nusemtl n\nf 1/1 2/2 5/3\n")
+        library = model.parent / "m.mtl"
+        library.write_text("newmtl m\nmap_Kd one/skin.png\nnewmtl n\nmap_Kd two/skin.png\n")
+        for folder in ("one", "two"):
+            (model.parent / folder).mkdir()
+            shutil.copy(model.parent / "colour.png", model.parent / folder / "skin.png")
+    names = [part["name"] for part in compare_files(*models).parts]
+    assert names == ["vertex colours", "baseColor one/skin.png", "baseColor two/skin.png"]
+
+
+@pytest.mark.parametrize("width", [30, 60, 70, 80, 100, 200, None])
+def test_a_table_breaks_no_number_and_no_name(width):
+    head = ("part", "samples", "PSNR dB", "dE 95 %", *["jump /255"] * 5)
+    rows = [
+        ["baseColor a-very-long-name.png", "1234567", "33.44", "12.50", *["+21.87"] * 5],
+        ["all", *"12345678"],
+    ]
+    lines = [*table_lines(head, rows, width)]
+    words = [word for line in lines for word in line.split()]
+    for row in rows:
+        assert row[0] in "\n".join(lines)
+        assert all(words.count(cell) >= row.count(cell) for cell in row[1:])
+    names = [row[0] for row in rows]
+    assert width is None or all(len(line) <= width for line in lines if line not in names)
