@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from beltrami_cli.formats.document import Written
-from beltrami_cli.jobs.writing import temporary
+from beltrami_cli.jobs.writing import replacing
 from beltrami_cli.jobs.writing.output import Output
 from beltrami_cli.jobs.writing.replacing import remove_leftovers, temporary_beside
 
@@ -60,10 +60,10 @@ def test_a_process_that_has_the_number_of_one_that_is_gone_is_another(
 ) -> None:
     path = tmp_path / "out.ply"
     own = temporary_beside(path)
-    monkeypatch.setattr(temporary, "_life", lambda process: "00000000")
+    monkeypatch.setattr(replacing, "_life", lambda process: "00000000")
     earlier = temporary_beside(path)
     monkeypatch.undo()
-    monkeypatch.setattr(temporary, "_machine", lambda: "00000000")
+    monkeypatch.setattr(replacing, "_machine", lambda: "00000000")
     elsewhere = temporary_beside(path)
     monkeypatch.undo()
     for file in (own, earlier, elsewhere):
