@@ -137,20 +137,16 @@ def command(
     start = time.monotonic()
     requests = plan(inputs, out_dir, given["suffix"], given["output_format"])
     jobs = _jobs_for(requests, given, overwrite=overwrite)
-    path = report_path or _report_in(out_dir)
-    named = (name for job in jobs for name in (job.source, job.target, *job.settings.files_besides()))
-    _refuse_report(path, [*inputs, *named])
+    path = _report_path(report_path, out_dir, inputs, jobs)
+    rewritten = options.overwrite_at("report_path", overwrite=overwrite)
     with (
         _executor(scheduler, pieces, at_once, memory, messages) as executor,
         Display(jobs, messages) as display,
     ):
+        record = Record(path, resume=given["resume"], overwrite=rewritten)  # once there are workers
         outcomes = run_batch(
             jobs,
-            Record(
-                path,
-                resume=given["resume"],
-                overwrite=options.overwrite_at("report_path", overwrite=overwrite),
-            ),  # once there is somebody to do anything
+            record,
             display,
             at_once=at_once or KernelParameters().thread_count,
             memory=memory or memory_of_machine(),
@@ -160,11 +156,7 @@ def command(
     if not messages.quiet:
         show_table(outcomes)
     messages.say(f"{_counts(outcomes)} in {time.monotonic() - start:.1f} s; report: {path}")
-    lost = sum(outcome.status == "failed" for outcome in outcomes)
-    if lost:
-        raise ProcessingError(
-            f"{lost} of {len(outcomes)} files failed; mend them, and run the same again with --resume"
-        )
+    _require_all_done(outcomes)
 
 
 def _jobs_for(requests: Iterable[Request], values: dict[str, Any], *, overwrite: bool) -> list[Item]:
@@ -205,11 +197,15 @@ def _guide(folder: Path, guide: str) -> str:
     return str(folder / guide) if (folder / guide).is_file() else guide
 
 
-def _refuse_report(path: str, others: Sequence[str]) -> None:
+def _report_path(given: str | None, out_dir: str, inputs: Sequence[str], jobs: Sequence[Item]) -> str:
+    """Return where the report goes; OutputError if it would replace a file of the batch."""
+    path = given or _report_in(out_dir)
     if path == "-":
         raise OutputError(path, "the report is a file, so that a run can go on from it", "name a file")
-    if Path(path).resolve() in {Path(other).resolve() for other in others}:
+    named = (name for job in jobs for name in (job.source, job.target, *job.settings.files_besides()))
+    if Path(path).resolve() in {Path(other).resolve() for other in (*inputs, *named)}:
         raise OutputError(path, "the report would replace a file of the batch", "choose another name")
+    return path
 
 
 @contextlib.contextmanager
@@ -250,6 +246,14 @@ def _report_in(out_dir: str) -> str:
             out_dir, f"the folder cannot be made ({error.strerror})", "choose another"
         ) from error
     return str(folder / "batch.jsonl")
+
+
+def _require_all_done(outcomes: Sequence[Outcome]) -> None:
+    lost = sum(outcome.status == "failed" for outcome in outcomes)
+    if lost:
+        raise ProcessingError(
+            f"{lost} of {len(outcomes)} files failed; mend them, and run the same again with --resume"
+        )
 
 
 def _counts(outcomes: Sequence[Outcome]) -> str:

@@ -60,9 +60,7 @@ def unwrap(
     # `size`: longest side of the texture, in texels; None: from 256 to 8192, as `texels`, which charts
     # should cover, need. `padding`: texels between charts, and around all of them. `progress` is called
     # several times a second with the tenths of a second that went by and those that are expected.
-    if not np.isfinite(positions).all():
-        row = int(np.argmin(np.isfinite(positions).all(axis=1)))
-        raise InputError(name, f"the position of vertex {row} is not finite", "repair the file")
+    _require_finite(positions, name)
     used, row_of = np.unique(faces, return_inverse=True)
     unit, rows = _of_unit_size(positions[used]), row_of.reshape(-1, 3).astype(np.int32)
     whole = np.flatnonzero(_with_area(unit, rows))
@@ -87,6 +85,13 @@ def unwrap(
     uv[whole] = (corners + padding) / [width, height]
     _collapse_others(uv, faces, whole, len(positions))
     return Unwrapped(uv, (width, height), charts)
+
+
+def _require_finite(positions: NDArray[np.float64], name: str) -> None:
+    finite = np.isfinite(positions).all(axis=1)
+    if not finite.all():
+        row = int(np.argmin(finite))
+        raise InputError(name, f"the position of vertex {row} is not finite", "repair the file")
 
 
 def require_few_faces(count: int, most: int, name: str) -> None:
