@@ -19,7 +19,7 @@ from beltrami_cli.jobs.check import check_files
 from beltrami_cli.jobs.smooth import smooth_file
 from cli.commands import SAMPLES, beltrami
 from formats.ply_files import ENCODINGS, Table, build, coloured
-from hostile.textured_models import OTHER, PICTURE, write_model
+from hostile.textured_models import ONCE, OTHER, PICTURE, write_model
 
 if TYPE_CHECKING:
     import subprocess
@@ -52,7 +52,7 @@ def halved(source: Path, target: Path) -> Path:
     ],
 )
 def test_smoothing_changes_nothing_else(name: str, tmp_path: Path) -> None:
-    smooth_file(SAMPLES / name, tmp_path / name)
+    smooth_file(SAMPLES / name, tmp_path / name, ONCE)
     report = check_files(SAMPLES / name, tmp_path / name)
     assert report.faithful
     assert report.differences
