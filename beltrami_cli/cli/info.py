@@ -41,6 +41,8 @@ def command(source: str, as_json: bool, verbose: int, **smoothing: Any) -> None:
     for smooth in planned:
         if smooth and settings.kernel.iterations:
             smooth["choice"] = _choice(smooth)
+        if smooth and "samples_per_kernel" in smooth:
+            smooth["samples_per_kernel"] = _samples(smooth)
     for section, content in facts.items():
         for part in content if isinstance(content, list) and section == "textures" else [content]:
             _print(section, part)
@@ -73,6 +75,12 @@ def _choice(smooth: dict[str, Any]) -> str | None:
     if "choice" in smooth:
         return choice_in_words(smooth["choice"])
     return None if smooth["iterations"] else f"nothing to smooth: the noise is {NO_NOISE}; {ALL_THE_SAME}"
+
+
+def _samples(smooth: dict[str, Any]) -> str:
+    """Say of what the samples of a kernel are the mean, since `smooth` gives that over all iterations."""
+    others = f" of {smooth['iterations']} iterations; smooth gives the mean over all"
+    return f"{smooth['samples_per_kernel']:.5g} in the first{others if smooth['iterations'] > 1 else ' iteration'}"
 
 
 def _rows(key: str, value: Any) -> list[tuple[str, str]]:

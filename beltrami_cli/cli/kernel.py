@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, cast
+from typing import Any
 
 import click
 
@@ -36,7 +36,7 @@ OUTPUT by its extension:
 
 # Parameters of what is done with the averages, which are only looked at here.
 _OF_WRITING = (
-    "iterations", "clipping", "strength", "fast", "gutter", "image_suffix", "jpeg_quality", "small", "smooth_geometry",
+    "clipping", "gutter", "image_suffix", "jpeg_quality", "small", "smooth_geometry",
     "normal_beta",
 )  # fmt: skip
 
@@ -71,7 +71,8 @@ def command(
 ) -> None:
     """Write the geodesic distances and the weights of one kernel of FILE, to be looked at.
 
-    Distances are on the image manifold, so they go through space and colour together.
+    Distances are on the image manifold, so they go through space and colour together. Parameters are those that
+    `beltrami smooth` takes with the same options.
     """
     settings = options.settings_from(smoothing)
     from beltrami_cli.jobs.job import Job
@@ -87,10 +88,7 @@ def command(
             whole=whole,
             job=Job(access, progress, overwrite),
         )
-    messages.say(
-        f"{target}: kernel of the {facts['at']}, {counted(cast('int', facts['samples']), 'sample')} up to "
-        f"{facts['furthest']:.3g} of {facts['radius']:.3g} away ({facts['unit_of_length']}), beta {facts['beta']:.3g}"
-    )
+    messages.say(f"{target}: kernel of the {facts['at']} {_described(facts)}")
     if facts.get("cut_short"):
         messages.warn(
             f"{source}: the kernel was cut short at {facts['samples']} samples; lower -t, or raise --max-samples"
@@ -98,3 +96,14 @@ def command(
     for when in ("before", "after"):
         colours: Any = facts[when]
         messages.detail(f"{when:>8}: " + ", ".join(f"{name} {value:.4f}" for name, value in colours.items()))
+
+
+def _described(facts: dict[str, Any]) -> str:
+    """Say of which iteration a kernel is, how large it is, and with which beta."""
+    number, iterations = facts["iteration"], facts["iterations"]
+    which = f"in iteration {number}" + (f" of {iterations}" if number <= iterations else "")
+    size = (
+        f"{counted(facts['samples'], 'sample')} up to {facts['furthest']:.3g} of {facts['radius']:.3g} away"
+    )
+    beta = f"beta {facts['beta']:.3g}" + (f" ({facts['first_beta']:.3g} in the first)" if number > 1 else "")
+    return f"{which}, {size} ({facts['unit_of_length']}), {beta}"

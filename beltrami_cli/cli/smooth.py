@@ -216,8 +216,9 @@ def _show_done(messages: Messages, what: str, done: Done, samples: float) -> Non
     if not done.iterations:
         messages.say(f"{noise}, {NO_NOISE}, so the colours are left as they are; {ALL_THE_SAME}")
         return
+    iterations = f" on average over {done.iterations} iterations" if done.iterations > 1 else ""
     messages.say(
-        f"{noise}, beta {done.beta:.3g}, {samples:.0f} samples a kernel, "
+        f"{noise}, beta {done.beta:.3g}, {samples:.0f} samples a kernel{iterations}, "
         f"mean change {255 * done.change['mean']:.1f}/255"
     )
     for guide, beta in done.guides.items():

@@ -115,6 +115,11 @@ class BeltramiFlow(Generic[AnyManifold]):
         own = self.parameters
         return Step(self.beta * own.growth(iteration), own.t, own.is_regularised(iteration))
 
+    def stop_before(self, iteration: int) -> None:
+        """Have `run` do only the iterations before one, counted from 0, and restore nothing that was clipped."""
+        self.parameters = dataclasses.replace(self.parameters, iterations=iteration)
+        self.manifold.parameters, self._clipped = self.parameters, None
+
     def run(self, progress: Callable[[int, int], None] | None = None) -> FlowResult:
         """Run all iterations; `progress` is called with the work done and the total, and may raise to stop."""
         manifold, iterations = self.manifold, self.parameters.iterations

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 
+import pytest
+
 from cli.commands import SAMPLES, beltrami
 
 HEAD = SAMPLES / "head-noisy.ply"
@@ -18,7 +20,8 @@ def test_options_of_the_kernel_apply(tmp_path):
     facts = json.loads(target.read_text())
     assert (facts["t"], facts["beta"], facts["iteration"]) == (1.5, 0, 2)
     printed = run.stderr.decode()
-    assert printed.startswith(f"{target}: kernel of the vertex 1234, {facts['samples']} samples")
+    assert printed.startswith(f"{target}: kernel of the vertex 1234 in iteration 2 of ")
+    assert f", {facts['samples']} samples up to" in printed
     assert "before: red" in printed
 
 
@@ -46,3 +49,44 @@ def test_an_existing_file_is_kept_unless_it_may_be_replaced(tmp_path):
     assert run.returncode == 4
     assert target.read_text() == "mine"
     assert beltrami("kernel", HEAD, target, "--at", "1", "--overwrite").returncode == 0
+
+
+@pytest.mark.parametrize(
+    ("name", "at"),
+    [
+        ("knot-noisy.ply", "100"),
+        ("torus-two-noisy.gltf", "*icing*:200px,100px"),
+        ("scan-noisy.jpg", "90,170"),
+    ],
+)
+@pytest.mark.parametrize("options", [(), ("--fast",), ("--strength", "strong", "-n", 2)])
+def test_kernel_info_and_smooth_say_the_same_parameters_of_a_file(name, at, options, tmp_path):
+    source, record, target = SAMPLES / name, tmp_path / "run.json", tmp_path / "kernel.json"
+    smooth = beltrami("smooth", source, tmp_path / name, "--dry-run", "--report", record, *options)
+    assert beltrami("kernel", source, target, "--at", at, *options).returncode == 0
+    done, facts = json.loads(record.read_text()), json.loads(target.read_text())
+    done = done["vertices"] or done["image"] or done["textures"][0]
+    info = json.loads(beltrami("info", source, "--json", *options).stdout)
+    planned = info["smooth"] if "smooth" in info else info["textures"][0]["smooth"]
+    for key in ("beta", "iterations"):
+        assert facts[key] == done[key] == planned[key]
+    assert facts["t"] == planned["t"]
+    assert f"beta {facts['beta']:.3g}," in smooth.stderr.decode()
+
+
+def test_samples_of_a_kernel_are_said_of_the_first_iteration_or_of_all(tmp_path):
+    record = tmp_path / "run.json"
+    parameters = ("-n", 1, "-t", 2, "--beta", 8)
+    smooth = beltrami("smooth", HEAD, tmp_path / "o.ply", "--report", record, *parameters)
+    of_one = json.loads(record.read_text())["vertices"]["counts"]["samples_per_kernel"]
+    planned = json.loads(beltrami("info", HEAD, "--json", *parameters).stdout)["smooth"]["samples_per_kernel"]
+    assert planned == pytest.approx(of_one, rel=0.05)  # from some of the kernels
+    assert f"{of_one:.0f} samples a kernel, mean" in smooth.stderr.decode()
+    assert b"in the first iteration\n" in beltrami("info", HEAD, *parameters).stdout
+    parameters = ("-n", 3, *parameters[2:])
+    smooth = beltrami("smooth", HEAD, tmp_path / "p.ply", *parameters)
+    assert b" samples a kernel on average over 3 iterations, mean" in smooth.stderr
+    assert (
+        b"in the first of 3 iterations; smooth gives the mean over all\n"
+        in beltrami("info", HEAD, *parameters).stdout
+    )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -51,11 +50,8 @@ def kernel_file(
     location = read_location(at)
     output = Output(target, overwrite=job.overwrite, is_text=suffix == ".csv", what="kernel", reads=[source])
     access = output.files.watching(job.access)
-    # What is restored of clipped colours comes after the averages of all iterations, and is none of them.
-    kernel = dataclasses.replace(settings.kernel, iterations=iteration - 1, clipping="keep", free=())
-    settings = dataclasses.replace(settings, kernel=kernel)
     probe = _probe_of(source, settings, access, whole=whole)
-    probed = _kernel(probe, location, kernel, job.progress_of("iterations before"))
+    probed = _kernel(probe, location, iteration - 1, job.progress_of("iterations before"))
     facts = {"input": source, "output": target, **probed.facts}
     output.write(encode(probed, facts, suffix))
     return facts
@@ -78,21 +74,27 @@ def _probe_of(source: str, settings: SmoothSettings, access: Access, *, whole: b
 def _kernel(
     probe: Probe,
     location: Location,
-    parameters: KernelParameters,
+    iteration: int,
     progress: Callable[[int, int], None] | None,
 ) -> ProbedKernel:
-    """Run the iterations, and take the kernel of the sample at a location after them."""
+    """Run the iterations before one, counted from 0, and take the kernel of the sample at a location in that."""
     sample, facts = probe.find(location)
+    iterations = probe.flow.parameters.iterations
+    # What is restored of clipped colours comes after the averages of all iterations, and is none of them.
+    probe.flow.stop_before(iteration)
+    parameters = probe.flow.parameters
     probe.flow.run(progress)
     kernel = probe.flow.kernel_at(sample)
     names = probe.colours.names
     colours = {name: kernel.colours[:, i] for i, name in enumerate(names)}
     facts |= probe.facts(kernel)
     facts |= {
-        "iteration": parameters.iterations + 1,
-        "regularised_metric": parameters.is_regularised(parameters.iterations),
+        "iteration": iteration + 1,
+        "iterations": iterations,
+        "regularised_metric": parameters.is_regularised(iteration),
         "t": parameters.t,
-        "beta": probe.flow.beta * parameters.growth(parameters.iterations),
+        "first_beta": probe.flow.beta,
+        "beta": probe.flow.beta * parameters.growth(iteration),
         "threshold": parameters.threshold,
         "unit_of_length": probe.unit or _unit(parameters),
         "radius": parameters.radius,
