@@ -59,6 +59,7 @@ def test_an_existing_file_is_kept_unless_it_may_be_replaced(tmp_path):
         ("scan-noisy.jpg", "90,170"),
     ],
 )
+@pytest.mark.slow
 @pytest.mark.parametrize("options", [(), ("--fast",), ("--strength", "strong", "-n", 2)])
 def test_kernel_info_and_smooth_say_the_same_parameters_of_a_file(name, at, options, tmp_path):
     source, record, target = SAMPLES / name, tmp_path / "run.json", tmp_path / "kernel.json"
