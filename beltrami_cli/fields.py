@@ -116,7 +116,11 @@ class Parameter:
     def _is_within(self, value: Any) -> bool:
         if value in self.also:
             return True
-        if not math.isfinite(value) or (self.is_odd and value % 2 != 1):
+        try:
+            is_finite = math.isfinite(value)
+        except OverflowError:  # a whole number beyond all floats
+            return False
+        if not is_finite or (self.is_odd and value % 2 != 1):
             return False
         low = -math.inf if self.low is None else self.low
         high = math.inf if self.high is None else self.high

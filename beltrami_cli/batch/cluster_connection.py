@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import logging
 import socket
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
 from beltrami_cli.errors import ProcessingError
+from beltrami_cli.formats.data_text import CONFIGURATION, parse_json, read_bounded
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -39,7 +39,7 @@ def connected(address: str) -> Iterator[Any]:
         security = Security()  # certificates, and whether they are required, from Dask's own configuration
         _require_encryption(where, security)
         client = Client(where, timeout=_PATIENCE, set_as_default=False, security=security)
-    except (OSError, ValueError, KeyError) as error:
+    except (OSError, ValueError, KeyError, TypeError) as error:
         cause = " ".join(f"{type(error).__name__}: {error}".split())[:200]
         raise ProcessingError(
             f"{address}: no Dask scheduler answers there ({cause}); start one with dask scheduler, or check the address"
@@ -52,7 +52,7 @@ def connected(address: str) -> Iterator[Any]:
 
 def _address_in(path: str) -> str:
     """Return what a scheduler wrote into a file."""
-    return str(json.loads(Path(path).read_text(encoding="utf-8"))["address"])
+    return str(parse_json(read_bounded(Path(path), CONFIGURATION))["address"])
 
 
 def _require_encryption(address: str, security: Any) -> None:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 from beltrami_cli.batch.cluster_connection import LOST
 from beltrami_cli.batch.item import Attempt, do_item, failed
 from beltrami_cli.batch.storage import is_url, place_of
+from beltrami_cli.formats.access import is_file
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -142,7 +143,7 @@ def _portable(item: Item) -> Item:
 
 def _absolute(value: Any) -> Any:
     """Return the absolute path where a setting names a file."""
-    return str(Path(value).absolute()) if isinstance(value, str) and Path(value).is_file() else value
+    return str(Path(value).absolute()) if isinstance(value, str) and is_file(value) else value
 
 
 # ---- on a worker

@@ -9,9 +9,7 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 import os
-import tomllib
 from dataclasses import dataclass, field
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any
@@ -23,10 +21,11 @@ from beltrami_cli.batch.storage import (
     is_url,
     joined,
     place_of,
-    require_name,
     without_scheme,
 )
 from beltrami_cli.errors import InputError, UsageError
+from beltrami_cli.formats.access import is_file, is_there
+from beltrami_cli.formats.data_text import MANIFEST, parse_json, parse_toml, read_bounded, require_text
 from beltrami_cli.formats.registry import OUTPUT_FORMATS
 from beltrami_cli.samples.settings import IMAGE_FORMATS, IMAGE_SUFFIXES
 
@@ -89,11 +88,11 @@ def _result_name(place: PurePath, suffix: str, extension: str | None) -> PurePat
 def _found(text: str, out_dir: str) -> Iterator[tuple[str, PurePath]]:
     """Give the files that an input stands for, and their places below the output folder."""
     path, results = Path(text), None if is_url(out_dir) else Path(out_dir)
-    if path.is_dir():
+    if is_there(path) and path.is_dir():
         inside = sorted(each for each in path.rglob("*") if each.suffix.lower() in MODEL_SUFFIXES)
         found = [(each, each.relative_to(path)) for each in inside if _is_input(each, path, results)]
-    elif path.exists() or not has_magic(text):
-        if not path.is_file():
+    elif is_there(path) or not has_magic(text):
+        if not is_file(path):
             raise InputError(text, "there is no such file", "check the path")
         found = [(path, Path(path.name))]
     else:
@@ -160,7 +159,7 @@ def _of_manifest(path: str, out_dir: str, suffix: str, extension: str | None) ->
         source_text, target_text, options = _parts_of(entry, origin)
         name = without_scheme(source_text)
         source = name if is_url(name) else str(folder / name)
-        if not is_url(source) and not Path(source).is_file():
+        if not is_url(source) and not is_file(source):
             raise InputError(source, "there is no such file", f"check {origin}")
         own_name = PurePath(name.rpartition("/")[2] if is_url(name) else Path(name).name)
         named = _place_below(out_dir, target_text, origin) if target_text else None
@@ -181,12 +180,12 @@ def _place_below(out_dir: str, target: str, origin: str) -> PurePath:
 def _entries(path: str) -> list[tuple[str, object]]:
     """Read a manifest: the origin, for messages, and the table of every file."""
     try:
-        text = Path(path).read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
+        text = read_bounded(Path(path), MANIFEST)
+    except (OSError, ValueError) as error:
         raise InputError(path, f"cannot be read ({error})", "check the path, and that it is UTF-8") from error
     try:
         found = list(_READERS[Path(path).suffix.lower()](text))
-    except (ValueError, csv.Error, RecursionError) as error:
+    except (ValueError, csv.Error) as error:
         raise InputError(path, f"the manifest cannot be read ({error})", _WAY_OUT) from error
     if not found:
         raise InputError(path, "the manifest names no files", _WAY_OUT)
@@ -201,14 +200,11 @@ def _parts_of(entry: object, origin: str) -> tuple[str, str, dict[str, object]]:
     source, target = options.pop("input", None), options.pop("output", "")
     if not isinstance(source, str) or not isinstance(target, str):
         raise InputError(origin, "it has no input, or one that is no text", _WAY_OUT)
-    try:
-        return require_name(source), require_name(target), options
-    except ValueError as error:
-        raise InputError(origin, "no file can have the name that is its input or output", _WAY_OUT) from error
+    return source, target, options
 
 
 def _from_toml(text: str) -> Iterator[tuple[str, dict[str, Any]]]:
-    tree = tomllib.loads(text)
+    tree = parse_toml(text)
     files = tree.pop("files", None)
     if not isinstance(files, list) or not all(isinstance(each, dict) for each in files):
         raise ValueError("there is no table [[files]]")
@@ -217,7 +213,7 @@ def _from_toml(text: str) -> Iterator[tuple[str, dict[str, Any]]]:
 
 
 def _from_csv(text: str) -> Iterator[tuple[str, dict[str, Any]]]:
-    table = csv.DictReader(io.StringIO(text, newline=""), strict=True)
+    table = csv.DictReader(io.StringIO(require_text(text), newline=""), strict=True)
     if "input" not in (table.fieldnames or ()):
         raise ValueError("the first line has no column called input")
     for entry in table:
@@ -229,7 +225,10 @@ def _from_csv(text: str) -> Iterator[tuple[str, dict[str, Any]]]:
 def _from_json_lines(text: str) -> Iterator[tuple[str, Any]]:
     for number, line in enumerate(text.split("\n"), 1):
         if line.strip():
-            yield f"line {number}", json.loads(line)
+            try:
+                yield f"line {number}", parse_json(line)
+            except ValueError as error:
+                raise ValueError(f"line {number}: {error}") from error
 
 
 _READERS: dict[str, Callable[[str], Iterator[tuple[str, Any]]]] = {

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, get_args
 from beltrami_cli.batch.item import Outcome, Status
 from beltrami_cli.batch.storage import exists, hash_at, is_url, place_of, require_name
 from beltrami_cli.errors import InputError, OutputError
-from beltrami_cli.formats.access import open_regular
+from beltrami_cli.formats.access import is_there, open_regular
+from beltrami_cli.formats.data_text import parse_json
 from beltrami_cli.formats.document import Written
 from beltrami_cli.jobs.writing.output import Output, Overwrite
 
@@ -37,10 +38,10 @@ class Record:
 
     def __init__(self, path: str, *, resume: bool, overwrite: Overwrite) -> None:
         self.path = path
-        if not resume and not overwrite and Path(path).exists():
+        if not resume and not overwrite and is_there(path):
             raise OutputError(path, "exists already", "--resume goes on from it, --overwrite starts anew")
         self._output = Output(path, overwrite=resume or overwrite, what="report", is_own=_is_record)
-        self._latest = _read(path) if resume and Path(path).exists() else {}
+        self._latest = _read(path) if resume and is_there(path) else {}
         self.close([])  # without the line that the end of a run cut off
         self._output.overwrite = True  # from now on it is ours
 
@@ -108,7 +109,7 @@ def _read(path: str) -> dict[str, Outcome]:
             for number, line in enumerate(iter(partial(file.readline, _LONGEST), b""), 1):
                 try:
                     outcome = _outcome_in(line)
-                except (ValueError, TypeError, RecursionError):
+                except (ValueError, TypeError):
                     if _is_cut_off(line) and not file.read(1):
                         break
                     cause = f"line {number} is not of a report of beltrami batch"
@@ -126,7 +127,7 @@ def _is_cut_off(line: bytes) -> bool:
 
 def _outcome_in(line: bytes) -> Outcome:
     """Return what a line says; ValueError or TypeError if it cannot be from `_line`."""
-    outcome = Outcome(**json.loads(line.decode("utf-8")))
+    outcome = Outcome(**parse_json(line))
     source, target = require_name(outcome.input), require_name(outcome.output)
     texts = (outcome.parameters_sha256, outcome.error)
     is_valid = (
@@ -161,7 +162,7 @@ def _is_below(url: str, folder: str) -> bool:
 
 def _is_report(report: object) -> bool:
     """Return whether a report of `beltrami smooth` has what the table of a batch shows of it."""
-    if not isinstance(report, dict) or not _is_shallow(report):
+    if not isinstance(report, dict):
         return False
     textures, warnings = report.get("textures", []), report.get("warnings", [])
     if not isinstance(textures, list) or not isinstance(warnings, list):
@@ -174,11 +175,6 @@ def _is_report(report: object) -> bool:
         and "mean" in part["change"]
         for part in parts
     )
-
-
-def _is_shallow(value: object, depth: int = 20) -> bool:
-    inner = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
-    return depth > 0 and all(_is_shallow(each, depth - 1) for each in inner)
 
 
 def _are_numbers(values: object) -> bool:

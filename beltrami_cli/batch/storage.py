@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import unquote
 
 from beltrami_cli.errors import InputError, OutputError
-from beltrami_cli.formats.access import Access, open_regular
+from beltrami_cli.formats.access import Access, is_there, open_regular
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -89,7 +89,7 @@ def filesystem(url: str) -> tuple[Any, str]:
 def exists(name: str) -> bool:
     """Return whether there is a file, or a folder, of that name."""
     if not is_url(name):
-        return Path(name).exists()
+        return is_there(name)
     files, path = filesystem(name)
     return bool(files.exists(path))
 

@@ -14,6 +14,7 @@ from beltrami_cli.cli import options
 from beltrami_cli.cli.commands import GroupedOption, HelpfulCommand, options_by_name, values_for
 from beltrami_cli.errors import OutputError, ProcessingError, UsageError
 from beltrami_cli.fields import parameters
+from beltrami_cli.formats.access import is_file
 from beltrami_cli.samples.settings import SmoothSettings
 
 if TYPE_CHECKING:
@@ -194,7 +195,7 @@ def _settings(request: Request, given: dict[str, Any]) -> tuple[SmoothSettings, 
 
 
 def _guide(folder: Path, guide: str) -> str:
-    return str(folder / guide) if (folder / guide).is_file() else guide
+    return str(folder / guide) if is_file(folder / guide) else guide
 
 
 def _report_path(given: str | None, out_dir: str, inputs: Sequence[str], jobs: Sequence[Item]) -> str:

@@ -64,6 +64,8 @@ def _value(option: click.Option, name: str, value: object) -> object:
         raise ValueError(f"{name} can be no {'table' if isinstance(value, dict) else 'truth value'}")
     if option.multiple:
         return tuple(value) if isinstance(value, list) else (value,)
+    if isinstance(value, float) and not value.is_integer():
+        return repr(value)  # which options of whole numbers refuse, where they would cut off the number itself
     if isinstance(value, list):  # options that take a list take it with commas
         return ",".join(str(each) for each in value)
     return value

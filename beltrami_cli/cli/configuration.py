@@ -19,6 +19,7 @@ from beltrami_cli.cli.commands import long_name, options_by_name, plain, values_
 from beltrami_cli.cli.console import printable
 from beltrami_cli.cli.options import ParameterOption
 from beltrami_cli.errors import InputError, UsageError
+from beltrami_cli.formats.data_text import CONFIGURATION, parse_toml, read_bounded, text_in
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Mapping
@@ -109,14 +110,14 @@ def _found_table(path: Path) -> dict[str, object] | None:
             remedy = f"to have it read, name it: --config {path}"
             click.echo(printable(f"warning: {path} is not read, because {error}; {remedy}"), err=True)
         return None
-    except OSError as error:
+    except (OSError, ValueError) as error:
         raise _unreadable(path, error) from error
 
 
 def _table(path: Path) -> dict[str, object] | None:
     try:
-        return _parsed(path, path.read_bytes())
-    except OSError as error:
+        return _parsed(path, read_bounded(path, CONFIGURATION))
+    except (OSError, ValueError) as error:
         raise _unreadable(path, error) from error
 
 
@@ -124,13 +125,9 @@ def _unreadable(path: Path, error: Exception) -> InputError:
     return InputError(str(path), f"cannot be read ({error})", "mend it, or leave it out")
 
 
-def _parsed(path: Path, data: bytes) -> dict[str, object] | None:
-    import tomllib
-
-    try:
-        tree = tomllib.loads(data.decode("utf-8"))
-    except ValueError as error:  # what is no UTF-8, and no TOML
-        raise _unreadable(path, error) from error
+def _parsed(path: Path, text: str) -> dict[str, object] | None:
+    """Return the table of options in a file; None if it is one of other programs; ValueError if it is no TOML."""
+    tree = parse_toml(text)
     tool = tree.get("tool", {})
     if isinstance(tool, dict) and "beltrami" in tool:
         tree = tool["beltrami"]
@@ -153,8 +150,6 @@ OWN_NAME, SHARED_NAME = "beltrami.toml", "pyproject.toml"
 _HARMLESS = frozenset({
     "preset", "output_format", "unwrap", "to", "at", "iteration", "whole", "view", "no_labels",
 })  # fmt: skip
-
-_LONGEST = 1 << 20  # bytes in which the name of this program is looked for
 
 
 class UntrustedError(Exception):
@@ -179,14 +174,14 @@ def candidates(here: Path) -> Iterator[Path]:
             return
 
 
-def read_found(path: Path) -> bytes:
+def read_found(path: Path) -> str:
     """Read a file that only the user or root can have written; UntrustedError otherwise."""
     # Nobody else can have put a link there either, and what is looked at is what is read.
     _require_own(path.lstat())
     descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))
     with os.fdopen(descriptor, "rb") as file:
         _require_own(os.fstat(descriptor))
-        return file.read()
+        return text_in(file, CONFIGURATION)
 
 
 def mentions_us(path: Path) -> bool:
@@ -195,7 +190,7 @@ def mentions_us(path: Path) -> bool:
         return True
     try:
         with path.open("rb") as file:
-            return b"beltrami" in file.read(_LONGEST)
+            return b"beltrami" in file.read(CONFIGURATION)
     except OSError:
         return False
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import io
 import os
 import signal
 import sys
@@ -167,7 +168,10 @@ def _run() -> int:
     except click.Abort:
         return _failure(128 + signal.SIGINT, _INTERRUPTED)
     except click.ClickException as error:
-        error.show()
+        shown = io.StringIO()
+        error.show(shown)
+        for line in shown.getvalue().splitlines():
+            click.echo(printable(line), err=True)
         if variable := blamed_variable(error):
             click.echo(f"The value is from the environment: {variable}", err=True)
         return error.exit_code

@@ -62,6 +62,16 @@ class NotRegularError(OSError):
     """A FIFO, a device, a socket or a folder where a file should be."""
 
 
+def is_file(path: str | os.PathLike[str]) -> bool:
+    """Whether there is a file of a name; there is none of one that no file can have."""
+    return os.path.isfile(path)  # noqa: PTH113
+
+
+def is_there(path: str | os.PathLike[str]) -> bool:
+    """Whether there is anything of a name, as `is_file`."""
+    return os.path.exists(path)  # noqa: PTH110
+
+
 def open_regular(path: Path) -> BufferedReader:
     """Open a regular file, never waiting for a writer; OSError if it cannot be opened, or is none."""
     file = os.fdopen(os.open(path, _OPENING), "rb")

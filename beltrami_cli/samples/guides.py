@@ -6,14 +6,13 @@ For vertices they are attributes, or tables in files with one row per vertex; fo
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.flow.embedding import Guide, centred
-from beltrami_cli.formats.access import Access, read_source
+from beltrami_cli.formats.access import Access, is_there, read_source
 from beltrami_cli.formats.image import read_image
 from beltrami_cli.formats.image.picture import full_scale_one
 from beltrami_cli.formats.npz import NPY_MAGIC, NpzArchive, read_npy
@@ -101,7 +100,7 @@ def require_finite(table: NDArray[np.floating[Any]], name: str, what: str) -> No
 
 def exists(path: str) -> bool:
     """Return whether a file of this name exists, or it is standard input."""
-    return path == "-" or Path(path).exists()
+    return path == "-" or is_there(path)
 
 
 @dataclass(frozen=True)

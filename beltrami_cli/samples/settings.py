@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args
 from beltrami_cli.errors import UsageError
 from beltrami_cli.fields import check, described, named_files, names_in, parameter, part
 from beltrami_cli.flow.parameters import TUNABLE, KernelParameters, Space
+from beltrami_cli.formats.access import is_file
 
 if TYPE_CHECKING:
     from beltrami_cli.flow.beltrami_flow import BeltramiFlow
@@ -300,7 +301,7 @@ class SmoothSettings:
         """Return the files that are named here, besides the one that is smoothed."""
         own = None if source in (None, "-") else Path(str(source)).resolve()
         paths = map(Path, named_files(self))
-        return [str(path) for path in paths if path.is_file() and path.resolve() != own]
+        return [str(path) for path in paths if is_file(path) and path.resolve() != own]
 
 
 DEFAULTS = SmoothSettings()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import html
-import json
+import io
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +12,7 @@ import numpy as np
 
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access, read_source
+from beltrami_cli.formats.data_text import REPORT, parse_json, text_in
 from beltrami_cli.formats.document import Written
 from beltrami_cli.formats.image.document import ImageDocument
 from beltrami_cli.jobs.compare.figures import figures
@@ -109,7 +110,7 @@ def _crops(one: Document, other: Document, slot: Slot, most: int) -> list[str]:
 def _parameters(path: str, access: Access) -> str:
     """Return what a report of `smooth` says, as a table."""
     try:
-        report = json.loads(read_source(path, access))
+        report = parse_json(text_in(io.BytesIO(read_source(path, access)), REPORT))
         rows = [[str(key), _in_words(value)] for key, value in report["parameters"].items()]
         stages = [
             [f"seconds to {stage}", f"{spent['wall']:.2f}"] for stage, spent in report["stages"].items()

@@ -81,9 +81,8 @@ def test_an_output_below_the_folder_of_all_may_be_named_in_any_way(output, scan,
 def test_names_that_no_file_can_have_are_refused_in_manifests(entry, scan, tmp_path):
     manifest = scan.parent / "jobs.jsonl"
     manifest.write_text(json.dumps(entry))
-    assert "jobs.jsonl, line 1: no file can have the name" in batch(
-        manifest, "--out-dir", tmp_path / "out", *QUICK, code=3
-    )
+    said = batch(manifest, "--out-dir", tmp_path / "out", *QUICK, code=3)
+    assert "line 1: it has the character U+" in said
 
 
 @pytest.mark.slow

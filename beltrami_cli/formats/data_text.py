@@ -1,0 +1,94 @@
+"""JSON and TOML from files of anybody: configurations, manifests, reports, records.
+
+Their length, their nesting and the length of lines are bounded, and no text in them has characters that no name of a
+file can have. Whatever is wrong with them is a ValueError.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from typing import TYPE_CHECKING, Any
+
+from beltrami_cli.formats.access import open_regular
+
+if TYPE_CHECKING:
+    from pathlib import Path
+    from typing import BinaryIO
+
+CONFIGURATION, MANIFEST, REPORT = 1 << 20, 1 << 24, 1 << 24
+"""Bytes that such a file has at most."""
+
+_DEEPEST = 50  # levels of tables and lists
+_LARGEST = 1 << 64
+_LONGEST_LINE = (
+    1 << 13
+)  # characters of TOML, whose parser takes the square of the time for keys with very many dots
+_UNFIT = re.compile("[\0\ud800-\udc7f\udd00-\udfff]")  # the other surrogates stand for bytes of names
+
+
+def read_bounded(path: Path, most: int) -> str:
+    """Return the text of a regular file; OSError, or ValueError if it is longer than `most` bytes or no UTF-8."""
+    with open_regular(path) as file:
+        return text_in(file, most)
+
+
+def text_in(file: BinaryIO, most: int) -> str:
+    """Return the text of an opened file; ValueError as `read_bounded`."""
+    data = file.read(most + 1)
+    if len(data) > most:
+        raise ValueError(f"it has more than {most} bytes")
+    return data.decode("utf-8-sig")
+
+
+def parse_json(text: str | bytes) -> Any:
+    """Return what JSON says; ValueError if it is damaged, or its text and nesting cannot be used."""
+    try:
+        return _checked(json.loads(text))
+    except RecursionError:
+        raise _too_deep() from None
+
+
+def parse_toml(text: str) -> dict[str, Any]:
+    """Return what TOML says; ValueError as `parse_json`."""
+    import tomllib
+
+    if any(len(line) > _LONGEST_LINE for line in text.splitlines()):
+        raise ValueError(f"it has a line of more than {_LONGEST_LINE} characters")
+    try:
+        tree = tomllib.loads(text)
+    except RecursionError:
+        raise _too_deep() from None
+    _checked(tree)
+    return tree
+
+
+def require_text(text: str) -> str:
+    """Return a text; ValueError if it has characters that no name of a file can have."""
+    unfit = _UNFIT.search(text)
+    if unfit is not None:
+        raise ValueError(f"it has the character U+{ord(unfit[0]):04X}, which no name can have")
+    return text
+
+
+def _checked(tree: Any) -> Any:
+    level = [tree]
+    for _ in range(_DEEPEST):
+        inner: list[Any] = []
+        for value in level:
+            if isinstance(value, str):
+                require_text(value)
+            elif isinstance(value, int) and abs(value) > _LARGEST:
+                raise ValueError("it has a whole number of more than 64 bits")
+            elif isinstance(value, dict):
+                inner += [*value, *value.values()]
+            elif isinstance(value, list):
+                inner += value
+        if not inner:
+            return tree
+        level = inner
+    raise _too_deep()
+
+
+def _too_deep() -> ValueError:
+    return ValueError(f"it is nested more than {_DEEPEST} levels deep")

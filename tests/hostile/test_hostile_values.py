@@ -1,0 +1,241 @@
+"""Whatever is given to an option or stands in a text file: a sentence and a documented code, no unexpected error."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import random
+import re
+import warnings
+from typing import TYPE_CHECKING
+
+import click
+import pytest
+
+from beltrami_cli.batch.item import Outcome
+from beltrami_cli.cli.batch import SHARED_WITH_SMOOTH
+from beltrami_cli.cli.main import COMMANDS, LazyGroup, group
+from cli.commands import beltrami
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+MESH = (
+    "ply\nformat ascii 1.0\nelement vertex 5\nproperty float x\nproperty float y\nproperty float z\n"
+    "property uchar red\nproperty uchar green\nproperty uchar blue\nelement face 4\n"
+    "property list uchar int vertex_indices\nend_header\n"
+    "0 0 0 10 200 30\n1 0 0 90 9 9\n1 1 0 90 90 250\n0 1 0 200 90 90\n.5 .5 .4 0 255 9\n"
+    "3 0 1 4\n3 1 2 4\n3 2 3 4\n3 3 0 4\n"
+)
+NUMBERS = [
+    "0",
+    "-1",
+    "1",
+    "2",
+    "1e9",
+    "1100",
+    "nan",
+    "inf",
+    "-inf",
+    "1e400",
+    "9" * 400,
+    "0x10",
+    "1_0",
+    "-0",
+    "½",
+    "1e-320",
+]
+TEXTS = [
+    "", " ", ",", ",,", "\n", "a\nb", "é", "\x1b[31m", "\udcff", "a" * 5000, "/", ".", "..", "-", "--", "~",
+    "/dev/null", "/nowhere/x", "no.such.file", "mesh.ply", "a,a", "red", "red,red", "vertices", "http://x", "x://",
+    "%s{}", "auto", "none", "1,2", "1,nan,3", "99999999999x1", "*", "[", "$HOME", "0,0,0", "4x4", "#ffffff", "1e999,1",
+]  # fmt: skip
+# What each command needs besides; a tiny mesh, so that a value that is accepted costs little.
+ARGUMENTS = {
+    "bake": ("mesh.ply", "out.glb", "--to", "texture", "--size", "64"),
+    "batch": ("mesh.ply", "--out-dir", "out", "--fast", "-n", "1", "-j", "1"),
+    "check": ("mesh.ply", "mesh.ply"),
+    "compare": ("mesh.ply", "mesh.ply"),
+    "config": (),
+    "info": ("mesh.ply", "--fast"),
+    "kernel": ("mesh.ply", "kernel.ply", "--at", "1"),
+    "noise": ("mesh.ply", "out.ply", "--sigma", "5"),
+    "render": ("mesh.ply", "out.png", "--size", "16"),
+    "report": ("mesh.ply", "mesh.ply", "out.html"),
+    "smooth": ("mesh.ply", "out.ply", "--fast", "-n", "1"),
+    "sweep": ("mesh.ply", "out.png", "--beta", "1", "--size", "16", "--fast", "-n", "1"),
+}
+TRIES = 2  # values for each option and argument
+
+
+def command_of(name: str) -> click.Command:
+    command = LazyGroup.get_command(group, click.Context(group), name)  # type: ignore[arg-type]
+    assert command is not None
+    return command
+
+
+def hostile(folder: Path, *arguments: str) -> int:
+    """Run a command; whatever it is, it ends with a documented code and in lines without a mistake of ours."""
+    (folder / "mesh.ply").write_text(MESH)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        done = beltrami(*arguments, cwd=folder)
+    said = done.stderr.decode("utf-8", "surrogateescape")
+    assert "unexpected error" not in said, (arguments, said)
+    assert "Traceback" not in said, (arguments, said)
+    assert not re.search(r"\.py\b.*Warning|Warning:", said), (arguments, said)
+    assert done.returncode in (0, 1, 2, 3, 4), (arguments, said)
+    assert all(line.isprintable() or "\t" in line for line in said.splitlines()), (arguments, said)
+    return done.returncode
+
+
+def cases(name: str, chance: random.Random, tries: int) -> Iterator[list[str]]:
+    """Give arguments of a command, with a hostile value for each option and for each file in turn."""
+    given = list(ARGUMENTS[name])
+    # Workers take long to start, and do with the options of `smooth` what that does.
+    left_out = {"scheduler", *(SHARED_WITH_SMOOTH if name == "batch" else ())}
+    for option in command_of(name).params:
+        for _ in range(tries):
+            value = chance.choice(NUMBERS if chance.random() < 0.5 else TEXTS)
+            if isinstance(option, click.Argument):
+                at = [argument.name for argument in command_of(name).params].index(option.name)
+                if at < len(given):
+                    yield [name, *given[:at], "--", value, *given[at + 1 :]]
+            elif option.name in left_out:
+                continue
+            elif isinstance(option, click.Option) and option.is_flag:
+                yield [name, *given, option.opts[-1]]
+                break
+            elif not option.is_eager:
+                yield [name, *given, chance.choice(option.opts), value]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", COMMANDS)
+def test_values_of_options(name: str, tmp_path: Path) -> None:
+    for number, arguments in enumerate(cases(name, random.Random(name), TRIES)):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        hostile(folder, *arguments)
+
+
+@pytest.mark.parametrize("name", [name for name in COMMANDS if name != "config"])
+def test_the_arguments_that_hostile_ones_take_the_place_of_are_sound(name: str, tmp_path: Path) -> None:
+    assert hostile(tmp_path, name, *ARGUMENTS[name]) == 0
+
+
+VALUES = [
+    None,
+    True,
+    -1,
+    0,
+    1100,
+    1e308,
+    float("nan"),
+    10**400,
+    "",
+    "x",
+    "\0",
+    "\ud800",
+    "\n",
+    [],
+    [[]],
+    ["x"],
+    {},
+    {"x": {}},
+]
+NESTED = ("[" * 100_000, '{"a":' * 100_000, "[" * 500 + "]" * 500, '{"a":' * 500 + "1" + "}" * 500)
+JSONS = [
+    b"",
+    b"\xff",
+    b"\0",
+    b"null",
+    b"[1",
+    b'"x',
+    b"1e999",
+    b"NaN",
+    *(json.dumps(value).encode() for value in VALUES),
+]
+TOMLS = [
+    b"", b"\xff", b"\0", b"=", b"a = ", b"a = " + NESTED[0].encode(), b"a = " + NESTED[2].encode(), b"[" * 100_000,
+    b".".join([b"a"] * 100_000) + b" = 1", b"a = 2020-01-01", b"smooth = 1", b"[smooth]\nbeta = []", b"[[smooth]]",
+    b"threads = 1e400", b"[smooth]\niterations = " + b"9" * 400, b'[smooth]\nchannels = "\\u0000"', b"[nothing]",
+    b"[smooth]\nreport = {}", b"tool = 1", b"[tool]\nbeltrami = 1", b'"\\u0000" = 1', b"x" * (1 << 21),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("text", [*TOMLS, *JSONS])
+def test_texts_of_configurations(text: bytes, tmp_path: Path) -> None:
+    (tmp_path / "beltrami.toml").write_bytes(text)
+    found = hostile(tmp_path, "smooth", *ARGUMENTS["smooth"], "--overwrite")
+    (tmp_path / "beltrami.toml").rename(tmp_path / "named.toml")
+    named = hostile(tmp_path, "--config", "named.toml", "smooth", *ARGUMENTS["smooth"], "--overwrite")
+    assert {found, named} <= {0, 2, 3}
+
+
+@pytest.mark.parametrize("value", VALUES, ids=repr)
+def test_values_in_manifests(value: object, tmp_path: Path) -> None:
+    for name in (
+        "input",
+        "output",
+        "beta",
+        "iterations",
+        "channels",
+        "guides",
+        "level",
+        "nothing",
+        "",
+        "files",
+    ):
+        entry = {"input": "mesh.ply", "beta": 1, "fast": True, "iterations": 1} | {name: value}
+        (tmp_path / "jobs.jsonl").write_text(json.dumps(entry))
+        assert (
+            hostile(
+                tmp_path, "batch", "jobs.jsonl", "--out-dir", "out", "--fail-fast", "--report", "/dev/full"
+            )
+            != 0
+        )
+
+
+@pytest.mark.parametrize("suffix", [".toml", ".csv", ".jsonl"])
+def test_texts_of_manifests(suffix: str, tmp_path: Path) -> None:
+    for text in (
+        *TOMLS,
+        *JSONS,
+        *map(str.encode, NESTED),
+        b'input\n"x',
+        b"input,input\na,b",
+        b"input\na,b,c",
+        b"input\n\0",
+    ):
+        (tmp_path / f"jobs{suffix}").write_bytes(text)
+        assert hostile(tmp_path, "batch", f"jobs{suffix}", "--out-dir", "out") in (2, 3)
+
+
+@pytest.mark.parametrize("value", [*VALUES, *NESTED], ids=lambda value: repr(value)[:20])
+def test_values_in_reports(value: object, tmp_path: Path) -> None:
+    assert hostile(tmp_path, "smooth", *ARGUMENTS["smooth"], "--report", "run.json", "--overwrite") == 0
+    sound = json.loads((tmp_path / "run.json").read_text())
+    for key in ("parameters", "stages", *sound):
+        changed = json.dumps(
+            sound | {key: value, "stages": {"x": {"wall": value}} if key == "parameters" else value}
+        )
+        (tmp_path / "run.json").write_text(value if value in NESTED else changed)
+        page = ("report", *ARGUMENTS["report"], "--overwrite", "--parameters", "run.json")
+        assert hostile(tmp_path, *page) in (0, 3)
+
+
+@pytest.mark.parametrize("value", [*VALUES, *NESTED], ids=lambda value: repr(value)[:20])
+def test_values_in_records(value: object, tmp_path: Path) -> None:
+    outcome = Outcome(
+        "mesh.ply", "out/mesh.ply", "done", "0" * 64, written={"out/mesh.ply": "0" * 64}, report={}
+    )
+    sound = dataclasses.asdict(outcome)
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "mesh.ply").write_text("of somebody else")
+    for key in (*sound, "nothing"):
+        text = value if value in NESTED else json.dumps(sound | {key: value})
+        (tmp_path / "out" / "batch.jsonl").write_text(f"{text}\n")
+        assert hostile(tmp_path, "batch", "mesh.ply", "--out-dir", "out", "--resume", "-j", "1") in (1, 3)
+        assert (tmp_path / "out" / "mesh.ply").read_text() == "of somebody else"
