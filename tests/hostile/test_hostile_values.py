@@ -66,7 +66,7 @@ ARGUMENTS = {
     "smooth": ("mesh.ply", "out.ply", "--fast", "-n", "1"),
     "sweep": ("mesh.ply", "out.png", "--beta", "1", "--size", "16", "--fast", "-n", "1"),
 }
-TRIES = 2  # values for each option and argument
+TRIES = 1  # values for each option and argument; more find no more
 
 
 def command_of(name: str) -> click.Command:
