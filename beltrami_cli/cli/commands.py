@@ -65,7 +65,8 @@ def _value(option: click.Option, name: str, value: object) -> object:
     if option.multiple:
         return tuple(value) if isinstance(value, list) else (value,)
     if isinstance(value, float) and not value.is_integer():
-        return repr(value)  # which options of whole numbers refuse, where they would cut off the number itself
+        # Options of whole numbers refuse the text, and would cut off the number itself.
+        return repr(value)
     if isinstance(value, list):  # options that take a list take it with commas
         return ",".join(str(each) for each in value)
     return value
