@@ -23,6 +23,7 @@ from beltrami_cli.view.charts import histogram, seam_map, swipe
 from beltrami_cli.view.models import ModelPacker, bounding_box
 from beltrami_cli.view.pages import PAGES, asset, page_from, table
 from beltrami_cli.view.sheet import distinct_labels
+from beltrami_cli.view.used_parameters import used_parameters
 from beltrami_cli.view.views import sheet_of, texture_sheet
 
 if TYPE_CHECKING:
@@ -108,24 +109,12 @@ def _crops(one: Document, other: Document, slot: Slot, most: int) -> list[str]:
 
 
 def _parameters(path: str, access: Access) -> str:
-    """Return what a report of `smooth` says, as a table."""
+    """Return what a report of `smooth` says was used, as tables."""
     try:
-        report = parse_json(text_in(io.BytesIO(read_source(path, access)), REPORT))
-        rows = [[str(key), _in_words(value)] for key, value in report["parameters"].items()]
-        stages = [
-            [f"seconds to {stage}", f"{spent['wall']:.2f}"] for stage, spent in report["stages"].items()
-        ]
+        return used_parameters(parse_json(text_in(io.BytesIO(read_source(path, access)), REPORT)))
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         remedy = "give the file that `beltrami smooth --report` wrote"
         raise InputError(path, "it is no report of beltrami smooth", remedy) from error
-    return f"<h2>Parameters</h2>\n{table([['parameter', 'value'], *rows, *stages])}"
-
-
-def _in_words(value: Any) -> str:
-    if isinstance(value, dict):
-        known = {key: each for key, each in value.items() if each not in (None, [], ())}
-        return ", ".join(f"{key}: {_in_words(each)}" for key, each in known.items())
-    return ", ".join(map(str, value)) if isinstance(value, list) else str(value)
 
 
 def _page(names: list[str], found: _Found, parameters: str) -> bytes:

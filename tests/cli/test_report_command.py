@@ -171,6 +171,39 @@ def test_figures_and_parameters_are_those_of_the_other_commands(tmp_path):
 
 
 @pytest.mark.slow
+def parameters_shown(source, tmp_path, *options):
+    """Return the rows of the parameters on a page, and what the run says of its samples."""
+    target, record, page = tmp_path / f"out{source.suffix}", tmp_path / "run.json", tmp_path / "page.html"
+    run = beltrami("smooth", source, target, "--report", record, "--overwrite", *options)
+    assert run.returncode == 0, run.stderr
+    made = beltrami("report", source, target, page, "--parameters", record, "--overwrite")
+    assert made.returncode == 0, made.stderr
+    section = page.read_text().partition("<h2>Parameters</h2>")[2].partition("<script>")[0]
+    rows = [re.findall(r"<td>(.*?)</td>", row) for row in re.findall(r"<tr>(.*?)</tr>", section)]
+    found = {row[0]: tuple(row[1:]) for row in rows if row}
+    done = json.loads(record.read_text())
+    return found, done["vertices"] or done["image"] or done["textures"][0]
+
+
+def test_parameters_are_shown_as_they_were_used_and_how_they_came_about(tmp_path):
+    shown, done = parameters_shown(SAMPLES / "knot-noisy.ply", tmp_path, "--metric-scale", 0.7)
+    assert shown["beta"] == (f"{done['beta']:.4g}", "chosen from the data")
+    assert shown["iterations"] == (str(done["iterations"]), "chosen from the data")
+    assert shown["metric scale"] == ("0.7", "given")
+    assert shown["space"] == ("srgb", "default")
+    assert not {"None", "True", "False"} & {value for row in shown.values() for value in row}
+    shown, done = parameters_shown(SAMPLES / "knot-noisy.ply", tmp_path, "--fast", "-n", 5)
+    assert shown["iterations"] == ("5", "given")  # though it is the default
+    assert shown["beta"] == (f"{done['beta']:.4g}", "by the fixed rule")
+    shown, done = parameters_shown(SAMPLES / "scan-noisy.jpg", tmp_path, "--preset", "paper")
+    assert shown["time step, t"] == ("0.5", "given")
+    assert shown["beta"] == (f"{done['beta']:.4g}", "from the noise")
+    shown, _ = parameters_shown(SAMPLES / "head-clean.ply", tmp_path, "--on", "vertices")
+    assert shown["iterations"] == ("0", "no more noise than rounding makes")
+    assert shown["smoothed, --on"] == ("vertices", "given")
+    assert "beta" not in shown
+
+
 def test_what_cannot_be_shown_is_said_and_nothing_written(tmp_path):
     plain = tmp_path / "run.json"
     plain.write_text("[]")

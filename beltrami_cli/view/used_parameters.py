@@ -1,0 +1,104 @@
+"""The parameters that a smoothing used, in words: from the report that it wrote, which has those asked for."""
+
+from __future__ import annotations
+
+import html
+from typing import TYPE_CHECKING, Any
+
+from beltrami_cli.samples.settings import DEFAULTS, describe_settings
+from beltrami_cli.view.pages import table
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+# Shown of the kernel even where nobody gave or chose them.
+_ALWAYS = ("iterations", "t", "beta", "beta_growth", "metric_steps", "space")
+_NEVER = ("free", "fast", "on", "threads")
+_WORDS = {"t": "time step, t", "on": "smoothed, --on"}
+
+
+def used_parameters(report: dict[str, Any]) -> str:
+    """Return what a report of `smooth` says of each part, as tables; KeyError and the like if it is none."""
+    requested, parts = report["parameters"], _parts(report)
+    tables = []
+    for name, done in parts:
+        head = f"<h3>{html.escape(name)}</h3>\n" if len(parts) > 1 else ""
+        rows = [*_kernel(requested, done), *_measured(done)]
+        tables.append(head + table([["parameter", "value", "how it came about"], *rows]))
+    others = [[name, value, "given"] for name, value in _given(requested)]
+    if others:
+        tables.append(table([["parameter of the job", "value", "how it came about"], *others]))
+    stages = [[name, f"{spent['wall']:.2f}"] for name, spent in report["stages"].items()]
+    tables.append(table([["stage", "seconds"], *stages]))
+    nothing = "" if parts else "<p>Nothing was smoothed.</p>\n"
+    return "<h2>Parameters</h2>\n" + nothing + "\n".join(tables)
+
+
+def _parts(report: dict[str, Any]) -> list[tuple[str, dict[str, Any]]]:
+    """Return the records of what was smoothed, with their names."""
+    found = [("vertex colours", report["vertices"]), ("image", report["image"])]
+    found += [(f"{done['slot']} textures", done) for done in report["textures"]]
+    return [(name, done) for name, done in found if done]
+
+
+def _kernel(requested: dict[str, Any], done: dict[str, Any]) -> Iterator[list[str]]:
+    """Give the parameters of the kernel as they were used on a part."""
+    defaults, choice = describe_settings(DEFAULTS), done["choice"] or {"chosen": {}, "psnr": None}
+    used = {**requested, **choice["chosen"], "beta": done["beta"], "iterations": done["iterations"]}
+    for name, value in requested.items():
+        if isinstance(value, dict) or name in _NEVER or (name != "iterations" and not done["iterations"]):
+            continue
+        if name in choice["chosen"]:
+            how = "by the fixed rule" if choice["psnr"] is None else "chosen from the data"
+        elif name == "beta" and value is None:
+            how = "from the noise"
+        elif name == "iterations" and name in requested["free"] and not done["iterations"]:
+            how = "no more noise than rounding makes"
+        else:
+            how = "default" if value == _plain(defaults[name]) and name in _open(requested) else "given"
+        if how != "default" or name in _ALWAYS:
+            yield [_WORDS.get(name, name.replace("_", " ")), _in_words(used[name]), how]
+
+
+def _open(requested: dict[str, Any]) -> set[str]:
+    """Return the parameters that nobody gave if they have their defaults: what can be chosen is open then."""
+    tunable = set(DEFAULTS.kernel.free)
+    return (requested.keys() - tunable) | set(requested["free"])
+
+
+def _measured(done: dict[str, Any]) -> Iterator[list[str]]:
+    """Give what was measured of a part, and the estimate that its parameters were chosen by."""
+    noise = ", ".join(f"{channel} {255 * share:.1f}/255" for channel, share in done["noise"].items())
+    yield ["noise", noise, "measured"]
+    if done["change"]:
+        yield ["mean change", f"{255 * done['change']['mean']:.1f}/255", "measured"]
+    choice = done["choice"]
+    if choice and choice["psnr"] is not None:
+        gain = f"{choice['psnr']:.1f} dB, {choice['gain']:+.1f} dB against the input"
+        yield ["PSNR", gain, f"estimated, the best of {choice['candidates']}"]
+
+
+def _given(requested: dict[str, Any]) -> Iterator[tuple[str, str]]:
+    """Give the parameters of the job, besides those of the kernel, that are not the defaults."""
+    defaults: dict[str, Any] = describe_settings(DEFAULTS)
+    if requested["on"] != defaults["on"]:
+        yield _WORDS["on"], requested["on"]
+    for group in [name for name, value in requested.items() if isinstance(value, dict)]:
+        for name, value in requested[group].items():
+            if value != _plain(defaults[group].get(name)):
+                yield name.replace("_", " "), _in_words(value)
+
+
+def _plain(value: Any) -> Any:
+    """Return a value as JSON gives it back."""
+    return list(value) if isinstance(value, tuple) else value
+
+
+def _in_words(value: Any) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    if isinstance(value, list):
+        return ", ".join(map(_in_words, value)) or "none"
+    return "none" if value is None else str(value)
