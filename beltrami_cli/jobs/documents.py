@@ -192,8 +192,8 @@ def plan_sidecars(
     output.check_sidecars(_names(naming, document, selection, settings, kind))
     if not others:
         return plan
-    names = ", ".join(others)
-    notice = f"{names} beside OUTPUT is of something else, and stays; the new file has a number in its name."
+    state = "is of something else, and stays" if len(others) == 1 else "are of something else, and stay"
+    notice = f"{', '.join(others)} beside OUTPUT {state}; what is new has a number in its name."
     return dataclasses.replace(plan, notices=(notice,))
 
 

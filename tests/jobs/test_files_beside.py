@@ -114,7 +114,7 @@ def test_models_of_one_name_in_several_formats_go_to_one_folder(tmp_path):
     out = tmp_path / "out"
     reports = [smooth(source, out / source.name) for source in sources]
     files = contents(out)
-    assert [any("stays" in warning for warning in report.warnings) for report in reports] == [
+    assert [any("stay" in warning for warning in report.warnings) for report in reports] == [
         False,
         True,
         True,
