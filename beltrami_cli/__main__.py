@@ -1,6 +1,12 @@
 """The command `beltrami`, also as ``python -m beltrami_cli``."""
 
 import signal
+import sys
+import warnings
+
+# Warnings of libraries name lines of source, and nobody can act on them; what matters is said in a sentence.
+if not sys.warnoptions:
+    warnings.simplefilter("ignore")
 
 # While modules are loaded, Ctrl-C ends the process as it ends any other; later `main` says what it did.
 if signal.getsignal(signal.SIGINT) is signal.default_int_handler:

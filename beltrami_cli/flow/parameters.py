@@ -39,7 +39,7 @@ _SMALLEST_SCALE = 0.05
 _CHOSEN = "chosen from the data, else {default}"
 
 # Logarithm of the growth at which any difference in colour is far beyond the kernel, and numbers do not overflow yet.
-_MOST_GROWTH = 25.0
+MOST_GROWTH = 25.0
 
 
 @described
@@ -182,7 +182,7 @@ class KernelParameters:
 
     def growth(self, iteration: int) -> float:
         """Return by what factor beta is larger in an iteration, counted from 0, than in the first."""
-        return math.exp(min(iteration * math.log(self.beta_growth), _MOST_GROWTH))
+        return math.exp(min(iteration * math.log(self.beta_growth), MOST_GROWTH))
 
     @property
     def is_open(self) -> bool:

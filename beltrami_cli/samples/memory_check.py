@@ -97,7 +97,7 @@ def _chosen(document: Document, slot: Slot, wanted: TextureSettings) -> Iterator
 def _measured(images: Iterable[tuple[str, bytes]]) -> Iterator[tuple[str, ImageSize]]:
     """Measure images, except those that cannot be measured, whose decoder raises the error."""
     for name, data in images:
-        size = measure_image(data)
+        size = measure_image(data, name)
         if size is not None:
             yield name, size
 

@@ -168,7 +168,8 @@ class PixelSamples(Samples):
             notices = [notice for notice in notices if notice not in picture.notices]
             data = picture.source
         else:
-            data = self._encoded(pixels)
+            file = self._encoded(pixels)
+            data, notices = file.data, [*notices, *file.notices]
         if suffix is not None:
             notices += losses(picture, suffix)
         elif not self.valid.all() and not is_exact(picture):
@@ -189,13 +190,14 @@ class PixelSamples(Samples):
         notices = [*picture.notices]
         if suffix is not None:
             notices += losses(picture, suffix)
+        file = self._encoded(pixels)
         return self._repainted(
-            self._encoded(pixels),
+            file.data,
             change,
-            [*notices, *noise_losses(picture, suffix, "an OUTPUT in .png keeps all")],
+            [*notices, *file.notices, *noise_losses(picture, suffix, "an OUTPUT in .png keeps all")],
         )
 
-    def _encoded(self, pixels: NDArray[Any]) -> bytes:
+    def _encoded(self, pixels: NDArray[Any]) -> ImageFile:
         textures = self.settings.textures
         return write_image(
             self.picture,
@@ -204,7 +206,7 @@ class PixelSamples(Samples):
             jpeg_quality=textures.jpeg_quality,
             small=textures.small,
             as_data=self.settings.space == "data",
-        ).data
+        )
 
     def _repainted(self, data: bytes, change: Change, notices: Sequence[str]) -> Repainted:
         suffix = self._suffix or Path(self.picture.name).suffix

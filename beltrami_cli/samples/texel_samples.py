@@ -199,7 +199,7 @@ class TexelSamples(Samples):
                 file = ImageFile(picture.source, picture.suffix)
             else:
                 file = self._encoded(picture, pixels)
-                notices += picture.notices
+                notices += [*picture.notices, *file.notices]
             images |= {(each, texture.key): file for each in slots}
             if suffix is not None:
                 notices += losses(picture, suffix)
@@ -225,8 +225,9 @@ class TexelSamples(Samples):
         suffix, notices = self.settings.textures.image_suffix, list[str]()
         images: dict[tuple[Slot, str], ImageFile] = {}
         for index, (texture, picture) in enumerate(zip(self.surface.textures, self.pictures, strict=True)):
-            images[self.slot, texture.key] = self._encoded(picture, painter.shift(index, new, limits))
-            notices += picture.notices
+            file = self._encoded(picture, painter.shift(index, new, limits))
+            images[self.slot, texture.key] = file
+            notices += [*picture.notices, *file.notices]
             notices += losses(picture, suffix) if suffix is not None else ()
             notices += noise_losses(picture, suffix, "--texture-format png keeps all")
         if not len(added):

@@ -110,6 +110,7 @@ class ImageFile:
 
     data: bytes
     suffix: str  # its usual extension, lower case, with the dot: ".png", ".jpg", ".webp", ".exr",
+    notices: tuple[str, ...] = ()  # for the user, one sentence each: what did not stay as it was
 
 
 AlphaMode = Literal["opaque", "mask", "blend"]

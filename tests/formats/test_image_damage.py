@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import time
 import zlib
+from pathlib import Path
 
 import numpy as np
 import OpenImageIO
@@ -135,3 +137,13 @@ def test_a_compression_that_is_not_built_in_is_no_damage() -> None:
     reported = r"does not read how the TIF image is compressed .* save it without compression"
     with pytest.raises(InputError, match=reported):
         read_image(bytes(data), "x.tif")
+
+
+def test_no_room_for_a_copy_names_the_image(monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    data = sample("png")
+    monkeypatch.setattr(Path, "write_bytes", full)
+    with pytest.raises(InputError, match=r"skin\.png: there is no room for a copy of its \d+ bytes"):
+        read_image(data, "skin.png")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -113,12 +114,18 @@ def test_png_chunks_stay_as_they_are_byte_by_byte(kind: str) -> None:
         assert kinds.index(b"prVt") < kinds.index(b"IDAT") < len(kinds) - 2
 
 
-def test_palettes_become_colours_and_take_their_chunks_with_them() -> None:
+def test_palettes_keep_their_chunks_and_take_them_with_them_where_they_become_colours() -> None:
     source = two_pixels((b"tRNS", bytes([7])), (b"bKGD", bytes([1])), (b"tEXt", b"Title\0t"))
     picture = read_image(source, "x.png")
     assert picture.pixels.tolist() == [[[1, 2, 3, 7], [200, 100, 50, 255]]]
     written = write_image(picture, picture.pixels).data
     np.testing.assert_array_equal(read_image(written, "x.png").pixels, picture.pixels)
+    assert written[24:26] == source[24:26]
+    kinds = [kind for kind, _ in png_chunks(written)]
+    assert kinds == [b"IHDR", b"tEXt", b"PLTE", b"tRNS", b"bKGD", b"IDAT", b"IEND"]
+    others = np.arange(1200, dtype=np.uint16).view(np.uint8).reshape(2, 300, 4)
+    written = write_image(dataclasses.replace(picture, pixels=others), others).data
+    np.testing.assert_array_equal(read_image(written, "x.png").pixels, others)
     assert [kind for kind, _ in png_chunks(written)] == [b"IHDR", b"tEXt", b"IDAT", b"IEND"]
 
 

@@ -117,7 +117,8 @@ def saved(picture: Image.Image, suffix: str = ".tif", **options: str) -> bytes:
 def test_a_palette_of_colours_is_reported_and_resolved(suffix: str) -> None:
     colours = Image.fromarray(noise("uint8", 3, 16, 16)).quantize(16)
     picture = read_image(saved(colours, suffix), f"x{suffix}")
-    assert any("palette" in notice for notice in picture.notices)
+    # That of a PNG file is kept, if it can be.
+    assert any("palette" in notice for notice in picture.notices) == (suffix != ".png")
     shown = np.asarray(colours.convert("RGB")).astype(int)
     # Pillow multiplies levels by 256 for the 16 bits of a TIFF, of which the full scale is 257 times 255.
     assert np.abs(picture.pixels[..., :3] - shown).max() <= (1 if suffix == ".tif" else 0)
@@ -227,3 +228,46 @@ def test_jpeg_2000_is_refused_where_it_would_be_damaged() -> None:
     picture = read_image(encode(noise("uint8", 3, 31, 40), "png"), "x.png")
     with pytest.raises(UsageError, match="fewer than 32 pixels"):
         write_image(picture, picture.pixels, suffix=".jp2")
+
+
+def stored_palette(data: bytes) -> tuple[str, list[int] | None, object]:
+    image = Image.open(io.BytesIO(data))
+    return image.mode, image.getpalette(), image.info.get("transparency")
+
+
+@pytest.mark.parametrize("bits", [1, 2, 4, 8])
+@pytest.mark.parametrize("transparent", [False, True])
+def test_a_palette_is_kept_where_it_holds_all_colours(bits: int, transparent: bool) -> None:
+    random = np.random.default_rng(bits)
+    image = Image.fromarray(random.integers(0, 1 << bits, (13, 19)).astype(np.uint8), "P")
+    image.putpalette(random.integers(0, 256, 3 << bits).astype(np.uint8).tobytes())
+    options = {"transparency": bytes(random.integers(0, 256, 1 << bits).tolist())} if transparent else {}
+    source = saved(image, ".png", bits=bits, dpi=(72, 72), **options)
+    picture = read_image(source, "x.png")
+    assert source[24:26] == bytes([bits, 3])
+    shuffled = picture.pixels[::-1, ::-1]
+    file = write_image(picture, shuffled)
+    assert (file.data[24:26], file.notices) == (bytes([bits, 3]), ())
+    assert stored_palette(file.data) == stored_palette(source)
+    assert Image.open(io.BytesIO(file.data)).info["dpi"] == pytest.approx((72, 72), abs=0.1)
+    np.testing.assert_array_equal(read_image(file.data, "x.png").pixels, shuffled)
+    with Image.open(io.BytesIO(file.data)) as read, Image.open(io.BytesIO(source)) as old:
+        np.testing.assert_array_equal(
+            np.asarray(read.convert("RGBA")), np.asarray(old.convert("RGBA"))[::-1, ::-1]
+        )
+
+
+def test_new_colours_are_added_to_a_palette_as_far_as_there_is_room() -> None:
+    picture = read_image(saved(Image.fromarray(noise("uint8", 3, 16, 16)).quantize(16), ".png"), "x.png")
+    pixels = picture.pixels.copy()
+    pixels[0, :5] = np.arange(15).reshape(5, 3)
+    file = write_image(picture, pixels)
+    assert file.data[24:26] == b"\x08\x03"
+    np.testing.assert_array_equal(read_image(file.data, "x.png").pixels, pixels)
+    pixels = noise("uint8", 3, 17, 17)[: picture.pixels.shape[0], : picture.pixels.shape[1]].copy()
+    pixels[:, :, 0] = np.arange(16)
+    pixels[:, :, 1] = np.arange(16)[:, None]
+    file = write_image(picture, pixels)
+    assert file.data[24:26] == b"\x08\x02"
+    assert "x.png has a palette, which cannot hold all new colours" in file.notices[0]
+    np.testing.assert_array_equal(read_image(file.data, "x.png").pixels, pixels)

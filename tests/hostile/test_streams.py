@@ -81,3 +81,9 @@ def test_a_working_folder_that_was_removed(home: dict[str, str], tmp_path: Path)
     assert codes == [3, 0]
     assert b"working folder" not in done.stderr
     assert (tmp_path / "out.ply").exists()
+
+
+def test_warnings_of_libraries_are_not_printed() -> None:
+    program = "import beltrami_cli.__main__, warnings; warnings.warn('of numbers', RuntimeWarning)"
+    done = subprocess.run([*COMMAND[:2], "-c", program], capture_output=True, check=True)
+    assert done.stderr == b""

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, TypeAlias
 
 from beltrami_cli.flow.manifold import Step
+from beltrami_cli.flow.parameters import MOST_GROWTH
 
 if TYPE_CHECKING:
     from beltrami_cli.flow.tuning.sure import Risk, RiskEstimate, State
@@ -26,7 +28,8 @@ class Schedule:
 
     def step(self, iteration: int) -> Step:
         """Return an iteration, counted from 0."""
-        return Step(self.beta * self.growth**iteration, self.t, iteration < self.regularised)
+        grown = self.growth ** min(iteration, MOST_GROWTH / max(math.log(self.growth), 1 / MOST_GROWTH))
+        return Step(self.beta * grown, self.t, iteration < self.regularised)
 
 
 Place: TypeAlias = tuple[int, int, int]

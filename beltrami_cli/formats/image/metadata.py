@@ -14,9 +14,10 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-_PNG_START = 8
+PNG_START = b"\x89PNG\r\n\x1a\n"
 _ANIMATION = (b"acTL", b"fcTL", b"fdAT")
 _OF_SAMPLES = (b"tRNS", b"sBIT", b"hIST", b"bKGD")  # PNG chunks that depend on the type of the samples
+_OF_OLD_ENTRIES = (b"tRNS", b"hIST")  # which come with a new palette, or fit the old one alone
 _OF_THE_ENCODER = (b"sRGB", b"gAMA", b"cHRM", b"oFFs")  # which OpenImageIO adds, even beside a profile
 _RIFF_START = 12
 _WEBP_FLAGS = {b"ICCP": 0x20, b"EXIF": 0x08, b"XMP ": 0x04}
@@ -45,14 +46,14 @@ def without_additions(encoded: bytes, known: str) -> bytes:
     """Return an image, just encoded, without what the encoder says about it of its own accord."""
     if known != "png":
         return encoded
-    kept = (chunk for kind, chunk in _png_chunks(encoded) if kind not in _OF_THE_ENCODER)
-    return b"".join([encoded[:_PNG_START], *kept])
+    kept = (chunk for kind, chunk in png_chunks(encoded) if kind not in _OF_THE_ENCODER)
+    return b"".join([PNG_START, *kept])
 
 
 def is_animated(data: bytes, known: str) -> bool:
     """Whether a PNG or WebP file is an animation."""
     if known == "png":
-        return any(kind == b"acTL" for kind, _ in _png_chunks(data))
+        return any(kind == b"acTL" for kind, _ in png_chunks(data))
     return known == "webp" and data[12:16] == b"VP8X" and len(data) > 20 and bool(data[20] & _WEBP_ANIMATION)
 
 
@@ -84,9 +85,9 @@ def is_progressive_jpeg(data: bytes) -> bool:
     return any(marker in _PROGRESSIVE for marker, _ in _jpeg_segments(data))
 
 
-def _png_chunks(data: bytes) -> Iterator[tuple[bytes, memoryview]]:
+def png_chunks(data: bytes) -> Iterator[tuple[bytes, memoryview]]:
     """Give the type and the whole bytes of every complete chunk, which are not copied."""
-    at, view = _PNG_START, memoryview(data)
+    at, view = len(PNG_START), memoryview(data)
     while at + 12 <= len(data):
         end = at + 12 + int.from_bytes(data[at : at + 4])
         if end > len(data):
@@ -96,21 +97,30 @@ def _png_chunks(data: bytes) -> Iterator[tuple[bytes, memoryview]]:
 
 
 def _carry_png(source: bytes, encoded: bytes) -> bytes:
+    has_entries = has_palette(encoded, "png")
     same_samples = source[24:26] == encoded[24:26]  # bit depth and type of colour
-    unwanted = _ANIMATION if same_samples else (*_ANIMATION, *_OF_SAMPLES)
+    unwanted: tuple[bytes, ...] = _ANIMATION
+    if has_entries:
+        unwanted += _OF_OLD_ENTRIES
+    elif not same_samples:
+        unwanted += _OF_SAMPLES
     before: list[memoryview] = []
+    of_entries: list[memoryview] = []  # which stand behind the palette
     behind: list[memoryview] = []
     chunks = before
-    for kind, chunk in _png_chunks(source):
+    for kind, chunk in png_chunks(source):
         if kind == b"IDAT":
             chunks = behind
+        elif kind == b"bKGD" and has_entries:
+            of_entries.append(chunk)
         elif kind[:1].islower() and kind not in unwanted:
             chunks.append(chunk)
-    critical = [(kind, chunk) for kind, chunk in _png_chunks(encoded) if kind[:1].isupper()]
-    header = [chunk for kind, chunk in critical if kind == b"IHDR"]
-    body = [chunk for kind, chunk in critical if kind not in (b"IHDR", b"IEND")]
-    end = [chunk for kind, chunk in critical if kind == b"IEND"]
-    return b"".join([encoded[:_PNG_START], *header, *before, *body, *behind, *end])
+    made = [(kind, chunk) for kind, chunk in png_chunks(encoded) if kind[:1].isupper() or kind == b"tRNS"]
+    header = [chunk for kind, chunk in made if kind == b"IHDR"]
+    palette = [chunk for kind, chunk in made if kind in (b"PLTE", b"tRNS")]
+    body = [chunk for kind, chunk in made if kind not in (b"IHDR", b"PLTE", b"tRNS", b"IEND")]
+    end = [chunk for kind, chunk in made if kind == b"IEND"]
+    return b"".join([PNG_START, *header, *before, *palette, *of_entries, *body, *behind, *end])
 
 
 def _jpeg_segments(data: bytes) -> Iterator[tuple[int, bytes]]:

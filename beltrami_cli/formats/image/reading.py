@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from beltrami_cli.errors import InputError, ProcessingError
+from beltrami_cli.errors import InputError
 from beltrami_cli.formats.image.metadata import has_palette, is_animated, is_cmyk_jpeg
 from beltrami_cli.formats.image.picture import Picture
 from beltrami_cli.formats.image.recognition import READABLE, format_of, label_of, suffix_for
@@ -33,6 +33,7 @@ _COMPRESSIONS_OF_TIFF = ("", "none", "lzw", "zip", "packbits")  # that OpenImage
 _WHOLE_BYTES = (8, 16, 32)
 # PNG and JPEG files have their size before their pixels, mostly in this many bytes, so that not all of them are copied.
 _SIZE_FIRST, _HEAD = (b"\x89PNG", b"\xff\xd8\xff"), 1 << 16
+_UNNAMED = "an image"
 _EXPORT = "export it as RGB or grey with 8 or 16 bits, or as floats"
 
 
@@ -56,17 +57,17 @@ class ImageSize:
         return self.samples * self.sample
 
 
-def measure_image(data: bytes) -> ImageSize | None:
+def measure_image(data: bytes, name: str = _UNNAMED) -> ImageSize | None:
     """Return the size of an image file without decoding it; None if it is none that can be opened."""
     head = data[:_HEAD] if data.startswith(_SIZE_FIRST) else data
-    size = _measured(head)
-    return _measured(data) if size is None and len(head) < len(data) else size
+    size = _measured(head, name)
+    return _measured(data, name) if size is None and len(head) < len(data) else size
 
 
-def _measured(data: bytes) -> ImageSize | None:
+def _measured(data: bytes, name: str) -> ImageSize | None:
     import OpenImageIO
 
-    with opened(data) as (file, _):
+    with opened(data, name=name) as (file, _):
         if file is None:
             OpenImageIO.geterror()
             return None
@@ -92,7 +93,7 @@ def read_image(data: bytes, name: str, *, finite: bool = True) -> Picture:
     OpenImageIO.attribute("limits:imagesize_MB", _MOST_MEGABYTES)
     config = OpenImageIO.ImageSpec()
     config.attribute("oiio:UnassociatedAlpha", 1)
-    with opened(data, config) as (file, path):
+    with opened(data, config, name) as (file, path):
         if file is None:
             raise _damaged(name, known, OpenImageIO.geterror(), path)
         spec = file.spec().copy()
@@ -202,7 +203,7 @@ def _changes(file: Any, spec: Any, data: bytes, known: str, name: str) -> tuple[
     in_tiff = spec.get_int_attribute("tiff:PhotometricInterpretation") == _PALETTE_IN_TIFF
     # In a palette of greys alone OpenImageIO sees grey, and so writes it.
     palette = in_tiff or has_palette(data, known)
-    if palette and spec.nchannels >= _COLOURED:
+    if palette and known != "png" and spec.nchannels >= _COLOURED:
         notices.append(f"{name} has a palette, which becomes full colours.")
     bits = 0 if palette else _bits_a_sample(spec, data, known)
     if bits and bits not in _WHOLE_BYTES:
@@ -235,11 +236,11 @@ _OPEN_FILES = Path("/proc/self/fd")
 
 
 @contextmanager
-def opened(data: bytes, config: Any = None) -> Iterator[tuple[Any, Path]]:
+def opened(data: bytes, config: Any = None, name: str = _UNNAMED) -> Iterator[tuple[Any, Path]]:
     """Open an image file; give an OpenImageIO.ImageInput, or None if that fails, and its path, which errors name."""
     import OpenImageIO
 
-    with scratch_file(data) as path:
+    with scratch_file(data, name=name) as path:
         arguments = (str(path),) if config is None else (str(path), config)
         file = OpenImageIO.ImageInput.open(*arguments)
         if file is None:
@@ -254,13 +255,13 @@ def opened(data: bytes, config: Any = None) -> Iterator[tuple[Any, Path]]:
 
 
 @contextmanager
-def scratch_file(data: bytes = b"", suffix: str = "") -> Iterator[Path]:
+def scratch_file(data: bytes = b"", suffix: str = "", name: str = _UNNAMED) -> Iterator[Path]:
     """Give a file a name for a while: in memory on Linux if it needs no suffix, else among temporary files."""
     if not suffix and hasattr(os, "memfd_create") and _OPEN_FILES.is_dir():
         descriptor = os.memfd_create("image")
         try:
             path = _OPEN_FILES / str(descriptor)
-            _fill(path, data)
+            _fill(path, data, name)
             yield path
         finally:
             os.close(descriptor)
@@ -269,14 +270,13 @@ def scratch_file(data: bytes = b"", suffix: str = "") -> Iterator[Path]:
 
         with tempfile.TemporaryDirectory(prefix="beltrami-") as folder:
             path = Path(folder) / f"image{suffix}"
-            _fill(path, data)
+            _fill(path, data, name)
             yield path
 
 
-def _fill(path: Path, data: bytes) -> None:
+def _fill(path: Path, data: bytes, name: str) -> None:
     try:
         path.write_bytes(data)
     except OSError as error:
-        raise ProcessingError(
-            f"there is no room for a copy of an image of {len(data)} bytes ({error.strerror})"
-        ) from error
+        cause = f"there is no room for a copy of its {len(data)} bytes ({error.strerror})"
+        raise InputError(name, cause, "free memory, or space for temporary files") from error

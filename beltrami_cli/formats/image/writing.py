@@ -10,10 +10,12 @@ from beltrami_cli.errors import ProcessingError, UsageError
 from beltrami_cli.formats.image.conversion import converted
 from beltrami_cli.formats.image.metadata import (
     carry_over,
+    has_palette,
     is_lossless_webp,
     is_progressive_jpeg,
     without_additions,
 )
+from beltrami_cli.formats.image.palette import encode_with_palette
 from beltrami_cli.formats.image.reading import TYPES, scratch_file
 from beltrami_cli.formats.image.recognition import FORMATS, WRITABLE, format_of_suffix, label_of
 from beltrami_cli.surface.records import ImageFile
@@ -54,11 +56,19 @@ def write_image(
         _set_options(spec, known, "", jpeg_quality, small=small)
         data = without_additions(_encode(spec, values, known, picture.name), known)
         return ImageFile(data, FORMATS[known].suffixes[0])
+    notices = list[str]()
+    if known == "png" and has_palette(picture.source, known):
+        kept = encode_with_palette(pixels, picture.source, small=small)
+        if kept is not None:
+            return ImageFile(carry_over(picture.source, kept, known), picture.suffix)
+        notices.append(
+            f"{picture.name} has a palette, which cannot hold all new colours and becomes full ones."
+        )
     spec = _bare_spec(picture) if known in _SPLICED else _kept_spec(picture)
     compression = "lossless" if known == "webp" and is_lossless_webp(picture.source) else ""
     _set_options(spec, known, compression, jpeg_quality, small=small)
     data = _encode(spec, pixels, known, picture.name)
-    return ImageFile(carry_over(picture.source, data, known), picture.suffix)
+    return ImageFile(carry_over(picture.source, data, known), picture.suffix, tuple(notices))
 
 
 def check_writable(picture: Picture, suffix: str | None) -> str:
