@@ -78,10 +78,9 @@ def test_a_file_of_others_is_replaced_only_if_the_command_line_names_it(kind: st
 def test_what_is_like_one_of_ours_is_not_taken_for_one(tmp_path: Path) -> None:
     shutil.copy(NOISY, tmp_path / "in.ply")
     shutil.copy(SAMPLES / "mirrored-noisy.png", tmp_path / "photo.png")
-    for source, target in (("in.ply", "out.ply"), ("photo.png", "out.png")):
-        said = beltrami("smooth", source, target, *QUICK, "--preview", f"{target}.png", cwd=tmp_path)
-        assert said.returncode == 0, said.stderr
-        assert is_preview((tmp_path / f"{target}.png").read_bytes())
+    said = beltrami("smooth", "photo.png", "out.png", *QUICK, "--preview", "preview.png", cwd=tmp_path)
+    assert said.returncode == 0, said.stderr
+    assert is_preview((tmp_path / "preview.png").read_bytes())
     for name in ("photo.png", "out.png", "in.ply"):
         head = (tmp_path / name).read_bytes()
         assert not is_preview(head)
