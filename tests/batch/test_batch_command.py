@@ -310,6 +310,7 @@ def test_a_file_that_wants_more_than_its_share_of_memory_is_done_alone(scans, tm
     assert set(statuses(tmp_path / "out").values()) == {"done"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["obj", "ply", "gltf"])
 def test_models_whose_textures_have_one_name_go_to_one_folder(kind, tmp_path):
     pictures = {"one": PICTURE, "two": OTHER}

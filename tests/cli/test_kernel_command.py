@@ -26,7 +26,7 @@ def test_options_of_the_kernel_apply(tmp_path):
 
 
 def test_a_table_goes_through_a_pipe_with_a_row_for_each_sample(tmp_path):
-    run = beltrami("kernel", "-", "-", "--at", "1234", "-q", stdin=HEAD.read_bytes())
+    run = beltrami("kernel", "-", "-", "--at", "1234", "-q", "--fast", stdin=HEAD.read_bytes())
     assert run.returncode == 0, run.stderr
     head, *rows = run.stdout.decode().splitlines()
     assert head == "vertex,x,y,z,distance,weight,red,green,blue"
@@ -36,7 +36,7 @@ def test_a_table_goes_through_a_pipe_with_a_row_for_each_sample(tmp_path):
 
 
 def test_a_place_that_is_none_is_wrong_usage_in_one_line(tmp_path):
-    run = beltrami("kernel", HEAD, tmp_path / "k.ply", "--at=-1")
+    run = beltrami("kernel", HEAD, tmp_path / "k.ply", "--at=-1", "--fast")
     assert run.returncode == 2
     assert run.stderr.count(b"\n") == 1
     assert list(tmp_path.iterdir()) == []
@@ -48,7 +48,7 @@ def test_an_existing_file_is_kept_unless_it_may_be_replaced(tmp_path):
     run = beltrami("kernel", HEAD, target, "--at", "1")
     assert run.returncode == 4
     assert target.read_text() == "mine"
-    assert beltrami("kernel", HEAD, target, "--at", "1", "--overwrite").returncode == 0
+    assert beltrami("kernel", HEAD, target, "--at", "1", "--overwrite", "--fast").returncode == 0
 
 
 @pytest.mark.parametrize(

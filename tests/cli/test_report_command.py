@@ -170,7 +170,6 @@ def test_figures_and_parameters_are_those_of_the_other_commands(tmp_path):
     assert "<svg" in text
 
 
-@pytest.mark.slow
 def parameters_shown(source, tmp_path, *options):
     """Return the rows of the parameters on a page, and what the run says of its samples."""
     target, record, page = tmp_path / f"out{source.suffix}", tmp_path / "run.json", tmp_path / "page.html"
@@ -185,6 +184,7 @@ def parameters_shown(source, tmp_path, *options):
     return found, done["vertices"] or done["image"] or done["textures"][0]
 
 
+@pytest.mark.slow
 def test_parameters_are_shown_as_they_were_used_and_how_they_came_about(tmp_path):
     shown, done = parameters_shown(SAMPLES / "knot-noisy.ply", tmp_path, "--metric-scale", 0.7)
     assert shown["beta"] == (f"{done['beta']:.4g}", "chosen from the data")
@@ -204,6 +204,7 @@ def test_parameters_are_shown_as_they_were_used_and_how_they_came_about(tmp_path
     assert "beta" not in shown
 
 
+@pytest.mark.slow
 def test_what_cannot_be_shown_is_said_and_nothing_written(tmp_path):
     plain = tmp_path / "run.json"
     plain.write_text("[]")
@@ -223,7 +224,6 @@ def test_what_cannot_be_shown_is_said_and_nothing_written(tmp_path):
         assert not page.exists()
 
 
-@pytest.mark.slow
 def test_help_does_not_promise_to_smooth():
     run = beltrami("report", "--help")
     assert b"Smooth the" not in run.stdout

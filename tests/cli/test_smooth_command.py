@@ -171,7 +171,11 @@ def test_a_full_device_is_an_output_error():
 
 @pytest.mark.parametrize(
     ("name", "options"),
-    [("terrain-noisy.ply", ()), ("mirrored-noisy.obj", ()), ("knot-noisy.obj", ("--unwrap",))],
+    [
+        ("terrain-noisy.ply", ()),
+        ("mirrored-noisy.obj", ()),
+        ("nonmanifold-noisy.obj", ("--unwrap", "--texture-size", "64")),
+    ],
 )
 def test_a_dry_run_reports_and_writes_nothing(name, options, tmp_path):
     report, out = tmp_path / "report.json", (tmp_path / name).with_stem("out")

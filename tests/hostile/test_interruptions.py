@@ -117,6 +117,7 @@ for at in range(1, 500):
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=lambda number: number.name)
 def test_a_signal_at_any_line_of_the_command(number: signal.Signals) -> None:
     run = subprocess.run(

@@ -13,6 +13,7 @@ import trimesh
 
 import beltrami_cli
 from beltrami_cli.errors import UsageError
+from beltrami_cli.fields import override
 from beltrami_cli.flow.parameters import PRESETS, KernelParameters
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.kernel.file import kernel_file
@@ -24,6 +25,7 @@ HEAD = SAMPLES / "head-noisy.ply"
 TEXTURED = SAMPLES / "head-tex-noisy.glb"
 SEVERAL = SAMPLES / "torus-two-noisy.gltf"
 PICTURE = SAMPLES / "head-tex-noisy.png"
+FAST = override(DEFAULTS, fast=True)  # the rule rather than a search
 # Parameters that make different kernels: the default (a regularised metric), the paper's, a Gaussian.
 KERNELS = {
     "default": SmoothSettings(KernelParameters(iterations=1, clipping="keep")),
@@ -85,7 +87,7 @@ def vertices_of(path):
     return trimesh.load(path, process=False).metadata["_ply_raw"]["vertex"]["data"]
 
 
-def kernel_of(source, at, tmp_path, settings=DEFAULTS, name="kernel.json", **options):
+def kernel_of(source, at, tmp_path, settings=FAST, name="kernel.json", **options):
     target = tmp_path / name
     kernel_file(source, target, at, settings, job=Job(overwrite=True), **options)
     return json.loads(target.read_text()) if name.endswith(".json") else target
@@ -259,14 +261,14 @@ def test_a_picture_shows_painting_distances_and_weights_side_by_side(tmp_path):
 )
 def test_places_that_are_none_are_usage_errors(source, at, target, words, tmp_path):
     with pytest.raises(UsageError) as raised:
-        kernel_file(source, tmp_path / target, at)
+        kernel_file(source, tmp_path / target, at, FAST)
     assert words in str(raised.value)
     assert list(tmp_path.iterdir()) == []
 
 
 def test_the_texel_that_an_error_proposes_has_a_kernel(tmp_path):
     with pytest.raises(UsageError) as raised:
-        kernel_file(TEXTURED, tmp_path / "k.png", "0px,0px")
+        kernel_file(TEXTURED, tmp_path / "k.png", "0px,0px", FAST)
     kernel_of(TEXTURED, str(raised.value).split("--at ")[-1], tmp_path)
 
 
