@@ -72,7 +72,7 @@ def test_damaged_off_files_are_refused(data: bytes, message: str) -> None:
         opened(data, "x.off").painted()
 
 
-def test_stl_colours_of_both_customs() -> None:
+def test_stl_colours_of_both_dialects() -> None:
     red, green = (
         31 << 10 | 1 << 15,
         31 << 5 | 1 << 15,

@@ -146,7 +146,7 @@ def test_opacity_that_differs_is_said(tmp_path):
     assert any("opacity differs" in notice for notice in compare_files(*images).notices)
 
 
-def test_textures_of_one_name_are_told_apart(tmp_path):
+def test_textures_of_one_name_are_kept_apart(tmp_path):
     models = [write(tmp_path / name) for name in ("a", "b")]
     for model in models:
         text = model.read_text()

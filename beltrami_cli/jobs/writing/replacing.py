@@ -73,7 +73,7 @@ def _machine() -> str:
 
 
 def _life(process: int) -> str | None:
-    """Return what tells a running process from others of its number; None if there is none."""
+    """Return what distinguishes a running process from others of its number; None if there is none."""
     if os.name != "posix":  # where a signal that only asks would end it
         return _digest(str(process))
     try:
