@@ -130,7 +130,7 @@ def command(
     from beltrami_cli.batch.run import run_batch
     from beltrami_cli.cli.batch_display import Display, show_table
     from beltrami_cli.flow.parameters import KernelParameters
-    from beltrami_cli.jobs.job import memory_of_machine
+    from beltrami_cli.jobs.job import default_memory
 
     if pieces is not None and scheduler is None:
         raise UsageError("--pieces are for the workers of a --scheduler; name one")
@@ -150,7 +150,7 @@ def command(
             record,
             display,
             at_once=at_once or KernelParameters().thread_count,
-            memory=memory or memory_of_machine(),
+            memory=memory or default_memory(),
             fail_fast=given["fail_fast"],
             executor=executor,
         )

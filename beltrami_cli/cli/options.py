@@ -17,7 +17,7 @@ from beltrami_cli.fields import REQUIRED, Parameter, parameters, parts
 from beltrami_cli.flow.parameters import PRESETS, KernelParameters, parameters_with
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.registry import OUTPUT_FORMATS
-from beltrami_cli.jobs.job import limited_memory, memory_of_machine, parse_size
+from beltrami_cli.jobs.job import default_memory, limited_memory, parse_size
 from beltrami_cli.jobs.settings import BakeSettings
 from beltrami_cli.samples.settings import IMAGE_FORMATS, SmoothSettings, TextureSettings
 
@@ -255,7 +255,7 @@ allow_outside = click.option(
 max_memory = click.option(
     "--max-memory", callback=_size, metavar="SIZE", cls=GroupedOption, group=_FILES,
     help="Take no more memory, such as 500M or 4G: smooth keeps textures that need more in files meanwhile, and all "
-    "else that does is refused.  [default: what the machine has]",
+    "else that does is refused.  [default: half of what is available]",
 )  # fmt: skip
 quiet = click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
 verbose = click.option(
@@ -291,7 +291,7 @@ def reading(command: Callable[..., Any]) -> Callable[..., Any]:
 @contextmanager
 def reading_from(values: Mapping[str, Any], source: str) -> Iterator[Access]:
     """Give what a job on a file may read, and hold it to its memory, by the options that `reading` adds."""
-    size = values["max_memory"] or memory_of_machine()
+    size = values["max_memory"] or default_memory()
     with limited_memory(size, source):
         yield Access(outside=values["allow_outside"], memory=size)
 

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 _OPENING = (
     os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0) | getattr(os, "O_NOCTTY", 0)
 )
+_LEAST_UNPACKED, _MOST_RATIO = 1 << 26, 100  # up to so many bytes any ratio is taken
 _BLOCK = 1 << 24  # bytes of standard input read at a time: a larger request is allocated at once
 
 
@@ -70,6 +71,13 @@ def is_file(path: str | os.PathLike[str]) -> bool:
 def is_there(path: str | os.PathLike[str]) -> bool:
     """Whether there is anything of a name, as `is_file`."""
     return os.path.exists(path)  # noqa: PTH110
+
+
+def require_ratio(name: str, what: str, packed: int, unpacked: int) -> None:
+    """Raise InputError if what is unpacked would be more times its packed size than any real model."""
+    if unpacked > max(_LEAST_UNPACKED, _MOST_RATIO * packed):
+        cause = f"{what} is {unpacked} bytes in {packed} packed ones, more than any model has"
+        raise InputError(name, cause, "save it uncompressed, if it is meant so")
 
 
 def open_regular(path: Path) -> BufferedReader:

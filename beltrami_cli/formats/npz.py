@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from beltrami_cli.errors import InputError
+from beltrami_cli.formats.access import require_ratio
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -133,6 +134,11 @@ class NpzArchive:
         if len(data) < header.size:
             raise self._error(key, "ends too early")
         return header.array(data)
+
+    def require_ratio(self, key: str) -> None:
+        """Raise InputError if an array of places is packed more densely than places that differ can be."""
+        member = self._archive.getinfo(f"{key}.npy")
+        require_ratio(self._name, f"the array {key}", member.compress_size, member.file_size)
 
     def members(self) -> dict[str, bytes]:
         """Return the contents of all members by their file names; InputError if one cannot be unpacked."""

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from beltrami_cli.errors import InputError
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
@@ -17,6 +19,7 @@ Spans = dict[tuple[int, int], bytes]
 """New bytes by where the old ones start and end."""
 
 _SOLID = bytes(character not in b" \t\n\v\f\r" for character in range(256))
+_LONGEST_LINE = 1 << 22  # bytes: a polygon of some 200,000 corners
 _BLOCK = 1 << 16  # tokens exchanged at a time, which bounds the memory that the pieces take
 
 
@@ -37,6 +40,19 @@ def find_tokens(text: bytes) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     if solid[-1]:
         edges = np.append(edges, len(text))
     return edges[::2], edges[1::2]
+
+
+def require_short_lines(text: bytes, name: str) -> None:
+    """Raise InputError if a line is longer than any that a file needs; reading it takes many times its length."""
+    # A longer line has no end within a block of half its length, which is looked for first.
+    for block in blocks(len(text), _LONGEST_LINE // 2):
+        if text.find(b"\n", block.start, block.stop) < 0 and text.find(b"\r", block.start, block.stop) < 0:
+            begin = max(text.rfind(end, 0, block.start) for end in (b"\n", b"\r")) + 1
+            ends = [at for end in (b"\n", b"\r") if (at := text.find(end, block.stop)) >= 0]
+            if min(ends, default=len(text)) - begin > _LONGEST_LINE:
+                line = text.count(b"\n", 0, begin) + 1
+                cause = f"line {line} has more than {_LONGEST_LINE} characters"
+                raise InputError(name, cause, "write one record a line")
 
 
 def read_numbers(text: bytes) -> NDArray[np.float64]:

@@ -74,7 +74,8 @@ PLAIN_JOB = Job()
 _SIZE = re.compile(r"(\d+(?:\.\d+)?)\s*([KMGT]?)(?:i?B)?", re.IGNORECASE)
 _UNITS = {"": 1, "K": 1 << 10, "M": 1 << 20, "G": 1 << 30, "T": 1 << 40}
 _LARGEST = 1 << 60  # accepted by the system as a limit
-_CGROUP_LIMITS = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes")
+_LEAST = 1 << 26  # bytes that a command takes in any case
+_MEMORY, _OWN_CGROUPS, _CGROUPS = Path("/proc/meminfo"), Path("/proc/self/cgroup"), Path("/sys/fs/cgroup")
 # What the program itself takes: libraries, and for each processor the stacks of its threads.
 _PROGRAM, _PER_PROCESSOR = 160 << 20, 24 << 20
 
@@ -95,15 +96,51 @@ def show_size(size: int) -> str:
     return str(size)
 
 
-def memory_of_machine() -> int | None:
-    """Return the bytes of memory of the machine or its container; None if they are unknown."""
-    found = []
+def default_memory() -> int | None:
+    """Return half of the bytes that are available to this process now; None if they are unknown."""
+    found = [_available(), *_left_in_cgroups()]
+    known = [size for size in found if size is not None]
+    return max(min(known) // 2, _LEAST) if known else None
+
+
+def _available() -> int | None:
+    """Return what the system can give without swapping, or else what it has."""
+    with contextlib.suppress(OSError, ValueError, IndexError):
+        for line in _MEMORY.read_text(encoding="ascii").splitlines():
+            if line.startswith("MemAvailable:"):
+                return int(line.split()[1]) << 10
     with contextlib.suppress(AttributeError, OSError, ValueError):
-        found.append(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
-    for path in _CGROUP_LIMITS:
-        with contextlib.suppress(OSError, ValueError):  # "max" is no limit
-            found.append(int(Path(path).read_text(encoding="ascii")))
-    return min((size for size in found if size > 0), default=None)
+        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    return None
+
+
+def _left_in_cgroups() -> Iterator[int]:
+    """Give what is left of each limit that this process is under, as containers set them, of both versions."""
+    lines: list[str] = []
+    with contextlib.suppress(OSError, ValueError):
+        lines = _OWN_CGROUPS.read_text().splitlines()
+    for line in lines:
+        _, controllers, path = (*line.split(":", 2), "", "")[:3]
+        if controllers == "":
+            root, most, current = _CGROUPS, "memory.max", "memory.current"
+        elif "memory" in controllers.split(","):
+            root, most, current = _CGROUPS / "memory", "memory.limit_in_bytes", "memory.usage_in_bytes"
+        else:
+            continue
+        own = root / path.strip("/")
+        for folder in (own, *own.parents):
+            if folder.is_relative_to(root):
+                with contextlib.suppress(OSError, ValueError):  # "max" is no limit
+                    limit = int((folder / most).read_text())
+                    yield max(limit - int((folder / current).read_text()) + _cached(folder), 0)
+
+
+def _cached(folder: Path) -> int:
+    """Return the bytes of files that a cgroup holds in memory, which are given up when they are needed."""
+    with contextlib.suppress(OSError, ValueError):
+        fields = dict(line.split() for line in (folder / "memory.stat").read_text().splitlines())
+        return int(fields.get("inactive_file", 0)) + int(fields.get("active_file", 0))
+    return 0
 
 
 @contextlib.contextmanager

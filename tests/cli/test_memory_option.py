@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import os
 import re
 import resource
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.jobs.job import limited_memory, memory_of_machine, parse_size, show_size
+from beltrami_cli.jobs import job
+from beltrami_cli.jobs.job import default_memory, limited_memory, parse_size, show_size
 from cli.commands import SAMPLES, beltrami
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 
 @pytest.mark.parametrize(
@@ -39,8 +45,26 @@ def test_sizes_are_shown_in_the_unit_that_suits_them() -> None:
     assert [show_size(size) for size in (12, 500 << 20, 4 << 30)] == ["12", "500M", "4G"]
 
 
-def test_the_machine_has_some_memory() -> None:
-    assert (memory_of_machine() or 1 << 30) > 1 << 28
+def test_by_default_half_of_what_is_available_may_be_taken(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    whole = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    assert 1 << 26 < (default_memory() or 1 << 30) <= whole // 2
+    root = tmp_path / "cgroup"
+    (root / "jobs" / "one").mkdir(parents=True)
+    (root / "jobs" / "memory.max").write_text(f"{3 << 26}\n")
+    (root / "jobs" / "memory.current").write_text(f"{1 << 26}\n")
+    (root / "jobs" / "memory.stat").write_text(f"anon 5\ninactive_file {1 << 25}\nactive_file 0\n")
+    (root / "jobs" / "one" / "memory.max").write_text("max\n")
+    (tmp_path / "own").write_text("1:name=systemd:/\n0::/jobs/one\n")
+    monkeypatch.setattr(job, "_CGROUPS", root)
+    monkeypatch.setattr(job, "_OWN_CGROUPS", tmp_path / "own")
+    assert default_memory() == ((3 << 26) - (1 << 26) + (1 << 25)) // 2
+    (tmp_path / "own").write_text("4:cpu,memory:/jobs\n")
+    (root / "memory" / "jobs").mkdir(parents=True)
+    (root / "memory" / "memory.limit_in_bytes").write_text(f"{1 << 29}\n")
+    (root / "memory" / "memory.usage_in_bytes").write_text(f"{1 << 20}\n")
+    assert default_memory() == ((1 << 29) - (1 << 20)) // 2
 
 
 def test_more_than_the_limit_is_refused_by_name_and_the_limit_is_lifted() -> None:

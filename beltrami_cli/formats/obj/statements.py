@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.tokens import blocks, find_tokens, read_numbers
+from beltrami_cli.formats.tokens import blocks, find_tokens, read_numbers, require_short_lines
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -33,6 +33,7 @@ class Statements:
     def __init__(self, data: bytes, name: str) -> None:
         self._data, self._name = data, name
         text = _plain(data)
+        require_short_lines(text, name)
         self._characters = np.frombuffer(text, np.uint8)
         self.starts, self.ends = find_tokens(text)
         line_ends = np.flatnonzero(self._characters == ord("\n"))

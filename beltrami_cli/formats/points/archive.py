@@ -205,6 +205,7 @@ class NpzPointsDocument(Document):
 
     @cached_property
     def _positions(self) -> NDArray[np.float64]:
+        self._archive.require_ratio(self._arrays.positions)
         return np.ascontiguousarray(self._table(self._arrays.positions), np.float64)
 
     @cached_property

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.tokens import find_tokens, read_numbers
+from beltrami_cli.formats.tokens import find_tokens, read_numbers, require_short_lines
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -45,6 +45,7 @@ class _Reader:
         head = data[:_HEAD].translate(_SEPARATORS)
         self._comments = [found.split() for found in _COMMENT.findall(head)]
         text = _without_comments(data)
+        require_short_lines(text, name)
         self._text = text
         self._starts, self._ends = find_tokens(text)
         characters = np.frombuffer(text, np.uint8)

@@ -17,6 +17,7 @@ import numpy as np
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.colours import full_scale
 from beltrami_cli.formats.read_only.polygons import ColouredPolygons
+from beltrami_cli.formats.tokens import require_short_lines
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -35,6 +36,7 @@ def read_off(data: bytes, name: str) -> ColouredPolygons:
         raise InputError(name, "it does not start with OFF", "is it an OFF file?")
     texture, _, normals, *other = header.groups()
     rest = _COMMENT.sub(b"", data[header.end() :])
+    require_short_lines(rest, name)
     if any(other) or rest.split(None, 1)[:1] == [b"BINARY"]:
         raise InputError(name, "only text of three dimensions is read of OFF", "save it as a plain OFF file")
     lines = [line for line in rest.splitlines() if line and not line.isspace()]

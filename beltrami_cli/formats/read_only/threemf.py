@@ -23,6 +23,7 @@ from xml.parsers import expat
 import numpy as np
 
 from beltrami_cli.errors import InputError
+from beltrami_cli.formats.access import require_ratio
 from beltrami_cli.formats.read_only.polygons import ColouredPolygons
 
 if TYPE_CHECKING:
@@ -76,6 +77,7 @@ class Archive:
             known = self._file.getinfo(member)
             if known.file_size > self._most:
                 raise self._too_large(member, known.file_size)
+            require_ratio(self._name, member, known.compress_size, known.file_size)
             with self._file.open(known) as file:
                 data = file.read(self._most + 1)
         except KeyError:
