@@ -75,6 +75,7 @@ def test_kernel_info_and_smooth_say_the_same_parameters_of_a_file(name, at, opti
     assert f"beta {facts['beta']:.3g}," in smooth.stderr.decode()
 
 
+@pytest.mark.slow
 def test_samples_of_a_kernel_are_said_of_the_first_iteration_or_of_all(tmp_path):
     record = tmp_path / "run.json"
     parameters = ("-n", 1, "-t", 2, "--beta", 8)

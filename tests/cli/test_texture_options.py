@@ -226,6 +226,7 @@ def test_textured_gltf_converts_to_glb_with_its_textures(tmp_path):
     assert len(images(out)) == 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("iterations", ["0", "1"])
 def test_a_textured_model_is_converted_with_its_textures(iterations, tmp_path):
     out = smooth(MIRRORED, tmp_path / "out.glb", "-n", iterations, "--fast")

@@ -108,6 +108,7 @@ def test_a_march_past_a_hub_finds_the_distances_of_the_sweep():
         np.testing.assert_allclose(swept[source], weights[chosen] / weights.sum(), atol=1e-6)
 
 
+@pytest.mark.slow
 def test_the_cost_of_fast_marching_on_a_fan_grows_as_its_valence():
     seconds = []
     for count in (4_000, 16_000):

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
+pytestmark = pytest.mark.slow
+
 MESH = (
     "ply\nformat ascii 1.0\nelement vertex 5\nproperty float x\nproperty float y\nproperty float z\n"
     "property uchar red\nproperty uchar green\nproperty uchar blue\nelement face 4\n"
@@ -111,7 +113,6 @@ def cases(name: str, chance: random.Random, tries: int) -> Iterator[list[str]]:
                 yield [name, *given, chance.choice(option.opts), value]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", COMMANDS)
 def test_values_of_options(name: str, tmp_path: Path) -> None:
     for number, arguments in enumerate(cases(name, random.Random(name), TRIES)):

@@ -99,6 +99,7 @@ def test_of_two_that_write_at_the_same_time_one_wins(links: str, tmp_path: Path)
         assert letters == dict.fromkeys(["out.obj", "a.mtl", "maps/a.png"], "AB"[codes.index(0)])
 
 
+@pytest.mark.slow
 def test_of_two_that_replace_files_at_the_same_time_one_whole_set_stays(tmp_path: Path) -> None:
     for attempt in range(3):
         codes, letters = files_of_two_writers(tmp_path / str(attempt), "overwrite")

@@ -185,6 +185,7 @@ def test_a_file_that_appears_meanwhile_is_not_replaced(tmp_path):
     assert texture(out / "one.obj").name == "one_skin-2.png"
 
 
+@pytest.mark.slow
 def test_new_textures_do_not_replace_those_of_another_file(tmp_path):
     ply = SAMPLES / "nonmanifold-clean.ply"
     for name in ("scan.obj", "scan.ply"):
