@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import io
+import json
 import random
 import shutil
 import sys
@@ -13,6 +15,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
+from beltrami_cli.batch.item import Outcome
 from formats.gltf_compressed import GRID, draco_model, meshopt_model
 from formats.gltf_files import Model, Textured
 from formats.image_files import encode
@@ -155,6 +158,37 @@ def other_seeds() -> dict[str, dict[str, bytes]]:
     }
 
 
+def data_seeds() -> dict[str, dict[str, bytes]]:
+    """Text files that are read as data; the first byte of a manifest says its kind."""
+    options = b'iterations = 3\nbeta = 8.5\nchannels = ["red", "green"]\nspace = "linear"\nfast = true\n'
+    line = b'{"input": "a.ply", "output": "b/c.ply", "beta": 8, "guides": ["normal"]}\n'
+    written = {"vertices": {"noise": {"red": 0.1}, "change": {"mean": 0.2}}, "warnings": ["x"]}
+    outcomes = [
+        Outcome("a.ply", "b.ply", "started"),
+        Outcome("a.ply", "b.ply", "done", "0" * 64, report=written),
+    ]
+    outcomes.append(Outcome("s3://a/b.ply", "s3://c/d.ply", "done", read={"s3://a/b.ply": "f" * 64}))
+    record = "".join(json.dumps(dataclasses.asdict(outcome)) + "\n" for outcome in outcomes)
+    report = {
+        "parameters": {"beta": 8, "free": ["t"], "x": {"y": 1}},
+        "stages": {"read": {"wall": 0.5, "cpu": 1}},
+    }
+    return {
+        "configuration": {
+            "own": b"threads = 2\n[smooth]\n" + options,
+            "shared": b"[tool.beltrami]\nthreads = 2\n[tool.beltrami.batch]\njobs = 2\n[tool.beltrami.smooth]\n"
+            + options,
+        },
+        "manifest": {
+            "toml": b"\0" + options + b'[[files]]\ninput = "a.ply"\nbeta = 4\n',
+            "csv": b'\1input,output,beta,channels\na.ply,,8,"red,green"\n',
+            "lines": b"\2" + line * 2,
+        },
+        "record": {"lines": record.encode()},
+        "report": {"run": json.dumps(report, indent=2).encode()},
+    }
+
+
 def _varied(number: int) -> bytes:
     """Return bytes of which many are small or zero, for the fuzzer of the native core."""
     chance = random.Random(number)
@@ -164,7 +198,7 @@ def _varied(number: int) -> bytes:
 def main() -> None:
     """Write all seeds anew."""
     shutil.rmtree(CORPUS, ignore_errors=True)
-    seeds = {"ply": ply_seeds(), "obj": obj_seeds(), "gltf": gltf_seeds(), **other_seeds()}
+    seeds = {"ply": ply_seeds(), "obj": obj_seeds(), "gltf": gltf_seeds(), **other_seeds(), **data_seeds()}
     for target, made in seeds.items():
         (CORPUS / target).mkdir(parents=True)
         for name, data in made.items():

@@ -23,6 +23,7 @@ from beltrami_cli.formats.textured_mesh import as_if_with_suffixes
 from beltrami_cli.formats.volume import is_volume
 from beltrami_cli.formats.volume.reading import read_volume
 from beltrami_cli.surface.records import ImageFile
+from fuzz.data_targets import read_configuration, read_manifest, read_record, read_report
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -169,6 +170,10 @@ TARGETS: dict[str, Callable[[bytes], None]] = {
     "image": read_picture,
     "volume": read_grid,
     "arrays": smooth_arrays,
+    "configuration": read_configuration,
+    "manifest": read_manifest,
+    "record": read_record,
+    "report": read_report,
 }
 """All targets by name; the seeds of each are in the folder `corpus` under its name."""
 

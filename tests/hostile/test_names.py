@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import numpy as np
 import pytest
 
 from beltrami_cli.cli.console import printable
@@ -11,7 +12,9 @@ from beltrami_cli.errors import InputError
 from beltrami_cli.formats.image import read_image
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.smooth import smooth_file
+from cli.commands import beltrami
 from hostile.folders import snapshot
+from hostile.test_hostile_values import MESH
 from hostile.textured_models import ONCE, PICTURE, write_model
 
 if TYPE_CHECKING:
@@ -53,3 +56,43 @@ def test_a_name_of_a_million_letters_does_not_fill_the_terminal(kind: str, tmp_p
     assert len(str(caught.value)) < 1100
     notices = open_document(str(model)).notices
     assert all(len(printable(notice)) < 1100 for notice in notices)
+
+
+STEMS = [
+    "a\nf 1 1 1", "a\rb", "back\\slash", "a\\", " lead", "trail ", 'quo"te', "a #b", "\udcff", "%41%", "a:b", "<UDIM>",
+]  # fmt: skip
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("stem", STEMS, ids=ascii)
+def test_a_model_of_any_name_is_whole_and_finds_its_files(stem: str, tmp_path: Path) -> None:
+    """What a format cannot carry is in none of its files: they are named otherwise, or nothing is written."""
+    (tmp_path / "mesh.ply").write_text(MESH)
+    for kind in KINDS:
+        source = write_model(tmp_path / kind, kind, "skin.png")
+        (tmp_path / kind / "skin.png").write_bytes(PICTURE)
+        _smoothed(source, tmp_path / f"{kind} out" / f"{stem}.{kind}")
+    _smoothed(tmp_path / "mesh.ply", tmp_path / "converted" / f"{stem}.gltf")
+    _smoothed(
+        tmp_path / "mesh.ply", tmp_path / "laid out" / f"{stem}.obj", "--unwrap", "--texture-size", "64"
+    )
+
+
+def _smoothed(source: Path, target: Path, *options: str) -> None:
+    target.parent.mkdir()
+    done = beltrami("smooth", source, target, "--fast", "-n", "1", *options)
+    said = done.stderr.decode()
+    assert "unexpected error" not in said
+    if done.returncode:
+        assert done.returncode in (2, 3, 4), said
+        assert list(target.parent.iterdir()) == []
+        return
+    before, after = (open_document(str(path)) for path in (source, target))
+    surfaces = [each.textured("baseColor") if each.slots() else each.painted() for each in (before, after)]
+    assert len(surfaces[0].faces) == len(surfaces[1].faces)
+    corners = [surface.positions[surface.faces].reshape(-1, 3) for surface in surfaces]
+    np.testing.assert_allclose(*corners, atol=1e-6)
+    assert bool(after.slots()) == (bool(before.slots()) or "--unwrap" in options)
+    beside = {path.name for path in target.parent.iterdir()} - {target.name}
+    assert {name for name in after.references() if "/" not in name} >= beside
+    assert not [notice for notice in after.notices if "missing" in notice]
