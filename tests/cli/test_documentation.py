@@ -127,6 +127,8 @@ def stand_ins(tmp_path_factory):
     values = np.sqrt(x**2 + y**2 + z**2) - 0.7
     colours = np.stack([x, y, z], axis=3) / 2 + 0.5
     np.savez(folder / "fusion.npz", values=values, colours=colours)
+    run = beltrami("smooth", folder / "scan.ply", "-", "--fast", "--report", folder / "run.json")
+    assert run.returncode == 0, run.stderr
     return folder
 
 
@@ -149,7 +151,6 @@ def test_the_commands_of_the_readme_and_of_pages_to_start_with_run(words, stand_
     if {"render", "sweep", "report", "--preview"} & set(words):
         pytest.importorskip("embreex")
     folder = shutil.copytree(stand_ins, tmp_path / "work")
-    (folder / "run.json").write_text('{"parameters": {}, "stages": {}}')
     monkeypatch.chdir(folder)
     (folder / "other.toml").write_text("[smooth]\nbeta = 8\n")
     for each in ("SMOOTH", "BATCH", "INFO", "KERNEL", "SWEEP"):
