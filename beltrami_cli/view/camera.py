@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _SMALLEST = 1e-13  # of the distance from the origin: smaller models are lost in rounding
+_NARROWEST = 1e-3  # degrees, below which rays are parallel
 _MARGIN = 0.92  # of the shorter side of a view that a model fills
 
 # Rows: what is to the right, up and towards the eye in a view from the front, by the axis that points up.
@@ -108,7 +109,7 @@ def fitted(
     size = size_between(low, high)
     shape = np.array([aspect, 1.0]) / min(aspect, 1.0)
     middle = (low + high) / 2
-    if field <= 0:
+    if field < _NARROWEST:
         half = max(float(((high - low)[:2] / 2 / shape).max()), 1e-6 * size) / _MARGIN
         return Camera(rotation, np.array([*middle[:2], high[2] + size]), half * shape, True)
     reach = np.tan(np.radians(field) / 2) * shape
