@@ -134,6 +134,10 @@ def test_a_field_of_view_that_is_nearly_none(tmp_path: Path) -> None:
     assert hostile(tmp_path, "render", *ARGUMENTS["render"], "--fov", "1e-320") == 0
 
 
+def test_a_kernel_that_reaches_nothing(tmp_path: Path) -> None:
+    assert hostile(tmp_path, "kernel", *ARGUMENTS["kernel"], "--time-step", "1e-320") == 0
+
+
 VALUES = [
     None,
     True,

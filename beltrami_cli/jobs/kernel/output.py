@@ -85,7 +85,8 @@ def _mesh(view: MeshView, radius: float, facts: dict[str, object]) -> Written:
 
 def _nearness(view: MeshView | WindowView, radius: float) -> NDArray[np.float32]:
     """Return 1 at the kernel's own sample, falling to 0 at the radius; NaN where the kernel holds nothing."""
-    return np.asarray(1 - view.distances / np.float32(radius), np.float32)
+    reach = max(np.float32(radius), np.finfo(np.float32).tiny)
+    return np.asarray(1 - view.distances / reach, np.float32)
 
 
 def _picture(view: WindowView, radius: float) -> NDArray[np.uint8]:
