@@ -102,9 +102,10 @@ def command(
     """
     settings = options.compared_from(values)
     from beltrami_cli.jobs.compare.files import compare_files
+    from beltrami_cli.jobs.job import Job
 
     limits = options.record_from(Limits, values)
-    with options.reading_from(values, reference) as access:
+    with options.reading_from(values, reference) as access, messages.progress() as progress:
         comparison = compare_files(
             reference,
             test,
@@ -113,7 +114,7 @@ def command(
             weights=weights,
             map_to=map_to,
             overwrite=options.overwrite_at("map_to", overwrite=overwrite),
-            access=access,
+            job=Job(access, progress),
         )
     if as_json:
         from dataclasses import asdict

@@ -52,13 +52,13 @@ def command(
     It has both models under one camera with a swipe between them, textures at full size with a swipe, figures, a
     histogram of the change, and a map of the seams.
     """
+    from beltrami_cli.jobs.job import Job
     from beltrami_cli.view.report import report_file
 
     settings = options.compared_from(values)
-    with options.reading_from(values, before) as access:
-        found = report_file(
-            before, after, target, settings, parameters=parameters, overwrite=overwrite, access=access
-        )
+    with options.reading_from(values, before) as access, messages.progress() as progress:
+        job = Job(access, progress, overwrite)
+        found = report_file(before, after, target, settings, parameters=parameters, job=job)
     for notice in found["notices"]:
         messages.warn(notice)
     messages.say(f"{target}: {counted(found['samples'], 'sample')}, {_result(found)}")

@@ -11,17 +11,30 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
+    from collections.abc import Callable, Iterable, Iterator, Sequence
 
     from beltrami_cli.jobs.writing.output import FileSet, Output
 
     Progress = Callable[[str, int, int], None]
+
+
+Item = TypeVar("Item")
+
+
+def tracked(items: Sequence[Item], label: str, progress: Progress | None) -> Iterator[Item]:
+    """Give items one after the other, and show how many of them are done."""
+    for number, item in enumerate(items):
+        if progress is not None:
+            progress(label, number, len(items))
+        yield item
+    if progress is not None and items:
+        progress(label, len(items), len(items))
 
 
 @dataclass(frozen=True)

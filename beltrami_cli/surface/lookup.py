@@ -23,24 +23,43 @@ if TYPE_CHECKING:
 
 
 def look_up(
-    image: NDArray[np.float32], uv: NDArray[np.float64], wrap: tuple[Wrap, Wrap], alpha: int | None = None
-) -> NDArray[np.float64]:
+    image: NDArray[np.float32],
+    uv: NDArray[Any],
+    wrap: tuple[Wrap, Wrap],
+    alpha: int | None = None,
+    precision: type[np.float32] | type[np.float64] = np.float64,
+) -> NDArray[Any]:
     """Interpolate between the four texels around each place; exact where the four agree."""
     # Places are (u to the right, v down), (0, 0) the upper left corner of the image and (1, 1) the lower
     # right. Where the channel `alpha`, the opacity, is transparent, no colour is taken.
     height, width = image.shape[:2]
     left, right, across = _taps(uv[:, 0], width, wrap[0])
     upper, lower, down = _taps(uv[:, 1], height, wrap[1])
-    four = [image[row, column].astype(np.float64) for row in (upper, lower) for column in (left, right)]
-    plain = _mixed(four, across, down)
+    four: list[NDArray[Any]] = [
+        _texels(image, row, column).astype(precision, copy=False)
+        for row in (upper, lower)
+        for column in (left, right)
+    ]
+    right_part, lower_part = (part.astype(precision, copy=False)[:, None] for part in (across, down))
+    plain: NDArray[Any] = _mixed(four, right_part, lower_part)
     if alpha is None:
         return plain
     opacity = plain[:, alpha : alpha + 1]
-    weighted = _mixed([texel * texel[:, alpha : alpha + 1] for texel in four], across, down)
+    weighted = _mixed([texel * texel[:, alpha : alpha + 1] for texel in four], right_part, lower_part)
     agree = np.ptp(np.stack([texel[:, alpha] for texel in four]), axis=0) == 0
-    seen = np.divide(weighted, opacity, out=plain.copy(), where=(opacity > 0) & ~agree[:, None])
+    seen: NDArray[Any] = plain.copy()
+    np.divide(weighted, opacity, out=seen, where=(opacity > 0) & ~agree[:, None])
     seen[:, alpha] = plain[:, alpha]
     return seen
+
+
+def _texels(image: NDArray[Any], row: NDArray[np.int64], column: NDArray[np.int64]) -> NDArray[Any]:
+    found: NDArray[Any]
+    if image.flags.c_contiguous:  # as it mostly is, and then this is faster
+        found = image.reshape(-1, image.shape[2]).take(row * image.shape[1] + column, axis=0)
+    else:
+        found = image[row, column]
+    return found
 
 
 def noise_around(
@@ -60,27 +79,36 @@ def noise_around(
     return total
 
 
-def _mixed(
-    four: list[NDArray[np.float64]], across: NDArray[np.float64], down: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    upper = four[0] + across[:, None] * (four[1] - four[0])
-    lower = four[2] + across[:, None] * (four[3] - four[2])
-    return upper + down[:, None] * (lower - upper)
+def _mixed(four: list[NDArray[Any]], across: NDArray[Any], down: NDArray[Any]) -> NDArray[Any]:
+    upper = four[0] + across * (four[1] - four[0])
+    lower = four[2] + across * (four[3] - four[2])
+    mixed: NDArray[Any] = upper + down * (lower - upper)
+    return mixed
 
 
 def _taps(
-    coordinate: NDArray[np.float64], count: int, wrap: Wrap
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
+    coordinate: NDArray[Any], count: int, wrap: Wrap
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[Any]]:
     """Return the texels on both sides along one axis, and how far between them each place lies."""
     # Whole periods are taken off first: coordinates may be huge, and only their remainder says anything.
     period = 2.0 if wrap == "mirror" else 1.0
-    folded = np.clip(coordinate, -1, 2) if wrap == "clamp" else np.mod(coordinate, period)
+    if wrap == "clamp":
+        folded = np.clip(coordinate, -1, 2)
+    else:
+        folded = coordinate if _all_within(coordinate, period) else np.mod(coordinate, period)
     at = folded * count - 0.5
     first = np.floor(at).astype(np.int64)
     return _wrapped(first, count, wrap), _wrapped(first + 1, count, wrap), at - first
 
 
+def _all_within(values: NDArray[Any], end: float) -> bool:
+    """Return whether all values are in [0, end), so that there is nothing to wrap."""
+    return bool(values.size) and bool(values.min() >= 0) and bool(values.max() < end)
+
+
 def _wrapped(index: NDArray[np.int64], count: int, wrap: Wrap) -> NDArray[np.int64]:
+    if _all_within(index, count):
+        return index
     if wrap == "clamp":
         inside: NDArray[np.int64] = np.clip(index, 0, count - 1)
         return inside

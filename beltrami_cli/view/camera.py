@@ -6,7 +6,7 @@ View coordinates are x to the right, y up, z towards the eye.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -58,17 +58,25 @@ class Camera:
     is_orthographic: bool
 
     def rays(
-        self, columns: NDArray[np.float64], rows: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        self,
+        columns: NDArray[np.float64],
+        rows: NDArray[np.float64],
+        precision: type[np.float32] | type[np.float64] = np.float64,
+    ) -> tuple[NDArray[Any], NDArray[Any]]:
         """Return origins and unit directions of rays, (K, 3) each, through places in fractions of the view."""
-        across = np.column_stack([2 * columns - 1, 1 - 2 * rows]) * self.reach
+        # Columns (C,) with rows (R, 1) make a grid, by the rules of broadcasting.
+        across, up = (
+            ((2 * columns - 1) * self.reach[0])[..., None],
+            ((1 - 2 * rows) * self.reach[1])[..., None],
+        )
+        right, above, back = self.rotation
+        eye = self.place @ self.rotation
         if self.is_orthographic:
-            starts = self.place + np.column_stack([across, np.zeros(len(across))])
-            directions = np.tile([0.0, 0.0, -1.0], (len(across), 1))
-            return starts @ self.rotation, directions @ self.rotation
-        directions = np.column_stack([across, np.full(len(across), -1.0)])
-        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-        return np.broadcast_to(self.place @ self.rotation, (len(across), 3)), directions @ self.rotation
+            starts = (eye + up * above) + across * right
+            return starts.reshape(-1, 3), np.broadcast_to(-back, (starts.size // 3, 3))
+        directions = (up * above - back).astype(precision) + (across * right).astype(precision)
+        directions /= np.sqrt(across**2 + up**2 + 1).astype(precision)
+        return np.broadcast_to(eye, (directions.size // 3, 3)), directions.reshape(-1, 3)
 
     def project(self, positions: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return where points are in the view, (K, 2), as fractions of it, and their depths, (K,)."""

@@ -22,12 +22,13 @@ if TYPE_CHECKING:
     from beltrami_cli.view.settings import RenderSettings
     from beltrami_cli.view.views import Drawable
 
-    Draw = Callable[[tuple[int, int], Window], NDArray[np.float32]]
+    Draw = Callable[..., NDArray[np.float32]]  # of a size and a window
     Progress = Callable[[str, int, int], None]
 
 _ALIKE = 0.1  # boxes that differ by less than this, in sizes of the first, are seen by one camera
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 _COVERED = 0.98  # of a detail, at least, if there is any such place
+_STEPS_OF_A_VIEW = 100  # that progress counts
 _STEPS = 8  # places tried along each side of a detail
 
 
@@ -61,9 +62,7 @@ def draw_panels(
     whole = centred_window(settings.zoom)
     drawn = []
     for done, draw in enumerate(drawers):
-        if progress is not None:
-            progress("views", done, len(drawers))
-        drawn.append(draw(settings.size, whole))
+        drawn.append(draw(settings.size, whole, progress=_share_of(progress, done, len(drawers))))
     windows = _detail_windows(drawn[len(views) - 1], settings)
     side = detail_size(settings.size[0], len(windows))
     panels = []
@@ -72,8 +71,17 @@ def draw_panels(
         details = [drawers[at]((side, side), part_of(whole, window)) for window in windows]
         panels.append(Panel(drawn[at], labels[number] if turn == 0 else "", details, windows))
     if progress is not None:
-        progress("views", len(drawers), len(drawers))
+        progress("drawing", _STEPS_OF_A_VIEW * len(drawers), _STEPS_OF_A_VIEW * len(drawers))
     return panels
+
+
+def _share_of(progress: Progress | None, view: int, views: int) -> Callable[[int, int], None] | None:
+    """Return what shows how much is drawn of one of several views."""
+    if progress is None:
+        return None
+    first, total = _STEPS_OF_A_VIEW * view, _STEPS_OF_A_VIEW * views
+    progress("drawing", first, total)
+    return lambda done, rows: progress("drawing", first + _STEPS_OF_A_VIEW * done // rows, total)
 
 
 def with_fixed_crops(view: Drawable, settings: RenderSettings) -> RenderSettings:

@@ -12,6 +12,7 @@ from beltrami_cli.formats.document import Written
 from beltrami_cli.formats.image import format_of_suffix, write_image
 from beltrami_cli.formats.image.picture import new_picture
 from beltrami_cli.formats.image.recognition import is_image
+from beltrami_cli.jobs.job import tracked
 from beltrami_cli.jobs.writing.output import Output, Overwrite
 from beltrami_cli.view.drawing import draw_views
 from beltrami_cli.view.settings import DEFAULT_RENDER, MOST_PIXELS, Crop, RenderSettings
@@ -51,7 +52,7 @@ def render_file(
     _check_size(len(sources), settings)
     output = Output(target, overwrite=overwrite, what="picture", reads=sources)
     access = output.files.watching(access)
-    views = [open_view(source, settings, access) for source in sources]
+    views = [open_view(source, settings, access) for source in tracked(sources, "reading", progress)]
     picture = draw_views(views, labels, settings, progress)
     output.write(encoded(picture, target, suffix))
     return picture.shape[1], picture.shape[0]

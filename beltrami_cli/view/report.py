@@ -11,13 +11,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from beltrami_cli.errors import InputError, UsageError
-from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access, read_source
+from beltrami_cli.formats.access import Access, read_source
 from beltrami_cli.formats.data_text import REPORT, parse_json, text_in
 from beltrami_cli.formats.document import Written
 from beltrami_cli.formats.image.document import ImageDocument
 from beltrami_cli.jobs.compare.figures import figures
 from beltrami_cli.jobs.compare.files import Compared, compare_documents, open_both
 from beltrami_cli.jobs.compare.models import EVERYTHING
+from beltrami_cli.jobs.job import PLAIN_JOB, Job, tracked
 from beltrami_cli.jobs.writing.output import Output
 from beltrami_cli.view.charts import histogram, seam_map, swipe
 from beltrami_cli.view.models import ModelPacker, bounding_box
@@ -29,6 +30,7 @@ from beltrami_cli.view.views import sheet_of, texture_sheet
 if TYPE_CHECKING:
     from beltrami_cli.formats.document import Document
     from beltrami_cli.jobs.compare.figures import ComparedColours
+    from beltrami_cli.jobs.job import Progress
     from beltrami_cli.samples.settings import SmoothSettings
     from beltrami_cli.surface.records import Slot
 
@@ -59,42 +61,43 @@ def report_file(
     settings: SmoothSettings = EVERYTHING,
     *,
     parameters: str | None = None,
-    overwrite: bool = False,
-    access: Access = EVERYTHING_INSIDE,
+    job: Job = PLAIN_JOB,
 ) -> dict[str, Any]:
     """Write a page on what changed between two models or images that differ in colours only; return all figures."""
     names = [before, after]
     if "-" in names:
         raise UsageError("BEFORE and AFTER must be files and not pipes")
     known = names if parameters is None else [*names, parameters]
-    output = Output(target, overwrite=overwrite, is_text=True, what="page", reads=known)
+    output = Output(target, overwrite=job.overwrite, is_text=True, what="page", reads=known)
     if target != "-" and Path(target).suffix.lower() not in PAGES:
         raise UsageError(f"{target}: the report is a page; end its name in {' or '.join(PAGES)}")
-    access = output.files.watching(access)
+    access = output.files.watching(job.access)
+    job = dataclasses.replace(job, access=access)
     shown = "" if parameters is None else _parameters(parameters, access)
     data = read_source(before, access), read_source(after, access)
-    documents = open_both((before, after), data, settings, access)
-    found = _Found(compare_documents(documents, settings, "uniform", access))
+    documents = open_both((before, after), data, settings, job)
+    found = _Found(compare_documents(documents, settings, "uniform", job))
     if isinstance(documents[0], ImageDocument) and isinstance(documents[1], ImageDocument):
         sheets = [
             sheet_of(document.picture()) for document in documents if isinstance(document, ImageDocument)
         ]
         found.crops.append(swipe(sheets[0], sheets[1], Path(after).name))
     else:
-        _add_models(found, documents)
+        _add_models(found, documents, job.progress)
     output.write(Written(main=[_page(names, found, shown)]))
     return {**figures(found.compared.measured()), "notices": found.compared.all_notices()}
 
 
-def _add_models(found: _Found, documents: tuple[Document, Document]) -> None:
+def _add_models(found: _Found, documents: tuple[Document, Document], progress: Progress | None) -> None:
     """Add what shows two models: the models themselves, textures, and seams."""
     slots = found.compared.slots
-    found.seams += [drawn for part in found.compared.parts if (drawn := seam_map(part))]
-    for slot in slots:
+    parts = tracked(found.compared.parts, "drawing seams", progress)
+    found.seams += [drawn for part in parts if (drawn := seam_map(part))]
+    for slot in tracked(slots, "drawing textures", progress):
         found.crops += _crops(*documents, slot, _MOST_CROPS - len(found.crops))
     shown = slots[0] if slots else None
     packer = ModelPacker(bounding_box(documents[0], shown))
-    for document in documents:
+    for document in tracked(documents, "packing models", progress):
         packer.add(document, shown)
     found.models = packer.as_json()
 

@@ -74,15 +74,19 @@ def _shared(rows: Sequence[Sequence[str]]) -> int:
 
 def is_lost_on_white(views: Sequence[NDArray[np.float32]]) -> bool:
     """Return whether more than a quarter of the outlines of what is drawn could not be seen on white."""
-    from scipy.ndimage import binary_erosion
-
     outline, white = 0, 0
     for view in views:
         shown = view[..., 3] > 0.5
-        drawn = view[shown & ~binary_erosion(shown, border_value=1)]
+        drawn = view[shown & ~_eroded(shown)]
         outline += len(drawn)
         white += int(np.count_nonzero((drawn[:, :3] >= _NEARLY_WHITE * drawn[:, 3:]).all(axis=1)))
     return white > _LOST * outline
+
+
+def _eroded(shown: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return which pixels are shown and have no neighbour in their row or column that is not."""
+    around = np.pad(shown, 1, constant_values=True)
+    return shown & around[2:, 1:-1] & around[:-2, 1:-1] & around[1:-1, 2:] & around[1:-1, :-2]
 
 
 def arranged(panels: Sequence[Panel | None], columns: int, background: Background) -> NDArray[np.uint8]:

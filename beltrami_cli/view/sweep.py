@@ -16,7 +16,7 @@ from beltrami_cli.formats.document import Written
 from beltrami_cli.formats.image.recognition import FORMATS, format_of_suffix
 from beltrami_cli.formats.registry import OUTPUT_FORMATS, kind_of
 from beltrami_cli.jobs.compare.files import compare_files
-from beltrami_cli.jobs.job import PLAIN_JOB, Job
+from beltrami_cli.jobs.job import PLAIN_JOB, Job, tracked
 from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.jobs.writing.output import Output
 from beltrami_cli.samples.settings import DEFAULTS, LevelSetSettings
@@ -83,12 +83,11 @@ def sweep_file(
         view = open_view(path, looks, access, reading)
         if not panels:
             looks = with_fixed_crops(view, looks)
-        panels += draw_panels([view], [label], looks)
+        panels += draw_panels([view], [label], looks, job.progress)
     done = []
-    for number, (parameters, settings) in enumerate(trials):
-        if job.progress is not None:
-            job.progress("trials", number, len(trials))
-        trial, panel = _tried(source, parameters, settings, looks, reference, access)
+    inner = Job(access, job.progress)
+    for parameters, settings in tracked(trials, "trials", job.progress):
+        trial, panel = _tried(source, parameters, settings, looks, reference, inner)
         done.append(trial)
         panels.append(panel)
     if is_page:
@@ -121,12 +120,13 @@ def _tried(
     settings: SmoothSettings,
     looks: RenderSettings,
     reference: str | None,
-    access: Access,
+    job: Job,
 ) -> tuple[Trial, Panel]:
     """Smooth the file once, measure and draw the result, and throw it away."""
+    access = job.access
     with tempfile.TemporaryDirectory(prefix="beltrami-") as folder:
         result = str(Path(folder) / f"result{_suffix(source, access)}")
-        smooth_file(source, result, settings, job=Job(access=access))
+        smooth_file(source, result, settings, job=job)
         try:
             figures = {} if reference is None else _figures(reference, result, settings, access)
         except InputError as error:
@@ -135,7 +135,7 @@ def _tried(
             raise InputError(name, error.cause, error.remedy) from error
         trial = Trial(parameters, figures)
         view = open_view(result, looks, access)
-    return trial, draw_panels([view], [trial.label], looks)[0]
+    return trial, draw_panels([view], [trial.label], looks, job.progress)[0]
 
 
 def _suffix(source: str, access: Access) -> str:
@@ -157,7 +157,7 @@ def _figures(reference: str, result: str, settings: SmoothSettings, access: Acce
         kernel=KernelParameters(threads=settings.kernel.threads),
         space=space,
     )
-    overall = compare_files(reference, result, settings=chosen, access=access).overall
+    overall = compare_files(reference, result, settings=chosen, job=Job(access)).overall
     found = {
         "psnr": overall["psnr"],
         "psnr_near_seams": (overall["near_seams"] or {}).get("psnr"),

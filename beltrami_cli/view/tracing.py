@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import importlib
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -18,6 +18,8 @@ from beltrami_cli.surface.grouping import group_equal_rows
 from beltrami_cli.view.camera import size_between
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
     from beltrami_cli.view.camera import Camera, Window
@@ -29,10 +31,20 @@ AMBIENT = 0.35  # share of the light that comes from everywhere
 LAMP = np.array([-0.4, 0.5, 0.77]) / np.linalg.norm([-0.4, 0.5, 0.77])
 
 _CREASE = np.cos(np.radians(40))  # smoothed normals further than this from the triangle's are not used
-_BLOCK = 1 << 15  # rays at a time, which bounds the memory; larger blocks leave the processor's cache
+_BLOCK = 1 << 14  # rays at a time, which bounds the memory; larger blocks leave the processor's cache
+_ALL = 0.999  # of the light: what is behind cannot be seen any more
 _LAYERS = 16  # transparent surfaces behind each other
 _SLACK = 1e-3  # of the view around what is covered: more than single precision loses
 _STEP = 1e-5  # behind a transparent surface the ray goes on, in sizes of the model
+
+
+class Hits(NamedTuple):
+    """Which rays hit, (K,), and the faces, barycentric weights, (K, 3), and distances of these places."""
+
+    rays: NDArray[np.int64]
+    faces: NDArray[np.int32]
+    weights: NDArray[np.float32]
+    distances: NDArray[np.float64]
 
 
 class Tracer:
@@ -48,23 +60,24 @@ class Tracer:
         vertices = np.ascontiguousarray(self._normalised(positions))
         self._mesh = meshes.TriangleMesh(self._scene, vertices, np.ascontiguousarray(faces, np.int32))
 
-    def cast(
-        self, starts: NDArray[np.float64], directions: NDArray[np.float64]
-    ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
-        """Return which rays hit, and the first faces, barycentric weights and distances along unit directions."""
+    def cast(self, starts: NDArray[np.float64], directions: NDArray[np.float64]) -> Hits:
+        """Return what rays along unit directions hit first."""
         found = self._scene.run(
             np.ascontiguousarray(self._normalised(starts)),
             np.ascontiguousarray(directions, np.float32),
             output=1,
         )
-        hit = np.flatnonzero(found["primID"] >= 0)
-        u, v = found["u"][hit].astype(np.float64), found["v"][hit].astype(np.float64)
-        weights = np.column_stack([1 - u - v, u, v])
-        distances = found["tfar"][hit].astype(np.float64) * self.size
-        return hit, found["primID"][hit].astype(np.int64), weights, distances
+        faces = found["primID"]
+        rays = np.flatnonzero(faces >= 0)
+        u, v = found["u"][rays], found["v"][rays]
+        weights = np.stack([1 - u - v, u, v], axis=1)
+        return Hits(rays, faces[rays], weights, found["tfar"][rays].astype(np.float64) * self.size)
 
     def _normalised(self, positions: NDArray[np.float64]) -> NDArray[np.float32]:
-        return np.asarray((positions - self._middle) / self.size, np.float32)
+        if positions.strides[0] or not len(positions):
+            return np.asarray((positions - self._middle) / self.size, np.float32)
+        place = np.asarray((positions[0] - self._middle) / self.size, np.float32)  # one for all
+        return np.broadcast_to(place, positions.shape)
 
 
 def require_embree() -> tuple[Any, Any]:
@@ -85,12 +98,20 @@ class SurfaceView:
     """A painted surface of at least one triangle, seen from both sides, to be looked at from anywhere."""
 
     def __init__(self, positions: NDArray[np.float64], faces: NDArray[np.int32], paint: Paint) -> None:
-        self.positions = positions[np.unique(faces)]
+        used = np.zeros(len(positions), bool)
+        used[faces] = True
+        self.positions = positions[used]
         self._all, self._faces, self._paint = positions, faces, paint
-        self._tracer = Tracer(self.positions, np.searchsorted(np.unique(faces), faces).astype(np.int32))
+        self._tracer = Tracer(self.positions, (np.cumsum(used, dtype=np.int32) - 1)[faces])
 
     def draw(
-        self, camera: Camera, size: tuple[int, int], window: Window, *, lit: bool
+        self,
+        camera: Camera,
+        size: tuple[int, int],
+        window: Window,
+        *,
+        lit: bool,
+        progress: Callable[[int, int], None] | None = None,
     ) -> NDArray[np.float32]:
         """Draw a window of a view, `size` = (width, height) pixels: linear light times opacity, and opacity."""
         width, height = size
@@ -99,14 +120,19 @@ class SurfaceView:
         x, y = (_places(window[k], window[k + 2], size[k]) for k in (0, 1))
         x = x[columns.start * SAMPLES : columns.stop * SAMPLES]
         pixel = (window[2] - window[0]) / (width * SAMPLES)
-        rows_at_once = max(1, _BLOCK // (max(1, len(x)) * SAMPLES))
+        rows_at_once = max(1, _BLOCK // max(1, columns.stop - columns.start))
         for first in range(rows.start, rows.stop, rows_at_once):
             last = min(first + rows_at_once, rows.stop)
-            across, down = np.meshgrid(x, y[first * SAMPLES : last * SAMPLES])
-            starts, directions = camera.rays(across.ravel(), down.ravel())
-            seen = self._follow(camera, starts, directions, pixel, lit=lit)
-            blocks = seen.reshape(last - first, SAMPLES, len(x) // SAMPLES, SAMPLES, 4)
-            image[first:last, columns] = blocks.mean(axis=(1, 3))
+            if progress is not None:
+                progress(first - rows.start, rows.stop - rows.start)
+            light = image[first:last, columns].reshape(-1, 4)
+            # One ray through each pixel at a time, so that sums go over whole blocks.
+            for down, right in np.ndindex(SAMPLES, SAMPLES):
+                through = y[first * SAMPLES + down : last * SAMPLES : SAMPLES, None]
+                starts, directions = camera.rays(x[right::SAMPLES], through, np.float32)
+                self._follow(light, camera, starts, directions, pixel, lit=lit)
+            light /= SAMPLES**2
+            image[first:last, columns] = light.reshape(last - first, -1, 4)
         return image
 
     def _covered(self, camera: Camera, size: tuple[int, int], window: Window) -> tuple[slice, slice]:
@@ -123,67 +149,81 @@ class SurfaceView:
 
     def _follow(
         self,
+        light: NDArray[np.float32],
         camera: Camera,
         starts: NDArray[np.float64],
         directions: NDArray[np.float64],
         pixel: float,
         *,
         lit: bool,
-    ) -> NDArray[np.float64]:
-        """Return what rays see, (K, 4), through everything transparent."""
-        seen = np.zeros((len(starts), 4))
+    ) -> None:
+        """Add what rays see, (K, 4), through everything transparent."""
+        if self._paint.is_opaque:
+            hits = self._tracer.cast(starts, directions)
+            footprints = (camera.breadth(hits.distances) * pixel) ** 2
+            light[hits.rays] += self._colours(camera, hits, directions, footprints, lit=lit)
+            return
+        seen = np.zeros((len(starts), 4), np.float32)
         active = np.arange(len(starts))
         travelled = np.zeros(len(starts))
         for _ in range(_LAYERS):
-            hit, faces, weights, distances = self._tracer.cast(starts, directions)
-            active, starts, directions = active[hit], starts[hit], directions[hit]
-            travelled = travelled[hit] + distances
+            hits = self._tracer.cast(starts, directions)
+            active = active[hits.rays]
+            travelled = travelled[hits.rays] + hits.distances
             footprints = (camera.breadth(travelled) * pixel) ** 2
-            colours = self._paint(faces, weights, footprints)
-            if lit:
-                colours[:, :3] *= self._light(camera, faces, weights, directions)[:, None]
+            colours = self._colours(camera, hits, directions, footprints, lit=lit)
             total = seen[active]
             share = (1 - total[:, 3]) * colours[:, 3]
             total[:, :3] += share[:, None] * colours[:, :3]
             total[:, 3] += share
             seen[active] = total
-            on = np.flatnonzero(total[:, 3] < 0.999)
+            on = np.flatnonzero(total[:, 3] < _ALL)
             if not len(on):
                 break
-            step = _STEP * self._tracer.size
-            active, directions, travelled = active[on], directions[on], travelled[on] + step
-            starts = starts[on] + (distances[on] + step)[:, None] * directions
-        return seen
+            step, rays = _STEP * self._tracer.size, hits.rays[on]
+            directions = directions[rays]
+            starts = starts[rays] + (hits.distances[on] + step)[:, None] * directions
+            active, travelled = active[on], travelled[on] + step
+        light += seen
 
-    def _light(
+    def _colours(
         self,
         camera: Camera,
-        faces: NDArray[np.int64],
-        weights: NDArray[np.float64],
+        hits: Hits,
         directions: NDArray[np.float64],
-    ) -> NDArray[np.float64]:
-        normals = np.einsum("kc,kcx->kx", weights, self._corner_normals[faces])
-        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
-        away = np.einsum("kx,kx->k", self._face_normals[faces], directions) > 0
-        normals[away] *= -1
-        lambert = np.maximum(normals @ (LAMP @ camera.rotation), 0)
-        return np.asarray(AMBIENT + (1 - AMBIENT) * lambert)
+        footprints: NDArray[np.float64],
+        *,
+        lit: bool,
+    ) -> NDArray[np.float32]:
+        colours = self._paint(hits.faces, hits.weights, footprints)
+        if lit:
+            colours[:, :3] *= self._light(camera, hits, directions[hits.rays])[:, None]
+        return colours
+
+    def _light(self, camera: Camera, hits: Hits, directions: NDArray[np.float64]) -> NDArray[np.float32]:
+        normals = np.einsum("kc,kcx->kx", hits.weights, self._corner_normals[hits.faces])
+        normals /= np.maximum(np.sqrt(np.einsum("kx,kx->k", normals, normals)), 1e-30)[:, None]
+        away = np.einsum("kx,kx->k", self._face_normals[hits.faces], directions) > 0
+        towards = normals @ (LAMP @ camera.rotation).astype(np.float32)
+        lambert = np.maximum(np.where(away, -towards, towards), 0)
+        return np.asarray(AMBIENT + (1 - AMBIENT) * lambert, np.float32)
 
     @cached_property
-    def _face_normals(self) -> NDArray[np.float64]:
+    def _face_normals(self) -> NDArray[np.float32]:
         corners = self._all[self._faces]
         crosses = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         lengths = np.linalg.norm(crosses, axis=1, keepdims=True)
-        return np.asarray(np.divide(crosses, lengths, out=np.zeros_like(crosses), where=lengths > 0))
+        normals = np.divide(crosses, lengths, out=np.zeros_like(crosses), where=lengths > 0)
+        return np.asarray(normals, np.float32)
 
     @cached_property
-    def _corner_normals(self) -> NDArray[np.float64]:
+    def _corner_normals(self) -> NDArray[np.float32]:
         """Normals of the corners of triangles, (F, 3, 3): smooth, except at creases."""
         place_of, _ = group_equal_rows(*self._all.T)
         smooth = vertex_normals(self._all, self._faces, place_of).astype(np.float64)[self._faces]
         flat = self._face_normals[:, None, :]
         creased = (smooth * flat).sum(axis=2, keepdims=True) < _CREASE
-        return np.where(creased, flat, smooth)
+        return np.asarray(np.where(creased, flat, smooth), np.float32)
 
 
 def _places(first: float, last: float, pixels: int) -> NDArray[np.float64]:

@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.image import Picture, read_image, to_float, without_alpha
 from beltrami_cli.formats.image.document import ImageDocument
+from beltrami_cli.formats.image.picture import full_scale_one, is_associated
 from beltrami_cli.jobs.documents import open_input
 from beltrami_cli.samples.settings import DEFAULTS, SmoothSettings
 from beltrami_cli.samples.texel_colours import COLOUR_SLOTS
@@ -19,6 +19,8 @@ from beltrami_cli.view.paint import Pyramid, TexturePaint, VertexPaint
 from beltrami_cli.view.tracing import SAMPLES, SurfaceView
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
     from beltrami_cli.formats.access import Access
@@ -47,7 +49,13 @@ class CloudView:
         self._radii = disc_radii(positions)
 
     def draw(
-        self, camera: Camera, size: tuple[int, int], window: Window, *, lit: bool
+        self,
+        camera: Camera,
+        size: tuple[int, int],
+        window: Window,
+        *,
+        lit: bool,
+        progress: Callable[[int, int], None] | None = None,
     ) -> NDArray[np.float32]:
         """Draw as `SurfaceView.draw` does; points have no normals, so that no lamp shines on them."""
         width, height = (side * SAMPLES for side in size)
@@ -70,11 +78,13 @@ class ImageView:
     """An image, which looks the same from everywhere."""
 
     def __init__(self, sheet: Sheet) -> None:
-        self._pyramid = Pyramid.of(sheet)
+        self._pyramid = Pyramid(sheet)
 
-    def draw(self, size: tuple[int, int], window: Window) -> NDArray[np.float32]:
+    def draw(
+        self, size: tuple[int, int], window: Window, progress: Callable[[int, int], None] | None = None
+    ) -> NDArray[np.float32]:
         """Draw a window of a view that the image fills as far as its proportions allow, see `SurfaceView.draw`."""
-        height, width = self._pyramid.levels[0].shape[:2]
+        height, width = self._pyramid.shape[:2]
         view = np.array(size) / [window[2] - window[0], window[3] - window[1]]
         scale = min(view[0] / width, view[1] / height)
         shown = np.array([width, height]) * scale
@@ -118,9 +128,11 @@ def open_view(
 
 def sheet_of(picture: Picture, *, is_data: bool = False) -> NDArray[np.float32]:
     """Return an image in linear light with opacity, (H, W, 4); data are shown as if they were display values."""
+    channels = picture.colour if len(picture.colour) == 3 else picture.colour[:1] * 3
+    if picture.pixels.dtype.kind == "u" and not is_associated(picture):
+        return _sheet_of_levels(picture, channels)
     # Floats are clipped to the visible range, and what is not finite is transparent.
     values = to_float(picture) if is_data else without_alpha(picture, to_float(picture))
-    channels = picture.colour if len(picture.colour) == 3 else picture.colour[:1] * 3
     colours = values[..., channels]
     seen = np.isfinite(colours).all(axis=2, keepdims=True)
     colours = np.clip(np.where(seen, colours, 0), 0, 1)
@@ -128,6 +140,19 @@ def sheet_of(picture: Picture, *, is_data: bool = False) -> NDArray[np.float32]:
     opacity = np.clip(values[..., picture.alpha], 0, 1)[..., None] if picture.alpha is not None else 1.0
     opacity = np.where(seen, opacity, 0).astype(np.float32)
     return np.concatenate([light, np.nan_to_num(opacity)], axis=2).astype(np.float32)
+
+
+def _sheet_of_levels(picture: Picture, channels: tuple[int, ...]) -> NDArray[np.float32]:
+    """Return an image of integers as `sheet_of` does: each of their levels is turned into linear light once."""
+    pixels = picture.pixels
+    levels = full_scale_one(np.arange(np.iinfo(pixels.dtype).max + 1, dtype=pixels.dtype))
+    light = srgb_to_linear(levels).astype(np.float32)
+    sheet = np.ones((*pixels.shape[:2], 4), np.float32)
+    for number, channel in enumerate(channels):
+        sheet[..., number] = light.take(pixels[..., channel])
+    if picture.alpha is not None:
+        sheet[..., 3] = levels.take(pixels[..., picture.alpha])
+    return sheet
 
 
 def texture_sheet(texture: Texture, slot: Slot) -> NDArray[np.float32]:
@@ -154,6 +179,8 @@ def within_reach(positions: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def disc_radii(positions: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the radius of each disc, so that neighbours leave no holes in a surface; 0 for a single place."""
+    from scipy.spatial import cKDTree
+
     places, which = np.unique(positions, axis=0, return_inverse=True)
     if len(places) < 2:
         return np.zeros(len(positions))

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from beltrami_cli.errors import InputError, UsageError
-from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access, read_source
+from beltrami_cli.formats.access import read_source
 from beltrami_cli.formats.image.document import ImageDocument
 from beltrami_cli.formats.registry import kind_of
 from beltrami_cli.jobs.compare.figures import Verdict, check_limits, check_moves, figures
@@ -16,6 +16,7 @@ from beltrami_cli.jobs.compare.map import draw_map, is_map, require_map
 from beltrami_cli.jobs.compare.models import EVERYTHING, Moves, choose_parts, moves_between
 from beltrami_cli.jobs.compare.parts import compare_images, compare_textures, compare_vertices
 from beltrami_cli.jobs.documents import document_from
+from beltrami_cli.jobs.job import PLAIN_JOB, Job, tracked
 from beltrami_cli.jobs.settings import Limits
 from beltrami_cli.jobs.writing.output import Output, Overwrite
 from beltrami_cli.samples.memory_check import require_memory_for_textures
@@ -63,24 +64,25 @@ def compare_files(
     weights: Weights = "uniform",
     map_to: str | os.PathLike[str] | None = None,
     overwrite: Overwrite = False,
-    access: Access = EVERYTHING_INSIDE,
+    job: Job = PLAIN_JOB,
 ) -> Comparison:
     """Compare the colours of two files of one model, or of two images; by default all that is coloured."""
     names = os.fspath(reference), os.fspath(test)
     if names == ("-", "-"):
         raise UsageError("only one of REFERENCE and TEST can be standard input")
     target = None if map_to is None else os.fspath(map_to)
-    output = None
+    output, access = None, job.access
     if target is not None:
         require_map(target)
         output = Output(target, overwrite=overwrite, what="map", is_own=is_map, reads=names)
         output.files.guard(settings.files_besides())
         access = output.files.watching(access)
     data = read_source(names[0], access), read_source(names[1], access)
-    documents = open_both(names, data, settings, access)
-    compared = compare_documents(documents, settings, weights, access)
+    job = dataclasses.replace(job, access=access)
+    documents = open_both(names, data, settings, job)
+    compared = compare_documents(documents, settings, weights, job)
     _require_samples(compared.parts, documents[0].name)
-    described = [part.described() for part in compared.parts]
+    described = [part.described() for part in tracked(compared.parts, "measuring", job.progress)]
     verdicts, untested = check_limits(described, limits, documents[1].name)
     moves = compared.moves
     verdicts += [] if moves is None else check_moves(moves, limits)
@@ -147,7 +149,7 @@ def move_in_words(moves: Moves) -> str:
 
 
 def compare_documents(
-    documents: tuple[Document, Document], settings: SmoothSettings, weights: Weights, access: Access
+    documents: tuple[Document, Document], settings: SmoothSettings, weights: Weights, job: Job = PLAIN_JOB
 ) -> Compared:
     """Bring the colours of two models, or of two images, together."""
     images = [document for document in documents if isinstance(document, ImageDocument)]
@@ -159,18 +161,21 @@ def compare_documents(
             "compare two files of one kind",
         )
     if images:
-        return Compared([compare_images(images, _of_images(settings), access)])
+        return Compared([compare_images(images, _of_images(settings), job.access)])
     selection, notices = choose_parts(documents, settings)
     reference, test = documents
     parts = []
-    if selection.vertices:
-        is_extra = bool(selection.slots)
-        parts.append(compare_vertices(reference, test, settings, weights, is_extra=is_extra))
-    for number, slot in enumerate(selection.slots):
+    # None: the vertices.
+    chosen = [*([None] if selection.vertices else []), *selection.slots]
+    for slot in tracked(chosen, "comparing", job.progress):
+        if slot is None:
+            is_extra = bool(selection.slots)
+            parts.append(compare_vertices(reference, test, settings, weights, is_extra=is_extra))
+            continue
         for document in documents:
-            require_memory_for_textures(document, selection.slots, settings.textures, access)
-        is_extra = number > 0
-        parts += compare_textures(reference, test, slot, settings, weights, access, is_extra=is_extra)
+            require_memory_for_textures(document, selection.slots, settings.textures, job.access)
+        is_extra = slot != selection.slots[0]
+        parts += compare_textures(reference, test, slot, settings, weights, job.access, is_extra=is_extra)
     return Compared(parts, moves_between(documents, selection), selection.slots, tuple(notices))
 
 
@@ -181,13 +186,14 @@ def _of_images(settings: SmoothSettings) -> SmoothSettings:
 
 
 def open_both(
-    names: tuple[str, str], data: tuple[bytes, bytes], settings: SmoothSettings, access: Access
+    names: tuple[str, str], data: tuple[bytes, bytes], settings: SmoothSettings, job: Job = PLAIN_JOB
 ) -> tuple[Document, Document]:
     """Open both; one may be a level set, and the other the mesh that was made of it."""
     volumes = [kind_of(each, name) == "volume" for each, name in zip(data, names, strict=True)]
     plain = dataclasses.replace(settings, level_set=LevelSetSettings()) if any(volumes) else settings
+    sources = [*zip(data, names, volumes, strict=True)]
     one, other = (
-        document_from(each, name, settings if volume else plain, access)
-        for each, name, volume in zip(data, names, volumes, strict=True)
+        document_from(each, name, settings if volume else plain, job.access)
+        for each, name, volume in tracked(sources, "reading", job.progress)
     )
     return one, other

@@ -1,0 +1,55 @@
+"""Commands that take a while say how far they are, on a terminal only, and on the standard error."""
+
+from __future__ import annotations
+
+from contextlib import contextmanager
+
+import pytest
+
+from beltrami_cli.cli.console import Messages
+from cli.commands import SAMPLES, beltrami
+
+NOISY, CLEAN = SAMPLES / "head-tex-noisy.glb", SAMPLES / "head-tex-clean.glb"
+SMALL = SAMPLES / "nonmanifold-noisy.ply"
+COMMANDS = {
+    "compare": (["compare", NOISY, CLEAN], {"reading", "comparing", "measuring"}),
+    "report": (["report", NOISY, CLEAN, "page.html"], {"reading", "comparing", "drawing seams", "packing models"}),
+    "render": (["render", SMALL, SMALL, "x.png", "--size", "40", "--turntable", "2"], {"reading", "drawing"}),
+    "sweep": (["sweep", SMALL, "x.png", "--size", "40", "-n", "1,2", "--fast"], {"trials", "drawing"}),
+}  # fmt: skip
+
+
+@pytest.fixture
+def shown(monkeypatch):
+    """What bars would show, as (label, done, total)."""
+    calls = []
+
+    @contextmanager
+    def progress(messages):
+        yield lambda *call: calls.append(call)
+
+    monkeypatch.setattr(Messages, "progress", progress)
+    return calls
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", COMMANDS)
+def test_bars_go_from_nothing_to_all(name, shown, tmp_path):
+    arguments, labels = COMMANDS[name]
+    if name in ("render", "sweep"):
+        pytest.importorskip("embreex")
+    run = beltrami(*arguments, cwd=tmp_path)
+    assert run.returncode == 0, run.stderr
+    assert labels <= {label for label, _, _ in shown}
+    for label in labels:
+        done = [share for each, share, _ in shown if each == label]
+        total = max(whole for each, _, whole in shown if each == label)
+        assert done[0] == 0
+        assert done[-1] == total
+        runs = done if name != "sweep" else done[: done.index(total) + 1]
+        assert runs == sorted(runs)
+
+
+def test_without_a_terminal_nothing_is_shown(tmp_path):
+    run = beltrami("compare", SMALL, SMALL, cwd=tmp_path)
+    assert run.stderr == b""
