@@ -73,9 +73,14 @@ def is_there(path: str | os.PathLike[str]) -> bool:
     return os.path.exists(path)  # noqa: PTH110
 
 
+def is_too_dense(packed: int, unpacked: int) -> bool:
+    """Whether some bytes would be unpacked to more times their number than those of any real model."""
+    return unpacked > max(_LEAST_UNPACKED, _MOST_RATIO * packed)
+
+
 def require_ratio(name: str, what: str, packed: int, unpacked: int) -> None:
-    """Raise InputError if what is unpacked would be more times its packed size than any real model."""
-    if unpacked > max(_LEAST_UNPACKED, _MOST_RATIO * packed):
+    """Raise InputError if what is unpacked `is_too_dense`."""
+    if is_too_dense(packed, unpacked):
         cause = f"{what} is {unpacked} bytes in {packed} packed ones, more than any model has"
         raise InputError(name, cause, "save it uncompressed, if it is meant so")
 

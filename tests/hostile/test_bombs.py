@@ -164,6 +164,36 @@ BOMBS: dict[str, Callable[[Path], Path]] = {
     ),
     "sparse file": sparse_file,
     "elements without bytes": file("a.gltf", gltf(painted(2**31 - 1))),
+    "packed elements": file(
+        "a.gltf",
+        gltf(
+            {
+                "extensionsUsed": ["EXT_meshopt_compression"],
+                "buffers": [{"byteLength": 8, "uri": "data:;base64,AAAAAAAAAAA="}, {"byteLength": 12 << 27}],
+                "bufferViews": [
+                    {
+                        "buffer": 1,
+                        "byteLength": 12 << 27,
+                        "byteStride": 12,
+                        "extensions": {
+                            "EXT_meshopt_compression": {
+                                "buffer": 0,
+                                "byteLength": 8,
+                                "byteStride": 12,
+                                "count": 1 << 27,
+                                "mode": "ATTRIBUTES",
+                            }
+                        },
+                    }
+                ],
+                "accessors": [
+                    {"bufferView": 0, "componentType": 5126, "count": 1 << 27, "type": "VEC3"},
+                    {"bufferView": 0, "componentType": 5126, "count": 1 << 27, "type": "VEC3"},
+                ],
+                "meshes": [{"primitives": [{"attributes": {"POSITION": 0, "COLOR_0": 1}}]}],
+            }
+        ),
+    ),
     "sparse elements": file(
         "a.gltf",
         gltf(
@@ -252,7 +282,7 @@ BOMBS: dict[str, Callable[[Path], Path]] = {
 # What the longest line and the largest ratio of archives keep out also where memory is not limited.
 UNLIMITED = [
     "points in one place", "a line of corners", "a line of coordinates", "continued lines", "a line of points",
-    "a line of OFF", "a member of blanks",
+    "a line of OFF", "a member of blanks", "packed elements",
 ]  # fmt: skip
 
 

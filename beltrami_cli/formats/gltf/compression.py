@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from beltrami_cli.formats.access import is_too_dense
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -78,6 +80,8 @@ def read_packed(view: Entry, length: int, lengths: Sequence[int]) -> Packed | No
         raise entry.fault("filter", f"is {kind!r}, which {extension} does not define for {mode}")
     if stride not in _STRIDES[mode] or (kind != "NONE" and stride not in _STRIDES[kind]):
         raise entry.fault("byteStride", f"is {stride}, which {extension} does not allow here")
+    if is_too_dense(packed, count * stride):
+        raise entry.fault("count", f"is {count}: {count * stride} bytes in {packed}, more than any model has")
     if count * stride != length:
         raise entry.fault("count", f"is {count}: {count * stride} bytes, but the view has {length}")
     return Packed(entry, extension, buffer, offset, packed, count, stride, mode, kind)
