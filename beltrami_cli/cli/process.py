@@ -49,6 +49,7 @@ class Listener:
         self._last = -_SAME_WISH
         self._is_over = False
         self._heard: list[signal.Signals] = []
+        self._dropped = sys.unraisablehook
 
     def run(self, function: Callable[[], int]) -> int:
         """Return the exit code that a function returns, or that of the signal that ended it."""
@@ -78,7 +79,7 @@ class Listener:
         """Let what comes from now on end the process without more ado."""
         for number in self._heard:
             signal.signal(number, signal.SIG_DFL)
-        sys.unraisablehook = sys.__unraisablehook__
+        sys.unraisablehook = self._dropped
 
     def _interrupt(self, number: int, frame: FrameType | None) -> None:
         if self._is_over:
@@ -91,7 +92,7 @@ class Listener:
         """Repeat a signal that came in a destructor or a callback, where Python drops exceptions."""
         error = unraisable.exc_value
         if not isinstance(error, Interruption):
-            sys.__unraisablehook__(unraisable)
+            self._dropped(unraisable)
             return
         self._last = -_SAME_WISH
         threading.Timer(_AGAIN, os.kill, (os.getpid(), error.exit_code - 128)).start()
