@@ -174,4 +174,38 @@ def grid_distances(
     scheme: str,
     cell: int,
 ) -> NDArray[np.float32]: ...
+def collaborate_on_grid(
+    kind: NDArray[np.uint8],
+    noisy: NDArray[np.float32],
+    pilot: NDArray[np.float32],
+    mixing: tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]],
+    relative: NDArray[np.float32] | None,
+    has_pilot: bool,
+    estimates: NDArray[np.float32],
+    weights: NDArray[np.float32],
+    threads: int,
+    progress: Callable[[int], None] | None,
+) -> None: ...
+
+class SurfacePatches:
+    def __init__(
+        self,
+        positions: NDArray[np.float64],
+        edges: NDArray[np.int32],
+        axes: NDArray[np.float64],
+        priorities: NDArray[np.uint64],
+        threads: int,
+    ) -> None: ...
+    def collaborate(
+        self,
+        noisy: NDArray[np.float32],
+        pilot: NDArray[np.float32],
+        mixing: tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]],
+        has_pilot: bool,
+        estimates: NDArray[np.float32],
+        weights: NDArray[np.float32],
+        threads: int,
+        progress: Callable[[int], None] | None,
+    ) -> None: ...
+
 def sweep_instruction_set() -> str: ...

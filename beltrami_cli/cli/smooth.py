@@ -223,6 +223,8 @@ def _show_done(messages: Messages, what: str, done: Done, samples: float) -> Non
     )
     for guide, beta in done.guides.items():
         messages.detail(f"guide {guide}: beta {beta:.3g}")
+    if done.patches is not None:
+        messages.detail(f"patches: {100 * done.patches:.0f} % of the result, the rest from the kernel alone")
     if done.choice is not None:
         messages.detail(f"chosen: {choice_in_words(done.choice)}")
 

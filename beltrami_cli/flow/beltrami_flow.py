@@ -14,7 +14,8 @@ from beltrami_cli.flow.manifold import Averaged, Manifold, Step
 from beltrami_cli.flow.mesh_manifold import MeshManifold
 from beltrami_cli.flow.mesh_partitions import cut_mesh, first_reach
 from beltrami_cli.flow.partitions import TooNarrowError
-from beltrami_cli.flow.tuning.choice import tune
+from beltrami_cli.flow.patches import PASSES, blend_with_patches
+from beltrami_cli.flow.tuning.choice import is_noisy, tune
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -40,6 +41,7 @@ class FlowResult:
     truncated: int  # kernels that were cut short at ...
     max_samples: int  # ... the largest that was allowed
     choice: Choice | None
+    patches: float | None = None  # the share taken from patches; None: only the kernel was run
 
 
 @dataclass(frozen=True)
@@ -106,6 +108,9 @@ class BeltramiFlow(Generic[AnyManifold]):
         self.beta = manifold.beta if chosen_beta is None or manifold.beta == 0 else chosen_beta
         if self._split is None:
             manifold.release()
+        self.takes_patches = parameters.takes_patches and self.parameters.iterations > 0 and not moves
+        self.takes_patches &= is_noisy(manifold.sigma)
+        self._samples, self._truncated = 0.0, 0
         self._clipped = None
         if self.parameters.clipping == "restore" and self.beta > 0 and self.parameters.iterations:
             self._clipped = manifold.find_clipped()
@@ -116,33 +121,51 @@ class BeltramiFlow(Generic[AnyManifold]):
         return Step(self.beta * own.growth(iteration), own.t, own.is_regularised(iteration))
 
     def stop_before(self, iteration: int) -> None:
-        """Have `run` do only the iterations before one, counted from 0, and restore nothing that was clipped."""
+        """Have `run` do only the iterations before one, counted from 0, and nothing after them."""
+        self.takes_patches = False
         self.parameters = dataclasses.replace(self.parameters, iterations=iteration)
         self.manifold.parameters, self._clipped = self.parameters, None
 
     def run(self, progress: Callable[[int, int], None] | None = None) -> FlowResult:
-        """Run all iterations; `progress` is called with the work done and the total, and may raise to stop."""
-        manifold, iterations = self.manifold, self.parameters.iterations
-        stacks = [manifold.colours]
-        if self._clipped is not None:
-            stacks.append(manifold.marks(self._clipped))
-        done = Averaged(stacks, 0)
-        if iterations and self._split is None:
-            done = self._iterate(stacks, progress)
-        elif iterations and self._split is not None and manifold.kernels:
-            done = self._iterate_in_partitions(stacks, self._split, progress)
-        manifold.colours = done.stacks[0]
-        if self._clipped is not None:
-            manifold.restore(self._clipped, done.stacks[1])
-        samples_per_kernel = done.samples / max(1, iterations * manifold.kernels)
+        """Run the kernel and, if wanted, patches; `progress` is called with work done and total, and may raise."""
+        manifold, choice, share = self.manifold, self.choice, None
+        iterations = self.parameters.iterations
+        passes = 2 * (iterations + PASSES) if self.takes_patches else iterations
+        stages = _Stages(progress, passes, manifold.size)
+        if self.takes_patches:
+            blend = blend_with_patches(
+                manifold,
+                manifold.colours,
+                lambda colours: self._smooth(colours, stages),
+                self._clipped,
+                stages.of,
+            )
+            manifold.colours, share = blend.colours, blend.share
+            choice = None if choice is None else choice.improved(blend.gain)
+        else:
+            manifold.colours = self._smooth(manifold.colours, stages)
         return FlowResult(
-            manifold.spacing, self.beta, manifold.sigma, samples_per_kernel, done.truncated,
-            self.parameters.max_samples, self.choice,
+            manifold.spacing, self.beta, manifold.sigma,
+            self._samples / max(1, self.parameters.iterations * manifold.kernels), self._truncated,
+            self.parameters.max_samples, choice, share,
         )  # fmt: skip
 
-    def _iterate(
-        self, stacks: list[NDArray[np.float32]], progress: Callable[[int, int], None] | None
-    ) -> Averaged:
+    def _smooth(self, colours: NDArray[np.float32], stages: _Stages) -> NDArray[np.float32]:
+        """Run all iterations of the kernel on colours, which are overwritten."""
+        manifold, iterations = self.manifold, self.parameters.iterations
+        stacks, done = [colours], Averaged([colours], 0)
+        if self._clipped is not None:
+            stacks.append(manifold.marks(self._clipped))
+        if iterations and self._split is None:
+            done = self._iterate(stacks, stages)
+        elif iterations and self._split is not None and manifold.kernels:
+            done = self._iterate_in_partitions(stacks, self._split, stages)
+        if self._clipped is not None:
+            manifold.restore(self._clipped, done.stacks[0], done.stacks[1])
+        self._samples, self._truncated = done.samples, done.truncated
+        return done.stacks[0]
+
+    def _iterate(self, stacks: list[NDArray[np.float32]], stages: _Stages) -> Averaged:
         """Run all iterations on the whole manifold."""
         manifold, iterations, samples, truncated = self.manifold, self.parameters.iterations, 0.0, 0
         for iteration in range(iterations):
@@ -150,9 +173,7 @@ class BeltramiFlow(Generic[AnyManifold]):
             if not step.regularised:
                 manifold.forget_smoothing()
             manifold.measure(stacks[0], step)  # eq. (1)
-            done = manifold.average(
-                stacks, _shifted(progress, iteration, iterations, manifold.size)
-            )  # eq. (9)
+            done = manifold.average(stacks, stages.of(1))  # eq. (9)
             stacks, samples, truncated = done.stacks, samples + done.samples, truncated + done.truncated
         return Averaged(stacks, samples, truncated)
 
@@ -160,7 +181,7 @@ class BeltramiFlow(Generic[AnyManifold]):
         self,
         stacks: list[NDArray[np.float32]],
         split: Split,
-        progress: Callable[[int, int], None] | None,
+        stages: _Stages,
     ) -> Averaged:
         """Run all iterations partition by partition: the same colours bit for bit; `samples` is an estimate."""
         manifold = self.manifold
@@ -173,7 +194,9 @@ class BeltramiFlow(Generic[AnyManifold]):
             return cut_grid(cast("GridManifold", manifold), split.count, steps, channels)
 
         reach = first_reach(manifold) if isinstance(manifold, MeshManifold) else 0
-        done = split.run(cut, reach, manifold.rows(stacks), len(steps), progress)
+        progress = stages.of(len(steps))
+        shared = None if progress is None else lambda done, total: progress(manifold.size * done // total)
+        done = split.run(cut, reach, manifold.rows(stacks), len(steps), shared)
         manifold.put_rows(done.values, stacks)
         return Averaged(stacks, done.samples, done.truncated)
 
@@ -186,8 +209,14 @@ class BeltramiFlow(Generic[AnyManifold]):
         return self.manifold.kernel_at(sample, self.step(self.parameters.iterations))
 
 
-def _shifted(
-    progress: Callable[[int, int], None] | None, iteration: int, iterations: int, size: int
-) -> Callable[[int], None] | None:
-    """Add the work of earlier iterations to the progress of one."""
-    return None if progress is None else lambda done: progress(iteration * size + done, iterations * size)
+class _Stages:
+    """Joins the progress of stages, each of which goes through `size` samples and takes some iterations' time."""
+
+    def __init__(self, progress: Callable[[int, int], None] | None, iterations: int, size: int) -> None:
+        self._progress, self._total, self._size, self._before = progress, iterations * size, size, 0
+
+    def of(self, iterations: int) -> Callable[[int], None] | None:
+        """Return what the next stage calls with the samples that it has gone through."""
+        before, report = self._before, self._progress
+        self._before += iterations * self._size
+        return None if report is None else lambda done: report(before + iterations * done, self._total)

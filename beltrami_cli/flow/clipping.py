@@ -77,6 +77,47 @@ class ClippedChannels:
             lowered = mean - _towards_limit(mean, -share[low], sigma)
             channels[k][low] = np.maximum(lowered, np.minimum(mean, 0))
 
+    def impute(self, channels: NDArray[np.float32], pilot: NDArray[np.float32]) -> None:
+        """Replace samples at a limit, in place, by what noise beyond it would be on average around the pilot."""
+        normal = _normal()
+        for k in self.clipped:
+            own, around, sigma = channels[k], pilot[k], np.float32(self.sigma[k])
+            if self.high[k]:
+                at = own >= 1
+                own[at] = around[at] + sigma * normal.beyond((1 - around[at]) / sigma)
+            if self.low[k]:
+                at = own <= 0
+                own[at] = around[at] - sigma * normal.beyond(around[at] / sigma)
+
+    def cut_off(self, channels: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return channels of imputed samples as they were, cut off at the limits."""
+        cut = channels.copy()
+        for k in self.clipped:
+            low, high = 0 if self.low[k] else -np.inf, 1 if self.high[k] else np.inf
+            np.clip(cut[k], low, high, out=cut[k])
+        return cut
+
+    def expected(self, channels: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the mean of samples with noise that is cut off, by the colours without noise."""
+        mean, normal = channels.copy(), _normal()
+        for k in self.clipped:
+            own, sigma = channels[k], np.float32(self.sigma[k])
+            if self.high[k]:
+                mean[k] -= sigma * normal.lost((1 - own) / sigma)
+            if self.low[k]:
+                mean[k] += sigma * normal.lost(own / sigma)
+        return mean
+
+    def share_within(self, channels: NDArray[np.float32], k: int) -> NDArray[np.float32]:
+        """Return the share of samples of channel `k` that are not cut off, by the colours without noise."""
+        own, sigma, normal = channels[k], np.float32(self.sigma[k]), _normal()
+        share: NDArray[np.float32] = np.ones_like(own)
+        if self.high[k]:
+            share -= normal.share_beyond((1 - own) / sigma)
+        if self.low[k]:
+            share -= normal.share_beyond(own / sigma)
+        return share
+
 
 def find_clipped(colours: NDArray[np.float32], sigma: NDArray[np.float64]) -> ClippedChannels | None:
     """Find which channels of colours, shape (S, N), were cut off at 0 or full scale; None if none was."""
@@ -169,3 +210,43 @@ def _censored_normal() -> _CensoredNormal:
     variance = 1 - inside - alpha * density + alpha**2 * inside - (alpha - gap) ** 2
     variance[[0, -1]] = 1, 0
     return _CensoredNormal(share, alpha, gap, variance)
+
+
+@dataclass(frozen=True)
+class _Normal:
+    """Of a normal variable z with sigma = 1: functions of a limit a, at even steps."""
+
+    # P(z > a), E max(z - a, 0) and E[z | z > a].
+    tables: dict[str, NDArray[np.float32]]
+
+    def share_beyond(self, a: NDArray[np.float32]) -> NDArray[np.float32]:
+        return self._at("share", a)
+
+    def lost(self, a: NDArray[np.float32]) -> NDArray[np.float32]:
+        return self._at("lost", a)
+
+    def beyond(self, a: NDArray[np.float32]) -> NDArray[np.float32]:
+        return self._at("beyond", a)
+
+    def _at(self, name: str, a: NDArray[np.float32]) -> NDArray[np.float32]:
+        table = self.tables[name]
+        place = np.clip((a + _FURTHEST) * np.float32(_STEPS), 0, len(table) - 1.001).astype(np.float32)
+        first = place.astype(np.int32)
+        below = table[first]
+        value: NDArray[np.float32] = below + (place - first) * (table[first + 1] - below)
+        return value
+
+
+# Limits, and steps of the tables in a unit.
+_FURTHEST, _STEPS = 8, 256
+
+
+@cache
+def _normal() -> _Normal:
+    from math import erfc, sqrt
+
+    limits = np.arange(-_FURTHEST * _STEPS, _FURTHEST * _STEPS + 1) / _STEPS
+    share = np.array([erfc(limit / sqrt(2)) / 2 for limit in limits])
+    density = np.exp(-(limits**2) / 2) / np.sqrt(2 * np.pi)
+    tables = {"share": share, "lost": density - limits * share, "beyond": density / share}
+    return _Normal({name: table.astype(np.float32) for name, table in tables.items()})

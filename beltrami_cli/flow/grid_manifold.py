@@ -34,9 +34,10 @@ from beltrami_cli.flow.manifold import (
     kernel_values,
 )
 from beltrami_cli.flow.noise.grid import estimate_noise_on_grid
-from beltrami_cli.flow.regularisation import GridGaussian, guide_radius
+from beltrami_cli.flow.regularisation import GridGaussian, gaussian_taps, guide_radius
 from beltrami_cli.flow.search_range import ON_GRIDS, RULE_ON_GRIDS
 from beltrami_cli.flow.tuning.grid_trial import choose_blocks, perturbations, tried_cells, with_halo
+from beltrami_cli.flow.tuning.sure import wanted_probes
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import EMPTY, HALO, OWNED, refresh_halo, without_halo
 
@@ -47,7 +48,7 @@ if TYPE_CHECKING:
 
     from beltrami_cli.flow.clipping import ClippedChannels
     from beltrami_cli.flow.embedding import Guide
-    from beltrami_cli.flow.manifold import Step
+    from beltrami_cli.flow.manifold import Mixing, Step
     from beltrami_cli.flow.parameters import KernelParameters
     from beltrami_cli.surface.atlas import Atlas
 
@@ -70,6 +71,9 @@ _WIDEST_SWEEP = 15
 # Rows of a canvas that are processed together, where each needs memory.
 _ROWS = 64
 
+# Standard deviation of one pass of a wide Gaussian, in cells, whose window the halo fills.
+_SPREAD = 1.6
+
 # The median of this many steps is within 0.3 % of that of all.
 _ENOUGH_STEPS = 200_000
 
@@ -78,6 +82,7 @@ class GridManifold(Manifold):
     """The image manifold of an atlas, with colours on its canvas that iterations change in place."""
 
     axis: ClassVar[int] = 0
+    width: ClassVar[float] = 6.0
     search_range, rule = ON_GRIDS, RULE_ON_GRIDS
 
     def __init__(
@@ -236,7 +241,7 @@ class GridManifold(Manifold):
             planes = self._take(planes, cells)
             planes[:, part.atlas.kind == EMPTY] = 0
             scored = np.flatnonzero(core & (part.atlas.kind == OWNED))
-        signs = perturbations(len(scored), len(planes), part.atlas, self.noise_covariances)
+        signs = perturbations(wanted_probes(len(scored)), len(planes), part.atlas, self.noise_covariances)
         return SampleTrial(part, planes, signs, scored, correlated=self.noise_covariances is not None)
 
     def cut_blocks(self, cells: NDArray[np.int64], core: NDArray[np.bool_], reach: int) -> GridManifold:
@@ -302,10 +307,75 @@ class GridManifold(Manifold):
         refresh_halo(marks, self.atlas)
         return marks
 
-    def restore(self, clipped: ClippedChannels, marks: NDArray[np.float32]) -> None:
+    def restore(
+        self, clipped: ClippedChannels, colours: NDArray[np.float32], marks: NDArray[np.float32]
+    ) -> None:
         """Turn averages of clipped colours into estimates of the colours without noise."""
         for rows in large_arrays.blocks(len(self.atlas.kind), _ROWS):
-            clipped.restore(self.colours[:, rows], marks[:, rows])
+            clipped.restore(colours[:, rows], marks[:, rows])
+
+    @property
+    def shares_noise(self) -> bool:
+        """Whether neighbouring cells share noise."""
+        return self.noise_covariances is not None
+
+    def collaborate(
+        self,
+        noisy: NDArray[np.float32],
+        pilot: NDArray[np.float32],
+        mixing: Mixing,
+        *,
+        has_pilot: bool,
+        progress: Callable[[int], None] | None = None,
+    ) -> NDArray[np.float32]:
+        """Estimate the colours of the owned cells from patches, and show them in the halo."""
+        from beltrami_cli._native import collaborate_on_grid
+
+        estimates, weights = (large_arrays.empty(noisy.shape, np.float32) for _ in range(2))
+        own = mixing.forth, mixing.back, mixing.variances
+        collaborate_on_grid(
+            self.atlas.kind, noisy, pilot, own, None, has_pilot, estimates, weights, self.threads, progress
+        )
+        refresh_halo(estimates, self.atlas)
+        return estimates
+
+    def perturbation(self) -> NDArray[np.float32]:
+        """Return random planes like the noise: independent signs, or correlated as the noise is."""
+        planes: NDArray[np.float32] = perturbations(1, len(self.colours), self.atlas, self.noise_covariances)[
+            0
+        ]
+        return planes
+
+    def planes(self, count: int) -> NDArray[np.float32]:
+        """Return planes of zeros."""
+        planes: NDArray[np.float32] = large_arrays.zeros((count, *self.atlas.kind.shape), np.float32)
+        return planes
+
+    def total(self, planes: NDArray[np.float32]) -> NDArray[np.float64]:
+        """Sum planes over the owned cells."""
+        kind, total = self.atlas.kind, np.zeros(len(planes))
+        for rows in large_arrays.blocks(len(kind), _ROWS):
+            total += planes[:, rows].sum(axis=(1, 2), dtype=np.float64, where=kind[rows] == OWNED)
+        return total
+
+    def spread(self, planes: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Average planes over the surface, in passes that reach as far as the halo."""
+        from beltrami_cli._native import convolve
+
+        taps = gaussian_taps(_SPREAD)
+        reach, kind = len(taps) // 2, self.atlas.kind
+        for _ in range(round((self.width / _SPREAD) ** 2)):
+            after = self.planes(len(planes))
+            for rows in large_arrays.blocks(len(kind), _ROWS):
+                first = max(0, rows.start - reach)
+                part = np.ascontiguousarray(planes[:, first : rows.stop + reach])
+                after[:, rows] = convolve(part, taps, self.threads)[:, rows.start - first :][
+                    :, : rows.stop - rows.start
+                ]
+                after[:, rows] *= kind[rows] != EMPTY
+            refresh_halo(after, self.atlas)
+            planes = after
+        return planes
 
     def kernel_at(self, sample: int, step: Step) -> SampledKernel:
         """Return the kernel of an owned cell, by its flat index."""
@@ -361,7 +431,7 @@ class GridManifold(Manifold):
             end_at_seams(planes, self.atlas, self.threads)
         return planes
 
-    def _steps(self, stack: NDArray[np.float32]) -> NDArray[np.float32]:
+    def steps(self, stack: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return differences between neighbours along rows, in evenly spread rows, shape (K, G)."""
         owned = self.atlas.kind == OWNED
         rows = np.arange(0, len(owned), max(1, int(np.count_nonzero(owned)) // _ENOUGH_STEPS))

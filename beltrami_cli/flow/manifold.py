@@ -50,6 +50,15 @@ class Averaged:
 
 
 @dataclass(frozen=True)
+class Mixing:
+    """How N channels are mixed so that each can be estimated by itself, shape (N, N), and their noise, shape (N,)."""
+
+    forth: NDArray[np.float32]
+    back: NDArray[np.float32]
+    variances: NDArray[np.float32]
+
+
+@dataclass(frozen=True)
 class NewColours:
     """Colours of S samples, read block by block, and the colours that continue them beyond seams."""
 
@@ -98,6 +107,9 @@ class Manifold(ABC):
     rule: ClassVar[Rule]
     """The parameters for a noise level where nothing is tried."""
 
+    width: ClassVar[float]
+    """Standard deviation of `spread`, in sample spacings."""
+
     size: int
     """Samples that an iteration goes through, for its progress."""
 
@@ -116,6 +128,11 @@ class Manifold(ABC):
     sigma: NDArray[np.float64]
     """Estimated standard deviation of the noise, by channel."""
 
+    @property
+    def shares_noise(self) -> bool:
+        """Whether neighbouring samples share noise."""
+        return False
+
     def __init__(self, parameters: KernelParameters, metric_channels: Sequence[int] | None) -> None:
         self.parameters, self.threads = parameters, parameters.thread_count
         self.chosen = None if metric_channels is None else list(metric_channels)
@@ -130,7 +147,7 @@ class Manifold(ABC):
         for guide in guides:
             stack, beta = self._laid_out(guide), guide.beta
             if beta is None:
-                beta = choose_guide_beta(guide.values, self._steps(stack)) * self.unit
+                beta = choose_guide_beta(guide.values, self.steps(stack)) * self.unit
             self.guide_betas[guide.name] = beta
             self.guides.append((stack, beta))
 
@@ -210,8 +227,38 @@ class Manifold(ABC):
         """Return the stack of marks of the samples at a limit."""
 
     @abstractmethod
-    def restore(self, clipped: ClippedChannels, marks: NDArray[np.float32]) -> None:
+    def restore(
+        self, clipped: ClippedChannels, colours: NDArray[np.float32], marks: NDArray[np.float32]
+    ) -> None:
         """Turn averages of clipped colours, in place, into estimates of the colours without noise."""
+
+    @abstractmethod
+    def collaborate(
+        self,
+        noisy: NDArray[np.float32],
+        pilot: NDArray[np.float32],
+        mixing: Mixing,
+        *,
+        has_pilot: bool,
+        progress: Callable[[int], None] | None = None,
+    ) -> NDArray[np.float32]:
+        """Estimate colours from patches that look alike in the pilot, which is an estimate itself or only compared."""
+
+    @abstractmethod
+    def perturbation(self) -> NDArray[np.float32]:
+        """Return a stack of random signs, or of noise that neighbours share as they share that of the colours."""
+
+    @abstractmethod
+    def planes(self, count: int) -> NDArray[np.float32]:
+        """Return zeros for numbers of samples that are no colours, with these numbers along the first axis."""
+
+    @abstractmethod
+    def total(self, planes: NDArray[np.float32]) -> NDArray[np.float64]:
+        """Sum planes over the samples that have a kernel."""
+
+    @abstractmethod
+    def spread(self, planes: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Average planes over the surface by about a Gaussian of standard deviation `width`."""
 
     @abstractmethod
     def kernel_at(self, sample: int, step: Step) -> SampledKernel:
@@ -226,7 +273,7 @@ class Manifold(ABC):
         """Return the stack of a guide."""
 
     @abstractmethod
-    def _steps(self, stack: NDArray[np.float32]) -> NDArray[np.float32]:
+    def steps(self, stack: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return differences of a stack between neighbouring samples, shape (K, G)."""
 
     def _features(self, step: Step) -> list[tuple[NDArray[np.float32], float]]:

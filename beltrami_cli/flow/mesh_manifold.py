@@ -35,12 +35,20 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from beltrami_cli._native import SegmentManifold, TriangulatedManifold
+    from beltrami_cli._native import SegmentManifold, SurfacePatches, TriangulatedManifold
     from beltrami_cli.flow.clipping import ClippedChannels
     from beltrami_cli.flow.embedding import Guide
-    from beltrami_cli.flow.manifold import Step
+    from beltrami_cli.flow.manifold import Mixing, Step
     from beltrami_cli.flow.parameters import KernelParameters
     from beltrami_cli.surface.records import SampledSurface
+
+
+# Steps of colours, far above their rounding, by which signs and the patches that start groups are chosen.
+_COARSE = np.float32(256)
+
+# Sums of the blend are taken by passes over neighbours. On a triangle lattice each pass adds 0.43 squared spacings to
+# the variance: as many passes as `MeshManifold.width` needs.
+_SPREAD, _PASSES = 3.0, 38
 
 
 class MeshManifold(Manifold):
@@ -48,6 +56,8 @@ class MeshManifold(Manifold):
 
     axis: ClassVar[int] = 1
     search_range, rule = ON_MESHES, RULE_ON_MESHES
+
+    width: ClassVar[float] = 4.0
 
     moving: MovingPositions | None = None
     """The positions, if they are smoothed along with the colours."""
@@ -74,6 +84,7 @@ class MeshManifold(Manifold):
         length = mean_side(surface.positions, surface.faces) if parameters.units == "world" else 1.0
         self._along_segments = parameters.is_along_segments(length)
         self._core: SegmentManifold | TriangulatedManifold | None = None
+        self._patches: SurfacePatches | None = None
         # Bridges over hard colour edges join samples at one place: they carry no information about spacing or noise.
         self.edges, lengths = edges_in_space(self.core.edges(), self.positions)
         self.spacing = float(lengths.mean()) if len(lengths) else 0.0
@@ -111,7 +122,7 @@ class MeshManifold(Manifold):
         return self._along_segments
 
     def __getstate__(self) -> dict[str, object]:
-        return {**self.__dict__, "_core": None}
+        return {**self.__dict__, "_core": None, "_patches": None}
 
     def measure(self, colours: NDArray[np.float32], step: Step) -> None:
         """Induce the metric, eq. (1)."""
@@ -158,7 +169,7 @@ class MeshManifold(Manifold):
         """Return a part of some samples, ascending; `others`: their places in a larger part, and its size."""
         places, size = others or (np.arange(len(samples)), len(samples))
         part = copy(self)
-        part._core, part._gaussian, part.moving = None, None, None
+        part._core, part._patches, part._gaussian, part.moving = None, None, None, None
         rank = np.full(self.size, -1, np.int32)
         rank[samples] = places
         part.size = size
@@ -247,9 +258,54 @@ class MeshManifold(Manifold):
         """Return the marks of the samples at a limit, shape (S, M)."""
         return np.ascontiguousarray(clipped.marks(self.colours.T).T)
 
-    def restore(self, clipped: ClippedChannels, marks: NDArray[np.float32]) -> None:
+    def restore(
+        self, clipped: ClippedChannels, colours: NDArray[np.float32], marks: NDArray[np.float32]
+    ) -> None:
         """Turn averages of clipped colours into estimates of the colours without noise."""
-        clipped.restore(self.colours.T, marks.T)
+        clipped.restore(colours.T, marks.T)
+
+    def collaborate(
+        self,
+        noisy: NDArray[np.float32],
+        pilot: NDArray[np.float32],
+        mixing: Mixing,
+        *,
+        has_pilot: bool,
+        progress: Callable[[int], None] | None = None,
+    ) -> NDArray[np.float32]:
+        """Estimate colours from patches in tangent planes."""
+        assert self._patches is not None
+        estimates, weights = np.empty_like(noisy), np.empty_like(noisy)
+        own = mixing.forth, mixing.back, mixing.variances
+        self._patches.collaborate(noisy, pilot, own, has_pilot, estimates, weights, self.threads, progress)
+        return estimates
+
+    def perturbation(self) -> NDArray[np.float32]:
+        """Find the patches, and return random signs; both depend only on nearby colours, which change from then on."""
+        from beltrami_cli._native import SurfacePatches
+
+        places, coarse = np.zeros((self.size, 3)), np.round(self.colours * _COARSE)
+        places[:, : self.positions.shape[1]] = self.positions
+        axes, around = _axes(places, self.colours), fingerprints(coarse, self.edges)
+        self._patches = SurfacePatches(places, self.edges, axes, around, self.threads)
+        signs: NDArray[np.float32] = random_signs(coarse, around, 1)[0]
+        return signs
+
+    def planes(self, count: int) -> NDArray[np.float32]:
+        """Return rows of zeros."""
+        return np.zeros((count, self.size), np.float32)
+
+    def total(self, planes: NDArray[np.float32]) -> NDArray[np.float64]:
+        """Sum rows over all samples."""
+        return np.asarray(planes.sum(axis=1, dtype=np.float64))
+
+    def spread(self, planes: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Average rows over the surface, in passes over the neighbours of each sample."""
+        means = MeshGaussian(self.size, self.edges, self._lengths, _SPREAD, gain=1.0)
+        rows = np.ascontiguousarray(planes.T)
+        for _ in range(_PASSES):
+            rows = means.smooth(rows)
+        return np.ascontiguousarray(rows.T)
 
     def kernel_at(self, sample: int, step: Step) -> SampledKernel:
         """Return the kernel of a sample, in the caller's numbers."""
@@ -276,7 +332,8 @@ class MeshManifold(Manifold):
     def _laid_out(self, guide: Guide) -> NDArray[np.float32]:
         return guide.values
 
-    def _steps(self, stack: NDArray[np.float32]) -> NDArray[np.float32]:
+    def steps(self, stack: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return differences along all edges."""
         return stack[self.edges[:, 0]] - stack[self.edges[:, 1]]
 
     def _features(self, step: Step) -> list[tuple[NDArray[np.float32], float]]:
@@ -284,3 +341,11 @@ class MeshManifold(Manifold):
             return []
         normals = self.moving.normals, self.moving.beta
         return [self.regularised(*normals) if step.regularised else normals]
+
+
+def _axes(positions: NDArray[np.float64], colours: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Return two directions, shape (2, 3), that turn with the model: to where colours are brighter and stronger."""
+    offsets = positions - positions.mean(axis=0)
+    level = colours.sum(axis=1, dtype=np.float64)
+    level -= level.mean()
+    return np.stack([np.einsum("i,ij->j", weights, offsets) for weights in (level, level**2)])

@@ -19,6 +19,7 @@ Space = Literal["srgb", "linear", "oklab", "data"]
 Clipping = Literal["restore", "keep"]
 Solver = Literal["auto", "fast-marching", "segments"]
 Strength = Literal["gentle", "normal", "strong"]
+Patches = Literal["auto", "on", "off"]
 Tunable = Literal["iterations", "t", "beta", "beta_growth", "metric_steps"]
 
 # The parameters that can be chosen from the data.
@@ -162,6 +163,13 @@ class KernelParameters:
         choices=get_args(Strength), is_daily=True,
     )  # fmt: skip
 
+    patches: Patches = parameter(
+        "auto",
+        "After the kernel, estimate patches that look alike together, and blend both by their estimated error. "
+        "auto does so where -n, -t and --beta are all chosen from the data, and not with --fast.",
+        choices=get_args(Patches),
+    )  # fmt: skip
+
     def __post_init__(self) -> None:
         check(self)
 
@@ -183,6 +191,13 @@ class KernelParameters:
     def growth(self, iteration: int) -> float:
         """Return by what factor beta is larger in an iteration, counted from 0, than in the first."""
         return math.exp(min(iteration * math.log(self.beta_growth), MOST_GROWTH))
+
+    @property
+    def takes_patches(self) -> bool:
+        """Whether patches are estimated after the kernel, if there is noise."""
+        if self.patches == "auto":
+            return {"iterations", "t", "beta"} <= set(self.free) and self.is_open and not self.fast
+        return self.patches == "on" and self.iterations > 0
 
     @property
     def is_open(self) -> bool:

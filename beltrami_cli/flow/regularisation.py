@@ -71,7 +71,7 @@ class GridGaussian:
         threads: int = 1,
     ) -> None:
         self._threads, self._first = threads, 0
-        self._taps = _gaussian_taps(scale)
+        self._taps = gaussian_taps(scale)
         # Means stop at cells that are not filled. Textures, whose charts keep their distance, do without.
         self._open = filled if stop_at_holes else None
         self.gain = float(
@@ -145,10 +145,11 @@ def _convolve_up_to_holes(
 
 def guide_radius(scale: float) -> int:
     """Return how many cells a `GridGaussian` reaches to each side."""
-    return len(_gaussian_taps(scale)) // 2 if scale > 0 else 0
+    return len(gaussian_taps(scale)) // 2 if scale > 0 else 0
 
 
-def _gaussian_taps(scale: float) -> NDArray[np.float32]:
+def gaussian_taps(scale: float) -> NDArray[np.float32]:
+    """Return the weights of a Gaussian of a standard deviation in cells, shape (2 reach + 1,), with the sum 1."""
     # Beyond 2.5 standard deviations lies one per cent of a Gaussian.
     reach = max(1, int(np.ceil(2.5 * scale - 0.5)))
     taps = np.exp(-(np.arange(-reach, reach + 1) ** 2) / (2 * scale**2))

@@ -82,6 +82,8 @@ class SmoothResult:
         Counts of points, triangles and outliers, for points without faces.
     choice : Choice or None
         Parameters that were chosen from the data, and their estimated error, if any were.
+    patches : float or None
+        The share of the result that was taken from patches; None if only the kernel was run.
     """
 
     colours: NDArray[np.float32]
@@ -99,6 +101,7 @@ class SmoothResult:
     normal_beta: float | None = None
     cloud: CloudCounts | None = None
     choice: Choice | None = None
+    patches: float | None = None
 
 
 @dataclass(frozen=True)
@@ -121,6 +124,8 @@ class ImageResult:
         Mean number of pixels in a kernel.
     choice : Choice or None
         Parameters that were chosen from the data, and their estimated error, if any were.
+    patches : float or None
+        The share of the result that was taken from patches; None if only the kernel was run.
     """
 
     colours: NDArray[np.float32]
@@ -130,6 +135,7 @@ class ImageResult:
     samples: int
     samples_per_kernel: float
     choice: Choice | None = None
+    patches: float | None = None
 
 
 def smooth(
@@ -218,6 +224,7 @@ def smooth(
         None if moving is None else moving.beta,
         count_cloud(samples.joined) if faces is None else None,
         result.choice,
+        result.patches,
     )
 
 
@@ -301,6 +308,7 @@ def smooth_image(
         len(pixels),
         result.samples_per_kernel,
         choice=result.choice,
+        patches=result.patches,
     )
 
 

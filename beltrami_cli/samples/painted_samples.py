@@ -116,6 +116,7 @@ class PaintedSamples(Samples):
             guides=flow.manifold.guide_betas,
             geometry=None,
             choice=describe_choice(result.choice),
+            patches=result.patches,
         )
 
 

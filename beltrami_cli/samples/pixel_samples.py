@@ -157,6 +157,7 @@ class PixelSamples(Samples):
             guides=flow.manifold.guide_betas,
             change={},
             choice=describe_choice(result.choice),
+            patches=result.patches,
         )
 
     def repaint(self, new: NewColours) -> Repainted:

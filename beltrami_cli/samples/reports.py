@@ -34,6 +34,8 @@ class VertexReport:
         If parameters were chosen from the data: "chosen" with their values, and what is known of the result: its
         estimated "psnr" in dB, the standard "error" of that, the "gain" over the input, and the numbers of "candidates"
         that were compared and of "samples" that they were compared on.
+    patches : float or None
+        The share of the result that was taken from patches; None if only the kernel was run.
     """
 
     counts: dict[str, float]
@@ -45,6 +47,7 @@ class VertexReport:
     guides: dict[str, float]
     geometry: dict[str, float] | None
     choice: dict[str, object] | None = None
+    patches: float | None = None
 
 
 @dataclass(frozen=True)
@@ -75,7 +78,7 @@ class SlotReport:
     change : dict of str to float
         Mean, root mean square and largest change of a covered texel's value, in the channels that change, full scale 1,
         as stored.
-    choice : dict or None
+    choice, patches
         As for `VertexReport`.
     """
 
@@ -90,6 +93,7 @@ class SlotReport:
     guides: dict[str, float] = field(default_factory=dict)
     change: dict[str, float] = field(default_factory=dict)
     choice: dict[str, object] | None = None
+    patches: float | None = None
 
 
 @dataclass(frozen=True)
@@ -115,7 +119,7 @@ class ImageReport:
         The beta used for each guide, by its name.
     change : dict of str to float
         Mean, root mean square and largest change of a smoothed value, full scale 1, as stored.
-    choice : dict or None
+    choice, patches
         As for `VertexReport`.
     """
 
@@ -128,6 +132,7 @@ class ImageReport:
     guides: dict[str, float]
     change: dict[str, float]
     choice: dict[str, object] | None = None
+    patches: float | None = None
 
 
 SamplesReport: TypeAlias = VertexReport | SlotReport | ImageReport

@@ -329,6 +329,7 @@ def describe_kernel(settings: SmoothSettings, flow: BeltramiFlow[Any]) -> dict[s
     del used["free"]  # nothing is any more
     return {
         **used,
+        "patches": "on" if flow.takes_patches else "off",
         "threads": settings.kernel.thread_count,
         "space": settings.space,
         **({"guide_betas": flow.manifold.guide_betas} if flow.manifold.guide_betas else {}),

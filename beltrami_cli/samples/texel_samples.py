@@ -138,6 +138,7 @@ class TexelSamples(Samples):
             samples_per_kernel=round(result.samples_per_kernel, 2),
             guides=flow.manifold.guide_betas,
             choice=describe_choice(result.choice),
+            patches=result.patches,
         )
 
     def describe(self) -> dict[str, object]:

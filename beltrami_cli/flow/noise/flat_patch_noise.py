@@ -53,6 +53,9 @@ _LEAST_REMAINING = 1e-3
 # Less variance than any stored colour can show.
 _LEAST_VARIANCE = 1e-20
 
+# Degrees of freedom of a patch below which its energy says next to nothing, and the approximation of quantiles fails.
+_LEAST_FREEDOM = 3
+
 # A low quantile of the energies rather than their mean: some of the flat patches still hold an edge or a speck.
 _QUANTILE = 0.3
 
@@ -91,6 +94,8 @@ class Patches:
 
 def flat_patch_sigma(patches: Patches, white: WhiteNoise) -> NDArray[np.float64]:
     """Estimate sigma of the noise per channel, shape (N,), in the unit of the residuals; 0 without patches."""
+    if white.freedom < _LEAST_FREEDOM:
+        return np.zeros(len(patches.energy))
     usable, estimates = {}, {}
     for channel in range(len(patches.energy)):
         if np.count_nonzero(patches.energy[channel]) > _PLAIN * patches.energy.shape[1]:

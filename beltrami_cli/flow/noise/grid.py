@@ -105,6 +105,9 @@ _BAND, MOST_CELLS = 128, 200_000
 # With fewer cells, in all or per side, coarse scales are no estimate: texture may look like noise.
 _MIN_CELLS, _MIN_SIDE = 40_000, 64
 
+# So they are with fewer squares at the coarsest scale, as where cells that were cut off are left out.
+_MIN_SQUARES = 100
+
 # Squares per side of a tile; share and least number of the tiles that are taken for pure noise.
 _TILE, _TILE_SHARE, _MIN_TILES = 4, 0.1, 20
 
@@ -143,6 +146,8 @@ def correlated_covariances(
     scales = [(opponents, filled)]
     while len(scales) < _SCALES:
         scales.append(_halved(*scales[-1]))
+    if np.count_nonzero(_all_filled(scales[-1][1])) < _MIN_SQUARES:
+        return None
     sigmas = [2**level * estimate_sigma_on_grid(*scale) for level, scale in enumerate(scales)]
     by_quantile = np.array(sigmas) / _SCALE
     if not _is_correlated(by_quantile, sigma[: len(_OPPONENTS)]):

@@ -24,6 +24,9 @@ if TYPE_CHECKING:
 # Values that are tried of beta times the noise.
 _CONTRASTS = (0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0)
 
+# Of the natural logarithm.
+_IN_DECIBELS = 10 / float(np.log(10))
+
 # Noise that cannot be distinguished from the steps of an 8-bit file is none.
 _LEAST_NOISE = 0.5 / 255
 
@@ -45,6 +48,18 @@ class Choice:
     candidates: int = 0  # schedules that were compared
     samples: int = 0  # of the surface that they were compared on
     correlated: bool = False  # whether neighbouring samples share noise, which was allowed for
+
+    def improved(self, gain: float) -> Choice:
+        """Return the same with less mean square error, where it was estimated."""
+        if self.psnr is None or self.error is None or self.gain is None:
+            return self
+        before = 10 ** (-self.psnr / 10)
+        error = self.error * before / _IN_DECIBELS
+        after = max(before - gain, error, 1e-12)
+        better = 10 * float(np.log10(before / after))
+        return dataclasses.replace(
+            self, psnr=self.psnr + better, gain=self.gain + better, error=_IN_DECIBELS * error / after
+        )
 
 
 def choose(
@@ -108,8 +123,7 @@ def _nearest(values: tuple[float, ...], wanted: float) -> int:
 def _decibels(risk: Risk, noise: float) -> tuple[float, float, float]:
     # An estimate of a small error may be negative; it is reported as its standard error.
     value = max(risk.value, risk.error if np.isfinite(risk.error) else 0.0, 1e-12)
-    in_decibels = 10 / np.log(10)
-    error = in_decibels * risk.error / value
+    error = _IN_DECIBELS * risk.error / value
     return -10 * float(np.log10(value)), float(error), 10 * float(np.log10(noise / value))
 
 

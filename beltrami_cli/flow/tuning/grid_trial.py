@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.flow.noise.haar_noise import draw_haar_noise, sigma_of_covariances
-from beltrami_cli.flow.tuning.sure import wanted_probes
 from beltrami_cli.surface.atlas import EMPTY, OWNED, refresh_halo
 
 if TYPE_CHECKING:
@@ -61,10 +60,10 @@ def with_halo(part: Atlas, whole: Atlas, cells: NDArray[np.int64], core: NDArray
 
 
 def perturbations(
-    scored: int, channels: int, atlas: Atlas, noise_covariances: NDArray[np.float64] | None
+    count: int, channels: int, atlas: Atlas, noise_covariances: NDArray[np.float64] | None
 ) -> NDArray[np.float32]:
-    """Return random planes like the noise: independent signs, or correlated as the noise is."""
-    random, shape, count = np.random.default_rng(_SEED), atlas.kind.shape, wanted_probes(scored)
+    """Return some stacks of random planes like the noise: independent signs, or correlated as the noise is."""
+    random, shape = np.random.default_rng(_SEED), atlas.kind.shape
     if noise_covariances is None:
         drawn = (random.integers(0, 2, (count, channels, *shape), np.int8) * 2 - 1).astype(np.float32)
     else:

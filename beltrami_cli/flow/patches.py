@@ -1,0 +1,211 @@
+"""Collaborative patches after the kernel, and the blend of both.
+
+Where colours repeat themselves along the surface, as in photographs, patches that look alike can be estimated together
+[1]_; where they are plain with sharp edges, the kernel is better. So the kernel's result P serves as the pilot of the
+patches' result Q, and
+
+    u = P + w (Q - P),    w = - sum ((P - z) . d + sigma^2 div d) / sum |d|^2,    d = Q - P,
+
+with sums over the samples around: Stein's unbiased estimate of the error of u is a parabola in w, and this is its least
+[2]_. The divergence is the response of both to a small random perturbation of the noisy colours z.
+
+Noise that was cut off at 0 or full scale is replaced beforehand by what it would be on average, given the kernel's
+result. In the sums, P and Q are replaced by the mean of colours with such noise, which z can be compared with.
+
+References
+----------
+.. [1] S. Herbreteau, C. Kervrann, "Towards a unified view of unsupervised non-local methods for image denoising: the
+   NL-Ridge approach", ICIP 2022. https://arxiv.org/abs/2203.00570
+.. [2] S. Ramani, T. Blu, M. Unser, "Monte-Carlo SURE: a black-box optimization of regularization parameters for general
+   denoising algorithms", IEEE Trans. Image Processing 17(9), 2008. https://doi.org/10.1109/TIP.2008.2001404
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from beltrami_cli.flow.manifold import Mixing
+from beltrami_cli.surface import large_arrays
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from numpy.typing import NDArray
+
+    from beltrami_cli.flow.clipping import ClippedChannels
+    from beltrami_cli.flow.manifold import Manifold
+
+
+# The mean of three channels and two differences, orthonormal; differences count half when patches are compared, since
+# they hold little detail and as much noise.
+_OPPONENTS = np.array([[1, 1, 1], [1, 0, -1], [1, -2, 1]]) / np.sqrt([[3], [2], [6]])
+_COMPARED = np.array([1, 0.5, 0.5])
+
+# In photographs most of the detail in differences of channels is in their mean, too, and what remains of their noise is
+# what people see: more noise is reckoned with once there is a pilot.
+_MORE_IN_DIFFERENCES = np.float32(4)
+
+# Channels of which the differences vary this much less than the mean are colours.
+_COLOURED = 0.7
+
+# Noise that neighbours share does not average out between overlapping patches.
+_SHARED = 2.0
+
+# Noise of a channel, as a share of the largest, below which there is nothing to estimate.
+_NOISELESS = 0.01
+
+# The perturbation, in units of the noise. Groups change with the colours in steps, which a smaller one does not see, so
+# that patches are trusted too much where noise is underestimated; a larger one sees too much of them.
+_PERTURBATION = 0.2
+
+# Variance of w around its mean over all, to which it is drawn as far as noise makes it uncertain.
+_SPREAD = 0.03
+
+# How many iterations of the kernel both steps of an estimate take as long as.
+_FIRST, _SECOND = 6, 20
+PASSES = _FIRST + _SECOND
+
+# Values that are worked on at a time.
+_AT_ONCE = 1 << 18
+
+
+@dataclass(frozen=True)
+class Blend:
+    """Colours, the mean weight of the patches, and by how much the mean square error is estimated to fall."""
+
+    colours: NDArray[np.float32]
+    share: float
+    gain: float
+
+
+def blend_with_patches(
+    manifold: Manifold,
+    noisy: NDArray[np.float32],
+    kernel: Callable[[NDArray[np.float32]], NDArray[np.float32]],
+    clipped: ClippedChannels | None,
+    stage: Callable[[int], Callable[[int], None] | None],
+) -> Blend:
+    """Blend the kernel's result with that of patches; `noisy` is a stack that is overwritten."""
+    axis, sigma = manifold.axis, manifold.sigma
+    before = kernel(large_arrays.copy_of(noisy))
+    signs = manifold.perturbation()
+    size = np.float32(_PERTURBATION * np.sqrt(np.mean(np.square(sigma))))
+    disturbed = large_arrays.copy_of(noisy)
+    for own, sign in _blocks(axis, disturbed, signs):
+        own += size * sign
+    disturbed = kernel(disturbed)
+    if clipped is not None:
+        for own, pilot in _blocks(axis, noisy, before):
+            clipped.impute(own, pilot)
+    mixing = mixing_of(manifold, before)
+    stronger = _stronger(mixing)
+
+    def estimate(colours: NDArray[np.float32], pilot: NDArray[np.float32]) -> NDArray[np.float32]:
+        first = manifold.collaborate(colours, pilot, mixing, has_pilot=False, progress=stage(_FIRST))
+        for own, kernels in _blocks(axis, first, pilot):
+            own += kernels
+            own /= 2
+        return manifold.collaborate(colours, first, stronger, has_pilot=True, progress=stage(_SECOND))
+
+    after = estimate(noisy, before)
+    for own, sign in _blocks(axis, noisy, signs):
+        own += size * sign
+    response = estimate(noisy, disturbed)
+    for own, sign in _blocks(axis, noisy, signs):
+        own -= size * sign
+    sums, model = manifold.planes(2), _Model(sigma, clipped)
+    stacks = _blocks(axis, noisy, signs, before, after, disturbed, response)
+    for (z, b, p, q, near_p, near_q), (own,) in zip(stacks, _blocks(0, sums), strict=True):
+        own[:] = model.parabola(z, b / size, (p, q), (near_p, near_q))
+    del noisy, disturbed, response, signs
+    return _mix(manifold, before, after, sums)
+
+
+class _Model:
+    """What the noise of channels does to the sums."""
+
+    def __init__(self, sigma: NDArray[np.float64], clipped: ClippedChannels | None) -> None:
+        self._sigma, self._clipped = sigma, clipped
+
+    def parabola(
+        self,
+        noisy: NDArray[np.float32],
+        probe: NDArray[Any],
+        results: tuple[NDArray[np.float32], NDArray[np.float32]],
+        responses: tuple[NDArray[np.float32], NDArray[np.float32]],
+    ) -> NDArray[np.float32]:
+        """Return the terms of the numerator and of the denominator of w, summed over channels."""
+        middle = (results[0] + results[1]) * np.float32(0.5)
+        if self._clipped is not None:
+            noisy = self._clipped.cut_off(noisy)
+            results = self._clipped.expected(results[0]), self._clipped.expected(results[1])
+            responses = self._clipped.expected(responses[0]), self._clipped.expected(responses[1])
+        difference = results[1] - results[0]
+        divergence = probe * (responses[1] - responses[0] - difference)
+        slope = (noisy - results[0]) * difference
+        for k, sigma in enumerate(self._sigma):
+            within = 1 if self._clipped is None else self._clipped.share_within(middle, k)
+            slope[k] -= np.float32(sigma**2) * within * divergence[k]
+        return np.stack([slope.sum(axis=0), np.square(difference).sum(axis=0)])
+
+
+def _mix(
+    manifold: Manifold, before: NDArray[np.float32], after: NDArray[np.float32], sums: NDArray[np.float32]
+) -> Blend:
+    """Find w from its terms, and blend in place."""
+    slope, square = manifold.total(sums)
+    overall = min(1.0, max(0.0, slope / square)) if square > 0 else 0.0
+    # The variance of w is sigma^2 over the sum of squares; a mean by a Gaussian stands for this many samples.
+    samples = 4 * np.pi * manifold.width**2
+    prior = np.float32(np.mean(np.square(manifold.sigma)) / samples / _SPREAD)
+    # Of w, and of what it takes off the mean square error.
+    results = manifold.planes(2)
+    for (own,), (means,), (terms,) in zip(
+        *(_blocks(0, planes) for planes in (results, manifold.spread(sums), sums)), strict=True
+    ):
+        own[0] = np.clip((means[0] + prior * overall) / (means[1] + prior), 0, 1)
+        own[1] = own[0] * (2 * terms[0] - own[0] * terms[1])
+    for (p, q), (own,) in zip(_blocks(manifold.axis, before, after), _blocks(0, results), strict=True):
+        p += own[0] * (q - p)
+    share, gain = manifold.total(results) / max(1, manifold.kernels)
+    return Blend(before, float(share), float(gain) / len(manifold.sigma))
+
+
+def mixing_of(manifold: Manifold, colours: NDArray[np.float32]) -> Mixing:
+    """Return how the channels of a stack are mixed: colours by their mean and differences, others not at all."""
+    count = len(manifold.sigma)
+    forth = np.eye(count)
+    variances = np.square(manifold.sigma)
+    # Where there is next to no noise, that little more is none that anyone sees.
+    variances = np.maximum(variances, _NOISELESS**2 * variances.max(initial=0))
+    if count >= len(_OPPONENTS) and _is_coloured(manifold, colours):
+        forth[:3, :3] = _COMPARED[:, None] * _OPPONENTS
+    mixed = np.square(forth) @ variances * (_SHARED if manifold.shares_noise else 1)
+    return Mixing(*(np.ascontiguousarray(part, np.float32) for part in (forth, np.linalg.inv(forth), mixed)))
+
+
+def _stronger(mixing: Mixing) -> Mixing:
+    """Return the same with more noise in differences of channels."""
+    is_mixed = np.count_nonzero(mixing.forth, axis=1) > 1
+    is_difference = is_mixed & (mixing.forth.sum(axis=1) < mixing.forth.max(axis=1))
+    factor = np.where(is_difference, _MORE_IN_DIFFERENCES, np.float32(1))
+    return dataclasses.replace(mixing, variances=mixing.variances * factor)
+
+
+def _is_coloured(manifold: Manifold, colours: NDArray[np.float32]) -> bool:
+    """Whether the first three channels vary mostly together."""
+    steps = manifold.steps(colours)[:, :3].astype(np.float64)
+    mixed = np.square(np.einsum("kj,ij->ki", steps, _OPPONENTS)).sum(axis=0)
+    return bool(mixed[1:].sum() <= 2 * _COLOURED * mixed[0])
+
+
+def _blocks(axis: int, *stacks: NDArray[Any]) -> Iterator[tuple[NDArray[Any], ...]]:
+    """Go through stacks together in blocks, with the channels, which are at `axis`, first."""
+    whole = [np.moveaxis(stack, axis, 0) for stack in stacks]
+    size = max(1, _AT_ONCE // max(1, whole[0][0, :1].size))
+    for rows in large_arrays.blocks(whole[0].shape[1], size):
+        yield tuple(stack[:, rows] for stack in whole)

@@ -1,0 +1,113 @@
+// Collaborative patches for Python.
+#include <nanobind/stl/optional.h>
+
+#include <initializer_list>
+
+#include "patches/grid_patches.hpp"
+#include "patches/surface_patches.hpp"
+
+#include "bindings/bindings.hpp"
+
+namespace beltrami::bindings {
+namespace {
+
+using namespace beltrami::patches;
+using Cells = nb::ndarray<const std::uint8_t, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
+using Plane = nb::ndarray<const float, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
+
+using Output = nb::ndarray<float, nb::ndim<3>, nb::c_contig, nb::device::cpu>;
+
+void check_shape(const Stack& like, std::initializer_list<const Output*> stacks) {
+  for (const Output* stack : stacks)
+    for (std::size_t axis = 0; axis < 3; ++axis)
+      if (stack->shape(axis) != like.shape(axis)) throw nb::value_error("all stacks must have one shape");
+}
+
+// How channels are mixed for the estimate, and the variances of their noise.
+struct Mixing {
+  Matrix<float> forth, back;
+  Vector<float> variances;
+};
+
+Mixing mixing_of(const nb::tuple& parts, std::size_t channels) {
+  Mixing mixing{nb::cast<Matrix<float>>(parts[0]), nb::cast<Matrix<float>>(parts[1]), nb::cast<Vector<float>>(parts[2])};
+  for (const auto* matrix : {&mixing.forth, &mixing.back})
+    if (matrix->shape(0) != channels || matrix->shape(1) != channels) throw nb::value_error("mixing must be square");
+  if (mixing.variances.size() != channels) throw nb::value_error("one variance a channel is needed");
+  return mixing;
+}
+
+// See collaborate; without a pilot, patches are compared on `pilot` all the same. The result goes to `estimates`.
+void collaborate_on_grid(const Cells& kind, const Stack& noisy, const Stack& pilot, const nb::tuple& mixing,
+                         const std::optional<Plane>& relative, bool has_pilot, Output& estimates, Output& weights,
+                         unsigned threads, const nb::object& progress) {
+  const std::size_t channels = noisy.shape(0), rows = kind.shape(0), columns = kind.shape(1);
+  for (std::size_t axis = 0; axis < 3; ++axis)
+    if (noisy.shape(axis) != pilot.shape(axis)) throw nb::value_error("all stacks must have one shape");
+  check_shape(noisy, {&estimates, &weights});
+  if (noisy.shape(1) != rows || noisy.shape(2) != columns) throw nb::value_error("planes must have the grid's shape");
+  if (relative && (relative->shape(0) != rows || relative->shape(1) != columns))
+    throw nb::value_error("the relative variance must have the grid's shape");
+  const Mixing own = mixing_of(mixing, channels);
+  const Canvas canvas{rows, columns, kind.data(), noisy.data(), pilot.data(), channels, own.forth.data(), own.back.data(),
+                      own.variances.data(), relative ? relative->data() : nullptr};
+  run_polled(progress, [&](const Poll& poll) {
+    collaborate(canvas, has_pilot, {estimates.data(), weights.data()}, threads, poll);
+  });
+}
+
+using Rows = nb::ndarray<float, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
+
+// See SurfacePatches; edges are pairs of vertices, axes two directions.
+SurfacePatches* make_surface_patches(const Matrix<double>& positions, const Matrix<std::int32_t>& edges,
+                                     const Matrix<double>& axes, const Vector<std::uint64_t>& priorities, unsigned threads) {
+  if (positions.shape(1) != 3 || edges.shape(1) != 2 || axes.shape(0) != 2 || axes.shape(1) != 3)
+    throw nb::value_error("positions, edges and axes need rows of 3, 2 and 3");
+  if (priorities.size() != positions.shape(0)) throw nb::value_error("one priority a vertex is needed");
+  for (std::size_t i = 0; i < edges.size(); ++i)
+    if (edges.data()[i] < 0 || static_cast<std::size_t>(edges.data()[i]) >= positions.shape(0))
+      throw nb::index_error("an edge ends at no vertex");
+  const auto* directions = reinterpret_cast<const Position*>(axes.data());
+  const nb::gil_scoped_release unlock;
+  return new SurfacePatches({reinterpret_cast<const Position*>(positions.data()), positions.shape(0)},
+                            {reinterpret_cast<const std::array<std::int32_t, 2>*>(edges.data()), edges.shape(0)},
+                            {directions[0], directions[1]}, {priorities.data(), priorities.size()}, threads);
+}
+
+// See SurfacePatches::collaborate; a row a vertex.
+void collaborate_on_surface(const SurfacePatches& surface, const Matrix<float>& noisy, const Matrix<float>& pilot,
+                            const nb::tuple& mixing, bool has_pilot, Rows& estimates, Rows& weights, unsigned threads,
+                            const nb::object& progress) {
+  const std::size_t channels = noisy.shape(1);
+  const Mixing own = mixing_of(mixing, channels);
+  if (noisy.shape(0) != surface.size()) throw nb::value_error("one row a vertex is needed");
+  for (std::size_t axis = 0; axis < 2; ++axis)
+    if (pilot.shape(axis) != noisy.shape(axis) || estimates.shape(axis) != noisy.shape(axis) ||
+        weights.shape(axis) != noisy.shape(axis))
+      throw nb::value_error("all stacks must have one shape");
+  const SurfacePatches::Colours colours{noisy.data(),     pilot.data(),    channels,
+                                        own.forth.data(), own.back.data(), own.variances.data()};
+  run_polled(progress, [&](const Poll& poll) {
+    surface.collaborate(colours, has_pilot, {estimates.data(), weights.data()}, threads, poll);
+  });
+}
+
+}  // namespace
+
+void bind_patches(nb::module_& module) {
+  using namespace nb::literals;
+  module.def("collaborate_on_grid", &collaborate_on_grid, "kind"_a, "noisy"_a, "pilot"_a, "mixing"_a,
+             "relative"_a.none(), "has_pilot"_a, "estimates"_a, "weights"_a, "threads"_a, "progress"_a.none());
+  nb::class_<SurfacePatches>(module, "SurfacePatches")
+      .def("__init__",
+           [](SurfacePatches* self, const Matrix<double>& positions, const Matrix<std::int32_t>& edges,
+              const Matrix<double>& axes, const Vector<std::uint64_t>& priorities, unsigned threads) {
+             const std::unique_ptr<SurfacePatches> made(make_surface_patches(positions, edges, axes, priorities, threads));
+             new (self) SurfacePatches(std::move(*made));
+           },
+           "positions"_a, "edges"_a, "axes"_a, "priorities"_a, "threads"_a)
+      .def("collaborate", &collaborate_on_surface, "noisy"_a, "pilot"_a, "mixing"_a, "has_pilot"_a, "estimates"_a,
+           "weights"_a, "threads"_a, "progress"_a.none());
+}
+
+}  // namespace beltrami::bindings

@@ -1,0 +1,61 @@
+// Collaborative patches on a grid, see groups.hpp: squares of cells, and those that look most alike in a window around.
+//
+// Only how patches look decides, not where they lie: the window goes over the borders of charts. Patches reach over seams
+// by the halo. Cells that are empty are in no patch.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <vector>
+
+#include "grid/grid.hpp"
+#include "instruction_set.hpp"
+#include "parallel.hpp"
+#include "patches/groups.hpp"
+
+namespace beltrami::patches {
+
+// How far a patch reaches from its centre, and the distance between the centres that start groups.
+constexpr int patch_reach = 3, spacing = 6;
+
+// The window of candidates: rows above and below, columns to the left, and columns in all.
+constexpr int rows_beside = 12, columns_before = 16, candidate_columns = 32;
+
+// Cells a side of the tiles of work.
+constexpr int tile_side = 60;
+
+// What is around a tile: candidates, and their patches.
+constexpr int margin = columns_before + patch_reach;
+static_assert(tile_side >= 2 * margin && tile_side % spacing == 0);
+
+struct Canvas {
+  std::size_t rows, columns;
+  const std::uint8_t* kind;
+  const float *noisy, *pilot;  // `channels` planes
+  std::size_t channels;
+  const float *mixing, *unmixing;  // channels * channels: makes the channels that are estimated one by one, and back
+  const float* variances;          // of the noise of these
+  const float* relative;           // what a cell's variance is multiplied by; nullptr: 1
+};
+
+struct Tile {
+  std::ptrdiff_t row, column;
+};
+
+struct TileScratch {
+  std::vector<float> noisy, pilot, relative, estimates, weights, distances;
+  std::vector<std::uint8_t> kind;
+  std::vector<std::uint32_t> keys;
+  std::vector<std::int32_t> places;
+  GroupScratch group;
+};
+
+// Adds the estimates of the groups that start in a tile to whole planes.
+BELTRAMI_DECLARE_VARIANTS(void add_tile(const Canvas& canvas, const Tile& tile, bool has_pilot, const Sums& sums,
+                                        TileScratch& scratch))
+
+// Writes estimates of the owned cells; other cells get the pilot. Both of `sums` have `channels` planes, of which the
+// estimates are the result, and the weights are memory to work with. Throws Cancelled if poll returned false.
+void collaborate(const Canvas& canvas, bool has_pilot, const Sums& sums, unsigned threads, const Poll& poll = {});
+
+}  // namespace beltrami::patches

@@ -1,0 +1,340 @@
+#include "patches/surface_patches.hpp"
+
+#include <algorithm>
+#include <bit>
+#include <cmath>
+#include <numeric>
+#include <utility>
+
+#include "patches/vertex_rings.hpp"
+#include "points/tangent_plane.hpp"
+
+namespace beltrami::patches {
+namespace {
+
+// Vertices around one that its lattice is looked for in, and that its patches are compared with.
+constexpr std::size_t enough_for_lattice = 50, enough_candidates = 150;
+
+// In units of the lattice: how far from its node a vertex may be, and how far off the tangent plane.
+constexpr double furthest = 0.8, highest = 2.0;
+
+// Squared distances from nodes that differ by less are equal.
+constexpr double alike = 1e-6;
+
+// Vertices that are handled together, and parts between whose ends sums are added.
+constexpr std::size_t chunk = 1024, starts_in_part = 256, parts_in_wave = 32;
+
+// As in grids, see tile_patches.cpp.
+constexpr float far_away = 1e9F, too_far = 1e17F;
+
+struct Variant {
+  AddGroup add_group;
+  CompareRows compare_rows;
+};
+
+using points::dot;
+
+Position direction_in(const points::TangentPlane& plane, const std::array<Position, 2>& axes) {
+  const double along = dot(axes[0], plane.normal);
+  const Position& axis = along * along < 0.8 * dot(axes[0], axes[0]) ? axes[0] : axes[1];
+  const double height = dot(axis, plane.normal);
+  Position direction;
+  for (std::size_t i = 0; i < 3; ++i) direction[i] = axis[i] - height * plane.normal[i];
+  const double length = std::sqrt(dot(direction, direction));
+  if (!(length > 0)) return plane.first;
+  for (double& component : direction) component /= length;
+  return direction;
+}
+
+Position cross(const Position& a, const Position& b) {
+  return {a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]};
+}
+
+Nodes lattice_of(std::int32_t vertex, std::span<const std::int32_t> around, std::span<const Position> positions,
+                 double step, const std::array<Position, 2>& axes, std::span<const std::uint64_t> priorities) {
+  std::vector<Position> offsets;
+  for (const std::int32_t other : around.subspan(1)) {
+    Position& offset = offsets.emplace_back();
+    for (std::size_t i = 0; i < 3; ++i)
+      offset[i] = positions[static_cast<std::size_t>(other)][i] - positions[static_cast<std::size_t>(vertex)][i];
+  }
+  Nodes found;
+  found.fill(-1);
+  found[nodes / 2] = vertex;
+  if (!(step > 0)) return found;
+  const double reach = (lattice_reach + 1) * step;
+  const points::TangentPlane plane = points::fit_tangent_plane(offsets, reach * reach);
+  const Position right = direction_in(plane, axes), up = cross(plane.normal, right);
+  // The sign of a fitted normal means nothing; up is on the side of one of the axes.
+  const double side = dot(up, axes[1]) != 0 ? dot(up, axes[1]) : dot(up, axes[0]);
+  std::array<double, nodes> nearest;
+  nearest.fill(furthest * furthest);
+  for (std::size_t k = 0; k < offsets.size(); ++k) {
+    const double x = dot(offsets[k], right) / step, y = std::copysign(1.0, side) * dot(offsets[k], up) / step;
+    const double height = std::abs(dot(offsets[k], plane.normal)) / step;
+    if (height > highest || std::abs(x) > lattice_reach + furthest || std::abs(y) > lattice_reach + furthest) continue;
+    for (int row = -lattice_reach; row <= lattice_reach; ++row)
+      for (int column = -lattice_reach; column <= lattice_reach; ++column) {
+        if (row == 0 && column == 0) continue;
+        const double distance = (x - column) * (x - column) + (y - row) * (y - row);
+        const auto node = static_cast<std::size_t>((row + lattice_reach) * (2 * lattice_reach + 1) + column + lattice_reach);
+        const double gain = nearest[node] - distance;
+        // Of two at one distance, the choice must not depend on rounding.
+        const bool earlier = found[node] >= 0 && std::abs(gain) <= alike &&
+                             priorities[static_cast<std::size_t>(around[k + 1])] < priorities[static_cast<std::size_t>(found[node])];
+        if (gain > (found[node] < 0 ? 0 : alike) || earlier) {
+          nearest[node] = distance;
+          found[node] = around[k + 1];
+        }
+      }
+  }
+  return found;
+}
+
+}  // namespace
+
+SurfacePatches::SurfacePatches(std::span<const Position> positions, std::span<const std::array<std::int32_t, 2>> edges,
+                               const std::array<Position, 2>& axes, std::span<const std::uint64_t> priorities,
+                               unsigned threads)
+    : first_(positions.size() + 1, 0), neighbours_(2 * edges.size()), patches_(positions.size()) {
+  for (const auto& edge : edges)
+    for (const std::int32_t end : edge) ++first_[static_cast<std::size_t>(end) + 1];
+  for (std::size_t i = 1; i < first_.size(); ++i) first_[i] += first_[i - 1];
+  std::vector<std::size_t> next(first_.begin(), first_.end() - 1);
+  for (const auto& [a, b] : edges) {
+    neighbours_[next[static_cast<std::size_t>(a)]++] = b;
+    neighbours_[next[static_cast<std::size_t>(b)]++] = a;
+  }
+  find_patches(positions, axes, priorities, threads);
+  choose_starts(priorities);
+}
+
+void SurfacePatches::find_patches(std::span<const Position> positions, const std::array<Position, 2>& axes,
+                                  std::span<const std::uint64_t> priorities, unsigned threads) {
+  std::vector<VertexRings> rings(threads);
+  parallel_chunks(patches_.size(), chunk, threads, [&](std::size_t begin, std::size_t end, unsigned worker) {
+    for (std::size_t vertex = begin; vertex < end; ++vertex) {
+      double total = 0;
+      for (std::size_t i = first_[vertex]; i < first_[vertex + 1]; ++i) {
+        Position edge;
+        for (std::size_t axis = 0; axis < 3; ++axis)
+          edge[axis] = positions[static_cast<std::size_t>(neighbours_[i])][axis] - positions[vertex][axis];
+        total += std::sqrt(dot(edge, edge));
+      }
+      const auto degree = static_cast<double>(first_[vertex + 1] - first_[vertex]);
+      const auto around = rings[worker].around(static_cast<std::int32_t>(vertex), enough_for_lattice, first_, neighbours_);
+      patches_[vertex] = lattice_of(static_cast<std::int32_t>(vertex), around, positions, degree > 0 ? total / degree : 0, axes, priorities);
+    }
+  });
+}
+
+// A vertex starts a group unless it is in the patch of one that does, other than at a corner.
+void SurfacePatches::choose_starts(std::span<const std::uint64_t> priorities) {
+  std::vector<std::int32_t> order(patches_.size());
+  std::iota(order.begin(), order.end(), 0);
+  std::sort(order.begin(), order.end(), [&](std::int32_t a, std::int32_t b) {
+    return std::pair(priorities[static_cast<std::size_t>(a)], a) < std::pair(priorities[static_cast<std::size_t>(b)], b);
+  });
+  std::vector<bool> covered(patches_.size(), false);
+  for (const std::int32_t start : order) {
+    const auto vertex = static_cast<std::size_t>(start);
+    if (covered[vertex]) continue;
+    starts_.push_back(start);
+    for (int row = -lattice_reach; row <= lattice_reach; ++row)
+      for (int column = -lattice_reach; column <= lattice_reach; ++column) {
+        if (std::abs(row) == lattice_reach && std::abs(column) == lattice_reach) continue;
+        const std::int32_t beside = patches_[vertex][static_cast<std::size_t>((row + lattice_reach) * (2 * lattice_reach + 1) +
+                                                                              column + lattice_reach)];
+        if (beside >= 0) covered[static_cast<std::size_t>(beside)] = true;
+      }
+  }
+  // Neighbours together, which share most of their candidates.
+  std::sort(starts_.begin(), starts_.end());
+}
+
+// What the groups of some starts add to: vertices under numbers of their own, so that little memory is touched at a time.
+struct SurfacePatches::Part {
+  std::vector<std::int32_t> members;
+  std::vector<float> estimates, weights;  // a plane a channel
+
+  // Adds the sums to those of the whole surface, which have a row a vertex.
+  void add_to(const Sums& whole, std::size_t channels) const {
+    for (std::size_t i = 0; i < members.size(); ++i)
+      for (std::size_t c = 0; c < channels; ++c) {
+        const std::size_t to = static_cast<std::size_t>(members[i]) * channels + c, from = c * members.size() + i;
+        whole.estimates[to] += estimates[from];
+        whole.weights[to] += weights[from];
+      }
+  }
+};
+
+// Handles one part after the other; one for each thread.
+class SurfacePatches::Worker {
+ public:
+  void run(const SurfacePatches& surface, const Colours& colours, bool has_pilot, std::span<const std::int32_t> starts,
+           const Variant& variant, Part& part) {
+    collect(surface, starts, part.members);
+    mix(colours, part.members);
+    const Channels channels{noisy_.data(), pilot_.data(), colours.variances, nullptr, colours.channels, part.members.size()};
+    describe(surface, channels);
+    part.estimates.assign(noisy_.size(), 0);
+    part.weights.assign(noisy_.size(), 0);
+    const Sums sums{part.estimates.data(), part.weights.data()};
+    const std::size_t size = has_pilot ? medium : few;
+    for (std::size_t i = 0; i + 1 < first_.size(); ++i) {
+      const std::span<const std::int32_t> around(around_.data() + first_[i], first_[i + 1] - first_[i]);
+      const std::size_t found = choose(surface, around, channels.count, size, variant);
+      const std::size_t rows = place(surface, around, size, found);
+      variant.add_group(channels, places_.data(), rows, size, found, has_pilot, sums, group_);
+    }
+    for (const std::int32_t member : part.members) number_[static_cast<std::size_t>(member)] = -1;
+    for (const std::int32_t candidate : candidates_) rank_[static_cast<std::size_t>(candidate)] = -1;
+  }
+
+ private:
+  // Finds the candidates of all starts, and numbers them and the vertices of their patches.
+  void collect(const SurfacePatches& surface, std::span<const std::int32_t> starts, std::vector<std::int32_t>& members) {
+    number_.resize(surface.patches_.size(), -1);
+    rank_.resize(surface.patches_.size(), -1);
+    members.clear();
+    candidates_.clear();
+    around_.clear();
+    first_.assign(1, 0);
+    for (const std::int32_t start : starts) {
+      for (const std::int32_t candidate : rings_.around(start, enough_candidates, surface.first_, surface.neighbours_)) {
+        std::int32_t& rank = rank_[static_cast<std::size_t>(candidate)];
+        if (rank < 0) {
+          rank = static_cast<std::int32_t>(candidates_.size());
+          candidates_.push_back(candidate);
+        }
+        around_.push_back(rank);
+      }
+      first_.push_back(around_.size());
+    }
+    for (const std::int32_t candidate : candidates_)
+      for (const std::int32_t vertex : surface.patches_[static_cast<std::size_t>(candidate)]) {
+        if (vertex < 0 || number_[static_cast<std::size_t>(vertex)] >= 0) continue;
+        number_[static_cast<std::size_t>(vertex)] = static_cast<std::int32_t>(members.size());
+        members.push_back(vertex);
+      }
+  }
+
+  void mix(const Colours& colours, const std::vector<std::int32_t>& members) {
+    const std::size_t n = colours.channels, count = members.size();
+    noisy_.resize(n * count);
+    pilot_.resize(n * count);
+    for (std::size_t i = 0; i < count; ++i) {
+      const std::size_t row = static_cast<std::size_t>(members[i]) * n;
+      for (std::size_t to = 0; to < n; ++to) {
+        float noisy = 0, pilot = 0;
+        for (std::size_t from = 0; from < n; ++from) {
+          noisy += colours.mixing[to * n + from] * colours.noisy[row + from];
+          pilot += colours.mixing[to * n + from] * colours.pilot[row + from];
+        }
+        noisy_[to * count + i] = noisy;
+        pilot_[to * count + i] = pilot;
+      }
+    }
+  }
+
+  static std::size_t length_of(std::size_t channels) { return (channels * nodes + 15) / 16 * 16; }
+
+  // Makes rows of the pilot's patches; nodes without a vertex are far from all colours.
+  void describe(const SurfacePatches& surface, const Channels& channels) {
+    const std::size_t length = length_of(channels.count);
+    features_.assign(candidates_.size() * length, 0);
+    for (std::size_t i = 0; i < candidates_.size(); ++i) {
+      const Nodes& own = surface.patches_[static_cast<std::size_t>(candidates_[i])];
+      for (std::size_t node = 0; node < nodes; ++node) {
+        const std::size_t vertex = own[node] < 0 ? 0 : static_cast<std::size_t>(number_[static_cast<std::size_t>(own[node])]);
+        for (std::size_t c = 0; c < channels.count; ++c)
+          features_[i * length + c * nodes + node] = own[node] < 0 ? far_away : channels.pilot[c * channels.stride + vertex];
+      }
+    }
+  }
+
+  // Sorts the candidates that have all nodes of the first by the squared differences of the pilot, nearest first.
+  std::size_t choose(const SurfacePatches& surface, std::span<const std::int32_t> around, std::size_t channels,
+                     std::size_t size, const Variant& variant) {
+    const std::size_t length = length_of(channels);
+    const Nodes& own = surface.patches_[static_cast<std::size_t>(candidates_[static_cast<std::size_t>(around[0])])];
+    mask_.assign(length, 0);
+    for (std::size_t c = 0; c < channels; ++c)
+      for (std::size_t node = 0; node < nodes; ++node) mask_[c * nodes + node] = own[node] < 0 ? 0.0F : 1.0F;
+    distances_.resize(around.size());
+    variant.compare_rows(features_.data(), length, mask_.data(), around.data(), around.size(), distances_.data());
+    distances_[0] = -1;
+    keys_.clear();
+    for (std::size_t k = 0; k < around.size(); ++k)
+      if (distances_[k] < too_far) keys_.emplace_back(distances_[k], static_cast<std::int32_t>(k));
+    const std::size_t found = std::min(size, keys_.size());
+    const auto wanted = keys_.begin() + static_cast<std::ptrdiff_t>(found);
+    if (found < keys_.size()) std::nth_element(keys_.begin(), wanted, keys_.end());
+    std::sort(keys_.begin(), wanted);
+    return found;
+  }
+
+  // Finds the members at the nodes that the first patch has, for the patches that were chosen; returns how many nodes.
+  std::size_t place(const SurfacePatches& surface, std::span<const std::int32_t> around, std::size_t size, std::size_t found) {
+    const auto patch_of = [&](std::size_t k) -> const Nodes& {
+      const std::int32_t rank = around[static_cast<std::size_t>(keys_[k < found ? k : 0].second)];
+      return surface.patches_[static_cast<std::size_t>(candidates_[static_cast<std::size_t>(rank)])];
+    };
+    const Nodes& own = patch_of(0);
+    places_.resize(nodes * size);
+    for (std::size_t k = 0; k < size; ++k) {
+      const Nodes& patch = patch_of(k);
+      std::size_t row = 0;
+      for (std::size_t node = 0; node < nodes; ++node)
+        if (own[node] >= 0) places_[row++ * size + k] = number_[static_cast<std::size_t>(patch[node])];
+    }
+    return static_cast<std::size_t>(std::count_if(own.begin(), own.end(), [](std::int32_t vertex) { return vertex >= 0; }));
+  }
+
+  VertexRings rings_;
+  std::vector<std::int32_t> number_, rank_, candidates_, around_, places_;
+  std::vector<std::size_t> first_;
+  std::vector<float> noisy_, pilot_, features_, mask_, distances_;
+  std::vector<std::pair<float, std::int32_t>> keys_;
+  GroupScratch group_;
+};
+
+void SurfacePatches::collaborate(const Colours& colours, bool has_pilot, const Sums& sums, unsigned threads,
+                                 const Poll& poll) const {
+  const InstructionSet set = choose_instruction_set();
+  const Variant variant{BELTRAMI_VARIANT_OF(add_group, set), BELTRAMI_VARIANT_OF(compare_rows, set)};
+  const std::size_t n = colours.channels, count = patches_.size();
+  std::fill(sums.estimates, sums.estimates + n * count, 0.0F);
+  std::fill(sums.weights, sums.weights + n * count, 0.0F);
+  const std::size_t parts = (starts_.size() + starts_in_part - 1) / starts_in_part;
+  std::vector<Part> wave(std::min(parts, parts_in_wave));
+  std::vector<Worker> workers(threads);
+  for (std::size_t first = 0; first < parts; first += wave.size()) {
+    const std::size_t here = std::min(wave.size(), parts - first);
+    const Poll counted = poll ? Poll([&](std::size_t done) { return poll((first + done) * count / parts); }) : Poll();
+    parallel_chunks(
+        here, 1, threads,
+        [&](std::size_t begin, std::size_t end, unsigned worker) {
+          for (std::size_t i = begin; i < end; ++i) {
+            const std::size_t start = (first + i) * starts_in_part;
+            const auto own = std::span(starts_).subspan(start, std::min(starts_in_part, starts_.size() - start));
+            workers[worker].run(*this, colours, has_pilot, own, variant, wave[i]);
+          }
+        },
+        counted);
+    // In the order of the parts, so that sums do not depend on the threads.
+    for (std::size_t i = 0; i < here; ++i) wave[i].add_to(sums, n);
+  }
+  std::vector<float> mixed(n);
+  for (std::size_t vertex = 0; vertex < count; ++vertex) {
+    float *estimate = sums.estimates + vertex * n, *weight = sums.weights + vertex * n;
+    for (std::size_t c = 0; c < n; ++c) mixed[c] = weight[c] > 0 ? estimate[c] / weight[c] : 0;
+    for (std::size_t c = 0; c < n; ++c) {
+      float value = weight[c] > 0 ? 0 : colours.pilot[vertex * n + c];
+      for (std::size_t from = 0; weight[c] > 0 && from < n; ++from) value += colours.unmixing[c * n + from] * mixed[from];
+      estimate[c] = value;
+    }
+  }
+}
+
+}  // namespace beltrami::patches

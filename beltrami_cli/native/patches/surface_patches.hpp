@@ -1,0 +1,61 @@
+// Collaborative patches on a triangulated surface, see groups.hpp.
+//
+// A patch holds the vertices nearest to the nodes of a small square lattice in the tangent plane of a vertex, one mean
+// edge length apart; nothing is interpolated. The lattice is turned towards a direction in space that is the same for all.
+// Its vertices are found along edges, so that the other side of a thin sheet is no neighbour. Where the surface ends,
+// nodes have no vertex.
+#pragma once
+
+#include <array>
+#include <cstddef>
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "parallel.hpp"
+#include "patches/groups.hpp"
+
+namespace beltrami::patches {
+
+constexpr int lattice_reach = 2;
+constexpr std::size_t nodes = (2 * lattice_reach + 1) * (2 * lattice_reach + 1);
+
+using Position = std::array<double, 3>;
+using Nodes = std::array<std::int32_t, nodes>;  // vertices, -1 where there is none
+
+class SurfacePatches {
+ public:
+  // axes: directions to which the lattices are turned; the second where the first is normal to the surface.
+  // priorities: of vertices as starts of groups, the least first, so that the order of vertices makes no difference.
+  SurfacePatches(std::span<const Position> positions, std::span<const std::array<std::int32_t, 2>> edges,
+                 const std::array<Position, 2>& axes, std::span<const std::uint64_t> priorities, unsigned threads);
+
+  struct Colours {
+    const float *noisy, *pilot;  // a row of `channels` a vertex
+    std::size_t channels;
+    const float *mixing, *unmixing;  // see Canvas
+    const float* variances;
+  };
+
+  // Writes estimates of all vertices; both of `sums` have a row of `channels` a vertex, of which the estimates are the
+  // result, and the weights are memory to work with. Throws Cancelled if poll returned false.
+  void collaborate(const Colours& colours, bool has_pilot, const Sums& sums, unsigned threads, const Poll& poll = {}) const;
+
+  std::size_t size() const { return patches_.size(); }
+  const Nodes& patch(std::size_t vertex) const { return patches_[vertex]; }
+
+ private:
+  struct Part;
+  class Worker;
+
+  void find_patches(std::span<const Position> positions, const std::array<Position, 2>& axes,
+                    std::span<const std::uint64_t> priorities, unsigned threads);
+  void choose_starts(std::span<const std::uint64_t> priorities);
+
+  std::vector<std::size_t> first_;         // of each vertex's neighbours
+  std::vector<std::int32_t> neighbours_;
+  std::vector<Nodes> patches_;
+  std::vector<std::int32_t> starts_;       // the vertices that start groups
+};
+
+}  // namespace beltrami::patches
