@@ -227,3 +227,15 @@ def test_the_choice_is_not_far_from_the_best_on_what_jpeg_left(quality, subsampl
         for iterations in (3, 8)
     )  # fmt: skip
     assert psnr(result.colours, clean) > best - 2.5
+
+
+def test_noise_of_colours_of_which_hardly_any_is_inside_the_limits_is_still_a_number():
+    random = np.random.default_rng(3)
+    noisy = (0.5 + 20 / 255 * random.standard_normal((3, 256, 256))).astype(np.float32)
+    # Two cells of five are black or white: at half the resolution hardly a square is free of them.
+    cut_off = random.random((256, 256)) < 0.4
+    noisy[:, cut_off] = random.integers(0, 2, (3, np.count_nonzero(cut_off)))
+    sigma, covariances = grid.estimate_noise_on_grid(noisy, np.ones((256, 256), bool))
+    assert np.isfinite(sigma).all()
+    assert covariances is None
+    assert np.isfinite(estimate_sigma_on_grid(noisy[:, :2, :2], np.ones((2, 2), bool))).all()
