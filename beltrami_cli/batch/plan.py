@@ -77,6 +77,14 @@ def plan(inputs: Iterable[str], out_dir: str, suffix: str, extension: str | None
     return requests
 
 
+def find_sources(inputs: Iterable[str]) -> list[str]:
+    """Return the files that names, folders and globs stand for, each once."""
+    found: dict[str, None] = {}
+    for text in inputs:
+        found |= dict.fromkeys(source for source, _ in _found(text, os.devnull))
+    return list(found)
+
+
 def _result_name(place: PurePath, suffix: str, extension: str | None) -> PurePath:
     """Return the place of an output below the folder of all, from that of its input."""
     ending = Path(f"x{suffix}").suffix.lower()

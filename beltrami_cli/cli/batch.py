@@ -34,6 +34,7 @@ Examples:
   beltrami batch scans --out-dir clean --format glb     convert all
   beltrami batch scans --out-dir clean --suffix -clean  a.ply becomes clean/a-clean.ply
   beltrami batch jobs.toml --out-dir clean              a manifest with parameters for each file
+  beltrami batch scans --out-dir clean --dry-run        what would be done
   beltrami batch scans --out-dir clean --resume         go on after a failure, or with new files
   beltrami batch scans --out-dir clean --scheduler tcp://head:8786     on many machines
 
@@ -82,6 +83,10 @@ _CLUSTER = "Many machines"
 )  # fmt: skip
 @click.option("--fail-fast", is_flag=True, help="Stop at the first failure.")
 @click.option(
+    "--dry-run", is_flag=True,
+    help="Print which files would be smoothed, where to, and with which options of their own; read and write nothing.",
+)  # fmt: skip
+@click.option(
     "--report", "report_path", metavar="FILE.jsonl",
     help="Where a line of JSON for each file is written.  [default: batch.jsonl in DIR]",
 )  # fmt: skip
@@ -107,6 +112,7 @@ def command(
     report_path: str | None,
     scheduler: str | None,
     pieces: int | None,
+    dry_run: bool,
     overwrite: bool,
     messages: Messages,
     **given: Any,
@@ -138,6 +144,9 @@ def command(
     start = time.monotonic()
     requests = plan(inputs, out_dir, given["suffix"], given["output_format"])
     jobs = _jobs_for(requests, given, overwrite=overwrite)
+    if dry_run:
+        _show_plan(requests, resume=given["resume"], overwrite=overwrite)
+        return
     path = _report_path(report_path, out_dir, inputs, jobs)
     rewritten = options.overwrite_at("report_path", overwrite=overwrite)
     with (
@@ -158,6 +167,23 @@ def command(
         show_table(outcomes)
     messages.say(f"{_counts(outcomes)} in {time.monotonic() - start:.1f} s; report: {path}")
     _require_all_done(outcomes)
+
+
+def _show_plan(requests: Sequence[Request], *, resume: bool, overwrite: bool) -> None:
+    """Print what a run would do, a line for each file, and how many there are."""
+    from beltrami_cli.batch.storage import is_url
+    from beltrami_cli.cli.console import printable
+
+    is_there = {each.target: not is_url(each.target) and Path(each.target).exists() for each in requests}
+    for each in requests:
+        own = ", ".join(f"{name} {value}" for name, value in each.options.items())
+        notes = [own] if own else []
+        if is_there[each.target]:
+            notes.append("exists: is replaced" if overwrite else "exists: is not replaced")
+        click.echo(printable(f"{each.source} -> {each.target}" + "".join(f"; {note}" for note in notes)))
+    taken = 0 if overwrite or resume else sum(is_there.values())
+    refused = f"; {taken} of them would fail, since OUTPUT exists (--overwrite, --resume)" if taken else ""
+    click.echo(f"{len(requests)} files would be smoothed; nothing is done (dry run){refused}", err=True)
 
 
 def _jobs_for(requests: Iterable[Request], values: dict[str, Any], *, overwrite: bool) -> list[Item]:

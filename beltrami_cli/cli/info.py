@@ -3,13 +3,26 @@
 from __future__ import annotations
 
 import json
-from typing import Any
+import shutil
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from beltrami_cli.cli import options
 from beltrami_cli.cli.commands import HelpfulCommand
-from beltrami_cli.cli.console import ALL_THE_SAME, NO_NOISE, choice_in_words, printable
+from beltrami_cli.cli.compare import table_lines
+from beltrami_cli.cli.console import ALL_THE_SAME, NO_NOISE, Messages, choice_in_words, printable
+from beltrami_cli.errors import BeltramiError, InputError
+from beltrami_cli.jobs.job import tracked
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from beltrami_cli.samples.settings import SmoothSettings
+
+_COLUMNS = ("file", "format", "part", "samples", "noise", "n", "t", "beta")
 
 EPILOG = """\b
 Examples:
@@ -17,25 +30,90 @@ Examples:
   beltrami info scan.glb --json | jq .noise
   beltrami info scan.obj --json | jq '.textures[].images'    each texture: size, charts, overlap, noise, ...
   beltrami info scan.ply -t 4 --beta 5       how large would kernels be?
+  beltrami info scans 'more/**/*.glb' --fast a table of many files; --json: a line for each
 """
 
 
 @click.command("info", cls=HelpfulCommand, epilog=EPILOG)
-@click.argument("source", metavar="FILE")
-@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@click.argument("sources", metavar="FILE...", nargs=-1, required=True)
+@click.option("--json", "as_json", is_flag=True, help="Print JSON; of several files a line each.")
 @options.smoothing
 @options.reading
 @options.verbose
-def command(source: str, as_json: bool, verbose: int, **smoothing: Any) -> None:
-    """Show what is coloured in FILE and how, how noisy it is, and what smoothing it would do."""
+def command(sources: tuple[str, ...], as_json: bool, verbose: int, **smoothing: Any) -> None:
+    """Show what is coloured in FILE and how, how noisy it is, and what smoothing it would do.
+
+    Of several files, of a folder and of a glob, a table with a line for each part that would be smoothed.
+    """
     settings = options.settings_from(smoothing)
+    if len(sources) > 1 or (sources[0] != "-" and not Path(sources[0]).is_file()):
+        _show_many(sources, settings, smoothing, as_json=as_json)
+        return
     from beltrami_cli.jobs.inspect import inspect_file
 
-    with options.reading_from(smoothing, source) as access:
-        facts = inspect_file(source, settings, access)
+    with options.reading_from(smoothing, sources[0]) as access:
+        facts = inspect_file(sources[0], settings, access)
     if as_json:
         click.echo(json.dumps(facts, indent=2))
-        return
+    else:
+        _show_facts(facts, settings)
+
+
+def _show_many(
+    inputs: tuple[str, ...], settings: SmoothSettings, smoothing: dict[str, Any], *, as_json: bool
+) -> None:
+    """Print a table, or lines of JSON, on many files; what cannot be read is said, and the others go on."""
+    from beltrami_cli.batch.plan import find_sources
+    from beltrami_cli.jobs.inspect import inspect_file
+
+    rows: list[list[str]] = []
+    failures: list[BeltramiError] = []
+    sources = find_sources(inputs)
+    with Messages(quiet=False, verbose=0).progress() as progress:
+        for source in tracked(sources, "reading", progress):
+            try:
+                with options.reading_from(smoothing, source) as access:
+                    facts = inspect_file(source, settings, access)
+            except BeltramiError as error:
+                failures.append(error)
+                continue
+            if as_json:
+                click.echo(json.dumps(facts))
+            rows += _parts_of(source, facts)
+    if rows and not as_json:
+        width = shutil.get_terminal_size().columns if sys.stdout.isatty() else None
+        for line in table_lines(_COLUMNS, rows, width):
+            click.echo(line)
+    for failure in failures:
+        click.echo(printable(f"beltrami: {failure}"), err=True)
+    if failures:
+        raise InputError(f"{len(failures)} of {len(sources)} files", "cannot be described", "see above")
+
+
+def _parts_of(source: str, facts: dict[str, Any]) -> Iterator[list[str]]:
+    """Give a row for each part of a file that would be smoothed."""
+    surface, image = facts.get("surface", {}), facts.get("image", {})
+    parts = [(each["slot"], each.get("covered"), each) for each in facts.get("textures", [])]
+    if "smooth" in facts:
+        count = surface.get("samples") or surface.get("points") or facts.get("points", {}).get("points")
+        pixels = image.get("width", 0) * image.get("height", 0)
+        parts.append(("pixels" if image else "vertices", pixels or count, facts))
+    for what, samples, part in parts:
+        plan, noise = part.get("smooth") or {}, part.get("noise") or {}
+        iterations = plan.get("iterations")
+        yield [
+            printable(source),
+            str(facts["file"]["format"]),
+            what,
+            "" if samples is None else str(samples),
+            _noise(max(noise.values(), default=0.0)),
+            "" if iterations is None else str(iterations),
+            *("" if plan.get(key) is None else f"{plan[key]:.3g}" for key in ("t", "beta")),
+        ]
+
+
+def _show_facts(facts: dict[str, Any], settings: SmoothSettings) -> None:
+    """Print all that is known of a file."""
     slots: Any = facts.get("textures", [])
     planned: list[Any] = [facts.get("smooth"), *(slot["smooth"] for slot in slots)]
     for smooth in planned:

@@ -330,3 +330,27 @@ def test_models_whose_textures_have_one_name_go_to_one_folder(kind, tmp_path):
     assert {path.name for path in out.iterdir()} == {path.name for path in alone.parent.iterdir()} | {
         "batch.jsonl"
     }
+
+
+def test_a_dry_run_says_what_would_be_done_and_does_nothing(tmp_path):
+    scans, out = tmp_path / "scans", tmp_path / "out"
+    scans.mkdir()
+    for name in ("a.ply", "b.ply"):
+        shutil.copy(SAMPLES / "nonmanifold-noisy.ply", scans / name)
+    (tmp_path / "jobs.toml").write_text('[[files]]\ninput = "scans/b.ply"\noutput = "new/b.glb"\nbeta = 8\n')
+    run = beltrami("batch", scans / "a.ply", tmp_path / "jobs.toml", "--out-dir", out, "--dry-run", text=True)
+    assert run.returncode == 0, run.stderr
+    assert run.stdout.splitlines() == [
+        f"{scans / 'a.ply'} -> {out / 'a.ply'}",
+        f"{scans / 'b.ply'} -> {out / 'new' / 'b.glb'}; beta 8",
+    ]
+    assert "2 files would be smoothed" in run.stderr
+    assert not out.exists()
+    out.mkdir()
+    (out / "a.ply").write_bytes(b"old")
+    run = beltrami("batch", scans, "--out-dir", out, "--dry-run", text=True)
+    assert "1 of them would fail" in run.stderr
+    assert (out / "a.ply").read_bytes() == b"old"
+    again = beltrami("batch", scans, "--out-dir", out, "--dry-run", "--overwrite", text=True)
+    assert "exists: is replaced" in again.stdout
+    assert "would fail" not in again.stderr

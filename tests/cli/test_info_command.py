@@ -174,3 +174,35 @@ def test_facts_are_of_json_types_alone_and_can_be_shown(options):
     assert kinds_in(inspect_file(name, settings)) <= {dict, list, str, int, float, bool, type(None)}
     run = beltrami("info", name, *options, text=True)
     assert (run.returncode, run.stderr) == (0, "")
+
+
+def test_many_files_make_a_table_with_a_line_for_each_part(tmp_path):
+    for name in ("knot-noisy.ply", "torus-two-noisy.gltf", "torus-two-noisy.bin", "scan-noisy.jpg"):
+        shutil.copy(SAMPLES / name, tmp_path / name)
+    for name in ("icing", "dough"):
+        shutil.copy(SAMPLES / f"torus-two-noisy-{name}.png", tmp_path)
+    run = beltrami("info", tmp_path, tmp_path / "*.jpg", tmp_path / "knot-noisy.ply", "--fast", text=True)
+    assert run.returncode == 0, run.stderr
+    head, *lines = run.stdout.splitlines()
+    assert head.split() == ["file", "format", "part", "samples", "noise", "n", "t", "beta"]
+    rows = {line.split()[0].rpartition("/")[2]: line.split()[1:] for line in lines}
+    assert len(lines) == len(rows) == 3  # each once
+    assert rows["knot-noisy.ply"][:3] == ["ply", "vertices", "5184"]
+    assert rows["torus-two-noisy.gltf"][:2] == ["gltf", "baseColor"]
+    assert rows["scan-noisy.jpg"][:3] == ["jpeg", "pixels", str(512 * 512)]
+    for name, row in rows.items():
+        alone = json.loads(beltrami("info", tmp_path / name, "--fast", "--json", text=True).stdout)
+        part = alone["textures"][0] if "textures" in alone else alone
+        assert float(row[-1]) == pytest.approx(part["smooth"]["beta"], rel=5e-3)
+
+
+def test_many_files_make_a_line_of_json_each_and_what_cannot_be_read_is_said(tmp_path):
+    for name in ("a.ply", "b.ply"):
+        shutil.copy(SAMPLES / "nonmanifold-noisy.ply", tmp_path / name)
+    (tmp_path / "c.ply").write_bytes(b"ply\nformat ascii 1.0\n")
+    run = beltrami("info", "*.ply", "--fast", "--json", cwd=tmp_path, text=True)
+    assert run.returncode == 3
+    assert [json.loads(line)["file"]["name"] for line in run.stdout.splitlines()] == ["a.ply", "b.ply"]
+    assert "c.ply" in run.stderr
+    assert "1 of 3 files" in run.stderr
+    assert beltrami("info", "none*.ply", cwd=tmp_path).returncode == 3
