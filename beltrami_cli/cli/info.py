@@ -30,7 +30,7 @@ Examples:
   beltrami info scan.glb --json | jq .noise
   beltrami info scan.obj --json | jq '.textures[].images'    each texture: size, charts, overlap, noise, ...
   beltrami info scan.ply -t 4 --beta 5       how large would kernels be?
-  beltrami info scans 'more/**/*.glb' --fast a table of many files; --json: a line for each
+  beltrami info scans 'more/**/*.glb' --fast             a table of many files; or lines of JSON
 """
 
 

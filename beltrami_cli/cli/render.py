@@ -23,6 +23,7 @@ Examples:
   beltrami render noisy.glb clean.glb both.png --crop auto            side by side, with a detail
   beltrami render a.ply b.ply ab.png --label before --label after --crop 0.4,0.3,0.1 --crop 0.6,0.7
   beltrami render model.obj around.png --turntable 8 --size 300       eight views all around
+  beltrami render model.obj turning.gif --turntable 24 --lit          one that turns; .webp and .mp4 likewise
   beltrami render room.ply room.png --up z --azimuth 120 --elevation 45
   beltrami render photo.png clean.png photos.png --crop auto,0.1      images, unchanged, with a detail
   beltrami render model.glb icon.png --size 128 --background transparent

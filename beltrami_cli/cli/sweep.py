@@ -36,7 +36,7 @@ away: smooth with the parameters that you like best.
 _SWEPT = ("beta", "t", "iterations", "metric_scale", "metric_steps")
 _SHOWN = {"iterations": "n", "metric_scale": "metric scale", "metric_steps": "metric steps"}
 # What is of a single picture, or follows from the options of smoothing.
-_NOT_LOOKS = ("slot", "on", "side_by_side", "turntable", "labels")
+_NOT_LOOKS = ("slot", "on", "side_by_side", "turntable", "fps", "labels")
 
 
 def _listed(declared: Parameter) -> Parameter:

@@ -47,6 +47,21 @@ def draw_views(
     return arranged(panels, across if settings.side_by_side else down, background_of(settings, panels))
 
 
+def draw_turns(
+    views: Sequence[Drawable],
+    labels: Sequence[str],
+    settings: RenderSettings,
+    progress: Progress | None = None,
+) -> list[NDArray[np.uint8]]:
+    """Draw all views at each turn of a turntable, as pictures of one size."""
+    panels = draw_panels(views, labels, settings, progress)
+    background = background_of(settings, panels)
+    turns = settings.turntable
+    named = [dataclasses.replace(panel, label=labels[at // turns]) for at, panel in enumerate(panels)]
+    across = len(views) if settings.side_by_side else 1
+    return [arranged(named[turn::turns], across, background) for turn in range(turns)]
+
+
 def draw_panels(
     views: Sequence[Drawable],
     labels: Sequence[str],

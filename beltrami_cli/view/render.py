@@ -14,7 +14,8 @@ from beltrami_cli.formats.image.picture import new_picture
 from beltrami_cli.formats.image.recognition import is_image
 from beltrami_cli.jobs.job import tracked
 from beltrami_cli.jobs.writing.output import Output, Overwrite
-from beltrami_cli.view.drawing import draw_views
+from beltrami_cli.view.animation import ANIMATIONS, encoded_animation, require_encoder
+from beltrami_cli.view.drawing import draw_turns, draw_views
 from beltrami_cli.view.settings import DEFAULT_RENDER, MOST_PIXELS, Crop, RenderSettings
 from beltrami_cli.view.sheet import distinct_labels
 from beltrami_cli.view.tracing import require_embree
@@ -47,15 +48,35 @@ def render_file(
     access: Access = EVERYTHING_INSIDE,
 ) -> tuple[int, int]:
     """Draw models, points and images side by side, write the picture, and return its width and height."""
-    suffix = picture_suffix(target)
+    suffix = _suffix_of(target, settings)
     labels = _labels(sources, settings)
     _check_size(len(sources), settings)
     output = Output(target, overwrite=overwrite, what="picture", reads=sources)
     access = output.files.watching(access)
     views = [open_view(source, settings, access) for source in tracked(sources, "reading", progress)]
+    if settings.turntable > 1 and suffix in ANIMATIONS:
+        frames = draw_turns(views, labels, settings, progress)
+        output.write(Written(main=[encoded_animation(frames, suffix, settings.fps)]))
+        return frames[0].shape[1], frames[0].shape[0]
     picture = draw_views(views, labels, settings, progress)
     output.write(encoded(picture, target, suffix))
     return picture.shape[1], picture.shape[0]
+
+
+def _suffix_of(target: str, settings: RenderSettings) -> str:
+    """Return the extension of a picture, or of a turntable that moves; errors if it cannot be written."""
+    suffix = Path(target).suffix.lower()
+    if suffix not in ANIMATIONS:
+        return picture_suffix(target)
+    if settings.turntable > 1:
+        require_encoder(suffix)
+        if suffix == ".mp4" and settings.background == "transparent":
+            raise UsageError("an .mp4 file has no transparent background; choose .webp or .gif, or a colour")
+    elif suffix != ".webp":
+        raise UsageError(
+            f"{target}: {suffix} is for turntables; add --turntable 24, or call it .png for a still picture"
+        )
+    return suffix
 
 
 class Preview:

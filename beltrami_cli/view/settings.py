@@ -116,8 +116,13 @@ class RenderSettings:
     )  # fmt: skip
     turntable: int = parameter(
         0,
-        "Views all around in equal steps, in a row for each file; 0: one view.",
+        "Views all around in equal steps, in a row for each file; as .gif, .webp or .mp4 they move; 0: one view.",
         low=0, high=360, metavar="N", is_daily=True,
+    )  # fmt: skip
+    fps: int = parameter(
+        12,
+        "Of a --turntable that moves: views a second.",
+        low=1, high=60, metavar="N",
     )  # fmt: skip
     crops: tuple[Crop, ...] = parameter(
         (),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import subprocess
 import sys
 
@@ -149,3 +150,56 @@ def test_a_preview_is_refused_before_anything_is_written(tmp_path):
     ):
         assert beltrami("smooth", *arguments).returncode == code
         assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["gif", "webp", "mp4"])
+def test_turntables_move_where_the_extension_asks(kind, tmp_path):
+    pytest.importorskip("embreex")
+    target = tmp_path / f"a.{kind}"
+    if kind == "mp4":
+        av = pytest.importorskip("av")
+    sample = SAMPLES / "head-clean.ply"
+    arguments = ["render", sample, sample, target, "--turntable", "6", "--fps", "10", "--size", "61"]
+    run = beltrami(*arguments)
+    assert run.returncode == 0, run.stderr
+    if kind == "mp4":
+        with av.open(str(target)) as file:
+            frames = [frame.to_ndarray(format="rgb24") for frame in file.decode(video=0)]
+            assert file.streams.video[0].average_rate == 10
+    else:
+        image = pytest.importorskip("PIL.Image").open(target)
+        frames = []
+        for number in range(image.n_frames):
+            image.seek(number)
+            frames.append(np.asarray(image.convert("RGB")))
+            assert image.info["duration"] == 100
+        assert image.info["loop"] == 0
+    assert len(frames) == 6
+    assert len({frame.shape for frame in frames}) == 1
+    assert frames[0].shape[1] >= 122  # both, side by side
+    assert all(np.abs(one.astype(int) - two).mean() > 1 for one, two in itertools.pairwise(frames))
+
+
+def test_what_moves_needs_a_turntable_and_its_package(tmp_path, monkeypatch):
+    sample = SAMPLES / "nonmanifold-noisy.ply"
+    run = beltrami("render", sample, tmp_path / "a.gif", text=True)
+    assert run.returncode == 2
+    assert "--turntable" in run.stderr
+    monkeypatch.setitem(sys.modules, "av", None)
+    run = beltrami("render", sample, tmp_path / "a.mp4", "--turntable", "4", text=True)
+    assert run.returncode == 1
+    assert "beltrami-cli[animation]" in run.stderr
+    assert run.stderr.count("\n") == 1
+    run = beltrami(
+        "render",
+        sample,
+        tmp_path / "a.gif",
+        "--turntable",
+        "4",
+        "--background",
+        "transparent",
+        "--size",
+        "40",
+    )
+    assert run.returncode == 0
