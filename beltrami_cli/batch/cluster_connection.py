@@ -69,7 +69,7 @@ def _require_encryption(address: str, security: Any) -> None:
 def _require_listener(address: str) -> None:
     """Raise ValueError or OSError if nobody listens at an address, where a client would try for long."""
     parts = urlsplit(address if "://" in address else f"tcp://{address}")
-    if parts.scheme == "inproc":
+    if parts.scheme == "inproc" and parts.path.count("/") == 2:  # one of this process
         return
     if not parts.hostname or not parts.port:
         raise ValueError("an address is like tcp://HOST:PORT")

@@ -252,3 +252,23 @@ def test_values_in_records(value: object, tmp_path: Path) -> None:
         (tmp_path / "out" / "batch.jsonl").write_text(f"{text}\n")
         assert hostile(tmp_path, "batch", "mesh.ply", "--out-dir", "out", "--resume", "-j", "1") in (1, 3)
         assert (tmp_path / "out" / "mesh.ply").read_text() == "of somebody else"
+
+
+@pytest.mark.parametrize(
+    "address",
+    [
+        "",
+        "x",
+        "tcp://",
+        "tcp://x:99999999",
+        "tcp://[::",
+        "no.json",
+        "run.json",
+        "a\nb",
+        "\udcff",
+        "inproc://x",
+    ],
+)
+def test_addresses_of_schedulers(address: str, tmp_path: Path) -> None:
+    (tmp_path / "run.json").write_text("[1]")
+    assert hostile(tmp_path, "batch", *ARGUMENTS["batch"], "--scheduler", address) == 1
