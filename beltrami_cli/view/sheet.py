@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from beltrami_cli.errors import ProcessingError
+from beltrami_cli.errors import ProcessingError, one_line
 from beltrami_cli.surface.colour_values import linear_to_srgb, srgb_to_linear
 from beltrami_cli.view.camera import pixels_of
 
@@ -162,6 +162,7 @@ def _lettering(text: str, size: tuple[int, int], height: int) -> NDArray[np.floa
     """Return how much of each pixel of a strip is covered by a line of text in its middle, 0 to 1."""
     import OpenImageIO
 
+    text = one_line(text)
     words, start = text, 0
     box = _text_box(words, height)
     while box.width > 0.96 * size[0] and start < len(text):

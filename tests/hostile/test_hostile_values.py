@@ -134,6 +134,11 @@ def test_a_field_of_view_that_is_nearly_none(tmp_path: Path) -> None:
     assert hostile(tmp_path, "render", *ARGUMENTS["render"], "--fov", "1e-320") == 0
 
 
+@pytest.mark.parametrize("label", ["\udcff", "a\nb", "\x1b[31m", "日本", "x" * 5000])
+def test_labels_of_any_letters(label: str, tmp_path: Path) -> None:
+    assert hostile(tmp_path, "render", *ARGUMENTS["render"], "--label", label) == 0
+
+
 def test_a_kernel_that_reaches_nothing(tmp_path: Path) -> None:
     assert hostile(tmp_path, "kernel", *ARGUMENTS["kernel"], "--time-step", "1e-320") == 0
 
