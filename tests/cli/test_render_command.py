@@ -168,13 +168,13 @@ def test_turntables_move_where_the_extension_asks(kind, tmp_path):
             frames = [frame.to_ndarray(format="rgb24") for frame in file.decode(video=0)]
             assert file.streams.video[0].average_rate == 10
     else:
-        image = pytest.importorskip("PIL.Image").open(target)
         frames = []
-        for number in range(image.n_frames):
-            image.seek(number)
-            frames.append(np.asarray(image.convert("RGB")))
-            assert image.info["duration"] == 100
-        assert image.info["loop"] == 0
+        with pytest.importorskip("PIL.Image").open(target) as image:
+            for number in range(image.n_frames):
+                image.seek(number)
+                frames.append(np.asarray(image.convert("RGB")))
+                assert image.info["duration"] == 100
+            assert image.info["loop"] == 0
     assert len(frames) == 6
     assert len({frame.shape for frame in frames}) == 1
     assert frames[0].shape[1] >= 122  # both, side by side
