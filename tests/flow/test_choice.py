@@ -13,7 +13,7 @@ from beltrami_cli.flow.manifold import Step
 from beltrami_cli.flow.mesh_manifold import MeshManifold
 from beltrami_cli.flow.parameters import TUNABLE, KernelParameters
 from beltrami_cli.flow.tuning import mesh_trial, sure
-from beltrami_cli.flow.tuning.search import Grid, Search
+from beltrami_cli.flow.tuning.choice import Grid, Search
 from beltrami_cli.flow.tuning.sure import Risk, RiskEstimate
 from beltrami_cli.surface.records import SampledSurface
 from oracles import surfaces
