@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 _OPENING = (
     os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0) | getattr(os, "O_NOCTTY", 0)
 )
-_LEAST_UNPACKED, _MOST_RATIO = 1 << 26, 100  # up to so many bytes any ratio is taken
+_LEAST_UNPACKED, _MOST_RATIO = 1 << 26, 100  # up to this many bytes any ratio is accepted
 _BLOCK = 1 << 24  # bytes of standard input read at a time: a larger request is allocated at once
 
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     Frames = Sequence[NDArray[np.uint8]]  # of one size, (H, W, 3), or (H, W, 4) with opacity
 
 _WEBP_QUALITY = 90
-_MP4_QUALITY = "16"  # constant rate factor of H.264: what cannot be told from the original
+_MP4_QUALITY = "16"  # constant rate factor of H.264: what cannot be distinguished from the original
 
 
 def encoded_animation(frames: Frames, suffix: str, rate: int) -> bytes:

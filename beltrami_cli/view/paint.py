@@ -68,7 +68,7 @@ class TexturePaint:
         texels = covered * sizes[surface.texture_of + 1]
         with np.errstate(over="ignore"):
             self._density = np.divide(texels, areas, out=np.zeros_like(areas), where=areas > 0)
-        # As many bits as it takes to tell parts of a texel.
+        # As many bits as are needed to resolve parts of a texel.
         largest = np.abs(surface.uv).max(initial=0) * max((max(sheet.shape) for sheet in sheets), default=1)
         self._uv = surface.uv.astype(np.float32) if largest < _EXACT else surface.uv
         self._is_one = len(sheets) == 1 and bool((surface.texture_of == 0).all())
