@@ -32,6 +32,9 @@ class Paint(Protocol):
     is_opaque: bool
     """Whether nothing behind the surface can be seen through it."""
 
+    is_linear: bool
+    """Whether colours change steadily across each triangle."""
+
     def __call__(
         self, faces: NDArray[np.int32], weights: NDArray[np.float32], footprints: NDArray[np.float64]
     ) -> NDArray[np.float32]:
@@ -42,7 +45,7 @@ class Paint(Protocol):
 class VertexPaint:
     """Linear light at vertices, (V, 3), interpolated between them."""
 
-    is_opaque = True
+    is_opaque = is_linear = True
 
     def __init__(self, faces: NDArray[np.int32], colours: NDArray[np.float64]) -> None:
         self._corners = colours.astype(np.float32)[faces]
@@ -58,6 +61,8 @@ class VertexPaint:
 
 class TexturePaint:
     """Textures, looked up bilinearly; in smaller copies of themselves where a point stands for several texels."""
+
+    is_linear = False
 
     def __init__(self, surface: TexturedSurface, sheets: Sequence[Sheet], areas: NDArray[np.float64]) -> None:
         self._surface = surface

@@ -18,17 +18,22 @@ from beltrami_cli.surface.grouping import group_equal_rows
 from beltrami_cli.view.camera import size_between
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
     from beltrami_cli.view.camera import Camera, Window
     from beltrami_cli.view.paint import Paint
 
+    Rays = tuple[NDArray[Any], NDArray[Any]]  # origins and unit directions, (K, 3) each
+
 SAMPLES = 3  # rays along a side of each pixel
 AMBIENT = 0.35  # share of the light that comes from everywhere
 # Towards the lamp, in view coordinates: at the upper left, behind the eye.
 LAMP = np.array([-0.4, 0.5, 0.77]) / np.linalg.norm([-0.4, 0.5, 0.77])
+
+# Of the rays through a pixel, by rows: those in the corners, and the one in the middle.
+_CORNERS, _MIDDLE = (0, 2, 6, 8), 4
 
 _CREASE = np.cos(np.radians(40))  # smoothed normals further than this from the triangle's are not used
 _BLOCK = 1 << 14  # rays at a time, which bounds the memory; larger blocks leave the processor's cache
@@ -127,10 +132,19 @@ class SurfaceView:
                 progress(first - rows.start, rows.stop - rows.start)
             light = image[first:last, columns].reshape(-1, 4)
             # One ray through each pixel at a time, so that sums go over whole blocks.
-            for down, right in np.ndindex(SAMPLES, SAMPLES):
-                through = y[first * SAMPLES + down : last * SAMPLES : SAMPLES, None]
-                starts, directions = camera.rays(x[right::SAMPLES], through, np.float32)
-                self._follow(light, camera, starts, directions, pixel, lit=lit)
+            rays = [
+                camera.rays(
+                    x[right::SAMPLES],
+                    y[first * SAMPLES + down : last * SAMPLES : SAMPLES, None],
+                    np.float32,
+                )
+                for down, right in np.ndindex(SAMPLES, SAMPLES)
+            ]
+            if self._paint.is_opaque and self._paint.is_linear and not lit:
+                self._look_at_triangles(light, camera, rays, pixel)
+            else:
+                for starts, directions in rays:
+                    self._follow(light, camera, starts, directions, pixel, lit=lit)
             light /= SAMPLES**2
             image[first:last, columns] = light.reshape(last - first, -1, 4)
         return image
@@ -147,6 +161,27 @@ class SurfaceView:
         last = np.clip(np.ceil((high - window[:2]) / share * size), 0, size).astype(int)
         return slice(first[1], last[1]), slice(first[0], last[0])
 
+    def _look_at_triangles(
+        self, light: NDArray[np.float32], camera: Camera, rays: Sequence[Rays], pixel: float
+    ) -> None:
+        """Add what all rays through each pixel see of an opaque surface whose triangles have no patterns."""
+        found = {number: self._tracer.cast(*rays[number]) for number in (*_CORNERS, _MIDDLE)}
+        face_of = np.full((len(found), len(light)), -1, np.int32)
+        for row, hits in zip(face_of, found.values(), strict=True):
+            row[hits.rays] = hits.faces
+        # Where these hit one triangle, the rays between two corners see the mean of what the corners see.
+        alike = (face_of[0] >= 0) & (face_of[1:] == face_of[0]).all(axis=0)
+        for number, hits in found.items():
+            colours = self._colours(camera, hits, rays[number][1], pixel, lit=False)
+            if number != _MIDDLE:
+                colours[alike[hits.rays]] *= 2
+            light[hits.rays] += colours
+        others = np.flatnonzero(~alike)
+        for number in range(1, SAMPLES**2, 2):
+            starts, directions = (each[others] for each in rays[number])
+            hits = self._tracer.cast(starts, directions)
+            light[others[hits.rays]] += self._colours(camera, hits, directions, pixel, lit=False)
+
     def _follow(
         self,
         light: NDArray[np.float32],
@@ -160,8 +195,7 @@ class SurfaceView:
         """Add what rays see, (K, 4), through everything transparent."""
         if self._paint.is_opaque:
             hits = self._tracer.cast(starts, directions)
-            footprints = (camera.breadth(hits.distances) * pixel) ** 2
-            light[hits.rays] += self._colours(camera, hits, directions, footprints, lit=lit)
+            light[hits.rays] += self._colours(camera, hits, directions, pixel, lit=lit)
             return
         seen = np.zeros((len(starts), 4), np.float32)
         active = np.arange(len(starts))
@@ -170,8 +204,8 @@ class SurfaceView:
             hits = self._tracer.cast(starts, directions)
             active = active[hits.rays]
             travelled = travelled[hits.rays] + hits.distances
-            footprints = (camera.breadth(travelled) * pixel) ** 2
-            colours = self._colours(camera, hits, directions, footprints, lit=lit)
+            seen_from = hits._replace(distances=travelled)
+            colours = self._colours(camera, seen_from, directions, pixel, lit=lit)
             total = seen[active]
             share = (1 - total[:, 3]) * colours[:, 3]
             total[:, :3] += share[:, None] * colours[:, :3]
@@ -191,10 +225,11 @@ class SurfaceView:
         camera: Camera,
         hits: Hits,
         directions: NDArray[np.float64],
-        footprints: NDArray[np.float64],
+        pixel: float,
         *,
         lit: bool,
     ) -> NDArray[np.float32]:
+        footprints = (camera.breadth(hits.distances) * pixel) ** 2
         colours = self._paint(hits.faces, hits.weights, footprints)
         if lit:
             colours[:, :3] *= self._light(camera, hits, directions[hits.rays])[:, None]
