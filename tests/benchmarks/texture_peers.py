@@ -64,6 +64,17 @@ def total_variation(noisy, score, *, sigma=SIGMA):
     return max(found, key=lambda scores: scores[0])
 
 
+def bm3d(noisy, score, *, sigma=SIGMA):
+    """Return the scores of BM3D with its own settings, given the true sigma."""
+    try:
+        import bm3d
+    except ImportError as error:
+        raise PeerError(reason(error)) from error
+    settings = bm3d.BM3DProfile()
+    settings.num_threads = 1
+    return score(bm3d.bm3d_rgb(noisy / 255, sigma, settings))
+
+
 def bilateral_seconds(noisy):
     """Return the CPU seconds of one pass of OpenCV's bilateral filter (d = 7, float32, one thread)."""
     cv2 = opencv()
