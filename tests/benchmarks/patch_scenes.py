@@ -112,7 +112,7 @@ def photograph(name):
 
 
 def on_sphere(image, directions):
-    """Return the colours of directions: each hemisphere shows the disc in the middle of the image, equal areas alike."""
+    """Return the colours of directions: each hemisphere shows the disc in the middle of the image, by equal areas."""
     shape = np.array(image.shape[:2])
     flat = directions / np.linalg.norm(directions, axis=-1, keepdims=True)
     # Lambert's projection; the sine is 0 at the poles only, where the direction does not matter.
