@@ -36,7 +36,12 @@ from beltrami_cli.flow.manifold import (
 from beltrami_cli.flow.noise.grid import estimate_noise_on_grid
 from beltrami_cli.flow.regularisation import GridGaussian, gaussian_taps, guide_radius
 from beltrami_cli.flow.search_range import ON_GRIDS, RULE_ON_GRIDS
-from beltrami_cli.flow.tuning.grid_trial import choose_blocks, perturbations, tried_cells, with_halo
+from beltrami_cli.flow.tuning.grid_trial import (
+    choose_blocks,
+    perturbations,
+    tried_cells,
+    with_halo,
+)
 from beltrami_cli.flow.tuning.sure import wanted_probes
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import EMPTY, HALO, OWNED, refresh_halo, without_halo
@@ -333,8 +338,14 @@ class GridManifold(Manifold):
 
         estimates, weights = (large_arrays.empty(noisy.shape, np.float32) for _ in range(2))
         own = mixing.forth, mixing.back, mixing.variances
+
+        def report(done: int) -> None:
+            large_arrays.leave_memory()
+            if progress is not None:
+                progress(done)
+
         collaborate_on_grid(
-            self.atlas.kind, noisy, pilot, own, None, has_pilot, estimates, weights, self.threads, progress
+            self.atlas.kind, noisy, pilot, own, None, has_pilot, estimates, weights, self.threads, report
         )
         refresh_halo(estimates, self.atlas)
         return estimates

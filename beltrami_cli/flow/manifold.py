@@ -245,7 +245,7 @@ class Manifold(ABC):
         """Estimate colours from patches that look alike in the pilot, which is an estimate itself or only compared."""
 
     @abstractmethod
-    def perturbation(self) -> NDArray[np.float32]:
+    def perturbation(self) -> NDArray[np.float32] | NDArray[np.int8]:
         """Return a stack of random signs, or of noise that neighbours share as they share that of the colours."""
 
     @abstractmethod

@@ -23,7 +23,7 @@ _FLOATS = 2 * 4  # the old and the new colours of one image at a time, in single
 
 # Bytes per texel of all textures that smoothing needs besides the images, at most: with large arrays in memory, and in
 # files.
-TEXEL_BYTES, TEXEL_BYTES_ON_DISK = 130, 8
+TEXEL_BYTES, TEXEL_BYTES_ON_DISK = 195, 8
 
 
 def require_memory(images: Iterable[tuple[str, bytes]], access: Access) -> None:

@@ -104,7 +104,7 @@ def texels_by_texture(
             yield index, inside, texels[inside] - begin
 
 
-def refresh_halo(planes: NDArray[np.float32], atlas: Atlas, *, interpolated: bool = False) -> None:
+def refresh_halo(planes: NDArray[Any], atlas: Atlas, *, interpolated: bool = False) -> None:
     """Give the halo cells of all planes, shape (N, R, C), in place, the values of their owned cells."""
     # The nearest cell is better for colours that are averaged: a mean has less noise than other samples,
     # and beside an edge it is a colour that neither side has, over which kernels find their way across.

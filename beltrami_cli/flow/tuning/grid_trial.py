@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.flow.noise.haar_noise import draw_haar_noise, sigma_of_covariances
+from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import EMPTY, OWNED, refresh_halo
 
 if TYPE_CHECKING:
@@ -28,6 +29,9 @@ _CORE = 64
 
 # Iterations spread errors from a block's border inwards; most of a kernel's weight lies within this many cells.
 _RIM = 8
+
+# Rows of signs that are drawn together.
+_ROWS = 64
 
 # Any seed is as good; a fixed one makes the choice reproducible.
 _SEED = 20
@@ -73,6 +77,17 @@ def perturbations(
     for planes in drawn:
         refresh_halo(planes, atlas)
     return drawn
+
+
+def random_signs(channels: int, atlas: Atlas) -> NDArray[np.int8]:
+    """Return planes of independent signs, 0 in empty cells."""
+    random, kind = np.random.default_rng(_SEED), atlas.kind
+    planes: NDArray[np.int8] = large_arrays.empty((channels, *kind.shape), np.int8)
+    for rows in large_arrays.blocks(len(kind), _ROWS):
+        drawn = random.integers(0, 2, (channels, *kind[rows].shape), np.int8) * 2 - 1
+        planes[:, rows] = np.where(kind[rows] == EMPTY, 0, drawn)
+    refresh_halo(planes, atlas)
+    return planes
 
 
 def choose_blocks(atlas: Atlas, budget: int, reach: int) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
