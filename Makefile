@@ -134,6 +134,7 @@ sanitize: $(VENV)/.installed-test
 	build/sanitize/atlas_tests
 	build/sanitize/colours_tests
 	build/sanitize/grid_tests
+	build/sanitize/patches_tests
 	build/sanitize/points_tests
 
 # The viewer of `beltrami report` is three.js, bundled once and kept in the package.

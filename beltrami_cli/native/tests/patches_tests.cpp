@@ -1,0 +1,372 @@
+// Tests of collaborative patches without Python, meant to be run under the sanitizers: groups against a solution of their
+// equations in double precision, then whole grids and surfaces of every shape, with holes.
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+#include <limits>
+#include <random>
+#include <vector>
+
+#include "patches/grid_patches.hpp"
+#include "patches/groups.hpp"
+#include "patches/surface_patches.hpp"
+#include "tests/check.hpp"
+
+using namespace beltrami::patches;
+namespace grid = beltrami::grid;
+
+namespace {
+
+using Random = std::mt19937;
+using Square = std::vector<std::vector<double>>;
+
+constexpr float nowhere = std::numeric_limits<float>::quiet_NaN();
+
+float normal(Random& random) { return std::normal_distribution<float>()(random); }
+
+// Gauss and Jordan, with the largest pivot of each column.
+Square inverse_of(Square a) {
+  const std::size_t n = a.size();
+  Square b(n, std::vector<double>(n, 0));
+  for (std::size_t i = 0; i < n; ++i) b[i][i] = 1;
+  for (std::size_t k = 0; k < n; ++k) {
+    std::size_t best = k;
+    for (std::size_t i = k; i < n; ++i)
+      if (std::abs(a[i][k]) > std::abs(a[best][k])) best = i;
+    std::swap(a[k], a[best]);
+    std::swap(b[k], b[best]);
+    const double pivot = a[k][k];
+    for (std::size_t j = 0; j < n; ++j) {
+      a[k][j] /= pivot;
+      b[k][j] /= pivot;
+    }
+    for (std::size_t i = 0; i < n; ++i) {
+      const double factor = a[i][k];
+      for (std::size_t j = 0; i != k && j < n; ++j) {
+        a[i][j] -= factor * a[k][j];
+        b[i][j] -= factor * b[k][j];
+      }
+    }
+  }
+  return b;
+}
+
+// One group of patches that lie apart or overlap, in samples of which the last is in none.
+struct Case {
+  std::size_t rows, size, found, samples, channels = 2;
+  std::vector<std::int32_t> places;
+  std::vector<float> noisy, pilot, relative, variances{0.01F, 0.0004F};
+
+  Case(std::size_t n, std::size_t k, std::size_t used, Random& random)
+      : rows(n), size(k), found(used), samples(n * k + 1), places(n * k) {
+    const bool overlaps = random() % 2 == 0;
+    for (std::size_t p = 0; p < rows; ++p)
+      for (std::size_t j = 0; j < size; ++j)
+        places[p * size + j] = static_cast<std::int32_t>(j >= found ? samples - 1 : overlaps ? p + j : p * size + j);
+    for (std::size_t i = 0; i < channels * samples; ++i) {
+      const bool is_read = i % samples != samples - 1;
+      const float colour = 0.6F + 0.3F * std::sin(static_cast<float>(i % samples) / 5);
+      pilot.push_back(is_read ? colour + 0.02F * normal(random) : nowhere);
+      noisy.push_back(is_read ? colour + std::sqrt(variances[i / samples]) * normal(random) : nowhere);
+    }
+    for (std::size_t i = 0; i < samples; ++i)
+      relative.push_back(i + 1 < samples ? 0.2F + static_cast<float>(random() % 100) / 50.0F : nowhere);
+  }
+
+  Channels input(bool varies) const {
+    return {noisy.data(), pilot.data(), variances.data(), varies ? relative.data() : nullptr, channels, samples};
+  }
+};
+
+struct Planes {
+  std::vector<float> estimates, weights;
+
+  explicit Planes(std::size_t count, float filling = 0) : estimates(count, filling), weights(count, filling) {}
+  Sums sums() { return {estimates.data(), weights.data()}; }
+  bool operator==(const Planes&) const = default;
+};
+
+// Theta as groups.hpp has it, of one channel.
+Square combinations(const Case& own, std::size_t channel, bool has_pilot, bool varies) {
+  constexpr double least_share = 0.05;
+  const float* values = (has_pilot ? own.pilot : own.noisy).data() + channel * own.samples;
+  const auto place = [&](std::size_t p, std::size_t k) { return static_cast<std::size_t>(own.places[p * own.size + k]); };
+  Square matrix(own.found, std::vector<double>(own.found, 0));
+  std::vector<double> energy(own.found, 0), b(own.found, 0);
+  for (std::size_t k = 0; k < own.found; ++k)
+    for (std::size_t p = 0; p < own.rows; ++p)
+      energy[k] += double{own.variances[channel]} * (varies ? double{own.relative[place(p, k)]} : 1.0);
+  for (std::size_t i = 0; i < own.found; ++i)
+    for (std::size_t j = 0; j < own.found; ++j)
+      for (std::size_t p = 0; p < own.rows; ++p) matrix[i][j] += double{values[place(p, i)]} * double{values[place(p, j)]};
+  for (std::size_t k = 0; k < own.found; ++k) matrix[k][k] += (has_pilot ? 1 : least_share) * energy[k];
+  Square theta = inverse_of(matrix);
+  double total = 0;
+  for (std::size_t i = 0; i < own.found; ++i)
+    for (std::size_t j = 0; j < own.found; ++j) b[i] += theta[i][j];
+  for (const double value : b) total += value;
+  for (std::size_t i = 0; i < own.found; ++i)
+    for (std::size_t j = 0; j < own.found; ++j)
+      theta[i][j] = (i == j ? 1 : 0) - (theta[i][j] - b[i] * b[j] / total) * energy[j];
+  return theta;
+}
+
+void check_against_the_equations(const Case& own, bool has_pilot, bool varies) {
+  Planes found(own.channels * own.samples);
+  GroupScratch scratch;
+  baseline::add_group(own.input(varies), own.places.data(), own.rows, own.size, own.found, has_pilot, found.sums(),
+                      scratch);
+  for (std::size_t channel = 0; channel < own.channels; ++channel) {
+    // A hundredth of a step of 8-bit files. Without a pilot few are used; systems of more are ill-conditioned.
+    const double tolerance = has_pilot || own.size == few ? 4e-5 : 2e-4;
+    const Square theta = combinations(own, channel, has_pilot, varies);
+    const float* noisy = own.noisy.data() + channel * own.samples;
+    std::vector<double> estimates(own.samples, 0), weights(own.samples, 0);
+    for (std::size_t k = 0; k < own.found; ++k) {
+      double norm = 0;
+      for (std::size_t i = 0; i < own.found; ++i) norm += theta[i][k] * theta[i][k];
+      for (std::size_t p = 0; p < own.rows; ++p) {
+        double value = 0;
+        for (std::size_t i = 0; i < own.found; ++i)
+          value += theta[i][k] * double{noisy[own.places[p * own.size + i]]};
+        estimates[static_cast<std::size_t>(own.places[p * own.size + k])] += value / norm;
+        weights[static_cast<std::size_t>(own.places[p * own.size + k])] += 1 / norm;
+      }
+    }
+    for (std::size_t i = 0; i < own.samples; ++i) {
+      const double estimate = double{found.estimates[channel * own.samples + i]};
+      const double weight = double{found.weights[channel * own.samples + i]};
+      CHECK((weights[i] > 0) == (weight > 0) && (weights[i] > 0 || estimate == 0));
+      CHECK(std::abs(weight - weights[i]) <= 5e-3 * weights[i]);
+      if (weight > 0) CHECK(std::abs(estimate / weight - estimates[i] / weights[i]) < tolerance);
+    }
+  }
+}
+
+void groups_agree_with_the_equations_in_double_precision() {
+  Random random(21);
+  for (const std::size_t size : {few, medium, many})
+    for (const std::size_t rows : {std::size_t{1}, std::size_t{7}, std::size_t{25}, std::size_t{49}, most_rows})
+      for (const std::size_t missing : {std::size_t{0}, std::size_t{3}, size / 2 + 1, size - 1})
+        for (int mode = 0; mode < 4; ++mode)
+          check_against_the_equations(Case(rows, size, size - missing, random), mode % 2 == 0, mode < 2);
+}
+
+void a_constant_stays_whatever_the_pilot_is() {
+  Random random(22);
+  GroupScratch scratch;
+  for (int mode = 0; mode < 2; ++mode) {
+    Case own(49, many, many - 5, random);
+    std::fill(own.noisy.begin(), own.noisy.end(), 0.7F);
+    Planes found(own.channels * own.samples);
+    baseline::add_group(own.input(true), own.places.data(), own.rows, own.size, own.found, mode == 0, found.sums(), scratch);
+    for (std::size_t i = 0; i < found.weights.size(); ++i)
+      if (found.weights[i] > 0) CHECK(std::abs(found.estimates[i] / found.weights[i] - 0.7F) < 1e-5F);
+  }
+}
+
+// A canvas with holes, of which nothing may be read, and halo.
+struct Grid {
+  std::size_t rows, columns, channels;
+  std::vector<std::uint8_t> kind;
+  std::vector<float> noisy, pilot, relative, mixing, variances;
+
+  Grid(std::size_t height, std::size_t width, Random& random)
+      : rows(height), columns(width), channels(1 + random() % 4), kind(rows * columns), relative(rows * columns, 1),
+        mixing(channels * channels, 0), variances(channels, 0.01F) {
+    const auto holes = 2 + random() % 20;
+    for (auto& cell : kind)
+      cell = static_cast<std::uint8_t>(random() % holes ? grid::owned : random() % 2 ? grid::halo : grid::empty);
+    for (std::size_t c = 0; c < channels; ++c) {
+      mixing[c * channels + c] = 1;
+      for (std::size_t i = 0; i < kind.size(); ++i) {
+        const float colour = 0.5F + 0.3F * std::sin(static_cast<float>(i % columns + c) / 4);
+        pilot.push_back(kind[i] == grid::empty ? nowhere : colour);
+        noisy.push_back(kind[i] == grid::empty ? nowhere : colour + 0.1F * normal(random));
+      }
+    }
+  }
+
+  Planes result(bool has_pilot, unsigned threads, bool varies = false) const {
+    Planes found(noisy.size(), nowhere);
+    const Canvas canvas{rows,          columns,       kind.data(),   noisy.data(),     pilot.data(),
+                        channels,      mixing.data(), mixing.data(), variances.data(), varies ? relative.data() : nullptr};
+    collaborate(canvas, has_pilot, found.sums(), threads);
+    return found;
+  }
+};
+
+void grids_have_an_estimate_in_every_owned_cell_and_the_pilot_elsewhere() {
+  Random random(23);
+  for (int trial = 0; trial < 24; ++trial) {
+    const Grid own(1 + random() % (trial < 12 ? 12 : 140), 1 + random() % (trial < 12 ? 12 : 140), random);
+    const bool has_pilot = trial % 2 == 0;
+    const Planes found = own.result(has_pilot, 1);
+    CHECK(found.estimates.size() == own.noisy.size());
+    for (std::size_t i = 0; i < own.noisy.size(); ++i) {
+      const auto kind = own.kind[i % own.kind.size()];
+      if (kind == grid::owned)
+        CHECK(found.weights[i] > 0 && found.estimates[i] > -0.3F && found.estimates[i] < 1.3F);
+      else if (kind == grid::halo)
+        CHECK(found.estimates[i] == own.pilot[i]);
+      else
+        CHECK(found.weights[i] == 0 && std::isnan(found.estimates[i]));
+    }
+  }
+}
+
+bool same_bits(const std::vector<float>& one, const std::vector<float>& other) {
+  return std::equal(one.begin(), one.end(), other.begin(), other.end(),
+                    [](float a, float b) { return a == b || (std::isnan(a) && std::isnan(b)); });
+}
+
+void grids_do_not_depend_on_threads() {
+  Random random(24);
+  for (int trial = 0; trial < 4; ++trial) {
+    const Grid own(60 + random() % 120, 60 + random() % 120, random);
+    const std::vector<float> found = own.result(trial % 2 == 0, 1).estimates;
+    CHECK(same_bits(found, own.result(trial % 2 == 0, 2).estimates));
+    CHECK(same_bits(found, own.result(trial % 2 == 0, 3).estimates));
+    // Noise that is the same everywhere is a case of noise that differs from place to place.
+    CHECK(same_bits(found, own.result(trial % 2 == 0, 2, true).estimates));
+  }
+}
+
+void colours_are_mixed_and_mixed_back() {
+  Random random(25);
+  Grid own(40, 50, random);
+  std::vector<float> constant(own.noisy.size());
+  for (std::size_t i = 0; i < constant.size(); ++i) constant[i] = 0.1F + 0.2F * static_cast<float>(i / own.kind.size());
+  std::vector<float> back = own.mixing;
+  for (std::size_t c = 1; c < own.channels; ++c) {
+    own.mixing[c] = 0.5F;  // the first channel becomes a sum
+    back[c] = -0.5F;
+  }
+  Planes found(own.noisy.size());
+  const Canvas canvas{own.rows,     own.columns,       own.kind.data(), constant.data(),      own.pilot.data(),
+                      own.channels, own.mixing.data(), back.data(),     own.variances.data(), nullptr};
+  collaborate(canvas, true, found.sums(), 2);
+  for (std::size_t i = 0; i < constant.size(); ++i)
+    if (own.kind[i % own.kind.size()] == grid::owned) CHECK(std::abs(found.estimates[i] - constant[i]) < 1e-5F);
+}
+
+void no_owned_cell_and_a_stop_are_handled() {
+  Random random(26);
+  Grid own(130, 70, random);
+  bool stopped = false;
+  Planes found(own.noisy.size());
+  const Canvas canvas{own.rows,     own.columns,       own.kind.data(),   own.noisy.data(),     own.pilot.data(),
+                      own.channels, own.mixing.data(), own.mixing.data(), own.variances.data(), nullptr};
+  try {
+    collaborate(canvas, true, found.sums(), 2, [](std::size_t) { return false; });
+  } catch (const beltrami::Cancelled&) {
+    stopped = true;
+  }
+  CHECK(stopped);
+  for (auto& cell : own.kind)
+    if (cell == grid::owned) cell = grid::halo;
+  CHECK(same_bits(own.result(true, 2).estimates, own.pilot));
+}
+
+// Sheets of jittered vertices above one another, with nothing between them, and a vertex that no edge ends at.
+struct Sheets {
+  std::size_t side, count, channels = 3;
+  std::vector<Position> positions;
+  std::vector<std::array<std::int32_t, 2>> edges;
+  std::vector<std::uint64_t> priorities;
+  std::vector<float> noisy, pilot, mixing{1, 0, 0, 0, 1, 0, 0, 0, 1}, variances{0.01F, 0.01F, 0.01F};
+
+  Sheets(std::size_t vertices, std::size_t sheets, Random& random) : side(vertices), count(sheets) {
+    for (std::size_t sheet = 0; sheet < count; ++sheet)
+      for (std::size_t i = 0; i < side * side; ++i) {
+        const auto at = static_cast<std::int32_t>(sheet * side * side + i);
+        const auto jitter = [&] { return static_cast<double>(random() % 100) / 400; };
+        positions.push_back({static_cast<double>(i % side) + jitter(), static_cast<double>(i / side) + jitter(),
+                             0.05 * static_cast<double>(sheet)});
+        const bool is_last = i % side + 1 == side, is_top = i / side + 1 == side;
+        const auto step = static_cast<std::int32_t>(side);
+        if (!is_last) edges.push_back({at, at + 1});
+        if (!is_top) edges.push_back({at, at + step});
+        if (!is_last && !is_top) edges.push_back({at, at + step + 1});
+      }
+    positions.push_back({0.5, 0.5, 0});
+    for (std::size_t i = 0; i < positions.size(); ++i) {
+      priorities.push_back(random());
+      const float colour = i < side * side ? 0.5F : 1000.0F;
+      for (std::size_t c = 0; c < channels; ++c) {
+        pilot.push_back(colour + 0.2F * static_cast<float>(std::sin(positions[i][0] / 3)));
+        noisy.push_back(pilot.back() + 0.1F * normal(random));
+      }
+    }
+  }
+
+  SurfacePatches patches(unsigned threads) const {
+    return {positions, edges, {Position{1, 0.2, 0}, Position{0, 1, 0}}, priorities, threads};
+  }
+
+  std::vector<float> result(const SurfacePatches& own, bool has_pilot, unsigned threads) const {
+    Planes found(noisy.size(), nowhere);
+    const SurfacePatches::Colours colours{noisy.data(),  pilot.data(),  channels,
+                                          mixing.data(), mixing.data(), variances.data()};
+    own.collaborate(colours, has_pilot, found.sums(), threads);
+    return found.estimates;
+  }
+};
+
+void patches_of_vertices_stay_on_their_sheet() {
+  Random random(27);
+  const Sheets own(24, 2, random);
+  const SurfacePatches patches = own.patches(2);
+  const auto sheet_of = [&](std::size_t vertex) { return vertex / (own.side * own.side); };
+  for (std::size_t vertex = 0; vertex < patches.size(); ++vertex) {
+    const Nodes& found = patches.patch(vertex);
+    CHECK(found[nodes / 2] == static_cast<std::int32_t>(vertex));
+    for (const std::int32_t other : found) CHECK(other < 0 || sheet_of(static_cast<std::size_t>(other)) == sheet_of(vertex));
+  }
+  for (const bool has_pilot : {false, true}) {
+    const std::vector<float> found = own.result(patches, has_pilot, 2);
+    // Below the sheet of 1000, all stay near 0.5; the last vertex is alone.
+    for (std::size_t i = 0; i < own.side * own.side * own.channels; ++i) CHECK(found[i] > -0.3F && found[i] < 1.3F);
+    for (std::size_t i = found.size() - own.channels; i < found.size(); ++i)
+      CHECK(std::abs(found[i] - own.noisy[i]) < 1e-3F);
+  }
+}
+
+void surfaces_do_not_depend_on_threads() {
+  Random random(28);
+  const Sheets own(70, 1, random);
+  const SurfacePatches one = own.patches(1), three = own.patches(3);
+  for (const bool has_pilot : {false, true}) {
+    const std::vector<float> found = own.result(one, has_pilot, 1);
+    CHECK(found == own.result(three, has_pilot, 2));
+    CHECK(found == own.result(three, has_pilot, 3));
+  }
+}
+
+void small_surfaces_and_vertices_at_one_place_are_handled() {
+  Random random(29);
+  for (std::size_t side = 1; side < 6; ++side) {
+    Sheets own(side, 2, random);
+    for (int trial = 0; trial < 2; ++trial) {
+      const std::vector<float> found = own.result(own.patches(1), trial == 0, 1);
+      for (const float value : found) CHECK(std::isfinite(value));
+      for (Position& position : own.positions) position = {1, 2, 3};
+    }
+  }
+}
+
+}  // namespace
+
+int main() {
+  groups_agree_with_the_equations_in_double_precision();
+  a_constant_stays_whatever_the_pilot_is();
+  grids_have_an_estimate_in_every_owned_cell_and_the_pilot_elsewhere();
+  grids_do_not_depend_on_threads();
+  colours_are_mixed_and_mixed_back();
+  no_owned_cell_and_a_stop_are_handled();
+  patches_of_vertices_stay_on_their_sheet();
+  surfaces_do_not_depend_on_threads();
+  small_surfaces_and_vertices_at_one_place_are_handled();
+  std::puts("patches tests passed");
+  return 0;
+}
