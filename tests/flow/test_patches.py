@@ -1,0 +1,281 @@
+"""Patches and their blend with the kernel: cut-off noise, the estimated error, and one result however computed."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from beltrami_cli import _native, smooth, smooth_image
+from beltrami_cli.flow import beltrami_flow, patches
+from beltrami_cli.flow.beltrami_flow import in_partitions
+from beltrami_cli.flow.clipping import ClippedChannels
+from beltrami_cli.flow.parameters import PRESETS, KernelParameters
+from beltrami_cli.samples.image_surface import ImageSurface, grid_flow
+from flow.split_surfaces import (
+    FIXED,
+    InTurn,
+    image_flow,
+    outcome,
+    same_bits,
+    smooth_mesh,
+    textured_flow,
+    wavy_surface,
+)
+from flow.test_bands import low_row_blocks
+from oracles import surfaces
+from oracles.paintings import flat_paint, line_art, photograph, psnr, with_noise
+
+SIGMA = 0.08
+BOTH = ClippedChannels((True,), (True,), np.array([SIGMA]))
+LEVELS = [0.0, 0.02, 0.1, 0.5, 0.93, 1.0]
+ON = {**FIXED, "patches": "on"}
+RANDOM = np.random.default_rng(7)
+SMALL_MESH = wavy_surface(40)
+
+
+def cut_off_samples(level, count=200_000):
+    return np.clip(level + SIGMA * RANDOM.standard_normal((1, count)), 0, 1).astype(np.float32)
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_imputed_samples_have_the_true_mean_and_are_cut_off_as_they_were(level):
+    samples = cut_off_samples(level)
+    imputed = samples.copy()
+    BOTH.impute(imputed, np.full_like(samples, level))
+    # Less scattered than the noise itself, since all at the limit become one value.
+    assert abs(imputed.mean(dtype=np.float64) - level) < 4 * SIGMA / np.sqrt(samples.size)
+    inside = (samples > 0) & (samples < 1)
+    assert np.array_equal(imputed[inside], samples[inside])
+    np.testing.assert_allclose(BOTH.cut_off(imputed), samples, atol=1e-6)
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_expected_is_the_mean_of_cut_off_noise(level):
+    samples, true = cut_off_samples(level), np.full((1, 1), level, np.float32)
+    assert abs(BOTH.expected(true)[0, 0] - samples.mean(dtype=np.float64)) < 4 * SIGMA / np.sqrt(samples.size)
+    within = np.mean((samples > 0) & (samples < 1))
+    assert abs(BOTH.share_within(true, 0)[0] - within) < 4 * 0.5 / np.sqrt(samples.size)
+
+
+def test_only_limits_at_which_noise_was_cut_off_count():
+    high = ClippedChannels((False, False), (False, True), np.array([SIGMA, SIGMA]))
+    colours = np.array([[0.0, 0.5, 1.0]] * 2, np.float32)
+    imputed = colours.copy()
+    high.impute(imputed, colours)
+    assert np.array_equal(imputed[0], colours[0])
+    assert np.array_equal(imputed[1, :2], colours[1, :2])
+    assert imputed[1, 2] > 1
+    np.testing.assert_allclose(high.expected(colours)[:, :2], colours[:, :2], atol=1e-9)
+    assert high.expected(colours)[1, 2] < 1
+
+
+def pixel_flow(image, **parameters):
+    values = image.reshape(-1, image.shape[2])
+    own = KernelParameters(**{"threads": 2, **parameters})
+    return grid_flow(ImageSurface(valid=np.ones(image.shape[:2], bool)), lambda pixels: values[pixels], own)
+
+
+class Seen:
+    """Runs flows, and keeps the colours that are blended, and the estimated gain."""
+
+    def __init__(self, monkeypatch):
+        monkeypatch.setattr(patches, "_mix", self._mixed)
+        monkeypatch.setattr(beltrami_flow, "blend_with_patches", self._blended)
+
+    def _mixed(self, manifold, before, after, sums, mix=patches._mix):
+        self.kernel, self.patches = before.copy(), after.copy()
+        return mix(manifold, before, after, sums)
+
+    def _blended(self, *arguments, blend=patches.blend_with_patches):
+        done = blend(*arguments)
+        self.blend, self.gain = done.colours.copy(), done.gain
+        return done
+
+    def errors(self, flow, clean):
+        """Return the mean square errors of the kernel, of patches and of the blend."""
+        flow.run()
+        colours = [
+            stack.reshape(len(stack), -1)[:, flow.manifold.atlas.owned_cells].T
+            for stack in (self.kernel, self.patches, self.blend)
+        ]
+        return [np.mean((each - clean.reshape(-1, clean.shape[2])) ** 2) for each in colours]
+
+
+@pytest.mark.parametrize("contrast", [0.02, 0.1])
+def test_the_estimated_gain_is_the_true_one_on_white_noise(contrast, monkeypatch):
+    clean = photograph(128, contrast=contrast)
+    flow = pixel_flow(with_noise(clean, SIGMA, cut_off=False), **{**ON, "iterations": 3})
+    flow.manifold.sigma = np.full(3, SIGMA)
+    seen = Seen(monkeypatch)
+    kernel, alone, blend = seen.errors(flow, clean)
+    # Given w, the estimate scatters by n . d, the noise times the difference of both, over all samples; noise that
+    # w follows, and the perturbation that is drawn once, scatter about as much.
+    difference = np.sqrt(np.mean((seen.patches - seen.kernel) ** 2))
+    scatter = 2 * SIGMA * difference / np.sqrt(clean.size)
+    assert abs(seen.gain - (kernel - blend)) < 4 * np.sqrt(3) * scatter + 0.05 * abs(kernel - blend)
+    assert blend <= min(kernel, alone) * 1.02
+
+
+CLEAN = {"photograph": photograph, "flat paint": flat_paint, "line art": line_art}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("sigma", [10, 20, 40])
+@pytest.mark.parametrize("name", CLEAN)
+def test_the_blend_is_as_good_as_the_better_of_kernel_and_patches(name, sigma, monkeypatch):
+    clean = CLEAN[name](96)
+    free = ("iterations", "t", "beta", "beta_growth", "metric_steps")
+    flow = pixel_flow(with_noise(clean, sigma / 255), free=free)
+    kernel, alone, blend = (-10 * np.log10(error) for error in Seen(monkeypatch).errors(flow, clean))
+    assert blend > max(kernel, alone) - 0.2
+
+
+def test_photographs_are_taken_from_patches_and_paint_from_the_kernel():
+    shares = []
+    for clean in (photograph(64), flat_paint(64)):
+        noisy = with_noise(clean, 20 / 255)
+        kernel, blend = (smooth_image(noisy, patches=wanted) for wanted in ("off", "auto"))
+        assert psnr(blend.colours, clean) > psnr(kernel.colours, clean) - 0.3
+        shares.append(blend.patches)
+    assert shares[0] > 0.8
+    assert shares[1] < 0.2
+
+
+@pytest.mark.parametrize("make", [textured_flow, image_flow])
+def test_on_grids_nothing_depends_on_threads_row_blocks_partitions_and_instruction_sets(make, monkeypatch):
+    def run(**others):
+        return outcome(make(KernelParameters(**{**ON, "threads": 1, **others})))
+
+    whole = run()
+    assert not same_bits(whole[:1], run(patches="off")[:1])
+    for threads in (2, 3):
+        assert same_bits(run(threads=threads), whole)
+    with in_partitions(3, InTurn(2)):
+        assert same_bits(run(), whole)
+    for name in instruction_sets(monkeypatch):
+        assert same_bits(run(), whole), name
+    low_row_blocks(monkeypatch)
+    assert same_bits(run(), whole)
+
+
+def test_on_meshes_nothing_depends_on_threads_partitions_and_instruction_sets(monkeypatch):
+    def run(**others):
+        return smooth_mesh(
+            SMALL_MESH, KernelParameters(**{**ON, "solver": "segments", "threads": 1, **others})
+        )
+
+    whole = run()
+    assert not np.array_equal(whole.colours, run(patches="off").colours)
+    for threads in (2, 3):
+        assert np.array_equal(run(threads=threads).colours, whole.colours)
+    with in_partitions(2, InTurn(2)):
+        assert np.array_equal(run().colours, whole.colours)
+    for name in instruction_sets(monkeypatch):
+        assert np.array_equal(run().colours, whole.colours), name
+
+
+def instruction_sets(monkeypatch):
+    """Let the core use each instruction set that this machine has, in turn."""
+    for name in ("baseline", "x86-64-v3", "x86-64-v4"):
+        with monkeypatch.context() as patch:
+            patch.setenv("BELTRAMI_SIMD", name)
+            try:
+                _native.sweep_instruction_set()
+            except ValueError:
+                continue
+            yield name
+
+
+@pytest.mark.parametrize("make", ["mesh", "pixels"])
+def test_progress_goes_up_to_the_work_there_is(make):
+    calls = []
+    if make == "mesh":
+        smooth_mesh(SMALL_MESH, KernelParameters(**ON), progress=lambda *call: calls.append(call))
+    else:
+        pixel_flow(with_noise(photograph(130), SIGMA), **ON).run(lambda *call: calls.append(call))
+    assert len({total for _, total in calls}) == 1
+    done = [before for before, _ in calls]
+    assert done == sorted(done)
+    assert 0.9 * calls[0][1] < done[-1] <= calls[0][1]
+
+
+def test_a_progress_that_raises_ends_the_run_while_patches_are_estimated():
+    def stop(done, total):
+        if done > total / 2:
+            raise KeyboardInterrupt
+
+    for run in (
+        pixel_flow(with_noise(photograph(130), SIGMA), **ON).run,
+        lambda progress: smooth_mesh(SMALL_MESH, KernelParameters(**ON), progress=progress),
+    ):
+        with pytest.raises(KeyboardInterrupt):
+            run(stop)
+
+
+def test_channels_that_vary_apart_are_not_mixed():
+    clean = photograph(48)
+    for image, mixed in (
+        (clean, True),
+        (np.dstack([clean[..., 0], clean[::-1, :, 0], clean[..., 0].T]), False),
+    ):
+        flow = pixel_flow(with_noise(image, 0.02), **FIXED)
+        mixing = patches.mixing_of(flow.manifold, flow.manifold.colours)
+        assert np.allclose(mixing.forth @ mixing.back, np.eye(3), atol=1e-6)
+        assert np.count_nonzero(mixing.forth[:, 0]) == (3 if mixed else 1)
+
+
+def test_channels_without_noise_stay_and_do_not_stop_the_others():
+    clean = photograph(64)
+    constant = np.full((64, 64, 1), 0.37)
+    stripes = (np.arange(64) // 8 % 2 * np.ones((64, 1)))[..., None]
+    noisy = np.dstack([with_noise(clean, SIGMA), constant, stripes, np.ones_like(constant)]).astype(
+        np.float32
+    )
+    result = smooth_image(noisy)
+    np.testing.assert_allclose(result.colours[..., 3:], noisy[..., 3:], atol=1e-5)
+    without = smooth_image(noisy[..., :3])
+    assert psnr(result.colours[..., :3], clean) > psnr(without.colours, clean) - 0.2
+
+
+@pytest.mark.parametrize("channels", [1, 2, 3, 4, 6])
+def test_any_number_of_channels_is_smoothed(channels):
+    clean = np.dstack([photograph(64), photograph(64, seed=2)])[..., :channels]
+    noisy = with_noise(clean, SIGMA)
+    for parameters in ({}, {"space": "data"}):
+        result = smooth_image(noisy, **parameters)
+        assert result.patches > 0
+        assert (
+            psnr(result.colours, clean)
+            > psnr(smooth_image(noisy, patches="off", **parameters).colours, clean) - 0.1
+        )
+
+
+@pytest.mark.parametrize(
+    ("parameters", "taken"),
+    [
+        ({}, True),
+        ({"iterations": 2}, False),
+        ({"t": 1.0}, False),
+        ({"beta": 5.0}, False),
+        ({"beta": 0.0}, False),
+        ({"fast": True}, False),
+        ({"patches": "off"}, False),
+        ({"patches": "on", "beta": 5.0, "iterations": 1}, True),
+        ({"patches": "on", "fast": True}, True),
+        ({"patches": "on", "iterations": 0}, False),
+        ({"strength": "strong"}, True),
+        (PRESETS["paper"], False),
+    ],
+)  # fmt: skip
+def test_patches_are_taken_where_the_kernel_is_chosen_from_the_data_or_they_are_asked_for(parameters, taken):
+    noisy = with_noise(photograph(32), SIGMA)
+    positions, faces = surfaces.plane(32, 32)
+    assert (smooth_image(noisy, **parameters).patches is not None) == taken
+    assert (smooth(positions, faces, noisy.reshape(-1, 3), **parameters).patches is not None) == taken
+
+
+def test_what_has_no_noise_is_the_same_with_and_without_patches():
+    for clean in (flat_paint(64).astype(np.float32), np.zeros((20, 20, 3), np.float32)):
+        kernel, both = (smooth_image(clean, patches=wanted) for wanted in ("off", "on"))
+        assert both.patches is None
+        assert np.array_equal(both.colours, kernel.colours)

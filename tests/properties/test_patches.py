@@ -1,0 +1,183 @@
+"""Patches on whole surfaces: no seam is seen, nothing crosses hard edges or thin sheets, and frames do not matter."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from beltrami_cli import smooth, smooth_image
+from beltrami_cli.samples.image_surface import ImageSurface
+from oracles import surfaces
+from oracles.paintings import photograph, psnr, with_noise
+from properties import textured_planes
+from properties.textured_planes import Board
+
+SIGMA = 20 / 255
+SIDE = 48
+# Turned, mirrored, and each in another corner of the image.
+PLACES = [(1, 1, 1, False), (0, 0, 2, True), (0, 1, 3, False), (1, 0, 0, True)]
+BOARD = Board(cells=8, texels=12, block=4, slot=64, slots=2, places=PLACES)
+FIXED = {"iterations": 1, "t": 2.0, "beta": 8.0, "patches": "on", "threads": 2}
+RANDOM = np.random.default_rng(5)
+
+
+def on_board(board, painting, **parameters):
+    """Smooth a painting on a plane that is cut into charts; return it as it lies on the plane."""
+    result, _ = textured_planes.smooth_image(
+        board.surface(), board.image_of(painting), **{**FIXED, **parameters}
+    )
+    y, x = board.texel_places()
+    return result[y, x]
+
+
+@pytest.mark.parametrize("sigma", [10, 20, 40])
+def test_no_seam_can_be_found_in_a_photograph(sigma):
+    """The error of steps across seams is that of steps beside them."""
+    side = BOARD.cells * BOARD.texels
+    clean = photograph(side)
+    error = on_board(BOARD, with_noise(clean, sigma / 255)) - clean
+    seam = side // 2 - 1
+    for steps in (np.diff(error, axis=0), np.diff(error, axis=1).swapaxes(0, 1)):
+        lines = np.abs(steps).mean(axis=(1, 2))
+        inside = np.delete(lines, [seam - 1, seam, seam + 1])
+        assert lines[seam] < inside.mean() + 3 * inside.std()
+
+
+def test_charts_cost_nothing():
+    side = BOARD.cells * BOARD.texels
+    clean = photograph(side)
+    noisy = with_noise(clean, SIGMA)
+    whole = Board(cells=8, texels=12, block=8, slot=128, slots=1, places=[(0, 0, 0, False)])
+    assert psnr(on_board(BOARD, noisy), clean) > psnr(on_board(whole, noisy), clean) - 0.3
+
+
+def test_nothing_crosses_a_seam_where_colours_jump():
+    side = BOARD.cells * BOARD.texels
+    clean = 0.1 * photograph(side) + 0.2
+    clean[:, side // 2 :] += 0.5
+    result = on_board(BOARD, with_noise(clean, SIGMA / 2))
+    beside = (result - clean)[:, side // 2 - 3 : side // 2 + 3]
+    # The mean of 96 x 3 samples by 3 channels; the kernel alone stays within this, too.
+    assert np.abs(beside.mean(axis=(0, 2))).max() < 0.01
+    assert np.abs(beside).max() < 0.1
+
+
+def plane(side=SIDE, seed=1):
+    positions, faces = surfaces.plane(side, side)
+    clean = photograph(side, seed).reshape(-1, 3)
+    return positions, faces, clean, with_noise(clean, SIGMA)
+
+
+def result_on(positions, faces, noisy, **parameters):
+    return smooth(positions, faces, noisy, **parameters).colours
+
+
+@pytest.fixture(scope="module")
+def scene():
+    """A hilly surface with open borders and its result."""
+    positions, faces, clean, noisy = plane()
+    positions = positions + np.column_stack([np.zeros((len(positions), 2)), 3 * np.sin(positions[:, 0] / 7)])
+    return positions, faces, clean, noisy, result_on(positions, faces, noisy)
+
+
+def test_patches_gain_on_vertices_up_to_open_borders(scene):
+    positions, faces, clean, noisy, both = scene
+    kernel = result_on(positions, faces, noisy, patches="off")
+    border = np.any((positions[:, :2] < 2) | (positions[:, :2] > SIDE - 3), axis=1)
+    for part in (border, ~border):
+        assert psnr(both[part], clean[part]) > psnr(kernel[part], clean[part]) + 0.3
+
+
+@pytest.mark.parametrize("frame", ["turned", "mirrored", "scaled", "renumbered", "split"])
+def test_frames_and_numbers_make_no_difference(scene, frame):
+    positions, faces, _, noisy, expected = scene
+    turn = np.linalg.qr(RANDOM.standard_normal((3, 3)))[0]
+    if frame in ("turned", "mirrored", "scaled"):
+        matrix = {"turned": turn, "mirrored": np.diag([1.0, 1, -1]) @ turn, "scaled": 1000 * np.eye(3)}[frame]
+        result = result_on(positions @ matrix + 3, faces, noisy)
+    elif frame == "renumbered":
+        order = RANDOM.permutation(len(positions))
+        result = result_on(positions[order], np.argsort(order)[faces], noisy[order])
+        expected = expected[order]
+    else:
+        corners = np.arange(faces.size).reshape(-1, 3)
+        result = result_on(positions[faces.ravel()], corners, noisy[faces.ravel()])
+        expected = expected[faces.ravel()]
+    assert np.abs(result - expected).max() < 1 / 255
+
+
+def test_the_other_side_of_a_thin_sheet_is_no_neighbour():
+    positions, faces, clean, _ = plane()
+    clean = clean - 0.2
+    both = np.vstack([positions, positions + np.array([0, 0, 0.01])])
+    truth = np.vstack([clean * 0.5, clean * 0.5 + 0.5])
+    result = result_on(
+        both, np.vstack([faces, faces[:, ::-1] + len(positions)]), with_noise(truth, SIGMA / 2)
+    )
+    for side in (slice(len(positions)), slice(len(positions), None)):
+        assert abs((result - truth)[side].mean()) < 0.005
+        assert np.abs((result - truth)[side]).max() < 0.2
+
+
+def test_hard_edges_of_colour_stay():
+    positions, faces, clean, _ = plane()
+    clean = 0.2 * clean + 0.1 + 0.6 * (positions[:, :1] >= SIDE // 2)
+    error = result_on(positions, faces, with_noise(clean, SIGMA)) - clean
+    beside = np.abs(positions[:, 0] - (SIDE - 1) / 2) < 2
+    assert np.sqrt(np.mean(error[beside] ** 2)) < 0.4 * SIGMA
+
+
+def test_isolated_vertices_keep_their_colours():
+    positions, faces, _, noisy = plane()
+    alone = np.array([[1, 1, 1], [0, 0, 0], [0.3, 0.6, 0.9]], np.float32)
+    everything = np.vstack([positions, [[5, 5, 0.1], [6, 6, 0.1], [7, 7, 0.1]]])
+    result = result_on(everything, faces, np.vstack([noisy, alone]))
+    np.testing.assert_allclose(result[-3:], alone, atol=1e-6)
+
+
+def test_non_manifold_spots_and_degenerate_triangles_are_smoothed_as_well():
+    positions, faces, clean, noisy = plane()
+    middle = SIDE // 2 * SIDE + np.arange(SIDE - 1)
+    fin = np.column_stack([middle, middle + 1, len(positions) + np.arange(SIDE - 1)])
+    everything = np.vstack([positions, positions[middle] + [0.5, 0, 1]])
+    truth, colours = (np.vstack([each, each[middle]]) for each in (clean, noisy))
+    odd = [[0, 0, 1], [5, 6, 6], [10, 11, 12]]
+    result = result_on(everything, np.vstack([faces, fin, odd]), colours)
+    kernel = result_on(everything, np.vstack([faces, fin, odd]), colours, patches="off")
+    assert psnr(result, truth) > psnr(kernel, truth) + 0.3
+
+
+@pytest.mark.parametrize("dimension", [2, 3, 5])
+def test_positions_may_have_any_dimension(dimension):
+    positions, faces, clean, noisy = plane()
+    placed = np.zeros((len(positions), dimension))
+    placed[:, :2] = positions[:, :2]
+    assert psnr(result_on(placed, faces, noisy), clean) > psnr(noisy, clean) + 3
+
+
+def test_points_without_faces_are_smoothed_as_well():
+    positions, _, clean, noisy = plane()
+    kernel, both = (smooth(positions, None, noisy, patches=wanted).colours for wanted in ("off", "auto"))
+    assert psnr(both, clean) > psnr(kernel, clean) + 0.3
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 40), (3, 3), (5, 64)])
+def test_small_images_and_meshes_are_handled(shape):
+    noisy = RANDOM.random((*shape, 3)).astype(np.float32)
+    colours = smooth_image(noisy, patches="on").colours
+    assert np.isfinite(colours).all()
+    positions, faces = surfaces.plane(*shape)
+    assert np.isfinite(result_on(positions, faces, noisy.reshape(-1, 3), patches="on")).all()
+
+
+def test_pixels_of_holes_keep_their_colours_and_lend_none():
+    clean = photograph(64)
+    noisy = with_noise(clean, SIGMA)
+    noisy[20:30, 10:50] = [1, 0, 1]
+    valid = np.ones((64, 64), bool)
+    valid[20:30, 10:50] = False
+    result = smooth_image(noisy, surface=ImageSurface(valid=valid)).colours
+    assert np.array_equal(result[~valid], noisy[~valid])
+    beside = np.zeros_like(valid)
+    beside[18:32, 8:52] = True
+    assert np.abs((result - clean)[beside & valid].mean(axis=0)).max() < 0.02
