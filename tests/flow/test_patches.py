@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
 
@@ -101,7 +103,7 @@ class Seen:
         return [np.mean((each - clean.reshape(-1, clean.shape[2])) ** 2) for each in colours]
 
 
-@pytest.mark.parametrize("contrast", [0.02, 0.1])
+@pytest.mark.parametrize("contrast", [0.05, 0.1])
 def test_the_estimated_gain_is_the_true_one_on_white_noise(contrast, monkeypatch):
     clean = photograph(128, contrast=contrast)
     flow = pixel_flow(with_noise(clean, SIGMA, cut_off=False), **{**ON, "iterations": 3})
@@ -113,17 +115,22 @@ def test_the_estimated_gain_is_the_true_one_on_white_noise(contrast, monkeypatch
     difference = np.sqrt(np.mean((seen.patches - seen.kernel) ** 2))
     scatter = 2 * SIGMA * difference / np.sqrt(clean.size)
     assert abs(seen.gain - (kernel - blend)) < 4 * np.sqrt(3) * scatter + 0.05 * abs(kernel - blend)
-    assert blend <= min(kernel, alone) * 1.02
+    assert blend <= min(kernel, alone) * 1.03
 
 
-CLEAN = {"photograph": photograph, "flat paint": flat_paint, "line art": line_art}
+CLEAN = {
+    "photograph": photograph,
+    "faint photograph": partial(photograph, contrast=0.02),
+    "flat paint": flat_paint,
+    "line art": line_art,
+}
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("sigma", [10, 20, 40])
 @pytest.mark.parametrize("name", CLEAN)
 def test_the_blend_is_as_good_as_the_better_of_kernel_and_patches(name, sigma, monkeypatch):
-    clean = CLEAN[name](96)
+    clean = CLEAN[name](128)
     free = ("iterations", "t", "beta", "beta_growth", "metric_steps")
     flow = pixel_flow(with_noise(clean, sigma / 255), free=free)
     kernel, alone, blend = (-10 * np.log10(error) for error in Seen(monkeypatch).errors(flow, clean))
