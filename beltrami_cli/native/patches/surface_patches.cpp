@@ -34,9 +34,13 @@ struct Variant {
 
 using points::dot;
 
-Position direction_in(const points::TangentPlane& plane, const std::array<Position, 2>& axes) {
+// The axis that the rows of a lattice follow: the first, unless it is nearly normal to the surface.
+std::size_t leading_axis(const points::TangentPlane& plane, const std::array<Position, 2>& axes) {
   const double along = dot(axes[0], plane.normal);
-  const Position& axis = along * along < 0.8 * dot(axes[0], axes[0]) ? axes[0] : axes[1];
+  return along * along < 0.8 * dot(axes[0], axes[0]) ? 0 : 1;
+}
+
+Position direction_in(const points::TangentPlane& plane, const Position& axis) {
   const double height = dot(axis, plane.normal);
   Position direction;
   for (std::size_t i = 0; i < 3; ++i) direction[i] = axis[i] - height * plane.normal[i];
@@ -64,9 +68,10 @@ Nodes lattice_of(std::int32_t vertex, std::span<const std::int32_t> around, std:
   if (!(step > 0)) return found;
   const double reach = (lattice_reach + 1) * step;
   const points::TangentPlane plane = points::fit_tangent_plane(offsets, reach * reach);
-  const Position right = direction_in(plane, axes), up = cross(plane.normal, right);
-  // The sign of a fitted normal means nothing; up is on the side of one of the axes.
-  const double side = dot(up, axes[1]) != 0 ? dot(up, axes[1]) : dot(up, axes[0]);
+  const std::size_t leading = leading_axis(plane, axes);
+  const Position right = direction_in(plane, axes[leading]), up = cross(plane.normal, right);
+  // The sign of a fitted normal means nothing; up is on the side of the other axis.
+  const double side = dot(up, axes[1 - leading]);
   std::array<double, nodes> nearest;
   nearest.fill(furthest * furthest);
   for (std::size_t k = 0; k < offsets.size(); ++k) {

@@ -343,6 +343,21 @@ void surfaces_do_not_depend_on_threads() {
   }
 }
 
+void lattices_do_not_depend_on_the_order_of_edges() {
+  Random random(30);
+  Sheets own(20, 1, random);
+  for (Position& position : own.positions) position[2] += static_cast<double>(random() % 100) / 1000;
+  std::vector<std::array<std::int32_t, 2>> shuffled = own.edges;
+  std::shuffle(shuffled.begin(), shuffled.end(), random);
+  // Axes in the surface, and a first one that is normal to it.
+  const std::array along{Position{1, 0.2, 0}, Position{0, 1, 0}}, upright{Position{0.1, 0, 1}, Position{1, 0.3, 0}};
+  for (const auto& axes : {along, upright}) {
+    const SurfacePatches one(own.positions, own.edges, axes, own.priorities, 1);
+    const SurfacePatches other(own.positions, shuffled, axes, own.priorities, 2);
+    for (std::size_t vertex = 0; vertex < one.size(); ++vertex) CHECK(one.patch(vertex) == other.patch(vertex));
+  }
+}
+
 void small_surfaces_and_vertices_at_one_place_are_handled() {
   Random random(29);
   for (std::size_t side = 1; side < 6; ++side) {
@@ -366,6 +381,7 @@ int main() {
   no_owned_cell_and_a_stop_are_handled();
   patches_of_vertices_stay_on_their_sheet();
   surfaces_do_not_depend_on_threads();
+  lattices_do_not_depend_on_the_order_of_edges();
   small_surfaces_and_vertices_at_one_place_are_handled();
   std::puts("patches tests passed");
   return 0;
