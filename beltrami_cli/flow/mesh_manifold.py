@@ -284,8 +284,7 @@ class MeshManifold(Manifold):
         """Find the patches, and return random signs; both depend only on nearby colours, which change from then on."""
         from beltrami_cli._native import SurfacePatches
 
-        places, coarse = np.zeros((self.size, 3)), np.round(self.colours * _COARSE)
-        places[:, : self.positions.shape[1]] = self.positions
+        places, coarse = _in_three_dimensions(self.positions), np.round(self.colours * _COARSE)
         axes, around = _axes(places, self.colours), fingerprints(coarse, self.edges)
         self._patches = SurfacePatches(places, self.edges, axes, around, self.threads)
         signs: NDArray[np.float32] = random_signs(coarse, around, 1)[0]
@@ -341,6 +340,17 @@ class MeshManifold(Manifold):
             return []
         normals = self.moving.normals, self.moving.beta
         return [self.regularised(*normals) if step.regularised else normals]
+
+
+def _in_three_dimensions(positions: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return positions with zeros added, or projected on the three directions in which they extend most."""
+    if positions.shape[1] > 3:
+        offsets = positions - positions.mean(axis=0)
+        directions = np.linalg.eigh(np.einsum("ij,ik->jk", offsets, offsets))[1]
+        return np.ascontiguousarray(np.einsum("ij,jk->ik", offsets, directions[:, -3:]))
+    places = np.zeros((len(positions), 3))
+    places[:, : positions.shape[1]] = positions
+    return places
 
 
 def _axes(positions: NDArray[np.float64], colours: NDArray[np.float32]) -> NDArray[np.float64]:
