@@ -68,10 +68,14 @@ SurfacePatches* make_surface_patches(const Matrix<double>& positions, const Matr
     if (edges.data()[i] < 0 || static_cast<std::size_t>(edges.data()[i]) >= positions.shape(0))
       throw nb::index_error("an edge ends at no vertex");
   const auto* directions = reinterpret_cast<const Position*>(axes.data());
-  const nb::gil_scoped_release unlock;
-  return new SurfacePatches({reinterpret_cast<const Position*>(positions.data()), positions.shape(0)},
-                            {reinterpret_cast<const std::array<std::int32_t, 2>*>(edges.data()), edges.shape(0)},
-                            {directions[0], directions[1]}, {priorities.data(), priorities.size()}, threads);
+  const nb::object no_progress = nb::none();
+  SurfacePatches* made = nullptr;
+  run_polled(no_progress, [&](const Poll& poll) {
+    made = new SurfacePatches({reinterpret_cast<const Position*>(positions.data()), positions.shape(0)},
+                              {reinterpret_cast<const std::array<std::int32_t, 2>*>(edges.data()), edges.shape(0)},
+                              {directions[0], directions[1]}, {priorities.data(), priorities.size()}, threads, poll);
+  });
+  return made;
 }
 
 // See SurfacePatches::collaborate; a row a vertex.

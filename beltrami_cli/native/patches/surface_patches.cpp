@@ -100,7 +100,7 @@ Nodes lattice_of(std::int32_t vertex, std::span<const std::int32_t> around, std:
 
 SurfacePatches::SurfacePatches(std::span<const Position> positions, std::span<const std::array<std::int32_t, 2>> edges,
                                const std::array<Position, 2>& axes, std::span<const std::uint64_t> priorities,
-                               unsigned threads)
+                               unsigned threads, const Poll& poll)
     : first_(positions.size() + 1, 0), neighbours_(2 * edges.size()), patches_(positions.size()) {
   for (const auto& edge : edges)
     for (const std::int32_t end : edge) ++first_[static_cast<std::size_t>(end) + 1];
@@ -110,14 +110,14 @@ SurfacePatches::SurfacePatches(std::span<const Position> positions, std::span<co
     neighbours_[next[static_cast<std::size_t>(a)]++] = b;
     neighbours_[next[static_cast<std::size_t>(b)]++] = a;
   }
-  find_patches(positions, axes, priorities, threads);
+  find_patches(positions, axes, priorities, threads, poll);
   choose_starts(priorities);
 }
 
 void SurfacePatches::find_patches(std::span<const Position> positions, const std::array<Position, 2>& axes,
-                                  std::span<const std::uint64_t> priorities, unsigned threads) {
+                                  std::span<const std::uint64_t> priorities, unsigned threads, const Poll& poll) {
   std::vector<VertexRings> rings(threads);
-  parallel_chunks(patches_.size(), chunk, threads, [&](std::size_t begin, std::size_t end, unsigned worker) {
+  const auto find = [&](std::size_t begin, std::size_t end, unsigned worker) {
     for (std::size_t vertex = begin; vertex < end; ++vertex) {
       double total = 0;
       for (std::size_t i = first_[vertex]; i < first_[vertex + 1]; ++i) {
@@ -128,9 +128,11 @@ void SurfacePatches::find_patches(std::span<const Position> positions, const std
       }
       const auto degree = static_cast<double>(first_[vertex + 1] - first_[vertex]);
       const auto around = rings[worker].around(static_cast<std::int32_t>(vertex), enough_for_lattice, first_, neighbours_);
-      patches_[vertex] = lattice_of(static_cast<std::int32_t>(vertex), around, positions, degree > 0 ? total / degree : 0, axes, priorities);
+      const double step = degree > 0 ? total / degree : 0;
+      patches_[vertex] = lattice_of(static_cast<std::int32_t>(vertex), around, positions, step, axes, priorities);
     }
-  });
+  };
+  parallel_chunks(patches_.size(), chunk, threads, find, poll);
 }
 
 // A vertex starts a group unless it is in the patch of one that does, other than at a corner.

@@ -27,8 +27,10 @@ class SurfacePatches {
  public:
   // axes: directions to which the lattices are turned; the second where the first is normal to the surface.
   // priorities: of vertices as starts of groups, the least first, so that the order of vertices makes no difference.
+  // Throws Cancelled if poll returned false.
   SurfacePatches(std::span<const Position> positions, std::span<const std::array<std::int32_t, 2>> edges,
-                 const std::array<Position, 2>& axes, std::span<const std::uint64_t> priorities, unsigned threads);
+                 const std::array<Position, 2>& axes, std::span<const std::uint64_t> priorities, unsigned threads,
+                 const Poll& poll = {});
 
   struct Colours {
     const float *noisy, *pilot;  // a row of `channels` a vertex
@@ -49,7 +51,7 @@ class SurfacePatches {
   class Worker;
 
   void find_patches(std::span<const Position> positions, const std::array<Position, 2>& axes,
-                    std::span<const std::uint64_t> priorities, unsigned threads);
+                    std::span<const std::uint64_t> priorities, unsigned threads, const Poll& poll);
   void choose_starts(std::span<const std::uint64_t> priorities);
 
   std::vector<std::size_t> first_;         // of each vertex's neighbours

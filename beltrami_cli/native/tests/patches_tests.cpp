@@ -343,6 +343,19 @@ void surfaces_do_not_depend_on_threads() {
   }
 }
 
+void a_stop_ends_the_search_for_patches() {
+  Random random(31);
+  const Sheets own(70, 1, random);
+  const std::array axes{Position{1, 0, 0}, Position{0, 1, 0}};
+  bool stopped = false;
+  try {
+    const SurfacePatches patches(own.positions, own.edges, axes, own.priorities, 2, [](std::size_t) { return false; });
+  } catch (const beltrami::Cancelled&) {
+    stopped = true;
+  }
+  CHECK(stopped);
+}
+
 void lattices_do_not_depend_on_the_order_of_edges() {
   Random random(30);
   Sheets own(20, 1, random);
@@ -381,6 +394,7 @@ int main() {
   no_owned_cell_and_a_stop_are_handled();
   patches_of_vertices_stay_on_their_sheet();
   surfaces_do_not_depend_on_threads();
+  a_stop_ends_the_search_for_patches();
   lattices_do_not_depend_on_the_order_of_edges();
   small_surfaces_and_vertices_at_one_place_are_handled();
   std::puts("patches tests passed");
