@@ -336,7 +336,7 @@ class GridManifold(Manifold):
         """Estimate the colours of the owned cells from patches, and show them in the halo."""
         from beltrami_cli._native import collaborate_on_grid
 
-        estimates, weights = (large_arrays.empty(noisy.shape, np.float32) for _ in range(2))
+        estimates, weights = (large_arrays.zeros(noisy.shape, np.float32) for _ in range(2))
         own = mixing.forth, mixing.back, mixing.variances
 
         def report(done: int) -> None:

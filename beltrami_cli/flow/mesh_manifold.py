@@ -275,7 +275,7 @@ class MeshManifold(Manifold):
     ) -> NDArray[np.float32]:
         """Estimate colours from patches in tangent planes."""
         assert self._patches is not None
-        estimates, weights = np.empty_like(noisy), np.empty_like(noisy)
+        estimates, weights = np.zeros_like(noisy), np.zeros_like(noisy)
         own = mixing.forth, mixing.back, mixing.variances
         self._patches.collaborate(noisy, pilot, own, has_pilot, estimates, weights, self.threads, progress)
         return estimates

@@ -29,6 +29,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from beltrami_cli.flow.manifold import Mixing
+from beltrami_cli.flow.parameters import SMOOTHNESS
 from beltrami_cli.surface import large_arrays
 
 if TYPE_CHECKING:
@@ -47,7 +48,7 @@ _COMPARED = np.array([1, 0.5, 0.5])
 
 # In photographs most of the detail in differences of channels is in their mean, too, and what remains of their noise is
 # what people see: more noise is reckoned with once there is a pilot.
-_MORE_IN_DIFFERENCES = np.float32(4)
+_MORE_IN_DIFFERENCES = 4.0
 
 # Channels of which the differences vary this much less than the mean are colours.
 _COLOURED = 0.7
@@ -102,14 +103,14 @@ def blend_with_patches(
         for own, pilot in _blocks(axis, noisy, before):
             clipped.impute(own, pilot)
     mixing = mixing_of(manifold, before)
-    stronger = _stronger(mixing)
+    second = _with_pilot(mixing, manifold)
 
     def estimate(colours: NDArray[np.float32], pilot: NDArray[np.float32]) -> NDArray[np.float32]:
         first = manifold.collaborate(colours, pilot, mixing, has_pilot=False, progress=stage(_FIRST))
         for own, kernels in _blocks(axis, first, pilot):
             own += kernels
             own /= 2
-        return manifold.collaborate(colours, first, stronger, has_pilot=True, progress=stage(_SECOND))
+        return manifold.collaborate(colours, first, second, has_pilot=True, progress=stage(_SECOND))
 
     after = estimate(noisy, before)
     for own, sign in _blocks(axis, noisy, signs):
@@ -184,16 +185,18 @@ def mixing_of(manifold: Manifold, colours: NDArray[np.float32]) -> Mixing:
     variances = np.maximum(variances, _NOISELESS**2 * variances.max(initial=0))
     if count >= len(_OPPONENTS) and _is_coloured(manifold, colours):
         forth[:3, :3] = _COMPARED[:, None] * _OPPONENTS
-    mixed = np.square(forth) @ variances * (_SHARED if manifold.shares_noise else 1)
+    mixed = np.square(forth) @ variances
     return Mixing(*(np.ascontiguousarray(part, np.float32) for part in (forth, np.linalg.inv(forth), mixed)))
 
 
-def _stronger(mixing: Mixing) -> Mixing:
-    """Return the same with more noise in differences of channels."""
+def _with_pilot(mixing: Mixing, manifold: Manifold) -> Mixing:
+    """Return the same with the noise that is reckoned with once there is a pilot."""
     is_mixed = np.count_nonzero(mixing.forth, axis=1) > 1
     is_difference = is_mixed & (mixing.forth.sum(axis=1) < mixing.forth.max(axis=1))
-    factor = np.where(is_difference, _MORE_IN_DIFFERENCES, np.float32(1))
-    return dataclasses.replace(mixing, variances=mixing.variances * factor)
+    factor = np.where(is_difference, _MORE_IN_DIFFERENCES, 1.0) * SMOOTHNESS[manifold.parameters.strength]
+    if manifold.shares_noise:
+        factor = factor * _SHARED
+    return dataclasses.replace(mixing, variances=(mixing.variances * factor).astype(np.float32))
 
 
 def _is_coloured(manifold: Manifold, colours: NDArray[np.float32]) -> bool:

@@ -37,9 +37,7 @@ void finish(const Canvas& canvas, const Sums& sums, std::size_t first, std::size
 
 void collaborate(const Canvas& canvas, bool has_pilot, const Sums& sums, unsigned threads, const Poll& poll) {
   const auto add_tile_of = BELTRAMI_VARIANT_OF(add_tile, choose_instruction_set());
-  const std::size_t cells = canvas.rows * canvas.columns, all = cells * canvas.channels;
-  std::fill(sums.estimates, sums.estimates + all, 0.0F);
-  std::fill(sums.weights, sums.weights + all, 0.0F);
+  const std::size_t cells = canvas.rows * canvas.columns;
   // Tiles of one colour lie so far apart that no two add to the same cell, and colours follow one another: the order in
   // which a cell's estimates are added does not depend on the threads.
   std::array<std::vector<Tile>, 4> colours;
@@ -64,9 +62,10 @@ void collaborate(const Canvas& canvas, bool has_pilot, const Sums& sums, unsigne
         counted);
     before += tiles.size();
   }
-  parallel_chunks(cells, finished_rows * canvas.columns, threads, [&](std::size_t begin, std::size_t end, unsigned) {
-    finish(canvas, sums, begin, end);
-  });
+  parallel_chunks(
+      cells, finished_rows * canvas.columns, threads,
+      [&](std::size_t begin, std::size_t end, unsigned) { finish(canvas, sums, begin, end); },
+      poll ? Poll([&](std::size_t) { return poll(cells); }) : Poll());
 }
 
 }  // namespace beltrami::patches

@@ -54,8 +54,8 @@ struct TileScratch {
 BELTRAMI_DECLARE_VARIANTS(void add_tile(const Canvas& canvas, const Tile& tile, bool has_pilot, const Sums& sums,
                                         TileScratch& scratch))
 
-// Writes estimates of the owned cells; other cells get the pilot. Both of `sums` have `channels` planes, of which the
-// estimates are the result, and the weights are memory to work with. Throws Cancelled if poll returned false.
+// Writes estimates of the owned cells; other cells get the pilot. Both of `sums` have `channels` planes of zeros, of
+// which the estimates become the result, and the weights are memory to work with. Throws Cancelled if poll returned false.
 void collaborate(const Canvas& canvas, bool has_pilot, const Sums& sums, unsigned threads, const Poll& poll = {});
 
 }  // namespace beltrami::patches

@@ -311,8 +311,6 @@ void SurfacePatches::collaborate(const Colours& colours, bool has_pilot, const S
   const InstructionSet set = choose_instruction_set();
   const Variant variant{BELTRAMI_VARIANT_OF(add_group, set), BELTRAMI_VARIANT_OF(compare_rows, set)};
   const std::size_t n = colours.channels, count = patches_.size();
-  std::fill(sums.estimates, sums.estimates + n * count, 0.0F);
-  std::fill(sums.weights, sums.weights + n * count, 0.0F);
   const std::size_t parts = (starts_.size() + starts_in_part - 1) / starts_in_part;
   std::vector<Part> wave(std::min(parts, parts_in_wave));
   std::vector<Worker> workers(threads);
