@@ -188,9 +188,12 @@ class ClusterRunner:
         from distributed import as_completed
 
         counts = [self._submit(_counts, step) for step in steps]
-        for number, (_, (_, _, is_exact)) in enumerate(
+        for number, (_, held) in enumerate(
             as_completed(counts, with_results=True, loop=self._client.loop), 1
         ):
+            if isinstance(held, Exception):  # as Dask gives what was lost with a worker
+                raise held
+            _, _, is_exact = held
             if not is_exact:
                 raise TooNarrowError
             if progress is not None:
