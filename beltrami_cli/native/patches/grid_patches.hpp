@@ -16,13 +16,13 @@
 namespace beltrami::patches {
 
 // How far a patch reaches from its centre, and the distance between the centres that start groups.
-constexpr int patch_reach = 3, spacing = 6;
+constexpr int patch_reach = 3, spacing = 7;
 
 // The window of candidates: rows above and below, columns to the left, and columns in all.
 constexpr int rows_beside = 12, columns_before = 16, candidate_columns = 32;
 
 // Cells a side of the tiles of work.
-constexpr int tile_side = 60;
+constexpr int tile_side = 63;
 
 // What is around a tile: candidates, and their patches.
 constexpr int margin = columns_before + patch_reach;

@@ -23,7 +23,7 @@
 namespace beltrami::patches {
 
 // Patches in a group: of those without a pilot, and of those with one on surfaces and on grids.
-constexpr std::size_t few = 16, medium = 32, many = 64;
+constexpr std::size_t few = 16, medium = 32, many = 48;
 
 // Channels of samples, one plane after the other, `stride` values each.
 struct Channels {

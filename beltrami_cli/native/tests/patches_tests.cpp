@@ -81,7 +81,7 @@ struct Case {
 struct Planes {
   std::vector<float> estimates, weights;
 
-  explicit Planes(std::size_t count, float filling = 0) : estimates(count, filling), weights(count, filling) {}
+  explicit Planes(std::size_t count) : estimates(count), weights(count) {}
   Sums sums() { return {estimates.data(), weights.data()}; }
   bool operator==(const Planes&) const = default;
 };
@@ -188,7 +188,7 @@ struct Grid {
   }
 
   Planes result(bool has_pilot, unsigned threads, bool varies = false) const {
-    Planes found(noisy.size(), nowhere);
+    Planes found(noisy.size());
     const Canvas canvas{rows,          columns,       kind.data(),   noisy.data(),     pilot.data(),
                         channels,      mixing.data(), mixing.data(), variances.data(), varies ? relative.data() : nullptr};
     collaborate(canvas, has_pilot, found.sums(), threads);
@@ -305,7 +305,7 @@ struct Sheets {
   }
 
   std::vector<float> result(const SurfacePatches& own, bool has_pilot, unsigned threads) const {
-    Planes found(noisy.size(), nowhere);
+    Planes found(noisy.size());
     const SurfacePatches::Colours colours{noisy.data(),  pilot.data(),  channels,
                                           mixing.data(), mixing.data(), variances.data()};
     own.collaborate(colours, has_pilot, found.sums(), threads);
