@@ -86,6 +86,7 @@ def test_meshes_take_no_options_of_level_sets(tmp_path):
     assert b"--level, --inside" in run.stderr
 
 
+@pytest.mark.slow
 def test_a_level_set_can_be_unwrapped_to_a_texture(volume, tmp_path):
     run = beltrami("smooth", volume, tmp_path / "out.glb", *OPTIONS, "--unwrap", "--texture-size", 128)
     assert run.returncode == 0, run.stderr

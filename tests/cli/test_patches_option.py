@@ -61,6 +61,7 @@ def test_the_share_of_patches_is_said_and_reported(kind, request):
     assert kernel != result
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "options",
     [("-n", 2), ("-t", 1), ("--beta", 5), ("--beta", 0), ("--fast",), ("--preset", "paper")],
@@ -75,6 +76,7 @@ def test_by_default_there_are_none_where_the_kernel_is_set_by_hand(options, mesh
     assert result_with != result
 
 
+@pytest.mark.slow
 def test_a_texture_reports_its_share_and_takes_a_bound_on_memory(tmp_path):
     report = tmp_path / "report.json"
     options = ["--report", report, "--overwrite", "--max-memory", "2G"]
@@ -103,6 +105,7 @@ def test_a_bad_value_is_refused(mesh):
     assert "'auto', 'on', 'off'" in run.stderr
 
 
+@pytest.mark.slow
 def test_configuration_variables_and_manifests_take_it(mesh):
     _, _, kernel = smoothed(mesh, "--patches", "off")
     (mesh.parent / "beltrami.toml").write_text('[smooth]\npatches = "off"\n')

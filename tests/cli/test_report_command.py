@@ -78,6 +78,7 @@ class Viewer:
         self.page.mouse.up()
 
 
+@pytest.mark.slow
 def test_the_swipe_parts_both_models_and_one_camera_turns_them(browser, tmp_path):
     files = painted_square(tmp_path / "a.ply", (1, 0, 0)), painted_square(tmp_path / "b.ply", (0, 0, 1))
     page = reported(*files, tmp_path / "page.html")
@@ -93,6 +94,7 @@ def test_the_swipe_parts_both_models_and_one_camera_turns_them(browser, tmp_path
     assert [url for url in viewer.requests if not url.startswith(("data:", "blob:"))] == [page.as_uri()]
 
 
+@pytest.mark.slow
 def test_textures_lie_the_right_way_up_in_their_own_colours(browser, tmp_path):
     colours = np.array([[[200, 100, 30], [20, 90, 160]], [[10, 20, 30], [250, 240, 60]]])
     before = textured_square(tmp_path / "a.obj", colours)
@@ -113,6 +115,7 @@ def test_textures_lie_the_right_way_up_in_their_own_colours(browser, tmp_path):
     assert viewer.errors == []
 
 
+@pytest.mark.slow
 def test_points_are_drawn(browser, tmp_path):
     grid = np.stack(np.meshgrid(np.arange(20), np.arange(20)), axis=2).reshape(-1, 2)
     clouds = []

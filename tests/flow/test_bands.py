@@ -58,6 +58,7 @@ def test_progress_goes_from_block_to_block_up_to_the_work_there_is(monkeypatch):
     assert calls[-1][0] <= 3 * cells
 
 
+@pytest.mark.slow
 def test_chosen_parameters_do_not_depend_on_row_blocks(monkeypatch):
     free = dataclasses.replace(
         KernelParameters(threads=2), free=("iterations", "t", "beta", "beta_growth", "metric_steps")

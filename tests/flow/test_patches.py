@@ -137,6 +137,7 @@ def test_the_blend_is_as_good_as_the_better_of_kernel_and_patches(name, sigma, m
     assert blend > max(kernel, alone) - 0.2
 
 
+@pytest.mark.slow
 def test_photographs_are_taken_from_patches_and_paint_from_the_kernel():
     shares = []
     for clean in (photograph(64), flat_paint(64)):
@@ -244,6 +245,7 @@ def test_channels_without_noise_stay_and_do_not_stop_the_others():
     assert psnr(result.colours[..., :3], clean) > psnr(without.colours, clean) - 0.2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("channels", [1, 2, 3, 4, 6])
 def test_any_number_of_channels_is_smoothed(channels):
     clean = np.dstack([photograph(64), photograph(64, seed=2)])[..., :channels]

@@ -91,6 +91,7 @@ def change_the_source(source: Path, *_: object, **__: object) -> None:
     raise survey.InputError(str(source), "refused")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("harm", [crash, hang, fill, move_a_vertex, leave_a_file, zeros, change_the_source])
 def test_harm_is_seen(
     harm: object, folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

@@ -242,6 +242,7 @@ def test_the_result_is_the_same_to_the_last_bit_for_any_number_of_threads(parame
     np.testing.assert_array_equal(one, three)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("parameters", SETTINGS.values(), ids=SETTINGS)
 def test_channels_can_be_exchanged_and_positions_scaled_and_turned(parameters):
     image, height = noisy(), hills(24, 31)

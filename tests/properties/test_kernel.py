@@ -61,6 +61,7 @@ def test_a_plane_rolled_up_is_smoothed_like_the_plane(roll):
     assert np.abs(a - b).max() < 5e-3
 
 
+@pytest.mark.slow
 def test_the_generator_is_the_intrinsic_laplacian_of_the_image_manifold():
     positions, faces = surfaces.icosphere(5)
     x, y, z = positions.T

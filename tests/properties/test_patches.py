@@ -30,6 +30,7 @@ def on_board(board, painting, **parameters):
     return result[y, x]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sigma", [10, 20, 40])
 def test_no_seam_can_be_found_in_a_photograph(sigma):
     """The error of steps across seams is that of steps beside them."""
@@ -119,6 +120,7 @@ def test_the_other_side_of_a_thin_sheet_is_no_neighbour():
         assert np.abs((result - truth)[side]).max() < 0.2
 
 
+@pytest.mark.slow
 def test_hard_edges_of_colour_stay():
     positions, faces, clean, _ = plane()
     clean = 0.2 * clean + 0.1 + 0.6 * (positions[:, :1] >= SIDE // 2)
@@ -135,6 +137,7 @@ def test_isolated_vertices_keep_their_colours():
     np.testing.assert_allclose(result[-3:], alone, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_non_manifold_spots_and_degenerate_triangles_are_smoothed_as_well():
     positions, faces, clean, noisy = plane()
     middle = SIDE // 2 * SIDE + np.arange(SIDE - 1)
@@ -155,6 +158,7 @@ def test_positions_may_have_any_dimension(dimension):
     assert psnr(result_on(placed, faces, noisy), clean) > psnr(noisy, clean) + 3
 
 
+@pytest.mark.slow
 def test_points_without_faces_are_smoothed_as_well():
     positions, _, clean, noisy = plane()
     kernel, both = (smooth(positions, None, noisy, patches=wanted).colours for wanted in ("off", "auto"))

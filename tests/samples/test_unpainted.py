@@ -91,6 +91,7 @@ def test_a_texture_that_cannot_be_seen_is_distinguished_from_one_that_is_not_cov
     assert reported.endswith("--unwrap makes a new atlas")
 
 
+@pytest.mark.slow
 def test_what_a_change_would_do_to_an_image_is_not_said_of_a_copy(tmp_path: Path) -> None:
     model = write_model(tmp_path, "obj", "skin.png", "model.mtl")
     two = np.zeros((32, 32, 3), np.uint8)
