@@ -96,8 +96,7 @@ def blend_with_patches(
     signs = manifold.perturbation()
     size = np.float32(_PERTURBATION * np.sqrt(np.mean(np.square(sigma))))
     disturbed = large_arrays.copy_of(noisy)
-    for own, sign in _blocks(axis, disturbed, signs):
-        own += size * sign
+    _add(axis, disturbed, signs, size)
     disturbed = kernel(disturbed)
     if clipped is not None:
         for own, pilot in _blocks(axis, noisy, before):
@@ -113,11 +112,9 @@ def blend_with_patches(
         return manifold.collaborate(colours, first, second, has_pilot=True, progress=stage(_SECOND))
 
     after = estimate(noisy, before)
-    for own, sign in _blocks(axis, noisy, signs):
-        own += size * sign
+    _add(axis, noisy, signs, size)
     response = estimate(noisy, disturbed)
-    for own, sign in _blocks(axis, noisy, signs):
-        own -= size * sign
+    _add(axis, noisy, signs, -size)
     sums, model = manifold.planes(2), _Model(sigma, clipped)
     stacks = _blocks(axis, noisy, signs, before, after, disturbed, response)
     for (z, b, p, q, near_p, near_q), (own,) in zip(stacks, _blocks(0, sums), strict=True):
@@ -204,6 +201,12 @@ def _is_coloured(manifold: Manifold, colours: NDArray[np.float32]) -> bool:
     steps = manifold.steps(colours)[:, :3].astype(np.float64)
     mixed = np.square(np.einsum("kj,ij->ki", steps, _OPPONENTS)).sum(axis=0)
     return bool(mixed[1:].sum() <= 2 * _COLOURED * mixed[0])
+
+
+def _add(axis: int, stack: NDArray[np.float32], signs: NDArray[Any], size: np.float32) -> None:
+    """Add multiples of the signs to a stack, in place."""
+    for own, sign in _blocks(axis, stack, signs):
+        own += size * sign
 
 
 def _blocks(axis: int, *stacks: NDArray[Any]) -> Iterator[tuple[NDArray[Any], ...]]:

@@ -2,7 +2,7 @@
 
 ``BELTRAMI_EXTRA_MESHES=FOLDER python tests/benchmarks/bench_patches.py`` judges samples, photographs of scikit-image,
 and the models of a folder, and prints the tables of docs/performance.md. The program works on whole surfaces; of larger
-images the peers see a part, and all are judged there. Rows are told on stderr when they are known.
+images the peers see a part, and all are judged there. Rows go to stderr as soon as they are known.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ def main():
 
 
 def told(groups, line):
-    """Return all rows, by name and noise; each is told on stderr when it is known."""
+    """Return all rows, by name and noise; each goes to stderr when it is known."""
     rows = []
     for row in itertools.chain.from_iterable(groups):
         print(line(row), file=sys.stderr, flush=True)

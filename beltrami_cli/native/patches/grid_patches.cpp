@@ -24,7 +24,8 @@ void finish(const Canvas& canvas, const Sums& sums, std::size_t first, std::size
   std::vector<float> mixed(n);
   for (std::size_t cell = first; cell < last; ++cell) {
     const bool known = canvas.kind[cell] == grid::owned && sums.weights[cell] > 0;
-    for (std::size_t c = 0; known && c < n; ++c) mixed[c] = sums.estimates[c * cells + cell] / sums.weights[c * cells + cell];
+    for (std::size_t c = 0; known && c < n; ++c)
+      mixed[c] = sums.estimates[c * cells + cell] / sums.weights[c * cells + cell];
     for (std::size_t c = 0; c < n; ++c) {
       float value = known ? 0 : canvas.pilot[c * cells + cell];
       for (std::size_t from = 0; known && from < n; ++from) value += canvas.unmixing[c * n + from] * mixed[from];

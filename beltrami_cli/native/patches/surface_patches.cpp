@@ -49,6 +49,11 @@ Position direction_in(const points::TangentPlane& plane, const Position& axis) {
   return direction;
 }
 
+// The number of a node, by its place from the middle.
+std::size_t node_at(int row, int column) {
+  return static_cast<std::size_t>((row + lattice_reach) * (2 * lattice_reach + 1) + column + lattice_reach);
+}
+
 Position cross(const Position& a, const Position& b) {
   return {a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]};
 }
@@ -71,6 +76,7 @@ Nodes lattice_of(std::int32_t vertex, std::span<const std::int32_t> around, std:
   const Position right = direction_in(plane, axes[leading]), up = cross(plane.normal, right);
   // The sign of a fitted normal means nothing; up is on the side of the other axis.
   const double side = dot(up, axes[1 - leading]);
+  const auto priority_of = [&](std::int32_t other) { return priorities[static_cast<std::size_t>(other)]; };
   std::array<double, nodes> nearest;
   nearest.fill(furthest * furthest);
   for (std::size_t k = 0; k < offsets.size(); ++k) {
@@ -81,11 +87,11 @@ Nodes lattice_of(std::int32_t vertex, std::span<const std::int32_t> around, std:
       for (int column = -lattice_reach; column <= lattice_reach; ++column) {
         if (row == 0 && column == 0) continue;
         const double distance = (x - column) * (x - column) + (y - row) * (y - row);
-        const auto node = static_cast<std::size_t>((row + lattice_reach) * (2 * lattice_reach + 1) + column + lattice_reach);
+        const std::size_t node = node_at(row, column);
         const double gain = nearest[node] - distance;
         // Of two at one distance, the choice must not depend on rounding.
-        const bool earlier = found[node] >= 0 && std::abs(gain) <= alike &&
-                             priorities[static_cast<std::size_t>(around[k + 1])] < priorities[static_cast<std::size_t>(found[node])];
+        const bool earlier =
+            found[node] >= 0 && std::abs(gain) <= alike && priority_of(around[k + 1]) < priority_of(found[node]);
         if (gain > (found[node] < 0 ? 0 : alike) || earlier) {
           nearest[node] = distance;
           found[node] = around[k + 1];
@@ -166,7 +172,8 @@ void SurfacePatches::find_patches(std::span<const Position> positions, const std
   parallel_chunks(patches_.size(), chunk, threads, find, poll);
 }
 
-// A vertex starts a group unless it is in the patch of one that does, other than at a corner.
+// A vertex starts a group unless it is in the patch of one that does, other than at a corner. Isolated ones keep their
+// colours.
 void SurfacePatches::choose_starts(std::span<const std::uint64_t> priorities) {
   std::vector<std::int32_t> order(patches_.size());
   std::iota(order.begin(), order.end(), 0);
@@ -176,13 +183,12 @@ void SurfacePatches::choose_starts(std::span<const std::uint64_t> priorities) {
   std::vector<bool> covered(patches_.size(), false);
   for (const std::int32_t start : order) {
     const auto vertex = static_cast<std::size_t>(start);
-    if (covered[vertex]) continue;
+    if (covered[vertex] || first_[vertex] == first_[vertex + 1]) continue;
     starts_.push_back(start);
     for (int row = -lattice_reach; row <= lattice_reach; ++row)
       for (int column = -lattice_reach; column <= lattice_reach; ++column) {
         if (std::abs(row) == lattice_reach && std::abs(column) == lattice_reach) continue;
-        const std::int32_t beside = patches_[vertex][static_cast<std::size_t>((row + lattice_reach) * (2 * lattice_reach + 1) +
-                                                                              column + lattice_reach)];
+        const std::int32_t beside = patches_[vertex][node_at(row, column)];
         if (beside >= 0) covered[static_cast<std::size_t>(beside)] = true;
       }
   }
@@ -284,9 +290,10 @@ class SurfacePatches::Worker {
     for (std::size_t i = 0; i < candidates_.size(); ++i) {
       const Nodes& own = surface.patches_[static_cast<std::size_t>(candidates_[i])];
       for (std::size_t node = 0; node < nodes; ++node) {
-        const std::size_t vertex = own[node] < 0 ? 0 : static_cast<std::size_t>(number_[static_cast<std::size_t>(own[node])]);
+        const std::int32_t vertex = own[node] < 0 ? -1 : number_[static_cast<std::size_t>(own[node])];
         for (std::size_t c = 0; c < channels.count; ++c)
-          features_[i * length + c * nodes + node] = own[node] < 0 ? far_away : channels.pilot[c * channels.stride + vertex];
+          features_[i * length + c * nodes + node] =
+              vertex < 0 ? far_away : channels.pilot[c * channels.stride + static_cast<std::size_t>(vertex)];
       }
     }
   }
@@ -313,7 +320,8 @@ class SurfacePatches::Worker {
   }
 
   // Finds the members at the nodes that the first patch has, for the patches that were chosen; returns how many nodes.
-  std::size_t place(const SurfacePatches& surface, std::span<const std::int32_t> around, std::size_t size, std::size_t found) {
+  std::size_t place(const SurfacePatches& surface, std::span<const std::int32_t> around, std::size_t size,
+                    std::size_t found) {
     const auto patch_of = [&](std::size_t k) -> const Nodes& {
       const std::int32_t rank = around[static_cast<std::size_t>(keys_[k < found ? k : 0].second)];
       return surface.patches_[static_cast<std::size_t>(candidates_[static_cast<std::size_t>(rank)])];

@@ -39,8 +39,9 @@ class SurfacePatches {
     const float* variances;
   };
 
-  // Writes estimates of all vertices; both of `sums` have a row of `channels` zeros a vertex, of which the estimates
-  // become the result, and the weights are memory to work with. Throws Cancelled if poll returned false.
+  // Writes estimates of all vertices, of isolated ones the pilot; both of `sums` have a row of `channels` zeros a vertex,
+  // of which the estimates become the result, and the weights are memory to work with. Throws Cancelled if poll returned
+  // false.
   void collaborate(const Colours& colours, bool has_pilot, const Sums& sums, unsigned threads, const Poll& poll = {}) const;
 
   std::size_t size() const { return patches_.size(); }

@@ -37,8 +37,9 @@ class TilePlanes {
   }
 
   Channels channels() const {
-    return {own_.noisy.data(), own_.pilot.data(), canvas_.variances, canvas_.relative != nullptr ? own_.relative.data() : nullptr,
-            canvas_.channels, static_cast<std::size_t>(area)};
+    const float* relative = canvas_.relative != nullptr ? own_.relative.data() : nullptr;
+    return {own_.noisy.data(), own_.pilot.data(), canvas_.variances,
+            relative,          canvas_.channels,  static_cast<std::size_t>(area)};
   }
 
   Sums sums() const { return {own_.estimates.data(), own_.weights.data()}; }
@@ -132,7 +133,8 @@ std::size_t choose(std::vector<float>& distances, std::vector<std::uint32_t>& ke
   distances[itself] = 0;
   std::size_t found = 0;
   for (std::uint32_t i = 0; i < candidates; ++i)
-    if (distances[i] < too_far) keys[found++] = (std::bit_cast<std::uint32_t>(distances[i]) & ~low) | (i == itself ? 0 : i + 1);
+    if (distances[i] < too_far)
+      keys[found++] = (std::bit_cast<std::uint32_t>(distances[i]) & ~low) | (i == itself ? 0 : i + 1);
   const std::size_t wanted = std::min(size, found);
   const auto begin = keys.begin();
   if (wanted < found) std::nth_element(begin, begin + static_cast<Index>(wanted), begin + static_cast<Index>(found));
