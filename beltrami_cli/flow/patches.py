@@ -63,7 +63,7 @@ _NOISELESS = 0.01
 # that patches are trusted too much where noise is underestimated; a larger one sees too much of them.
 _PERTURBATION = 0.2
 
-# Variance of w around its mean over all, to which it is drawn as far as noise makes it uncertain.
+# Variance of w around the value, by its mean over all, to which it is drawn as far as noise makes it uncertain.
 _SPREAD = 0.03
 
 # How many iterations of the kernel both steps of an estimate take as long as.
@@ -156,7 +156,8 @@ def _mix(
 ) -> Blend:
     """Find w from its terms, and blend in place."""
     slope, square = manifold.total(sums)
-    overall = min(1.0, max(0.0, slope / square)) if square > 0 else 0.0
+    # In between, regions differ, and those of which sums say little are plain: there the kernel is at home.
+    overall = min(1.0, max(0.0, slope / square)) ** 2 if square > 0 else 0.0
     # The variance of w is sigma^2 over the sum of squares; a mean by a Gaussian stands for this many samples.
     samples = 4 * np.pi * manifold.width**2
     prior = np.float32(np.mean(np.square(manifold.sigma)) / samples / _SPREAD)
