@@ -167,7 +167,7 @@ class KernelParameters:
         "auto",
         "After the kernel, estimate patches that look alike together, and blend both by their estimated error. "
         "auto does so where -n, -t and --beta are all chosen from the data, and not with --fast.",
-        choices=get_args(Patches),
+        choices=get_args(Patches), is_daily=True,
     )  # fmt: skip
 
     def __post_init__(self) -> None:
