@@ -285,7 +285,8 @@ class MeshManifold(Manifold):
         from beltrami_cli._native import SurfacePatches
 
         places, coarse = _in_three_dimensions(self.positions), np.round(self.colours * _COARSE)
-        joined = np.unique(self.edges)
+        joined = np.zeros(self.size, bool)
+        joined[self.edges] = True
         axes, around = _axes(places[joined], self.colours[joined]), fingerprints(coarse, self.edges)
         self._patches = SurfacePatches(places, self.edges, axes, around, self.threads)
         signs: NDArray[np.float32] = random_signs(coarse, around, 1)[0]
