@@ -174,6 +174,9 @@ def grid_distances(
     scheme: str,
     cell: int,
 ) -> NDArray[np.float32]: ...
+
+PATCH_REACH: int
+
 def collaborate_on_grid(
     kind: NDArray[np.uint8],
     noisy: NDArray[np.float32],

@@ -6,13 +6,10 @@ import contextlib
 import dataclasses
 from contextvars import ContextVar
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Generic, TypeVar, cast
+from typing import TYPE_CHECKING, Generic, TypeVar
 
 from beltrami_cli.errors import UsageError
-from beltrami_cli.flow.grid_partitions import cut_grid
 from beltrami_cli.flow.manifold import Averaged, Manifold, Step
-from beltrami_cli.flow.mesh_manifold import MeshManifold
-from beltrami_cli.flow.mesh_partitions import cut_mesh, first_reach
 from beltrami_cli.flow.partitions import TooNarrowError
 from beltrami_cli.flow.patches import PASSES, blend_with_patches
 from beltrami_cli.flow.tuning.choice import is_noisy, tune
@@ -23,7 +20,6 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from beltrami_cli.flow.grid_manifold import GridManifold
     from beltrami_cli.flow.manifold import SampledKernel
     from beltrami_cli.flow.parameters import KernelParameters
     from beltrami_cli.flow.partitions import Joined, Partition, Runner
@@ -54,17 +50,17 @@ class Split:
     def run(
         self,
         cut: Callable[[int], Sequence[Partition]],
-        reach: int,
         values: NDArray[np.float32],
         iterations: int,
         progress: Callable[[int, int], None] | None,
     ) -> Joined:
         """Cut a surface and run all iterations; partitions that prove too narrow are cut again, twice as wide."""
+        widening = 1
         while True:
             try:
-                return self.runner.run(cut(reach), values, iterations, progress)
+                return self.runner.run(cut(widening), values, iterations, progress)
             except TooNarrowError:
-                reach *= 2
+                widening *= 2
 
 
 _WANTED: ContextVar[Split | None] = ContextVar("split", default=None)
@@ -94,7 +90,7 @@ class BeltramiFlow(Generic[AnyManifold]):
     def __init__(self, manifold: AnyManifold, parameters: KernelParameters) -> None:
         self.manifold: AnyManifold = manifold
         self._split = wanted_split()
-        moves = isinstance(manifold, MeshManifold) and manifold.moving is not None
+        moves = manifold.moving is not None
         if moves and self._split is not None:
             raise UsageError("vertices are not moved in pieces; leave out --pieces, or --smooth-geometry")
         if moves:  # positions take the same iterations, and what is best for colours is not best for them
@@ -188,15 +184,12 @@ class BeltramiFlow(Generic[AnyManifold]):
         steps = [self.step(iteration) for iteration in range(self.parameters.iterations)]
         channels = stacks[0].shape[manifold.axis]
 
-        def cut(reach: int) -> Sequence[Partition]:
-            if isinstance(manifold, MeshManifold):
-                return cut_mesh(manifold, split.count, reach, steps, channels)
-            return cut_grid(cast("GridManifold", manifold), split.count, steps, channels)
+        def cut(widening: int) -> Sequence[Partition]:
+            return manifold.partitions(split.count, widening, steps, channels)
 
-        reach = first_reach(manifold) if isinstance(manifold, MeshManifold) else 0
         progress = stages.of(len(steps))
         shared = None if progress is None else lambda done, total: progress(manifold.size * done // total)
-        done = split.run(cut, reach, manifold.rows(stacks), len(steps), shared)
+        done = split.run(cut, manifold.rows(stacks), len(steps), shared)
         manifold.put_rows(done.values, stacks)
         return Averaged(stacks, done.samples, done.truncated)
 

@@ -27,9 +27,6 @@ _REPEATS_REACH = 3
 # Rows that are processed together.
 _ROWS = 256
 
-# Cells that a patch reaches from its centre.
-_PATCH_REACH = 3
-
 # Rows whose lengths are added at a time: the rounding of a sum depends on it.
 _ROWS_OF_A_SUM = 64
 
@@ -67,8 +64,10 @@ def colours_at(planes: NDArray[np.float32], cells: Indices, threads: int) -> NDA
 
 def canvas_margin(parameters: KernelParameters) -> int:
     """Return how many cells beyond a chart its kernels and patches read."""
+    from beltrami_cli._native import PATCH_REACH
+
     blurred = guide_radius(parameters.metric_scale) if parameters.metric_steps else 0
-    return max(parameters.window // 2 + blurred, _PATCH_REACH if parameters.takes_patches else 0)
+    return max(parameters.window // 2 + blurred, PATCH_REACH if parameters.takes_patches else 0)
 
 
 def local_scales(atlas: Atlas, window: int) -> NDArray[np.float32]:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from beltrami_cli.flow.grid_manifold import GridManifold
+    from beltrami_cli.flow.grid_kernels import GridKernels
     from beltrami_cli.flow.manifold import Step
     from beltrami_cli.surface.atlas import Atlas
 
@@ -36,7 +36,7 @@ class GridPartition:
 
     def __init__(
         self,
-        whole: GridManifold,
+        whole: GridKernels,
         core: Core,
         number: NDArray[np.int64],  # of the sample in each cell of the canvas
         source: NDArray[np.int64],  # number of the sample whose value the cell has
@@ -76,7 +76,7 @@ class GridPartition:
         return Advance(part.rows(averaged.stacks), averaged.samples, 0)
 
 
-def cut_grid(whole: GridManifold, count: int, steps: Sequence[Step], channels: int) -> list[GridPartition]:
+def cut_grid(whole: GridKernels, count: int, steps: Sequence[Step], channels: int) -> list[GridPartition]:
     """Cut a canvas into up to `count` partitions with about the same number of owned cells."""
     number, source = _sources(whole.atlas)
     cores = _cores(whole.atlas.kind == OWNED, count)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -24,11 +24,15 @@ if TYPE_CHECKING:
 
     from beltrami_cli.flow.clipping import ClippedChannels
     from beltrami_cli.flow.embedding import Guide
+    from beltrami_cli.flow.geometry import MovingPositions
     from beltrami_cli.flow.kernel_work import KernelWork
     from beltrami_cli.flow.parameters import KernelParameters
+    from beltrami_cli.flow.partitions import Partition
     from beltrami_cli.flow.regularisation import GridGaussian, MeshGaussian
     from beltrami_cli.flow.search_range import Rule, SearchRange
     from beltrami_cli.surface.atlas import Indices
+
+    Stack = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -56,6 +60,7 @@ class Mixing:
     forth: NDArray[np.float32]
     back: NDArray[np.float32]
     variances: NDArray[np.float32]
+    has_pilot: bool = field(default=False, kw_only=True)  # patches are compared on an estimate
 
 
 @dataclass(frozen=True)
@@ -128,6 +133,9 @@ class Manifold(ABC):
     sigma: NDArray[np.float64]
     """Estimated standard deviation of the noise, by channel."""
 
+    moving: MovingPositions | None = None
+    """The positions, if they are smoothed along with the colours."""
+
     @property
     def shares_noise(self) -> bool:
         """Whether neighbouring samples share noise."""
@@ -195,6 +203,12 @@ class Manifold(ABC):
         """Average stacks by the kernels of the metric, eqs. (8) and (9); they may be changed in place."""
 
     @abstractmethod
+    def partitions(
+        self, count: int, widening: int, steps: Sequence[Step], channels: int
+    ) -> Sequence[Partition]:
+        """Cut into up to `count` partitions; those that prove too narrow are cut again, with a greater `widening`."""
+
+    @abstractmethod
     def cut(self, samples: Any, *others: Any) -> Manifold:
         """Return a part of the manifold as a manifold without colours; its metric is that of the whole."""
 
@@ -234,15 +248,9 @@ class Manifold(ABC):
 
     @abstractmethod
     def collaborate(
-        self,
-        noisy: NDArray[np.float32],
-        pilot: NDArray[np.float32],
-        mixing: Mixing,
-        *,
-        has_pilot: bool,
-        progress: Callable[[int], None] | None = None,
-    ) -> NDArray[np.float32]:
-        """Estimate colours from patches that look alike in the pilot, which is an estimate itself or only compared."""
+        self, noisy: Stack, pilot: Stack, mixing: Mixing, progress: Callable[[int], None] | None
+    ) -> Stack:
+        """Estimate colours from patches that look alike in the pilot."""
 
     @abstractmethod
     def perturbation(self) -> NDArray[np.float32] | NDArray[np.int8]:

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from beltrami_cli.flow.manifold import Step
-    from beltrami_cli.flow.mesh_manifold import MeshManifold
+    from beltrami_cli.flow.mesh_kernels import MeshKernels
 
 # Sixteen samples make a group of the solver along segments, and groups are formed within blocks of this many
 # consecutive samples. The members of a group change the rounding of its averages, so partitions own whole blocks.
@@ -41,7 +41,7 @@ class MeshPartition:
 
     def __init__(
         self,
-        whole: MeshManifold,
+        whole: MeshKernels,
         owned: tuple[int, int],
         ring: NDArray[np.int32],  # edges from each sample to the owned ones, shape (S,); -1: not received
         known: int,
@@ -94,7 +94,7 @@ class MeshPartition:
 
 
 def cut_mesh(
-    whole: MeshManifold, count: int, reach: int, steps: Sequence[Step], channels: int
+    whole: MeshKernels, count: int, reach: int, steps: Sequence[Step], channels: int
 ) -> list[MeshPartition]:
     """Cut a surface into up to `count` partitions that receive samples up to `reach` edges away."""
     if any(step.regularised for step in steps):
@@ -110,7 +110,7 @@ def cut_mesh(
     return partitions
 
 
-def first_reach(whole: MeshManifold) -> int:
+def first_reach(whole: MeshKernels) -> int:
     """Guess the radius of kernels in edges; partitions that prove too narrow are cut again."""
     own = whole.parameters
     spacing = whole.spacing if own.units == "world" else 1.0

@@ -105,11 +105,11 @@ def blend_with_patches(
     second = _with_pilot(mixing, manifold)
 
     def estimate(colours: NDArray[np.float32], pilot: NDArray[np.float32]) -> NDArray[np.float32]:
-        first = manifold.collaborate(colours, pilot, mixing, has_pilot=False, progress=stage(_FIRST))
+        first = manifold.collaborate(colours, pilot, mixing, stage(_FIRST))
         for own, kernels in _blocks(axis, first, pilot):
             own += kernels
             own /= 2
-        return manifold.collaborate(colours, first, second, has_pilot=True, progress=stage(_SECOND))
+        return manifold.collaborate(colours, first, second, stage(_SECOND))
 
     after = estimate(noisy, before)
     _add(axis, noisy, signs, size)
@@ -194,7 +194,8 @@ def _with_pilot(mixing: Mixing, manifold: Manifold) -> Mixing:
     factor = np.where(is_difference, _MORE_IN_DIFFERENCES, 1.0) * SMOOTHNESS[manifold.parameters.strength]
     if manifold.shares_noise:
         factor = factor * _SHARED
-    return dataclasses.replace(mixing, variances=(mixing.variances * factor).astype(np.float32))
+    variances = (mixing.variances * factor).astype(np.float32)
+    return dataclasses.replace(mixing, variances=variances, has_pilot=True)
 
 
 def _is_coloured(manifold: Manifold, colours: NDArray[np.float32]) -> bool:

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from beltrami_cli.flow import grid_manifold
+from beltrami_cli.flow import grid_kernels
 from beltrami_cli.flow.grid_manifold import GridManifold
 from beltrami_cli.flow.parameters import KernelParameters
 from flow.split_surfaces import FIXED, ON_GRIDS, image_flow, outcome, same_bits, textured_flow
@@ -18,9 +18,9 @@ THREE_ITERATIONS = {**FIXED, "iterations": 3, "metric_steps": 2}
 
 def low_row_blocks(monkeypatch):
     """Let row blocks be as low as their margins allow."""
-    monkeypatch.setattr(grid_manifold, "ROW_BLOCK_CELLS", 1)
-    monkeypatch.setattr(grid_manifold, "CELLS_PER_THREAD", 0)
-    monkeypatch.setattr(grid_manifold, "TILE_ROWS", 1)
+    monkeypatch.setattr(grid_kernels, "ROW_BLOCK_CELLS", 1)
+    monkeypatch.setattr(grid_kernels, "CELLS_PER_THREAD", 0)
+    monkeypatch.setattr(grid_kernels, "TILE_ROWS", 1)
 
 
 @pytest.mark.slow

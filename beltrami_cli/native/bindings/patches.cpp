@@ -100,6 +100,7 @@ void collaborate_on_surface(const SurfacePatches& surface, const Matrix<float>& 
 
 void bind_patches(nb::module_& module) {
   using namespace nb::literals;
+  module.attr("PATCH_REACH") = patch_reach;
   module.def("collaborate_on_grid", &collaborate_on_grid, "kind"_a, "noisy"_a, "pilot"_a, "mixing"_a,
              "relative"_a.none(), "has_pilot"_a, "estimates"_a, "weights"_a, "threads"_a, "progress"_a.none());
   nb::class_<SurfacePatches>(module, "SurfacePatches")
