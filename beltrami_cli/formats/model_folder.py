@@ -13,11 +13,13 @@ from typing import TYPE_CHECKING
 
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access, read_regular
 from beltrami_cli.formats.image.recognition import format_of_suffix
+from beltrami_cli.formats.tiles import found_tiles, has_token, tile_name, token_in, usual_tiles
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from beltrami_cli.formats.document import Naming
+    from beltrami_cli.surface.tiling import Tile
 
 _SCHEME = re.compile(r"[a-z][a-z0-9+.-]*:", re.IGNORECASE)  # a URL, or the letter of a drive
 _NETWORK = re.compile(r"[a-z][a-z0-9+.-]+:|//", re.IGNORECASE)
@@ -90,6 +92,22 @@ class ModelFolder:
             return there.relative_to(self._folder).as_posix()
         return path
 
+    def locate_tiles(self, pattern: str, within: PurePosixPath = _HERE) -> tuple[str, dict[Tile, str]]:
+        """Return the path that a set of tiles has, and those of its files; UnfitReferenceError if there are none."""
+        path = checked_path(pattern, within, outside=self.access.outside, tiles=True)
+        if self._folder is None:
+            raise UnfitReferenceError(_NOWHERE)
+        folder = PurePosixPath(path).parent
+        if self.access.bring is not None:
+            for name in usual_tiles(PurePosixPath(path).name):
+                self.access.bring(self._folder / folder / name)
+        names = {*self._names_in(self._folder / folder).values()}
+        names |= {there.name for there in self.access.instead if there.parent == self._folder / folder}
+        tiles = found_tiles(PurePosixPath(path).name, names)
+        if not tiles:
+            raise UnfitReferenceError(f"{_MISSING} (no tile of it is there)")
+        return path, {tile: self.locate(str(folder / name)) for tile, name in tiles.items()}
+
     def _like_named(self, path: str) -> str | None:
         """Return a file whose path differs only in capitals, or in how accents are coded."""
         assert self._folder is not None
@@ -105,7 +123,8 @@ class ModelFolder:
         """Return the names in a folder inside the model's, by their case-folded form."""
         if folder not in self._listings:
             names: list[str] = []
-            if self._folder is not None and folder.resolve().is_relative_to(self._folder):
+            inside = self._folder is not None and folder.resolve().is_relative_to(self._folder)
+            if inside or self.access.outside:
                 with contextlib.suppress(OSError):
                     names = [entry.name for entry in folder.iterdir()]
             self._listings[folder] = {_case_folded(name): name for name in names}
@@ -122,14 +141,14 @@ def _case_folded(name: str) -> str:
     return unicodedata.normalize("NFC", name).casefold()
 
 
-def checked_path(name: str, within: PurePosixPath = _HERE, *, outside: bool) -> str:
+def checked_path(name: str, within: PurePosixPath = _HERE, *, outside: bool, tiles: bool = False) -> str:
     """Return the path that a name stands for, as `ModelFolder.locate` does, but without looking at the disk."""
     plain = name.replace("\\", "/")
     if not name:
         raise UnfitReferenceError("is empty")
     if _NETWORK.match(plain) or (_SCHEME.match(plain) and not outside):
         raise UnfitReferenceError("is not a relative path; only files beside the model are read")
-    if "<UDIM>" in name or "<UVTILE>" in name:
+    if has_token(name) and not tiles:
         raise UnfitReferenceError(_TILES)
     path = within / plain
     if any(part.startswith(".") and part != ".." for part in path.parts):
@@ -162,15 +181,17 @@ class NewNames:
         # In another folder what is present gets other names, and references to what is missing stay.
         self._taken = {path.casefold() for path in (*missing, *(() if naming.copies else present))}
 
-    def image(self, path: str, suffix: str | None = None, *, is_replaced: bool = True) -> str:
-        """Return the path of an image in place of another; `is_replaced`: nothing shows that one any more."""
+    def image(
+        self, path: str, suffix: str | None = None, *, is_replaced: bool = True, tiles: Iterable[Tile] = ()
+    ) -> str:
+        """Return the path of an image, or a set of tiles, in place of another that nothing shows if `is_replaced`."""
         keeps = self._naming.keeps and is_replaced
         new = path_inside(path)
         if not keeps:
             new = _renamed(new, self._source, self._naming.stem)
         if suffix is not None:
             new = _with_suffix(new, suffix)
-        return self._reserve(new, may_stay=keeps and new == path)
+        return self._reserve(new, may_stay=keeps and new == path, tiles=tuple(tiles))
 
     def other(self, path: str, suffix: str) -> str:
         """Return the path of a file that is no image, in place of another."""
@@ -182,13 +203,24 @@ class NewNames:
         """Return the path of a file that replaces none: the stem with a suffix."""
         return self._reserve(str(folder / (self._naming.stem + suffix)))
 
-    def _reserve(self, path: str, *, may_stay: bool = False) -> str:
+    def _reserve(self, path: str, *, may_stay: bool = False, tiles: tuple[Tile, ...] = ()) -> str:
         whole, number = PurePosixPath(path), 2
-        while not may_stay and (path.casefold() in self._taken or self._naming.is_taken(path)):
-            path = str(whole.with_name(f"{whole.stem}-{number}{whole.suffix}"))
+        token = token_in(whole.name)
+        end = whole.name.rfind(token) if token and token in whole.name else len(whole.stem)
+        files = _files(path, tiles)
+        while not may_stay and any(
+            file.casefold() in self._taken or self._naming.is_taken(file) for file in files
+        ):
+            path = str(whole.with_name(f"{whole.name[:end]}-{number}{whole.name[end:]}"))
+            files = _files(path, tiles)
             number += 1
-        self._taken.add(path.casefold())
+        self._taken.update(file.casefold() for file in files)
         return path
+
+
+def _files(path: str, tiles: tuple[Tile, ...]) -> list[str]:
+    """Return the files that a path stands for."""
+    return [tile_name(path, tile) for tile in tiles] or [path]
 
 
 def path_inside(path: str) -> str:
@@ -199,18 +231,18 @@ def path_inside(path: str) -> str:
 def _renamed(path: str, source: str, stem: str) -> str:
     """Return a path named after another model: its old stem, as a word, is replaced, or the new one put in front."""
     whole = PurePosixPath(path)
-    word = rf"(?<![^\W_]){re.escape(source)}(?![^\W_])"
+    word = rf"(?<![^\W_])(?<!<){re.escape(source)}(?![^\W_])"
     new, count = re.subn(word, lambda _: stem, whole.name, count=1)
     new = new if count else f"{stem}_{whole.name}"
     if len(os.fsencode(new)) > _LONGEST:
-        new = stem + whole.suffix
+        new = stem + token_in(whole.name) + whole.suffix
     return str(whole.with_name(new))
 
 
 def _with_suffix(path: str, suffix: str) -> str:
     """Return a path with the suffix of an image format; unchanged if it already has one of that format."""
     old = PurePosixPath(path).suffix
-    if format_of_suffix(old) == format_of_suffix(suffix):
+    if format_of_suffix(old) == format_of_suffix(suffix) or has_token(old):
         return path
     return str(PurePosixPath(path).with_suffix(suffix))
 

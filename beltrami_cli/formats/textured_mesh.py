@@ -10,7 +10,9 @@ import numpy as np
 
 from beltrami_cli.formats.document import Naming
 from beltrami_cli.formats.model_folder import NewNames
+from beltrami_cli.formats.tiles import tile_name
 from beltrami_cli.surface.records import ImageFile, Material, MaterialMap, MeshImage
+from beltrami_cli.surface.tiling import tiles_under
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -18,6 +20,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from beltrami_cli.surface.records import AlphaMode, Slot, TexturedMesh
+    from beltrami_cli.surface.tiling import Tile
 
 POLYGONS_CUT = "quads and polygons, which are cut into triangles"
 _LARGEST = 1e30
@@ -166,6 +169,33 @@ def shown_materials(
     """Return the materials that triangles have, and which of these each has."""
     used, number_of = np.unique(material_of, return_inverse=True)
     return tuple(materials[index] for index in used), number_of.astype(np.int32)
+
+
+def on_tiles(mesh: TexturedMesh, sets: Mapping[int, Mapping[Tile, int]]) -> TexturedMesh:
+    """Return a mesh with a material for each tile; `sets` are the images of tiles, by one image that stands for all."""
+    if not sets:
+        return mesh
+    tiled = [any(shown.image in sets for shown in each.maps.values()) for each in mesh.materials]
+    material_of = np.zeros(len(mesh.faces), np.int32) if mesh.material_of is None else mesh.material_of.copy()
+    faces = np.flatnonzero(np.array(tiled)[material_of] & np.isfinite(mesh.uv).all(axis=(1, 2)))
+    tiles = tiles_under(mesh.uv[faces])
+    uv, materials = mesh.uv.copy(), list(mesh.materials)
+    uv[faces] += np.column_stack([-tiles[:, 0], tiles[:, 1]])[:, None]
+    rows, number_of = np.unique(
+        np.column_stack([material_of[faces], tiles]).astype(np.int64), axis=0, return_inverse=True
+    )
+    for old, *place in rows.tolist():
+        tile, material = (place[0], place[1]), mesh.materials[old]
+        maps = {
+            slot: dataclasses.replace(shown, image=image)
+            for slot, shown in material.maps.items()
+            if (image := sets.get(shown.image, {tile: shown.image}).get(tile)) is not None
+        }
+        name = tile_name(f"{material.name or 'tile'}_<UDIM>", tile)
+        materials.append(dataclasses.replace(material, name=name, maps=maps))
+    material_of[faces] = len(mesh.materials) + number_of.reshape(-1)
+    shown, material_of = shown_materials(materials, material_of)
+    return dataclasses.replace(mesh, uv=uv, materials=shown, material_of=material_of)
 
 
 def not_converted(mesh: TexturedMesh, others: Iterable[str] = ()) -> tuple[str, ...]:

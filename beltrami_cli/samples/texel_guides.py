@@ -106,8 +106,11 @@ class GuidedTexels:
     def _shown_with(self, index: int, guiding: TexturedSurface, slot: Slot) -> int | None:
         """Return the texture of the guiding slot on the triangles of a smoothed texture; None: none."""
         faces = np.flatnonzero(self.surface.texture_of == index)
-        shown = np.unique(guiding.texture_of[faces])
         name = self.surface.textures[index].name
+        if len(guiding.faces) != len(self.surface.faces):
+            cause = f"only one of the textures in the slots of {name} and {slot} is in tiles"
+            raise InputError(self.document.name, f"{cause}, so {slot} cannot guide it", "leave the guide out")
+        shown = np.unique(guiding.texture_of[faces])
         if len(shown) > 1:
             raise InputError(
                 self.document.name,

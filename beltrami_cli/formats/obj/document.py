@@ -278,8 +278,12 @@ def _take_apart(
     for number, library in enumerate(materials.libraries):
         parts[f"material library {number + 1}"] = _without_names(library)
         for index, (found, path) in enumerate(library.maps):
-            if path is not None:
-                label = f"material {found.material!r}, {found.keyword} ({number + 1}.{index + 1})"
+            label = f"material {found.material!r}, {found.keyword} ({number + 1}.{index + 1})"
+            tiles = materials.tiles.get(path or "", {})
+            for tile, file in tiles.items():
+                name = file.rpartition("/")[2]
+                paintings[f"{label}, tile {tile}"] = NamedImage(name, materials.read(file))
+            if path is not None and not tiles:
                 paintings[label] = NamedImage(found.name, materials.read(path))
     return Fingerprint(parts, {} if colours is None else {"vertex colours": colours}, paintings)
 

@@ -21,11 +21,13 @@ from beltrami_cli.formats.model_folder import (
     UnfitReferenceError,
     is_outside,
 )
+from beltrami_cli.formats.tiles import has_token
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from beltrami_cli.surface.records import Slot
+    from beltrami_cli.surface.tiling import Tile
 
 SLOTS: dict[str, Slot] = {
     "map_kd": "baseColor",
@@ -130,6 +132,7 @@ class Materials:
     def __init__(self, folder: ModelFolder, statements: Sequence[tuple[bytes, int]]) -> None:
         self.paths: list[str] = []  # of regular files inside the folder, relative to it, "/" separates
         self.notices: list[str] = []  # one sentence for each file that is missing or lies elsewhere
+        self.tiles: dict[str, dict[Tile, str]] = {}  # the files of each set of tiles, by the set's path
         self._folder = folder
         self._reasons: dict[str, str] = {}
         self._listed: set[str] = set()
@@ -160,6 +163,15 @@ class Materials:
             return self._folder.read(path)
         except OSError as error:
             raise InputError(path, f"cannot be read ({error.strerror})") from error
+
+    def files(self, path: str) -> list[str]:
+        """Return the file of a path, or those of a set of tiles."""
+        return list(self.tiles[path].values()) if path in self.tiles else [path]
+
+    def named(self, file: str) -> list[str]:
+        """Return the paths by which maps name a file: its own, and those of sets that it is a tile of."""
+        sets = [path for path, tiles in self.tiles.items() if file in tiles.values()]
+        return [*([file] if self.uses(file) or not sets else []), *sets]
 
     def slots(self) -> set[Slot]:
         """Return the slots that some material has a map in."""
@@ -216,17 +228,23 @@ class Materials:
         return Library(path, data, frozenset(materials), found, tuple(mentions))
 
     def _found(self, name: str, within: PurePosixPath) -> str | None:
-        """Return the path of a file, adding it once, or None with a notice if it is not there."""
+        """Return the path of a file or a set of tiles, adding it once, or None with a notice if it is not there."""
         try:
-            path = self._folder.locate(name, within)
+            if has_token(name):
+                path, tiles = self._folder.locate_tiles(name, within)
+                self.tiles[path] = tiles
+            else:
+                path = self._folder.locate(name, within)
         except UnfitReferenceError as error:
             self._notice(name, str(error), LEFT_ALONE)
             return None
         if is_outside(path):
             self._notice(name, LEFT_OUTSIDE)
-        elif path not in self._listed:
-            self._listed.add(path)
-            self.paths.append(path)
+            return path
+        for file in self.files(path):
+            if file not in self._listed:
+                self._listed.add(file)
+                self.paths.append(file)
         return path
 
     def _notice(self, name: str, reason: str, behind: str = "") -> None:

@@ -11,6 +11,7 @@ import numpy as np
 
 from beltrami_cli.formats.document import Written
 from beltrami_cli.formats.model_folder import NewNames, is_outside, new_reference, path_inside
+from beltrami_cli.formats.tiles import common_suffix, tile_name
 from beltrami_cli.formats.tokens import Spans, exchange_spans, exchange_tokens
 
 if TYPE_CHECKING:
@@ -103,8 +104,10 @@ def repainted(
     missing = [found.name for library in materials.libraries for found, path in library.maps if path is None]
     names = NewNames(naming, source, materials.paths, missing)
     sidecars: dict[str, Bytes] = {}
-    edits = _take_images(materials, images, names, sidecars)
-    copies = _copy_images(materials, names, edits) if names.copies else {}
+    copies: dict[str, str] = {}
+    edits = _take_images(materials, images, names, sidecars, copies)
+    if names.copies:
+        copies |= _copy_images(materials, names, edits)
     spans: Spans = {}
     for library in materials.libraries:
         own = edits.get(library.path, {})
@@ -129,20 +132,34 @@ def _take_images(
     images: Mapping[tuple[Slot, str], ImageFile],
     names: NewNames,
     sidecars: dict[str, Bytes],
+    copies: dict[str, str],
 ) -> dict[str, Spans]:
-    """Put new images among the sidecars; return new names by library."""
+    """Put new images among the sidecars, other tiles of their sets among the copies; return new names by library."""
     edits: dict[str, Spans] = {}
-    for (path, image), slots in _by_file(images).items():
+    for (path, files), slots in _by_path(materials, images).items():
         # What two slots show alike is one file; with the base colour go maps that are of other slots, too.
         affected = list(
             {id(found): (of, found) for s in slots for of, found in materials.affected(s, path)}.values()
         )
         # Its name is free only if no map that keeps the old image has it.
-        new = names.image(path, image.suffix, is_replaced=len(affected) == materials.uses(path))
-        sidecars[new] = image.data
+        is_replaced = len(affected) == materials.uses(path)
+        suffix = common_suffix(image.suffix for _, image in files)
+        new = names.image(path, suffix, is_replaced=is_replaced, tiles=materials.tiles.get(path, ()))
+        new_of = _new_files(materials, path, new)
+        sidecars |= {new_of.pop(file): image.data for file, image in files}
+        copies |= {file: old for old, file in new_of.items() if file != old}
         for library, found in affected:
             edits.setdefault(library.path, {})[found.start, found.end] = _spelled(found, path, new, library)
     return edits
+
+
+def _new_files(materials: Materials, path: str, new: str) -> dict[str, str]:
+    """Return the new file of each file of a path, which is an image or a set of tiles."""
+    if path not in materials.tiles:
+        return {path: new}
+    return {
+        file: file if path == new else tile_name(new, tile) for tile, file in materials.tiles[path].items()
+    }
 
 
 def _copy_images(materials: Materials, names: NewNames, edits: dict[str, Spans]) -> dict[str, str]:
@@ -155,16 +172,24 @@ def _copy_images(materials: Materials, names: NewNames, edits: dict[str, Spans])
             own = edits.setdefault(library.path, {})
             if (found.start, found.end) not in own:
                 if path not in new_of:
-                    new_of[path] = names.image(path)
+                    new_of[path] = names.image(path, tiles=materials.tiles.get(path, ()))
                 own[found.start, found.end] = _spelled(found, path, new_of[path], library)
-    return {new: path for path, new in new_of.items()}
+    return {
+        file: old for path, new in new_of.items() for old, file in _new_files(materials, path, new).items()
+    }
 
 
-def _by_file(images: Mapping[tuple[Slot, str], ImageFile]) -> dict[tuple[str, ImageFile], list[Slot]]:
-    """Return the slots in which an image is replaced by a file."""
-    slots: dict[tuple[str, ImageFile], list[Slot]] = {}
-    for (slot, path), image in images.items():
-        slots.setdefault((path, image), []).append(slot)
+def _by_path(
+    materials: Materials, images: Mapping[tuple[Slot, str], ImageFile]
+) -> dict[tuple[str, tuple[tuple[str, ImageFile], ...]], list[Slot]]:
+    """Return the slots in which an image, or images of a set of tiles, are replaced by the same files."""
+    replaced: dict[tuple[str, Slot], list[tuple[str, ImageFile]]] = {}
+    for (slot, file), image in images.items():
+        for path in materials.named(file):
+            replaced.setdefault((path, slot), []).append((file, image))
+    slots: dict[tuple[str, tuple[tuple[str, ImageFile], ...]], list[Slot]] = {}
+    for (path, slot), files in replaced.items():
+        slots.setdefault((path, tuple(files)), []).append(slot)
     return slots
 
 
@@ -187,7 +212,8 @@ def _take_along(
             continue
         if path not in copies:
             is_copied = is_outside(path) or names.copies
-            copies[path] = names.image(path) if is_copied else path
+            copies[path] = names.image(path, tiles=materials.tiles.get(path, ())) if is_copied else path
             if is_copied:
-                sidecars[copies[path]] = materials.read(path)
+                new_of = _new_files(materials, path, copies[path])
+                sidecars |= {file: materials.read(old) for old, file in new_of.items()}
         edits[found.start, found.end] = os.fsencode(copies[path])

@@ -11,7 +11,7 @@ import numpy as np
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.image import read_image, suffix_for
 from beltrami_cli.formats.obj.vertices import unit_normals
-from beltrami_cli.formats.textured_mesh import alpha_mode, shown_materials, usable_coordinates
+from beltrami_cli.formats.textured_mesh import alpha_mode, on_tiles, shown_materials, usable_coordinates
 from beltrami_cli.surface.polygons import triangulate_corners
 from beltrami_cli.surface.records import ImageFile, Material, MaterialMap, MeshImage, TexturedMesh
 
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.obj.texturing import Coordinates
     from beltrami_cli.formats.obj.vertices import Scan
     from beltrami_cli.surface.records import AlphaMode, Slot, Wrap
+    from beltrami_cli.surface.tiling import Tile
 
 _SLOTS: tuple[Slot, ...] = ("baseColor", "emissive", "normal")
 _VALUE = re.compile(rb"^[ \t]*+(newmtl|kd|ke|d|tr|pm|pr)[ \t]++([^\r\n]*[^\s])", re.IGNORECASE | re.MULTILINE)
@@ -54,7 +55,7 @@ def read_textured_mesh(
     shown, material_of = shown_materials(reading.materials, numbers)
     groups, group_of, lost = _groups(statements, polygon)
     lost += ["lines and points"] if "lines and points" in scan.dropped else []
-    return TexturedMesh(
+    mesh = TexturedMesh(
         positions=scan.vertices.positions,
         faces=scan.corners[cut],
         uv=uv,
@@ -67,6 +68,7 @@ def read_textured_mesh(
         normals=_normals(statements)[cut] if "normals" in scan.dropped else None,
         left_out=(*lost, *reading.left_out),
     )
+    return on_tiles(mesh, reading.sets)
 
 
 class _Reading:
@@ -80,6 +82,7 @@ class _Reading:
         self.placed: list[_Placed] = []
         self.images: list[MeshImage] = []
         self.left_out: list[str] = []
+        self.sets: dict[int, dict[Tile, int]] = {}  # images of tiles, by that which stands for all
 
     def take(self, name: str) -> None:
         """Take a material, and the images that it shows."""
@@ -130,6 +133,11 @@ class _Reading:
         return {}
 
     def _image(self, path: str) -> int:
+        if path in self._materials.tiles and path not in self._index_of:
+            images = {tile: self._image(file) for tile, file in self._materials.tiles[path].items()}
+            self._index_of[path] = len(self.images)
+            self.sets[len(self.images)] = images
+            self.images.append(self.images[next(iter(images.values()))])
         if path not in self._index_of:
             data = self._materials.read(path)
             name = path.rpartition("/")[2]
@@ -138,6 +146,7 @@ class _Reading:
         return self._index_of[path]
 
     def _is_grey(self, path: str) -> bool:
+        path = self._materials.files(path)[0]
         picture = read_image(self._materials.read(path), path, finite=False)
         colours = picture.pixels[..., list(picture.colour)]
         return bool((colours == colours[..., :1]).all())

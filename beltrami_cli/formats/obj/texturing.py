@@ -12,6 +12,7 @@ from beltrami_cli.errors import InputError
 from beltrami_cli.formats.model_folder import remedy_for
 from beltrami_cli.surface.polygons import triangulate_corners
 from beltrami_cli.surface.records import Texture, TexturedSurface
+from beltrami_cli.surface.tiling import TilingError, on_tiles
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.obj.materials import Materials
     from beltrami_cli.formats.obj.statements import Statements
     from beltrami_cli.surface.records import Slot, Wrap
+    from beltrami_cli.surface.tiling import Tile
 
 
 @dataclass(frozen=True)
@@ -87,29 +89,35 @@ def gather_textured(
     material_of = coordinates.material_of[polygon]
     bare = (coordinates.corners[cut] < 0).any(axis=1)
     texture_of = np.where(bare, -1, palette.texture_of[material_of])
-    if not (texture_of >= 0).any():
+    if (texture_of == -1).all():
         raise InputError(name, *palette.excuse())
     uv = np.append(coordinates.values, [[0.0, 0.0]], axis=0)[coordinates.corners[cut]]
     with np.errstate(over="ignore", invalid="ignore"):
         uv = uv * palette.scale[material_of][:, None, :] + palette.offset[material_of][:, None, :]
     uv[:, :, 1] = 1 - uv[:, :, 1]
-    if not np.isfinite(uv[texture_of >= 0]).all():
+    if not np.isfinite(uv[texture_of != -1]).all():
         raise InputError(name, "the options of a texture map move texture coordinates to infinity")
     notices = palette.notices()
-    lost = int(np.count_nonzero(bare & (palette.texture_of[material_of] >= 0)))
+    lost = int(np.count_nonzero(bare & (palette.texture_of[material_of] != -1)))
     if lost:
         notices.append(f"{lost} triangles of textured materials have no texture coordinates.")
     surface = TexturedSurface(positions, corners[cut], uv, texture_of.astype(np.int32), palette.textures())
-    return surface, notices
+    try:
+        return on_tiles(surface, palette.sets), notices
+    except TilingError as error:
+        raise InputError(name, str(error), "check its texture coordinates") from error
 
 
 class _Palette:
     """The images of one slot by material; arrays are indexed by material, -1 being the last row."""
 
+    # Of sets of tiles `texture_of` is -2 minus the index in `sets`, which have the images of their tiles.
+
     def __init__(self, materials: Materials, folder: ModelFolder, slot: Slot, count: int) -> None:
         self._materials, self._folder, self.slot = materials, folder, slot
         self._painted: dict[str, _Painted] = {}
         self._missing: dict[str, list[str]] = {}
+        self.sets: list[dict[Tile, int]] = []
         self.texture_of = np.full(count + 1, -1, np.int64)
         self.scale, self.offset = np.ones((count + 1, 2)), np.zeros((count + 1, 2))
 
@@ -119,13 +127,20 @@ class _Palette:
         if painting is None:
             return
         found, path = painting
-        if path is None or not self._loaded(path):
+        files = [] if path is None else [file for file in self._materials.files(path) if self._loaded(file)]
+        if not files:
             self._missing.setdefault(found.name, []).append(material)
             return
-        painted = self._painted[path]
-        painted.materials.append(material)
-        painted.wraps.append("clamp" if found.clamped else "repeat")
-        self.texture_of[number] = painted.number
+        tiles = self._materials.tiles.get(path or "")
+        for file in files:
+            self._painted[file].materials.append(material)
+            self._painted[file].wraps.append("clamp" if found.clamped or tiles else "repeat")
+        self.texture_of[number] = self._painted[files[0]].number
+        if tiles:
+            own = {tile: self._painted[file].number for tile, file in tiles.items() if file in files}
+            if own not in self.sets:
+                self.sets.append(own)
+            self.texture_of[number] = -2 - self.sets.index(own)
         self.scale[number], self.offset[number] = found.scale, found.offset
 
     def _loaded(self, path: str) -> bool:

@@ -1,0 +1,148 @@
+"""Textures in tiles: triangles cut along the borders of tiles, and each part given the image of the tile it lies in."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import TYPE_CHECKING, TypeAlias
+
+import numpy as np
+
+from beltrami_cli.surface.grouping import group_places
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from beltrami_cli.surface.records import TexturedSurface
+
+Tile: TypeAlias = tuple[int, int]
+"""Column and row of a unit square of the UV plane, (0, 0) the first, rows counted upwards."""
+
+COLUMNS, ROWS = 10, 900
+"""How many there are: the numbers from 1001 to 9999."""
+
+_MOST_NEW = 1 << 18  # triangles beyond four times as many as there were
+_NEAR = 1e-9  # a border that an edge crosses this close to its end is none
+
+
+class TilingError(ValueError):
+    """Triangles that reach over more tiles than those of any real model."""
+
+
+def on_tiles(surface: TexturedSurface, sets: Sequence[Mapping[Tile, int]]) -> TexturedSurface:
+    """Give triangles of set k, whose `texture_of` is -2 - k, the texture of their tile; -1 where there is none."""
+    if not sets:
+        return surface
+    with np.errstate(over="ignore", invalid="ignore"):  # where there is no texture, coordinates mean nothing
+        surface = _cut(surface)
+    texture_of, uv = surface.texture_of.copy(), surface.uv.copy()
+    for number, known in enumerate(sets):
+        faces = np.flatnonzero(texture_of == -2 - number)
+        tiles = tiles_under(uv[faces])
+        uv[faces] += np.column_stack([-tiles[:, 0], tiles[:, 1]])[:, None]
+        images = np.full((COLUMNS, ROWS), -1, np.int32)
+        for (column, row), image in known.items():
+            images[column, row] = image
+        inside = np.asarray(((tiles >= 0) & (tiles < (COLUMNS, ROWS))).all(axis=1))
+        column, row = np.where(inside[:, None], tiles, 0).astype(np.int64).T
+        texture_of[faces] = np.where(inside, images[column, row], -1)
+    return dataclasses.replace(surface, uv=uv, texture_of=texture_of)
+
+
+def tiles_under(uv: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return column and row of the tile of each triangle's centre, (F, 2), from coordinates (F, 3, 2) with v down."""
+    centre = uv.mean(axis=1)
+    tiles: NDArray[np.float64] = np.floor(np.column_stack([centre[:, 0], 1 - centre[:, 1]]))
+    return tiles
+
+
+@dataclasses.dataclass
+class _Cuts:
+    """Where edges of triangles are cut, all of shape (F, 3): edge k is from corner k to the next one."""
+
+    row: NDArray[np.int64]  # of the new vertex, -1: none
+    share: NDArray[np.float64]  # of the edge that lies before it
+
+
+def _cut(surface: TexturedSurface) -> TexturedSurface:
+    """Cut triangles of tiles, and those beside them alike, so that edges still fit, until none crosses a border."""
+    most = 4 * len(surface.faces) + _MOST_NEW
+    while True:
+        place_of, first = group_places(surface.positions, surface.space_of)
+        ends = place_of[np.stack([surface.faces, np.roll(surface.faces, -1, axis=1)], axis=2)]
+        share = _crossings(surface.uv, ends)
+        share[surface.texture_of > -2] = np.nan
+        crossed = ~np.isnan(share)
+        if not crossed.any():
+            return surface
+        keys = ends.min(axis=2).astype(np.int64) * len(first) + ends.max(axis=2)
+        cut, chosen = np.unique(keys[crossed], return_index=True)
+        at = share[crossed][chosen]  # from the end with the lower place
+        number = np.minimum(np.searchsorted(cut, keys), len(cut) - 1)
+        is_cut = cut[number] == keys
+        along = np.where(ends[:, :, 0] < ends[:, :, 1], at[number], 1 - at[number])
+        rows = np.where(is_cut, len(surface.positions) + number, -1)
+        low, high = (first[part] for part in np.divmod(cut, len(first)))
+        surface = _split(_with_vertices(surface, low, high, at), _Cuts(rows, along))
+        if len(surface.faces) > most:
+            raise TilingError("its triangles reach over more tiles of their texture than those of any model")
+
+
+def _crossings(uv: NDArray[np.float64], ends: NDArray[np.int32]) -> NDArray[np.float64]:
+    """Return where edges cross a border, as the share from the end with the lower place on, (F, 3); NaN: nowhere."""
+    turned = ends[:, :, 0] > ends[:, :, 1]
+    one, other = uv, np.roll(uv, -1, axis=1)
+    start, stop = np.where(turned[..., None], other, one), np.where(turned[..., None], one, other)
+    found = np.full(turned.shape, np.nan)
+    for axis, last in ((0, COLUMNS), (1, ROWS)):
+        # With v down the borders are the whole numbers from 1 downwards.
+        below, above = (0, last) if axis == 0 else (1 - last, 1)
+        a, b = start[..., axis], stop[..., axis]
+        low, high = np.maximum(np.minimum(a, b), below - 0.5), np.minimum(np.maximum(a, b), above + 0.5)
+        border = np.clip(np.floor((low + high) / 2), np.floor(low) + 1, np.ceil(high) - 1)
+        crosses = (border > low) & (border < high)
+        at = np.divide(border - a, b - a, out=np.full(a.shape, np.nan), where=crosses)
+        at[~((at > _NEAR) & (at < 1 - _NEAR))] = np.nan
+        found = np.where(np.isnan(found), at, found)
+    return found
+
+
+def _with_vertices(
+    surface: TexturedSurface, low: NDArray[np.int32], high: NDArray[np.int32], at: NDArray[np.float64]
+) -> TexturedSurface:
+    """Add vertices between the rows `low` and `high`."""
+    start, stop = surface.positions[low], surface.positions[high]
+    positions = np.concatenate([surface.positions, start + at[:, None] * (stop - start)])
+    space_of = surface.space_of
+    if space_of is not None:
+        space_of = np.concatenate([space_of, space_of[low]])
+    return dataclasses.replace(surface, positions=positions, space_of=space_of)
+
+
+def _split(surface: TexturedSurface, cuts: _Cuts) -> TexturedSurface:
+    """Split each triangle that has cut edges into up to four, around the first vertex that is new."""
+    touched = (cuts.row >= 0).any(axis=1)
+    faces = np.flatnonzero(touched)
+    turn = (np.argmax(cuts.row[faces] >= 0, axis=1)[:, None] + np.arange(3)) % 3
+    corner, uv = surface.faces[faces[:, None], turn], surface.uv[faces[:, None], turn]
+    row, share = cuts.row[faces[:, None], turn], cuts.share[faces[:, None], turn]
+    following = np.roll(uv, -1, axis=1)
+    between = uv + share[..., None] * (following - uv)
+    whole = np.rint(between)
+    between = np.where(np.abs(between - whole) < _NEAR, whole, between)
+    # Where an edge is not cut, its vertex is the end that makes a triangle of no area, which is left out.
+    end = [1, 1, 0]
+    rows = np.concatenate([np.where(row >= 0, row, corner[:, end]), corner], axis=1)
+    places = np.concatenate([np.where((row >= 0)[..., None], between, uv[:, end]), uv], axis=1)
+    parts = np.array([[0, 4, 1], [0, 1, 5], [0, 5, 2], [0, 2, 3]])
+    new, new_uv = rows[:, parts].reshape(-1, 3), places[:, parts].reshape(-1, 3, 2)
+    is_real = (new != np.roll(new, 1, axis=1)).all(axis=1)
+    textures = np.repeat(surface.texture_of[faces], len(parts))
+    kept = ~touched
+    return dataclasses.replace(
+        surface,
+        faces=np.concatenate([surface.faces[kept], new[is_real]]).astype(np.int32),
+        uv=np.concatenate([surface.uv[kept], new_uv[is_real]]),
+        texture_of=np.concatenate([surface.texture_of[kept], textures[is_real]]),
+    )

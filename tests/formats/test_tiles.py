@@ -1,0 +1,182 @@
+"""Textures in tiles (UDIM): one manifold in several files, written as the files that they were."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from beltrami_cli.errors import InputError
+from beltrami_cli.formats.image import read_image
+from beltrami_cli.formats.registry import open_document
+from beltrami_cli.formats.tiles import found_tiles, tile_name, tile_of
+from beltrami_cli.jobs.check import check_files
+from beltrami_cli.jobs.inspect import inspect_file
+from beltrami_cli.jobs.job import Job
+from beltrami_cli.jobs.smooth import smooth_file
+from beltrami_cli.surface.lookup import look_up
+from formats.image_files import encode
+from formats.tile_files import GIVEN, SIDE, TILES, obj_text, painting, part, sheet, tiled_model
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+REPEAT = ("repeat", "repeat")
+PATTERNS = ["skin.<UDIM>.png", "skin_<udim>.png", "<UVTILE>.skin.png", "skin<uvtile>.png"]
+
+
+def pixels(path: Path) -> NDArray[np.int64]:
+    return read_image(path.read_bytes(), path.name).pixels.astype(np.int64)
+
+
+def assembled(folder: Path, pattern: str) -> NDArray[np.int64]:
+    """Return the tiles of a folder as one image."""
+    whole = np.zeros((2 * SIDE, 2 * SIDE, 3), np.int64)
+    for tile in TILES:
+        part(whole, tile)[:] = pixels(folder / tile_name(pattern, tile))
+    return whole
+
+
+@given(st.sampled_from(PATTERNS), st.integers(0, 9), st.integers(0, 899))
+def test_a_name_made_for_a_tile_is_read_as_that_tile(pattern: str, u: int, v: int) -> None:
+    assert tile_of(pattern, tile_name(pattern, (u, v))) == (u, v)
+
+
+def test_numbers_are_those_of_mari_mudbox_and_zbrush() -> None:
+    assert [tile_name(pattern, (2, 1)) for pattern in PATTERNS] == [
+        "skin.1013.png", "skin_1013.png", "u3_v2.skin.png", "skinu2_v1.png",
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("label", ["1000", "0999", "10010", "100", "1o01", "", "u1_v1", "１００１"])
+def test_other_names_are_of_no_tile(label: str) -> None:
+    assert found_tiles("a.<UDIM>.png", [f"a.{label}.png", "a.png", "a..png"]) == {}
+    assert found_tiles("a.<UVTILE>.png", ["a.u0_v1.png", "a.u11_v1.png", "a.1001.png"]) == {}
+
+
+@pytest.mark.parametrize("pattern", PATTERNS)
+def test_tiles_are_smoothed_as_one_image_would_be(pattern: str, tmp_path: Path) -> None:
+    """Also across borders, which triangles cross: only the order of sums may differ."""
+    smooth_file(tiled_model(tmp_path / "in", pattern), tmp_path / "new.obj", GIVEN)
+    positions, uv, quads = sheet()
+    (tmp_path / "one").mkdir()
+    (tmp_path / "one" / "model.obj").write_text(obj_text(uv / 2, positions, quads))
+    (tmp_path / "one" / "model.mtl").write_text("newmtl skin\nmap_Kd skin.png\n")
+    (tmp_path / "one" / "skin.png").write_bytes(encode(painting(), "png"))
+    smooth_file(tmp_path / "one" / "model.obj", tmp_path / "one" / "new.obj", GIVEN)
+    difference = np.abs(assembled(tmp_path, f"new_{pattern}") - pixels(tmp_path / "one" / "new_skin.png"))
+    assert difference.max() <= 1
+    assert np.count_nonzero(difference) <= 10
+    assert np.abs(assembled(tmp_path, f"new_{pattern}") - painting()).mean() > 3
+
+
+def test_nothing_but_the_images_changes(tmp_path: Path) -> None:
+    model = tiled_model(tmp_path / "in")
+    smooth_file(model, tmp_path / "new.obj", GIVEN)
+    report = check_files(model, tmp_path / "new.obj")
+    assert report.faithful
+    assert len(report.differences) == len(TILES)
+    old = (tmp_path / "in" / "model.mtl").read_text()
+    assert (tmp_path / "new.mtl").read_text() == old.replace("skin.<", "new_skin.<")
+    assert sorted(open_document(str(tmp_path / "new.obj")).references()) == sorted(
+        path.name for path in tmp_path.iterdir() if path.suffix in (".mtl", ".png")
+    )
+    smooth_file(model, model, GIVEN, Job(overwrite=True))  # in its own place under its own names
+    assert sorted(path.name for path in model.parent.iterdir()) == sorted(
+        ["model.obj", "model.mtl", *(tile_name("skin.<UDIM>.png", tile) for tile in TILES)]
+    )
+    assert (assembled(model.parent, "skin.<UDIM>.png") == assembled(tmp_path, "new_skin.<UDIM>.png")).all()
+
+
+def test_tiles_that_are_not_chosen_come_along(tmp_path: Path) -> None:
+    model = tiled_model(tmp_path)
+    new = tmp_path / "new.obj"
+    smooth_file(model, new, GIVEN, names=("skin.1002.png",))
+    assert [each.what[-6:] for each in check_files(model, new).differences] == ["(1, 0)"]
+    assert (tmp_path / "new_skin.1011.png").read_bytes() == (tmp_path / "skin.1011.png").read_bytes()
+    smooth_file(model, tmp_path / "jpg.obj", GIVEN, image_suffix=".jpg")
+    assert "jpg_skin.<UDIM>.jpg" in (tmp_path / "jpg.mtl").read_text()
+    assert len(open_document(str(tmp_path / "jpg.obj")).textured("baseColor").textures) == len(TILES)
+
+
+def test_a_tile_that_is_missing_is_a_hole(tmp_path: Path) -> None:
+    model = tiled_model(tmp_path / "in")
+    (model.parent / "skin.1012.png").unlink()
+    smooth_file(model, tmp_path / "new.obj", GIVEN)
+    assert check_files(model, tmp_path / "new.obj").faithful
+    assert {path.name[-8:-4] for path in tmp_path.glob("*.png")} == {"1001", "1002", "1011"}
+    surface = open_document(str(tmp_path / "new.obj")).textured("baseColor")
+    beyond = (surface.positions[surface.faces][..., :2].mean(axis=1) > 1).all(axis=1)
+    np.testing.assert_array_equal(surface.texture_of == -1, beyond)
+
+
+def test_tiles_may_differ_in_size_and_depth(tmp_path: Path) -> None:
+    model = tiled_model(tmp_path)
+    small = encode(part(painting("uint16"), (1, 0))[::2, ::2], "png")
+    (tmp_path / "skin.1002.png").write_bytes(small)
+    (entry,) = inspect_file(model, GIVEN)["textures"]
+    assert [(image["name"], image["width"], image["stored"]) for image in entry["images"]] == [
+        ("skin.1001.png", SIDE, "uint8"),
+        ("skin.1002.png", SIDE // 2, "uint16"),
+        ("skin.1011.png", SIDE, "uint8"),
+        ("skin.1012.png", SIDE, "uint8"),
+    ]
+    assert entry["seams_between_textures"] == 4
+    smooth_file(model, tmp_path / "new.obj", GIVEN)
+    picture = read_image((tmp_path / "new_skin.1002.png").read_bytes(), "new")
+    assert (picture.stored, picture.pixels.shape) == ("uint16", (SIDE // 2, SIDE // 2, 3))
+
+
+def test_materials_may_have_a_tile_each(tmp_path: Path) -> None:
+    """As programs export that know no tiles: coordinates stay in the plane, where images are repeated."""
+    positions, uv, quads = sheet(1)
+    both = [positions, positions + np.array([uv.max(), 0, 0.1 * np.sin(3)])]
+    text = obj_text(np.concatenate([uv, uv + np.array([1, 0])]), np.concatenate(both), quads)
+    text += "usemtl other\n" + "".join(
+        f"f {' '.join(f'{corner}/{corner}' for corner in row)}\n" for row in (quads + len(uv) + 1).tolist()
+    )
+    (tmp_path / "model.obj").write_text(text)
+    (tmp_path / "model.mtl").write_text("newmtl skin\nmap_Kd a.1001.png\nnewmtl other\nmap_Kd a.1002.png\n")
+    for tile in TILES[:2]:
+        path = tmp_path / tile_name("a.<UDIM>.png", tile)
+        path.write_bytes(encode(part(painting(), tile), "png"))
+    smooth_file(tmp_path / "model.obj", tmp_path / "one.obj", GIVEN)
+    (tmp_path / "model.mtl").write_text(
+        "newmtl skin\nmap_Kd a.<UDIM>.png\nnewmtl other\nmap_Kd a.<UDIM>.png\n"
+    )
+    smooth_file(tmp_path / "model.obj", tmp_path / "two.obj", GIVEN)
+    for number in (1001, 1002):
+        one, two = (pixels(tmp_path / f"{name}_a.{number}.png") for name in ("one", "two"))
+        assert np.abs(one - two).max() <= 1
+
+
+@pytest.mark.parametrize("suffix", ["glb", "obj", "ply"])
+def test_converted_tiles_show_the_same_colours(suffix: str, tmp_path: Path) -> None:
+    if suffix == "obj":
+        smooth_file(tiled_model(tmp_path), tmp_path / "by.glb", GIVEN, iterations=0)
+        smooth_file(tmp_path / "by.glb", tmp_path / "new.obj", GIVEN, iterations=0)
+    else:
+        smooth_file(tiled_model(tmp_path), tmp_path / f"new.{suffix}", GIVEN, iterations=0)
+    surface = open_document(str(tmp_path / f"new.{suffix}")).textured("baseColor")
+    images = [read_image(texture.data, texture.name).pixels / 255 for texture in surface.textures]
+    assert len(images) == len(TILES)
+    middles = surface.positions[surface.faces].mean(axis=1)[:, :2]
+    inside = np.flatnonzero((np.abs(surface.uv.mean(axis=1) - 0.5) < 0.4).all(axis=1))
+    for face in inside:
+        shown = look_up(images[surface.texture_of[face]], surface.uv[face].mean(axis=0)[None], REPEAT)
+        wanted = look_up(painting() / 255, middles[face][None] * [0.5, -0.5] + [0, 1], REPEAT)
+        np.testing.assert_allclose(shown, wanted, atol=1e-3)
+
+
+def test_triangles_over_millions_of_tiles_are_refused(tmp_path: Path) -> None:
+    model = tiled_model(tmp_path)
+    text = model.read_text()
+    far = "vt -5 0\nvt 15 0\nvt 5 900\n" + "f -1/-1 -2/-2 -3/-3\n" * 20000
+    model.write_text(text + far)
+    with pytest.raises(InputError, match=r"over more tiles .*; check its texture coordinates"):
+        open_document(str(model)).textured("baseColor")
