@@ -3,10 +3,10 @@
 A format is a subclass of `Document`, in a folder of its own, and a line of `formats/registry.py`. To write one:
 
 - The constructor takes the bytes, the name for messages, the folder of sidecar files (None: there are none, as for
-  standard input) and the `Access`: ``__init__(self, data, name, folder, access)``. It may parse lazily, and holds every
-  count against the length of the data before it allocates.
-- `painted`, `patch`, `references`, `contents` and `facts` are required; the others have defaults for a format without
-  textures, range images, further attributes or movable vertices.
+  standard input) and the `Access`. It may parse lazily, and holds every count against the length of the data before it
+  allocates.
+- `_painted`, `_patched`, `contents` and `facts` are required; the others have defaults for a format without textures,
+  files beside it, range images, further attributes or movable vertices.
 - `patch` with equal colours returns equal bytes. What changes is rounded once; every other byte stays.
 - Whatever is wrong with the file is an `InputError` with its name, the cause and a remedy.
 """
@@ -19,9 +19,11 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, ClassVar
 
 from beltrami_cli.errors import InputError
+from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
+    from pathlib import Path
 
     import numpy as np
     from numpy.typing import NDArray
@@ -84,6 +86,20 @@ class Written:
 
 
 @dataclass(frozen=True)
+class Changes:
+    """What is to be new in a document; every entry that equals the present one keeps its stored bytes."""
+
+    # Rows as in `painted().colours`, shape (V, C); None: unchanged. They are clipped to the range of the stored type
+    # and rounded to it once, to the nearest.
+    colours: NDArray[np.float32] | None
+    # By slot and `Texture.key`, of the same size in pixels: each replaces that image in that slot and nowhere else. The
+    # type of file may change.
+    images: Mapping[tuple[Slot, str], ImageFile] = field(default_factory=dict)
+    # New positions, which `require_movable` has allowed; None: unchanged. They are rounded to the stored type once.
+    places: MovedVertices | None = None
+
+
+@dataclass(frozen=True)
 class NamedImage:
     """An image file, by the name that users know it by."""
 
@@ -108,13 +124,21 @@ class Document(ABC):
     format: ClassVar[str]
     """The name of its line in the registry."""
 
-    def __init__(self, name: str) -> None:
+    def __init__(
+        self, data: bytes, name: str, folder: Path | None = None, access: Access = EVERYTHING_INSIDE
+    ) -> None:
+        del folder  # for formats that refer to files beside them
+        self.data, self.access = data, access
         self.name = name  # of the file as the user named it, for messages
         self.notices: list[str] = []  # for the user, one sentence each, without the file's name
 
-    @abstractmethod
     def painted(self) -> PaintedVertices:
         """Return the vertex colours and their surface, always the same record; InputError without usable ones."""
+        return self._painted
+
+    @property
+    @abstractmethod
+    def _painted(self) -> PaintedVertices: ...
 
     def grid(self) -> NDArray[np.int64] | None:
         """Return the rows of `painted()` on the grid of a range image, shape (H, W), -1: none; None without a grid."""
@@ -138,8 +162,14 @@ class Document(ABC):
         The name is one of `attributes()`, in any case of letters. Integers are divided by their full scale only where
         the format says that they are fractions. Normals are of unit length or 0, in the space of the positions.
         """
-        known = ", ".join(self.attributes()) or "nothing"
-        raise InputError(self.name, f"its vertices have no {name}, but {known} beside their colours")
+        fits = [known for known in self.attributes() if known.lower() == name.lower()]
+        if not fits:
+            known = ", ".join(self.attributes()) or "nothing"
+            raise InputError(self.name, f"its vertices have no {name}, but {known} beside their colours")
+        return self._attribute(fits[0])
+
+    def _attribute(self, name: str) -> NDArray[np.float64]:
+        raise NotImplementedError
 
     def has_normals_by_vertex(self) -> bool:
         """Whether `patch` puts normals into the document when vertices move."""
@@ -157,7 +187,6 @@ class Document(ABC):
         """Return the textures of a slot and their surface, always the same record; InputError without usable ones."""
         raise InputError(self.name, f"it has no {slot} texture")
 
-    @abstractmethod
     def patch(
         self,
         colours: NDArray[np.float32] | None,
@@ -166,26 +195,15 @@ class Document(ABC):
         images: Mapping[tuple[Slot, str], ImageFile] = NO_IMAGES,
         places: MovedVertices | None = None,
     ) -> Written:
-        """Return the document's files with other colours and everything else as it was.
-
-        Parameters
-        ----------
-        colours : ndarray of float32, shape (V, C), or None
-            Rows as in `painted().colours`; None: unchanged. Every entry that equals the present one keeps its stored
-            bytes; others are clipped to the range of the stored type and rounded to it once, to the nearest.
-        naming : Naming
-            How the files beside the output are named, and whether unchanged ones are copied.
-        images : mapping of (Slot, str) to ImageFile
-            New images by slot and `Texture.key`, of the same size in pixels: each replaces that image in that slot and
-            nowhere else. The type of file may change.
-        places : MovedVertices or None
-            New positions of the vertices, which `require_movable` has allowed; None: unchanged. Every coordinate that
-            equals the present one keeps its stored bytes; others are rounded to the stored type once.
-        """
+        """Return the document's files with other colours, images or positions, and everything else as it was."""
+        return self._patched(Changes(colours, images, places), naming)
 
     @abstractmethod
+    def _patched(self, new: Changes, naming: Naming) -> Written: ...
+
     def references(self) -> Sequence[str]:
         """Return relative paths of existing unchanged files that the model needs beside it ("/" separates)."""
+        return ()
 
     @abstractmethod
     def contents(self) -> MeshContents:

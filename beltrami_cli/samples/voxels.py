@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.document import NO_IMAGES, Document
+from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.volume import read_volume
 from beltrami_cli.formats.volume.arrays import require_package
 from beltrami_cli.samples.voxel_colours import find_colours, paint
@@ -15,15 +15,14 @@ from beltrami_cli.surface.records import MeshContents
 from beltrami_cli.surface.volume import places
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
 
     from beltrami_cli.formats.access import Access
-    from beltrami_cli.formats.document import Naming, Written
+    from beltrami_cli.formats.document import Changes, Naming, Written
     from beltrami_cli.samples.settings import Inside, LevelSetSettings
-    from beltrami_cli.surface.records import ImageFile, MovedVertices, PaintedVertices, Slot
+    from beltrami_cli.surface.records import PaintedVertices
     from beltrami_cli.surface.volume import Volume
 
 # More crossed grid edges are due to noise or a wrong level; and marching cubes counts in 32 bits.
@@ -46,7 +45,7 @@ class LevelSetDocument(Document):
         access: Access,
         threads: int,
     ) -> None:
-        super().__init__(name)
+        super().__init__(b"", name, folder, access)
         require_package("skimage.measure", "scikit-image", name, "to triangulate level sets")
         max_voxels = _allowed(settings, access)
         volume = read_volume(data, name, folder, max_voxels)
@@ -60,42 +59,29 @@ class LevelSetDocument(Document):
         source, where = find_colours(volume, settings.colours, name, access, max_voxels)
         painted = paint(source, where, volume.lattice, known, positions, threads)
         self.notices += painted.notices
-        self._painted = painted.vertices(positions, faces)
+        self._vertices = painted.vertices(positions, faces)
         self._contents = MeshContents(
             positions,
             faces.ravel(),
             np.arange(0, faces.size + 1, 3, dtype=np.int64),
-            self._painted.colours,
-            self._painted.encoding,
-            self._painted.stored,
+            self._vertices.colours,
+            self._vertices.encoding,
+            self._vertices.stored,
             painted.alpha,
         )
 
-    def painted(self) -> PaintedVertices:
-        """Return the vertices with all triangles whose corners have colours; the others are isolated."""
-        return self._painted
+    @property
+    def _painted(self) -> PaintedVertices:
+        """Vertices with all triangles whose corners have colours; the others are isolated."""
+        return self._vertices
 
     def contents(self) -> MeshContents:
-        """Return the whole surface."""
         return self._contents
 
     def facts(self) -> dict[str, object]:
-        """Return facts about the grid."""
         return self._facts
 
-    def references(self) -> Sequence[str]:
-        """Return nothing: the output is a mesh without other files."""
-        return []
-
-    def patch(
-        self,
-        colours: NDArray[np.float32] | None,
-        naming: Naming,
-        *,
-        images: Mapping[tuple[Slot, str], ImageFile] = NO_IMAGES,
-        places: MovedVertices | None = None,
-    ) -> Written:
-        """Raise InputError: volumes are not written."""
+    def _patched(self, new: Changes, naming: Naming) -> Written:
         raise InputError(
             self.name, "a level set is not written", "name an output in .ply, .obj, .glb or .gltf"
         )

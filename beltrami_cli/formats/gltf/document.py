@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
-from beltrami_cli.formats.document import NO_IMAGES, Document, Fingerprint
+from beltrami_cli.formats.document import NO_IMAGES, Changes, Document, Fingerprint
 from beltrami_cli.formats.gltf.accessors import Accessors, Stored, fractions
 from beltrami_cli.formats.gltf.buffers import Buffers
 from beltrami_cli.formats.gltf.container import read_container
@@ -60,7 +60,7 @@ class GltfDocument(Document):
     def __init__(
         self, data: bytes, name: str, folder: Path | None, access: Access = EVERYTHING_INSIDE
     ) -> None:
-        super().__init__(name)
+        super().__init__(data, name, folder, access)
         self._folder = ModelFolder(folder, access)
         self.container = read_container(data, name)
         self.format = self.container.kind
@@ -94,50 +94,36 @@ class GltfDocument(Document):
     def _painted(self) -> PaintedVertices:
         return painted_vertices(self.surface, self.accessors, self.stored_colours)
 
-    def painted(self) -> PaintedVertices:  # noqa: D102
-        return self._painted
-
-    def has_vertex_colours(self) -> bool:  # noqa: D102
+    def has_vertex_colours(self) -> bool:
         primitives = primitives_of(self.container.tree)
         return any("COLOR_0" in primitive.get("attributes", {}) for _, primitive in primitives)
 
-    def slots(self) -> tuple[Slot, ...]:  # noqa: D102
+    def slots(self) -> tuple[Slot, ...]:
         return present_slots(self.root)
 
-    def textured(self, slot: Slot) -> TexturedSurface:  # noqa: D102
+    def textured(self, slot: Slot) -> TexturedSurface:
         if slot not in self._textured:
             surface, notices = gather_textured(self.root, self.accessors, self.places, self.images, slot)
             self._textured[slot] = surface
             self.notices += [notice for notice in notices if notice not in self.notices]
         return self._textured[slot]
 
-    def attributes(self) -> tuple[str, ...]:  # noqa: D102
+    def attributes(self) -> tuple[str, ...]:
         return attribute_names(self.root, self.surface.blocks)
 
-    def attribute(self, name: str) -> NDArray[np.float64]:  # noqa: D102
-        fits = [known for known in self.attributes() if known.lower() == name.lower()]
-        if not fits:
-            return super().attribute(name)
-        if fits[0] == "normal" and (normals := self._normals()) is not None:
+    def _attribute(self, name: str) -> NDArray[np.float64]:
+        if name == "normal" and (normals := self._normals()) is not None:
             return normals.astype(np.float64)
-        return read_attribute(self.root, self.surface.blocks, self.accessors, fits[0])
+        return read_attribute(self.root, self.surface.blocks, self.accessors, name)
 
     def _normals(self) -> NDArray[np.float32] | None:
         return normals_of(self.surface.blocks, self.accessors)
 
-    def require_movable(self) -> None:  # noqa: D102
+    def require_movable(self) -> None:
         require_movable(self.accessors, self.surface.blocks)
 
-    def patch(  # noqa: D102
-        self,
-        colours: NDArray[np.float32] | None,
-        naming: Naming,
-        *,
-        images: Mapping[tuple[Slot, str], ImageFile] = NO_IMAGES,
-        places: MovedVertices | None = None,
-    ) -> Written:
-        form = self.container.kind
-        return self.repackaged(colours, naming, form, images=images, places=places)
+    def _patched(self, new: Changes, naming: Naming) -> Written:
+        return self._written(new, naming, self.container.kind)
 
     def repackaged(
         self,
@@ -149,20 +135,22 @@ class GltfDocument(Document):
         places: MovedVertices | None = None,
     ) -> Written:
         """Return the document as `patch` does, in the other form of glTF if that is asked for."""
+        return self._written(Changes(colours, images, places), naming, form)
+
+    def _written(self, new: Changes, naming: Naming, form: GltfForm) -> Written:
         edit = Edit(self.container, self.accessors, self.container.copy_of_tree())
-        if colours is not None:
-            recolour(edit, self.surface.blocks, self.stored_colours, self.painted().colours, colours)
-        if places is not None:
-            move(edit, self.surface.blocks, self.painted().positions, places)
+        if new.colours is not None:
+            recolour(edit, self.surface.blocks, self.stored_colours, self.painted().colours, new.colours)
+        if new.places is not None:
+            move(edit, self.surface.blocks, self.painted().positions, new.places)
         compress_again(edit)
-        repaint(edit, self.images, images)
+        repaint(edit, self.images, new.images)
         return written(edit, naming, form, self._folder)
 
     def references(self) -> Sequence[str]:
-        """Return the existing buffers and images beside the file, and those of the buffers that a patch changes."""
         return self._references
 
-    def contents(self) -> MeshContents:  # noqa: D102
+    def contents(self) -> MeshContents:
         painted = self.painted()
         return MeshContents(
             positions=painted.positions,
@@ -176,7 +164,7 @@ class GltfDocument(Document):
             left_out=tuple(_left_out(self.container.tree)),
         )
 
-    def textured_mesh(self, colours: NDArray[np.float32] | None = None) -> TexturedMesh:  # noqa: D102
+    def textured_mesh(self, colours: NDArray[np.float32] | None = None) -> TexturedMesh:
         stored = "float32"
         by_primitive: dict[tuple[int, int], NDArray[np.float32]] = {}
         if self.has_vertex_colours():
@@ -195,7 +183,7 @@ class GltfDocument(Document):
             others.append("node hierarchy")
         return dataclasses.replace(mesh, left_out=(*mesh.left_out, *others))
 
-    def fingerprint(self) -> Fingerprint:  # noqa: D102
+    def fingerprint(self) -> Fingerprint:
         parts, images = fingerprint(self.container, self.accessors, self.images)
         colours: dict[str, NDArray[np.float32]] = {}
         if self.has_vertex_colours():
@@ -204,7 +192,7 @@ class GltfDocument(Document):
             parts["opacity of vertex colours"] = b"".join(opacity)
         return Fingerprint(parts, colours, images)
 
-    def facts(self) -> dict[str, object]:  # noqa: D102
+    def facts(self) -> dict[str, object]:
         root, asset = self.root, self.root.entry("asset")
         primitives = [primitive for _, primitive in primitives_of(self.container.tree)]
         named = {primitive.get("attributes", {}).get("COLOR_0", -1) for primitive in primitives}

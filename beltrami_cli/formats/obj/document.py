@@ -13,7 +13,7 @@ import numpy as np
 from beltrami_cli.errors import InputError, UnpaintedError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.colours import full_scale
-from beltrami_cli.formats.document import NO_IMAGES, PLACEHOLDER, Document, Fingerprint, NamedImage, Written
+from beltrami_cli.formats.document import PLACEHOLDER, Document, Fingerprint, NamedImage, Written
 from beltrami_cli.formats.model_folder import ModelFolder
 from beltrami_cli.formats.obj.materials import Materials
 from beltrami_cli.formats.obj.patching import new_colours, new_positions, renumbered, repainted
@@ -24,17 +24,17 @@ from beltrami_cli.formats.obj.vertices import Scan, among, read_normals, repaint
 from beltrami_cli.formats.textured_mesh import POLYGONS_CUT
 from beltrami_cli.formats.tokens import Spans, exchange_spans, exchange_tokens, shifted, zeroed
 from beltrami_cli.surface.polygons import triangulate
-from beltrami_cli.surface.records import MeshContents, MovedVertices, PaintedVertices, VertexColours
+from beltrami_cli.surface.records import MeshContents, PaintedVertices, VertexColours
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
-    from beltrami_cli.formats.document import Naming
+    from beltrami_cli.formats.document import Changes, Naming
     from beltrami_cli.formats.obj.materials import Library
     from beltrami_cli.formats.obj.texturing import Coordinates
-    from beltrami_cli.surface.records import ImageFile, Slot, TexturedMesh, TexturedSurface
+    from beltrami_cli.surface.records import Slot, TexturedMesh, TexturedSurface
 
 _CHANNELS = ("red", "green", "blue")
 _STALE = "The vertices moved, but the normals ('vn') are as they were; make them anew, or leave them out."
@@ -50,16 +50,11 @@ class ObjDocument(Document):
     def __init__(
         self, data: bytes, name: str, folder: Path | None, access: Access = EVERYTHING_INSIDE
     ) -> None:
-        super().__init__(name)
+        super().__init__(data, name, folder, access)
         if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
             raise InputError(name, "it is text in UTF-16", "save it as UTF-8")
-        self._data = data
         self._folder = ModelFolder(folder, access)
         self._textured: dict[Slot, TexturedSurface] = {}
-
-    def painted(self) -> PaintedVertices:
-        """Return the coloured vertices and the faces between them; see `Document.painted`."""
-        return self._painted
 
     @cached_property
     def _painted(self) -> PaintedVertices:
@@ -80,15 +75,12 @@ class ObjDocument(Document):
         return "text" if self._scan.polypaint is None else "uint8"
 
     def has_vertex_colours(self) -> bool:
-        """Return whether any vertex has a colour."""
         return bool(self._scan.vertices.coloured.size)
 
     def slots(self) -> tuple[Slot, ...]:
-        """Return the slots in which a material has a map; see `Document.slots`."""
         return tuple(slot for slot in _SLOTS if slot in self._materials.slots())
 
     def textured(self, slot: Slot) -> TexturedSurface:
-        """Return the textures of a slot and their surface; see `Document.textured`."""
         if slot not in self._textured:
             vertices = self._scan.vertices
             mesh = vertices.positions, self._scan.corners, self._scan.offsets
@@ -99,20 +91,13 @@ class ObjDocument(Document):
             self.notices += notices
         return self._textured[slot]
 
-    def patch(
-        self,
-        colours: NDArray[np.float32] | None,
-        naming: Naming,
-        *,
-        images: Mapping[tuple[Slot, str], ImageFile] = NO_IMAGES,
-        places: MovedVertices | None = None,
-    ) -> Written:
-        """Return the files with other colours and images; see `Document.patch`."""
+    def _patched(self, new: Changes, naming: Naming) -> Written:
+        colours, places = new.colours, new.places
         beside = Written([])
         spans: Spans = {}
-        if images or naming.copies:
-            beside, spans = repainted(self._materials, images, self.name, naming)
-        data = exchange_spans(self._data, spans)
+        if new.images or naming.copies:
+            beside, spans = repainted(self._materials, new.images, self.name, naming)
+        data = exchange_spans(self.data, spans)
         known, paint = self._scan.vertices, self._scan.polypaint
         starts, ends = (shifted(tokens, spans) for tokens in (known.token_starts, known.token_ends))
         parts = []
@@ -137,15 +122,11 @@ class ObjDocument(Document):
         return False
 
     def attributes(self) -> tuple[str, ...]:
-        """Return whether there are normals; see `Document.attributes`."""
         return ("normal",) if "normals" in self._scan.dropped else ()
 
-    def attribute(self, name: str) -> NDArray[np.float64]:
-        """Return the normals of the coloured vertices; see `Document.attribute`."""
-        if name.lower() not in self.attributes():
-            return super().attribute(name)
+    def _attribute(self, name: str) -> NDArray[np.float64]:
         vertices = self._scan.vertices
-        statements = Statements(self._data, self.name)
+        statements = Statements(self.data, self.name)
         normals = read_normals(statements, self._scan.corners, len(vertices.positions))[vertices.coloured]
         if np.isnan(normals).any():
             row = int(vertices.coloured[int(np.argmax(np.isnan(normals).any(axis=1)))])
@@ -153,11 +134,9 @@ class ObjDocument(Document):
         return normals
 
     def references(self) -> Sequence[str]:
-        """Return the material files inside the folder and the textures that they name."""
         return self._materials.paths
 
     def contents(self) -> MeshContents:
-        """Return the coloured vertices and the polygons between them; see `Document.contents`."""
         colours = self._colours
         vertices = self._scan.vertices
         corners, offsets = self._polygons
@@ -173,8 +152,7 @@ class ObjDocument(Document):
         )
 
     def textured_mesh(self, colours: NDArray[np.float32] | None = None) -> TexturedMesh:
-        """Return all triangles with their materials; see `Document.textured_mesh`."""
-        statements, vertices = Statements(self._data, self.name), self._scan.vertices
+        statements, vertices = Statements(self.data, self.name), self._scan.vertices
         source = Path(self.name).stem
         mesh = read_textured_mesh(statements, self._scan, self._coordinates, self._materials, source)
         if (np.diff(self._scan.offsets) > 3).any():
@@ -198,13 +176,11 @@ class ObjDocument(Document):
         return np.clip(alpha, 0, 1).astype(np.float32)
 
     def fingerprint(self) -> Fingerprint:
-        """Take the file and its libraries apart; see `Document.fingerprint`."""
         return _take_apart(
-            self._data, self._scan, self._colours if self.has_vertex_colours() else None, self._materials
+            self.data, self._scan, self._colours if self.has_vertex_colours() else None, self._materials
         )
 
     def facts(self) -> dict[str, object]:
-        """Return counts of what the file has."""
         return {
             "format": self.format,
             "vertices": len(self._scan.vertices.positions),
@@ -216,7 +192,7 @@ class ObjDocument(Document):
 
     @cached_property
     def _scan(self) -> Scan:
-        scan = scan_file(self._data, self.name)
+        scan = scan_file(self.data, self.name)
         self.notices += scan.notices
         return scan
 
@@ -250,7 +226,7 @@ class ObjDocument(Document):
 
     @cached_property
     def _coordinates(self) -> Coordinates:
-        return read_coordinates(Statements(self._data, self.name), self._materials)
+        return read_coordinates(Statements(self.data, self.name), self._materials)
 
     def _unpainted(self) -> UnpaintedError:
         cause = "there are no vertex colours on its 'v' lines"

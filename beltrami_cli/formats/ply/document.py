@@ -11,7 +11,7 @@ import numpy as np
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
-from beltrami_cli.formats.document import NO_IMAGES, Document, Fingerprint, Written
+from beltrami_cli.formats.document import Document, Fingerprint, Written
 from beltrami_cli.formats.model_folder import ModelFolder, is_outside
 from beltrami_cli.formats.ply.fingerprint import take_apart
 from beltrami_cli.formats.ply.header import read_header
@@ -38,20 +38,20 @@ from beltrami_cli.formats.ply.vertex_properties import (
 from beltrami_cli.formats.textured_mesh import POLYGONS_CUT
 from beltrami_cli.formats.tokens import exchange_spans
 from beltrami_cli.surface.polygons import triangulate
-from beltrami_cli.surface.records import MeshContents, MovedVertices, PaintedVertices, VertexColours
+from beltrami_cli.surface.records import MeshContents, PaintedVertices, VertexColours
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping, Sequence
+    from collections.abc import Collection, Sequence
 
     from numpy.typing import NDArray
 
-    from beltrami_cli.formats.document import Naming
+    from beltrami_cli.formats.document import Changes, Naming
     from beltrami_cli.formats.ply.header import Header
     from beltrami_cli.formats.ply.tables import Table
     from beltrami_cli.formats.ply.texturing import TextureComment
     from beltrami_cli.formats.ply.vertex_properties import Colours, Paint
     from beltrami_cli.formats.tokens import Spans
-    from beltrami_cli.surface.records import ImageFile, Slot, TexturedMesh, TexturedSurface
+    from beltrami_cli.surface.records import Slot, TexturedMesh, TexturedSurface
 
 
 class PlyDocument(Document):
@@ -60,20 +60,11 @@ class PlyDocument(Document):
     format: ClassVar[str] = "ply"
 
     def __init__(
-        self,
-        data: bytes,
-        name: str,
-        folder: Path | None = None,
-        access: Access = EVERYTHING_INSIDE,
+        self, data: bytes, name: str, folder: Path | None = None, access: Access = EVERYTHING_INSIDE
     ) -> None:
-        super().__init__(name)
-        self._data = data
+        super().__init__(data, name, folder, access)
         self._folder = ModelFolder(folder, access)
         self._header = read_header(data, name)
-
-    def painted(self) -> PaintedVertices:
-        """Return the vertex colours and their surface; see `Document.painted`."""
-        return self._painted
 
     @cached_property
     def _painted(self) -> PaintedVertices:
@@ -89,27 +80,23 @@ class PlyDocument(Document):
         )
 
     def grid(self) -> NDArray[np.int64] | None:
-        """Return the grid of a range image; see `Document.grid`."""
         return self._grid
 
     @cached_property
     def _grid(self) -> NDArray[np.int64] | None:
-        return read_grid(self._data[: self._header.end], self._tables, self.name)
+        return read_grid(self.data[: self._header.end], self._tables, self.name)
 
     def has_vertex_colours(self) -> bool:
-        """Return whether the vertices have colours."""
         try:
             return bool(self._paint.names)
         except InputError:
             return False
 
     def slots(self) -> tuple[Slot, ...]:
-        """Return the base colour if there are images and coordinates; see `Document.slots`."""
         there = self._images and self._header.element("vertex") and find_coordinates(self._tables)
         return ("baseColor",) if there else ()
 
     def textured(self, slot: Slot) -> TexturedSurface:
-        """Return the textures and their surface; see `Document.textured`."""
         if slot != "baseColor":
             return super().textured(slot)
         return self._textured
@@ -121,26 +108,18 @@ class PlyDocument(Document):
         self.notices += notices
         return surface
 
-    def patch(
-        self,
-        colours: NDArray[np.float32] | None,
-        naming: Naming,
-        *,
-        images: Mapping[tuple[Slot, str], ImageFile] = NO_IMAGES,
-        places: MovedVertices | None = None,
-    ) -> Written:
-        """Return the files with other colours and images; see `Document.patch`."""
+    def _patched(self, new: Changes, naming: Naming) -> Written:
         beside = Written([])
         spans: Spans = {}
-        if images or naming.copies:
-            beside, spans = renamed_images(self._images, images, self.name, naming)
-        header = exchange_spans(self._data[: self._header.end], spans)
-        changes = [] if colours is None else self._recoloured(colours)
-        changes += [] if places is None else moved_changes(self._vertices, self._kinds, places)
+        if new.images or naming.copies:
+            beside, spans = renamed_images(self._images, new.images, self.name, naming)
+        header = exchange_spans(self.data[: self._header.end], spans)
+        changes = [] if new.colours is None else self._recoloured(new.colours)
+        changes += [] if new.places is None else moved_changes(self._vertices, self._kinds, new.places)
         if any(change.rows.any() for change in changes):
-            pieces = [header, *patch_body(self._data, self._header, self._vertices, changes)]
+            pieces = [header, *patch_body(self.data, self._header, self._vertices, changes)]
         else:
-            pieces = [header, memoryview(self._data)[self._header.end :]] if spans else [self._data]
+            pieces = [header, memoryview(self.data)[self._header.end :]] if spans else [self.data]
         return dataclasses.replace(beside, main=pieces)
 
     def _recoloured(self, colours: NDArray[np.float32]) -> list[Change]:
@@ -152,28 +131,19 @@ class PlyDocument(Document):
         return [Change(*change) for change in zip(self._paint.names, changed.T, stored, strict=True)]
 
     def attributes(self) -> tuple[str, ...]:
-        """Return what vertices have beside places and colours; see `Document.attributes`."""
         return attribute_names(self._kinds, self._paint.names if self.has_vertex_colours() else ())
 
-    def attribute(self, name: str) -> NDArray[np.float64]:
-        """Return a property, or the three of a normal; see `Document.attribute`."""
-        fits = [known for known in self.attributes() if known.lower() == name.lower()]
-        return read_attribute(self._vertices, fits[0], self.name) if fits else super().attribute(name)
+    def _attribute(self, name: str) -> NDArray[np.float64]:
+        return read_attribute(self._vertices, name, self.name)
 
     def require_movable(self) -> None:
-        """Check that positions are real numbers; see `Document.require_movable`."""
         require_real(self._kinds, POSITION, self.name)
 
     def references(self) -> Sequence[str]:
-        """Return the images that comments name."""
-        return list(
-            dict.fromkeys(
-                image.path for image in self._images if image.path is not None and not is_outside(image.path)
-            )
-        )
+        paths = (image.path for image in self._images)
+        return list(dict.fromkeys(path for path in paths if path is not None and not is_outside(path)))
 
     def contents(self) -> MeshContents:
-        """Return the mesh for conversion; see `Document.contents`."""
         corners, offsets = self._polygons
         has_normals = self._kinds.keys() >= {*NORMAL}
         return MeshContents(
@@ -192,7 +162,6 @@ class PlyDocument(Document):
         )
 
     def textured_mesh(self, colours: NDArray[np.float32] | None = None) -> TexturedMesh:
-        """Return all triangles with a material for each image; see `Document.textured_mesh`."""
         shown = None
         used: set[str | None] = {*POSITION, *find_coordinates(self._tables)}
         if self.has_vertex_colours():
@@ -211,7 +180,6 @@ class PlyDocument(Document):
         return mesh_of_surface(self._textured, normals, shown, Path(self.name).stem, tuple(left_out))
 
     def facts(self) -> dict[str, object]:
-        """Return what the header says."""
         elements = self._header.elements
         return {
             "format": self.format,
@@ -224,10 +192,9 @@ class PlyDocument(Document):
         }
 
     def fingerprint(self) -> Fingerprint:
-        """Take the file apart; see `Document.fingerprint`."""
         painted = self.has_vertex_colours()
         return take_apart(
-            self._data,
+            self.data,
             self._header,
             self._tables,
             self._paint if painted else None,
@@ -238,11 +205,11 @@ class PlyDocument(Document):
 
     @cached_property
     def _tables(self) -> dict[str, Table]:
-        return dict(read_tables(self._data, self._header, self.name))
+        return dict(read_tables(self.data, self._header, self.name))
 
     @cached_property
     def _images(self) -> list[TextureComment]:
-        comments = read_comments(self._data[: self._header.end], self._folder)
+        comments = read_comments(self.data[: self._header.end], self._folder)
         self.notices += [f"'{comment.name}' {comment.reason}" for comment in comments if comment.reason]
         return comments
 

@@ -29,18 +29,17 @@ import numpy as np
 from beltrami_cli.errors import InputError, UnpaintedError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.colours import intensity_scale, point_colour_scale
-from beltrami_cli.formats.document import NO_IMAGES, Document, Fingerprint, Written
+from beltrami_cli.formats.document import Document, Fingerprint, Written
 from beltrami_cli.formats.npz import POSITION_KEYS, NpzArchive
-from beltrami_cli.surface.records import MeshContents, MovedVertices, PaintedVertices
+from beltrami_cli.surface.records import MeshContents, PaintedVertices
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Iterable
     from pathlib import Path
 
     from numpy.typing import NDArray
 
-    from beltrami_cli.formats.document import Naming
-    from beltrami_cli.surface.records import ImageFile, Slot
+    from beltrami_cli.formats.document import Changes, Naming
 
 
 _COLOUR_KEYS = ("colours", "colors", "rgb", "rgba", "point_colours", "point_colors")
@@ -87,13 +86,8 @@ class NpzPointsDocument(Document):
     def __init__(
         self, data: bytes, name: str, folder: Path | None = None, access: Access = EVERYTHING_INSIDE
     ) -> None:
-        super().__init__(name)
-        self._data, self._access = data, access
+        super().__init__(data, name, folder, access)
         self._archive = NpzArchive(data, name)
-
-    def painted(self) -> PaintedVertices:
-        """Return the points that have a place, with their colours."""
-        return self._painted
 
     @cached_property
     def _painted(self) -> PaintedVertices:
@@ -108,7 +102,6 @@ class NpzPointsDocument(Document):
         )
 
     def grid(self) -> NDArray[np.int64] | None:
-        """Return how the points of an array of two dimensions lie."""
         if len(self._arrays.shape) != 2 or min(self._arrays.shape) < 2 or self._arrays.faces:
             return None
         places = np.full(self._arrays.count, -1, np.int64)
@@ -116,29 +109,17 @@ class NpzPointsDocument(Document):
         return places.reshape(self._arrays.shape)
 
     def attributes(self) -> tuple[str, ...]:
-        """Return the names of the other arrays that have something for each point."""
         return (*(["normal"] if self._arrays.normals else []), *self._arrays.rest)
 
-    def attribute(self, name: str) -> NDArray[np.float64]:
-        """Return what an array has for each point."""
-        fits = [known for known in self.attributes() if known.lower() == name.lower()]
-        if not fits:
-            return super().attribute(name)
-        key = self._arrays.normals if fits[0] == "normal" and self._arrays.normals else fits[0]
+    def _attribute(self, name: str) -> NDArray[np.float64]:
+        key = self._arrays.normals if name == "normal" and self._arrays.normals else name
         values = self._table(key)[self._measured]
         return np.ascontiguousarray(values, np.float64)
 
-    def patch(
-        self,
-        colours: NDArray[np.float32] | None,
-        naming: Naming,
-        *,
-        images: Mapping[tuple[Slot, str], ImageFile] = NO_IMAGES,
-        places: MovedVertices | None = None,
-    ) -> Written:
-        """Return the archive with other colours."""
+    def _patched(self, new: Changes, naming: Naming) -> Written:
+        colours = new.colours
         if colours is None or not (changed := colours != self._colours).any():
-            return Written([self._data])
+            return Written([self.data])
         values = colours[changed].astype(np.float64) * self._scale
         if self._stored.dtype.kind != "f":
             limits = np.iinfo(self._stored.dtype)
@@ -150,12 +131,7 @@ class NpzPointsDocument(Document):
         shape = self._archive.header(key).shape
         return Written([self._archive.with_array(key, stored.reshape(shape))])
 
-    def references(self) -> Sequence[str]:
-        """Return nothing: there are no files beside."""
-        return ()
-
     def contents(self) -> MeshContents:
-        """Return the points and their triangles."""
         painted, arrays = self.painted(), self._arrays
         used = {arrays.positions, arrays.colours, arrays.normals, arrays.faces}
         dropped = [f"the array {name}" for name in self._archive.names if name not in used]
@@ -174,7 +150,6 @@ class NpzPointsDocument(Document):
         )
 
     def fingerprint(self) -> Fingerprint:
-        """Take the archive apart."""
         parts = {f"member {name}": content for name, content in self._archive.members().items()}
         if not self.has_vertex_colours():
             return Fingerprint(parts)
@@ -186,7 +161,6 @@ class NpzPointsDocument(Document):
         return Fingerprint(parts, {"point colours": self._colours})
 
     def facts(self) -> dict[str, object]:
-        """Return what the archive has."""
         return {
             "format": self.format,
             "points": self._arrays.count,
@@ -200,7 +174,7 @@ class NpzPointsDocument(Document):
         if not arrays.count:
             raise InputError(self.name, "there are no points", "nothing in it can be smoothed")
         keys = (arrays.positions, arrays.colours, *([arrays.faces] if arrays.faces else []))
-        _require_room(self._archive, keys, self._access, self.name)
+        _require_room(self._archive, keys, self.access, self.name)
         return arrays
 
     @cached_property

@@ -8,24 +8,19 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.colours import intensity_scale, point_colour_scale
-from beltrami_cli.formats.document import NO_IMAGES, PLACEHOLDER, Document, Fingerprint, Written
+from beltrami_cli.formats.document import PLACEHOLDER, Document, Fingerprint, Written
 from beltrami_cli.formats.points.columns import find_columns
 from beltrami_cli.formats.points.table import read_table
 from beltrami_cli.formats.tokens import exchange_tokens
-from beltrami_cli.surface.records import MeshContents, MovedVertices, PaintedVertices
+from beltrami_cli.surface.records import MeshContents, PaintedVertices
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-    from pathlib import Path
-
     from numpy.typing import NDArray
 
-    from beltrami_cli.formats.document import Bytes, Naming
+    from beltrami_cli.formats.document import Bytes, Changes, Naming
     from beltrami_cli.formats.points.columns import Columns
     from beltrami_cli.formats.points.table import PointTable
-    from beltrami_cli.surface.records import ImageFile, Slot
 
 
 _WHOLE = b"%.0f"
@@ -36,18 +31,9 @@ _MOST_DIGITS = 9  # of full scale: all that single precision has
 class TextPointsDocument(Document):
     """Lines of coordinates and colours, or intensities: .pts or .xyz, which differ in what is usual only."""
 
-    format: str  # type: ignore[misc]  # by the suffix of the name
-
-    def __init__(
-        self, data: bytes, name: str, folder: Path | None = None, access: Access = EVERYTHING_INSIDE
-    ) -> None:
-        super().__init__(name)
-        self._data = data
-        self.format = "pts" if name.lower().endswith(".pts") else "xyz"
-
-    def painted(self) -> PaintedVertices:
-        """Return the points that have a place, with their colours."""
-        return self._painted
+    @property
+    def format(self) -> str:  # type: ignore[override]
+        return "pts" if self.name.lower().endswith(".pts") else "xyz"
 
     @cached_property
     def _painted(self) -> PaintedVertices:
@@ -61,37 +47,20 @@ class TextPointsDocument(Document):
         )
 
     def attributes(self) -> tuple[str, ...]:
-        """Return the names of the other columns."""
         return (*(("normal",) if self._columns.normal else ()), *self._columns.others)
 
-    def attribute(self, name: str) -> NDArray[np.float64]:
-        """Return a column, or the three of a normal."""
-        if name.lower() == "normal" and self._columns.normal:
+    def _attribute(self, name: str) -> NDArray[np.float64]:
+        if name == "normal" and self._columns.normal:
             return self._picked(self._columns.normal)
-        if name.lower() not in self._columns.others:
-            return super().attribute(name)
-        return self._picked((self._columns.others[name.lower()],))
+        return self._picked((self._columns.others[name],))
 
-    def patch(
-        self,
-        colours: NDArray[np.float32] | None,
-        naming: Naming,
-        *,
-        images: Mapping[tuple[Slot, str], ImageFile] = NO_IMAGES,
-        places: MovedVertices | None = None,
-    ) -> Written:
-        """Return the file with other colours."""
-        if colours is None:
-            return Written([self._data])
+    def _patched(self, new: Changes, naming: Naming) -> Written:
+        if new.colours is None:
+            return Written([self.data])
         starts, ends = self._places()
-        return Written(_with_colours(self._data, starts, ends, self._colours, colours, self._scale))
-
-    def references(self) -> Sequence[str]:
-        """Return nothing: there are no files beside."""
-        return ()
+        return Written(_with_colours(self.data, starts, ends, self._colours, new.colours, self._scale))
 
     def contents(self) -> MeshContents:
-        """Return the points, and no polygons."""
         painted, columns = self.painted(), self._columns
         dropped = [f"columns {', '.join(columns.others)}"] if columns.others else []
         if len(self._measured) < len(self._table.values):
@@ -108,17 +77,15 @@ class TextPointsDocument(Document):
         )
 
     def fingerprint(self) -> Fingerprint:
-        """Take the lines apart."""
         if not self.has_vertex_colours():
-            return Fingerprint({"lines": self._data})
+            return Fingerprint({"lines": self.data})
         starts, ends = (np.sort(places.ravel()) for places in self._places())
         pieces = exchange_tokens(
-            self._data, starts, ends, lambda block: [PLACEHOLDER] * (block.stop - block.start)
+            self.data, starts, ends, lambda block: [PLACEHOLDER] * (block.stop - block.start)
         )
         return Fingerprint({"lines": b"".join(pieces)}, {"point colours": self._colours})
 
     def facts(self) -> dict[str, object]:
-        """Return counts of what the file has."""
         names = self._table.names or self._columns.names(self._table.values.shape[1])
         return {
             "format": self.format,
@@ -129,7 +96,7 @@ class TextPointsDocument(Document):
 
     @cached_property
     def _table(self) -> PointTable:
-        table = read_table(self._data, self.name)
+        table = read_table(self.data, self.name)
         if not len(table.values):
             raise InputError(self.name, "there are no points", "nothing in it can be smoothed")
         return table

@@ -10,7 +10,7 @@ import numpy as np
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
-from beltrami_cli.formats.document import NO_IMAGES, Document
+from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.read_only.off import HEADER, read_off
 from beltrami_cli.formats.read_only.polygons import check_polygons, colours_of_vertices, joined
 from beltrami_cli.formats.read_only.stl import is_binary_stl, read_stl
@@ -18,14 +18,10 @@ from beltrami_cli.surface.polygons import triangulate
 from beltrami_cli.surface.records import MeshContents, PaintedVertices
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-    from numpy.typing import NDArray
-
-    from beltrami_cli.formats.document import Naming, Written
+    from beltrami_cli.formats.document import Changes, Naming, Written
     from beltrami_cli.formats.read_only.polygons import ColouredPolygons
-    from beltrami_cli.surface.records import ImageFile, MovedVertices, Slot
 
 Kind = Literal["off", "stl", "3mf", "dae", "zae"]
 
@@ -56,14 +52,10 @@ class ReadOnlyDocument(Document):
     def __init__(
         self, data: bytes, name: str, folder: Path | None = None, access: Access = EVERYTHING_INSIDE
     ) -> None:
-        super().__init__(name)
+        super().__init__(data, name, folder, access)
         kind = kind_of(data, name)
         assert kind is not None
-        self._data, self._kind, self._access = data, kind, access
-
-    def painted(self) -> PaintedVertices:
-        """Return the coloured vertices and their triangles; see `Document.painted`."""
-        return self._painted
+        self._kind = kind
 
     @cached_property
     def _painted(self) -> PaintedVertices:
@@ -78,7 +70,6 @@ class ReadOnlyDocument(Document):
         )
 
     def contents(self) -> MeshContents:
-        """Return the polygons with colours of vertices; see `Document.contents`."""
         return self._contents
 
     @cached_property
@@ -106,38 +97,25 @@ class ReadOnlyDocument(Document):
 
     def _read(self) -> ColouredPolygons:
         if self._kind == "off":
-            return read_off(self._data, self.name)
+            return read_off(self.data, self.name)
         if self._kind == "stl":
-            return read_stl(self._data, self.name)
+            return read_stl(self.data, self.name)
         if self._kind == "3mf":
             from beltrami_cli.formats.read_only.threemf import read_3mf
 
-            return read_3mf(self._data, self.name, self._access)
+            return read_3mf(self.data, self.name, self.access)
         from beltrami_cli.formats.read_only.collada import read_dae
 
-        return read_dae(self._data, self.name, self._access)
+        return read_dae(self.data, self.name, self.access)
 
-    def patch(
-        self,
-        colours: NDArray[np.float32] | None,
-        naming: Naming,
-        *,
-        images: Mapping[tuple[Slot, str], ImageFile] = NO_IMAGES,
-        places: MovedVertices | None = None,
-    ) -> Written:
-        """Raise: the format is not written."""
+    def _patched(self, new: Changes, naming: Naming) -> Written:
         cause = f"a {self._kind.upper()} file is not written"
         raise InputError(self.name, cause, "name an output in .ply, .obj, .glb or .gltf")
-
-    def references(self) -> Sequence[str]:
-        """Return nothing: the output is a mesh that stands alone."""
-        return []
 
     def require_movable(self) -> None:
         """Check nothing: the output is written anew."""
 
     def facts(self) -> dict[str, object]:
-        """Return counts of what the file has."""
         contents = self._contents
         return {
             "format": self._kind,
