@@ -24,7 +24,7 @@ help:
 	@echo "make fuzz      fuzz every reader and the core, FUZZ_SECONDS=60 each; needs clang++"
 	@echo "make survey    try all models in FOLDERS, and print a table of the results, with MUTATIONS of each"
 	@echo "make samples   make sample_data/ again, bit for bit"
-	@echo "make viewer    bundle the three.js of beltrami report again"
+	@echo "make viewer    bundle the three.js of the pages again"
 	@echo "make clean     remove what was built"
 	@echo "make x.clean.ply   smooth x.ply (likewise .obj, .glb); make -j smooths many at once"
 
@@ -137,7 +137,7 @@ sanitize: $(VENV)/.installed-test
 	build/sanitize/patches_tests
 	build/sanitize/points_tests
 
-# The viewer of `beltrami report` is three.js, bundled once and kept in the package.
+# The viewer of the pages is three.js, bundled once and kept in the package.
 THREE := three@0.187.0 esbuild@0.28
 viewer:
 	npm install --prefix build/viewer --silent --no-save --no-package-lock --no-audit --no-fund $(THREE)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
@@ -23,9 +23,10 @@ if TYPE_CHECKING:
 EPILOG = """\b
 Examples:
   beltrami sweep scan.ply sheet.png --beta 4,8,16 -n 2,5,10            nine trials, three by three
-  beltrami sweep scan.glb sheet.html -t 1,2.4,4                        a page; click on a view to enlarge it
+  beltrami sweep scan.glb sheet.html -t 1,2.4,4                        a page; click on a view to see it beside INPUT
   beltrami sweep noisy.glb sheet.html --reference clean.glb --beta 5,10,20 -n 3,5   with PSNR and the like
   beltrami sweep photo.jpg sheet.png --metric-steps 1,2,4 --crop auto,0.1 --size 400
+  beltrami sweep scan.ply figures.csv --format csv --beta 4,8,16       estimated PSNR and gain, and no pictures
   beltrami sweep scan.ply sheet.png --beta 0,10 --space oklab --view left      other options as for smooth and render
 
 \b
@@ -66,10 +67,14 @@ def _sweeping(command: Callable[..., Any]) -> Callable[..., Any]:
 
 @click.command("sweep", cls=HelpfulCommand, epilog=EPILOG)
 @click.argument("source", metavar="INPUT")
-@click.argument("target", metavar="OUT.png|OUT.html")
+@click.argument("target", metavar="OUT.png|OUT.html|OUT")
 @click.option(
     "--reference", metavar="FILE", help="The same without noise: measure how near to it each result is."
 )
+@click.option(
+    "--format", "kind", type=click.Choice(["csv", "json"]),
+    help="Write only the parameters and figures, and draw nothing; OUT may be - then.",
+)  # fmt: skip
 @_sweeping
 @options.options_of(SmoothSettings, without=_SWEPT)
 @options.preset
@@ -82,11 +87,12 @@ def command(
     source: str,
     target: str,
     reference: str | None,
+    kind: Literal["csv", "json"] | None,
     overwrite: bool,
     messages: Messages,
     **given: Any,
 ) -> None:
-    """Smooth INPUT with every combination of parameters, and show all results in one picture or page.
+    """Smooth INPUT with every combination of parameters, and show all results in one picture or page, or their figures.
 
     The first views are the reference, if there is one, and INPUT as it is; the others show their parameters.
     """
@@ -100,7 +106,7 @@ def command(
     with options.reading_from(given, source) as access, messages.progress() as progress:
         done = sweep_file(
             source, target, trials, settings,
-            columns=columns, reference=reference, job=Job(access, progress, overwrite),
+            columns=columns, reference=reference, kind=kind, job=Job(access, progress, overwrite),
         )  # fmt: skip
     for trial in done:
         messages.detail(trial.label)

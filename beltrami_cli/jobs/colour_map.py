@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 # Every tenth part of the colour map viridis: its lightness grows evenly, also for the colour-blind and in grey.
 # S. van der Walt, N. Smith, "A better default colormap for matplotlib" (2015), in the public domain (CC0).
-_VIRIDIS = np.array(
+VIRIDIS = np.array(
     [
         [0.267, 0.005, 0.329],
         [0.283, 0.141, 0.458],
@@ -36,8 +36,8 @@ def colour_by_value(
 ) -> NDArray[np.float64]:
     """Colour values in [0, 1], of any shape, by viridis; where none is known, the painting's grey shows."""
     at = np.clip(np.where(known, values, 0), 0, 1)
-    steps = np.linspace(0, 1, len(_VIRIDIS))
-    colours = np.stack([np.interp(at, steps, channel) for channel in _VIRIDIS.T], axis=-1)
+    steps = np.linspace(0, 1, len(VIRIDIS))
+    colours = np.stack([np.interp(at, steps, channel) for channel in VIRIDIS.T], axis=-1)
     grey = _GREY_FROM + (_GREY_TO - _GREY_FROM) * (painting.astype(np.float64) @ _LUMINANCE)
     return np.where(known[..., None], colours, grey[..., None])
 

@@ -5,9 +5,11 @@ from __future__ import annotations
 import dataclasses
 import os
 from contextlib import suppress
+from copy import copy
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, cast
 
 import numpy as np
 
@@ -31,16 +33,17 @@ from beltrami_cli.surface.grouping import group_equal_rows
 from beltrami_cli.surface.records import ImageFile, MovedVertices
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
     from beltrami_cli.formats.access import Access
     from beltrami_cli.formats.document import Document, Written
     from beltrami_cli.jobs.writing.output import Output
+    from beltrami_cli.samples.samples import Repainted
     from beltrami_cli.samples.selection import OutputFormat, Selection
     from beltrami_cli.samples.settings import SmoothSettings
-    from beltrami_cli.surface.records import MeshContents, PaintedVertices, Slot
+    from beltrami_cli.surface.records import MeshContents, PaintedVertices, Slot, TexturedSurface
 
 
 def open_input(source: str, settings: SmoothSettings, access: Access) -> Document:
@@ -63,6 +66,42 @@ def document_from(data: bytes, source: str, settings: SmoothSettings, access: Ac
 
         return ImageDocument(data, name, folder, access)
     return document_of(data, source, access)
+
+
+def with_painted(document: Document, painted: Sequence[Repainted]) -> Document:
+    """Return a document that looks like one with other colours, for reading only: it has no bytes of its own."""
+    from beltrami_cli.formats.image.document import ImageDocument
+
+    images = {key: image.data for each in painted for key, image in each.images.items()}
+    if isinstance(document, ImageDocument):
+        data = images.get(("baseColor", ""), document.data)
+        return document if data == document.data else ImageDocument(data, document.name)
+    made = copy(document)
+    for each in painted:
+        if each.colours is not None:
+            made.painted = partial(_with_colours, document, each)  # type: ignore[method-assign]
+    if images:
+
+        def textured(slot: Slot) -> TexturedSurface:
+            surface = document.textured(slot)
+            textures = [
+                dataclasses.replace(each, data=images.get((slot, each.key), each.data))
+                for each in surface.textures
+            ]
+            return dataclasses.replace(surface, textures=tuple(textures))
+
+        made.textured = textured  # type: ignore[method-assign]
+    return made
+
+
+def _with_colours(document: Document, new: Repainted) -> PaintedVertices:
+    """Return the vertices of a document with new colours, rounded to what a file holds of them."""
+    painted, colours = document.painted(), cast("NDArray[np.float32]", new.colours)
+    if painted.stored.startswith("uint"):
+        full = np.float32(np.iinfo(painted.stored).max)
+        colours = np.asarray(np.rint(np.clip(colours, 0, 1) * full) / full, np.float32)
+    places = painted.positions if new.positions is None else new.positions
+    return dataclasses.replace(painted, colours=colours, positions=places)
 
 
 def make_files(

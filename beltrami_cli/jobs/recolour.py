@@ -6,13 +6,20 @@ are.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol
 
-from beltrami_cli.jobs.documents import is_moved, make_files, moved_vertices, open_input, plan_sidecars
+from beltrami_cli.jobs.documents import (
+    is_moved,
+    make_files,
+    moved_vertices,
+    open_input,
+    plan_sidecars,
+    with_painted,
+)
 from beltrami_cli.jobs.job import Stopwatch
 from beltrami_cli.samples.memory_check import checked_memory
-from beltrami_cli.samples.selection import NOTHING, choose_format, samples_of, select
+from beltrami_cli.samples.selection import NOTHING, OutputFormat, choose_format, samples_of, select
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -20,7 +27,7 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.document import Document, Naming, Written
     from beltrami_cli.jobs.job import Job
     from beltrami_cli.samples.samples import Repainted, Samples
-    from beltrami_cli.samples.selection import OutputFormat, Selection
+    from beltrami_cli.samples.selection import Selection
     from beltrami_cli.samples.settings import SmoothSettings
     from beltrami_cli.surface.records import ImageFile, Slot
 
@@ -72,13 +79,7 @@ def recolour(source: str, target: str, settings: SmoothSettings, painter: Painte
         watch.stage("smooth"),
         checked_memory(document, selection.slots, settings.textures, access, place, painter.works_on_disk),
     ):
-        painted = []
-        for samples in samples_of(
-            document, selection, settings, access, kind.suffix, colours_only=painter.colours_only
-        ):
-            samples.require_writable()
-            painted.append(painter.paint(samples, job.progress_of(samples.label)))
-            del samples
+        painted = _paint(document, selection, settings, painter, replace(job, access=access), kind.suffix)
     with watch.stage("write"):
         in_place = not is_moved(source, target)
         written = _files(document, painted, kind, sidecars.naming, in_place=in_place)
@@ -88,6 +89,34 @@ def recolour(source: str, target: str, settings: SmoothSettings, painter: Painte
     names = [] if output is None else [target, *written.sidecars]
     notices = [*document.notices, *selection.notices, *(n for each in painted for n in each.notices)]
     return Recoloured(document, kind.name, names, [*notices, *written.notices], watch.stages)
+
+
+def recolour_in_memory(document: Document, settings: SmoothSettings, painter: Painter, job: Job) -> Document:
+    """Paint what the settings select, and return it as the document that would be written; the other is kept."""
+    selection = select(document, settings) if painter.changes else NOTHING
+    painter.check(document, selection, OutputFormat(document.format, is_own=True))
+    with checked_memory(
+        document, selection.slots, settings.textures, job.access, None, painter.works_on_disk
+    ):
+        return with_painted(document, _paint(document, selection, settings, painter, job, None))
+
+
+def _paint(
+    document: Document,
+    selection: Selection,
+    settings: SmoothSettings,
+    painter: Painter,
+    job: Job,
+    suffix: str | None,
+) -> list[Repainted]:
+    painted = []
+    for samples in samples_of(
+        document, selection, settings, job.access, suffix, colours_only=painter.colours_only
+    ):
+        samples.require_writable()
+        painted.append(painter.paint(samples, job.progress_of(samples.label)))
+        del samples
+    return painted
 
 
 def _files(

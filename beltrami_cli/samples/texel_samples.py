@@ -241,7 +241,7 @@ class TexelSamples(Samples):
 
     def _encoded(self, picture: Picture, pixels: NDArray[Any]) -> ImageFile:
         wanted = self.settings.textures
-        file = write_image(
+        return write_image(
             picture,
             pixels,
             suffix=wanted.image_suffix,
@@ -249,7 +249,6 @@ class TexelSamples(Samples):
             small=wanted.small,
             as_data=self.slot not in COLOUR_SLOTS,
         )
-        return dataclasses.replace(file, is_chosen=wanted.image_suffix is not None)
 
 
 def atlas_of(surface: TexturedSurface, pictures: Sequence[Picture], kernel: KernelParameters) -> Atlas:

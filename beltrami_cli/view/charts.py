@@ -8,10 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.jobs.colour_map import colour_by_value
-from beltrami_cli.surface.colour_values import linear_to_srgb
-from beltrami_cli.view.camera import pixels_of
-from beltrami_cli.view.drawing import richest_window
-from beltrami_cli.view.pages import data_address, picture_tag
+from beltrami_cli.view.pages import picture_tag
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -20,10 +17,12 @@ if TYPE_CHECKING:
 
     from beltrami_cli.jobs.compare.figures import ComparedColours
 
-_CROP = 384  # pixels a side
 _LONGEST = 768  # pixels, of a seam map
 _WIDTH, _HEIGHT = 720, 220
-_INK = {3: ("#d62728", "#2ca02c", "#1f77b4"), 1: ("#888888",)}
+# Colours and dashes of the lines of channels: the dashes are for those who cannot distinguish the colours.
+_INK = {3: ("var(--red)", "var(--green)", "var(--blue)")}
+_DASHES = ("none", "8 4", "2 3")
+_NAMES = {3: ("red", "green", "blue")}
 _STEPS = 64
 _FEW = 4.0  # 255ths; larger changes are counted in bins of whole numbers
 _WHITE = 1.0
@@ -41,10 +40,16 @@ def histogram(pairs: Sequence[ComparedColours]) -> str:
     counts = [np.histogram(channel, bins, (-reach, reach))[0] for channel in inside.T]
     most = max(1, max(int(count.max()) for count in counts))
     lines = []
-    for count, ink in zip(counts, _INK.get(widest, ("currentColor",) * widest), strict=True):
+    inks = _INK.get(widest, ("currentColor",) * widest)
+    for number, (count, ink) in enumerate(zip(counts, inks, strict=True)):
         corners = zip(_WIDTH * (np.arange(bins) + 0.5) / bins, _HEIGHT * (1 - count / most), strict=True)
         points = " ".join(f"{x:.1f},{y:.1f}" for x, y in corners)
-        lines.append(f'<polyline fill="none" stroke="{ink}" stroke-width="1.5" points="{points}"/>')
+        look = f'fill="none" stroke="{ink}" stroke-width="1.5" stroke-dasharray="{_DASHES[number % 3]}"'
+        lines.append(f'<polyline {look} points="{points}"/>')
+        if widest in _NAMES:
+            y = 14 * (number + 1)
+            lines.append(f'<line {look} x1="8" x2="36" y1="{y - 4}" y2="{y - 4}"/>')
+            lines.append(f'<text x="42" y="{y}">{_NAMES[widest][number]}</text>')
     marks = []
     for share, anchor in ((-1, "start"), (-0.5, "middle"), (0, "middle"), (0.5, "middle"), (1, "end")):
         at = f'x="{_WIDTH * (0.5 + 0.5 * share):.0f}" y="{_HEIGHT + 14}" text-anchor="{anchor}"'
@@ -83,31 +88,3 @@ def seam_map(pair: ComparedColours) -> str:
     tag = picture_tag(np.rint(255 * drawn).astype(np.uint8), f"seams of {pair.name}")
     caption = f"{html.escape(pair.name)}: brightest {255 * largest:.1f}/255"
     return f"<figure>{tag}<figcaption>{caption}</figcaption></figure>"
-
-
-def swipe(before: NDArray[np.float32], after: NDArray[np.float32], name: str) -> str:
-    """Return the part of two images, (H, W, 4), with most to see, at full size and one over the other."""
-    height, width = after.shape[:2]
-    seen = after.copy()
-    seen[..., :3] *= seen[..., 3:]
-    window = richest_window(seen, min(1.0, _CROP / min(height, width)))
-    rows, columns = pixels_of(window, width, height)
-    cut = [sheet[rows, columns] for sheet in (before, after)]
-    sources = [
-        data_address(np.rint(255 * np.asarray(linear_to_srgb(part[..., :3]))).astype(np.uint8))
-        for part in cut
-    ]
-    shown_height, shown_width = cut[1].shape[:2]
-    zoom = max(1, _CROP // max(1, shown_width))
-    shape = f'width="{shown_width * zoom}" height="{shown_height * zoom}"'
-    title = html.escape(name, quote=True)
-    images = "".join(
-        f'<img {shape} style="max-width:none" alt="{title}, {when}" src="{source}">'
-        for when, source in zip(("before", "after"), sources, strict=True)
-    )
-    return (
-        f'<figure><div class="swipe">{images}<span class="line"></span></div>'
-        f'<input type="range" min="0" max="100" value="50" aria-label="swipe" style="width:{shown_width * zoom}px">'
-        f"<figcaption>{title}: {shown_width} x {shown_height} pixels at {columns.start}, {rows.start}"
-        "</figcaption></figure>"
-    )

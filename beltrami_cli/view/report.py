@@ -1,4 +1,4 @@
-"""A page on what changed between two files: models to turn, crops to swipe over, figures and drawings."""
+"""A page on what changed between two files: models to turn and compare, figures and drawings."""
 
 from __future__ import annotations
 
@@ -20,12 +20,11 @@ from beltrami_cli.jobs.compare.files import Compared, compare_documents, open_bo
 from beltrami_cli.jobs.compare.models import EVERYTHING
 from beltrami_cli.jobs.job import PLAIN_JOB, Job, tracked
 from beltrami_cli.jobs.writing.output import Output
-from beltrami_cli.view.charts import histogram, seam_map, swipe
-from beltrami_cli.view.models import ModelPacker, bounding_box
-from beltrami_cli.view.pages import PAGES, asset, page_from, table
+from beltrami_cli.view.charts import histogram, seam_map
+from beltrami_cli.view.models import ModelPacker
+from beltrami_cli.view.pages import PAGES, page_from, table, viewer
 from beltrami_cli.view.sheet import distinct_labels
 from beltrami_cli.view.used_parameters import used_parameters
-from beltrami_cli.view.views import sheet_of, texture_sheet
 
 if TYPE_CHECKING:
     from beltrami_cli.formats.document import Document
@@ -34,14 +33,10 @@ if TYPE_CHECKING:
     from beltrami_cli.samples.settings import SmoothSettings
     from beltrami_cli.surface.records import Slot
 
-_MOST_CROPS = 8
+_NEARLY_ALL = 99.5  # per cent of changes that are not shown brightest
 _COLUMNS = [
     "part", "samples", "PSNR, dB", "SSIM", "Delta E 2000, mean", "worst", "mean change, /255", "seam steps, /255",
 ]  # fmt: skip
-_VIEWER = """<h2>The model</h2>
-<div id="viewer"><span class="name">before</span><span class="name right">after</span><span class="line"></span></div>
-<input type="range" id="swipe" min="0" max="100" value="50" step="0.1" aria-label="swipe between before and after">
-<p>Drag to turn, scroll to come nearer, drag with the right button to move. Colours are unlit.</p>"""
 
 
 @dataclasses.dataclass
@@ -49,9 +44,8 @@ class _Found:
     """What two files have in common, and the parts of the page that show it."""
 
     compared: Compared
-    crops: list[str] = dataclasses.field(default_factory=list)
-    seams: list[str] = dataclasses.field(default_factory=list)
-    models: str = ""
+    models: dict[str, Any]
+    seams: list[str]
 
 
 def report_file(
@@ -76,39 +70,30 @@ def report_file(
     shown = "" if parameters is None else _parameters(parameters, access)
     data = read_source(before, access), read_source(after, access)
     documents = open_both((before, after), data, settings, job)
-    found = _Found(compare_documents(documents, settings, "uniform", job))
-    if isinstance(documents[0], ImageDocument) and isinstance(documents[1], ImageDocument):
-        sheets = [
-            sheet_of(document.picture()) for document in documents if isinstance(document, ImageDocument)
-        ]
-        found.crops.append(swipe(sheets[0], sheets[1], Path(after).name))
-    else:
-        _add_models(found, documents, job.progress)
+    compared = compare_documents(documents, settings, "uniform", job)
+    parts = tracked(compared.parts, "drawing seams", job.progress)
+    seams = [drawn for part in parts if (drawn := seam_map(part))]
+    found = _Found(compared, _models(compared, documents, job.progress), seams)
     output.write(Written(main=[_page(names, found, shown)]))
     return {**figures(found.compared.measured()), "notices": found.compared.all_notices()}
 
 
-def _add_models(found: _Found, documents: tuple[Document, Document], progress: Progress | None) -> None:
-    """Add what shows two models: the models themselves, textures, and seams."""
-    slots = found.compared.slots
-    parts = tracked(found.compared.parts, "drawing seams", progress)
-    found.seams += [drawn for part in parts if (drawn := seam_map(part))]
-    for slot in tracked(slots, "drawing textures", progress):
-        found.crops += _crops(*documents, slot, _MOST_CROPS - len(found.crops))
-    shown = slots[0] if slots else None
-    packer = ModelPacker(bounding_box(documents[0], shown))
-    for document in tracked(documents, "packing models", progress):
-        packer.add(document, shown)
-    found.models = packer.as_json()
-
-
-def _crops(one: Document, other: Document, slot: Slot, most: int) -> list[str]:
-    """Return swipes over the textures that differ."""
-    made: list[str] = []
-    for old, new in zip(one.textured(slot).textures, other.textured(slot).textures, strict=True):
-        if len(made) < most and old.data != new.data:
-            made.append(swipe(texture_sheet(old, slot), texture_sheet(new, slot), new.name or slot))
-    return made
+def _models(
+    compared: Compared, documents: tuple[Document, Document], progress: Progress | None
+) -> dict[str, Any]:
+    """Return what is compared of two models or images for the viewer."""
+    packer, (one, other) = ModelPacker(), documents
+    if isinstance(one, ImageDocument) and isinstance(other, ImageDocument):
+        packer.add_image((one, other))
+    else:
+        slots: list[Slot | None] = [*compared.slots]
+        if not slots or any(part.kind == "vertices" for part in compared.parts):
+            slots.append(None)
+        for slot in tracked(slots, "packing models", progress):
+            packer.add(documents, slot)
+    changes = [255 * np.abs(part.test - part.reference).ravel() for part in compared.measured()]
+    changed = np.concatenate([*changes, np.zeros(1)])
+    return packer.packed(float(np.percentile(changed, _NEARLY_ALL)))
 
 
 def _parameters(path: str, access: Access) -> str:
@@ -121,26 +106,18 @@ def _parameters(path: str, access: Access) -> str:
 
 
 def _page(names: list[str], found: _Found, parameters: str) -> bytes:
-    model, scripts = "", ""
-    if found.models:
-        model = _VIEWER
-        scripts = (
-            f'<script type="application/json" id="models">{found.models}</script>\n'
-            f"<script>{asset('three.js')}</script>\n<script>{asset('viewer.js')}</script>"
-        )
     short = distinct_labels(names)
     return page_from(
         "report.html",
+        ["three.js", "viewer.js", "report.js"],
+        {"models": found.models},
         title=html.escape(f"{short[0]} and {short[1]}"),
-        style=asset("style.css"),
         summary=html.escape(f"Before: {names[0]}. After: {names[1]}."),
-        model=model,
-        crops=_section(f"{'Textures' if found.models else 'The image'} at full size", found.crops),
-        figures=table(_rows(found.compared.parts)) + _listed(found.compared.all_notices()),
+        viewer=viewer("Before and after"),
+        figures=table(_rows(found.compared.parts), "figures") + _listed(found.compared.all_notices()),
         histogram=histogram(found.compared.measured()),
         seams=_section("Seams, by how much they changed", found.seams),
         parameters=parameters,
-        scripts=scripts,
     )
 
 

@@ -2,30 +2,34 @@
 
 from __future__ import annotations
 
+import csv
 import dataclasses
 import html
-import tempfile
+import io
+import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
-from beltrami_cli.errors import InputError, UsageError
+from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.formats.access import Access, read_source
+from beltrami_cli.formats.access import read_source
 from beltrami_cli.formats.document import Written
-from beltrami_cli.formats.image.recognition import FORMATS, format_of_suffix
-from beltrami_cli.formats.registry import OUTPUT_FORMATS, kind_of
-from beltrami_cli.jobs.compare.files import compare_files
+from beltrami_cli.formats.image.reading import pictures_kept
+from beltrami_cli.jobs.compare.figures import figures
+from beltrami_cli.jobs.compare.files import compare_documents, open_both, require_samples
+from beltrami_cli.jobs.documents import open_input
 from beltrami_cli.jobs.job import PLAIN_JOB, Job, tracked
-from beltrami_cli.jobs.smooth import smooth_file
+from beltrami_cli.jobs.recolour import recolour_in_memory
+from beltrami_cli.jobs.smoothing import Smoothing
 from beltrami_cli.jobs.writing.output import Output
-from beltrami_cli.samples.settings import DEFAULTS, LevelSetSettings
+from beltrami_cli.samples.settings import LevelSetSettings
 from beltrami_cli.view.drawing import background_of, draw_panels, with_fixed_crops
-from beltrami_cli.view.pages import PAGES, asset, page_from, picture_tag, script_json, table
+from beltrami_cli.view.pages import PAGES, page_from, picture_tag, table
 from beltrami_cli.view.render import encoded, picture_suffix
 from beltrami_cli.view.settings import MOST_PIXELS, RenderSettings
 from beltrami_cli.view.sheet import Panel, arranged
-from beltrami_cli.view.views import open_view
+from beltrami_cli.view.views import image_files, view_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -33,11 +37,20 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from beltrami_cli.formats.document import Document
     from beltrami_cli.samples.settings import SmoothSettings
+    from beltrami_cli.view.drawing import Progress
     from beltrami_cli.view.sheet import Background
+    from beltrami_cli.view.views import Drawable
+
+    Tried = tuple[dict[str, float], SmoothSettings]
+
+FigureFormat = Literal["csv", "json"]
 
 _FIGURES = {
     "psnr": "PSNR, dB",
+    "estimated_psnr": "estimated PSNR, dB",
+    "estimated_gain": "estimated gain, dB",
     "psnr_near_seams": "PSNR near seams, dB",
     "ssim": "SSIM",
     "delta_e": "Delta E 2000",
@@ -47,7 +60,7 @@ MOST_TRIALS = 200
 
 @dataclass(frozen=True)
 class Trial:
-    """The result of one set of the swept parameters, and its figures against a reference, if there is one."""
+    """The result of one set of the swept parameters: figures against a reference if there is one, and estimates."""
 
     parameters: dict[str, float]
     figures: dict[str, float]
@@ -62,39 +75,67 @@ class Trial:
 def sweep_file(
     source: str,
     target: str,
-    trials: Sequence[tuple[dict[str, float], SmoothSettings]],
+    trials: Sequence[Tried],
     looks: RenderSettings,
     *,
     columns: int,
     reference: str | None = None,
+    kind: FigureFormat | None = None,
     job: Job = PLAIN_JOB,
 ) -> list[Trial]:
-    """Smooth a file with several settings, and write a picture, or a page (.html), of all results."""
-    _check(source, len(trials), looks)
+    """Smooth a file with several settings, and write a picture, a page (.html), or only the figures of all results."""
+    _check(source, len(trials), looks if kind is None else None)
     is_page = Path(target).suffix.lower() in PAGES
-    suffix = "" if is_page else picture_suffix(target, ", or .html for a page")
+    suffix = "" if is_page or kind else picture_suffix(target, ", or .html for a page")
     known = [source] if reference is None else [source, reference]
-    output = Output(target, overwrite=job.overwrite, what="sheet", reads=known)
-    access = output.files.watching(job.access)
-    shown = [] if reference is None else [("reference", reference, DEFAULTS)]
-    shown.append(("before", source, trials[0][1]))
-    panels: list[Panel] = []
-    for label, path, reading in shown:
-        view = open_view(path, looks, access, reading)
-        if not panels:
-            looks = with_fixed_crops(view, looks)
-        panels += draw_panels([view], [label], looks, job.progress)
+    output = Output(target, overwrite=job.overwrite, is_text=kind is not None, what="sheet", reads=known)
+    job = Job(output.files.watching(job.access), job.progress)
+    document, truth = _opened(source, reference, trials[0][1], job)
+    drawing = None if kind else _Drawing(looks, job.progress)
     done = []
-    inner = Job(access, job.progress)
-    for parameters, settings in tracked(trials, "trials", job.progress):
-        trial, panel = _tried(source, parameters, settings, looks, reference, inner)
-        done.append(trial)
-        panels.append(panel)
-    if is_page:
-        output.write(Written(main=[_page(source, done, panels, looks)]))
+    with pictures_kept([*image_files(document), *([] if truth is None else image_files(truth))]):
+        for label, shown in (("reference", truth), ("before", document)):
+            if drawing is not None and shown is not None:
+                drawing.add(label, shown)
+        first = 0 if drawing is None else len(drawing.panels)
+        for parameters, settings in tracked(trials, "trials", job.progress):
+            trial, result = _tried(document, truth, parameters, settings, job)
+            done.append(trial)
+            if drawing is not None:
+                drawing.add(trial.label, result)
+    if drawing is None:
+        output.write(Written(main=[_table(done, kind).encode()]))
+    elif is_page:
+        output.write(Written(main=[_page(source, done, drawing.panels, looks)]))
     else:
-        output.write(encoded(_sheet(panels, len(shown), columns, looks), target, suffix))
+        output.write(encoded(_sheet(drawing.panels, first, columns, looks), target, suffix))
     return done
+
+
+class _Drawing:
+    """Draws documents that differ in colours one after the other, as they come, with one tracer."""
+
+    def __init__(self, looks: RenderSettings, progress: Progress | None) -> None:
+        self.panels: list[Panel] = []
+        self._looks, self._progress = looks, progress
+        self._view: Drawable | None = None
+
+    def add(self, label: str, document: Document) -> None:
+        """Draw a document; details lie where there is most to see in the first."""
+        self._view = view_of(document, self._looks, self._view)
+        if not self.panels:
+            self._looks = with_fixed_crops(self._view, self._looks)
+        self.panels += draw_panels([self._view], [label], self._looks, self._progress)
+
+
+def _opened(
+    source: str, reference: str | None, settings: SmoothSettings, job: Job
+) -> tuple[Document, Document | None]:
+    if reference is None:
+        return open_input(source, settings, job.access), None
+    data = read_source(reference, job.access), read_source(source, job.access)
+    truth, document = open_both((reference, source), data, settings, job)
+    return document, truth
 
 
 def _sheet(panels: Sequence[Panel], first: int, columns: int, looks: RenderSettings) -> NDArray[np.uint8]:
@@ -104,10 +145,10 @@ def _sheet(panels: Sequence[Panel], first: int, columns: int, looks: RenderSetti
     return arranged(placed, columns, background_of(looks, panels))
 
 
-def _check(name: str, trials: int, looks: RenderSettings) -> None:
+def _check(name: str, trials: int, looks: RenderSettings | None) -> None:
     if name == "-":
-        raise UsageError("INPUT is read for each trial, so it must be a file and not a pipe")
-    pixels = looks.size[0] * looks.size[1] * (trials + 2)
+        raise UsageError("INPUT is shown beside each trial, so it must be a file and not a pipe")
+    pixels = 0 if looks is None else looks.size[0] * looks.size[1] * (trials + 2)
     if trials > MOST_TRIALS or pixels > MOST_PIXELS:
         raise UsageError(
             f"{trials} trials are too many for one sheet of {MOST_TRIALS} views; give fewer values, or lower --size"
@@ -115,41 +156,24 @@ def _check(name: str, trials: int, looks: RenderSettings) -> None:
 
 
 def _tried(
-    source: str,
+    document: Document,
+    truth: Document | None,
     parameters: dict[str, float],
     settings: SmoothSettings,
-    looks: RenderSettings,
-    reference: str | None,
     job: Job,
-) -> tuple[Trial, Panel]:
-    """Smooth the file once, measure and draw the result, and throw it away."""
-    access = job.access
-    with tempfile.TemporaryDirectory(prefix="beltrami-") as folder:
-        result = str(Path(folder) / f"result{_suffix(source, access)}")
-        smooth_file(source, result, settings, job=job)
-        try:
-            figures = {} if reference is None else _figures(reference, result, settings, access)
-        except InputError as error:
-            # The user knows of no result: it is unlike the reference as the source is.
-            name = source if error.name == result else error.name
-            raise InputError(name, error.cause, error.remedy) from error
-        trial = Trial(parameters, figures)
-        view = open_view(result, looks, access)
-    return trial, draw_panels([view], [trial.label], looks, job.progress)[0]
+) -> tuple[Trial, Document]:
+    """Smooth a document once, and measure the result."""
+    painter = Smoothing(settings)
+    result = recolour_in_memory(document, settings, painter, job)
+    found = {} if truth is None else _figures(truth, result, settings, job)
+    for choice in [done.report.choice for done in painter.done][:1]:
+        if choice is not None:
+            found |= {"estimated_psnr": choice["psnr"], "estimated_gain": choice["gain"]}
+    known = {key: float(value) for key, value in found.items() if isinstance(value, (int, float))}
+    return Trial(parameters, known), result
 
 
-def _suffix(source: str, access: Access) -> str:
-    """Return the extension of results: that of the source, if its format can be written."""
-    suffix = Path(source).suffix.lower()
-    if kind_of(read_source(source, access), source) == "volume":
-        return ".ply"
-    image = format_of_suffix(suffix)
-    if image is not None:
-        return suffix if FORMATS[image].writable else ".png"
-    return suffix if suffix.lstrip(".") in OUTPUT_FORMATS else ""
-
-
-def _figures(reference: str, result: str, settings: SmoothSettings, access: Access) -> dict[str, float]:
+def _figures(truth: Document, result: Document, settings: SmoothSettings, job: Job) -> dict[str, object]:
     space = settings.space if settings.space == "data" else "srgb"
     chosen = dataclasses.replace(
         settings,
@@ -157,14 +181,16 @@ def _figures(reference: str, result: str, settings: SmoothSettings, access: Acce
         kernel=KernelParameters(threads=settings.kernel.threads),
         space=space,
     )
-    overall = compare_files(reference, result, settings=chosen, job=Job(access)).overall
-    found = {
+    compared = compare_documents((truth, result), chosen, "uniform", Job(job.access))
+    require_samples(compared.parts, truth.name)
+    overall = figures(compared.measured())
+    near, delta_e = overall["near_seams"], overall["delta_e"]
+    return {
         "psnr": overall["psnr"],
-        "psnr_near_seams": (overall["near_seams"] or {}).get("psnr"),
+        "psnr_near_seams": near["psnr"] if isinstance(near, dict) else None,
         "ssim": overall["ssim"],
-        "delta_e": (overall["delta_e"] or {}).get("mean"),
+        "delta_e": delta_e["mean"] if isinstance(delta_e, dict) else None,
     }
-    return {key: float(value) for key, value in found.items() if value is not None}
 
 
 def best_of(trials: Sequence[Trial]) -> int | None:
@@ -175,39 +201,72 @@ def best_of(trials: Sequence[Trial]) -> int | None:
     return -max(known)[1] if known else None
 
 
+def _table(trials: Sequence[Trial], kind: FigureFormat | None) -> str:
+    """Return parameters and figures as text."""
+    if kind == "json":
+        return json.dumps([dataclasses.asdict(trial) for trial in trials], indent=2) + "\n"
+    parameters, found = _columns(trials)
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow([*parameters, *found])
+    for trial in trials:
+        values = [trial.parameters.get(key) for key in parameters]
+        writer.writerow([*values, *(trial.figures.get(key) for key in found)])
+    return text.getvalue()
+
+
+def _columns(trials: Sequence[Trial]) -> tuple[list[str], list[str]]:
+    """Return the parameters and figures that there are."""
+    parameters = sorted({key for trial in trials for key in trial.parameters})
+    return parameters, [key for key in _FIGURES if any(key in trial.figures for trial in trials)]
+
+
 def _page(name: str, trials: Sequence[Trial], panels: Sequence[Panel], looks: RenderSettings) -> bytes:
     best = best_of(trials)
-    marked = None if best is None else len(panels) - len(trials) + best
+    first = len(panels) - len(trials)
     background = background_of(looks, panels)
-    views = [_view(panel, background, is_best=number == marked) for number, panel in enumerate(panels)]
+    views = []
+    for number, panel in enumerate(panels):
+        trial = trials[number - first] if number >= first else None
+        views.append(_view(panel, background, trial, is_best=trial is not None and number - first == best))
+    _, found = _columns(trials)
+    sorts = "".join(f'<option value="{key}">{html.escape(_FIGURES[key])}</option>' for key in found)
     summary = f"{len(trials)} trials."
     if best is not None:
         summary += f" Best: {html.escape(trials[best].label)}."
     return page_from(
         "sweep.html",
+        ["sweep.js"],
+        {"trials": [dataclasses.asdict(trial) for trial in trials]},
         title=html.escape(f"Sweep of {Path(name).name}"),
-        style=asset("style.css"),
         summary=summary,
-        figures="\n".join(views),
-        table=table(_rows(trials)),
-        json=script_json([dataclasses.asdict(trial) for trial in trials]),
+        sorts=sorts,
+        views="\n".join(views),
+        table=table(_rows(trials), "figures of all trials"),
     )
 
 
-def _view(panel: Panel, background: Background, *, is_best: bool) -> str:
-    """Return a view as an element of a page, with its label as text."""
+def _view(panel: Panel, background: Background, trial: Trial | None, *, is_best: bool) -> str:
+    """Return a view as an element of a page, with its label and figures as text."""
     picture = arranged([dataclasses.replace(panel, label="")], 1, background)
+    label = html.escape(panel.label)
     mark = ' class="best"' if is_best else ""
-    caption = f"<figcaption>{html.escape(panel.label)}</figcaption>"
-    return f"<figure{mark}>{picture_tag(picture, panel.label)}{caption}</figure>"
+    kept = "" if trial is not None else f" data-kept={'before' if panel.label == 'before' else 'reference'}"
+    shown = {} if trial is None else trial.figures
+    rows = [f"<dt>{_FIGURES[key]}</dt><dd>{shown[key]:.3f}</dd>" for key in _FIGURES if key in shown]
+    figures_shown = f"<dl>{''.join(rows)}</dl>" if rows else ""
+    best = "<strong>best</strong> " if is_best else ""
+    return (
+        f'<li{mark}{kept}><button type="button">{picture_tag(picture, panel.label)}</button>'
+        f"<p>{best}<span>{label}</span></p>{figures_shown}</li>"
+    )
 
 
 def _rows(trials: Sequence[Trial]) -> list[list[str]]:
     """Return the parameters and figures of all trials, below their names."""
-    parameters = sorted({key for trial in trials for key in trial.parameters})
-    figures = [key for key in _FIGURES if any(key in trial.figures for trial in trials)]
-    rows = [[*parameters, *(_FIGURES[key] for key in figures)]]
+    parameters, found = _columns(trials)
+    rows = [[*parameters, *(_FIGURES[key] for key in found)]]
     for trial in trials:
         cells = [f"{trial.parameters[key]:g}" for key in parameters]
-        rows.append(cells + [f"{trial.figures[key]:.3f}" if key in trial.figures else "" for key in figures])
+        rows.append(cells + [f"{trial.figures[key]:.3f}" if key in trial.figures else "" for key in found])
     return rows

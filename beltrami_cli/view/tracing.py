@@ -7,6 +7,7 @@ ACM Transactions on Graphics 33(4), 2014, doi:10.1145/2601097.2601199.
 from __future__ import annotations
 
 import importlib
+from copy import copy
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -108,6 +109,16 @@ class SurfaceView:
         self.positions = positions[used]
         self._all, self._faces, self._paint = positions, faces, paint
         self._tracer = Tracer(self.positions, (np.cumsum(used, dtype=np.int32) - 1)[faces])
+
+    def painted(
+        self, positions: NDArray[np.float64], faces: NDArray[np.int32], paint: Paint
+    ) -> SurfaceView | None:
+        """Return the same surface painted otherwise; None if it is another."""
+        if not (np.array_equal(positions, self._all) and np.array_equal(faces, self._faces)):
+            return None
+        other = copy(self)
+        other._paint = paint
+        return other
 
     def draw(
         self,
@@ -259,6 +270,14 @@ class SurfaceView:
         flat = self._face_normals[:, None, :]
         creased = (smooth * flat).sum(axis=2, keepdims=True) < _CREASE
         return np.asarray(np.where(creased, flat, smooth), np.float32)
+
+
+def surface_view(
+    positions: NDArray[np.float64], faces: NDArray[np.int32], paint: Paint, like: object = None
+) -> SurfaceView:
+    """Return a painted surface; `like`: a view of perhaps the same surface, whose tracer serves again then."""
+    again = like.painted(positions, faces, paint) if isinstance(like, SurfaceView) else None
+    return again or SurfaceView(positions, faces, paint)
 
 
 def _places(first: float, last: float, pixels: int) -> NDArray[np.float64]:

@@ -24,12 +24,16 @@ def used_parameters(report: dict[str, Any]) -> str:
     for name, done in parts:
         head = f"<h3>{html.escape(name)}</h3>\n" if len(parts) > 1 else ""
         rows = [*_kernel(requested, done), *_measured(done)]
-        tables.append(head + table([["parameter", "value", "how it came about"], *rows]))
+        tables.append(
+            head + table([["parameter", "value", "how it came about"], *rows], f"parameters of {name}")
+        )
     others = [[name, value, "given"] for name, value in _given(requested)]
     if others:
-        tables.append(table([["parameter of the job", "value", "how it came about"], *others]))
+        tables.append(
+            table([["parameter of the job", "value", "how it came about"], *others], "parameters of the job")
+        )
     stages = [[name, f"{spent['wall']:.2f}"] for name, spent in report["stages"].items()]
-    tables.append(table([["stage", "seconds"], *stages]))
+    tables.append(table([["stage", "seconds"], *stages], "stages"))
     nothing = "" if parts else "<p>Nothing was smoothed.</p>\n"
     return "<h2>Parameters</h2>\n" + nothing + "\n".join(tables)
 
@@ -70,6 +74,9 @@ def _measured(done: dict[str, Any]) -> Iterator[list[str]]:
     """Give what was measured of a part, and the estimate that its parameters were chosen by."""
     noise = ", ".join(f"{channel} {255 * share:.1f}/255" for channel, share in done["noise"].items())
     yield ["noise", noise, "measured"]
+    if done["choice"] and done["choice"]["psnr"] is not None:
+        alike = "shared by neighbours" if done["choice"]["correlated"] else "of each sample by itself"
+        yield ["noise model", alike, "measured"]
     if done["change"]:
         yield ["mean change", f"{255 * done['change']['mean']:.1f}/255", "measured"]
     choice = done["choice"]

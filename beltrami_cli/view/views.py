@@ -16,7 +16,7 @@ from beltrami_cli.samples.texel_colours import COLOUR_SLOTS
 from beltrami_cli.surface.colour_values import srgb_to_linear
 from beltrami_cli.surface.geometry import triangle_areas
 from beltrami_cli.view.paint import Pyramid, TexturePaint, VertexPaint
-from beltrami_cli.view.tracing import SAMPLES, SurfaceView
+from beltrami_cli.view.tracing import SAMPLES, SurfaceView, surface_view
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -114,7 +114,11 @@ def open_view(
     source: str, settings: RenderSettings, access: Access, reading: SmoothSettings = DEFAULTS
 ) -> Drawable:
     """Read a file, or "-" for standard input, as what is seen of it; `reading` says how level sets are read."""
-    document = open_input(source, reading, access)
+    return view_of(open_input(source, reading, access), settings)
+
+
+def view_of(document: Document, settings: RenderSettings, like: Drawable | None = None) -> Drawable:
+    """Return what is seen of a document; `like`: a view of the same with other colours, whose tracer serves again."""
     if isinstance(document, ImageDocument):
         return ImageView(sheet_of(document.picture()))
     slot: Slot = settings.slot  # type: ignore[assignment]
@@ -122,8 +126,16 @@ def open_view(
     if settings.on == "texture" and not has_texture:
         raise InputError(document.name, f"it has no {slot} texture", "leave out --show")
     if has_texture and settings.on != "vertices":
-        return _textured(document, slot)
-    return _painted(document.painted())
+        return _textured(document, slot, like)
+    return _painted(document.painted(), like)
+
+
+def image_files(document: Document) -> list[tuple[bytes, str]]:
+    """Return the image files of a document, with their names."""
+    if isinstance(document, ImageDocument):
+        return [(document.data, document.name)]
+    textures = [texture for slot in document.slots() for texture in document.textured(slot).textures]
+    return [(texture.data, texture.name) for texture in textures]
 
 
 def sheet_of(picture: Picture, *, is_data: bool = False) -> NDArray[np.float32]:
@@ -193,20 +205,20 @@ def disc_radii(positions: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(limited[which.reshape(-1)], np.float64)
 
 
-def _textured(document: Document, slot: Slot) -> SurfaceView:
+def _textured(document: Document, slot: Slot, like: Drawable | None) -> SurfaceView:
     surface = document.textured(slot)
     sheets = [texture_sheet(texture, slot) for texture in surface.textures]
     positions = within_reach(surface.positions)
     areas = triangle_areas(positions, surface.faces)
-    return SurfaceView(positions, surface.faces, TexturePaint(surface, sheets, areas))
+    return surface_view(positions, surface.faces, TexturePaint(surface, sheets, areas), like)
 
 
-def _painted(painted: PaintedVertices) -> SurfaceView | CloudView:
+def _painted(painted: PaintedVertices, like: Drawable | None) -> SurfaceView | CloudView:
     light = light_of(painted)
     finite = np.isfinite(painted.positions).all(axis=1)
     positions = within_reach(painted.positions)
     if len(painted.faces):
-        return SurfaceView(positions, painted.faces, VertexPaint(painted.faces, light))
+        return surface_view(positions, painted.faces, VertexPaint(painted.faces, light), like)
     return CloudView(positions[finite], light[finite])
 
 

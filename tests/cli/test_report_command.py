@@ -1,4 +1,4 @@
-"""`beltrami report`: the page shows both models as they are, in a browser, without a network."""
+"""`beltrami report`: what is on the page; how it looks in a browser is tested in tests/view."""
 
 from __future__ import annotations
 
@@ -11,125 +11,15 @@ import sys
 import numpy as np
 import pytest
 
-from beltrami_cli.formats.image import read_image
 from beltrami_cli.jobs.compare.figures import ComparedColours
 from beltrami_cli.view.charts import histogram
 from cli.commands import SAMPLES, beltrami
-from cli.pictures import painted_square, plain_image, textured_square
-
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-FLAGS = [
-    "--no-sandbox",  # which root has none of
-    "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
-    "--disable-background-networking", "--disable-component-update", "--disable-sync",
-]  # fmt: skip
-RED, BLUE, WHITE = (255, 0, 0), (0, 0, 255), (255, 255, 255)
-
-
-@pytest.fixture(scope="module")
-def browser():
-    if CHROMIUM is None:
-        pytest.skip("there is no Chromium; on Debian, install it with: apt install chromium")
-    playwright = pytest.importorskip("playwright.sync_api")
-    with playwright.sync_playwright() as running:
-        started = running.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
-        yield started
-        started.close()
 
 
 def reported(before, after, page):
     run = beltrami("report", before, after, page)
     assert run.returncode == 0, run.stderr
     return page
-
-
-class Viewer:
-    """A page with its models drawn."""
-
-    def __init__(self, browser, path):
-        context = browser.new_context(viewport={"width": 900, "height": 700}, offline=True)
-        self.page, self.errors, self.requests = context.new_page(), [], []
-        self.page.on("pageerror", lambda error: self.errors.append(str(error)))
-        self.page.on("request", lambda request: self.requests.append(request.url))
-        self.page.goto(path.as_uri())
-        self.page.wait_for_selector("#viewer[data-ready=yes]", timeout=60_000)
-        self.box = self.page.locator("#viewer").bounding_box()
-
-    def halves(self):
-        """The colours to the left and to the right of the middle."""
-        return self.pixel(-0.2, 0.1), self.pixel(0.2, 0.1)
-
-    def pixel(self, right, up):
-        """The colour at a place from the middle, in heights of the view."""
-        shot = read_image(self.page.locator("#viewer").screenshot(), "").pixels
-        height, width = shot.shape[:2]
-        at = shot[round(height * (0.5 - up)), round(width / 2 + right * height)]
-        return tuple(int(value) for value in at[:3])
-
-    def swipe_to(self, value):
-        self.page.locator("#swipe").fill(str(value))
-
-    def turn(self, degrees):
-        """Drag: a whole turn is as long as the view is high."""
-        x, y = self.box["x"] + self.box["width"] / 2, self.box["y"] + self.box["height"] / 2
-        self.page.mouse.move(x, y)
-        self.page.mouse.down()
-        self.page.mouse.move(x + self.box["height"] * degrees / 360, y, steps=8)
-        self.page.mouse.up()
-
-
-@pytest.mark.slow
-def test_the_swipe_parts_both_models_and_one_camera_turns_them(browser, tmp_path):
-    files = painted_square(tmp_path / "a.ply", (1, 0, 0)), painted_square(tmp_path / "b.ply", (0, 0, 1))
-    page = reported(*files, tmp_path / "page.html")
-    viewer = Viewer(browser, page)
-    for at, colours in ((50, (RED, BLUE)), (100, (RED, RED)), (0, (BLUE, BLUE)), (50, (RED, BLUE))):
-        viewer.swipe_to(at)
-        assert viewer.halves() == colours
-    viewer.turn(90)  # seen from its edge, the square is gone
-    assert viewer.halves() == (WHITE, WHITE)
-    viewer.turn(90)  # from behind
-    assert viewer.halves() == (RED, BLUE)
-    assert viewer.errors == []
-    assert [url for url in viewer.requests if not url.startswith(("data:", "blob:"))] == [page.as_uri()]
-
-
-@pytest.mark.slow
-def test_textures_lie_the_right_way_up_in_their_own_colours(browser, tmp_path):
-    colours = np.array([[[200, 100, 30], [20, 90, 160]], [[10, 20, 30], [250, 240, 60]]])
-    before = textured_square(tmp_path / "a.obj", colours)
-    after = textured_square(tmp_path / "b.obj", 255 - colours)
-    viewer = Viewer(browser, reported(before, after, tmp_path / "page.html"))
-    for end, shown in ((100, colours), (0, 255 - colours)):
-        viewer.swipe_to(end)
-        for row, up in ((0, 0.2), (1, -0.2)):
-            for column, right in ((0, -0.2), (1, 0.2)):
-                # The browser computes with 8 bits, and decodes and encodes sRGB once.
-                assert viewer.pixel(right, up) == pytest.approx(tuple(shown[row, column]), abs=1)
-    crop = viewer.page.locator(".swipe")
-    slider = viewer.page.locator("figure input[type=range]")
-    for at, expected in ((0, 255 - colours[0, 0]), (100, colours[0, 0])):
-        slider.fill(str(at))
-        shot = read_image(crop.screenshot(), "").pixels
-        assert tuple(shot[20, 20, :3].astype(int)) == pytest.approx(tuple(expected), abs=1)
-    assert viewer.errors == []
-
-
-@pytest.mark.slow
-def test_points_are_drawn(browser, tmp_path):
-    grid = np.stack(np.meshgrid(np.arange(20), np.arange(20)), axis=2).reshape(-1, 2)
-    clouds = []
-    for name, colour in (("a", "255 0 0"), ("b", "0 0 255")):
-        clouds.append(tmp_path / f"{name}.xyz")
-        clouds[-1].write_text("".join(f"{x} {y} {(x + y) % 2 / 50} {colour}\n" for x, y in grid))
-    assert Viewer(browser, reported(*clouds, tmp_path / "page.html")).halves() == (RED, BLUE)
-
-
-def test_images_have_a_swipe_without_models(tmp_path):
-    images = plain_image(tmp_path / "a.png", RED), plain_image(tmp_path / "b.png", BLUE)
-    text = reported(*images, tmp_path / "page.html").read_text()
-    assert 'id="viewer"' not in text
-    assert text.count('class="swipe"') == 1
 
 
 @pytest.mark.parametrize("largest", [5, 40, 70, 130, 200])

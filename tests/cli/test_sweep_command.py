@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import re
+import shutil
 
 import pytest
 
+from beltrami_cli.formats.image import reading
+from beltrami_cli.view import tracing
 from cli.commands import SAMPLES, beltrami
 from cli.pictures import pixels
 
@@ -32,6 +36,45 @@ def test_a_page_has_all_combinations_with_the_figures_of_smooth_and_compare(tmp_
     assert trials[swept.index((12, 3, 1))]["figures"]["psnr"] == pytest.approx(compared["overall"]["psnr"])
     best = max(trials, key=lambda trial: trial["figures"]["psnr"])
     assert f"best beta {best['parameters']['beta']:g}, n {best['parameters']['n']:g}".encode() in run.stderr
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["nonmanifold-noisy.ply", "mirrored-noisy.obj"])
+def test_figures_alone_are_those_of_compare_without_files_in_between(name, tmp_path):
+    table, source = tmp_path / "table.csv", SAMPLES / name
+    reference = SAMPLES / name.replace("noisy", "clean")
+    run = beltrami(
+        "sweep", source, table, "--format", "csv", "-n", "1,2", "-t", 1, "--beta", 5, "--reference", reference
+    )
+    assert run.returncode == 0, run.stderr
+    rows = list(csv.DictReader(table.read_text().splitlines()))
+    assert [row["n"] for row in rows] == ["1", "2"]
+    smooth = tmp_path / name
+    assert beltrami("smooth", source, smooth, "-n", 2, "-t", 1, "--beta", 5).returncode == 0
+    overall = json.loads(beltrami("compare", reference, smooth, "--json").stdout)["overall"]
+    assert float(rows[1]["psnr"]) == pytest.approx(overall["psnr"])
+    assert float(rows[1]["delta_e"]) == pytest.approx(overall["delta_e"]["mean"])
+
+
+def test_without_a_reference_the_gain_is_estimated_and_goes_to_a_pipe():
+    run = beltrami("sweep", NOISY, "-", "--format", "json", "-n", "1,3")
+    assert run.returncode == 0, run.stderr
+    trials = json.loads(run.stdout)
+    assert [trial["parameters"] for trial in trials] == [{"n": 1}, {"n": 3}]
+    assert all(trial["figures"]["estimated_gain"] > 0 for trial in trials)
+
+
+@pytest.mark.slow
+def test_the_input_is_decoded_once_and_one_tracer_serves_all(tmp_path, monkeypatch):
+    decoded, tracers = [], []
+    decode, trace = reading._decoded, tracing.Tracer.__init__
+    monkeypatch.setattr(reading, "_decoded", lambda *image: decoded.append(image[1]) or decode(*image))
+    monkeypatch.setattr(tracing.Tracer, "__init__", lambda *own: tracers.append(own) or trace(*own))
+    shutil.copy(SAMPLES / "mirrored-noisy.png", tmp_path)
+    options = ("--beta", "3,6,9", "-n", 1, "-t", 1, "--size", 40)
+    assert beltrami("sweep", SAMPLES / "mirrored-noisy.obj", tmp_path / "page.html", *options).returncode == 0
+    assert len(tracers) == 1
+    assert len(decoded) == 1 + 3  # the input, and each result to be drawn
 
 
 @pytest.mark.slow

@@ -81,7 +81,7 @@ def compare_files(
     job = dataclasses.replace(job, access=access)
     documents = open_both(names, data, settings, job)
     compared = compare_documents(documents, settings, weights, job)
-    _require_samples(compared.parts, documents[0].name)
+    require_samples(compared.parts, documents[0].name)
     described = [part.described() for part in tracked(compared.parts, "measuring", job.progress)]
     verdicts, untested = check_limits(described, limits, documents[1].name)
     moves = compared.moves
@@ -99,7 +99,7 @@ def compare_files(
     )  # fmt: skip
 
 
-def _require_samples(parts: list[ComparedColours], name: str) -> None:
+def require_samples(parts: list[ComparedColours], name: str) -> None:
     """Raise InputError if nothing can be compared, or what counts by its area has none."""
     if not sum(len(part.reference) for part in parts):
         raise InputError(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import hashlib
 import html
 import json
 from importlib.resources import files
@@ -13,7 +14,7 @@ from beltrami_cli.formats.image import write_image
 from beltrami_cli.formats.image.picture import new_picture
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
     import numpy as np
     from numpy.typing import NDArray
@@ -22,10 +23,30 @@ PAGES = (".html", ".htm")
 """Extensions of pages."""
 
 
-def page_from(template: str, **parts: str) -> bytes:
-    """Fill in a template of this folder: each ``$name`` in it becomes HTML or script."""
+def page_from(template: str, scripts: Sequence[str], data: Mapping[str, object], **parts: str) -> bytes:
+    """Fill in a template of this folder: each ``$name`` in it becomes HTML; scripts of this folder may run, no others.
+
+    `data` are elements with JSON for the scripts, by their identity.
+    """
+    texts = [asset(script) for script in scripts]
+    hashes = [base64.b64encode(hashlib.sha256(text.encode()).digest()).decode() for text in texts]
+    allowed = " ".join(f"'sha256-{each}'" for each in hashes) or "'none'"
+    policy = f"default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'; script-src {allowed}"
+    blocks = [
+        f'<script type="application/json" id="{name}">{script_json(value)}</script>'
+        for name, value in data.items()
+    ]
+    blocks += [f"<script>{text}</script>" for text in texts]
+    filled = Template(asset(template)).substitute(
+        parts, style=asset("style.css"), policy=policy, scripts="\n".join(blocks)
+    )
     # Names of files may hold bytes that are not text.
-    return Template(asset(template)).substitute(parts).encode(errors="replace")
+    return filled.encode(errors="replace")
+
+
+def viewer(heading: str) -> str:
+    """Return the part of a page that a viewer draws in."""
+    return Template(asset("viewer.html")).substitute(heading=html.escape(heading))
 
 
 def asset(name: str) -> str:
@@ -46,12 +67,14 @@ def data_address(picture: NDArray[np.uint8]) -> str:
     return f"data:image/png;base64,{base64.b64encode(data).decode()}"
 
 
-def table(rows: Iterable[Sequence[str]]) -> str:
-    """Return a table; the first row is its head."""
+def table(rows: Iterable[Sequence[str]], name: str) -> str:
+    """Return a table, which scrolls where it is too wide; the first row is its head."""
     head, *others = [[html.escape(cell) for cell in row] for row in rows]
-    lines = ["<tr>" + "".join(f"<th>{cell}</th>" for cell in head) + "</tr>"]
+    lines = ["<tr>" + "".join(f'<th scope="col">{cell}</th>' for cell in head) + "</tr>"]
     lines += ["<tr>" + "".join(f"<td>{cell}</td>" for cell in row) + "</tr>" for row in others]
-    return "<table>\n" + "\n".join(lines) + "\n</table>"
+    body = "\n".join(lines)
+    frame = f'<div class="wide" role="region" tabindex="0" aria-label="{html.escape(name, quote=True)}">'
+    return f"{frame}<table>\n{body}\n</table></div>"
 
 
 def script_json(value: object) -> str:

@@ -1,0 +1,150 @@
+"""The page of `beltrami report` in a browser: what it shows, and how it is operated."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cli.commands import SAMPLES, beltrami
+from cli.pictures import painted_square, plain_image, textured_square
+from view.browsing import BLUE, RED, WHITE, WIDTHS, Viewer
+
+pytestmark = pytest.mark.slow
+
+
+def reported(before, after, page, *options):
+    run = beltrami("report", before, after, page, *options)
+    assert run.returncode == 0, run.stderr
+    return page.as_uri()
+
+
+@pytest.fixture(scope="module")
+def squares(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("squares")
+    files = painted_square(folder / "a.ply", (1, 0, 0)), painted_square(folder / "b.ply", (0, 0, 1))
+    return reported(*files, folder / "page.html")
+
+
+@pytest.fixture(scope="module")
+def head(tmp_path_factory):
+    page = tmp_path_factory.mktemp("head") / "page.html"
+    address = reported(SAMPLES / "head-tex-noisy.glb", SAMPLES / "head-tex-clean.glb", page)
+    assert page.stat().st_size < 2_000_000
+    return address
+
+
+def test_the_line_parts_both_models_and_one_camera_turns_them(browser, squares):
+    viewer = Viewer(browser, squares, offline=True)
+    for at, colours in ((0.5, (RED, BLUE)), (1, (RED, RED)), (0, (BLUE, BLUE)), (0.5, (RED, BLUE))):
+        viewer.swipe_to(at)
+        assert viewer.halves() == colours
+    viewer.turn(90)  # seen from its edge, the square is gone
+    assert viewer.halves() == (WHITE, WHITE)
+    viewer.turn(90)  # from behind
+    assert viewer.halves() == (RED, BLUE)
+    assert viewer.errors == []
+    assert viewer.fetched() == [squares]
+
+
+def test_keys_move_the_line_turn_the_model_and_switch_the_sides(browser, squares):
+    viewer = Viewer(browser, squares)
+    keyboard = viewer.page.keyboard
+    viewer.part("line").focus()
+    keyboard.press("Home")
+    assert viewer.halves() == (BLUE, BLUE)
+    keyboard.press("End")
+    assert viewer.halves() == (RED, RED)
+    keyboard.press("b")
+    assert viewer.halves() == (BLUE, BLUE)
+    keyboard.press("b")
+    assert viewer.halves() == (RED, RED)
+    viewer.page.locator("canvas").focus()
+    for _ in range(12):  # a quarter of a turn
+        keyboard.press("ArrowRight")
+    assert viewer.halves() == (WHITE, WHITE)
+    keyboard.press("0")
+    assert viewer.halves() == (RED, RED)
+
+
+def test_a_finger_drags_the_line(browser, squares):
+    viewer = Viewer(browser, squares, width=390, height=800, has_touch=True, is_mobile=True)
+    line = viewer.part("line").bounding_box()
+    assert line["width"] >= 44
+    touch = viewer.page.context.new_cdp_session(viewer.page)
+    x, y = line["x"] + line["width"] / 2, line["y"] + 20
+    for kind, points in (
+        ("touchStart", [(x, y)]), ("touchMove", [(x + 60, y)]), ("touchMove", [(x + 200, y)]), ("touchEnd", []),
+    ):  # fmt: skip
+        places = [{"x": across, "y": down} for across, down in points]
+        touch.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": places})
+    assert viewer.halves() == (RED, RED)
+
+
+def test_the_difference_has_the_colours_of_its_scale(browser, tmp_path):
+    files = (
+        painted_square(tmp_path / "a.ply", (0.2, 0.2, 0.2)),
+        painted_square(tmp_path / "b.ply", (0.6, 0.2, 0.2)),
+    )
+    viewer = Viewer(browser, reported(*files, tmp_path / "page.html"))
+    assert not viewer.part("legend").is_visible()
+    viewer.page.get_by_label("difference", exact=True).check()
+    assert viewer.part("legend").is_visible()
+    assert viewer.part("limit").inner_text() == "102/255 or more"
+    brightest = (253, 231, 37)  # of viridis, at its end
+    assert viewer.pixel(0.1, 0.1) == pytest.approx(brightest, abs=2)
+
+
+def test_textures_lie_the_right_way_up_in_their_own_colours(browser, tmp_path):
+    colours = np.array([[[200, 100, 30], [20, 90, 160]], [[10, 20, 30], [250, 240, 60]]])
+    before = textured_square(tmp_path / "a.obj", colours)
+    after = textured_square(tmp_path / "b.obj", 255 - colours)
+    viewer = Viewer(browser, reported(before, after, tmp_path / "page.html"))
+    for side, shown in (("before", colours), ("after", 255 - colours)):
+        viewer.page.get_by_label(side, exact=True).check()
+        for flat in (False, True):
+            viewer.part("flat").set_checked(flat)
+            for row, up in ((0, 0.2), (1, -0.2)):
+                for column, right in ((0, -0.2), (1, 0.2)):
+                    # The browser computes with 8 bits, and decodes and encodes sRGB once.
+                    assert viewer.pixel(right, up) == pytest.approx(tuple(shown[row, column]), abs=1)
+    assert viewer.errors == []
+
+
+def test_images_and_points_are_drawn(browser, tmp_path):
+    images = plain_image(tmp_path / "a.png", RED), plain_image(tmp_path / "b.png", BLUE)
+    viewer = Viewer(browser, reported(*images, tmp_path / "image.html"))
+    assert viewer.halves() == (RED, BLUE)
+    grid = np.stack(np.meshgrid(np.arange(20), np.arange(20)), axis=2).reshape(-1, 2)
+    clouds = []
+    for name, colour in (("a", "255 0 0"), ("b", "0 0 255")):
+        clouds.append(tmp_path / f"{name}.xyz")
+        clouds[-1].write_text("".join(f"{x} {y} {(x + y) % 2 / 50} {colour}\n" for x, y in grid))
+    assert Viewer(browser, reported(*clouds, tmp_path / "page.html")).halves() == (RED, BLUE)
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_the_page_fits_and_nothing_bars_anybody(browser, head, width):
+    viewer = Viewer(browser, head, width=width, color_scheme="dark" if width == 768 else "light")
+    assert viewer.overflow() <= 0
+    place = viewer.part("place").bounding_box()
+    assert 0.6 * width < place["width"] <= width
+    for name in ("lit", "wires", "charts", "seams", "texels"):
+        viewer.part(name).check()
+    viewer.page.get_by_label("difference", exact=True).check()
+    assert viewer.violations() == []
+    assert viewer.errors == []
+
+
+def test_names_that_are_markup_stay_text(browser, tmp_path):
+    name = "<img src=x onerror=alert(1)>&amp;'\"</script>".replace("/", "-")
+    image = "<b>bold.png"
+    before = textured_square(tmp_path / f"{name}.obj", np.full((2, 2, 3), 90))
+    for path in list(tmp_path.iterdir()):
+        if path.suffix == ".png":
+            path.rename(tmp_path / image)
+    (tmp_path / "m.mtl").write_text(f"newmtl m\nmap_Kd {image}\n")
+    before.write_text(before.read_text().replace(f"{name}.mtl", "m.mtl"))
+    viewer = Viewer(browser, reported(before, before, tmp_path / "page.html"))
+    assert name in viewer.page.locator("h1").inner_text()
+    assert viewer.page.locator("main b, main img").count() == 0
+    assert viewer.errors == []
