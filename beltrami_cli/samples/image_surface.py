@@ -15,6 +15,7 @@ from beltrami_cli.flow.grid_manifold import GridManifold
 from beltrami_cli.formats.access import Access, read_source
 from beltrami_cli.formats.image import read_image
 from beltrami_cli.formats.image.picture import full_scale_one
+from beltrami_cli.samples.guides import require_size
 from beltrami_cli.surface.atlas import grid_atlas
 from beltrami_cli.surface.validation import check_scale
 
@@ -89,14 +90,7 @@ def read_surface(picture: Picture, wanted: ImageSettings, access: Access) -> Ima
 def _read(path: str, picture: Picture, access: Access) -> tuple[Picture, list[str]]:
     """Read an image of the size of the picture, and return notices about it as a map."""
     read = read_image(read_source(path, access), path, finite=False)
-    height, width = picture.pixels.shape[:2]
-    if read.pixels.shape[:2] != (height, width):
-        rows, columns = read.pixels.shape[:2]
-        raise InputError(
-            path,
-            f"its {columns} x {rows} pixels do not fit the {width} x {height} of {picture.name}",
-            "both must have the same size, pixel by pixel",
-        )
+    require_size(read.pixels, picture.pixels.shape[:2], path, picture.name)
     coarse = [f"{path} has 8 bits only, so that its surface has steps; 16 bits or floats are better."]
     return read, [*read.notices, *(coarse if read.stored == _COARSE else [])]
 

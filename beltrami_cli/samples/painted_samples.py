@@ -10,7 +10,6 @@ import numpy as np
 from beltrami_cli.flow.colour_space import from_space, to_space
 from beltrami_cli.samples.reports import VertexReport
 from beltrami_cli.samples.samples import Change, Grains, Part, Repainted, Samples, channel_numbers
-from beltrami_cli.samples.settings import describe_choice
 from beltrami_cli.surface.grouping import group_equal_rows
 
 if TYPE_CHECKING:
@@ -78,7 +77,7 @@ class PaintedSamples(Samples):
         """Accept all: documents raise errors about what they cannot store."""
 
     def grains(self) -> Grains:
-        """Assign one random number to each place, so that split vertices stay equal."""
+        # One random number for each place, so that split vertices stay equal.
         rows = self.coloured()
         painted, channels = self.painted, self.channels.changing
         colours = to_space(painted.colours[rows][:, channels], painted.encoding, self.settings.space)
@@ -89,7 +88,6 @@ class PaintedSamples(Samples):
         return coloured_rows(self.painted)
 
     def shift(self, grains: Grains, after: NDArray[np.float32]) -> Repainted:
-        """Replace the colours in `grains` by others."""
         painted, channels, rows = self.painted, self.channels.changing, self.coloured()
         back = from_space(after, painted.encoding, self.settings.space)
         colours = painted.colours.copy()
@@ -109,15 +107,20 @@ class PaintedSamples(Samples):
                 "truncated_kernels": result.truncated,
             },
             spacing=result.spacing,
-            beta=result.beta,
-            iterations=flow.parameters.iterations,
-            noise=self.named(result.sigma),
             change={},
-            guides=flow.manifold.guide_betas,
             geometry=None,
-            choice=describe_choice(result.choice),
-            patches=result.patches,
+            **self._used(flow, result),
         )
+
+    def _repainted(self, vertices: NDArray[np.intp], after: NDArray[np.float32]) -> Repainted:
+        """Give some vertices new colours; conversion there and back is not exact, but its result stays in range."""
+        painted, changing = self.painted, self.channels.changing
+        colours = painted.colours.copy()
+        if len(vertices):
+            before = painted.colours[:, changing]
+            back = from_space(after, painted.encoding, self.settings.space)
+            colours[vertices[:, None], changing] = np.clip(back, before.min(axis=0), before.max(axis=0))
+        return Repainted(Change.between(painted.colours, colours), colours)
 
 
 def coloured_rows(painted: PaintedVertices, *, in_triangles: bool = False) -> NDArray[np.intp]:

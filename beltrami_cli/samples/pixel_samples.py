@@ -16,7 +16,6 @@ from beltrami_cli.formats.image import (
     is_unchanged,
     label_of,
     losses,
-    write_image,
 )
 from beltrami_cli.formats.image.conversion import noise_losses
 from beltrami_cli.samples.guides import read_guide_images
@@ -24,8 +23,8 @@ from beltrami_cli.samples.image_surface import grid_flow, read_surface
 from beltrami_cli.samples.memory_check import require_memory
 from beltrami_cli.samples.pixel_colours import ImageColours
 from beltrami_cli.samples.reports import ImageReport
-from beltrami_cli.samples.samples import Grains, Part, Repainted, Samples
-from beltrami_cli.samples.settings import DEFAULTS, describe_choice, describe_kernel
+from beltrami_cli.samples.samples import Grains, Part, Repainted, Samples, encoded, options_of_meshes
+from beltrami_cli.samples.settings import DEFAULTS, describe_kernel
 from beltrami_cli.surface.records import ImageFile
 
 if TYPE_CHECKING:
@@ -85,13 +84,11 @@ class PixelSamples(Samples):
         self._is_noted = settings.channels is None and not colours_only
 
     def flow(self) -> BeltramiFlow[GridManifold]:
-        """Make the flow on these samples."""
         colours, guides = self.colours, [guide.at for guide in self._guides]
         kernel = self.settings.kernel
         return grid_flow(self.surface, colours.samples, kernel, guides, colours.metric_channels)
 
     def require_writable(self) -> None:
-        """Raise what is wrong with the image as an output, before anything is computed."""
         check_writable(self.picture, self._suffix)
 
     def facts(self) -> dict[str, object]:
@@ -110,7 +107,6 @@ class PixelSamples(Samples):
         }
 
     def describe(self) -> dict[str, object]:
-        """Describe the image, and what smoothing would do to it."""
         flow, facts = self.flow(), self.facts()
         del facts["format"]  # is that of the file
         return {
@@ -120,16 +116,13 @@ class PixelSamples(Samples):
         }
 
     def probe(self, document: Document, *, whole: bool) -> Probe:
-        """Run the flow for single kernels."""
-        del document, whole
         from beltrami_cli.samples.probes.cells import PixelProbe
         from beltrami_cli.samples.probes.probe import WorkingColours
 
         unit = "pixel" if self.surface.positions is None else ""
-        return PixelProbe(self.picture, WorkingColours(self.names, self.settings.space), unit, self.flow())
+        return PixelProbe(self.flow(), WorkingColours(self.names, self.settings.space), self.picture, unit)
 
     def notices(self) -> list[str]:
-        """Return what users should know of the image."""
         name = self.picture.name
         found = [*self.picture.notices, *self.surface.notices]
         if self._unfit:
@@ -146,22 +139,15 @@ class PixelSamples(Samples):
         return found
 
     def report(self, flow: BeltramiFlow[GridManifold], result: FlowResult) -> ImageReport:
-        """Put together what was done."""
         return ImageReport(
             image=self.facts(),
             pitch=result.spacing,
-            beta=result.beta,
-            iterations=flow.parameters.iterations,
-            noise=self.named(result.sigma),
             samples_per_kernel=round(result.samples_per_kernel, 2),
-            guides=flow.manifold.guide_betas,
             change={},
-            choice=describe_choice(result.choice),
-            patches=result.patches,
+            **self._used(flow, result),
         )
 
     def repaint(self, new: NewColours) -> Repainted:
-        """Encode the image with new colours; one that did not change is the source's own file."""
         pixels, change = self.colours.repainted(new, self.settings.kernel.thread_count)
         picture, suffix = self.picture, self._suffix
         notices = self.notices()
@@ -179,12 +165,10 @@ class PixelSamples(Samples):
         return self._repainted(data, change, notices)
 
     def grains(self) -> Grains:
-        """Give each pixel a number, one after the other."""
         pixels = np.flatnonzero(self.valid)
         return Grains(self.colours.samples(pixels), np.arange(len(pixels)))
 
     def shift(self, grains: Grains, after: NDArray[np.float32]) -> Repainted:
-        """Put other colours in the place of those in `grains`."""
         new = NewColours.of(after, np.flatnonzero(self.valid))
         pixels, change = self.colours.repainted(new, threads=1)
         picture, suffix = self.picture, self._suffix
@@ -199,15 +183,8 @@ class PixelSamples(Samples):
         )
 
     def _encoded(self, pixels: NDArray[Any]) -> ImageFile:
-        textures = self.settings.textures
-        return write_image(
-            self.picture,
-            pixels,
-            suffix=self._suffix,
-            jpeg_quality=textures.jpeg_quality,
-            small=textures.small,
-            as_data=self.settings.space == "data",
-        )
+        is_data = self.settings.space == "data"
+        return encoded(self.picture, pixels, self.settings.textures, self._suffix, as_data=is_data)
 
     def _repainted(self, data: bytes, change: Change, notices: Sequence[str]) -> Repainted:
         suffix = self._suffix or Path(self.picture.name).suffix
@@ -216,8 +193,7 @@ class PixelSamples(Samples):
 
 def refuse_options_of_meshes(settings: SmoothSettings, name: str) -> None:
     """Raise UsageError for options that only meshes and their textures have."""
-    textures, kernel = settings.textures, settings.kernel
-    usual, usual_kernel = DEFAULTS.textures, DEFAULTS.kernel
+    textures, usual = settings.textures, DEFAULTS.textures
     given = {
         "--on": settings.on != DEFAULTS.on,
         "--slots": textures.slots != usual.slots,
@@ -225,9 +201,7 @@ def refuse_options_of_meshes(settings: SmoothSettings, name: str) -> None:
         "--texture": textures.names != usual.names,
         "--gutter": textures.gutter != usual.gutter,
         "--texture-format": textures.image_suffix != usual.image_suffix,
-        "--weights": kernel.weights != usual_kernel.weights,
-        "--max-samples": kernel.max_samples != usual_kernel.max_samples,
-        "--smooth-geometry": settings.embedding.smooth_geometry,
+        **options_of_meshes(settings),
     }
     wrong = [option for option, is_given in given.items() if is_given]
     if not wrong:

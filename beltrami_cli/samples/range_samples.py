@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.errors import UsageError
-from beltrami_cli.flow.colour_space import from_space, to_space
+from beltrami_cli.flow.colour_space import to_space
 from beltrami_cli.flow.embedding import Guide
 from beltrami_cli.samples.image_surface import ImageSurface, grid_flow
 from beltrami_cli.samples.painted_samples import PaintedSamples, describe_colours
-from beltrami_cli.samples.samples import Change, Repainted
-from beltrami_cli.samples.settings import DEFAULTS, describe_kernel
+from beltrami_cli.samples.samples import options_of_meshes
+from beltrami_cli.samples.settings import describe_kernel
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.document import Document
     from beltrami_cli.samples.probes.probe import Probe
     from beltrami_cli.samples.reports import VertexReport
+    from beltrami_cli.samples.samples import Repainted
     from beltrami_cli.samples.settings import SmoothSettings
     from beltrami_cli.surface.records import PaintedVertices
 
@@ -46,27 +47,17 @@ class RangeSamples(PaintedSamples):
         self.grid = grid
 
     def flow(self) -> BeltramiFlow[GridManifold]:
-        """Make the flow on these samples; UsageError if the settings are for meshes."""
-        self._refuse_options_of_meshes()
+        wrong = [option for option, is_given in options_of_meshes(self.settings).items() if is_given]
+        if wrong:
+            raise UsageError(
+                f"{', '.join(wrong)}: not on range images, whose vertices lie on a grid; leave it out"
+            )
         measured = self.grid >= 0
         positions = np.full((*self.grid.shape, 3), np.nan)
         positions[measured] = self.painted.positions[self.grid[measured]]
         guides = [partial(self._guide_at, guide) for guide in self.guides]
         surface = ImageSurface(None, positions, measured)
         return grid_flow(surface, self._working, self.settings.kernel, guides, self.channels.metric)
-
-    def _refuse_options_of_meshes(self) -> None:
-        kernel, usual = self.settings.kernel, DEFAULTS.kernel
-        given = {
-            "--weights": kernel.weights != usual.weights,
-            "--max-samples": kernel.max_samples != usual.max_samples,
-            "--smooth-geometry": self.settings.embedding.smooth_geometry,
-        }
-        wrong = [option for option, is_given in given.items() if is_given]
-        if wrong:
-            raise UsageError(
-                f"{', '.join(wrong)}: not on range images, whose vertices lie on a grid; leave it out"
-            )
 
     def _working(self, places: NDArray[np.int64]) -> NDArray[np.float32]:
         """Return the colours at some places of the grid in the working space, shape (T, N)."""
@@ -77,13 +68,11 @@ class RangeSamples(PaintedSamples):
         return Guide(guide.name, guide.values[self.grid.reshape(-1)[places]], guide.beta)
 
     def report(self, flow: BeltramiFlow[GridManifold], result: FlowResult) -> VertexReport:
-        """Return the report of a flow."""
         samples = len(flow.manifold.atlas.owned_texels)
         counts: dict[str, float] = {"triangles": len(self.painted.faces)}
         return self._report(flow, result, {**counts, "samples": samples, "hard_edge_samples": 0})
 
     def describe(self) -> dict[str, object]:
-        """Describe the range image, and what smoothing would do to it."""
         flow, grid = self.flow(), self.grid
         measured = len(flow.manifold.atlas.owned_texels)
         return {
@@ -100,24 +89,14 @@ class RangeSamples(PaintedSamples):
         }
 
     def probe(self, document: Document, *, whole: bool) -> Probe:
-        """Run the flow for single kernels."""
-        del whole
         from beltrami_cli.samples.probes.cells import RangeProbe
         from beltrami_cli.samples.probes.probe import WorkingColours
 
         colours = WorkingColours(self.names, self.settings.space)
-        return RangeProbe(self.painted, self.grid, document.name, colours, self.flow())
+        return RangeProbe(self.flow(), colours, self.painted, self.grid, document.name)
 
     def repaint(self, new: NewColours) -> Repainted:
-        """Write the colours of places on the grid back to their vertices."""
-        painted, changing, written = self.painted, self.channels.changing, self.channels.written
+        written = self.channels.written
         after = new.table()[:, written]
         moved = np.any(self._working(new.places)[:, written] != after, axis=1)
-        vertices = self.grid.reshape(-1)[new.places[moved]]
-        colours = painted.colours.copy()
-        if len(vertices):
-            before = painted.colours[:, changing]
-            back = from_space(after[moved], painted.encoding, self.settings.space)
-            # Conversion there and back is not exact; its result stays in range.
-            colours[vertices[:, None], changing] = np.clip(back, before.min(axis=0), before.max(axis=0))
-        return Repainted(Change.between(painted.colours, colours), colours)
+        return self._repainted(self.grid.reshape(-1)[new.places[moved]], after[moved])

@@ -14,26 +14,27 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 import numpy as np
 
 from beltrami_cli.errors import UsageError
+from beltrami_cli.formats.image import write_image
 from beltrami_cli.formats.image.picture import as_stored
+from beltrami_cli.samples.settings import DEFAULTS, describe_choice
 from beltrami_cli.surface.colour_values import store_integers
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterable, Sequence
 
     from numpy.typing import NDArray
 
     from beltrami_cli.flow.beltrami_flow import BeltramiFlow, FlowResult
     from beltrami_cli.flow.manifold import NewColours
     from beltrami_cli.formats.document import Document
+    from beltrami_cli.formats.image import Picture
     from beltrami_cli.samples.probes.probe import Probe
     from beltrami_cli.samples.reports import SamplesReport
+    from beltrami_cli.samples.settings import SmoothSettings, TextureSettings
+    from beltrami_cli.surface.atlas import Indices
     from beltrami_cli.surface.records import ImageFile, Slot
 
     Progress = Callable[[int, int], None]
-    from collections.abc import Iterable, Sequence
-
-    from beltrami_cli.formats.image import Picture
-    from beltrami_cli.surface.atlas import Indices
 
 Part = Literal["vertices", "textures", "image"]
 
@@ -137,6 +138,17 @@ class Samples(ABC):
         """Return what users should know of them."""
         return []
 
+    def _used(self, flow: BeltramiFlow[Any], result: FlowResult) -> dict[str, Any]:
+        """Return what all reports have in common, by the names of their fields."""
+        return {
+            "beta": result.beta,
+            "iterations": flow.parameters.iterations,
+            "noise": self.named(result.sigma),
+            "guides": flow.manifold.guide_betas,
+            "choice": describe_choice(result.choice),
+            "patches": result.patches,
+        }
+
     def warnings(self, result: FlowResult) -> list[str]:
         """Return warnings about a flow that was run."""
         del result
@@ -194,3 +206,21 @@ def store(
             table[pixels[moved], channel] = as_stored(new[moved], picture.kinds[channel])
         return Change.between(before, table[pixels[:, None], channels])
     return Change(values.size, *store_integers(table, pixels, values, channels, threads))
+
+
+def encoded(
+    picture: Picture, pixels: NDArray[Any], wanted: TextureSettings, suffix: str | None, *, as_data: bool
+) -> ImageFile:
+    """Write new pixels as a file like a picture's own, or in another format."""
+    quality, small = wanted.jpeg_quality, wanted.small
+    return write_image(picture, pixels, suffix=suffix, jpeg_quality=quality, small=small, as_data=as_data)
+
+
+def options_of_meshes(settings: SmoothSettings) -> dict[str, bool]:
+    """Return which options are given that nothing on a grid has."""
+    kernel, usual = settings.kernel, DEFAULTS.kernel
+    return {
+        "--weights": kernel.weights != usual.weights,
+        "--max-samples": kernel.max_samples != usual.max_samples,
+        "--smooth-geometry": settings.embedding.smooth_geometry,
+    }

@@ -13,11 +13,11 @@ from beltrami_cli.flow.beltrami_flow import BeltramiFlow
 from beltrami_cli.flow.canvas import canvas_margin, painted
 from beltrami_cli.flow.grid_manifold import GridManifold
 from beltrami_cli.flow.manifold import NewColours
-from beltrami_cli.formats.image import check_writable, is_unchanged, losses, read_image, write_image
+from beltrami_cli.formats.image import check_writable, is_unchanged, losses, read_image
 from beltrami_cli.formats.image.conversion import noise_losses
 from beltrami_cli.samples.reports import SlotReport
-from beltrami_cli.samples.samples import Change, Grains, Part, Repainted, Samples
-from beltrami_cli.samples.settings import SLOTS, describe_choice, describe_kernel
+from beltrami_cli.samples.samples import Change, Grains, Part, Repainted, Samples, encoded
+from beltrami_cli.samples.settings import SLOTS, describe_kernel
 from beltrami_cli.samples.texel_colours import (
     COLOUR_SLOTS,
     Repainting,
@@ -86,7 +86,6 @@ class TexelSamples(Samples):
         self._gutter, self._is_smoothed = settings.textures.gutter, True
 
     def flow(self) -> BeltramiFlow[GridManifold]:
-        """Make the flow on these samples."""
         kernel, guides = self.settings.kernel, self._guides
         self._guides = []
         manifold = GridManifold(
@@ -99,7 +98,6 @@ class TexelSamples(Samples):
         return BeltramiFlow(manifold, kernel)
 
     def require_writable(self) -> None:
-        """Raise errors about the images as outputs, before anything is computed."""
         for picture in self.pictures:
             check_writable(picture, self.settings.textures.image_suffix)
 
@@ -123,7 +121,6 @@ class TexelSamples(Samples):
         ]
 
     def report(self, flow: BeltramiFlow[GridManifold], result: FlowResult) -> SlotReport:
-        """Return the report of a flow."""
         if not flow.parameters.iterations:
             self._gutter = None  # what is not smoothed stays as it is
         self._is_smoothed = flow.parameters.iterations > 0
@@ -132,17 +129,11 @@ class TexelSamples(Samples):
             textures=self.facts(),
             counts={**atlas_counts(self.atlas), "jumps": flow.manifold.jumps},
             pitch=result.spacing,
-            beta=result.beta,
-            iterations=flow.parameters.iterations,
-            noise=self.named(result.sigma),
             samples_per_kernel=round(result.samples_per_kernel, 2),
-            guides=flow.manifold.guide_betas,
-            choice=describe_choice(result.choice),
-            patches=result.patches,
+            **self._used(flow, result),
         )
 
     def describe(self) -> dict[str, object]:
-        """Describe the textures of the slot, together and each by itself, and what smoothing would do to them."""
         flow, described = self.flow(), self.facts()
         count = len(described)
         flows = [flow] if count == 1 else [self._alone(index) for index in range(count)]
@@ -174,16 +165,13 @@ class TexelSamples(Samples):
         return BeltramiFlow(GridManifold(atlas, planes, kernel), kernel)
 
     def probe(self, document: Document, *, whole: bool) -> Probe:
-        """Run the flow for single kernels."""
-        del whole
         from beltrami_cli.samples.probes.cells import TexelProbe
         from beltrami_cli.samples.probes.probe import WorkingColours
 
         colours = WorkingColours(self.names, self.colours.space)
-        return TexelProbe(document, self.surface, self.pictures, colours, self.flow())
+        return TexelProbe(self.flow(), colours, document, self.surface.textures, self.pictures)
 
     def repaint(self, new: NewColours) -> Repainted:
-        """Encode the textures with new colours; unchanged ones are the source's own files."""
         is_covered = len(self.atlas.owned_texels) > 0
         notices = list(atlas_notices(self.atlas)) if self._is_smoothed or not is_covered else []
         painter = self._painter(self._gutter)
@@ -207,7 +195,7 @@ class TexelSamples(Samples):
         return Repainted(Change.joined(changes), images=images, notices=tuple(notices))
 
     def grains(self) -> Grains:
-        """Return the colours of texels, numbered by their place in the textures and not on the canvas."""
+        # They are numbered by their place in the textures, and not on the canvas.
         atlas = self.atlas
         number = np.empty(len(atlas.owned_texels), np.int64)
         number[np.argsort(atlas.owned_texels)] = np.arange(len(number))
@@ -217,7 +205,6 @@ class TexelSamples(Samples):
         return Grains(self.colours.samples(atlas), number, stream, np.asarray(in_grey, bool))
 
     def shift(self, grains: Grains, after: NDArray[np.float32]) -> Repainted:
-        """Put other colours in the place of those in `grains`, and change what lies across seams as far."""
         atlas, added = self.atlas, after - grains.colours
         planes = painted(atlas, added, threads=1)
         beyond = np.ascontiguousarray(planes.reshape(len(planes), -1)[:, atlas.gutter_cells].T)
@@ -240,15 +227,8 @@ class TexelSamples(Samples):
         return Repainting(self.pictures, self.colours, self.atlas.texture_offsets, gutter, threads)
 
     def _encoded(self, picture: Picture, pixels: NDArray[Any]) -> ImageFile:
-        wanted = self.settings.textures
-        return write_image(
-            picture,
-            pixels,
-            suffix=wanted.image_suffix,
-            jpeg_quality=wanted.jpeg_quality,
-            small=wanted.small,
-            as_data=self.slot not in COLOUR_SLOTS,
-        )
+        wanted, is_data = self.settings.textures, self.slot not in COLOUR_SLOTS
+        return encoded(picture, pixels, wanted, wanted.image_suffix, as_data=is_data)
 
 
 def atlas_of(surface: TexturedSurface, pictures: Sequence[Picture], kernel: KernelParameters) -> Atlas:

@@ -11,12 +11,11 @@ import numpy as np
 
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.flow.beltrami_flow import BeltramiFlow
-from beltrami_cli.flow.colour_space import from_space, to_space
+from beltrami_cli.flow.colour_space import to_space
 from beltrami_cli.flow.embedding import Guide
 from beltrami_cli.flow.geometry import GeometryParameters
 from beltrami_cli.flow.mesh_manifold import MeshManifold
 from beltrami_cli.samples.painted_samples import PaintedSamples, coloured_rows, describe_colours
-from beltrami_cli.samples.samples import Change, Repainted
 from beltrami_cli.samples.settings import describe_kernel
 from beltrami_cli.surface.geometry import bounds
 from beltrami_cli.surface.point_triangulation import faces_of_points
@@ -33,6 +32,7 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.document import Document
     from beltrami_cli.samples.probes.probe import Probe
     from beltrami_cli.samples.reports import VertexReport
+    from beltrami_cli.samples.samples import Repainted
     from beltrami_cli.samples.settings import SmoothSettings
     from beltrami_cli.surface.records import PaintedVertices
     from beltrami_cli.surface.vertex_sampling import VertexSampling
@@ -76,7 +76,7 @@ class VertexSamples(PaintedSamples):
         return self._sampled[1]
 
     def flow(self) -> BeltramiFlow[MeshManifold]:
-        """Make the flow on these samples; it reorders the surface, of which only colours are kept here."""
+        # The flow reorders the surface, of which only colours are kept here.
         geometry, own, (surface, sampling) = None, self.settings, self._sampled
         if own.embedding.smooth_geometry:
             geometry = GeometryParameters(sampling.place_of, own.embedding.normal_beta)
@@ -89,7 +89,6 @@ class VertexSamples(PaintedSamples):
         return BeltramiFlow(manifold, own.kernel)
 
     def report(self, flow: BeltramiFlow[MeshManifold], result: FlowResult) -> VertexReport:
-        """Return the report of a flow."""
         counts: dict[str, float] = {"triangles": len(self.painted.faces)}
         if self.is_cloud:
             counts = dataclasses.asdict(count_cloud(self.joined))
@@ -111,7 +110,6 @@ class VertexSamples(PaintedSamples):
         return dataclasses.replace(report, geometry=geometry)
 
     def describe(self) -> dict[str, object]:
-        """Describe the vertex colours of a mesh or of points, and what smoothing would do to them."""
         painted = self.joined
         facts = self._describe_points() if self.is_cloud else self._describe_mesh()
         flow = self.flow()
@@ -160,29 +158,22 @@ class VertexSamples(PaintedSamples):
         }
 
     def probe(self, document: Document, *, whole: bool) -> Probe:
-        """Run the flow for single kernels."""
         from beltrami_cli.samples.probes.probe import WorkingColours
         from beltrami_cli.samples.probes.vertices import VertexProbe
 
         colours = WorkingColours(self.names, self.settings.space)
-        return VertexProbe(self.joined, self.sampling, document.name, colours, self.flow(), whole=whole)
+        flow = self.flow()
+        return VertexProbe(flow, colours, self.joined, self.sampling, document.name, whole)
 
     def repaint(self, new: NewColours) -> Repainted:
-        """Write the colours of samples back to all vertices that are one sample."""
-        painted, own, sampling = self.painted, self.channels, self.sampling
-        after = new.table()[:, own.written]
-        before = painted.colours[:, own.changing]
-        back = from_space(after, painted.encoding, self.settings.space)
-        # Conversion there and back is not exact: unchanged colours keep their bits, and changed ones stay in range.
-        if len(before):
-            back = np.clip(back, before.min(axis=0), before.max(axis=0))
-        changed = np.any(after != self.surface.colours[:, own.written], axis=1)[sampling.sample_of]
-        colours = painted.colours.copy()
-        colours[:, own.changing] = np.where(changed[:, None], back[sampling.sample_of], before)
-        return Repainted(Change.between(painted.colours, colours), colours, self._positions)
+        written, sample_of = self.channels.written, self.sampling.sample_of
+        after = new.table()[:, written]
+        changed = np.any(after != self.surface.colours[:, written], axis=1)[sample_of]
+        vertices = np.flatnonzero(changed)
+        repainted = self._repainted(vertices, after[sample_of[vertices]])
+        return dataclasses.replace(repainted, positions=self._positions)
 
     def warnings(self, result: FlowResult) -> list[str]:
-        """Return warnings about points far from all others, and kernels that were cut short."""
         found = []
         outliers = count_cloud(self.joined).outliers if self.is_cloud else 0
         if outliers:
@@ -200,7 +191,6 @@ class LevelSetSamples(VertexSamples):
     """Vertices of a triangulated level set: those without a colour are in no triangle."""
 
     def coloured(self) -> NDArray[np.intp]:
-        """Return the vertices that have a position and a colour."""
         return coloured_rows(self.painted, in_triangles=True)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from fnmatch import fnmatch
 from typing import TYPE_CHECKING, Any
 
@@ -22,13 +23,13 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.document import Document
     from beltrami_cli.formats.image import Picture
     from beltrami_cli.samples.probes.location import Location
-    from beltrami_cli.samples.probes.probe import WorkingColours
-    from beltrami_cli.surface.records import PaintedVertices, TexturedSurface
+    from beltrami_cli.surface.records import PaintedVertices, Texture
 
 # Cells around the window that are shown at least.
 _LEAST_SURROUNDINGS = 4
 
 
+@dataclass
 class CellProbe(Probe):
     """Samples that are cells of a canvas."""
 
@@ -61,7 +62,6 @@ class CellProbe(Probe):
         return atlas.owned_texels[np.searchsorted(atlas.owned_cells, own)]
 
     def view(self, kernel: SampledKernel) -> WindowView:
-        """Cut out what lies around a kernel."""
         reach = self.flow.parameters.window // 2
         around = reach + max(reach, _LEAST_SURROUNDINGS)
         kind, planes = self.flow.manifold.atlas.kind, self.flow.manifold.colours
@@ -77,107 +77,88 @@ class CellProbe(Probe):
         return WindowView(shades, filled, distances, weights, (around, around))
 
 
+@dataclass
 class TexelProbe(CellProbe):
     """Texels of the textures of a slot, which are smoothed together."""
 
-    def __init__(
-        self,
-        document: Document,
-        surface: TexturedSurface,
-        pictures: Sequence[Picture],
-        colours: WorkingColours,
-        flow: BeltramiFlow[GridManifold],
-    ) -> None:
-        self._document, self._textures, self._pictures = document, surface.textures, pictures
-        self.colours, self.flow = colours, flow
+    document: Document
+    textures: Sequence[Texture]
+    pictures: Sequence[Picture]
 
     def find(self, location: Location) -> tuple[int, dict[str, object]]:
-        """Return the cell of a texel of one of the textures."""
         index = self._texture_at(location)
-        name = self._textures[index].name
-        height, width = self._pictures[index].pixels.shape[:2]
-        v_down = self._document.format in ("gltf", "glb")
+        name = self.textures[index].name
+        height, width = self.pictures[index].pixels.shape[:2]
+        v_down = self.document.format in ("gltf", "glb")
         column, row = location.texel_of(width, height, name, v_down=v_down)
         at = f"texel {column},{row} of {name}"
         return self._cell_at(index, column, row, width, f"the {at}"), {"at": at}
 
     def _texture_at(self, location: Location) -> int:
         """Return the texture that a location is in."""
-        textures = [texture.name for texture in self._textures]
+        textures = [texture.name for texture in self.textures]
         glob = location.texture
         fits = [i for i, texture in enumerate(textures) if not glob or fnmatch(texture, glob)]
         if len(fits) == 1:
             return fits[0]
         which = "several textures" if fits else "no texture"
         raise UsageError(
-            f"--at {location.text} names {which} of {self._document.name}; write one of {', '.join(textures)} before "
+            f"--at {location.text} names {which} of {self.document.name}; write one of {', '.join(textures)} before "
             f"it, as in {textures[0]}:{location.text.rpartition(':')[2]}"
         )
 
     def columns(self, samples: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
-        """Return texture, column and row of each cell."""
         texels, offsets = self._texels_of(samples), self.flow.manifold.atlas.texture_offsets
         textures = np.searchsorted(offsets, texels, side="right") - 1
-        widths = np.array([picture.pixels.shape[1] for picture in self._pictures])
-        names = np.array([texture.name for texture in self._textures])
+        widths = np.array([picture.pixels.shape[1] for picture in self.pictures])
+        names = np.array([texture.name for texture in self.textures])
         y, x = np.divmod(texels - offsets[textures], widths[textures])
         return {"texture": names[textures], "x": x, "y": y}
 
 
+@dataclass
 class PixelProbe(CellProbe):
     """Pixels of an image."""
 
-    def __init__(
-        self, picture: Picture, colours: WorkingColours, unit: str, flow: BeltramiFlow[GridManifold]
-    ) -> None:
-        self._name = picture.name
-        self._height, self._width = picture.pixels.shape[:2]
-        self.colours, self.unit, self.flow = colours, unit, flow
+    picture: Picture
+    unit: str
 
     def find(self, location: Location) -> tuple[int, dict[str, object]]:
-        """Return the cell of a pixel."""
-        column, row = location.pixel_of(self._width, self._height, self._name)
+        name, (height, width) = self.picture.name, self.picture.pixels.shape[:2]
+        column, row = location.pixel_of(width, height, name)
         at = f"pixel {column},{row}"
-        return self._cell_at(0, column, row, self._width, f"the {at} of {self._name}"), {"at": at}
+        return self._cell_at(0, column, row, width, f"the {at} of {name}"), {"at": at}
 
     def columns(self, samples: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
-        """Return column and row of each cell."""
-        y, x = np.divmod(self._texels_of(samples), self._width)
+        y, x = np.divmod(self._texels_of(samples), self.picture.pixels.shape[1])
         return {"x": x, "y": y}
 
 
+@dataclass
 class RangeProbe(CellProbe):
     """Vertices of a range image, on the grid, shape (H, W), that they were measured on."""
 
-    def __init__(
-        self,
-        painted: PaintedVertices,
-        grid: NDArray[np.int64],
-        name: str,
-        colours: WorkingColours,
-        flow: BeltramiFlow[GridManifold],
-    ) -> None:
-        self._painted, self._grid, self._name = painted, grid, name
-        self.colours, self.flow = colours, flow
+    painted: PaintedVertices
+    grid: NDArray[np.int64]
+    name: str
 
     def find(self, location: Location) -> tuple[int, dict[str, object]]:
-        """Return the cell of a vertex, by its index or a position, or by column and row on the grid."""
+        # By its index or a position, or by column and row on the grid.
         if len(location.numbers) == 2:
-            column, row = location.pixel_of(self._grid.shape[1], self._grid.shape[0], self._name)
-            vertex = int(self._grid[row, column])
+            column, row = location.pixel_of(self.grid.shape[1], self.grid.shape[0], self.name)
+            vertex = int(self.grid[row, column])
         else:
-            vertex = location.vertex_among(self._painted.positions, self._name)
+            vertex = location.vertex_among(self.painted.positions, self.name)
         atlas = self.flow.manifold.atlas
-        (found,) = np.nonzero(self._grid.reshape(-1)[atlas.owned_texels] == vertex)
+        (found,) = np.nonzero(self.grid.reshape(-1)[atlas.owned_texels] == vertex)
         if not len(found):
-            raise UsageError(f"--at {location.text}: {self._name} has no measured vertex on its grid there")
-        facts = {"at": f"vertex {vertex}", "position": self._painted.positions[vertex].tolist()}
+            raise UsageError(f"--at {location.text}: {self.name} has no measured vertex on its grid there")
+        facts = {"at": f"vertex {vertex}", "position": self.painted.positions[vertex].tolist()}
         return int(atlas.owned_cells[found[0]]), facts
 
     def columns(self, samples: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
-        """Return the vertex of each cell, and where it is."""
-        vertices = self._grid.reshape(-1)[self._texels_of(samples)]
-        return {"vertex": vertices, **dict(zip("xyz", self._painted.positions[vertices].T, strict=True))}
+        vertices = self.grid.reshape(-1)[self._texels_of(samples)]
+        return {"vertex": vertices, **dict(zip("xyz", self.painted.positions[vertices].T, strict=True))}
 
 
 def _square(plane: NDArray[Any], row: int, column: int, around: int) -> NDArray[Any]:

@@ -68,6 +68,7 @@ class WorkingColours:
         return np.clip(shades, 0, 1)
 
 
+@dataclass
 class Probe(ABC):
     """Samples of one kind, and what a kernel on them needs to be found, named and drawn."""
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,54 +17,41 @@ if TYPE_CHECKING:
     from beltrami_cli.flow.manifold import SampledKernel
     from beltrami_cli.flow.mesh_manifold import MeshManifold
     from beltrami_cli.samples.probes.location import Location
-    from beltrami_cli.samples.probes.probe import WorkingColours
     from beltrami_cli.surface.records import PaintedVertices
     from beltrami_cli.surface.vertex_sampling import VertexSampling
 
 
+@dataclass
 class VertexProbe(Probe):
     """Painted vertices; `whole`: the whole mesh is shown, not only twice as far around as the kernel reaches."""
 
     flow: BeltramiFlow[MeshManifold]
-
-    def __init__(
-        self,
-        painted: PaintedVertices,
-        sampling: VertexSampling,
-        name: str,
-        colours: WorkingColours,
-        flow: BeltramiFlow[MeshManifold],
-        *,
-        whole: bool,
-    ) -> None:
-        self._painted, self._sampling, self._name, self._whole = painted, sampling, name, whole
-        self.colours, self.flow = colours, flow
+    painted: PaintedVertices
+    sampling: VertexSampling
+    name: str
+    whole: bool
 
     def find(self, location: Location) -> tuple[int, dict[str, object]]:
-        """Return the sample of a vertex, which is given by its index or a position near it."""
-        vertex = location.vertex_among(self._painted.positions, self._name)
-        facts = {"at": f"vertex {vertex}", "position": self._painted.positions[vertex].tolist()}
-        return int(self._sampling.sample_of[vertex]), facts
+        vertex = location.vertex_among(self.painted.positions, self.name)
+        facts = {"at": f"vertex {vertex}", "position": self.painted.positions[vertex].tolist()}
+        return int(self.sampling.sample_of[vertex]), facts
 
     def facts(self, kernel: SampledKernel) -> dict[str, object]:
-        """Return whether the kernel is smaller than it should be."""
         return {"cut_short": len(kernel.samples) == self.flow.parameters.max_samples}
 
     def columns(self, samples: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
-        """Return a vertex of each sample, and where it is."""
-        vertices = self._sampling.first_vertex[samples]
-        return {"vertex": vertices, **dict(zip("xyz", self._painted.positions[vertices].T, strict=True))}
+        vertices = self.sampling.first_vertex[samples]
+        return {"vertex": vertices, **dict(zip("xyz", self.painted.positions[vertices].T, strict=True))}
 
     def view(self, kernel: SampledKernel) -> MeshView:
-        """Cut out what lies around a kernel."""
         shades = self.colours.shades(self.flow.values())
         distances = np.full(len(shades), np.nan, np.float32)
         weights = np.zeros(len(shades), np.float32)
         distances[kernel.samples], weights[kernel.samples] = kernel.distances, kernel.weights
-        painted, sampling = self._painted, self._sampling
+        painted, sampling = self.painted, self.sampling
         of = sampling.sample_of
         view = MeshView(painted.positions, painted.faces, shades[of], distances[of], weights[of])
-        if self._whole:
+        if self.whole:
             return view
         places = sampling.place_of[of]
         near = np.zeros(sampling.places, bool)
