@@ -135,6 +135,7 @@ sanitize: $(VENV)/.installed-test
 	build/sanitize/colours_tests
 	build/sanitize/grid_tests
 	build/sanitize/patches_tests
+	build/sanitize/surface_patches_tests
 	build/sanitize/points_tests
 
 # The viewer of the pages is three.js, bundled once and kept in the package.

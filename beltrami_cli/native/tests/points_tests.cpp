@@ -7,7 +7,6 @@
 #include <set>
 #include <vector>
 
-#include "points/delaunay_star.hpp"
 #include "points/local_stars.hpp"
 #include "points/local_triangulation.hpp"
 #include "points/tangent_plane.hpp"
