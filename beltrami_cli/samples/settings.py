@@ -27,7 +27,9 @@ BakeTo = Literal["texture", "vertices"]
 SLOTS = ("baseColor", "emissive", "normal", "occlusion", "metallicRoughness")
 # What --format can name besides; output names may end in every extension of a format that can be written.
 IMAGE_FORMATS = ("png", "jpg", "webp", "tif", "exr", "tga", "bmp", "hdr", "jxl", "jp2", "ppm")
-IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".exr", ".tga", ".bmp", ".hdr")
+IMAGE_SUFFIXES = (
+    ".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".exr", ".tga", ".bmp", ".hdr", ".ktx2", ".avif",
+)  # fmt: skip
 
 MOST_VOXELS = 1 << 31  # rows and columns of the marching cubes are counted in 32 bits
 _WIDEST_GUTTER = 99_999
@@ -92,13 +94,13 @@ class TextureSettings:
     )  # fmt: skip
     image_suffix: str | None = parameter(
         None,
-        "Write textures as png, jpg, webp, tif, exr ...",
+        "Write textures as png, jpg, webp, ktx2, avif, tif, exr ...",
         choices=IMAGE_SUFFIXES, unset="each as it was", flags=("--texture-format",), metavar="EXT",
         parse=_suffix,
     )  # fmt: skip
     jpeg_quality: int = parameter(
         98,
-        "Quality of JPEG and lossy WebP textures and images; the subsampling stays that of the source.",
+        "Quality of JPEG, lossy WebP, AVIF and ETC1S (KTX2) textures and images; the subsampling of a JPEG stays.",
         low=1, high=100,
     )  # fmt: skip
     small: bool = parameter(False, "Compress PNG files well, which takes longer.")

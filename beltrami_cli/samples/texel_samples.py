@@ -228,7 +228,8 @@ class TexelSamples(Samples):
 
     def _encoded(self, picture: Picture, pixels: NDArray[Any]) -> ImageFile:
         wanted, is_data = self.settings.textures, self.slot not in COLOUR_SLOTS
-        return encoded(picture, pixels, wanted, wanted.image_suffix, as_data=is_data)
+        file = encoded(picture, pixels, wanted, wanted.image_suffix, as_data=is_data)
+        return dataclasses.replace(file, is_chosen=wanted.image_suffix is not None)
 
 
 def atlas_of(surface: TexturedSurface, pictures: Sequence[Picture], kernel: KernelParameters) -> Atlas:

@@ -111,6 +111,7 @@ class ImageFile:
     data: bytes
     suffix: str  # its usual extension, lower case, with the dot: ".png", ".jpg", ".webp", ".exr",
     notices: tuple[str, ...] = ()  # for the user, one sentence each: what did not stay as it was
+    is_chosen: bool = False  # its type was asked for, so that no image of another type stays beside it
 
 
 AlphaMode = Literal["opaque", "mask", "blend"]

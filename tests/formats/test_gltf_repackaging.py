@@ -72,7 +72,7 @@ def test_several_buffers_and_images_become_one_chunk(tmp_path, changed):
     files = {
         "one.bin": bytes(model.binary) + b"more",
         "two.bin": bytes(other.binary),
-        "x.png": b"\x89PNG\r\n",
+        "x.png": b"\x89PNG\r\n\x1a\n",
     }
     for name, data in files.items():
         (tmp_path / name).write_bytes(data)

@@ -238,21 +238,33 @@ def test_webp_is_taken_before_its_fallback(tmp_path):
 
 
 @pytest.mark.parametrize("fallback", [True, False])
-def test_basisu_is_refused_by_name_unless_it_has_a_fallback(tmp_path, fallback):
+@pytest.mark.parametrize("package", [None, "alktx2"])
+def test_basisu_is_read_if_its_package_is_there_and_nothing_plain(tmp_path, fallback, package, monkeypatch):
+    monkeypatch.setattr("beltrami_cli.formats.gltf.textures.missing_package", lambda known: package)
     model = Textured()
     packed = model.image(picture(1, KTX2), "c.ktx2", "image/ktx2")
     plain = model.image(picture(2)) if fallback else None
     texture = model.texture(plain, extensions={"KHR_texture_basisu": {"source": packed}})
     square(model, model.material(baseColor=texture))
-    if fallback:
-        assert surface(model, tmp_path).textures[0].data == picture(2)
+    if fallback or package is None:
+        shown = picture(2) if fallback else picture(1, KTX2)
+        assert surface(model, tmp_path).textures[0].data == shown
     else:
-        with pytest.raises(InputError, match=r"KTX2 image \(KHR_texture_basisu\)"):
+        with pytest.raises(InputError, match=r"is a KTX2 image and needs the package alktx2"):
             surface(model, tmp_path)
 
 
+def test_dds_is_refused_by_name(tmp_path):
+    model = Textured()
+    texture = model.texture(None, extensions={"MSFT_texture_dds": {"source": model.image(picture(1))}})
+    square(model, model.material(baseColor=texture))
+    with pytest.raises(InputError, match=r"is a DDS image \(MSFT_texture_dds\), which is not read"):
+        surface(model, tmp_path)
+
+
 @pytest.mark.parametrize("reason", ["missing", "outside", "web", "coordinates", "no image", "packed"])
-def test_what_cannot_be_read_is_reported_and_left_out(tmp_path, reason):
+def test_what_cannot_be_read_is_reported_and_left_out(tmp_path, reason, monkeypatch):
+    monkeypatch.setattr("beltrami_cli.formats.gltf.textures.missing_package", lambda known: "alktx2")
     model = Textured("file")
     broken = model.image(picture(1, KTX2 if reason == "packed" else JPEG), "gone.png")
     uris = {"outside": "../gone.png", "web": "https://example.org/gone.png", "missing": "elsewhere.png"}

@@ -11,13 +11,16 @@ import pytest
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.flow.parameters import KernelParameters
+from beltrami_cli.formats.image import write_image
+from beltrami_cli.formats.image.extra_codecs import EXTRA_CODECS, missing_package
+from beltrami_cli.formats.image.picture import new_picture
 from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.samples.settings import SmoothSettings, TextureSettings
 from formats.gltf_compressed import GRID, draco_model, meshopt_model
 from formats.gltf_files import Model, Textured, gltf_files
 from formats.gltf_showcase import noisy, photo, showcase
 from formats.gltf_validator import issues, needs_validator
-from formats.image_files import encode, noise
+from formats.image_files import noise
 
 pytestmark = needs_validator
 
@@ -86,20 +89,30 @@ def with_colours(arrangement):
     return model
 
 
-def with_webp(*, fallback):
-    model = Textured()
+def with_extension(known, extension, *, fallback):
+    """Return a model whose texture is of a type that core glTF lacks."""
+    if known in EXTRA_CODECS and missing_package(known):
+        pytest.skip(f"not installed: {missing_package(known)}")
+    model, pixels = Textured(), noise("uint8", 3, 16, 16)
     plain = model.image(photo(1)) if fallback else None
-    better = model.image(encode(noise("uint8", 3, 16, 16), "webp"), "b.webp", "image/webp")
-    texture = model.texture(plain, extensions={"EXT_texture_webp": {"source": better}})
+    data = write_image(new_picture(pixels, "x"), pixels, suffix=f".{known}").data
+    texture = model.texture(
+        plain, extensions={extension: {"source": model.image(data, f"b.{known}", f"image/{known}")}}
+    )
     corners, uv = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], "f4"), np.eye(3, 2)
     model.triangles(corners, uv, model.material(baseColor=texture))
-    model.tree["extensionsUsed"] = ["EXT_texture_webp"]
+    model.tree["extensionsUsed"] = [extension]
     if not fallback:
-        model.tree["extensionsRequired"] = ["EXT_texture_webp"]
+        model.tree["extensionsRequired"] = [extension]
     model.tree["accessors"][0] |= {"min": [0, 0, 0], "max": [1, 1, 0]}
     return model
 
 
+EXTENSIONS = {
+    "webp": "EXT_texture_webp",
+    "ktx2": "KHR_texture_basisu",
+    "avif": "EXT_texture_avif",
+}
 COLOUR_KINDS = ("zeros", "sparse zeros", "shared", "overlapping")
 MODELS = {
     **{f"everything, images as {place}": partial(showcase, place) for place in ("view", "data", "file")},
@@ -107,8 +120,13 @@ MODELS = {
     "Draco": lambda: draco_model(COLOURS),
     "Draco, vertices in order": lambda: draco_model(COLOURS, in_order=True),
     "meshoptimizer": lambda: meshopt_model(COLOURS),
-    "WebP": lambda: with_webp(fallback=False),
-    "WebP with fallback": lambda: with_webp(fallback=True),
+    **{
+        f"{known}{' with fallback' if fallback else ''}": partial(
+            with_extension, known, extension, fallback=fallback
+        )
+        for known, extension in EXTENSIONS.items()
+        for fallback in (False, True)
+    },
 }
 
 

@@ -16,6 +16,8 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from beltrami_cli.batch.item import Outcome
+from beltrami_cli.formats.image import write_image
+from beltrami_cli.formats.image.picture import new_picture
 from formats.gltf_compressed import GRID, draco_model, meshopt_model
 from formats.gltf_files import Model, Textured
 from formats.image_files import encode
@@ -25,7 +27,8 @@ from fuzz.targets import SEPARATOR
 
 CORE = ("triangulated", "grid", "atlas")
 CORPUS = Path(__file__).with_name("corpus")
-PICTURE = encode(np.random.default_rng(1).integers(0, 256, (4, 4, 3), np.uint8), "png")
+PIXELS = np.random.default_rng(1).integers(0, 256, (4, 4, 3), np.uint8)
+PICTURE = encode(PIXELS, "png")
 SQUARE = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\n"
 PLACES = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], "<f4")
 LEVELS = np.array([[255, 0, 0, 255], [0, 128, 0, 255], [0, 0, 64, 0], [9, 8, 7, 6]], "<u1")
@@ -106,6 +109,14 @@ def gltf_seeds() -> dict[str, bytes]:
     seeds["buffer"] = files(plain.text("b.bin"), b_bin=bytes(plain.binary))
     levels = np.random.default_rng(7).integers(0, 256, (len(GRID), 4)).astype("u1")
     seeds |= {"draco": draco_model(levels).glb(), "meshopt": meshopt_model(levels).glb()}
+    for known, extension in (("ktx2", "KHR_texture_basisu"), ("avif", "EXT_texture_avif")):
+        packed = Textured()
+        image = packed.image(write_image(new_picture(PIXELS, "x"), PIXELS, suffix=f".{known}").data)
+        texture = packed.texture(None, extensions={extension: {"source": image}})
+        packed.triangles(
+            PLACES, PLACES[:, :2], packed.material(baseColor=texture), corners=[0, 1, 2, 0, 2, 3]
+        )
+        seeds[f"textured-{known}"] = packed.glb()
     for place in ("view", "data"):
         textured = Textured(place)
         info = {
@@ -134,6 +145,8 @@ def other_seeds() -> dict[str, dict[str, bytes]]:
         f"{kind}": encode(chance.integers(0, 256, (3, 5, 3), np.uint8), kind)
         for kind in ("png", "jpeg", "tiff", "bmp", "targa", "webp")
     }
+    for kind in ("ktx2", "avif"):
+        images[kind] = write_image(new_picture(PIXELS, "x"), PIXELS, suffix=f".{kind}").data
     return {
         "off": {
             "float": coff("float"),

@@ -15,7 +15,7 @@ from beltrami_cli.formats.gltf.buffers import named_views
 from beltrami_cli.formats.gltf.columns import used_otherwise
 from beltrami_cli.formats.gltf.compression import DRACO
 from beltrami_cli.formats.gltf.entries import objects, primitives_of
-from beltrami_cli.formats.gltf.textures import FOREIGN, WEBP
+from beltrami_cli.formats.gltf.textures import IMAGE_EXTENSIONS
 from beltrami_cli.formats.model_folder import UnfitReferenceError
 
 if TYPE_CHECKING:
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.gltf.textures import Images
 
 _SHARED = ("accessors", "bufferViews", "buffers", "images", "textures", "materials", "meshes")
-_IMAGE_EXTENSIONS = {WEBP, *FOREIGN}
 _PLACE = ("uri", "bufferView", "mimeType")  # of an image
 _NUMBERS_OF_COLOURS = ("bufferView", "byteOffset", "sparse", "min", "max")
 _PACKED_PLACE = ("buffer", "byteOffset", "byteLength")  # of compressed bytes, in the extension of a view
@@ -50,7 +49,7 @@ def _plain_parts(container: Container, tree: Tree) -> Iterator[tuple[str, bytes]
     """Give what no patch changes."""
     for key, value in tree.items():
         if key in ("extensionsUsed", "extensionsRequired"):
-            kept = [name for name in value if name not in _IMAGE_EXTENSIONS]
+            kept = [name for name in value if name not in IMAGE_EXTENSIONS]
             if kept:
                 yield key, _spelled(kept)
         elif key not in _SHARED:
@@ -106,7 +105,7 @@ def _texture(images: Images, tree: Tree, number: int, place: str, paintings: dic
     """Return a texture without where its image is, and note the image."""
     texture = dict(tree["textures"][number])
     texture.pop("source", None)
-    kept = {k: v for k, v in texture.pop("extensions", {}).items() if k not in _IMAGE_EXTENSIONS}
+    kept = {k: v for k, v in texture.pop("extensions", {}).items() if k not in IMAGE_EXTENSIONS}
     try:
         image = images.shown(number)
         paintings[place] = NamedImage(images.name(image), images.data(image))

@@ -24,6 +24,8 @@ MEDIA = {
     ".jpe": "image/jpeg",
     ".jfif": "image/jpeg",
     ".webp": "image/webp",
+    ".ktx2": "image/ktx2",
+    ".avif": "image/avif",
 }
 """Media types of the images that glTF can hold, by suffix."""
 

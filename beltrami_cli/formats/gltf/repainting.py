@@ -11,11 +11,19 @@ from collections import defaultdict
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from beltrami_cli.errors import OutputError
+from beltrami_cli.errors import BeltramiError, OutputError
 from beltrami_cli.formats.gltf.entries import objects
 from beltrami_cli.formats.gltf.image_storage import MEDIA, ImageStorage
 from beltrami_cli.formats.gltf.textured_surface import image_key
-from beltrami_cli.formats.gltf.textures import FOREIGN, SLOT_PATHS, WEBP, media_type, named_images
+from beltrami_cli.formats.gltf.textures import (
+    IMAGE_EXTENSIONS,
+    SLOT_PATHS,
+    WEBP,
+    kind_of,
+    media_type,
+    named_images,
+)
+from beltrami_cli.formats.image import read_image, write_image
 from beltrami_cli.formats.model_folder import UnfitReferenceError
 
 if TYPE_CHECKING:
@@ -48,6 +56,7 @@ def repaint(edit: Edit, images: Images, new: Mapping[tuple[Slot, str], ImageFile
     for change in _changes(edit.tree, images, wanted):
         changes[change.image].append(change)
     storage = ImageStorage(edit, images)
+    known: dict[tuple[int, ImageFile], int | None] = {}
     for image, members in changes.items():
         files = list(dict.fromkeys(change.file for change in members))
         free = not _used_elsewhere(edit.tree, images, image, {change.texture for change in members})
@@ -55,7 +64,9 @@ def repaint(edit: Edit, images: Images, new: Mapping[tuple[Slot, str], ImageFile
         for number, file in enumerate(files):
             targets[file] = storage.replace(image, file) if free and not number else storage.add(image, file)
         for change in members:
-            _point(edit, images, change, targets[change.file])
+            together = {each.texture for each in members if each.file == change.file}
+            others = _renew(storage, edit, images, change, together, known)
+            _point(edit, images, change, targets[change.file], others)
     storage.finish()
     _declare(edit.tree, before)
 
@@ -71,7 +82,9 @@ def _wanted(
             raise ValueError(f"there is no image called {key!r}")
         if file.suffix.lower() not in MEDIA:
             cause = f"glTF cannot hold {file.suffix} textures ({images.name(indices[key])})"
-            raise OutputError(edit.container.name, cause, "choose PNG, JPEG or WebP with --texture-format")
+            raise OutputError(
+                edit.container.name, cause, "choose PNG, JPEG, WebP, KTX2 or AVIF with --texture-format"
+            )
         if file.data != images.data(indices[key]):
             wanted[slot, indices[key]] = file
     return wanted
@@ -153,32 +166,89 @@ def _used_elsewhere(tree: Tree, images: Images, image: int, changing: set[int]) 
     return False
 
 
-def _point(edit: Edit, images: Images, change: _Change, image: int) -> None:
+def _renew(
+    storage: ImageStorage,
+    edit: Edit,
+    images: Images,
+    change: _Change,
+    together: set[int],
+    known: dict[tuple[int, ImageFile], int | None],
+) -> dict[str, int]:
+    """Give the new colours to the images of a texture for other viewers; return them by extension, "" for plain."""
+    texture = edit.tree["textures"][change.texture]
+    if change.file.is_chosen:
+        return {}
+    extensions = texture.get("extensions", {})
+    holders = {"": texture} | {name: extensions[name] for name in IMAGE_EXTENSIONS if name in extensions}
+    found: dict[str, int] = {}
+    for name, holder in holders.items():
+        index = holder.get("source")
+        if index is None or index >= len(images) or images.canonical(index) == change.image:
+            continue
+        other = images.canonical(index)
+        if (other, change.file) not in known:
+            file = _recoloured(images, other, change.file)
+            free = not _used_elsewhere(edit.tree, images, other, together)
+            put = storage.replace if free else storage.add
+            known[other, change.file] = None if file is None else put(other, file)
+            edit.notices += () if file is None else file.notices
+        new = known[other, change.file]
+        found |= {} if new is None else {name: new}
+    return found
+
+
+def _recoloured(images: Images, image: int, shown: ImageFile) -> ImageFile | None:
+    """Return an image of a texture in its own type with the colours of the new one; None if that cannot be."""
+    name = images.name(image)
+    try:
+        old, new = read_image(images.data(image), name), read_image(shown.data, name)
+        alike = old.pixels.dtype == new.pixels.dtype and old.pixels.shape[:2] == new.pixels.shape[:2]
+        if not alike or len(old.channels) > len(new.channels) or old.colour != new.colour:
+            return None
+        return write_image(old, new.pixels[..., : len(old.channels)])
+    except (BeltramiError, UnfitReferenceError):
+        return None
+
+
+def _point(edit: Edit, images: Images, change: _Change, image: int, renewed: Mapping[str, int]) -> None:
     """Make a texture show another image, in the way that its type asks for."""
     texture = edit.tree["textures"][change.texture]
     extensions = dict(texture.get("extensions", {}))
-    for extension in [name for name in FOREIGN if name in extensions]:
-        del extensions[extension]
-        edit.notices.append(
-            f"textures[{change.texture}] loses its {FOREIGN[extension]} image ({extension}), which would show the "
-            "old colours."
-        )
-    webp = MEDIA[change.file.suffix.lower()] == "image/webp"
-    old = extensions.get(WEBP, {}).get("source", texture.get("source"))
-    if old is not None and old < len(images) and images.canonical(old) == image:
-        image = old  # another description of the same image
-    if webp and WEBP in extensions:
-        extensions[WEBP] = extensions[WEBP] | {"source": image}
-        if "source" in texture:
+    media = MEDIA[change.file.suffix.lower()]
+    own = next((name for name, kind in IMAGE_EXTENSIONS.items() if kind == media), None)
+    was_plain = media_type(images.data(change.image)) == media and own not in extensions
+    for source in (
+        *(extensions.get(name, {}).get("source") for name in IMAGE_EXTENSIONS),
+        texture.get("source"),
+    ):
+        if source is not None and source < len(images) and images.canonical(source) == image:
+            image = source  # another description of the same image
+            break
+    present = [name for name in IMAGE_EXTENSIONS if name in extensions]
+    shown = WEBP if WEBP in present or "source" in texture else next(iter(present), None)
+    for extension in present:
+        if extension in renewed:
+            extensions[extension] = extensions[extension] | {"source": renewed[extension]}
+        elif extension != own:
+            del extensions[extension]
+        if extension not in (own, shown, *renewed):
+            edit.notices.append(
+                f"textures[{change.texture}] loses its {kind_of(extension)} image ({extension}), which would show "
+                "the old colours."
+            )
+    if own is None or was_plain:
+        texture["source"] = image
+    elif own == WEBP and WEBP in extensions:
+        extensions[own] = extensions[own] | {"source": image}
+        if "" in renewed:
+            texture["source"] = renewed[""]
+        elif "source" in texture:
             edit.notices.append(
                 f"textures[{change.texture}] keeps its fallback for viewers without WebP as it was."
             )
-    elif webp and media_type(images.data(change.image)) != "image/webp":
-        extensions[WEBP] = {"source": image}
-        texture.pop("source", None)
     else:
-        extensions.pop(WEBP, None)
-        texture["source"] = image
+        extensions[own] = extensions.get(own, {}) | {"source": image}
+        texture.pop("source", None)
     if extensions:
         texture["extensions"] = extensions
     else:
@@ -188,17 +258,19 @@ def _point(edit: Edit, images: Images, change: _Change, image: int) -> None:
 def _extensions(tree: Tree) -> set[str]:
     """Return which of the extensions that hold images the textures use."""
     used = {name for texture in objects(tree.get("textures")) for name in texture.get("extensions", {})}
-    return used & {WEBP, *FOREIGN}
+    return used & IMAGE_EXTENSIONS.keys()
 
 
 def _declare(tree: Tree, before: set[str]) -> None:
     """Bring the lists of extensions up to date with the textures."""
     after = _extensions(tree)
-    if WEBP in after:
-        _enlist(tree, "extensionsUsed", WEBP)
-        textures = [t for t in objects(tree["textures"]) if WEBP in t.get("extensions", {})]
+    for extension in sorted(
+        after & {name for name, kind in IMAGE_EXTENSIONS.items() if kind in MEDIA.values()}
+    ):
+        _enlist(tree, "extensionsUsed", extension)
+        textures = [t for t in objects(tree["textures"]) if extension in t.get("extensions", {})]
         if any("source" not in texture for texture in textures):
-            _enlist(tree, "extensionsRequired", WEBP)
+            _enlist(tree, "extensionsRequired", extension)
     for key in ("extensionsUsed", "extensionsRequired") if before - after else ():
         kept = [name for name in tree.get(key, []) if name not in before - after]
         if kept:

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, get_args
 import numpy as np
 
 from beltrami_cli.formats.gltf.uris import is_data, read, relative_name
+from beltrami_cli.formats.image import format_of, label_of
+from beltrami_cli.formats.image.extra_codecs import EXTRA_CODECS, INSTALL, missing_package
 from beltrami_cli.formats.model_folder import UnfitReferenceError
 from beltrami_cli.surface.records import Slot
 
@@ -24,10 +26,16 @@ if TYPE_CHECKING:
     from beltrami_cli.surface.records import Wrap
 
 WEBP = "EXT_texture_webp"
-"""The extension of textures whose image is WebP."""
+IMAGE_EXTENSIONS = {
+    WEBP: "image/webp",
+    "KHR_texture_basisu": "image/ktx2",
+    "EXT_texture_avif": "image/avif",
+    "MSFT_texture_dds": "image/vnd-ms.dds",
+}
+"""Extensions of textures that name an image of another type than core glTF has."""
 
-FOREIGN = {"KHR_texture_basisu": "KTX2", "EXT_texture_avif": "AVIF", "MSFT_texture_dds": "DDS"}
-"""Extensions of textures that name an image of a type that is not read."""
+UNREAD = ("MSFT_texture_dds",)
+"""Those of them whose images are not read."""
 
 SLOT_PATHS: dict[Slot, tuple[tuple[str, ...], ...]] = {
     "baseColor": (
@@ -45,7 +53,13 @@ WRAPS: dict[Wrap, int] = {"repeat": 10497, "mirror": 33648, "clamp": 33071}
 """The numbers by which samplers say what lies beyond an image."""
 
 _KINDS = {number: kind for kind, number in WRAPS.items()}
-_MEDIA = ((b"\x89PNG", "image/png"), (b"\xff\xd8\xff", "image/jpeg"), (b"\xabKTX 20", "image/ktx2"))
+_MEDIA = {
+    "png": "image/png",
+    "jpeg": "image/jpeg",
+    "webp": "image/webp",
+    "ktx2": "image/ktx2",
+    "avif": "image/avif",
+}
 _TRANSFORM = "KHR_texture_transform"
 _VARIANTS = "KHR_materials_variants"
 _MOST_VARIANTS = 1 << 16
@@ -97,15 +111,17 @@ class Images:
         return image.text("name") or f"image {index}"
 
     def shown(self, texture: int) -> int:
-        """Return the image that a texture shows, WebP before plain; UnfitReferenceError if it has neither."""
+        """Return the image that a texture shows; UnfitReferenceError if there is none that is read."""
+        # WebP comes before plain images; of those that lose more a plain one is the better source.
         entry = self.textures[texture]
-        holder = entry.entry("extensions").entry(WEBP)
-        holder = holder if "source" in holder else entry
-        if "source" in holder:
-            return holder.integer("source", below=len(self))
-        for extension, kind in FOREIGN.items():
-            if extension in entry.entry("extensions"):
-                raise UnfitReferenceError(f"is a {kind} image ({extension}), which is not read")
+        extensions = entry.entry("extensions")
+        readable = [name for name in IMAGE_EXTENSIONS if name not in (WEBP, *UNREAD)]
+        for holder in (extensions.entry(WEBP), entry, *map(extensions.entry, readable)):
+            if "source" in holder:
+                return holder.integer("source", below=len(self))
+        for extension in UNREAD:
+            if extension in extensions:
+                raise UnfitReferenceError(f"is a {kind_of(extension)} image ({extension}), which is not read")
         raise UnfitReferenceError("has no image")
 
     def wrap(self, texture: int) -> tuple[Wrap, Wrap]:
@@ -139,17 +155,23 @@ class Images:
             raise UnfitReferenceError("has neither a uri nor a bufferView")
         if not data:
             raise UnfitReferenceError("is empty")
-        if media_type(data) == "image/ktx2":
-            raise UnfitReferenceError("is a KTX2 image (KHR_texture_basisu), which is not read")
+        known = format_of(data, "") or ""
+        package = missing_package(known) if known in EXTRA_CODECS else None
+        if package is not None:
+            raise UnfitReferenceError(
+                f"is a {label_of(known)} image and needs the package {package}; {INSTALL}"
+            )
         return data
 
 
 def media_type(data: bytes) -> str | None:
     """Return the media type that the first bytes of an image show, if it is one that glTF knows."""
-    for magic, kind in _MEDIA:
-        if data.startswith(magic):
-            return kind
-    return "image/webp" if data[:4] == b"RIFF" and data[8:12] == b"WEBP" else None
+    return _MEDIA.get(format_of(data, "") or "")
+
+
+def kind_of(extension: str) -> str:
+    """Return what users call the images of an extension."""
+    return IMAGE_EXTENSIONS[extension].rpartition("/")[2].rpartition(".")[2].upper()
 
 
 def named_images(texture: Tree) -> set[int]:

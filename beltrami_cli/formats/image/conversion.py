@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from beltrami_cli.formats.image.extra_codecs import EXTRA_CODECS
 from beltrami_cli.formats.image.metadata import is_lossless_webp
 from beltrami_cli.formats.image.picture import as_stored, full_scale_one, without_alpha
 from beltrami_cli.formats.image.reading import TYPES
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.image.picture import Picture
 
 _BITS = {"uint8": 8, "uint16": 16, "float16": 16, "float32": 32}
-_INEXACT = ("jpeg", "webp", "hdr")
+_INEXACT = ("jpeg", "webp", "hdr")  # and KTX2 and AVIF, whose encoder says how much
 _LOSSY = ("b44", "b44a", "dwaa", "dwab", "pxr24")  # compressions of EXR; TIFF is written without any
 _TECHNICAL = (
     "oiio:", "jpeg:", "png:", "webp:", "tiff:", "openexr:", "targa:", "bmp:", "ICCProfile:", "jpegxl:", "pnm:", "dpx:",
@@ -56,7 +57,10 @@ def is_exact(picture: Picture) -> bool:
     """Whether a picture written in its own format keeps the values that are not changed."""
     if picture.format == "webp":
         return is_lossless_webp(picture.source)
-    return picture.format != "jpeg" and picture.spec.get_string_attribute("compression") not in _LOSSY
+    return (
+        picture.format not in ("jpeg", *EXTRA_CODECS)
+        and picture.spec.get_string_attribute("compression") not in _LOSSY
+    )
 
 
 def noise_losses(picture: Picture, suffix: str | None, remedy: str) -> tuple[str, ...]:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from beltrami_cli.errors import InputError
+from beltrami_cli.formats.image.extra_codecs import EXTRA_CODECS, decoded, measured
 from beltrami_cli.formats.image.metadata import has_palette, is_animated, is_cmyk_jpeg
 from beltrami_cli.formats.image.picture import Picture
 from beltrami_cli.formats.image.recognition import READABLE, format_of, label_of, suffix_for
@@ -60,6 +61,12 @@ class ImageSize:
 
 def measure_image(data: bytes, name: str = _UNNAMED) -> ImageSize | None:
     """Return the size of an image file without decoding it; None if it is none that can be opened."""
+    known = format_of(data, name)
+    if known in EXTRA_CODECS:
+        try:
+            return ImageSize(*measured(data, known, name), 1)
+        except InputError:
+            return None
     head = data[:_HEAD] if data.startswith(_SIZE_FIRST) else data
     size = _measured(head, name)
     return _measured(data, name) if size is None and len(head) < len(data) else size
@@ -106,6 +113,8 @@ def _decoded(data: bytes, name: str, finite: bool) -> Picture:
         raise InputError(name, "the file is empty", "export it anew")
     if known is None:
         raise InputError(name, "the content is of no known image format", READABLE)
+    if known in EXTRA_CODECS:
+        return _read_extra(data, name, known)
     if known == "jpeg" and is_cmyk_jpeg(data):
         raise InputError(name, "its colours are the inks of print (CMYK)", "convert it to RGB")
     if known not in OpenImageIO.get_string_attribute("input_format_list").split(","):
@@ -136,6 +145,19 @@ def _decoded(data: bytes, name: str, finite: bool) -> Picture:
                 name, f"{unfit} of its values are not finite numbers", "repair or export it anew"
             )
     return _picture(data, name, known, spec, pixels, notices)
+
+
+def _read_extra(data: bytes, name: str, known: str) -> Picture:
+    """Decode an image of a format that OpenImageIO does not have."""
+    import OpenImageIO
+
+    spec = OpenImageIO.ImageSpec(*measured(data, known, name), "uint8")
+    _check(spec, known, known, name)
+    found = decoded(data, known, name)
+    if found.profile:
+        kind = OpenImageIO.TypeDesc(f"uint8[{len(found.profile)}]")
+        spec.attribute("ICCProfile", kind, np.frombuffer(found.profile, np.uint8))
+    return _picture(data, name, known, spec, found.pixels, found.notices)
 
 
 def _check(spec: Any, format_name: str, known: str, name: str) -> None:

@@ -57,6 +57,8 @@ FORMATS = {
     "sgi": ImageFormat((".sgi", ".rgb", ".rgba", ".bw"), ("uint8", "uint16"), (1, 3, 4), (b"\x01\xda",)),
     "fits": ImageFormat((".fits", ".fit", ".fts"), ("uint8", "float32"), (1, 3, 4), (b"SIMPLE  =",)),
     "rla": ImageFormat((".rla",), ("uint8", "uint16", "float32")),
+    "ktx2": ImageFormat((".ktx2",), ("uint8",), (3, 4), (b"\xabKTX 20\xbb",)),
+    "avif": ImageFormat((".avif",), ("uint8",), (3, 4)),
     # What these hold (palettes, layers, blocks, several sizes) would not come back as it was.
     "gif": ImageFormat((".gif",), signatures=(b"GIF87a", b"GIF89a"), writable=False),
     "psd": ImageFormat((".psd", ".psb"), signatures=(b"8BPS",), writable=False),
@@ -66,16 +68,17 @@ FORMATS = {
     "cineon": ImageFormat((".cin",), signatures=(b"\x80\x2a\x5f\xd7", b"\xd7\x5f\x2a\x80"), writable=False),
     "softimage": ImageFormat((".pic",), signatures=(b"\x53\x80\xf6\x34",), writable=False),
     "zfile": ImageFormat((".z",), signatures=(b"\x2f\x08\x67\xab", b"\xab\x67\x08\x2f"), writable=False),
-    "heif": ImageFormat((".heic", ".heif", ".avif"), writable=False),
+    "heif": ImageFormat((".heic", ".heif"), writable=False),
 }
-"""The formats by OpenImageIO's names."""
+"""The formats by OpenImageIO's names; for KTX2 and AVIF see `extra_codecs`."""
 
 WRITABLE = tuple(traits.suffixes[0] for traits in FORMATS.values() if traits.writable)
 """The usual extensions of the formats that can be written."""
 
 READABLE = "PNG, JPEG, WebP, TIFF, EXR, TGA, BMP, HDR and what else OpenImageIO knows is read"
 _TARGA_FOOTER = b"TRUEVISION-XFILE.\0"
-_HEIF_BRANDS = (b"heic", b"heix", b"mif1", b"msf1", b"avif", b"avis")
+_HEIF_BRANDS, _AVIF_BRANDS = {b"heic", b"heix", b"mif1", b"msf1"}, {b"avif", b"avis"}
+_MOST_BRANDS = 256  # bytes of them
 _MODELS = (".ply", ".obj", ".gltf", ".glb", ".xyz", ".pts", ".txt", ".asc", ".csv", ".npz", ".nrrd", ".nhdr")
 _WITHOUT_MARK = ("targa", "rla")
 
@@ -85,8 +88,14 @@ def format_of(data: bytes, name: str) -> str | None:
     for known, traits in FORMATS.items():
         if data.startswith(traits.signatures) and (known != "webp" or data[8:12] == b"WEBP"):
             return known
-    if data[4:8] == b"ftyp" and data[8:12] in _HEIF_BRANDS:
-        return "heif"
+    if data[4:8] == b"ftyp":
+        # The major brand, its version, and the brands that the file is compatible with.
+        end = min(int.from_bytes(data[:4], "big"), _MOST_BRANDS, len(data))
+        brands = {data[8:12], *(data[at : at + 4] for at in range(16, end, 4))}
+        if brands & _AVIF_BRANDS:
+            return "avif"
+        if data[8:12] in _HEIF_BRANDS:
+            return "heif"
     if data.endswith(_TARGA_FOOTER):
         return "targa"
     by_name = format_of_suffix(suffix_of(name))

@@ -8,6 +8,13 @@ import numpy as np
 
 from beltrami_cli.errors import ProcessingError, UsageError
 from beltrami_cli.formats.image.conversion import converted
+from beltrami_cli.formats.image.extra_codecs import (
+    EXTRA_CODECS,
+    INSTALL,
+    encoded,
+    encoding_cost,
+    missing_package,
+)
 from beltrami_cli.formats.image.metadata import (
     carry_over,
     has_palette,
@@ -51,6 +58,8 @@ def write_image(
     """Encode pixels like those of a picture as the file that it came from, or in another format."""
     # PNG, TIFF, TGA, BMP, lossless WebP and floats keep every value; in WebP, colours under an alpha of 0 are lost.
     known = check_writable(picture, suffix)
+    if known in EXTRA_CODECS:
+        return _write_extra(picture, pixels, known, jpeg_quality, as_data=as_data)
     if known != picture.format:
         values, spec = converted(picture, pixels, known, as_data=as_data)
         _set_options(spec, known, "", jpeg_quality, small=small)
@@ -76,10 +85,28 @@ def check_writable(picture: Picture, suffix: str | None) -> str:
     known = picture.format if suffix is None else format_of_suffix(suffix)
     if known in _NEEDS_SUFFIX and min(picture.pixels.shape[:2]) < _LEAST_JPEG_2000:
         raise UsageError(f"{picture.name}: an image of fewer than 32 pixels a side cannot be written as JP2")
+    missing = missing_package(known) if known in EXTRA_CODECS else None
+    if known is not None and missing is not None:
+        raise UsageError(
+            f"{picture.name}: to write {label_of(known)} the package {missing} is needed; {INSTALL}"
+        )
     if known is not None and FORMATS[known].writable:
         return known
     what = label_of(known) if known is not None else suffix
     raise UsageError(f"{picture.name}: images cannot be written as {what}; choose {_CHOICES}")
+
+
+def _write_extra(
+    picture: Picture, pixels: NDArray[Any], known: str, quality: int, *, as_data: bool
+) -> ImageFile:
+    """Encode pixels in a format that OpenImageIO does not have, and say what that costs."""
+    is_new, values = known != picture.format, pixels
+    if is_new:
+        values, _ = converted(picture, pixels, known, as_data=as_data)
+    quality = min(max(quality, 1), 100)
+    data = encoded(known, values, quality, b"" if is_new else picture.source, as_data=as_data)
+    cost = encoding_cost(known, values, data, picture.name)
+    return ImageFile(data, FORMATS[known].suffixes[0], (cost,))
 
 
 def _bare_spec(picture: Picture) -> Any:

@@ -1,0 +1,227 @@
+"""KTX2 and AVIF, which OpenImageIO does not have: Basis Universal textures by alktx2, AVIF by Pillow.
+
+References
+----------
+.. [1] KTX File Format Specification, version 2.0, Khronos: section 3, header and level index.
+.. [2] KHR_texture_basisu, in the registry of glTF extensions: two dimensions, ETC1S or UASTC.
+.. [3] AV1 Image File Format, AOMedia; AV1 Codec ISO Media File Format Binding, section 2.3: av1C.
+"""
+
+from __future__ import annotations
+
+import importlib
+import io
+import math
+import struct
+import warnings
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from beltrami_cli.errors import InputError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+_PACKAGES = {"ktx2": ("alktx2", "alktx2"), "avif": ("PIL._avif", "Pillow 11.3 or later")}
+EXTRA_CODECS = tuple(_PACKAGES)
+"""The formats of `recognition.FORMATS` that are read and written here."""
+
+INSTALL = "install it with: pip install 'beltrami-cli[textures]'"
+_LARGEST_SIDE = 1 << 14  # of AV1 images and of textures on graphics cards
+_BLOCK, _BLOCK_BYTES = 4, 16  # of UASTC
+_HEADER = struct.Struct("<12x9I4I2Q")
+_LEVEL = struct.Struct("<3Q")
+_BASIS_LZ, _ZSTANDARD = 1, 2  # supercompressions
+_HIGH_BITDEPTH, _TWELVE_BIT = 0x40, 0x20
+_TGA_HEADER = 18  # bytes
+_BEST = 100
+_ZSTANDARD_LEVEL = 9
+_REFUSALS = (OSError, ValueError, RuntimeError, SyntaxError, MemoryError)  # by Pillow, of damaged files
+_FASTEST_EFFORT, _SLOWEST_SPEED = 2, 6
+
+
+@dataclass(frozen=True)
+class Extra:
+    """A decoded image: shape (H, W, 3 or 4), and what else is known of it."""
+
+    pixels: NDArray[np.uint8]
+    notices: tuple[str, ...] = ()
+    profile: bytes | None = field(default=None, repr=False)  # ICC
+
+
+def missing_package(known: str) -> str | None:
+    """Return the package that a format needs and that is not installed, or None."""
+    module, package = _PACKAGES[known]
+    try:
+        importlib.import_module(module)
+    except ImportError:
+        return package
+    return None
+
+
+def require_package(known: str, name: str) -> None:
+    """Raise an InputError that says what to install."""
+    package = missing_package(known)
+    if package is not None:
+        raise InputError(name, f"{known.upper()} images need the package {package}", INSTALL)
+
+
+def measured(data: bytes, known: str, name: str) -> tuple[int, int, int]:
+    """Return width, height and channels by the header; InputError if it promises what cannot be."""
+    require_package(known, name)
+    if known == "ktx2":
+        return _measured_ktx2(data, name)
+    with _opened_avif(data, name) as image:
+        width, height = image.size
+        return width, height, 4 if image.mode == "RGBA" else 3
+
+
+def decoded(data: bytes, known: str, name: str) -> Extra:
+    """Decode an image whose header `measured` has accepted."""
+    if known == "ktx2":
+        return _decoded_ktx2(data, name)
+    with _opened_avif(data, name) as image:
+        try:
+            pixels = np.array(image.convert(image.mode if image.mode == "RGBA" else "RGB"))
+        except _REFUSALS as error:
+            raise _damaged(name, "AVIF", error) from None
+        several = (f"{name} holds several images, of which only the first is read and kept.",)
+        bits = _avif_bits(data)
+        fewer = (f"{name} has {bits}-bit samples, which become 8-bit ones.",)
+        notices = (several if getattr(image, "n_frames", 1) > 1 else ()) + (fewer if bits > 8 else ())
+        return Extra(pixels, notices, image.info.get("icc_profile"))
+
+
+def encoded(known: str, pixels: NDArray[np.uint8], quality: int, source: bytes, *, as_data: bool) -> bytes:
+    """Encode pixels as decoded ones are; `source` is the file that they came from if it is of the format."""
+    if known == "ktx2":
+        return _encoded_ktx2(pixels, quality, source, as_data=as_data)
+    return _encoded_avif(pixels, quality, source)
+
+
+def encoding_cost(known: str, pixels: NDArray[np.uint8], data: bytes, name: str) -> str:
+    """Say what the encoding of pixels, shape (H, W, C), has cost: the PSNR of colours of full scale 255."""
+    again = decoded(data, known, name).pixels[..., :3]
+    error = float(np.mean((again.astype(np.float32) - pixels[..., :3]) ** 2))
+    psnr = 10 * math.log10(255**2 / error) if error else math.inf
+    return (
+        f"{name}: {known.upper()} is not exact, so untouched colours change slightly as well: what is written has a "
+        f"PSNR of {psnr:.1f} dB."
+    )
+
+
+def _damaged(name: str, label: str, error: object) -> InputError:
+    shown = "".join(c if c.isprintable() else "?" for c in str(error)[:150])
+    return InputError(name, f"the {label} image is damaged or cut off ({shown})", "export it anew")
+
+
+def _measured_ktx2(data: bytes, name: str) -> tuple[int, int, int]:
+    if len(data) < _HEADER.size:
+        raise _damaged(name, "KTX2", "no header")
+    vk, _, width, height, depth, layers, faces, levels, scheme, *_ = _HEADER.unpack_from(data)
+    if vk != 0 or scheme not in (0, _BASIS_LZ, _ZSTANDARD):
+        cause = f"it is KTX2 with other samples (format {vk}, compression {scheme}) than Basis Universal"
+        raise InputError(name, cause, "encode it as ETC1S or UASTC, or export it as PNG")
+    if depth or layers > 1 or faces != 1 or not 0 < height <= _LARGEST_SIDE or not 0 < width <= _LARGEST_SIDE:
+        cause = f"its size of {width} x {height} x {depth}, {layers} layers, {faces} faces cannot be used"
+        raise InputError(name, cause, "export it as a plain image")
+    if levels > max(width, height).bit_length():
+        raise _damaged(name, "KTX2", f"{levels} mip levels")
+    for level in range(max(1, levels)):
+        at = _HEADER.size + level * _LEVEL.size
+        if at + _LEVEL.size > len(data):
+            raise _damaged(name, "KTX2", "no index of its levels")
+        offset, length, unpacked = _LEVEL.unpack_from(data, at)
+        blocks = math.prod(-(-max(1, side >> level) // _BLOCK) for side in (width, height))
+        if offset + length > len(data) or (scheme != _BASIS_LZ and unpacked > blocks * _BLOCK_BYTES):
+            raise _damaged(name, "KTX2", f"level {level} leaves the file")
+    return width, height, 4 if _inspected(data, name)["has_alpha"] else 3
+
+
+def _inspected(data: bytes, name: str) -> Any:
+    import alktx2
+
+    try:
+        return alktx2.inspect_ktx2(data)
+    except RuntimeError as error:
+        raise _damaged(name, "KTX2", error) from None
+
+
+def _decoded_ktx2(data: bytes, name: str) -> Extra:
+    import alktx2
+
+    about = _inspected(data, name)
+    try:
+        # An uncompressed TGA: a header, then rows from below as blue, green, red and alpha.
+        targa, _ = alktx2.decode_ktx2_to_bytes(data, format="tga")
+    except (RuntimeError, MemoryError) as error:
+        raise _damaged(name, "KTX2", error) from None
+    shape = about["height"], about["width"], 4
+    rows = np.frombuffer(targa, np.uint8, math.prod(shape), _TGA_HEADER).reshape(shape)[::-1]
+    order = [2, 1, 0, 3] if about["has_alpha"] else [2, 1, 0]
+    return Extra(np.ascontiguousarray(rows[..., order]))
+
+
+def _encoded_ktx2(pixels: NDArray[np.uint8], quality: int, source: bytes, *, as_data: bool) -> bytes:
+    """Keep codec, transfer function, mip levels and supercompression of a source; else UASTC for sRGB, with mips."""
+    import alktx2
+
+    height, width, channels = pixels.shape
+    opaque = np.full((height, width, 1), 255, np.uint8)
+    filled = pixels if channels == 4 else np.concatenate([pixels, opaque], axis=2)
+    about = alktx2.inspect_ktx2(source) if source else None
+    is_etc1s = about is not None and about["is_etc1s"]
+    linear = as_data if about is None else not about["is_srgb"]
+    packed = about is None or _HEADER.unpack_from(source)[8] == _ZSTANDARD
+    found: bytes = alktx2.encode_raw_rgba_to_ktx2(
+        filled.tobytes(),
+        width,
+        height,
+        channels == 4,
+        codec="etc1s" if is_etc1s else "uastc",
+        quality=quality if is_etc1s else _BEST,  # below it UASTC searches long for what packs well
+        effort=_FASTEST_EFFORT,
+        srgb=not linear,
+        linear=linear,
+        mipmaps=about is None or about["levels"] > 1,
+        force_alpha=channels == 4,
+        check_for_alpha=channels == 4,
+        zstd_supercompression_level=None if is_etc1s or not packed else _ZSTANDARD_LEVEL,
+    )
+    return found
+
+
+def _opened_avif(data: bytes, name: str) -> Any:
+    from PIL import Image
+
+    try:
+        with warnings.catch_warnings():  # of large images, which are checked by their size
+            warnings.simplefilter("ignore")
+            return Image.open(io.BytesIO(data), formats=["AVIF"])
+    except (*_REFUSALS, Image.DecompressionBombError) as error:
+        raise _damaged(name, "AVIF", str(error).partition("<")[0].strip()) from None
+
+
+def _avif_bits(data: bytes) -> int:
+    """Return the bits of a sample, by the first configuration of a codec."""
+    at = data.find(b"av1C")
+    flags = data[at + 6] if 0 <= at < len(data) - 6 else 0
+    if not flags & _HIGH_BITDEPTH:
+        return 8
+    return 12 if flags & _TWELVE_BIT else 10
+
+
+def _encoded_avif(pixels: NDArray[np.uint8], quality: int, source: bytes) -> bytes:
+    from PIL import Image
+
+    kept = {}
+    if source:
+        with _opened_avif(source, "") as old:
+            kept = {key: old.info[key] for key in ("icc_profile", "exif", "xmp") if old.info.get(key)}
+    buffer = io.BytesIO()
+    # Tiles that follow the number of processors would make the file depend on the machine.
+    options = {"quality": quality, "subsampling": "4:4:4", "speed": _SLOWEST_SPEED, "autotiling": False}
+    Image.fromarray(pixels).save(buffer, "AVIF", **options, **kept)
+    return buffer.getvalue()
