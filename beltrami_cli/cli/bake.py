@@ -32,15 +32,7 @@ The output is a new file: the triangles, and their colours. What else INPUT hold
 @options.reading
 @options.overwrite
 @options.messages
-def command(
-    source: str,
-    target: str,
-    to: BakeTo,
-    output_format: str | None,
-    overwrite: bool,
-    messages: Messages,
-    **values: Any,
-) -> None:
+def command(source: str, target: str, to: BakeTo, messages: Messages, **values: Any) -> None:
     """Move the colours of INPUT from its vertices to a texture, or from its textures to the vertices.
 
     A new texture gets a new atlas. Vertices take what a renderer would show where they are; those on a seam take the
@@ -49,17 +41,8 @@ def command(
     settings = options.record_from(BakeSettings, values)
     from beltrami_cli.jobs.bake import bake_file
 
-    with options.reading_from(values, source) as access, messages.progress() as progress:
-        report = bake_file(
-            source,
-            target,
-            to,
-            settings,
-            format=output_format,
-            overwrite=overwrite,
-            progress=progress,
-            access=access,
-        )
+    with options.job_from(values, source, messages) as job:
+        report = bake_file(source, target, to, settings, job)
     messages.warn_of(report.input, report.warnings)
     for path in report.written[1:]:
         messages.detail(f"beside it: {path}")

@@ -72,16 +72,13 @@ _LIMITS = {
 @options.options_of(SmoothSettings, only=options.COLOURS, changed=options.COMPARED)
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 @click.option(
-    "--map",
-    "map_to",
-    metavar="OUT.png|OUT.ply",
+    "--map", "map_to", metavar="OUT.png|OUT.ply",
     help="Draw where colours differ: a picture, or a mesh of vertices.",
-)
+)  # fmt: skip
 @click.option(
-    "--overwrite",
-    is_flag=True,
+    "--overwrite", is_flag=True,
     help="Replace the map if it exists; what is no map, only if --map is given beside it.",
-)
+)  # fmt: skip
 @options.reading
 @options.messages
 def command(
@@ -102,19 +99,12 @@ def command(
     """
     settings = options.compared_from(values)
     from beltrami_cli.jobs.compare.files import compare_files
-    from beltrami_cli.jobs.job import Job
 
     limits = options.record_from(Limits, values)
-    with options.reading_from(values, reference) as access, messages.progress() as progress:
+    replaced = options.overwrite_at("map_to", overwrite=overwrite)
+    with options.job_from(values, reference, messages) as job:
         comparison = compare_files(
-            reference,
-            test,
-            limits,
-            settings,
-            weights=weights,
-            map_to=map_to,
-            overwrite=options.overwrite_at("map_to", overwrite=overwrite),
-            job=Job(access, progress),
+            reference, test, limits, settings, weights=weights, map_to=map_to, overwrite=replaced, job=job
         )
     if as_json:
         from dataclasses import asdict

@@ -65,7 +65,6 @@ def command(
     at: str,
     iteration: int,
     whole: bool,
-    overwrite: bool,
     messages: Messages,
     **smoothing: Any,
 ) -> None:
@@ -75,19 +74,10 @@ def command(
     `beltrami smooth` takes with the same options.
     """
     settings = options.settings_from(smoothing)
-    from beltrami_cli.jobs.job import Job
     from beltrami_cli.jobs.kernel.file import kernel_file
 
-    with options.reading_from(smoothing, source) as access, messages.progress() as progress:
-        facts = kernel_file(
-            source,
-            target,
-            at,
-            settings,
-            iteration=iteration,
-            whole=whole,
-            job=Job(access, progress, overwrite),
-        )
+    with options.job_from(smoothing, source, messages) as job:
+        facts = kernel_file(source, target, at, settings, iteration=iteration, whole=whole, job=job)
     messages.say(f"{target}: kernel of the {facts['at']} {_described(facts)}")
     if facts.get("cut_short"):
         messages.warn(

@@ -9,7 +9,6 @@ import click
 from beltrami_cli.cli import options
 from beltrami_cli.cli.commands import HelpfulCommand
 from beltrami_cli.cli.console import Messages, counted
-from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.settings import NoiseSettings
 from beltrami_cli.samples.settings import SmoothSettings
 
@@ -40,14 +39,7 @@ What --sigma S means:
 @options.reading
 @options.overwrite
 @options.messages
-def command(
-    source: str,
-    target: str,
-    output_format: str | None,
-    overwrite: bool,
-    messages: Messages,
-    **values: Any,
-) -> None:
+def command(source: str, target: str, messages: Messages, **values: Any) -> None:
     """Add noise to the colours of INPUT, and write OUTPUT with nothing else changed: for tests and demonstrations.
 
     INPUT and OUTPUT are what `beltrami smooth` takes and writes. The noise is on the surface: vertices at one place get
@@ -58,10 +50,8 @@ def command(
     noise = options.record_from(NoiseSettings, values)
     from beltrami_cli.jobs.noise import noise_file
 
-    with options.reading_from(values, source) as access:
-        report = noise_file(
-            source, target, noise, settings, job=Job(format=output_format, overwrite=overwrite, access=access)
-        )
+    with options.job_from(values, source, messages) as job:
+        report = noise_file(source, target, noise, settings, job)
     messages.warn_of(source, report.warnings)
     for added in report.added:
         messages.say(

@@ -17,7 +17,7 @@ from beltrami_cli.fields import REQUIRED, Parameter, parameters, parts
 from beltrami_cli.flow.parameters import PRESETS, KernelParameters, parameters_with
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.registry import OUTPUT_FORMATS
-from beltrami_cli.jobs.job import default_memory, limited_memory, parse_size
+from beltrami_cli.jobs.job import Job, default_memory, limited_memory, parse_size
 from beltrami_cli.jobs.settings import BakeSettings
 from beltrami_cli.samples.settings import IMAGE_FORMATS, SmoothSettings, TextureSettings
 
@@ -294,6 +294,13 @@ def reading_from(values: Mapping[str, Any], source: str) -> Iterator[Access]:
     size = values["max_memory"] or default_memory()
     with limited_memory(size, source):
         yield Access(outside=values["allow_outside"], memory=size)
+
+
+@contextmanager
+def job_from(values: Mapping[str, Any], source: str, messages: Messages) -> Iterator[Job]:
+    """Give how a job on a file is done, by the options that `reading`, `overwrite` and `output_format` add."""
+    with reading_from(values, source) as access, messages.progress() as progress:
+        yield Job(access, progress, values.get("overwrite", False), format=values.get("output_format"))
 
 
 def _destination(declared: Parameter) -> str:

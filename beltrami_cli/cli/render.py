@@ -62,7 +62,6 @@ def command(
     sources: tuple[str, ...],
     target: str,
     no_labels: bool,
-    overwrite: bool,
     messages: Messages,
     **values: Any,
 ) -> None:
@@ -76,8 +75,8 @@ def command(
     settings = render_settings_from(values, **({"labels": ()} if no_labels else {}))
     from beltrami_cli.view.render import render_file
 
-    with options.reading_from(values, sources[0]) as access, messages.progress() as progress:
+    with options.job_from(values, sources[0], messages) as job:
         width, height = render_file(
-            sources, target, settings, overwrite=overwrite, progress=progress, access=access
+            sources, target, settings, overwrite=job.overwrite, progress=job.progress, access=job.access
         )
     messages.say(f"{target}: {width} x {height} pixels")

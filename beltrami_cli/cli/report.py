@@ -30,10 +30,9 @@ network. The models are drawn with WebGL by three.js (MIT licence, in the packag
 @click.argument("after", metavar="AFTER")
 @click.argument("target", metavar="OUT.html")
 @click.option(
-    "--parameters",
-    metavar="FILE.json",
+    "--parameters", metavar="FILE.json",
     help="Also show the parameters, from what `beltrami smooth --report` wrote.",
-)
+)  # fmt: skip
 @options.options_of(SmoothSettings, only=("on", "slots", "space"), changed=options.COMPARED)
 @options.reading
 @options.overwrite
@@ -43,7 +42,6 @@ def command(
     after: str,
     target: str,
     parameters: str | None,
-    overwrite: bool,
     messages: Messages,
     **values: Any,
 ) -> None:
@@ -52,12 +50,10 @@ def command(
     It has both models under one camera with a swipe between them, textures at full size with a swipe, figures, a
     histogram of the change, and a map of the seams.
     """
-    from beltrami_cli.jobs.job import Job
     from beltrami_cli.view.report import report_file
 
     settings = options.compared_from(values)
-    with options.reading_from(values, before) as access, messages.progress() as progress:
-        job = Job(access, progress, overwrite)
+    with options.job_from(values, before, messages) as job:
         found = report_file(before, after, target, settings, parameters=parameters, job=job)
     for notice in found["notices"]:
         messages.warn(notice)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -13,10 +14,11 @@ from beltrami_cli.cli import options
 from beltrami_cli.cli.commands import HelpfulCommand
 from beltrami_cli.cli.console import ALL_THE_SAME, NO_NOISE, choice_in_words, counted
 from beltrami_cli.errors import OutputError, UsageError
-from beltrami_cli.jobs.job import Job, show_size
+from beltrami_cli.jobs.job import show_size
 
 if TYPE_CHECKING:
     from beltrami_cli.cli.console import Messages
+    from beltrami_cli.jobs.job import Job
     from beltrami_cli.jobs.smoothing import SmoothReport
     from beltrami_cli.jobs.writing.output import FileSet, Output
     from beltrami_cli.samples.reports import ImageReport, SlotReport, VertexReport
@@ -79,7 +81,6 @@ with --beta. If edges soften, raise --beta, or say --strength gentle; if noise s
 def command(
     source: str,
     target: str,
-    overwrite: bool,
     dry_run: bool,
     report_path: str | None,
     preview_path: str | None,
@@ -107,13 +108,12 @@ def command(
     from beltrami_cli.jobs.writing.output import FileSet
 
     with (
-        options.reading_from(smoothing, source) as access,
-        messages.progress() as progress,
+        options.job_from(smoothing, source, messages) as job,
         messages.work_shown(wanted=messages.verbose > 0 or dry_run),
         FileSet([source, target]) as files,
     ):
-        job = Job(access, progress, overwrite, dry_run, smoothing["output_format"], files)
-        report_file = None if report_path is None else _open_report(report_path, overwrite, files)
+        job = replace(job, dry_run=dry_run, files=files)
+        report_file = None if report_path is None else _open_report(report_path, job.overwrite, files)
         preview = None
         if preview_path is not None:
             preview = _open_preview(preview_path, (source, target), settings, job, files)
@@ -153,8 +153,6 @@ def _open_preview(
 
 
 def _write_report(output: Output, report: SmoothReport) -> None:
-    from dataclasses import asdict
-
     from beltrami_cli.formats.document import Written
 
     output.write(Written(main=[(json.dumps(asdict(report), indent=2) + "\n").encode()]))

@@ -88,7 +88,6 @@ def command(
     target: str,
     reference: str | None,
     kind: Literal["csv", "json"] | None,
-    overwrite: bool,
     messages: Messages,
     **given: Any,
 ) -> None:
@@ -100,14 +99,12 @@ def command(
     plain = trials[0][1]
     on = "vertices" if plain.on == "vertices" else "auto"
     settings = render_settings_from(given, on=on, slot=plain.textures.slots[0])
-    from beltrami_cli.jobs.job import Job
     from beltrami_cli.view.sweep import best_of, sweep_file
 
-    with options.reading_from(given, source) as access, messages.progress() as progress:
+    with options.job_from(given, source, messages) as job:
         done = sweep_file(
-            source, target, trials, settings,
-            columns=columns, reference=reference, kind=kind, job=Job(access, progress, overwrite),
-        )  # fmt: skip
+            source, target, trials, settings, columns=columns, reference=reference, kind=kind, job=job
+        )
     for trial in done:
         messages.detail(trial.label)
     best = best_of(done)

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.image import read_image
 from beltrami_cli.formats.registry import open_document, sidecar_names, write_contents, write_textured
 from beltrami_cli.jobs.documents import naming_of
+from beltrami_cli.jobs.job import PLAIN_JOB, Job
 from beltrami_cli.jobs.new_texture import as_rgba, texture_from_vertices
 from beltrami_cli.jobs.settings import BakeSettings
 from beltrami_cli.jobs.writing.output import Output
@@ -24,12 +24,13 @@ from beltrami_cli.surface.lookup import look_up, noise_around
 from beltrami_cli.surface.records import MeshContents
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
     from beltrami_cli.formats.document import Document, Written
     from beltrami_cli.formats.image import Picture
+    from beltrami_cli.jobs.job import Progress
     from beltrami_cli.surface.records import Encoding, TexturedSurface
 
 _DEFAULTS = BakeSettings()
@@ -57,23 +58,20 @@ def bake_file(
     target: str | os.PathLike[str],
     to: BakeTo,
     settings: BakeSettings = _DEFAULTS,
-    *,
-    format: str | None = None,  # noqa: A002 -- the name of the option
-    overwrite: bool = False,
-    progress: Callable[[str, int, int], None] | None = None,
-    access: Access = EVERYTHING_INSIDE,
+    job: Job = PLAIN_JOB,
 ) -> BakeReport:
     """Write a new file whose colours are in a texture, or in the vertices."""
     source, target = os.fspath(source), os.fspath(target)
-    output = Output(target, overwrite=overwrite)
+    access = job.access
+    output = Output(target, overwrite=job.overwrite)
     document = open_document(source, access)
-    kind = choose_format(document, target, format).name
+    kind = choose_format(document, target, job.format).name
     image_suffix = ".png" if to == "texture" else None
     naming = naming_of(document, source, target, output, access)
     stem = naming.free_stem(lambda stem: sidecar_names(kind, stem, image_suffix))
     output.check_sidecars(sidecar_names(kind, stem, image_suffix))
     if to == "texture":
-        written, counts, texture, notices = _to_texture(document, kind, stem, settings, progress)
+        written, counts, texture, notices = _to_texture(document, kind, stem, settings, job.progress)
     else:
         require_memory_for_textures(document, ("baseColor",), DEFAULTS.textures, access)
         written, counts, notices = _to_vertices(document, kind, stem)
@@ -88,7 +86,7 @@ def _to_texture(
     kind: str,
     stem: str,
     settings: BakeSettings,
-    progress: Callable[[str, int, int], None] | None,
+    progress: Progress | None,
 ) -> tuple[Written, dict[str, int], str, tuple[str, ...]]:
     made = texture_from_vertices(document, settings, progress)
     height, width, _ = made.pixels.shape

@@ -189,7 +189,7 @@ def test_a_file_that_appears_meanwhile_is_not_replaced(tmp_path):
 def test_new_textures_do_not_replace_those_of_another_file(tmp_path):
     ply = SAMPLES / "nonmanifold-clean.ply"
     for name in ("scan.obj", "scan.ply"):
-        bake_file(ply, tmp_path / name, "texture", overwrite=True)
+        bake_file(ply, tmp_path / name, "texture", job=Job(overwrite=True))
     smooth_file(ply, tmp_path / "scan.gltf", job=Job(overwrite=True), unwrap=BakeSettings())
     assert [texture(tmp_path / f"scan.{kind}").name for kind in KINDS] == [
         "scan.png",
