@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from beltrami_cli.batch.run import Executor
     from beltrami_cli.cli.console import Messages
     from beltrami_cli.jobs.settings import BakeSettings
+    from beltrami_cli.jobs.writing.output import Overwrite
 
 EPILOG = """\b
 Examples:
@@ -132,15 +133,10 @@ def command(
     that fsspec opens, as they may be without.
     """
     from beltrami_cli.batch.plan import plan
-    from beltrami_cli.batch.record import Record
-    from beltrami_cli.batch.run import run_batch
-    from beltrami_cli.cli.batch_display import Display, show_table
-    from beltrami_cli.flow.parameters import KernelParameters
-    from beltrami_cli.jobs.job import default_memory
+    from beltrami_cli.cli.batch_display import show_table
 
     if pieces is not None and scheduler is None:
         raise UsageError("--pieces are for the workers of a --scheduler; name one")
-    at_once, memory = given["at_once"], given["max_memory"]
     start = time.monotonic()
     requests = plan(inputs, out_dir, given["suffix"], given["output_format"])
     jobs = _jobs_for(requests, given, overwrite=overwrite)
@@ -149,24 +145,39 @@ def command(
         return
     path = _report_path(report_path, out_dir, inputs, jobs)
     rewritten = options.overwrite_at("report_path", overwrite=overwrite)
-    with (
-        _executor(scheduler, pieces, at_once, memory, messages) as executor,
-        Display(jobs, messages) as display,
-    ):
-        record = Record(path, resume=given["resume"], overwrite=rewritten)  # once there are workers
-        outcomes = run_batch(
-            jobs,
-            record,
-            display,
-            at_once=at_once or KernelParameters().thread_count,
-            memory=memory or default_memory(),
-            fail_fast=given["fail_fast"],
-            executor=executor,
-        )
+    with _executor(scheduler, pieces, given["at_once"], given["max_memory"], messages) as executor:
+        outcomes = _run(jobs, (path, rewritten), given, executor, messages)
     if not messages.quiet:
         show_table(outcomes)
     messages.say(f"{_counts(outcomes)} in {time.monotonic() - start:.1f} s; report: {path}")
     _require_all_done(outcomes)
+
+
+def _run(
+    jobs: Sequence[Item],
+    report: tuple[str, Overwrite],
+    given: dict[str, Any],
+    executor: Executor | None,
+    messages: Messages,
+) -> list[Outcome]:
+    """Do the files, and show how far they are; `report` is its path, and whether it may be replaced."""
+    from beltrami_cli.batch.record import Record
+    from beltrami_cli.batch.run import run_batch
+    from beltrami_cli.cli.batch_display import Display
+    from beltrami_cli.flow.parameters import KernelParameters
+    from beltrami_cli.jobs.job import default_memory
+
+    path, rewritten = report
+    with Display(jobs, messages) as display:
+        return run_batch(
+            jobs,
+            Record(path, resume=given["resume"], overwrite=rewritten),
+            display,
+            at_once=given["at_once"] or KernelParameters().thread_count,
+            memory=given["max_memory"] or default_memory(),
+            fail_fast=given["fail_fast"],
+            executor=executor,
+        )
 
 
 def _show_plan(requests: Sequence[Request], *, resume: bool, overwrite: bool) -> None:

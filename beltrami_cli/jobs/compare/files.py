@@ -70,15 +70,11 @@ def compare_files(
     names = os.fspath(reference), os.fspath(test)
     if names == ("-", "-"):
         raise UsageError("only one of REFERENCE and TEST can be standard input")
-    target = None if map_to is None else os.fspath(map_to)
-    output, access = None, job.access
-    if target is not None:
-        require_map(target)
-        output = Output(target, overwrite=overwrite, what="map", is_own=is_map, reads=names)
-        output.files.guard(settings.files_besides())
-        access = output.files.watching(access)
-    data = read_source(names[0], access), read_source(names[1], access)
-    job = dataclasses.replace(job, access=access)
+    output = None
+    if map_to is not None:
+        output = _opened_map(os.fspath(map_to), names, settings, overwrite)
+        job = dataclasses.replace(job, access=output.files.watching(job.access))
+    data = read_source(names[0], job.access), read_source(names[1], job.access)
     documents = open_both(names, data, settings, job)
     compared = compare_documents(documents, settings, weights, job)
     require_samples(compared.parts, documents[0].name)
@@ -87,8 +83,8 @@ def compare_files(
     moves = compared.moves
     verdicts += [] if moves is None else check_moves(moves, limits)
     scale = None
-    if output is not None and target is not None:
-        written, scale = draw_map(compared.parts, documents[0], target)
+    if output is not None:
+        written, scale = draw_map(compared.parts, documents[0], output.target)
         output.write(written)
     geometry = None if moves is None else dataclasses.asdict(moves)
     passed = all(verdict.kept for verdict in verdicts)
@@ -97,6 +93,16 @@ def compare_files(
         *names, weights, settings.space, described, figures(compared.measured()), geometry, verdicts, passed,
         scale, notices,
     )  # fmt: skip
+
+
+def _opened_map(
+    target: str, names: tuple[str, str], settings: SmoothSettings, overwrite: Overwrite
+) -> Output:
+    """Check that a map can be written before anything is compared."""
+    require_map(target)
+    output = Output(target, overwrite=overwrite, what="map", is_own=is_map, reads=names)
+    output.files.guard(settings.files_besides())
+    return output
 
 
 def require_samples(parts: list[ComparedColours], name: str) -> None:
