@@ -34,8 +34,8 @@ class UsageError(BeltramiError):
     exit_code = 2
 
 
-class InputError(BeltramiError):
-    """The input cannot be read, is damaged, or contains nothing that can be smoothed.
+class FileError(BeltramiError):
+    """A file cannot be read or written.
 
     Parameters
     ----------
@@ -47,32 +47,22 @@ class InputError(BeltramiError):
         What the user can do about it.
     """
 
-    exit_code = 3
-
     def __init__(self, name: str, cause: str, remedy: str = "") -> None:
         self.name, self.cause, self.remedy = name, cause, remedy
         super().__init__(one_line(f"{name}: {cause}" + (f"; {remedy}" if remedy else "")))
+
+
+class InputError(FileError):
+    """The input cannot be read, is damaged, or contains nothing that can be smoothed."""
+
+    exit_code = 3
 
 
 class UnpaintedError(InputError):
     """The input is sound, but has no colours of the kind that was asked for."""
 
 
-class OutputError(BeltramiError):
-    """The output cannot be written, or must not be.
-
-    Parameters
-    ----------
-    name : str
-        The file, as the user named it.
-    cause : str
-        Why it cannot be written.
-    remedy : str, optional
-        What the user can do about it.
-    """
+class OutputError(FileError):
+    """The output cannot be written, or must not be."""
 
     exit_code = 4
-
-    def __init__(self, name: str, cause: str, remedy: str = "") -> None:
-        self.name, self.cause, self.remedy = name, cause, remedy
-        super().__init__(one_line(f"{name}: {cause}" + (f"; {remedy}" if remedy else "")))

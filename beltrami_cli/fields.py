@@ -190,6 +190,17 @@ def named_files(record: Any) -> Iterator[str]:
             yield from map(str, value if isinstance(value, tuple) else [value])
 
 
+def with_files(record: Record, renamed: Callable[[str], str]) -> Record:
+    """Return a record in which parameters, and those of records in it, name other files."""
+    changed: dict[str, Any] = {name: with_files(getattr(record, name), renamed) for name in parts(record)}
+    for each in parameters(record):
+        value = getattr(record, each.name)
+        if each.is_file and value is not None:
+            changed[each.name] = tuple(map(renamed, value)) if isinstance(value, tuple) else renamed(value)
+    changed = {name: value for name, value in changed.items() if value != getattr(record, name)}
+    return dataclasses.replace(record, **changed) if changed else record  # type: ignore[type-var]
+
+
 def check(record: Any) -> None:
     """Raise UsageError if a parameter of a record has a value that it cannot have."""
     for each in parameters(record):

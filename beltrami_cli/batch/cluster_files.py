@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 from beltrami_cli.batch.cluster_connection import LOST
 from beltrami_cli.batch.item import Attempt, do_item, failed
 from beltrami_cli.batch.storage import is_url, place_of
+from beltrami_cli.fields import with_files
 from beltrami_cli.formats.access import is_file
 
 if TYPE_CHECKING:
@@ -121,29 +122,14 @@ class ClusterExecutor:
 
 def _portable(item: Item) -> Item:
     """Return the item with paths that mean the same everywhere, if the files are on shared storage."""
-    settings = item.settings
-    guides = tuple(_absolute(guide) for guide in settings.embedding.guides)
-    image = dataclasses.replace(
-        settings.image,
-        **{name: _absolute(getattr(settings.image, name)) for name in ("height", "positions", "mask")},
-    )
-    level_set = dataclasses.replace(settings.level_set, colours=_absolute(settings.level_set.colours))
-    return dataclasses.replace(
-        item,
-        source=item.source if is_url(item.source) else str(Path(item.source).absolute()),
-        target=place_of(item.target),
-        settings=dataclasses.replace(
-            settings,
-            embedding=dataclasses.replace(settings.embedding, guides=guides),
-            image=image,
-            level_set=level_set,
-        ),
-    )
+    source = item.source if is_url(item.source) else str(Path(item.source).absolute())
+    settings = with_files(item.settings, _absolute)
+    return dataclasses.replace(item, source=source, target=place_of(item.target), settings=settings)
 
 
-def _absolute(value: Any) -> Any:
-    """Return the absolute path where a setting names a file."""
-    return str(Path(value).absolute()) if isinstance(value, str) and is_file(value) else value
+def _absolute(name: str) -> str:
+    """Return the absolute path of a file; a guide may be something else."""
+    return str(Path(name).absolute()) if is_file(name) else name
 
 
 # ---- on a worker
