@@ -63,13 +63,19 @@ def _value(option: click.Option, name: str, value: object) -> object:
     if isinstance(value, dict) or (isinstance(value, bool) and not option.is_flag):
         raise ValueError(f"{name} can be no {'table' if isinstance(value, dict) else 'truth value'}")
     if option.multiple:
-        return tuple(value) if isinstance(value, list) else (value,)
-    if isinstance(value, float) and not value.is_integer():
-        # Options of whole numbers refuse the text, and would cut off the number itself.
-        return repr(value)
+        return tuple(_scalar(option, each) for each in (value if isinstance(value, list) else [value]))
     if isinstance(value, list):  # options that take a list take it with commas
         return ",".join(str(each) for each in value)
-    return value
+    return _scalar(option, value)
+
+
+def _scalar(option: click.Option, value: object) -> object:
+    """Return a value as click can convert it, or refuse it: numbers of flags, dates and the like as text."""
+    if isinstance(value, bool | str):
+        return value
+    # Options of whole numbers refuse the text of others, and would cut off the number itself.
+    is_whole = isinstance(value, int) or (isinstance(value, float) and value.is_integer())
+    return value if is_whole and not option.is_flag else str(value)
 
 
 def with_variables(

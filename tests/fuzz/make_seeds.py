@@ -191,6 +191,7 @@ def data_seeds() -> dict[str, dict[str, bytes]]:
             "own": b"threads = 2\n[smooth]\n" + options,
             "shared": b"[tool.beltrami]\nthreads = 2\n[tool.beltrami.batch]\njobs = 2\n[tool.beltrami.smooth]\n"
             + options,
+            "odd": b"q = 4\nt = 1979-05-27\niterations = 07:32:00\nmaterial = [1, 2.5]\n",
         },
         "manifest": {
             "toml": b"\0" + options + b'[[files]]\ninput = "a.ply"\nbeta = 4\n',
