@@ -4,7 +4,7 @@ PYTHON ?= python3
 VENV   ?= .venv
 BIN     = $(VENV)/bin
 
-.PHONY: demo figures gallery viewer docs build-docs man parameters quick test test-minimum lint bench run-bench wheel build-wheel sanitize fuzz fuzz-readers fuzz-core survey samples clean help
+.PHONY: demo figures gallery viewer docs build-docs man parameters quick test test-minimum test-blender lint bench run-bench wheel build-wheel sanitize fuzz fuzz-readers fuzz-core survey samples clean help
 .DELETE_ON_ERROR:
 
 help:
@@ -14,6 +14,7 @@ help:
 	@echo "make quick     in under a minute, the tests that a change most likely breaks, and the import layers"
 	@echo "make test      all tests, in an environment of their own"
 	@echo "make test-minimum  the same with the oldest versions of what it depends on"
+	@echo "make test-blender  test the extension in Blender itself, which is a Python package of 370 MB"
 	@echo "make docs      build the documentation as a site, in build/site"
 	@echo "make man       make the manual pages, in build/man"
 	@echo "make parameters  make docs/parameters.md anew from the declarations"
@@ -82,6 +83,15 @@ MINIMUM_PYTHON ?= python3.11
 test-minimum:
 	$(MAKE) --no-print-directory VENV=$(VENV)-minimum PYTHON=$(MINIMUM_PYTHON) \
 	  RESTRAIN="--prefer-binary --constraint tests/minimum-versions.txt" test
+
+# Blender as a Python module has an environment of its own, as it has in reality: it brings its own NumPy.
+BLENDER        ?= bpy>=4.2
+BLENDER_PYTHON ?= python3.11
+
+test-blender: $(VENV)/.installed-test
+	$(BLENDER_PYTHON) -m venv $(VENV)-blender
+	$(VENV)-blender/bin/python -m pip install --quiet --disable-pip-version-check '$(BLENDER)' pytest
+	BELTRAMI=$(abspath $(BIN))/beltrami $(VENV)-blender/bin/python -m pytest -q -s --noconftest -c /dev/null tests/blender
 
 lint: $(VENV)/.installed-test
 	$(BIN)/ruff check .

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
@@ -38,6 +39,19 @@ def choice_in_words(choice: dict[str, Any]) -> str:
         f"{chosen}; estimated PSNR {choice['psnr']:.1f} +- {choice['error']:.1f} dB, {choice['gain']:+.1f} dB "
         f"against the input; the best of {choice['candidates']} on {choice['samples']} samples{shared}"
     )
+
+
+def _progress_in_lines() -> Callable[[str, int, int], None]:
+    """Return a function that prints a line for each label and percentage, which other programs can read."""
+    printed: set[tuple[str, int]] = set()
+
+    def update(label: str, done: int, total: int) -> None:
+        share = label, 100 * done // max(1, total)
+        if share not in printed:
+            printed.add(share)
+            click.echo(f"progress: {printable(label)} {share[1]}%", err=True)
+
+    return update
 
 
 class Messages:
@@ -88,7 +102,10 @@ class Messages:
 
     @contextmanager
     def progress(self) -> Iterator[Callable[[str, int, int], None] | None]:
-        """Give a function that draws a bar with a label and the time left; on a terminal only."""
+        """Give a function that draws a bar with a label and the time left; on a terminal, or as lines for programs."""
+        if os.environ.get("BELTRAMI_PROGRESS") == "lines":
+            yield _progress_in_lines()
+            return
         if self.quiet or not sys.stderr.isatty():
             yield None
             return

@@ -24,10 +24,11 @@ if TYPE_CHECKING:
 
 # Each is a module, which is imported only when its command is asked for. The summaries fit a line of 80 columns.
 COMMANDS = {
-    "bake": "Move colours from vertices to a texture, or the other way.",
+    "bake": "Move colours from vertices to a texture, or back.",
     "batch": "Smooth many files at the same time.",
+    "blender-extension": "Write the extension for Blender.",
     "check": "List what differs besides the colours of two files.",
-    "compare": "Measure how far colours are from a reference, with limits.",
+    "compare": "Measure how far colours are from a reference.",
     "config": "Show the options in force, and where each comes from.",
     "info": "Show what is coloured in files, and how noisy it is.",
     "kernel": "Write the distances and the weights of one kernel.",
@@ -135,7 +136,7 @@ def defaults_from(configuration: Configuration, name: str) -> dict[str, Any]:
 
 
 def _command(name: str) -> click.Command:
-    module = importlib.import_module(f"beltrami_cli.cli.{name}")
+    module = importlib.import_module(f"beltrami_cli.cli.{name.replace('-', '_')}")
     module.command.short_help = COMMANDS[name]
     return with_variables(module.command, name, "smooth", _shared_with_smooth(name))
 

@@ -18,7 +18,8 @@ PAGES = dict(manual("1.2.3"))
 
 def test_there_is_a_page_for_every_command_and_one_for_all():
     assert set(PAGES) == {"beltrami.1", *(f"beltrami-{name}.1" for name in COMMANDS)}
-    assert all(f"beltrami\\-{name}(1)" in PAGES["beltrami.1"] for name in COMMANDS)
+    escaped = [name.replace("-", "\\-") for name in COMMANDS]
+    assert all(f"beltrami\\-{name}(1)" in PAGES["beltrami.1"] for name in escaped)
 
 
 @pytest.mark.parametrize("name", COMMANDS)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from contextlib import contextmanager
 
 import pytest
@@ -53,3 +54,13 @@ def test_bars_go_from_nothing_to_all(name, shown, tmp_path):
 def test_without_a_terminal_nothing_is_shown(tmp_path):
     run = beltrami("compare", SMALL, SMALL, cwd=tmp_path)
     assert run.stderr == b""
+
+
+def test_other_programs_can_ask_for_lines(tmp_path, monkeypatch):
+    monkeypatch.setenv("BELTRAMI_PROGRESS", "lines")
+    run = beltrami("smooth", SMALL, "out.ply", "-q", "-n", "2", "--beta", "8", cwd=tmp_path)
+    lines = run.stderr.decode().splitlines()
+    assert lines
+    assert all(re.fullmatch(r"progress: [^\n]+ \d+%", line) for line in lines)
+    assert lines[-1].endswith(" 100%")
+    assert len(lines) == len(set(lines))

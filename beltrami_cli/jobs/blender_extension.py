@@ -1,0 +1,79 @@
+"""The extension for Blender as a file: the sources in `beltrami_cli/blender`, with the parameters of the program."""
+
+from __future__ import annotations
+
+import io
+import json
+import sys
+import zipfile
+from importlib import resources
+from typing import TYPE_CHECKING, Any
+
+from beltrami_cli.fields import parameters
+from beltrami_cli.formats.document import Written
+from beltrami_cli.jobs.writing.output import Output
+from beltrami_cli.samples.settings import SmoothSettings
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from beltrami_cli.fields import Parameter
+
+_FILES = {"addon.py": "__init__.py"}  # all others keep their names
+# Blender chooses the colours, their files and their surface itself, and has nothing else that could guide.
+_GROUPS = ("Kernel", "Colours", "Textures")
+_LEFT_OUT = ("on", "slots", "materials", "names", "image_suffix", "jpeg_quality", "small")
+_SINCE = (1980, 1, 1, 0, 0, 0)  # the date of every file, so that equal programs write equal files
+
+
+def write_blender_extension(target: str, *, overwrite: bool) -> int:
+    """Write the extension as a .zip file; return the number of its parameters."""
+    output = Output(target, overwrite=overwrite, what="extension")
+    declared = list(declared_parameters())
+    about = {"command": [sys.executable, "-P", "-m", "beltrami_cli"], "parameters": declared}
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+        for source in sorted(resources.files("beltrami_cli").joinpath("blender").iterdir(), key=str):
+            if source.is_file():
+                name = _FILES.get(source.name, source.name)
+                archive.writestr(zipfile.ZipInfo(name, _SINCE), source.read_bytes())
+        text = json.dumps(about, indent=1)
+        archive.writestr(zipfile.ZipInfo("parameters.json", _SINCE), text)
+    output.write(Written(main=[buffer.getvalue()]))
+    return len(declared)
+
+
+def declared_parameters() -> Iterator[dict[str, Any]]:
+    """Give the parameters of smoothing that the extension shows, in JSON types."""
+    for each in parameters(SmoothSettings, deep=True):
+        if each.flags is None or each.group not in _GROUPS or each.name in _LEFT_OUT:
+            continue
+        flag = next(
+            (flag for flag in each.flags if flag.startswith("--")), f"--{each.name.replace('_', '-')}"
+        )
+        flag = flag.partition("/")[0]
+        yield {
+            "name": each.name,
+            "flag": flag,
+            "label": flag.lstrip("-").replace("-", " ").capitalize(),
+            "kind": _kind(each),
+            "default": _default(each),
+            "choices": list(each.choices) if each.parse is None else [],
+            "low": each.low,
+            "high": each.high,
+            "help": f"{each.help}{f' In {each.unit}.' if each.unit else ''}",
+            "unset": each.unset.format(default=each.default),
+            "daily": each.is_daily,
+            "group": each.group,
+        }
+
+
+def _kind(declared: Parameter) -> str:
+    is_number = declared.kind in (bool, int, float) and declared.parse is None and not declared.several
+    return declared.kind.__name__ if is_number else "text"
+
+
+def _default(declared: Parameter) -> Any:
+    if declared.parse is not None:
+        return None if declared.unset else declared.show(declared.default)
+    return None if declared.default in (None, ()) else declared.default
