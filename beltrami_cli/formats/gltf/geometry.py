@@ -10,7 +10,7 @@ import numpy as np
 from beltrami_cli.formats.gltf.compression import draco_extension
 
 if TYPE_CHECKING:
-    from collections.abc import Hashable
+    from collections.abc import Hashable, Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -34,22 +34,14 @@ class Placement:
 
 def placements(root: Entry) -> list[Placement]:
     """Return the place of every mesh: its first node, depth first, the default scene before the others."""
-    # A node with a skin counts as untransformed: joints place the mesh, and its stored positions are the bind pose.
-    nodes, meshes = root.entries("nodes"), root.entries("meshes")
-    children = _children(nodes)
     scenes = root.entries("scenes")
     default = root.integer("scene", below=len(scenes)) if "scene" in root else None
     order = sorted(range(len(scenes)), key=lambda scene: scene != default)
     shown: dict[int, list[tuple[NDArray[np.float64], int]]] = {}
-    seen: set[int] = set()
-    for rank, scene in enumerate(order):
-        for node, matrix in _walk(scenes[scene], nodes, children, seen):
-            if "mesh" in nodes[node]:
-                mesh = nodes[node].integer("mesh", below=len(meshes))
-                place = np.eye(4) if "skin" in nodes[node] else matrix
-                shown.setdefault(mesh, []).append((place, 0 if default is None else rank))
+    for rank, mesh, place, _ in _shown(root, [scenes[scene] for scene in order]):
+        shown.setdefault(mesh, []).append((place, 0 if default is None else rank))
     found = []
-    for mesh in range(len(meshes)):
+    for mesh in range(len(root.entries("meshes"))):
         places = shown.get(mesh) or [(np.eye(4), len(scenes) + mesh)]
         found.append(Placement(*places[0], nodes=len(places)))
     return found
@@ -57,18 +49,25 @@ def placements(root: Entry) -> list[Placement]:
 
 def instances(root: Entry) -> list[tuple[int, Placement, str]]:
     """Return every mesh that a node of the default scene shows (of all scenes, if none is), its place and its name."""
-    nodes, meshes = root.entries("nodes"), root.entries("meshes")
-    children, scenes = _children(nodes), root.entries("scenes")
+    meshes, scenes = root.entries("meshes"), root.entries("scenes")
     chosen = [scenes[root.integer("scene", below=len(scenes))]] if "scene" in root else scenes
-    found, seen = [], set[int]()
-    for scene in chosen:
-        for node, matrix in _walk(scene, nodes, children, seen):
-            if "mesh" in nodes[node]:
-                mesh = nodes[node].integer("mesh", below=len(meshes))
-                place = np.eye(4) if "skin" in nodes[node] else matrix
-                name = nodes[node].text("name") or meshes[mesh].text("name") or ""
-                found.append((mesh, Placement(place, 0, 1), name))
-    return found
+    return [
+        (mesh, Placement(place, 0, 1), node.text("name") or meshes[mesh].text("name") or "")
+        for _, mesh, place, node in _shown(root, chosen)
+    ]
+
+
+def _shown(root: Entry, scenes: Sequence[Entry]) -> Iterator[tuple[int, int, NDArray[np.float64], Entry]]:
+    """Give the number of a scene, the mesh that a node of it shows, where, and the node."""
+    # A node with a skin counts as untransformed: joints place the mesh, and its stored positions are the bind pose.
+    nodes, meshes = root.entries("nodes"), root.entries("meshes")
+    children, seen = _children(nodes), set[int]()
+    for number, scene in enumerate(scenes):
+        for index, matrix in _walk(scene, nodes, children, seen):
+            node = nodes[index]
+            if "mesh" in node:
+                mesh = node.integer("mesh", below=len(meshes))
+                yield number, mesh, np.eye(4) if "skin" in node else matrix, node
 
 
 def _children(nodes: list[Entry]) -> list[list[int]]:
