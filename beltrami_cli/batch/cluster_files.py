@@ -53,16 +53,13 @@ class ClusterExecutor:
 
     @property
     def is_full(self) -> bool:
-        """Whether as many files are in work as may be."""
         return self._at_once is not None and len(self._futures) >= self._at_once
 
     @property
     def is_busy(self) -> bool:
-        """Whether any file is in work."""
         return bool(self._futures)
 
     def start(self, key: int, item: Item) -> None:
-        """Give a file to the scheduler."""
         future = self._client.submit(
             _do_on_worker, _portable(item), self._memory, self._topic, key, version("beltrami-cli"),
             key=f"{self._topic}-{key}", pure=False,
@@ -71,7 +68,6 @@ class ClusterExecutor:
         future.add_done_callback(partial(self._end, key))
 
     def events(self, items: Callable[[int], Item]) -> Iterator[tuple[int, Attempt | tuple[str, int, int]]]:
-        """Wait, and give for a key either its progress or its result."""
         try:
             key, progress = self._events.get(timeout=_POLL)
         except queue.Empty:

@@ -62,12 +62,10 @@ class PartitionExecutor:
 
     @property
     def is_full(self) -> bool:
-        """Whether a file is in work."""
         return self._thread is not None
 
     @property
     def is_busy(self) -> bool:
-        """The same."""
         return self._thread is not None
 
     def start(self, key: int, item: Item) -> None:
@@ -76,7 +74,6 @@ class PartitionExecutor:
         self._thread.start()
 
     def events(self, items: Callable[[int], Item]) -> Iterator[tuple[int, Attempt | tuple[str, int, int]]]:
-        """Wait, and give for a key either its progress or its result."""
         key, event = self._events.get()
         if isinstance(event, Attempt) and self._thread is not None:
             self._thread.join()
@@ -123,7 +120,6 @@ class ClusterRunner:
         iterations: int,
         progress: Callable[[int, int], None] | None,
     ) -> Joined:
-        """Run all iterations, as `Runner` says."""
         from distributed import CancelledError, KilledWorker
 
         for _ in range(_TRIES):

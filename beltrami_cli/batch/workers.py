@@ -69,16 +69,13 @@ class Workers:
 
     @property
     def is_full(self) -> bool:
-        """Whether every process has something to do."""
         return len(self._busy) >= self._count
 
     @property
     def is_busy(self) -> bool:
-        """Whether any process has something to do."""
         return bool(self._busy)
 
     def start(self, key: int, item: Item) -> None:
-        """Give an item to a process that has none."""
         while True:
             worker = self._idle.pop() if self._idle else self._start_process()
             try:

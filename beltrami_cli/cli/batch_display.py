@@ -43,12 +43,10 @@ class Display:
             self._bar.stop()
 
     def started(self, key: int) -> None:
-        """Show a line for a file."""
         if self._bar is not None:
             self._lines[key] = self._bar.add_task(self._name(key), total=None)
 
     def advanced(self, key: int, label: str, done: int, total: int) -> None:
-        """Move it."""
         if self._bar is not None:
             if key not in self._lines:  # others had it waiting, and have begun
                 self.started(key)
@@ -56,13 +54,11 @@ class Display:
             self._bar.update(self._lines[key], description=description, completed=done, total=total)
 
     def postponed(self, key: int) -> None:
-        """Take it away for now."""
         self._end(key)
         if self._messages.verbose:
             self._print(f"{self._jobs[key].source}: wants more than its share of memory, so it waits")
 
     def finished(self, key: int, attempt: Attempt) -> None:
-        """Take it away, and print what went wrong."""
         self._end(key)
         if self._bar is not None:
             self._bar.advance(self._all)

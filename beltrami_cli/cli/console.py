@@ -62,7 +62,6 @@ class Messages:
         self.verbose = verbose
 
     def say(self, text: str) -> None:
-        """Print a result."""
         if not self.quiet:
             click.echo(printable(text), err=True)
 
@@ -72,7 +71,6 @@ class Messages:
             click.echo(printable(text), err=True)
 
     def warn(self, text: str) -> None:
-        """Print a warning."""
         self.say(f"warning: {text}")
 
     def warn_of(self, name: str, warnings: Iterable[str]) -> None:

@@ -48,12 +48,10 @@ class Header:
 
     @property
     def count(self) -> int:
-        """Numbers."""
         return math.prod(self.shape)
 
     @property
     def size(self) -> int:
-        """Bytes of all numbers."""
         return self.count * self.dtype.itemsize
 
     def array(self, data: bytes, offset: int = 0) -> NDArray[Any]:

@@ -40,7 +40,6 @@ class CheckReport:
 
     @property
     def faithful(self) -> bool:
-        """Whether nothing but colours and images differs."""
         return all(difference.of_colour for difference in self.differences)
 
 

@@ -63,7 +63,6 @@ class Noising:
         """Accept all."""
 
     def paint(self, samples: Samples, progress: Callable[[int, int], None] | None) -> Repainted:
-        """Add noise to samples."""
         del progress
         grains = samples.grains()
         after = add_noise(grains, self._noise)

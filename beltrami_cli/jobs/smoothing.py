@@ -57,13 +57,11 @@ class Smoothing:
         self.done: list[Smoothed] = []
 
     def check(self, document: Document, selection: Selection, target: OutputFormat) -> None:
-        """Raise what cannot be smoothed."""
         if self.changes:
             require_geometry(document, selection, self._settings, target)
         require_scale(document, selection)
 
     def paint(self, samples: Samples, progress: Callable[[int, int], None] | None) -> Repainted:
-        """Smooth samples."""
         smoothed = smooth_samples(samples, progress)
         self.done.append(smoothed)
         return smoothed.repainted

@@ -112,7 +112,6 @@ class GuideImage:
     beta: float | None
 
     def at(self, pixels: NDArray[np.int64]) -> Guide:
-        """Return the guide at some pixels (row * width + column)."""
         return Guide(self.name, self.image.reshape(-1, self.image.shape[2])[pixels], self.beta)
 
 

@@ -92,7 +92,6 @@ class PixelSamples(Samples):
         check_writable(self.picture, self._suffix)
 
     def facts(self) -> dict[str, object]:
-        """Return facts about the image in JSON types."""
         picture, valid = self.picture, self.valid
         return {
             "width": valid.shape[1],

@@ -179,7 +179,6 @@ class Change:
 
     @classmethod
     def joined(cls, changes: Iterable[Change]) -> Change:
-        """Add up several changes."""
         parts = [dataclasses.astuple(change) for change in changes]
         counts, totals, squares, largest = zip(*parts, strict=True) if parts else ((), (), (), (0.0,))
         return cls(sum(counts), sum(totals), sum(squares), max(largest))

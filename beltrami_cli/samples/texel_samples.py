@@ -102,7 +102,6 @@ class TexelSamples(Samples):
             check_writable(picture, self.settings.textures.image_suffix)
 
     def facts(self) -> list[dict[str, object]]:
-        """Return facts about each texture, in JSON types."""
         atlas = self.atlas
         covered = [len(atlas.owned_texels)]
         if len(self.pictures) > 1:

@@ -72,7 +72,6 @@ class VertexSamples(PaintedSamples):
 
     @property
     def sampling(self) -> VertexSampling:
-        """Which sample each vertex is."""
         return self._sampled[1]
 
     def flow(self) -> BeltramiFlow[MeshManifold]:

@@ -67,7 +67,6 @@ def empty(shape: int | Sequence[int], dtype: DTypeLike) -> NDArray[Any]:
 
 
 def _on_disk(shape: int | Sequence[int], dtype: DTypeLike) -> NDArray[Any] | None:
-    """Return an array of zeros in a file, if it belongs there."""
     disk = _DISK.get()
     shape = (shape,) if isinstance(shape, int) else tuple(shape)
     size = math.prod(shape) * np.dtype(dtype).itemsize

@@ -46,7 +46,6 @@ class Buffers:
         return len(self) + len(self._decoded) - 1
 
     def length(self, index: int) -> int:
-        """Return how many bytes a buffer has."""
         return self.lengths[index] if index < len(self) else self._decoded[index - len(self)][0]
 
     def _key(self, index: int) -> str:

@@ -216,7 +216,6 @@ class _Gathering:
             self._faces[key] = (faces + block.first_row).astype(np.int32)
 
     def surface(self) -> Surface:
-        """Return what was gathered."""
         faces = [np.empty((0, 3), np.int32), *self._faces.values()]
         return Surface(self.blocks, np.concatenate(faces), self._notices())
 

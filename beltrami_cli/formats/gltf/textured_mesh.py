@@ -227,7 +227,6 @@ class _Reading:
             self._left_out.append("the tint of textures by their vertex colours")
 
     def mesh(self, stored: str, source: str) -> TexturedMesh:
-        """Return what was taken."""
         starts = np.cumsum([0, *(len(part.positions) for part in self.parts)])[:-1]
         placed = zip(self.parts, starts.tolist(), strict=True)
         uv = np.concatenate([part.uv for part in self.parts])

@@ -103,7 +103,6 @@ class _SlotImages:
         return shown.number
 
     def textures(self) -> tuple[Texture, ...]:
-        """Return the images in the order of their numbers."""
         return tuple(
             Texture(
                 key=image_key(image),
@@ -123,7 +122,6 @@ class _SlotImages:
         return f"its {self._slot} texture cannot be read: {next(iter(self._missing))}"
 
     def notices(self) -> list[str]:
-        """Return what the user should know."""
         left = [
             f"The {self._slot} texture of {', '.join(map(repr, materials))} is left as it is: {reason}."
             for reason, materials in self._missing.items()

@@ -179,7 +179,6 @@ class _Textures:
         self.samplers: list[Tree] = []
 
     def add(self, image: int, wrap: tuple[Wrap, Wrap]) -> int:
-        """Return the texture that shows an image."""
         sides = dict(zip(("wrapS", "wrapT"), (WRAPS[kind] for kind in wrap), strict=True))
         sampler = _index({"magFilter": _LINEAR, "minFilter": _MIPMAPS, **sides}, self.samplers)
         return _index({"sampler": sampler, "source": image}, self.textures)

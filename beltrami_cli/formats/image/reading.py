@@ -50,12 +50,10 @@ class ImageSize:
 
     @property
     def samples(self) -> int:
-        """Number of all samples."""
         return self.width * self.height * self.channels
 
     @property
     def decoded(self) -> int:
-        """Bytes of all pixels."""
         return self.samples * self.sample
 
 

@@ -167,7 +167,6 @@ class ObjDocument(Document):
         return dataclasses.replace(mesh, colours=shown)
 
     def _alpha(self) -> NDArray[np.float32] | None:
-        """Return the opacity of the coloured vertices."""
         alpha = self._scan.vertices.alpha
         if alpha is None:
             return None

@@ -153,7 +153,6 @@ class _Palette:
         return True
 
     def textures(self) -> tuple[Texture, ...]:
-        """Return the images."""
         return tuple(
             Texture(path, path.rpartition("/")[2], p.data, tuple(p.materials), (p.wraps[0], p.wraps[0]))
             for path, p in self._painted.items()
@@ -170,7 +169,6 @@ class _Palette:
         return f"it has no {self.slot} texture", ""
 
     def notices(self) -> list[str]:
-        """Return what the user should know."""
         found = [
             f"The {self.slot} texture of {', '.join(map(repr, materials))} is left as it is: '{name}' "
             f"{self._materials.reason(name)}."

@@ -55,12 +55,10 @@ class Element:
 
     @property
     def scalars(self) -> dict[str, str]:
-        """The types of the scalar properties by their names."""
         return {known.name: known.type for known in self.properties if not known.count}
 
     @property
     def lists(self) -> list[Property]:
-        """The properties that are lists."""
         return [known for known in self.properties if known.count]
 
 

@@ -61,15 +61,12 @@ class TextBody(Body):
         self.start, self.stop = 0, len(self._values)
 
     def size(self, kind: str) -> int:
-        """Return 1: a scalar is a token."""
         return 1
 
     def view(self, kind: str) -> NDArray[Any]:
-        """Return the values of all tokens."""
         return self._values
 
     def checked(self, values: NDArray[Any], kind: str, where: str) -> NDArray[Any]:
-        """Return values in their type; InputError if one cannot be of it."""
         if kind[0] == "f":
             return values
         limits = np.iinfo(kind)

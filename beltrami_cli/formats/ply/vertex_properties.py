@@ -43,7 +43,6 @@ class Paint:
 
     @property
     def channels(self) -> tuple[str, ...]:
-        """The names of the channels."""
         if len(self.names) == 3:
             return ("red", "green", "blue")
         return ("intensity",) if self.any_range else ("grey",)

@@ -55,7 +55,6 @@ class Columns:
 
     @property
     def channels(self) -> tuple[str, ...]:
-        """The names of the colours."""
         return _RGB if len(self.colours) == 3 else ("intensity",)
 
     def names(self, count: int) -> list[str]:

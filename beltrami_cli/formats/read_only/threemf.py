@@ -294,7 +294,6 @@ class _Building:
             self.add(inner, matrix, path, depth + 1)
 
     def whole(self) -> ColouredPolygons:
-        """Return everything that was added."""
         corners = np.concatenate([np.empty(0, np.int64), *self._corners])
         others = set().union(*(model.others for model in self._models.values()))
         return ColouredPolygons(

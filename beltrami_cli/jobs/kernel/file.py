@@ -58,7 +58,6 @@ def kernel_file(
 
 
 def _probe_of(source: str, settings: SmoothSettings, access: Access, *, whole: bool) -> Probe:
-    """Take the samples of a file of which there is one kind."""
     document = open_input(source, settings, access)
     selection = select(document, settings)
     require_scale(document, selection)

@@ -52,7 +52,6 @@ class WorkingColours:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the columns."""
         return ("L", "a", "b", *self.channels[3:]) if self.space == "oklab" else self.channels
 
     def shades(self, colours: NDArray[np.float32]) -> NDArray[np.float32]:
