@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import os
+from functools import cache
 from numbers import Integral, Real
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -165,14 +166,21 @@ def part(record: type[Record], make: Callable[[], Record] | None = None) -> Any:
     return dataclasses.field(default_factory=make or record, metadata={_PART: record})
 
 
-def parameters(record: Any, *, deep: bool = False) -> Iterator[Parameter]:
-    """Give the parameters of a record, or its class, in their order; deep: also those of the records in it."""
+def parameters(record: Any, *, deep: bool = False) -> tuple[Parameter, ...]:
+    """Return the parameters of a record, or its class, in their order; deep: also those of the records in it."""
+    return _parameters_of(record if isinstance(record, type) else type(record), deep)
+
+
+@cache
+def _parameters_of(record: type, deep: bool) -> tuple[Parameter, ...]:
+    found: list[Parameter] = []
     for each in dataclasses.fields(record):
         if _PARAMETER in each.metadata:
             group = getattr(record, "group", "")
-            yield dataclasses.replace(each.metadata[_PARAMETER], name=each.name, group=group)
+            found.append(dataclasses.replace(each.metadata[_PARAMETER], name=each.name, group=group))
         elif deep and _PART in each.metadata:
-            yield from parameters(each.metadata[_PART], deep=True)
+            found += _parameters_of(each.metadata[_PART], deep)
+    return tuple(found)
 
 
 def parts(record: Any) -> dict[str, type]:
