@@ -1,6 +1,6 @@
-"""The official glTF validator of Khronos, an npm package that `make test` installs beside the Python packages.
+"""The glTF validator of Khronos, an npm package that `make test` installs, and its asset auditor, by `make audit`.
 
-The environment variable BELTRAMI_GLTF_VALIDATOR may name the folder of one that is installed elsewhere.
+The environment variables BELTRAMI_GLTF_VALIDATOR and BELTRAMI_GLTF_AUDITOR may name folders where they are elsewhere.
 """
 
 from __future__ import annotations
@@ -23,6 +23,22 @@ needs_validator = pytest.mark.skipif(
     _NODE is None or not _PACKAGE.is_dir(),
     reason="the glTF validator is not installed: run the tests by `make test`",
 )
+
+_AUDITOR = Path(os.environ.get("BELTRAMI_GLTF_AUDITOR", Path(sys.prefix) / "gltf-auditor"))
+needs_auditor = pytest.mark.skipif(
+    _NODE is None or not _AUDITOR.is_dir(),
+    reason="the glTF asset auditor is not installed: run make audit",
+)
+
+
+def unfit(*files):
+    """Return for each file which of the auditor's checks it fails."""
+    script = _SCRIPT.with_name("gltf_auditor.mjs")
+    done = subprocess.run(
+        [_NODE, script, _AUDITOR, *files], capture_output=True, text=True, timeout=300, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    return [set(found) for found in json.loads(done.stdout.splitlines()[-1])]
 
 
 def issues(*files):

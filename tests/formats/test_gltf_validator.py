@@ -1,4 +1,4 @@
-"""The official validator finds the same in a file before and after, for every glTF file there is."""
+"""The official validator and the asset auditor find the same in a file before and after."""
 
 from __future__ import annotations
 
@@ -19,10 +19,8 @@ from beltrami_cli.samples.settings import SmoothSettings, TextureSettings
 from formats.gltf_compressed import GRID, draco_model, meshopt_model
 from formats.gltf_files import Model, Textured, gltf_files
 from formats.gltf_showcase import noisy, photo, showcase
-from formats.gltf_validator import issues, needs_validator
+from formats.gltf_validator import issues, needs_auditor, needs_validator, unfit
 from formats.image_files import noise
-
-pytestmark = needs_validator
 
 SAMPLES = Path(__file__).parents[2] / "sample_data"
 EXTRA = os.environ.get("BELTRAMI_EXTRA_MESHES")
@@ -30,8 +28,8 @@ ONCE = KernelParameters(iterations=1, beta=1)
 COLOURS = np.random.default_rng(7).integers(0, 256, (len(GRID), 4)).astype("u1")
 
 
-def issues_before_and_after(source, folder):
-    """Smooth a file in every slot that it has, and validate both."""
+def smoothed(source, folder):
+    """Smooth a file in every slot that it has; return the result."""
     target = folder / "after" / source.name
     target.parent.mkdir()
     every = TextureSettings(slots=("baseColor", "emissive", "normal", "occlusion", "metallicRoughness"))
@@ -43,9 +41,26 @@ def issues_before_and_after(source, folder):
                 pytest.skip(str(error))
         else:
             break
-    return issues(source, target)
+    return target
 
 
+def issues_before_and_after(source, folder):
+    return issues(source, smoothed(source, folder))
+
+
+@needs_auditor
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "file",
+    [f for f in gltf_files(EXTRA or SAMPLES) if EXTRA or "noisy" in f.name],
+    ids=lambda file: file.name,
+)
+def test_the_asset_auditor_finds_nothing_new(tmp_path, file):
+    before, after = unfit(file, smoothed(file, tmp_path))
+    assert after <= before
+
+
+@needs_validator
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "file", [f for f in gltf_files(SAMPLES) if "noisy" in f.name], ids=lambda file: file.name
@@ -55,6 +70,7 @@ def test_samples_stay_as_valid_as_they_were(tmp_path, file):
     assert after == before
 
 
+@needs_validator
 @pytest.mark.skipif(not EXTRA, reason="BELTRAMI_EXTRA_MESHES names no folder")
 @pytest.mark.parametrize("file", gltf_files(EXTRA) if EXTRA else [], ids=lambda file: file.name)
 def test_other_files_stay_as_valid_as_they_were(tmp_path, file):
@@ -135,6 +151,7 @@ OUTSIDE = ("everything, images as data", "everything, images as file")
 FORMS = [(name, form) for name in MODELS for form in ("glb", "gltf") if form == "gltf" or name not in OUTSIDE]
 
 
+@needs_validator
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "form"), FORMS)
 def test_features_stay_as_valid_as_they_were(tmp_path, name, form):
@@ -145,6 +162,7 @@ def test_features_stay_as_valid_as_they_were(tmp_path, name, form):
     assert not [issue for issue in before if issue[0] == 0]
 
 
+@needs_validator
 def test_the_validator_sees_what_is_wrong(tmp_path):
     model = with_colours("plain")
     model.tree["accessors"][0]["count"] = 99
