@@ -40,7 +40,7 @@ class Run:
     def __init__(self, context):
         values, item = context.scene.beltrami, context.active_object
         start = command(context)
-        self._saves = values.saves
+        self._saves, self._name = values.saves, item.name
         self._temporary = tempfile.TemporaryDirectory(prefix="beltrami-")
         folder = Path(self._temporary.name)
         try:
@@ -58,8 +58,11 @@ class Run:
                 stderr=self._said,
                 env=os.environ | {"BELTRAMI_PROGRESS": "lines"},
             )
-        except BaseException:
+        except BaseException as error:
             self._temporary.cleanup()
+            if isinstance(error, OSError):
+                cause = f"{start[0]} cannot be started ({error.strerror}); name it in the preferences of this extension"
+                raise exchange.ExchangeError(cause) from error
             raise
 
     def lines(self):
@@ -89,8 +92,10 @@ class Run:
                         exchange.save(image)
         finally:
             self.end()
-        folder = self._temporary.name + os.sep
-        return [line.replace(folder, "") for line in said]
+        folder = Path(self._temporary.name)
+        for file in ("in.ply", "out.ply"):
+            said = [line.replace(str(folder / file), self._name) for line in said]
+        return said
 
     def end(self):
         """Stop the process, if need be, and remove the files."""

@@ -6,6 +6,7 @@ The command is named by BELTRAMI, since it lives in an environment of its own.
 import os
 import subprocess
 import sys
+import tempfile
 import time
 import zipfile
 from pathlib import Path
@@ -13,6 +14,9 @@ from types import SimpleNamespace
 
 import pytest
 
+os.environ.setdefault(
+    "BLENDER_USER_RESOURCES", tempfile.mkdtemp(prefix="beltrami-blender-")
+)  # not the user's own
 bpy = pytest.importorskip("bpy", reason="Blender as a module (bpy) is not installed: run make test-blender")
 np = pytest.importorskip("numpy")
 
@@ -23,14 +27,18 @@ SMALL_STEPS = {"iterations": 3, "beta": 8.0}
 
 
 @pytest.fixture(scope="module")
-def extension(tmp_path_factory):
-    """The extension as the command writes it, registered."""
-    folder = tmp_path_factory.mktemp("extension")
-    target = folder / "beltrami.zip"
+def written(tmp_path_factory):
+    """The extension as the command writes it."""
+    target = tmp_path_factory.mktemp("extension") / "beltrami.zip"
     subprocess.run([os.environ.get("BELTRAMI", "beltrami"), "blender-extension", target], check=True)
-    place = folder / "beltrami_extension"
-    zipfile.ZipFile(target).extractall(place)
-    sys.path.insert(0, str(folder))
+    return target
+
+
+@pytest.fixture(scope="module")
+def extension(written):
+    """Its modules, imported."""
+    zipfile.ZipFile(written).extractall(written.parent / "beltrami_extension")
+    sys.path.insert(0, str(written.parent))
     import beltrami_extension
 
     return beltrami_extension
@@ -318,6 +326,26 @@ def test_what_cannot_be_done_is_said_and_changes_nothing(scene):
     with pytest.raises(RuntimeError, match="ultraviolet"):
         bpy.ops.object.beltrami_smooth()
     np.testing.assert_array_equal(of_image(image), before)
+
+
+def test_blender_installs_it_and_it_names_what_cannot_be_started(written):
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.preferences.addon_enable(module="bl_pkg")
+    bpy.ops.extensions.package_install_files(
+        filepath=str(written), repo="user_default", enable_on_install=True
+    )
+    name = "bl_ext.user_default.beltrami"
+    preferences = bpy.context.preferences.addons[name].preferences
+    try:
+        painted_sphere()
+        choose(bpy.context.scene, "COLOURS", **SMALL_STEPS)
+        assert bpy.ops.object.beltrami_smooth() == {"FINISHED"}
+        assert bpy.context.scene.beltrami_said.startswith(f"{bpy.context.active_object.name}: ")
+        preferences.command = str(written.parent / "nowhere")
+        with pytest.raises(RuntimeError, match="nowhere cannot be started"):
+            bpy.ops.object.beltrami_smooth()
+    finally:
+        bpy.ops.preferences.addon_disable(module=name)
 
 
 def test_arguments_are_what_differs_from_the_defaults(scene, extension):
