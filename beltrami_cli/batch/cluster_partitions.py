@@ -22,9 +22,7 @@ from beltrami_cli.flow.partitions import Advance, Joined, TooNarrowError, collec
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-    import numpy as np
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Float32s, Int64s
     from beltrami_cli.batch.item import Item
     from beltrami_cli.flow.partitions import Partition, Transfer
 
@@ -116,7 +114,7 @@ class ClusterRunner:
     def run(
         self,
         partitions: Sequence[Partition],
-        values: NDArray[np.float32],
+        values: Float32s,
         iterations: int,
         progress: Callable[[int, int], None] | None,
     ) -> Joined:
@@ -143,7 +141,7 @@ class ClusterRunner:
     def _run(
         self,
         partitions: Sequence[Partition],
-        values: NDArray[np.float32],
+        values: Float32s,
         iterations: int,
         progress: Callable[[int, int], None] | None,
     ) -> Joined:
@@ -209,16 +207,14 @@ class ClusterRunner:
         return self._client.submit(function, *arguments, pure=False, **options)
 
 
-def _advance(
-    sent: _Portion, step: Advance, received: list[NDArray[np.float32]], iteration: int, width: int
-) -> Advance:
+def _advance(sent: _Portion, step: Advance, received: list[Float32s], iteration: int, width: int) -> Advance:
     if version("beltrami-cli") != sent.version:
         raise ProcessingError(f"a worker has version {version('beltrami-cli')}, not {sent.version}")
     borrowed = collect(sent.transfers, received, width)
     return sent.partition.advance(step.values, borrowed, iteration, sent.partition.threads or 1)
 
 
-def _rows_of(step: Advance, rows: NDArray[np.int64]) -> NDArray[np.float32]:
+def _rows_of(step: Advance, rows: Int64s) -> Float32s:
     return step.values[rows]
 
 
@@ -226,5 +222,5 @@ def _counts(step: Advance) -> tuple[float, int, bool]:
     return step.samples, step.truncated, step.is_exact
 
 
-def _values(step: Advance) -> NDArray[np.float32]:
+def _values(step: Advance) -> Float32s:
     return step.values

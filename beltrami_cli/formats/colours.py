@@ -10,8 +10,7 @@ from beltrami_cli.errors import InputError
 from beltrami_cli.surface.colour_values import linear_to_srgb
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Float32s, Float64s
     from beltrami_cli.surface.records import MeshContents, VertexColours
 
 BYTE = 255.0
@@ -19,7 +18,7 @@ _INTEGER_SCALES = (BYTE, 65535.0)
 _BRIGHTEST = 16.0  # four stops above white: float colours beyond this are taken for 0..255
 
 
-def full_scale(colours: NDArray[np.float64], name: str) -> tuple[float, str]:
+def full_scale(colours: Float64s, name: str) -> tuple[float, str]:
     """Return the full scale of finite stored colours, shape (V, C), and a notice, "" where there is no doubt."""
     # 255 if numbers exceed 1 and all are integers, or if one exceeds 16: colours of high dynamic range may leave
     # [0, 1], but hardly so far. Otherwise 1.
@@ -37,7 +36,7 @@ def full_scale(colours: NDArray[np.float64], name: str) -> tuple[float, str]:
     )
 
 
-def point_colour_scale(colours: NDArray[np.float64], name: str) -> tuple[float, str]:
+def point_colour_scale(colours: Float64s, name: str) -> tuple[float, str]:
     """Return what `full_scale` does, but 65535 for integers above 255: scanners write these too."""
     scale = _integer_scale(colours)
     if scale is None:
@@ -46,7 +45,7 @@ def point_colour_scale(colours: NDArray[np.float64], name: str) -> tuple[float, 
     return scale, notice if scale > BYTE else ""
 
 
-def intensity_scale(values: NDArray[np.float64]) -> tuple[float, str]:
+def intensity_scale(values: Float64s) -> tuple[float, str]:
     """Return the full scale of finite intensities, shape (P, 1), and a notice or ""."""
     # 1, 255 or 65535 as for colours, else the largest magnitude: it only affects reported noise and changes.
     if values.min() >= 0 and values.max() <= 1:
@@ -59,7 +58,7 @@ def intensity_scale(values: NDArray[np.float64]) -> tuple[float, str]:
     return largest, f"Intensities go from {low:g} to {high:g}; of full scale is what is {largest:g}."
 
 
-def _integer_scale(values: NDArray[np.float64]) -> float | None:
+def _integer_scale(values: Float64s) -> float | None:
     """Return 255 or 65535, the least that holds integers; None for other numbers, and for numbers up to 1."""
     largest = float(values.max())
     if largest <= 1 or values.min() < 0 or (values % 1 != 0).any():
@@ -67,7 +66,7 @@ def _integer_scale(values: NDArray[np.float64]) -> float | None:
     return next((scale for scale in _INTEGER_SCALES if largest <= scale), None)
 
 
-def display_colours(contents: MeshContents | VertexColours) -> tuple[NDArray[np.float32], list[str]]:
+def display_colours(contents: MeshContents | VertexColours) -> tuple[Float32s, list[str]]:
     """Return sRGB values of full scale 1, shape (V, 3), and a notice for each thing that was changed."""
     colours, notices = contents.colours, []
     if contents.encoding == "linear":

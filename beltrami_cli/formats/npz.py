@@ -24,7 +24,7 @@ from beltrami_cli.formats.access import require_ratio
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    from numpy.typing import NDArray
+    from beltrami_cli.arrays import Array
 
 _MAGIC = b"PK\x03\x04"
 NPY_MAGIC = b"\x93NUMPY"
@@ -54,13 +54,13 @@ class Header:
     def size(self) -> int:
         return self.count * self.dtype.itemsize
 
-    def array(self, data: bytes, offset: int = 0) -> NDArray[Any]:
+    def array(self, data: bytes, offset: int = 0) -> Array:
         """Return the numbers that stand in data from an offset, in the byte order of the machine."""
         flat = np.frombuffer(data, self.dtype, self.count, offset)
         array = flat.reshape(self.shape, order="F" if self.fortran else "C")
         return array.astype(self.dtype.newbyteorder("="), copy=False)
 
-    def exchanged(self, member: bytes, array: NDArray[Any]) -> bytes:
+    def exchanged(self, member: bytes, array: Array) -> bytes:
         """Return a member with other numbers, keeping what stands before and behind them."""
         numbers = array.astype(self.dtype).tobytes("F" if self.fortran else "C")
         return member[: self.offset] + numbers + member[self.offset + len(numbers) :]
@@ -114,7 +114,7 @@ class NpzArchive:
             raise self._error(key, "says that it is longer than its bytes can be")
         return header
 
-    def read(self, key: str, most: int | None = None) -> NDArray[Any]:
+    def read(self, key: str, most: int | None = None) -> Array:
         """Read an array; InputError as `header`, or if it has more than `most` numbers."""
         header = self.header(key)
         if most is not None and header.count > most:
@@ -143,7 +143,7 @@ class NpzArchive:
         with self._refusing_damage():
             return {member.filename: self._archive.read(member) for member in self._archive.infolist()}
 
-    def with_array(self, key: str, array: NDArray[Any]) -> bytes:
+    def with_array(self, key: str, array: Array) -> bytes:
         """Return the archive with other numbers in an array; members keep their order, dates and compression."""
         buffer, header = io.BytesIO(), self.header(key)
         with self._refusing_damage(), zipfile.ZipFile(buffer, "w") as new:
@@ -174,7 +174,7 @@ def _description(member: zipfile.ZipInfo) -> zipfile.ZipInfo:
     return new
 
 
-def read_npy(data: bytes, name: str) -> NDArray[Any]:
+def read_npy(data: bytes, name: str) -> Array:
     """Read the file of a single array; InputError if it is damaged or not of numbers."""
     try:
         header = _parse(data[: _LONGEST_HEADER + 12])

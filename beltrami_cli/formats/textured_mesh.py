@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from beltrami_cli.arrays import Float64s, Int32s
     from beltrami_cli.surface.records import AlphaMode, Slot, TexturedMesh
     from beltrami_cli.surface.tiling import Tile
 
@@ -59,7 +60,7 @@ def plain_name(name: str) -> str:
     return line
 
 
-def usable_coordinates(uv: NDArray[np.float64]) -> NDArray[np.float64]:
+def usable_coordinates(uv: Float64s) -> Float64s:
     """Return texture coordinates, NaN in place of those that single precision does not hold."""
     return np.where(np.abs(uv) < _LARGEST, uv, np.nan)
 
@@ -165,7 +166,7 @@ def alpha_mode(data: bytes, name: str) -> AlphaMode:
 
 def shown_materials(
     materials: Sequence[Material], material_of: NDArray[np.integer]
-) -> tuple[tuple[Material, ...], NDArray[np.int32]]:
+) -> tuple[tuple[Material, ...], Int32s]:
     """Return the materials that triangles have, and which of these each has."""
     used, number_of = np.unique(material_of, return_inverse=True)
     return tuple(materials[index] for index in used), number_of.astype(np.int32)

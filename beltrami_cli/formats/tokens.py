@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from itertools import chain
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from beltrami_cli.errors import InputError
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-    from numpy.typing import NDArray
+    from beltrami_cli.arrays import Array, Float64s, Int64s
 
 Spans = dict[tuple[int, int], bytes]
 """New bytes by where the old ones start and end."""
@@ -29,7 +29,7 @@ def blocks(count: int, size: int) -> Iterator[slice]:
         yield slice(first, min(first + size, count))
 
 
-def find_tokens(text: bytes) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def find_tokens(text: bytes) -> tuple[Int64s, Int64s]:
     """Return starts and ends, shape (T,), of the runs of bytes between ASCII white space."""
     solid = np.frombuffer(text.translate(_SOLID), np.bool_)
     if not solid.size:
@@ -55,7 +55,7 @@ def require_short_lines(text: bytes, name: str) -> None:
                 raise InputError(name, cause, "write one record a line")
 
 
-def read_numbers(text: bytes) -> NDArray[np.float64]:
+def read_numbers(text: bytes) -> Float64s:
     """Return the decimal numbers ("nan" and "inf" included) that a text starts with, up to the first other token."""
     values = _parse(text)
     if values is not None:
@@ -75,7 +75,7 @@ def read_numbers(text: bytes) -> NDArray[np.float64]:
     return np.concatenate(parts)
 
 
-def _parse(text: bytes) -> NDArray[np.float64] | None:
+def _parse(text: bytes) -> Float64s | None:
     if not text or text.isspace():
         return np.empty(0)  # NumPy would make one number of blanks.
     with warnings.catch_warnings():
@@ -87,10 +87,7 @@ def _parse(text: bytes) -> NDArray[np.float64] | None:
 
 
 def exchange_tokens(
-    text: bytes,
-    starts: NDArray[np.int64],
-    ends: NDArray[np.int64],
-    spell: Callable[[slice], Sequence[bytes]],
+    text: bytes, starts: Int64s, ends: Int64s, spell: Callable[[slice], Sequence[bytes]]
 ) -> list[bytes | memoryview]:
     """Return a text, in pieces, in which the T tokens at ascending places are those that `spell` gives for a slice."""
     whole = memoryview(text)
@@ -114,17 +111,17 @@ def exchange_spans(data: bytes, spans: Spans) -> bytes:
     return b"".join([*pieces, data[done:]]) if spans else data
 
 
-def shifted(places: NDArray[np.int64], spans: Spans) -> NDArray[np.int64]:
+def shifted(places: Int64s, spans: Spans) -> Int64s:
     """Return where places outside the spans are after these were exchanged."""
     ordered = sorted(spans.items())
     growth = np.cumsum([0, *(len(new) - (end - start) for (start, end), new in ordered)])
-    moved: NDArray[np.int64] = places + growth[np.searchsorted([start for (start, _), _ in ordered], places)]
+    moved: Int64s = places + growth[np.searchsorted([start for (start, _), _ in ordered], places)]
     return moved
 
 
-def zeroed(data: bytes, starts: NDArray[np.int64], size: int) -> bytes:
+def zeroed(data: bytes, starts: Int64s, size: int) -> bytes:
     """Return data in which the values of `size` bytes at some places, shape (n,), are zero."""
-    octets: NDArray[Any] = np.frombuffer(data, np.uint8).copy()
+    octets: Array = np.frombuffer(data, np.uint8).copy()
     for step in range(size):
         octets[starts + step] = 0
     return octets.tobytes()

@@ -15,8 +15,9 @@ from beltrami_cli.surface.validation import array_of, check_mesh, colour_table, 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
 
+    from beltrami_cli.arrays import Array, Float32s
     from beltrami_cli.samples.settings import SmoothSettings
 
 
@@ -64,9 +65,7 @@ def painted_arrays(
     return painted
 
 
-def checked_surface(
-    surface: ImageSurface | None, table: NDArray[np.float32], shape: tuple[int, int]
-) -> ImageSurface:
+def checked_surface(surface: ImageSurface | None, table: Float32s, shape: tuple[int, int]) -> ImageSurface:
     """Check where pixels lie; those whose colours are not finite are holes, too."""
     valid = np.asarray(np.isfinite(table.reshape(*shape, -1)).all(axis=2))
     if surface is None:
@@ -83,7 +82,7 @@ def checked_surface(
     return ImageSurface(heights, positions, valid)
 
 
-def pixel_colours(colours: ArrayLike) -> tuple[NDArray[np.float32], tuple[int, int]]:
+def pixel_colours(colours: ArrayLike) -> tuple[Float32s, tuple[int, int]]:
     """Return the colours of all pixels, shape (H * W, C), and the shape (H, W)."""
     image = array_of(colours, "colours")
     if image.ndim not in (2, 3) or image.size == 0:
@@ -92,7 +91,7 @@ def pixel_colours(colours: ArrayLike) -> tuple[NDArray[np.float32], tuple[int, i
     return colour_table(image.reshape(rows * columns, -1)), (rows, columns)
 
 
-def _pixel_array(values: ArrayLike, name: str, shape: tuple[int | None, ...], kinds: str) -> NDArray[Any]:
+def _pixel_array(values: ArrayLike, name: str, shape: tuple[int | None, ...], kinds: str) -> Array:
     """Take an array with a number for each pixel, or M numbers where the last of the shape is None."""
     array = array_of(values, name)
     fits = array.ndim == len(shape) and all(

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s
     from beltrami_cli.formats.document import Document, Written
     from beltrami_cli.formats.image import Picture
     from beltrami_cli.jobs.job import Progress
@@ -82,11 +83,7 @@ def bake_file(
 
 
 def _to_texture(
-    document: Document,
-    kind: str,
-    stem: str,
-    settings: BakeSettings,
-    progress: Progress | None,
+    document: Document, kind: str, stem: str, settings: BakeSettings, progress: Progress | None
 ) -> tuple[Written, dict[str, int], str, tuple[str, ...]]:
     made = texture_from_vertices(document, settings, progress)
     height, width, _ = made.pixels.shape
@@ -134,9 +131,7 @@ def _encoding(pictures: Sequence[Picture]) -> Encoding:
     return "linear" if all(picture.encoding == "linear" for picture in pictures) else "srgb"
 
 
-def _seen(
-    surface: TexturedSurface, pictures: Sequence[Picture]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _seen(surface: TexturedSurface, pictures: Sequence[Picture]) -> tuple[Float64s, Float64s]:
     """Return red, green, blue and alpha at every corner, white where there is no texture, and their noise."""
     texture_of = np.repeat(surface.texture_of, 3)
     uv = surface.uv.reshape(-1, 2)
@@ -153,9 +148,7 @@ def _seen(
     return values, _MEDIAN * np.median(np.abs(known), axis=0) if len(known) else np.zeros(4)
 
 
-def _spread(
-    values: NDArray[np.float64], place: NDArray[np.int32], textured: NDArray[np.bool_]
-) -> NDArray[np.float64]:
+def _spread(values: Float64s, place: Int32s, textured: Bools) -> Float64s:
     """Return how far the textured corners at each place differ, shape (places, 4)."""
     low = np.full((int(place.max()) + 1, 4), np.inf)
     high = -low
@@ -164,9 +157,7 @@ def _spread(
     return np.maximum(np.where(np.isfinite(low), high - low, 0), 0)
 
 
-def _mean(
-    values: NDArray[np.float64], vertex_of: NDArray[np.intp], textured: NDArray[np.bool_], count: int
-) -> NDArray[np.float32]:
+def _mean(values: Float64s, vertex_of: NDArray[np.intp], textured: Bools, count: int) -> Float32s:
     """Return the mean over the corners of each vertex; those without texture count only where there are no others."""
     any_textured = np.bincount(vertex_of[textured], minlength=count) > 0
     used = textured | ~any_textured[vertex_of]
@@ -175,7 +166,7 @@ def _mean(
     return (np.stack(sums, axis=1) / weight[:, None]).astype(np.float32)
 
 
-def _notices(split: int, textured: NDArray[np.bool_]) -> list[str]:
+def _notices(split: int, textured: Bools) -> list[str]:
     notices = [f"{split} corners lie at real colour edges, where vertices stay split."] if split else []
     bare = int((~textured).sum()) // 3
     return [*notices, *([f"{bare} triangles have no texture; their own vertices are white."] if bare else [])]

@@ -15,8 +15,7 @@ from beltrami_cli.formats.registry import open_document
 from beltrami_cli.samples.memory_check import require_memory
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Float32s
     from beltrami_cli.formats.document import Fingerprint, NamedImage
 
 
@@ -73,7 +72,7 @@ def _of_colours(old: Fingerprint, new: Fingerprint) -> list[Difference]:
     return found
 
 
-def _amount(before: NDArray[np.float32], after: NDArray[np.float32]) -> str:
+def _amount(before: Float32s, after: Float32s) -> str:
     """Say how many rows of colours differ, and by how much."""
     change = np.abs(after.astype(np.float64) - before)
     rows = np.count_nonzero(change.any(axis=1))

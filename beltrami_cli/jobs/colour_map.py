@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from beltrami_cli.arrays import Bools, Float32s, Float64s, Uint8s
 
 # Every tenth part of the colour map viridis: its lightness grows evenly, also for the colour-blind and in grey.
 # S. van der Walt, N. Smith, "A better default colormap for matplotlib" (2015), in the public domain (CC0).
@@ -31,9 +31,7 @@ _GREY_FROM, _GREY_TO = 0.35, 0.9
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
 
-def colour_by_value(
-    values: NDArray[np.float32], painting: NDArray[np.float32], known: NDArray[np.bool_]
-) -> NDArray[np.float64]:
+def colour_by_value(values: Float32s, painting: Float32s, known: Bools) -> Float64s:
     """Colour values in [0, 1], of any shape, by viridis; where none is known, the painting's grey shows."""
     at = np.clip(np.where(known, values, 0), 0, 1)
     steps = np.linspace(0, 1, len(VIRIDIS))
@@ -42,6 +40,6 @@ def colour_by_value(
     return np.where(known[..., None], colours, grey[..., None])
 
 
-def as_bytes(colours: NDArray[np.float64]) -> NDArray[np.uint8]:
+def as_bytes(colours: Float64s) -> Uint8s:
     """Round display values in [0, 1] to bytes."""
     return np.rint(255 * colours).astype(np.uint8)

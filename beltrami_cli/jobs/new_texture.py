@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -28,8 +28,7 @@ from beltrami_cli.surface.unwrap import require_few_faces, unwrap
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s, Int64s
     from beltrami_cli.formats.document import Document
     from beltrami_cli.formats.image import Picture
     from beltrami_cli.jobs.settings import BakeSettings
@@ -47,11 +46,11 @@ _SHARED = 0.01  # share of texels at several places that rounding at the edges o
 class NewTexture:
     """A mesh with a texture that is made for it."""
 
-    positions: NDArray[np.float64]
-    faces: NDArray[np.int32]
-    uv: NDArray[np.float64]  # as in `TexturedMesh`
-    space_of: NDArray[np.int32] | None  # as in `PaintedVertices`
-    pixels: NDArray[Any]  # uint8 or uint16, (H, W, 3) or (H, W, 4): the texture, sRGB
+    positions: Float64s
+    faces: Int32s
+    uv: Float64s  # as in `TexturedMesh`
+    space_of: Int32s | None  # as in `PaintedVertices`
+    pixels: Array  # uint8 or uint16, (H, W, 3) or (H, W, 4): the texture, sRGB
     charts: int | None  # how many, if it was unwrapped
     notices: tuple[str, ...]
 
@@ -76,10 +75,7 @@ class NewTexture:
 
 
 def texture_from_vertices(
-    document: Document,
-    wanted: BakeSettings,
-    progress: Progress = None,
-    colours: NDArray[np.float32] | None = None,
+    document: Document, wanted: BakeSettings, progress: Progress = None, colours: Float32s | None = None
 ) -> NewTexture:
     """Spread the vertex colours, or others, shape (V, C), in their stead, over the texels of a texture."""
     # They are interpolated as the numbers that are stored (in glTF linear light), and rounded once.
@@ -103,7 +99,7 @@ def texture_from_vertices(
     values = _vertex_values(contents)
     corners = values[faces]
 
-    def shade(owners: NDArray[np.int64], weights: NDArray[np.float64]) -> NDArray[Any]:
+    def shade(owners: Int64s, weights: Float64s) -> Array:
         return _rounded(_as_srgb(interpolated(corners, owners, weights), contents.encoding), dtype)
 
     pixels = bake(uv, size, shade, values.shape[1], dtype)
@@ -130,7 +126,7 @@ def texture_from_textures(
     images = [as_rgba(picture) for picture in pictures]
     dtype = np.uint8 if all(picture.stored == "uint8" for picture in pictures) else np.uint16
 
-    def shade(owners: NDArray[np.int64], weights: NDArray[np.float64]) -> NDArray[Any]:
+    def shade(owners: Int64s, weights: Float64s) -> Array:
         seen = np.ones((len(owners), 4))
         uv = interpolated(old.uv, owners, _within(weights))
         for index, (picture, texture) in enumerate(zip(pictures, old.textures, strict=True)):
@@ -146,9 +142,9 @@ def texture_from_textures(
 
 def _unwrapped(
     document: Document,
-    positions: NDArray[np.float64],
-    faces: NDArray[np.int32],
-    space_of: NDArray[np.int32] | None,
+    positions: Float64s,
+    faces: Int32s,
+    space_of: Int32s | None,
     texels: float,
     wanted: BakeSettings,
     progress: Progress,
@@ -166,9 +162,7 @@ def _unwrapped(
     )
 
 
-def _kept_uv(
-    document: Document, corners: NDArray[np.float64], side: int | None
-) -> tuple[NDArray[np.float64], tuple[int, int]]:
+def _kept_uv(document: Document, corners: Float64s, side: int | None) -> tuple[Float64s, tuple[int, int]]:
     """Return the document's own texture coordinates, if no texel is at two places, and the texture's size."""
     surface = document.textured("baseColor")
     cause = ""
@@ -188,7 +182,7 @@ def _kept_uv(
     raise InputError(document.name, f"its texture coordinates cannot be kept: {cause}", "leave out --keep-uv")
 
 
-def _vertex_values(contents: MeshContents) -> NDArray[np.float32]:
+def _vertex_values(contents: MeshContents) -> Float32s:
     colours = contents.colours
     colours = np.repeat(colours, 3, axis=1) if colours.shape[1] == 1 else colours
     if contents.alpha is None or (contents.alpha >= 1).all():
@@ -225,7 +219,7 @@ def _what_textures_lose(document: Document, old: TexturedSurface, pictures: list
     return tuple(notices)
 
 
-def texels_of(surface: TexturedSurface, sizes: NDArray[np.int64]) -> float:
+def texels_of(surface: TexturedSurface, sizes: Int64s) -> float:
     """Return how many texels the textured triangles have together."""
     painted = surface.texture_of >= 0
     corners = surface.uv[painted] * sizes[surface.texture_of[painted]][:, None]
@@ -233,7 +227,7 @@ def texels_of(surface: TexturedSurface, sizes: NDArray[np.int64]) -> float:
     return float(np.abs(one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0]).sum() / 2)
 
 
-def as_rgba(picture: Picture) -> NDArray[np.float32]:
+def as_rgba(picture: Picture) -> Float32s:
     """Return a picture as red, green, blue and opacity of full scale 1."""
     values = without_alpha(picture, to_float(picture))
     colour = values[..., [*picture.colour] * (3 // len(picture.colour))]
@@ -241,20 +235,20 @@ def as_rgba(picture: Picture) -> NDArray[np.float32]:
     return np.concatenate([colour, alpha], axis=2)
 
 
-def _within(weights: NDArray[np.float64]) -> NDArray[np.float64]:
+def _within(weights: Float64s) -> Float64s:
     """Move places beside a triangle into it: what its texture shows there belongs to something else."""
-    inside: NDArray[np.float64] = np.clip(weights, 0, 1)
+    inside: Float64s = np.clip(weights, 0, 1)
     inside /= np.maximum(inside.sum(axis=1, keepdims=True), 1)
     return inside
 
 
-def _as_srgb(values: NDArray[np.float64], encoding: Encoding) -> NDArray[np.float64]:
+def _as_srgb(values: Float64s, encoding: Encoding) -> Float64s:
     """Return colours, shape (N, 3) or (N, 4) with opacity, as display values."""
     if encoding == "srgb":
         return values
     return np.column_stack([linear_to_srgb(values[:, :3]), values[:, 3:]])
 
 
-def _rounded(values: NDArray[np.float64], dtype: Depth) -> NDArray[Any]:
+def _rounded(values: Float64s, dtype: Depth) -> Array:
     """Round values of full scale 1 to a type, clipping them to its range."""
     return np.rint(np.clip(values, 0, 1) * np.iinfo(dtype).max).astype(dtype)

@@ -20,8 +20,7 @@ from beltrami_cli.samples.settings import DEFAULTS
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Float32s, Float64s
     from beltrami_cli.formats.document import Document
     from beltrami_cli.jobs.job import Job
     from beltrami_cli.jobs.settings import NoiseSettings
@@ -85,7 +84,7 @@ def noise_file(
     return NoiseReport(painter.added, made.written, made.warnings)
 
 
-def add_noise(grains: Grains, settings: NoiseSettings) -> NDArray[np.float32]:
+def add_noise(grains: Grains, settings: NoiseSettings) -> Float32s:
     """Add noise to colours of full scale 1, shape (K, N), clipped to [0, 1] unless some colours lie beyond."""
     colours, number_of = grains.colours, grains.number_of
     if not colours.size or settings.sigma == 0:
@@ -105,9 +104,7 @@ def add_noise(grains: Grains, settings: NoiseSettings) -> NDArray[np.float32]:
     return noisy.clip(*grains.limits)
 
 
-def _changed(
-    colours: NDArray[np.float64], numbers: NDArray[np.float64], settings: NoiseSettings
-) -> NDArray[np.float64]:
+def _changed(colours: Float64s, numbers: Float64s, settings: NoiseSettings) -> Float64s:
     from scipy.special import ndtri
 
     sigma = settings.sigma
@@ -120,7 +117,7 @@ def _changed(
     return np.where(numbers < sigma / 2, 0.0, np.where(numbers > 1 - sigma / 2, 1.0, colours))
 
 
-def _counted(colours: NDArray[np.float64], numbers: NDArray[np.float64], sigma: float) -> NDArray[np.float64]:
+def _counted(colours: Float64s, numbers: Float64s, sigma: float) -> Float64s:
     """Count photons: full scale is 1 / sigma^2 of them, so that their deviation is sigma of full scale there."""
     from scipy.stats import poisson
 

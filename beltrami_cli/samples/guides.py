@@ -21,6 +21,7 @@ from beltrami_cli.formats.registry import document_of
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s
     from beltrami_cli.formats.document import Document
     from beltrami_cli.formats.image import Picture
     from beltrami_cli.samples.settings import SmoothSettings
@@ -37,7 +38,7 @@ def vertex_guides(document: Document, settings: SmoothSettings, access: Access) 
     ]
 
 
-def _values(document: Document, name: str, access: Access) -> NDArray[np.float64]:
+def _values(document: Document, name: str, access: Access) -> Float64s:
     known = document.attributes()
     if name.lower() in {attribute.lower() for attribute in known}:
         values = document.attribute(name)
@@ -51,7 +52,7 @@ def _values(document: Document, name: str, access: Access) -> NDArray[np.float64
     return read_table(name, len(document.painted().positions), document.name, access)
 
 
-def read_table(path: str, rows: int, model: str, access: Access) -> NDArray[np.float64]:
+def read_table(path: str, rows: int, model: str, access: Access) -> Float64s:
     """Read a guide for vertices, shape (V, G), from an array, an archive with one, or the vertex colours of a model."""
     data = read_source(path, access)
     if data[: len(NPY_MAGIC)] == NPY_MAGIC:
@@ -73,14 +74,14 @@ def read_table(path: str, rows: int, model: str, access: Access) -> NDArray[np.f
     return numbers
 
 
-def read_map(path: str, access: Access) -> NDArray[np.float32]:
+def read_map(path: str, access: Access) -> Float32s:
     """Read a guide for texels or pixels, shape (H, W, G)."""
     picture = read_image(read_source(path, access), path, finite=False)
     channels = [i for i in range(picture.pixels.shape[2]) if i != picture.alpha]
     return np.asarray(full_scale_one(picture.pixels[..., channels]), np.float32)
 
 
-def require_size(image: NDArray[Any], size: tuple[int, int], path: str, of: str) -> None:
+def require_size(image: Array, size: tuple[int, int], path: str, of: str) -> None:
     """Check that an image has the size of the one that it guides."""
     if image.shape[:2] != size:
         rows, columns = image.shape[:2]
@@ -108,15 +109,15 @@ class GuideImage:
     """A guide with one row per pixel."""
 
     name: str
-    image: NDArray[np.float32]
+    image: Float32s
     beta: float | None
 
-    def at(self, pixels: NDArray[np.int64]) -> Guide:
+    def at(self, pixels: Int64s) -> Guide:
         return Guide(self.name, self.image.reshape(-1, self.image.shape[2])[pixels], self.beta)
 
 
 def read_guide_images(
-    picture: Picture, valid: NDArray[np.bool_], settings: SmoothSettings, access: Access
+    picture: Picture, valid: Bools, settings: SmoothSettings, access: Access
 ) -> tuple[GuideImage, ...]:
     """Read all guides for an image."""
     guides = []

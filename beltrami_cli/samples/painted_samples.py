@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from beltrami_cli.arrays import Float32s, Int32s
     from beltrami_cli.flow.beltrami_flow import BeltramiFlow, FlowResult
     from beltrami_cli.flow.embedding import Guide
     from beltrami_cli.samples.settings import SmoothSettings
@@ -87,7 +88,7 @@ class PaintedSamples(Samples):
         """Return the vertices that have a position and a colour."""
         return coloured_rows(self.painted)
 
-    def shift(self, grains: Grains, after: NDArray[np.float32]) -> Repainted:
+    def shift(self, grains: Grains, after: Float32s) -> Repainted:
         painted, channels, rows = self.painted, self.channels.changing, self.coloured()
         back = from_space(after, painted.encoding, self.settings.space)
         colours = painted.colours.copy()
@@ -112,7 +113,7 @@ class PaintedSamples(Samples):
             **self._used(flow, result),
         )
 
-    def _repainted(self, vertices: NDArray[np.intp], after: NDArray[np.float32]) -> Repainted:
+    def _repainted(self, vertices: NDArray[np.intp], after: Float32s) -> Repainted:
         """Give some vertices new colours; conversion there and back is not exact, but its result stays in range."""
         painted, changing = self.painted, self.channels.changing
         colours = painted.colours.copy()
@@ -133,7 +134,7 @@ def coloured_rows(painted: PaintedVertices, *, in_triangles: bool = False) -> ND
     return np.flatnonzero(valid)
 
 
-def places_of(painted: PaintedVertices, rows: NDArray[np.intp]) -> NDArray[np.int32]:
+def places_of(painted: PaintedVertices, rows: NDArray[np.intp]) -> Int32s:
     """Return the number of each vertex's place, shape (S,)."""
     columns = list(painted.positions[rows].T)
     if painted.space_of is not None:

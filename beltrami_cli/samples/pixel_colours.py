@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,8 +12,7 @@ from beltrami_cli.formats.image.picture import full_scale_one, is_associated, su
 from beltrami_cli.samples.samples import Change, channel_numbers, store
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Array, Bools, Float32s, Int64s
     from beltrami_cli.flow.manifold import NewColours
     from beltrami_cli.flow.parameters import Space
     from beltrami_cli.formats.image import Picture
@@ -73,26 +72,26 @@ class ImageColours:
             name for name, channel in chosen.items() if channel not in (*picture.colour, picture.alpha)
         )
 
-    def usable(self) -> NDArray[np.bool_]:
+    def usable(self) -> Bools:
         """Return which pixels have finite numbers in all sampled channels, shape (H, W)."""
         pixels = self._picture.pixels
         if pixels.dtype.kind != "f":
             return np.ones(pixels.shape[:2], bool)
         return np.asarray(np.isfinite(pixels[..., self.channels]).all(axis=2))
 
-    def visible(self) -> NDArray[np.bool_]:
+    def visible(self) -> Bools:
         """Return which pixels supply colours, shape (H, W): not those of opacity 0, unless that is smoothed."""
         picture = self._picture
         if picture.alpha is None or picture.alpha in self.channels:
             return np.ones(picture.pixels.shape[:2], bool)
         return supplies_colour(picture, picture.pixels[..., picture.alpha])
 
-    def samples(self, pixels: NDArray[np.int64]) -> NDArray[np.float32]:
+    def samples(self, pixels: Int64s) -> Float32s:
         """Return the colours of some pixels (row * width + column) in the working space, shape (T, N)."""
         table = self._table(self._picture.pixels)
         return self._working(full_scale_one(table[pixels[:, None], self.channels]), self._opacity(pixels))
 
-    def repainted(self, new: NewColours, threads: int) -> tuple[NDArray[Any], Change]:
+    def repainted(self, new: NewColours, threads: int) -> tuple[Array, Change]:
         """Return the picture's pixels with new colours, and how they changed; other numbers keep their bits."""
         result = self._picture.pixels.copy()
         table, changes = self._table(result), []
@@ -106,16 +105,16 @@ class ImageColours:
             changes.append(store(self._picture, table, block, after[:, written], channels, threads))
         return result, Change.joined(changes)
 
-    def _table(self, pixels: NDArray[Any]) -> NDArray[Any]:
+    def _table(self, pixels: Array) -> Array:
         return pixels.reshape(-1, pixels.shape[2])
 
-    def _opacity(self, pixels: NDArray[np.int64]) -> NDArray[np.float32]:
+    def _opacity(self, pixels: Int64s) -> Float32s:
         """Return the opacity by which the colours of some pixels are multiplied, shape (T, 1)."""
         if not self._is_divided:
             return np.ones((1, 1), np.float32)
         return full_scale_one(self._table(self._picture.pixels)[pixels, self._picture.alpha, None])
 
-    def _working(self, stored: NDArray[np.float32], opacity: NDArray[np.float32]) -> NDArray[np.float32]:
+    def _working(self, stored: Float32s, opacity: Float32s) -> Float32s:
         """Convert numbers of full scale 1 to the working space, in place."""
         if any(self._coloured):
             if self._is_divided:
@@ -124,9 +123,7 @@ class ImageColours:
             stored[:, self._coloured] = converted
         return stored
 
-    def _stored(
-        self, before: NDArray[np.float32], samples: NDArray[np.float32], opacity: NDArray[np.float32]
-    ) -> NDArray[np.float32]:
+    def _stored(self, before: Float32s, samples: Float32s, opacity: Float32s) -> Float32s:
         """Convert samples back from the working space; unchanged ones keep their numbers."""
         moved = self._working(before.copy(), opacity) != samples
         back = samples.copy()

@@ -19,8 +19,7 @@ from beltrami_cli.surface.lookup import look_up
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Float32s, Int64s
     from beltrami_cli.formats.access import Access
     from beltrami_cli.formats.document import Document
     from beltrami_cli.formats.image import Picture
@@ -58,7 +57,7 @@ class GuidedTexels:
             raise InputError(name, f"no {asked}; the slots of {self.document.name} are {known}")
         return Guide(name, self._of_file(name), beta)
 
-    def _of_file(self, path: str) -> NDArray[np.float32]:
+    def _of_file(self, path: str) -> Float32s:
         if len(self.pictures) != 1:
             names = ", ".join(texture.name for texture in self.surface.textures)
             raise UsageError(
@@ -70,7 +69,7 @@ class GuidedTexels:
         require_finite(values, path, "pixel")
         return values
 
-    def _of_slot(self, slot: Slot) -> NDArray[np.float32]:
+    def _of_slot(self, slot: Slot) -> Float32s:
         """Return the values of another slot at each owned texel."""
         guiding = self.document.textured(slot)
         images = self._images(guiding, slot)
@@ -89,7 +88,7 @@ class GuidedTexels:
                 )
         return values
 
-    def _images(self, guiding: TexturedSurface, slot: Slot) -> list[NDArray[np.float32]]:
+    def _images(self, guiding: TexturedSurface, slot: Slot) -> list[Float32s]:
         """Decode the textures of a slot, each of shape (H, W, G), in the working space."""
         pictures = [read_image(texture.data, texture.name) for texture in guiding.textures]
         textures = dataclasses.replace(self.settings.textures, alpha="keep")
@@ -128,13 +127,11 @@ class GuidedTexels:
         return int(shown[0])
 
 
-def _at(image: NDArray[np.float32], texels: NDArray[np.int64]) -> NDArray[np.float32]:
+def _at(image: Float32s, texels: Int64s) -> Float32s:
     return image.reshape(-1, image.shape[2])[texels]
 
 
-def _at_size(
-    image: NDArray[np.float32], size: tuple[int, ...], texture: Texture, texels: NDArray[np.int64]
-) -> NDArray[np.float32]:
+def _at_size(image: Float32s, size: tuple[int, ...], texture: Texture, texels: Int64s) -> Float32s:
     """Sample an image at the centres of texels of an image of another size, or of the same."""
     if image.shape[:2] == size:
         return _at(image, texels)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -23,8 +23,7 @@ from beltrami_cli.surface.volume import (
 )
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s
     from beltrami_cli.formats.access import Access
     from beltrami_cli.surface.records import Encoding
     from beltrami_cli.surface.volume import Lattice, Volume
@@ -37,14 +36,14 @@ _FULL_SCALE = {"uint8": 255.0, "uint16": 65535.0}
 class Paint:
     """Colours at the V vertices of a level set."""
 
-    colours: NDArray[np.float32]  # full scale 1, one or three channels; white where there is none
-    alpha: NDArray[np.float32] | None  # opacity, shape (V,), where the source has it
-    found: NDArray[np.bool_]  # where there is a colour, shape (V,)
+    colours: Float32s  # full scale 1, one or three channels; white where there is none
+    alpha: Float32s | None  # opacity, shape (V,), where the source has it
+    found: Bools  # where there is a colour, shape (V,)
     encoding: Encoding
     stored: str  # type of the source
     notices: list[str] = field(default_factory=list)
 
-    def vertices(self, positions: NDArray[np.float64], faces: NDArray[np.int32]) -> PaintedVertices:
+    def vertices(self, positions: Float64s, faces: Int32s) -> PaintedVertices:
         """Return the vertices to smooth; triangles with a vertex without a colour are left out."""
         names = ("red", "green", "blue") if self.colours.shape[1] == 3 else ("grey",)
         whole = np.ascontiguousarray(faces[self.found[faces].all(axis=1)])
@@ -73,8 +72,8 @@ def paint(
     source: GridColours | NearColours,
     where: str,
     lattice: Lattice,
-    known: NDArray[np.bool_],
-    positions: NDArray[np.float64],
+    known: Bools,
+    positions: Float64s,
     threads: int,
 ) -> Paint:
     """Return the colours of the vertices, shape (V, 3); voxels that are not `known` supply none."""
@@ -94,9 +93,7 @@ def _equal(one: Lattice, other: Lattice) -> bool:
     return np.array_equal(one.axes, other.axes) and np.array_equal(one.origin, other.origin)
 
 
-def _scaled(
-    source: GridColours | NearColours, stored: NDArray[np.float64], found: NDArray[np.bool_], name: str
-) -> Paint:
+def _scaled(source: GridColours | NearColours, stored: Float64s, found: Bools, name: str) -> Paint:
     """Scale stored numbers to full scale 1, and separate opacity from colours."""
     width = 3 if stored.shape[1] >= 3 else 1
     kind = source.samples.dtype.name
@@ -117,7 +114,7 @@ def _scaled(
     return Paint(colours, alpha, found, encoding, stored_as, notices)
 
 
-def _opacity(stored: NDArray[Any], found: NDArray[np.bool_], scale: float) -> NDArray[np.float32]:
+def _opacity(stored: Array, found: Bools, scale: float) -> Float32s:
     """Return opacity of full scale 1; it is 1 at vertices without a colour, which belong to the surface."""
     scale = scale if stored[found].max() > 1 else 1.0
     return np.where(found, np.clip(stored / scale, 0, 1), 1.0).astype(np.float32)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -17,8 +17,7 @@ from beltrami_cli.surface.volume import places
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Array, Bools, Float64s, Int32s
     from beltrami_cli.formats.access import Access
     from beltrami_cli.formats.document import Changes, Naming, Written
     from beltrami_cli.samples.settings import Inside, LevelSetSettings
@@ -95,8 +94,8 @@ def _allowed(settings: LevelSetSettings, access: Access) -> int:
 
 
 def _triangulated(
-    volume: Volume, known: NDArray[np.bool_], level: float, inside: Inside, name: str
-) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    volume: Volume, known: Bools, level: float, inside: Inside, name: str
+) -> tuple[Float64s, Int32s]:
     """Return the surface, in units of the grid, facing outwards in space."""
     from beltrami_cli.surface.level_set import find_crossings, triangulate_level_set
 
@@ -119,7 +118,7 @@ def _triangulated(
     return vertices, faces[:, ::-1] if (inside == "above") != mirrored else faces
 
 
-def _facts_of(volume: Volume, known: NDArray[np.bool_], level: float) -> dict[str, object]:
+def _facts_of(volume: Volume, known: Bools, level: float) -> dict[str, object]:
     return {
         "grid": list(volume.values.shape),
         "spacing": np.linalg.norm(volume.lattice.axes, axis=1).tolist(),
@@ -130,7 +129,7 @@ def _facts_of(volume: Volume, known: NDArray[np.bool_], level: float) -> dict[st
     }
 
 
-def _range(values: NDArray[Any], known: NDArray[np.bool_]) -> tuple[float, float]:
+def _range(values: Array, known: Bools) -> tuple[float, float]:
     """Return the smallest and the largest known value; NaN if there is none."""
     first = int(np.argmax(known))
     if not known.flat[first]:

@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s, Int64s, Uint8s
+
     # int32 in atlases of textures, which halves the memory for them.
     Indices: TypeAlias = NDArray[np.signedinteger[Any]]
     from collections.abc import Sequence
@@ -48,30 +50,30 @@ class Atlas:
     """Charts laid out on one canvas of R x C cells."""
 
     # Shape (R, C): EMPTY, OWNED or HALO. A margin as wide as the halo is EMPTY or HALO on all sides.
-    kind: NDArray[np.uint8]
+    kind: Uint8s
     # Shape (4, R, C): squared distance in space, in the surface's own unit, from the cell to its neighbour
     # on the right, below, below right, and below left. Infinite where the neighbour lies outside, and where
     # the surface ends between the two (at an open edge, or between two parts of a chart that only touch in
     # the image); without meaning where either is EMPTY.
-    squared_lengths: NDArray[np.float32]
+    squared_lengths: Float32s
     # Shape (K,): flat indices, ascending, of the cells between which and a neighbour, not EMPTY, the
     # surface ends at an edge.
     cut_cells: Indices
     owned_cells: Indices  # (T,): flat indices of the owned cells, ascending
     owned_texels: Indices  # (T,): the texel of each: offset of its texture plus row * width + column
     # Shape (number of textures + 1,): texels of texture i are numbered from its offset, row by row.
-    texture_offsets: NDArray[np.int64]
+    texture_offsets: Int64s
     halo_cells: Indices  # (H,): flat indices of the halo cells, ascending
     # Shape (H, 4): owned cells (flat indices) from which the halo cell's colour is interpolated.
     halo_taps: Indices
-    halo_weights: NDArray[np.float32]  # (H, 4): their weights, not negative, with the sum 1
+    halo_weights: Float32s  # (H, 4): their weights, not negative, with the sum 1
     # Shape (H,): the seam over which the cell was reached, or -1 (no seam: the cell stands for a texel
     # owned elsewhere).
-    halo_seams: NDArray[np.int32]
+    halo_seams: Int32s
     gutter_cells: Indices  # (G,): halo cells (flat indices) that stand on a texel that nothing covers
     # Shape (G,): that texel, each at most once: what a lookup just beyond a chart's border should see.
     gutter_texels: Indices
-    chart_of: NDArray[np.int32]  # (T,): chart of each owned cell
+    chart_of: Int32s  # (T,): chart of each owned cell
     # How many; a seam is a run of seam edges between the same two charts (or of a chart with itself).
     charts: int
     seams: int
@@ -86,9 +88,7 @@ class Atlas:
         return np.take_along_axis(self.halo_taps, nearest[:, None], axis=1)[:, 0]
 
 
-def texels_by_texture(
-    offsets: NDArray[np.int64], texels: Indices
-) -> Iterator[tuple[int, NDArray[np.bool_] | slice, Indices]]:
+def texels_by_texture(offsets: Int64s, texels: Indices) -> Iterator[tuple[int, Bools | slice, Indices]]:
     """Yield each texture's index, which of the texels are of it, and these counted from its first."""
     if not len(texels):
         return
@@ -104,7 +104,7 @@ def texels_by_texture(
             yield index, inside, texels[inside] - begin
 
 
-def refresh_halo(planes: NDArray[Any], atlas: Atlas, *, interpolated: bool = False) -> None:
+def refresh_halo(planes: Array, atlas: Atlas, *, interpolated: bool = False) -> None:
     """Give the halo cells of all planes, shape (N, R, C), in place, the values of their owned cells."""
     # The nearest cell is better for colours that are averaged: a mean has less noise than other samples,
     # and beside an edge it is a colour that neither side has, over which kernels find their way across.
@@ -118,7 +118,7 @@ def refresh_halo(planes: NDArray[Any], atlas: Atlas, *, interpolated: bool = Fal
                 plane[cells] = plane[atlas.halo_nearest[block]]
 
 
-def without_halo(atlas: Atlas, dropped: NDArray[np.bool_]) -> Atlas:
+def without_halo(atlas: Atlas, dropped: Bools) -> Atlas:
     """Return the atlas with some of its halo cells, shape (H,), empty."""
     kind = atlas.kind.copy()
     kind.reshape(-1)[atlas.halo_cells[dropped]] = EMPTY
@@ -135,7 +135,7 @@ def without_halo(atlas: Atlas, dropped: NDArray[np.bool_]) -> Atlas:
     )
 
 
-def without_owned(atlas: Atlas, dropped: NDArray[np.bool_]) -> Atlas:
+def without_owned(atlas: Atlas, dropped: Bools) -> Atlas:
     """Return the atlas with some of its owned cells, shape (T,), empty; halo cells lose their colours."""
     gone = np.zeros(atlas.kind.size, bool)
     gone[atlas.owned_cells[dropped]] = True
@@ -183,7 +183,7 @@ def build_atlas(
     return Atlas(texture_offsets=np.concatenate([[0], np.cumsum(texels)]).astype(np.int64), **made)
 
 
-def _grids(surface: TexturedSurface, sizes: Sequence[tuple[int, int]]) -> NDArray[np.int32]:
+def _grids(surface: TexturedSurface, sizes: Sequence[tuple[int, int]]) -> Int32s:
     """Width, height and codes of the wrap modes along u and v of each texture."""
     rows = [
         (width, height, *(_WRAP_CODES[mode] for mode in texture.wrap))
@@ -197,10 +197,7 @@ _STEPS = ((0, 1), (1, 0), (1, 1), (1, -1))
 
 
 def grid_atlas(
-    shape: tuple[int, int],
-    margin: int,
-    positions: NDArray[np.float64] | None = None,
-    valid: NDArray[np.bool_] | None = None,
+    shape: tuple[int, int], margin: int, positions: Float64s | None = None, valid: Bools | None = None
 ) -> Atlas:
     """Lay out an image, shape (H, W), as one chart without seams, with `margin` empty cells around."""
     # Positions, shape (H, W, M), that are not finite are holes; without them pixels lie on the plane, 1
@@ -235,9 +232,7 @@ def grid_atlas(
     )
 
 
-def _filled(
-    shape: tuple[int, int], positions: NDArray[np.float64] | None, valid: NDArray[np.bool_] | None
-) -> NDArray[np.bool_]:
+def _filled(shape: tuple[int, int], positions: Float64s | None, valid: Bools | None) -> Bools:
     """Return which pixels are no holes."""
     if valid is not None and valid.shape != shape:
         raise ValueError(f"valid has the shape {valid.shape}, but the image {shape}")
@@ -247,12 +242,7 @@ def _filled(
     return filled if positions is None else filled & np.isfinite(positions).all(axis=2)
 
 
-def _measure(
-    plane: NDArray[np.float32],
-    step: tuple[int, int],
-    filled: NDArray[np.bool_],
-    positions: NDArray[np.float64] | None,
-) -> None:
+def _measure(plane: Float32s, step: tuple[int, int], filled: Bools, positions: Float64s | None) -> None:
     """Write the squared lengths of the edges in one direction; those at holes stay infinite."""
     here, there = _ends(step)
     edges = filled[here] & filled[there]

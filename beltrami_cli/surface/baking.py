@@ -16,7 +16,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import DTypeLike, NDArray
 
-    Shade = Callable[[NDArray[np.int64], NDArray[np.float64]], NDArray[Any]]
+    from beltrami_cli.arrays import Array, Bools, Float64s, Int32s, Int64s
+
+    Shade = Callable[[Int64s, Float64s], Array]
 
 
 _BLOCK = 1 << 20  # texels looked at at a time, which bounds the memory for them
@@ -27,22 +29,22 @@ _EDGE = 1e-9  # barycentric: centres on an edge are inside, whichever way they a
 class Cover:
     """Some texels and the triangles that they lie in."""
 
-    texels: NDArray[np.int64]  # (K,): row * width + column
-    faces: NDArray[np.int64]  # (K,): the triangle of each
+    texels: Int64s  # (K,): row * width + column
+    faces: Int64s  # (K,): the triangle of each
     # Shape (K, 2): barycentric weights of its second and third corner. Texels inside have none below 0
     # (beyond rounding).
-    weights: NDArray[np.float64]
+    weights: Float64s
 
     @property
-    def inside(self) -> NDArray[np.bool_]:
+    def inside(self) -> Bools:
         """Whether each centre lies in the triangle, edges included."""
         all_three = np.column_stack([self.weights, 1 - self.weights.sum(axis=1)])
-        inside: NDArray[np.bool_] = np.all(all_three >= -_EDGE, axis=1)
+        inside: Bools = np.all(all_three >= -_EDGE, axis=1)
         return inside
 
 
 def cover(
-    uv: NDArray[np.float64], size: tuple[int, int], reach: float = 0.0, chosen: NDArray[np.intp] | None = None
+    uv: Float64s, size: tuple[int, int], reach: float = 0.0, chosen: NDArray[np.intp] | None = None
 ) -> Iterator[Cover]:
     """Yield texels whose centres lie in triangles with an area, or up to `reach` texels from them."""
     corners = uv * size - 0.5  # so that centres are whole numbers
@@ -63,7 +65,7 @@ def cover(
             yield Cover(row * size[0] + column, face, weights / area[face][:, None])
 
 
-def border_faces(uv: NDArray[np.float64]) -> NDArray[np.intp]:
+def border_faces(uv: Float64s) -> NDArray[np.intp]:
     """Return the triangles that have an edge which no other triangle has in the image."""
     point_of, _ = group_equal_rows(*uv.reshape(-1, 2).T)
     points = point_of.reshape(-1, 3)
@@ -73,23 +75,19 @@ def border_faces(uv: NDArray[np.float64]) -> NDArray[np.intp]:
     return np.flatnonzero(alone.reshape(-1, 3).any(axis=1))
 
 
-def _cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-    product: NDArray[np.float64] = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+def _cross(a: Float64s, b: Float64s) -> Float64s:
+    product: Float64s = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
     return product
 
 
-def _rows(
-    corners: NDArray[np.float64], reach: float, height: int
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _rows(corners: Float64s, reach: float, height: int) -> tuple[Int64s, Int64s]:
     y = corners[:, :, 1]
     low = np.ceil(np.clip(y.min(axis=1, initial=np.inf) - reach - _EDGE, -1, height))
     high = np.floor(np.clip(y.max(axis=1, initial=-np.inf) + reach + _EDGE, -1, height))
     return np.maximum(low, 0).astype(np.int64), np.minimum(high, height - 1).astype(np.int64)
 
 
-def _columns(
-    corners: NDArray[np.float64], rows: NDArray[np.int64], reach: float, width: int
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _columns(corners: Float64s, rows: Int64s, reach: float, width: int) -> tuple[Int64s, Int64s]:
     """Return the first and the last column of each triangle in its row: where its edges run through the strip."""
     ends = np.roll(corners, -1, axis=1)
     (ax, ay), (bx, by) = np.moveaxis(corners, 2, 0), np.moveaxis(ends, 2, 0)
@@ -108,7 +106,7 @@ def _columns(
     return np.maximum(first, 0).astype(np.int64), np.minimum(last, width - 1).astype(np.int64)
 
 
-def _blocks(counts: NDArray[np.int64]) -> Iterator[slice]:
+def _blocks(counts: Int64s) -> Iterator[slice]:
     """Split rows into runs whose counts add up to about a block."""
     sums = np.cumsum(counts)
     first = 0
@@ -119,9 +117,7 @@ def _blocks(counts: NDArray[np.int64]) -> Iterator[slice]:
         first = last
 
 
-def _expanded(
-    starts: NDArray[np.int64], counts: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _expanded(starts: Int64s, counts: Int64s) -> tuple[Int64s, Int64s]:
     """Return start, start + 1, ... for every row, and which row each number belongs to."""
     owner = np.repeat(np.arange(len(counts)), counts)
     before = np.cumsum(counts) - counts
@@ -132,13 +128,8 @@ _FAR = 1.0  # texels beyond a border that bilinear lookups on it touch
 
 
 def bake(
-    uv: NDArray[np.float64],
-    size: tuple[int, int],
-    shade: Shade,
-    channels: int,
-    dtype: DTypeLike,
-    threads: int = 1,
-) -> NDArray[Any]:
+    uv: Float64s, size: tuple[int, int], shade: Shade, channels: int, dtype: DTypeLike, threads: int = 1
+) -> Array:
     """Paint a texture, shape (height, width, channels), with what `shade` gives for triangles and weights."""
     # Texels just beyond the border of a chart continue its triangles (there weights leave [0, 1]), so that
     # bilinear lookups on the border are right; all others have the colour of the nearest chart.
@@ -162,9 +153,7 @@ def bake(
     return texture
 
 
-def interpolated(
-    corners: NDArray[np.floating[Any]], faces: NDArray[np.int64], weights: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def interpolated(corners: NDArray[np.floating[Any]], faces: Int64s, weights: Float64s) -> Float64s:
     """Interpolate between the corners, shape (F, 3, C), of triangles; exact where all three agree."""
     # Outside the triangle values go on linearly, but no further beyond those of the corners than these
     # differ.
@@ -173,11 +162,11 @@ def interpolated(
     steps = mine[:, 1:] - mine[:, :1]
     values = first + weights[:, :1] * steps[:, 0] + weights[:, 1:] * steps[:, 1]
     low, high = mine.min(axis=1), mine.max(axis=1)
-    limited: NDArray[np.float64] = np.clip(values, 2 * low - high, 2 * high - low)
+    limited: Float64s = np.clip(values, 2 * low - high, 2 * high - low)
     return limited
 
 
-def overlap(uv: NDArray[np.float64], size: tuple[int, int]) -> float:
+def overlap(uv: Float64s, size: tuple[int, int]) -> float:
     """Return the share of the covered texels that lie inside more than one triangle."""
     hits = np.zeros(size[0] * size[1], np.int32)
     for part in cover(uv, size):
@@ -187,7 +176,7 @@ def overlap(uv: NDArray[np.float64], size: tuple[int, int]) -> float:
     return float((hits > 1).sum() / max(1, (hits > 0).sum()))
 
 
-def texels_for_vertices(positions: NDArray[np.float64], faces: NDArray[np.int32]) -> float:
+def texels_for_vertices(positions: Float64s, faces: Int32s) -> float:
     """Return how many texels cover a mesh if each is half as long as an edge."""
     unit = positions / max(float(np.abs(positions).max(initial=0)), np.finfo(float).tiny)
     edges = np.linalg.norm(unit[faces] - unit[np.roll(faces, -1, axis=1)], axis=2)

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
+    from beltrami_cli.arrays import Array, Float32s, Float64s
     from beltrami_cli.surface.atlas import Indices
 
 
@@ -43,22 +44,18 @@ def linear_to_srgb(values: ArrayLike) -> NDArray[np.floating[Any]]:
     return _signed(np.where(size <= _KNEE_LINEAR, size * _SLOPE, curve), given)
 
 
-def _magnitude(values: ArrayLike) -> tuple[NDArray[Any], NDArray[np.float64]]:
+def _magnitude(values: ArrayLike) -> tuple[Array, Float64s]:
     given = np.asarray(values)
     return given, np.abs(given.astype(np.float64))
 
 
-def _signed(size: NDArray[np.float64], given: NDArray[Any]) -> NDArray[np.floating[Any]]:
-    values: NDArray[np.float64] = np.copysign(size, given)
+def _signed(size: Float64s, given: Array) -> NDArray[np.floating[Any]]:
+    values: Float64s = np.copysign(size, given)
     return values.astype(np.float32) if given.dtype == np.float32 else values
 
 
 def store_integers(
-    table: NDArray[Any],
-    pixels: Indices,
-    values: NDArray[np.float32],
-    channels: Sequence[int],
-    threads: int,
+    table: Array, pixels: Indices, values: Float32s, channels: Sequence[int], threads: int
 ) -> tuple[float, float, float]:
     """Put values into pixels of integers, in place; return sum, sum of squares and maximum of the changes."""
     # What is beyond full scale is clipped; what is no number becomes 0.

@@ -17,37 +17,37 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s
 
 
-def bounds(positions: NDArray[np.float64]) -> list[list[float]]:
+def bounds(positions: Float64s) -> list[list[float]]:
     """Return the least and the greatest coordinates; nothing if there are no positions."""
     return [positions.min(axis=0).tolist(), positions.max(axis=0).tolist()] if len(positions) else []
 
 
-def unit_vectors(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+def unit_vectors(vectors: Float64s) -> Float64s:
     """Return vectors, shape (N, 3), with length 1, or 0 where they have none."""
     length = np.linalg.norm(vectors, axis=1, keepdims=True)
     return np.asarray(np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 0))
 
 
-def shortest_type(positions: NDArray[np.float64]) -> NDArray[np.float32] | NDArray[np.float64]:
+def shortest_type(positions: Float64s) -> Float32s | Float64s:
     """Return positions as float32 if that loses nothing, which takes fewer bytes or digits in a file."""
     with np.errstate(over="ignore"):  # Beyond float32 they become infinite, which is not equal.
         single = positions.astype(np.float32)
     return single if bool((single == positions).all()) else positions
 
 
-def triangle_areas(positions: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:
+def triangle_areas(positions: Float64s, faces: Int32s) -> Float64s:
     """Compute the areas of triangles in any dimension, from the Gram determinant."""
     p = positions[faces[:, 1]] - positions[faces[:, 0]]
     q = positions[faces[:, 2]] - positions[faces[:, 0]]
     gram = (p * p).sum(1) * (q * q).sum(1) - (p * q).sum(1) ** 2
-    areas: NDArray[np.float64] = 0.5 * np.sqrt(np.maximum(gram, 0))
+    areas: Float64s = 0.5 * np.sqrt(np.maximum(gram, 0))
     return areas
 
 
-def vertex_areas(positions: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float32]:
+def vertex_areas(positions: Float64s, faces: Int32s) -> Float32s:
     """Compute the area that each vertex stands for: a third of the triangles around it."""
     # In units of the mean over all vertices; 0 at isolated vertices.
     third = np.repeat(triangle_areas(positions, faces) / 3, 3)
@@ -60,9 +60,7 @@ def vertex_areas(positions: NDArray[np.float64], faces: NDArray[np.int32]) -> ND
 _CANCELLED = 1e-12
 
 
-def vertex_normals(
-    positions: NDArray[np.float64], faces: NDArray[np.int32], group_of: NDArray[np.int32]
-) -> NDArray[np.float32]:
+def vertex_normals(positions: Float64s, faces: Int32s, group_of: Int32s) -> Float32s:
     """Compute the mean unit normal of the triangles around each vertex; 0 where they cancel out."""
     # Weights are the angle [1] and the square root of the area, since the normals of slivers are mostly
     # noise. Vertices with the same number in `group_of` have one normal in common, such as the copies of a
@@ -79,9 +77,7 @@ def vertex_normals(
     return np.asarray(normals[group_of], np.float32)
 
 
-def normal_tensors(
-    positions: NDArray[np.float64], faces: NDArray[np.int32], group_of: NDArray[np.int32]
-) -> NDArray[np.float64]:
+def normal_tensors(positions: Float64s, faces: Int32s, group_of: Int32s) -> Float64s:
     """Return the sum of n n^T over the triangles around each group, weighted by area: the quadric of [2]."""
     # The largest eigenvalue is 1: in a plane this is the projector on its normal, on a crease that on the
     # plane of both normals, at a corner of a cube all of space. 0 where there is no area.
@@ -94,16 +90,14 @@ def normal_tensors(
     return np.asarray(np.divide(tensors, largest, out=np.zeros_like(tensors), where=largest > 0), np.float64)
 
 
-def _double_areas(positions: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:
+def _double_areas(positions: Float64s, faces: Int32s) -> Float64s:
     """Return the normal of each triangle, as long as twice its area, shape (F, 3)."""
     corners = positions[faces]
-    crosses: NDArray[np.float64] = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    crosses: Float64s = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     return crosses
 
 
-def _angles(
-    positions: NDArray[np.float64], faces: NDArray[np.int32], double_area: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _angles(positions: Float64s, faces: Int32s, double_area: Float64s) -> Float64s:
     """Return the angle of each corner of each triangle, shape (F, 3), in radians."""
     angles = np.empty((len(faces), 3))
     for corner in range(3):
@@ -114,16 +108,14 @@ def _angles(
     return angles
 
 
-def _gathered(
-    values: NDArray[np.float64], faces: NDArray[np.int32], group_of: NDArray[np.int32]
-) -> NDArray[np.float64]:
+def _gathered(values: Float64s, faces: Int32s, group_of: Int32s) -> Float64s:
     """Sum what corners have, shape (3 F, N), first corners first, over each group of vertices, shape (G, N)."""
     groups = group_of[faces].T.ravel()
     count = int(group_of.max(initial=-1)) + 1
     return np.stack([np.bincount(groups, column, count) for column in values.T], axis=1)
 
 
-def on_boundary(faces: NDArray[np.int32], count: int) -> NDArray[np.bool_]:
+def on_boundary(faces: Int32s, count: int) -> Bools:
     """Return which vertices are ends of an edge that has one triangle only."""
     # Triangles with the same three vertices count once, those that repeat a vertex not at all.
     corners = np.sort(faces.astype(np.int64), axis=1)
@@ -157,7 +149,7 @@ class TopologyCounts:
     isolated_vertices: int  # vertices in no triangle
 
 
-def count_topology(positions: NDArray[np.float64], faces: NDArray[np.int32]) -> TopologyCounts:
+def count_topology(positions: Float64s, faces: Int32s) -> TopologyCounts:
     """Count the parts of a triangle mesh; duplicate faces count once for the edges."""
     count = len(positions)
     faces = np.sort(faces.astype(np.int64), axis=1)
@@ -186,16 +178,14 @@ def count_topology(positions: NDArray[np.float64], faces: NDArray[np.int32]) -> 
 _ROUNDS = 3
 
 
-def mean_side(positions: NDArray[np.float64], faces: NDArray[np.int32]) -> float:
+def mean_side(positions: Float64s, faces: Int32s) -> float:
     """Return the mean length of the sides of all faces, shape (F, 3); 1 without faces."""
     corners = positions[faces]
     sides = corners - np.roll(corners, 1, axis=1)
     return float(np.sqrt((sides**2).sum(axis=2)).mean()) if len(corners) else 1.0
 
 
-def edges_in_space(
-    edges: NDArray[np.int32], positions: NDArray[np.float64]
-) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
+def edges_in_space(edges: Int32s, positions: Float64s) -> tuple[Int32s, Float64s]:
     """Return the edges, shape (L, 2), whose ends lie apart, and their lengths."""
     squared = np.zeros(len(edges))
     for axis in range(positions.shape[1]):
@@ -204,14 +194,14 @@ def edges_in_space(
     return edges[long], np.sqrt(squared[long])
 
 
-def local_spacing(count: int, edges: NDArray[np.int32], lengths: NDArray[np.float64]) -> NDArray[np.float64]:
+def local_spacing(count: int, edges: Int32s, lengths: Float64s) -> Float64s:
     """Return the mean edge length around each vertex, shape (count,), smoothed over neighbours."""
     if not len(edges):
         return np.ones(count)
     degree = np.bincount(edges.ravel(), minlength=count)
     total = np.bincount(edges[:, 0], lengths, count) + np.bincount(edges[:, 1], lengths, count)
     # Vertices without edges get the overall mean.
-    spacing: NDArray[np.float64] = np.where(degree > 0, total / np.maximum(degree, 1), lengths.mean())
+    spacing: Float64s = np.where(degree > 0, total / np.maximum(degree, 1), lengths.mean())
     for _ in range(_ROUNDS):
         around = np.bincount(edges[:, 0], spacing[edges[:, 1]], count)
         around = around + np.bincount(edges[:, 1], spacing[edges[:, 0]], count)

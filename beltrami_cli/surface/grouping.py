@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+
+    from beltrami_cli.arrays import Array, Bools, Float64s, Int32s
 
 # Odd constants of the splitmix64 generator (Steele, Lea, Flood 2014): each step is a bijection of 64-bit
 # words.
@@ -16,7 +18,7 @@ _MIX_1 = np.uint64(0xBF58476D1CE4E5B9)
 _MIX_2 = np.uint64(0x94D049BB133111EB)
 
 
-def group_equal_rows(*columns: NDArray[Any]) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+def group_equal_rows(*columns: Array) -> tuple[Int32s, Int32s]:
     """Find the distinct rows of a table, numbered by their first row: each row's number, and first rows."""
     # Columns are of any integer or floating type, without NaN; -0.0 equals 0.0.
     words = [_as_words(column) for column in columns]
@@ -41,9 +43,7 @@ def group_equal_rows(*columns: NDArray[Any]) -> tuple[NDArray[np.int32], NDArray
     return _number_by_first(order, new)
 
 
-def group_places(
-    positions: NDArray[np.float64], space_of: NDArray[np.int32] | None
-) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+def group_places(positions: Float64s, space_of: Int32s | None) -> tuple[Int32s, Int32s]:
     """Find the distinct positions, each in its space, as `group_equal_rows` does."""
     return group_equal_rows(*positions.T, *([] if space_of is None else [space_of]))
 
@@ -60,9 +60,7 @@ def distinct_corners(*columns: NDArray[np.generic]) -> tuple[NDArray[np.intp], N
     return order[new], number_of
 
 
-def _number_by_first(
-    order: NDArray[np.intp], new: NDArray[np.bool_]
-) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+def _number_by_first(order: NDArray[np.intp], new: Bools) -> tuple[Int32s, Int32s]:
     # The sort is stable, so the first member of a run is the group's first row.
     runs = np.cumsum(new) - 1
     first_of_run = order[new]
@@ -74,7 +72,7 @@ def _number_by_first(
     return group_of, first_of_run[by_first].astype(np.int32)
 
 
-def _as_words(column: NDArray[Any]) -> NDArray[np.uint64]:
+def _as_words(column: Array) -> NDArray[np.uint64]:
     if column.dtype.kind == "f":
         return (column.astype(np.float64) + 0.0).view(np.uint64)
     return column.astype(np.int64).view(np.uint64)

@@ -13,7 +13,7 @@ import os
 import weakref
 from contextvars import ContextVar
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -23,7 +23,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
 
-    from numpy.typing import DTypeLike, NDArray
+    from numpy.typing import DTypeLike
+
+    from beltrami_cli.arrays import Array
 
 BLOCK = 1 << 20
 """Samples that passes over all of them take at a time."""
@@ -54,19 +56,19 @@ def kept_on_disk(folder: Path) -> Iterator[None]:
         _DISK.reset(token)
 
 
-def zeros(shape: int | Sequence[int], dtype: DTypeLike) -> NDArray[Any]:
+def zeros(shape: int | Sequence[int], dtype: DTypeLike) -> Array:
     """Return an array of zeros, like `numpy.zeros`; ProcessingError if the disk is full where it belongs."""
     found = _on_disk(shape, dtype)
     return np.zeros(shape, dtype) if found is None else found
 
 
-def empty(shape: int | Sequence[int], dtype: DTypeLike) -> NDArray[Any]:
+def empty(shape: int | Sequence[int], dtype: DTypeLike) -> Array:
     """Return an array whose values mean nothing yet, like `numpy.empty`; ProcessingError as for `zeros`."""
     found = _on_disk(shape, dtype)
     return np.empty(shape, dtype) if found is None else found
 
 
-def _on_disk(shape: int | Sequence[int], dtype: DTypeLike) -> NDArray[Any] | None:
+def _on_disk(shape: int | Sequence[int], dtype: DTypeLike) -> Array | None:
     disk = _DISK.get()
     shape = (shape,) if isinstance(shape, int) else tuple(shape)
     size = math.prod(shape) * np.dtype(dtype).itemsize
@@ -91,7 +93,7 @@ def _on_disk(shape: int | Sequence[int], dtype: DTypeLike) -> NDArray[Any] | Non
     return np.frombuffer(pages, dtype).reshape(shape)
 
 
-def copy_of(array: NDArray[Any]) -> NDArray[Any]:
+def copy_of(array: Array) -> Array:
     """Return a copy of an array, made block by block."""
     copy = empty(array.shape, array.dtype)
     source, target = array.reshape(-1), copy.reshape(-1)

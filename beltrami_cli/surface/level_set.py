@@ -16,7 +16,7 @@ References
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -25,7 +25,7 @@ from scipy.sparse.csgraph import connected_components
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from numpy.typing import NDArray
+    from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s
 
 # In units of the change of values across the surface: nearer to the level than that is outside by that
 # much, since marching cubes leaves holes where values are on the level itself.
@@ -45,7 +45,7 @@ class Crossings:
     scale: float  # A power of two near 1 / the geometric mean of the change of values along these edges
 
 
-def find_crossings(values: NDArray[Any], level: float, known: NDArray[np.bool_] | None = None) -> Crossings:
+def find_crossings(values: Array, level: float, known: Bools | None = None) -> Crossings:
     """Count the edges of a grid, shape (X, Y, Z), that a level set cuts; what is not finite is unknown."""
     count, total = 0, 0.0
     for first, stop in _slabs(values.shape, overlap=1):
@@ -69,8 +69,8 @@ def find_crossings(values: NDArray[Any], level: float, known: NDArray[np.bool_] 
 
 
 def triangulate_level_set(
-    values: NDArray[Any], level: float, crossings: Crossings, known: NDArray[np.bool_] | None = None
-) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    values: Array, level: float, crossings: Crossings, known: Bools | None = None
+) -> tuple[Float64s, Int32s]:
     """Triangulate a level set that crosses some edges: vertices in units of the grid, and faces."""
     # Faces are counter-clockwise where values grow towards the viewer. Cells with an unknown corner have
     # none, so that the surface has holes there.
@@ -104,9 +104,7 @@ def _slabs(shape: tuple[int, ...], overlap: int) -> Iterator[tuple[int, int]]:
         yield first, min(first + thickness + overlap, shape[0])
 
 
-def _prepared(
-    values: NDArray[Any], level: float, scale: float, known: NDArray[np.bool_] | None
-) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+def _prepared(values: Array, level: float, scale: float, known: Bools | None) -> tuple[Float32s, Bools]:
     """Return the values relative to the level, and which cells to look at, each at its last corner."""
     # The cell of (i, j, k) has its first corner at (i - 1, j - 1, k - 1): so scikit-image reads its mask.
     offsets = np.empty(values.shape, np.float32)
@@ -127,9 +125,7 @@ def _prepared(
     return offsets, finite
 
 
-def compacted(
-    vertices: NDArray[np.float64], faces: NDArray[np.int32]
-) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+def compacted(vertices: Float64s, faces: Int32s) -> tuple[Float64s, Int32s]:
     """Put together vertices that edges join and whose nearest grid point is the same, in the middle of them."""
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     nearest = np.rint(vertices)
@@ -141,19 +137,17 @@ def compacted(
     return _without_loose(middles, _distinct(group_of[faces].astype(np.int32)))
 
 
-def _distinct(faces: NDArray[np.int32]) -> NDArray[np.int32]:
+def _distinct(faces: Int32s) -> Int32s:
     """Leave out triangles that have collapsed, and pairs of opposite ones, which bound nothing."""
     ordered = np.sort(faces, axis=1)
     proper = (ordered[:, 0] != ordered[:, 1]) & (ordered[:, 1] != ordered[:, 2])
     faces, ordered = faces[proper], ordered[proper]
     _, first, uses = np.unique(ordered, axis=0, return_index=True, return_counts=True)
-    kept: NDArray[np.int32] = faces[np.sort(first[uses % 2 == 1])]
+    kept: Int32s = faces[np.sort(first[uses % 2 == 1])]
     return kept
 
 
-def _without_loose(
-    vertices: NDArray[np.float64], faces: NDArray[np.int32]
-) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+def _without_loose(vertices: Float64s, faces: Int32s) -> tuple[Float64s, Int32s]:
     """Leave out vertices that are in no triangle."""
     used = np.zeros(len(vertices), bool)
     used[faces] = True

@@ -7,7 +7,7 @@ References
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,44 +17,43 @@ from beltrami_cli.surface import large_arrays
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s
     from beltrami_cli.surface.records import Wrap
 
 
 def look_up(
-    image: NDArray[np.float32],
-    uv: NDArray[Any],
+    image: Float32s,
+    uv: Array,
     wrap: tuple[Wrap, Wrap],
     alpha: int | None = None,
     precision: type[np.float32] | type[np.float64] = np.float64,
-) -> NDArray[Any]:
+) -> Array:
     """Interpolate between the four texels around each place; exact where the four agree."""
     # Places are (u to the right, v down), (0, 0) the upper left corner of the image and (1, 1) the lower
     # right. Where the channel `alpha`, the opacity, is transparent, no colour is taken.
     height, width = image.shape[:2]
     left, right, across = _taps(uv[:, 0], width, wrap[0])
     upper, lower, down = _taps(uv[:, 1], height, wrap[1])
-    four: list[NDArray[Any]] = [
+    four: list[Array] = [
         _texels(image, row, column).astype(precision, copy=False)
         for row in (upper, lower)
         for column in (left, right)
     ]
     right_part, lower_part = (part.astype(precision, copy=False)[:, None] for part in (across, down))
-    plain: NDArray[Any] = _mixed(four, right_part, lower_part)
+    plain: Array = _mixed(four, right_part, lower_part)
     if alpha is None:
         return plain
     opacity = plain[:, alpha : alpha + 1]
     weighted = _mixed([texel * texel[:, alpha : alpha + 1] for texel in four], right_part, lower_part)
     agree = np.ptp(np.stack([texel[:, alpha] for texel in four]), axis=0) == 0
-    seen: NDArray[Any] = plain.copy()
+    seen: Array = plain.copy()
     np.divide(weighted, opacity, out=seen, where=(opacity > 0) & ~agree[:, None])
     seen[:, alpha] = plain[:, alpha]
     return seen
 
 
-def _texels(image: NDArray[Any], row: NDArray[np.int64], column: NDArray[np.int64]) -> NDArray[Any]:
-    found: NDArray[Any]
+def _texels(image: Array, row: Int64s, column: Int64s) -> Array:
+    found: Array
     if image.flags.c_contiguous:  # as it mostly is, and then this is faster
         found = image.reshape(-1, image.shape[2]).take(row * image.shape[1] + column, axis=0)
     else:
@@ -62,9 +61,7 @@ def _texels(image: NDArray[Any], row: NDArray[np.int64], column: NDArray[np.int6
     return found
 
 
-def noise_around(
-    image: NDArray[np.float32], uv: NDArray[np.float64], wrap: tuple[Wrap, Wrap]
-) -> NDArray[np.float64]:
+def noise_around(image: Float32s, uv: Float64s, wrap: tuple[Wrap, Wrap]) -> Float64s:
     """Return samples of the texture's noise: what a mask gives that turns any plane to zero [1]."""
     # They have the standard deviation of independent noise.
     # samples with its standard deviation.
@@ -79,16 +76,14 @@ def noise_around(
     return total
 
 
-def _mixed(four: list[NDArray[Any]], across: NDArray[Any], down: NDArray[Any]) -> NDArray[Any]:
+def _mixed(four: list[Array], across: Array, down: Array) -> Array:
     upper = four[0] + across * (four[1] - four[0])
     lower = four[2] + across * (four[3] - four[2])
-    mixed: NDArray[Any] = upper + down * (lower - upper)
+    mixed: Array = upper + down * (lower - upper)
     return mixed
 
 
-def _taps(
-    coordinate: NDArray[Any], count: int, wrap: Wrap
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[Any]]:
+def _taps(coordinate: Array, count: int, wrap: Wrap) -> tuple[Int64s, Int64s, Array]:
     """Return the texels on both sides along one axis, and how far between them each place lies."""
     # Whole periods are taken off first: coordinates may be huge, and only their remainder says anything.
     period = 2.0 if wrap == "mirror" else 1.0
@@ -101,16 +96,16 @@ def _taps(
     return _wrapped(first, count, wrap), _wrapped(first + 1, count, wrap), at - first
 
 
-def _all_within(values: NDArray[Any], end: float) -> bool:
+def _all_within(values: Array, end: float) -> bool:
     """Return whether all values are in [0, end), so that there is nothing to wrap."""
     return bool(values.size) and bool(values.min() >= 0) and bool(values.max() < end)
 
 
-def _wrapped(index: NDArray[np.int64], count: int, wrap: Wrap) -> NDArray[np.int64]:
+def _wrapped(index: Int64s, count: int, wrap: Wrap) -> Int64s:
     if _all_within(index, count):
         return index
     if wrap == "clamp":
-        inside: NDArray[np.int64] = np.clip(index, 0, count - 1)
+        inside: Int64s = np.clip(index, 0, count - 1)
         return inside
     if wrap == "repeat":
         return index % count
@@ -123,14 +118,14 @@ ROWS = 512
 
 
 def fill_gutter(
-    pixels: NDArray[Any],
-    covered: NDArray[np.bool_],
-    mask: NDArray[np.bool_] | None,
+    pixels: Array,
+    covered: Bools,
+    mask: Bools | None,
     width: int | None,
-    known: NDArray[np.bool_] | None = None,
+    known: Bools | None = None,
     threads: int = 1,
     channels: Sequence[int] | None = None,
-    opacity: NDArray[np.float32] | None = None,
+    opacity: Float32s | None = None,
 ) -> None:
     """Give texels beside charts, in place, the colour of the nearest covered texel."""
     # `mask`: where the source had content; other texels keep theirs. `width`: the largest distance, in
@@ -160,14 +155,14 @@ def fill_gutter(
             table[texels, channel] = found if share is None else _scaled(found, share)
 
 
-def _scaled(colours: NDArray[Any], share: NDArray[np.float32]) -> NDArray[Any]:
+def _scaled(colours: Array, share: Float32s) -> Array:
     scaled = colours * share
     if colours.dtype.kind != "f":
         scaled = np.minimum(np.rint(scaled), np.iinfo(colours.dtype).max)
     return scaled.astype(colours.dtype)
 
 
-def within(covered: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
+def within(covered: Bools, reach: int) -> Bools:
     """Return which cells are at most `reach` rows and columns from a covered one."""
     near, known = covered, 0
     while known < reach:

@@ -23,8 +23,7 @@ import numpy as np
 from beltrami_cli.surface.grouping import group_places
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Float32s, Float64s, Int32s
     from beltrami_cli.surface.records import PaintedVertices
 
 # Nearest neighbours asked for, until there are enough to know a point's triangles: usually the first number
@@ -33,7 +32,7 @@ _NEIGHBOURS = (24, 64, 192)
 BLOCK = 1 << 17  # points asked for at a time, which bounds the memory that their neighbours take
 
 
-def faces_of_points(painted: PaintedVertices, threads: int) -> NDArray[np.int32]:
+def faces_of_points(painted: PaintedVertices, threads: int) -> Int32s:
     """Find triangles between painted points in at most three dimensions, whose own faces do not count."""
     # Coincident points are each a corner of the triangles that their place has.
     place_of, first = group_places(painted.positions, painted.space_of)
@@ -42,7 +41,7 @@ def faces_of_points(painted: PaintedVertices, threads: int) -> NDArray[np.int32]
     return first[faces] if len(first) == len(place_of) else _with_copies(faces, place_of, painted.colours)
 
 
-def triangulate_points(positions: NDArray[np.float64], threads: int = 1) -> NDArray[np.int32]:
+def triangulate_points(positions: Float64s, threads: int = 1) -> Int32s:
     """Find triangles of the surface that distinct points, shape (P, 2 or 3), lie on, corners ascending."""
     from scipy.spatial import cKDTree
 
@@ -66,7 +65,7 @@ def triangulate_points(positions: NDArray[np.float64], threads: int = 1) -> NDAr
     return np.sort(order[stars.faces()], axis=1)
 
 
-def _centred(positions: NDArray[np.float64]) -> NDArray[np.float64]:
+def _centred(positions: Float64s) -> Float64s:
     """Return points around the origin with coordinates near 1, so that squares neither vanish nor overflow."""
     points = np.zeros((len(positions), 3))
     low, high = positions.min(axis=0), positions.max(axis=0)
@@ -76,9 +75,7 @@ def _centred(positions: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.ldexp(points, -int(np.frexp(extent)[1])) if extent > 0 else points
 
 
-def _triangulate_spaces(
-    places: NDArray[np.float64], spaces: NDArray[np.int32] | None, threads: int
-) -> NDArray[np.int32]:
+def _triangulate_spaces(places: Float64s, spaces: Int32s | None, threads: int) -> Int32s:
     """Triangulate the points of each space, which are at no distance from those of others."""
     if spaces is None:
         return triangulate_points(places, threads)
@@ -89,9 +86,7 @@ def _triangulate_spaces(
     return np.concatenate(parts)
 
 
-def _with_copies(
-    faces: NDArray[np.int32], place_of: NDArray[np.int32], colours: NDArray[np.float32]
-) -> NDArray[np.int32]:
+def _with_copies(faces: Int32s, place_of: Int32s, colours: Float32s) -> Int32s:
     """Give the triangles of places to the first point there, and to each other one with first ones elsewhere."""
     # Colours say which is first, so that the order of points makes no difference.
     order = np.lexsort([*colours.T[::-1], place_of])

@@ -23,13 +23,13 @@ from beltrami_cli.errors import InputError
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from beltrami_cli.arrays import Bools, Float64s, Int32s, Int64s
+
 _BLOCK = 1 << 16  # polygons cut at a time, which bounds the memory for their corners
 _MOST_EARS = 1 << 14  # corners of a polygon that is not convex: some ten seconds of work at most
 
 
-def triangulate(
-    positions: NDArray[np.float64], corners: NDArray[np.int32], offsets: NDArray[np.int64]
-) -> NDArray[np.int32]:
+def triangulate(positions: Float64s, corners: Int32s, offsets: Int64s) -> Int32s:
     """Cut polygons into triangles of the same orientation, in order: n - 2 for n corners, no new vertices."""
     # Polygon p has the corners ``corners[offsets[p]:offsets[p + 1]]``.
     sizes = np.diff(offsets)
@@ -47,15 +47,13 @@ def triangulate(
     return faces
 
 
-def triangulate_corners(
-    positions: NDArray[np.float64], corners: NDArray[np.int32], offsets: NDArray[np.int64]
-) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+def triangulate_corners(positions: Float64s, corners: Int32s, offsets: Int64s) -> tuple[Int32s, Int64s]:
     """Cut polygons like `triangulate`; return indices into `corners`, and the polygon of each triangle."""
     cut = triangulate(positions[corners], np.arange(len(corners), dtype=np.int32), offsets)
     return cut, np.searchsorted(offsets, cut[:, 0], side="right") - 1
 
 
-def _cut(positions: NDArray[np.float64], polygons: NDArray[np.int32]) -> NDArray[np.int32]:
+def _cut(positions: Float64s, polygons: Int32s) -> Int32s:
     """Cut polygons of one size, shape (P, n), into triangles of shape (P, n - 2, 3)."""
     size = polygons.shape[1]
     if size == 3:
@@ -76,7 +74,7 @@ def _cut(positions: NDArray[np.float64], polygons: NDArray[np.int32]) -> NDArray
     return cut
 
 
-def _cut_quads(points: NDArray[np.float64], quads: NDArray[np.int32]) -> NDArray[np.int32]:
+def _cut_quads(points: Float64s, quads: Int32s) -> Int32s:
     one = np.array([[0, 1, 2], [0, 2, 3]])
     other = np.array([[0, 1, 3], [1, 2, 3]])
     diagonals = points[:, 2] - points[:, 0], points[:, 3] - points[:, 1]
@@ -87,15 +85,15 @@ def _cut_quads(points: NDArray[np.float64], quads: NDArray[np.int32]) -> NDArray
     return np.where(take_other[:, None, None], quads[:, other], quads[:, one])
 
 
-def _upright(triangles: NDArray[np.float64], normals: NDArray[np.float64]) -> NDArray[np.bool_]:
+def _upright(triangles: Float64s, normals: Float64s) -> Bools:
     """Return for pairs of triangles, shape (P, 2, 3, 3), whether both look along the normal and have area."""
     edges = triangles[:, :, 1:] - triangles[:, :, :1]
     areas = np.einsum("pti,pi->pt", np.cross(edges[:, :, 0], edges[:, :, 1]), normals)
-    upright: NDArray[np.bool_] = (areas > 0).all(axis=1)
+    upright: Bools = (areas > 0).all(axis=1)
     return upright
 
 
-def _flatten(points: NDArray[np.float64], normal: NDArray[np.float64]) -> NDArray[np.float64]:
+def _flatten(points: Float64s, normal: Float64s) -> Float64s:
     """Drop the axis that the normal is closest to, keeping the polygon counter-clockwise."""
     axis = int(np.argmax(np.abs(normal)))
     first, second = (axis + 1) % 3, (axis + 2) % 3
@@ -104,7 +102,7 @@ def _flatten(points: NDArray[np.float64], normal: NDArray[np.float64]) -> NDArra
     return points[:, [first, second]]
 
 
-def _ears(points: NDArray[np.float64]) -> NDArray[np.intp]:
+def _ears(points: Float64s) -> NDArray[np.intp]:
     """Cut a counter-clockwise polygon, shape (n, 2), into triangles, shape (n - 2, 3), by taking ears off."""
     # Only the two neighbours of an ear can become ears, or cease to be any, when it is taken off. So the
     # work grows with the square of n, whatever the polygon is like.
@@ -130,7 +128,7 @@ def _ears(points: NDArray[np.float64]) -> NDArray[np.intp]:
 class _Ring:
     """What is left of a polygon: the corner before and after each, and which are there."""
 
-    def __init__(self, points: NDArray[np.float64]) -> None:
+    def __init__(self, points: Float64s) -> None:
         count = len(points)
         self._x, self._y = points.T
         self._left = np.ones(count, bool)

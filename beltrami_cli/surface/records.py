@@ -10,7 +10,7 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from numpy.typing import NDArray
+    from beltrami_cli.arrays import Float32s, Float64s, Int32s, Int64s
 
 
 Encoding = Literal["srgb", "linear"]
@@ -25,45 +25,45 @@ class PaintedVertices:
 
     # Shape (V, 3): finite positions in one common space (glTF: world space), in the file's own unit of
     # length.
-    positions: NDArray[np.float64]
+    positions: Float64s
     # Shape (F, 3): triangles as indices of rows, each in [0, V). Quads and n-gons are cut, strips and fans
     # unrolled.
-    faces: NDArray[np.int32]
+    faces: Int32s
     # Shape (V, C): colour channels without alpha; full scale is 1 whatever the stored type is. Float
     # colours may leave [0, 1]; all are finite.
-    colours: NDArray[np.float32]
+    colours: Float32s
     channels: tuple[str, ...]  # C lower-case names, usually ("red", "green", "blue")
     encoding: Encoding  # what the stored numbers mean: display values, or linear light
     stored: str  # type in the file as a NumPy name ("uint8", "uint16", "float32", ...), or "text"
     # Shape (V,): vertices are compared for coincidence only where this agrees (glTF meshes outside any
     # scene have no common place). None: one space.
-    space_of: NDArray[np.int32] | None = None
+    space_of: Int32s | None = None
 
 
 @dataclass(frozen=True)
 class MovedVertices:
     """New places of painted vertices."""
 
-    positions: NDArray[np.float64]  # (V, 3): rows and space as in `PaintedVertices`
+    positions: Float64s  # (V, 3): rows and space as in `PaintedVertices`
     # Shape (V, 3): new unit normals, for a document that has one for each vertex; NaN where the old one
     # stays. None: all stay.
-    normals: NDArray[np.float32] | None = None
+    normals: Float32s | None = None
 
 
 @dataclass(frozen=True)
 class MeshContents:
     """A whole coloured mesh, as far as it can be written in another format."""
 
-    positions: NDArray[np.float64]  # (V, 3): vertex positions
+    positions: Float64s  # (V, 3): vertex positions
     # Shape (K,): the corners of all polygons one after the other, as vertex indices in [0, V).
-    corners: NDArray[np.int32]
-    offsets: NDArray[np.int64]  # (P + 1,): polygon p has the corners ``corners[offsets[p]:offsets[p + 1]]``
-    colours: NDArray[np.float32]  # (V, C): colour channels, full scale 1; C is 1 or 3
+    corners: Int32s
+    offsets: Int64s  # (P + 1,): polygon p has the corners ``corners[offsets[p]:offsets[p + 1]]``
+    colours: Float32s  # (V, C): colour channels, full scale 1; C is 1 or 3
     encoding: Encoding  # what the numbers in `colours` mean
     stored: str  # type of the colours in the source, as in `PaintedVertices`
-    alpha: NDArray[np.float32] | None = None  # (V,): opacity in [0, 1]
+    alpha: Float32s | None = None  # (V,): opacity in [0, 1]
     # Shape (V, 3): vertex normals, where the source has them per vertex.
-    normals: NDArray[np.float32] | None = None
+    normals: Float32s | None = None
     # What the source holds and this record does not ("materials", "animations", ...), for the
     # notice of what the conversion drops.
     left_out: tuple[str, ...] = ()
@@ -92,16 +92,16 @@ class TexturedSurface:
 
     # Shape (V, 3): finite positions in one common space, in the file's own unit. Vertices that a format
     # splits are still split.
-    positions: NDArray[np.float64]
+    positions: Float64s
     # Shape (F, 3): triangles as rows of `positions`; all triangles of the model, textured or not.
-    faces: NDArray[np.int32]
+    faces: Int32s
     # Shape (F, 3, 2): texture coordinates of each corner, with texture transforms applied: u to the right,
     # v DOWN, (0, 0) the upper left corner of the image and (1, 1) its lower right corner, whatever the
     # format's own convention. They may leave [0, 1]. Without meaning where `texture_of` is -1.
-    uv: NDArray[np.float64]
-    texture_of: NDArray[np.int32]  # (F,): index into `textures`, or -1 where the triangle has none
+    uv: Float64s
+    texture_of: Int32s  # (F,): index into `textures`, or -1 where the triangle has none
     textures: tuple[Texture, ...]  # each image once
-    space_of: NDArray[np.int32] | None = None  # (V,): as in `PaintedVertices`
+    space_of: Int32s | None = None  # (V,): as in `PaintedVertices`
 
 
 @dataclass(frozen=True)
@@ -152,30 +152,30 @@ class MeshImage:
 class VertexColours:
     """Colours of all vertices of a mesh that has textures as well; the fields are as in `MeshContents`."""
 
-    colours: NDArray[np.float32]
+    colours: Float32s
     encoding: Encoding
     stored: str
-    alpha: NDArray[np.float32] | None = None
+    alpha: Float32s | None = None
 
 
 @dataclass(frozen=True)
 class TexturedMesh:
     """A whole mesh with materials and their images, for writing it as a new file."""
 
-    positions: NDArray[np.float64]  # (V, 3): vertex positions
-    faces: NDArray[np.int32]  # (F, 3): triangles, at least one
+    positions: Float64s  # (V, 3): vertex positions
+    faces: Int32s  # (F, 3): triangles, at least one
     # Shape (F, 3, 2): texture coordinates of every corner: u to the right, v down, as in
     # `TexturedSurface`. NaN where a triangle has none.
-    uv: NDArray[np.float64]
+    uv: Float64s
     materials: tuple[Material, ...]
     images: tuple[MeshImage, ...]
     source: str = (
         ""  # stem of the file that it comes from, in the place of which the output's stands in names
     )
-    material_of: NDArray[np.int32] | None = None  # (F,): index into `materials`; None: all have the first
+    material_of: Int32s | None = None  # (F,): index into `materials`; None: all have the first
     groups: tuple[str, ...] = ("",)  # names of the objects that it consists of; empty: the model's name
-    group_of: NDArray[np.int32] | None = None  # (F,): index into `groups`; None: all are in the first
-    normals: NDArray[np.float32] | None = None  # (F, 3, 3): of every corner; NaN where there is none
+    group_of: Int32s | None = None  # (F,): index into `groups`; None: all are in the first
+    normals: Float32s | None = None  # (F, 3, 3): of every corner; NaN where there is none
     colours: VertexColours | None = None
     left_out: tuple[str, ...] = ()  # as in `MeshContents`
 
@@ -184,14 +184,14 @@ class TexturedMesh:
 class SampledSurface:
     """Samples of an image painted on a triangulated surface."""
 
-    positions: NDArray[np.float64]  # (S, M): positions, finite
-    faces: NDArray[np.int32]  # (F, 3): triangles of the surface in space
+    positions: Float64s  # (S, M): positions, finite
+    faces: Int32s  # (F, 3): triangles of the surface in space
     # Shape (W, 3): triangles that stand upright on hard colour edges: they have no area in space, and join
     # the samples on both sides through the colour jump.
-    bridges: NDArray[np.int32]
-    colours: NDArray[np.float32]  # (S, N): colours in the working space, finite
+    bridges: Int32s
+    colours: Float32s  # (S, N): colours in the working space, finite
 
     @property
-    def all_faces(self) -> NDArray[np.int32]:
+    def all_faces(self) -> Int32s:
         """Triangles of the surface and of its bridges, shape (F + W, 3)."""
         return np.concatenate([self.faces, self.bridges]) if len(self.bridges) else self.faces

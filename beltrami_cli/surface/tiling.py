@@ -12,8 +12,7 @@ from beltrami_cli.surface.grouping import group_places
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Float64s, Int32s, Int64s
     from beltrami_cli.surface.records import TexturedSurface
 
 Tile: TypeAlias = tuple[int, int]
@@ -50,10 +49,10 @@ def on_tiles(surface: TexturedSurface, sets: Sequence[Mapping[Tile, int]]) -> Te
     return dataclasses.replace(surface, uv=uv, texture_of=texture_of)
 
 
-def tiles_under(uv: NDArray[np.float64]) -> NDArray[np.float64]:
+def tiles_under(uv: Float64s) -> Float64s:
     """Return column and row of the tile of each triangle's centre, (F, 2), from coordinates (F, 3, 2) with v down."""
     centre = uv.mean(axis=1)
-    tiles: NDArray[np.float64] = np.floor(np.column_stack([centre[:, 0], 1 - centre[:, 1]]))
+    tiles: Float64s = np.floor(np.column_stack([centre[:, 0], 1 - centre[:, 1]]))
     return tiles
 
 
@@ -61,8 +60,8 @@ def tiles_under(uv: NDArray[np.float64]) -> NDArray[np.float64]:
 class _Cuts:
     """Where edges of triangles are cut, all of shape (F, 3): edge k is from corner k to the next one."""
 
-    row: NDArray[np.int64]  # of the new vertex, -1: none
-    share: NDArray[np.float64]  # of the edge that lies before it
+    row: Int64s  # of the new vertex, -1: none
+    share: Float64s  # of the edge that lies before it
 
 
 def _cut(surface: TexturedSurface) -> TexturedSurface:
@@ -89,7 +88,7 @@ def _cut(surface: TexturedSurface) -> TexturedSurface:
             raise TilingError("its triangles reach over more tiles of their texture than those of any model")
 
 
-def _crossings(uv: NDArray[np.float64], ends: NDArray[np.int32]) -> NDArray[np.float64]:
+def _crossings(uv: Float64s, ends: Int32s) -> Float64s:
     """Return where edges cross a border, as the share from the end with the lower place on, (F, 3); NaN: nowhere."""
     turned = ends[:, :, 0] > ends[:, :, 1]
     one, other = uv, np.roll(uv, -1, axis=1)
@@ -108,9 +107,7 @@ def _crossings(uv: NDArray[np.float64], ends: NDArray[np.int32]) -> NDArray[np.f
     return found
 
 
-def _with_vertices(
-    surface: TexturedSurface, low: NDArray[np.int32], high: NDArray[np.int32], at: NDArray[np.float64]
-) -> TexturedSurface:
+def _with_vertices(surface: TexturedSurface, low: Int32s, high: Int32s, at: Float64s) -> TexturedSurface:
     """Add vertices between the rows `low` and `high`."""
     start, stop = surface.positions[low], surface.positions[high]
     positions = np.concatenate([surface.positions, start + at[:, None] * (stop - start)])

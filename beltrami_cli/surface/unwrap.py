@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from beltrami_cli.arrays import Bools, Float64s, Int32s
+
 
 _SIDES = [
     *(part * 2**k for k in range(6, 11) for part in (4, 5, 6, 7)),
@@ -40,20 +42,20 @@ class Unwrapped:
 
     # Shape (F, 3, 2): texture coordinates of every corner in [0, 1], u to the right, v down. The corners of
     # a triangle without area all have one place.
-    uv: NDArray[np.float64]
+    uv: Float64s
     size: tuple[int, int]  # width and height of the texture in texels
     charts: int  # how many
 
 
 def unwrap(
-    positions: NDArray[np.float64],
-    faces: NDArray[np.int32],
+    positions: Float64s,
+    faces: Int32s,
     size: int | None,
     padding: int,
     name: str,
     *,
     texels: float = 0.0,
-    space_of: NDArray[np.int32] | None = None,
+    space_of: Int32s | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Unwrapped:
     """Lay a mesh out on a square. Vertices at exactly one place (and in one space) are one."""
@@ -87,7 +89,7 @@ def unwrap(
     return Unwrapped(uv, (width, height), charts)
 
 
-def _require_finite(positions: NDArray[np.float64], name: str) -> None:
+def _require_finite(positions: Float64s, name: str) -> None:
     finite = np.isfinite(positions).all(axis=1)
     if not finite.all():
         row = int(np.argmin(finite))
@@ -105,21 +107,21 @@ def require_few_faces(count: int, most: int, name: str) -> None:
         )
 
 
-def _of_unit_size(positions: NDArray[np.float64]) -> NDArray[np.float64]:
+def _of_unit_size(positions: Float64s) -> Float64s:
     """Bring positions into [-1/2, 1/2]; halves come first, so that nothing overflows."""
     if not len(positions):
         return positions
     low, high = positions.min(axis=0) / 2, positions.max(axis=0) / 2
     extent = float((high - low).max())
-    unit: NDArray[np.float64] = (positions / 2 - (low + high) / 2) / (extent if extent > 0 else 1.0)
+    unit: Float64s = (positions / 2 - (low + high) / 2) / (extent if extent > 0 else 1.0)
     return unit
 
 
-def _with_area(positions: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.bool_]:
+def _with_area(positions: Float64s, faces: Int32s) -> Bools:
     edges = positions[faces] - positions[np.roll(faces, -1, axis=1)]
     longest = np.square(edges).sum(axis=2).max(axis=1, initial=0)
     distinct = (faces != np.roll(faces, -1, axis=1)).all(axis=1)
-    whole: NDArray[np.bool_] = distinct & (triangle_areas(positions, faces) > _FLAT * longest)
+    whole: Bools = distinct & (triangle_areas(positions, faces) > _FLAT * longest)
     return whole
 
 
@@ -130,9 +132,7 @@ def _side(needed: float, size: int) -> int:
     return size
 
 
-def _collapse_others(
-    uv: NDArray[np.float64], faces: NDArray[np.int32], whole: NDArray[np.intp], vertices: int
-) -> None:
+def _collapse_others(uv: Float64s, faces: Int32s, whole: NDArray[np.intp], vertices: int) -> None:
     """Give each triangle without area the one place that a corner of it has elsewhere, or the middle of nowhere."""
     place = np.zeros((vertices, 2))
     known = np.zeros(vertices, bool)
@@ -164,7 +164,7 @@ def shown(seconds: float) -> str:
 
 def ask_worker(
     arrays: dict[str, Any], padding: int, progress: Callable[[int, int], None] | None
-) -> tuple[NDArray[np.float64], int, int]:
+) -> tuple[Float64s, int, int]:
     """Have a mesh unwrapped; return corners in texels, shape (F, 3, 2), the side without margin, and charts."""
     expected = expected_seconds(len(arrays["faces"]))
     patience = max(LEAST_PATIENCE, _PATIENCE * expected)

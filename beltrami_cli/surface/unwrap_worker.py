@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from beltrami_cli.arrays import Float32s, Float64s
+
 _COVERAGE = 0.75  # that xatlas expects of its packing when it is given a resolution
 _ENOUGH = 0.92  # of the side of the texture that charts should fill
 _TRIES = 8
@@ -40,8 +42,8 @@ def main() -> None:
 
 
 def unwrapped(
-    positions: NDArray[np.float32], faces: NDArray[np.uint32], sizes: list[int], wanted: float, padding: int
-) -> tuple[NDArray[np.float64], int, int]:
+    positions: Float32s, faces: NDArray[np.uint32], sizes: list[int], wanted: float, padding: int
+) -> tuple[Float64s, int, int]:
     """Cut a mesh into charts and pack them; return corners in texels, shape (F, 3, 2), size and charts."""
     # `sizes` are longest sides, ascending: a single one is filled; of several the first is taken that is large enough
     # for as many texels as wanted, or else the last is filled. If charts do not fit even when tiny, corners
@@ -57,7 +59,7 @@ def unwrapped(
     texels, corners = _packed(atlas)
     flat = texels.astype(np.float32), corners
 
-    def packed(scale: float) -> tuple[NDArray[np.float64], float]:
+    def packed(scale: float) -> tuple[Float64s, float]:
         again = xatlas.Atlas()
         again.add_uv_mesh(*flat)
         again.generate(xatlas.ChartOptions(), _packing(xatlas, padding, texels_per_unit=scale))
@@ -74,11 +76,9 @@ def unwrapped(
     return _filling(packed, scale, size), size, charts
 
 
-def _filling(
-    packed: Callable[[float], tuple[NDArray[np.float64], float]], scale: float, size: int
-) -> NDArray[np.float64]:
+def _filling(packed: Callable[[float], tuple[Float64s, float]], scale: float, size: int) -> Float64s:
     """Return the packing, of a few scales tried, that fills a side best and fits, or else the last."""
-    best: tuple[NDArray[np.float64], float] | None = None
+    best: tuple[Float64s, float] | None = None
     tried = packed(scale)
     for _ in range(_TRIES):
         if tried[1] <= size and (best is None or tried[1] > best[1]):
@@ -91,7 +91,7 @@ def _filling(
     return (best or tried)[0]
 
 
-def _area(corners: NDArray[np.float64]) -> float:
+def _area(corners: Float64s) -> float:
     one, two = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     return float(np.abs(one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0]).sum() / 2)
 
@@ -105,7 +105,7 @@ def _packing(xatlas: Any, padding: int, *, resolution: int = 0, texels_per_unit:
     return options
 
 
-def _packed(atlas: Any) -> tuple[NDArray[np.float64], NDArray[np.uint32]]:
+def _packed(atlas: Any) -> tuple[Float64s, NDArray[np.uint32]]:
     """Return the places of all vertices in texels, and the faces."""
     _, faces, uv = atlas.get_mesh(0)
     return uv.astype(np.float64) * [atlas.width, atlas.height], faces

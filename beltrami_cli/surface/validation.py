@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from beltrami_cli.errors import InputError, UsageError
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
+    from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s
     from beltrami_cli.surface.records import PaintedVertices
 
 
@@ -28,7 +29,7 @@ def check_mesh(painted: PaintedVertices, name: str) -> None:
     check_scale(positions, faces, name)
 
 
-def position_table(positions: ArrayLike) -> NDArray[np.float64]:
+def position_table(positions: ArrayLike) -> Float64s:
     """Take positions of any numeric type, shape (V, M); an empty list has M = 3."""
     table = array_of(positions, "positions")
     if table.shape == (0,):
@@ -39,7 +40,7 @@ def position_table(positions: ArrayLike) -> NDArray[np.float64]:
         return np.ascontiguousarray(table, np.float64)
 
 
-def face_table(faces: ArrayLike, count: int) -> NDArray[np.int32]:
+def face_table(faces: ArrayLike, count: int) -> Int32s:
     """Take triangles of any integer type, shape (F, 3), indices in [0, count); nothing wraps or is cut off."""
     table = array_of(faces, "faces")
     if table.shape in ((0,), (0, 3)):
@@ -55,7 +56,7 @@ def face_table(faces: ArrayLike, count: int) -> NDArray[np.int32]:
     return np.ascontiguousarray(table, np.int32)
 
 
-def colour_table(colours: ArrayLike) -> NDArray[np.float32]:
+def colour_table(colours: ArrayLike) -> Float32s:
     """Take colours, shape (V, C) or (V,): floats as they are, unsigned integers by their full scale."""
     table = array_of(colours, "colours")
     if table.ndim == 1:
@@ -73,7 +74,7 @@ def colour_table(colours: ArrayLike) -> NDArray[np.float32]:
     return np.ascontiguousarray(table / np.iinfo(table.dtype).max, np.float32)
 
 
-def guide_table(values: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64]:
+def guide_table(values: ArrayLike, shape: tuple[int, ...]) -> Float64s:
     """Take a guide: any finite numbers of `shape`, or with channels behind it; a row a vertex or pixel."""
     table = array_of(values, "guide")
     if table.shape[: len(shape)] != shape or table.ndim > len(shape) + 1 or table.dtype.kind not in "buif":
@@ -85,7 +86,7 @@ def guide_table(values: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64
     return rows
 
 
-def array_of(values: ArrayLike, name: str) -> NDArray[Any]:
+def array_of(values: ArrayLike, name: str) -> Array:
     """Make an array of anything like one; UsageError, with the name, if its rows are of several lengths."""
     try:
         return np.asarray(values)
@@ -93,7 +94,7 @@ def array_of(values: ArrayLike, name: str) -> NDArray[Any]:
         raise UsageError(f"{name} must be a table whose rows have the same length") from error
 
 
-def _described(table: NDArray[Any]) -> str:
+def _described(table: Array) -> str:
     return f"{table.dtype} of shape {table.shape}"
 
 
@@ -112,7 +113,7 @@ _LEAST, _MOST = 1e-14, 1e14
 _ENOUGH_FACES = 100_000  # for a median that is off by a per cent or so
 
 
-def check_scale(positions: NDArray[np.float64], faces: NDArray[np.int32], name: str) -> None:
+def check_scale(positions: Float64s, faces: Int32s, name: str) -> None:
     """Refuse a surface whose median edge is too small or too large to be squared in single precision."""
     # Without faces, points count as if they were spread evenly.
     with np.errstate(over="ignore", invalid="ignore"):
@@ -131,14 +132,14 @@ def check_scale(positions: NDArray[np.float64], faces: NDArray[np.int32], name: 
     raise InputError(name, cause, "scale it, for example to metres")
 
 
-def _edges(positions: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:
+def _edges(positions: Float64s, faces: Int32s) -> Float64s:
     """Return the longest coordinate of the edges of some faces: squares could overflow here already."""
     corners = positions[faces[:: 1 + len(faces) // _ENOUGH_FACES]]
-    steps: NDArray[np.float64] = np.abs(corners - np.roll(corners, 1, axis=1)).max(axis=2)
+    steps: Float64s = np.abs(corners - np.roll(corners, 1, axis=1)).max(axis=2)
     return steps[np.isfinite(corners).all(axis=(1, 2))]
 
 
-def _spread(positions: NDArray[np.float64]) -> NDArray[np.float64]:
+def _spread(positions: Float64s) -> Float64s:
     """Return how far points are apart if they are spread evenly over a surface as wide as they are."""
     there = positions[np.isfinite(positions).all(axis=1)]
     if not len(there):

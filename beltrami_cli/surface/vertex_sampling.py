@@ -19,8 +19,7 @@ from beltrami_cli.surface.grouping import group_equal_rows, group_places
 from beltrami_cli.surface.records import SampledSurface
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Bools, Float32s, Int32s
     from beltrami_cli.surface.records import PaintedVertices
 
 
@@ -29,13 +28,13 @@ class VertexSampling:
     """Which sample each vertex is; ``smoothed[sample_of]`` are vertex colours."""
 
     # Shape (V,): sample of each vertex. Vertices at one place with one colour are one sample.
-    sample_of: NDArray[np.int32]
-    first_vertex: NDArray[np.int32]  # (S,): A vertex of each sample
+    sample_of: Int32s
+    first_vertex: Int32s  # (S,): A vertex of each sample
     # Shape (S,): place of each sample; coincident vertices that differ in colour are samples of one place.
-    place_of: NDArray[np.int32]
+    place_of: Int32s
     places: int  # distinct places, at most S
 
-    def means(self, values: NDArray[np.float32]) -> NDArray[np.float32]:
+    def means(self, values: Float32s) -> Float32s:
         """Give each sample the mean of what its vertices have, shape (V, G) to (S, G)."""
         if len(self.first_vertex) == len(self.sample_of):  # each sample is one vertex
             return values[self.first_vertex]
@@ -45,9 +44,7 @@ class VertexSampling:
         return np.ascontiguousarray((np.array(sums) / count).T, np.float32)
 
 
-def sample_vertices(
-    painted: PaintedVertices, colours: NDArray[np.float32]
-) -> tuple[SampledSurface, VertexSampling]:
+def sample_vertices(painted: PaintedVertices, colours: Float32s) -> tuple[SampledSurface, VertexSampling]:
     """Make samples of painted vertices whose colours in the working space are given."""
     place_of, first_of_place = group_places(painted.positions, painted.space_of)
     if len(first_of_place) == len(place_of):  # nothing is split: the vertices are the samples
@@ -64,9 +61,7 @@ def sample_vertices(
     return surface, VertexSampling(sample_of, first_vertex, place_of[first_vertex], len(first_of_place))
 
 
-def build_bridges(
-    faces: NDArray[np.int32], place_of: NDArray[np.int32], colours: NDArray[np.float32]
-) -> NDArray[np.int32]:
+def build_bridges(faces: Int32s, place_of: Int32s, colours: Float32s) -> Int32s:
     """Join the two sides of hard colour edges between samples by triangles, shape (W, 3)."""
     shared = np.bincount(place_of) > 1
     if not shared.any():
@@ -82,9 +77,7 @@ def build_bridges(
     return _wall_triangles(copies[:-1][joined], copies[1:][joined])
 
 
-def _edge_copies(
-    faces: NDArray[np.int32], place_of: NDArray[np.int32], shared: NDArray[np.bool_]
-) -> NDArray[np.int32]:
+def _edge_copies(faces: Int32s, place_of: Int32s, shared: Bools) -> Int32s:
     """Find the distinct edges of samples, shape (E, 2), that may have a copy; both ends in order of place."""
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     edges = edges[shared[place_of[edges]].any(axis=1)]
@@ -94,7 +87,7 @@ def _edge_copies(
     return np.unique(edges, axis=0)
 
 
-def _wall_triangles(one: NDArray[np.int32], other: NDArray[np.int32]) -> NDArray[np.int32]:
+def _wall_triangles(one: Int32s, other: Int32s) -> Int32s:
     """Make the triangles between copies one = (a, b) and other = (c, d) of edges, both diagonals laid."""
     a, b, c, d = one[:, 0], one[:, 1], other[:, 0], other[:, 1]
     triangles = np.concatenate(
@@ -102,5 +95,5 @@ def _wall_triangles(one: NDArray[np.int32], other: NDArray[np.int32]) -> NDArray
     )
     # Where the copies share an end, two of the four repeat a corner; the others are equal and count once.
     distinct = (triangles[:, 0] != triangles[:, 2]) & (triangles[:, 1] != triangles[:, 2])
-    bridges: NDArray[np.int32] = triangles[distinct].astype(np.int32)
+    bridges: Int32s = triangles[distinct].astype(np.int32)
     return bridges

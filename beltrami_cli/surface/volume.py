@@ -10,13 +10,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import product
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Array, Bools, Float64s
     from beltrami_cli.surface.records import Encoding
 
 
@@ -25,8 +24,8 @@ class Lattice:
     """Where the samples of a grid stand in space: sample (i, j, k) at ``origin + (i, j, k) @ axes``."""
 
     # Shape (3, 3): row a is the step in space from a sample to the next one along index a; invertible.
-    axes: NDArray[np.float64]
-    origin: NDArray[np.float64]  # (3,): place of sample (0, 0, 0), which is the centre of its voxel
+    axes: Float64s
+    origin: Float64s  # (3,): place of sample (0, 0, 0), which is the centre of its voxel
 
 
 @dataclass(frozen=True)
@@ -36,15 +35,15 @@ class GridColours:
     lattice: Lattice  # where they stand
     # Shape (X, Y, Z, C): numbers as stored, of any integer or floating type; C is 1 or 3, and one more if
     # there is opacity. Voxels with a number that is not finite, or of opacity 0, have no colour.
-    samples: NDArray[Any]
+    samples: Array
 
 
 @dataclass(frozen=True)
 class NearColours:
     """Colours at points near the surface."""
 
-    points: NDArray[np.float64]  # (P, 3): finite places, in the space of the level set
-    samples: NDArray[Any]  # (P, C): numbers as stored, as in `GridColours`
+    points: Float64s  # (P, 3): finite places, in the space of the level set
+    samples: Array  # (P, C): numbers as stored, as in `GridColours`
     encoding: Encoding = "srgb"  # what the numbers mean
     # Type in the file where `samples` are already of full scale 1; empty: that of `samples`.
     stored: str = ""
@@ -56,9 +55,9 @@ class Volume:
 
     lattice: Lattice  # where the samples stand
     # Shape (X, Y, Z): of any integer, floating or boolean type. What is not finite is unknown.
-    values: NDArray[Any]
+    values: Array
     # Shape (X, Y, Z): false where the value is unknown whatever it is; None: nowhere.
-    known: NDArray[np.bool_] | None = None
+    known: Bools | None = None
     level: float | None = None  # value on the surface, where the file says so
     colours: GridColours | NearColours | None = None  # what paints the surface, where the file says so
 
@@ -69,15 +68,13 @@ _PROBED = 10_000  # points whose distances to their neighbours are those of all 
 _WEIGHTLESS = 1e-6  # less than the weight of any voxel that contributes
 
 
-def places(lattice: Lattice, at: NDArray[np.float64]) -> NDArray[np.float64]:
+def places(lattice: Lattice, at: Float64s) -> Float64s:
     """Return the positions in space of points in units of a lattice, shape (V, 3)."""
-    found: NDArray[np.float64] = lattice.origin + at @ lattice.axes
+    found: Float64s = lattice.origin + at @ lattice.axes
     return found
 
 
-def interpolate_colours(
-    colours: GridColours, positions: NDArray[np.float64], known: NDArray[np.bool_] | None = None
-) -> NDArray[np.float64]:
+def interpolate_colours(colours: GridColours, positions: Float64s, known: Bools | None = None) -> Float64s:
     """Interpolate colours, as stored, between the eight voxels around each place, trilinearly."""
     # Voxels that have no colour, are not known, or lie outside do not contribute: the weights of the others are
     # normalised. NaN where no voxel around has a colour.
@@ -103,9 +100,7 @@ def interpolate_colours(
     return _mean(total, weights)
 
 
-def nearest_colours(
-    colours: NearColours, positions: NDArray[np.float64], voxel: float, threads: int
-) -> NDArray[np.float64]:
+def nearest_colours(colours: NearColours, positions: Float64s, voxel: float, threads: int) -> Float64s:
     """Take colours, as stored, from the nearest points, by inverse squared distance [1]."""
     # NaN where no point is within 4 voxels, or within 4 distances from a point to its fourth neighbour
     # where these are larger.
@@ -130,14 +125,14 @@ def nearest_colours(
     return _mean(total, weights.sum(axis=1))
 
 
-def has_colour(samples: NDArray[np.float64]) -> NDArray[np.bool_]:
+def has_colour(samples: Float64s) -> Bools:
     """Return which rows, of shape (V, C), are finite and not wholly transparent."""
-    coloured: NDArray[np.bool_] = np.asarray(np.isfinite(samples).all(axis=1), bool)
+    coloured: Bools = np.asarray(np.isfinite(samples).all(axis=1), bool)
     if samples.shape[1] in (2, 4):
         coloured &= np.greater(samples[:, -1], 0)
     return coloured
 
 
-def _mean(total: NDArray[np.float64], weights: NDArray[np.float64]) -> NDArray[np.float64]:
+def _mean(total: Float64s, weights: Float64s) -> Float64s:
     with np.errstate(invalid="ignore"):
         return np.where(weights[:, None] > 0, total / weights[:, None], np.nan)

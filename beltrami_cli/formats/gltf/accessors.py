@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s, Uint8s
     from beltrami_cli.formats.document import Bytes
     from beltrami_cli.formats.gltf.buffers import Buffers
     from beltrami_cli.formats.gltf.entries import Entry
@@ -169,7 +170,7 @@ class Accessors:
             numbers[self.replaced(index)] = self._numbers(accessor.sparse.values, accessor.component)
         return numbers
 
-    def replaced(self, index: int) -> NDArray[np.int64]:
+    def replaced(self, index: int) -> Int64s:
         """Return the elements that a sparse accessor replaces, in order; none if it is not sparse."""
         accessor = self[index]
         if accessor.sparse is None:
@@ -179,7 +180,7 @@ class Accessors:
             raise accessor.entry.fault("sparse.indices", f"must increase and stay below {accessor.count}")
         return rows
 
-    def values(self, index: int) -> NDArray[np.float64]:
+    def values(self, index: int) -> Float64s:
         """Return the finite numbers that an accessor means, shape (count, width), fractions where normalised."""
         accessor, stored = self[index], self.finite(index, "element")
         numbers = stored.astype(np.float64)
@@ -207,7 +208,7 @@ class Accessors:
         return np.ascontiguousarray(octets).view(component)
 
 
-def _fitted(numbers: NDArray[Any], accessor: Accessor) -> Stored:
+def _fitted(numbers: Array, accessor: Accessor) -> Stored:
     """Return decoded numbers, shape (n, width), in the type of their accessor."""
     if numbers.shape != (accessor.count, accessor.width):
         found = f"{numbers.shape[0]} elements of {numbers.shape[-1]} numbers"
@@ -222,7 +223,7 @@ def _fitted(numbers: NDArray[Any], accessor: Accessor) -> Stored:
     return fitted
 
 
-def element_bytes(data: Bytes | NDArray[np.uint8], layout: Layout) -> NDArray[np.uint8]:
+def element_bytes(data: Bytes | Uint8s, layout: Layout) -> Uint8s:
     """Return a view of the bytes of all elements, shape (count, size); writable if `data` is."""
     octets = data if isinstance(data, np.ndarray) else np.frombuffer(data, np.uint8)
     octets = octets[layout.start : layout.end]
@@ -231,7 +232,7 @@ def element_bytes(data: Bytes | NDArray[np.uint8], layout: Layout) -> NDArray[np
     return np.lib.stride_tricks.as_strided(octets, (layout.count, layout.size), (layout.stride, 1))
 
 
-def padded_elements(numbers: Stored) -> tuple[NDArray[np.uint8], int]:
+def padded_elements(numbers: Stored) -> tuple[Uint8s, int]:
     """Return the bytes of elements (n, width), each padded to a multiple of four, and their size without padding."""
     size = numbers.dtype.itemsize * numbers.shape[1]
     octets = np.zeros((len(numbers), -(-size // 4) * 4), np.uint8)
@@ -239,7 +240,7 @@ def padded_elements(numbers: Stored) -> tuple[NDArray[np.uint8], int]:
     return octets, size
 
 
-def fractions(stored: Stored) -> NDArray[np.float32]:
+def fractions(stored: Stored) -> Float32s:
     """Return colours as float32 with full scale 1; `quantised` gives every uint8 and uint16 level back unchanged."""
     if stored.dtype.kind == "f":
         return stored.astype(np.float32)

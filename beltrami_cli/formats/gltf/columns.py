@@ -24,8 +24,7 @@ from beltrami_cli.formats.gltf.entries import objects, primitives_of
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Sequence
 
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Int64s, Uint8s
     from beltrami_cli.formats.gltf.accessors import Accessors, Stored
     from beltrami_cli.formats.gltf.buffers import View
     from beltrami_cli.formats.gltf.edit import Edit
@@ -82,7 +81,7 @@ def _overwrite(edit: Edit, column: Column, after: Stored) -> None:
         _point_at(edit.tree["accessors"][column.accessor], view, keep_sparse=True)
 
 
-def _elements(edit: Edit, layout: Layout) -> NDArray[np.uint8]:
+def _elements(edit: Edit, layout: Layout) -> Uint8s:
     return element_bytes(edit.open(edit.accessors.buffers.canonical(layout.buffer)), layout)
 
 
@@ -263,6 +262,6 @@ def _extent(accessors: Accessors, buffer: int) -> int:
     return max(buffers.lengths[index] for index in range(len(buffers)) if buffers.canonical(index) == buffer)
 
 
-def _meets(layout: Layout, ranges: NDArray[np.int64]) -> bool:
+def _meets(layout: Layout, ranges: Int64s) -> bool:
     buffer, start, end = ranges.T
     return bool(((buffer == layout.buffer) & (start < layout.end) & (layout.start < end)).any())

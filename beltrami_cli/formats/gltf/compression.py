@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from beltrami_cli.arrays import Array, Uint8s
     from beltrami_cli.formats.document import Bytes
     from beltrami_cli.formats.gltf.entries import Entry
 
@@ -126,18 +127,18 @@ def _library(packed: Packed) -> Any:
     return meshoptimizer
 
 
-def _unfiltered(library: Any, packed: Packed, octets: NDArray[np.uint8]) -> NDArray[Any]:
+def _unfiltered(library: Any, packed: Packed, octets: Uint8s) -> Array:
     if packed.filter == "NONE":
         return octets
     if packed.filter == "COLOR":
         return _colours(octets.view("<u1" if packed.stride == 4 else "<u2").reshape(-1, 4))
     names = {"OCTAHEDRAL": "oct", "QUATERNION": "quat", "EXPONENTIAL": "exp"}
     decode = getattr(library, f"decode_filter_{names[packed.filter]}")
-    found: NDArray[Any] = decode(octets, packed.count, packed.stride)
+    found: Array = decode(octets, packed.count, packed.stride)
     return found
 
 
-def _colours(stored: NDArray[Any]) -> NDArray[Any]:
+def _colours(stored: Array) -> Array:
     """Return red, green, blue and opacity of luma, two chromas and opacity, shape (n, 4)."""
     # All four have K bits; the highest bit of opacity says what K is, and stands for no opacity itself.
     bits = 8 * stored.dtype.itemsize
@@ -176,7 +177,7 @@ def draco_mesh(packed: Entry, data: bytes) -> Any:
         raise packed.fault("bufferView", f"holds damaged data ({error})") from None
 
 
-def draco_attribute(packed: Entry, mesh: Any, name: str) -> NDArray[Any]:
+def draco_attribute(packed: Entry, mesh: Any, name: str) -> Array:
     """Return the decoded numbers of an attribute, shape (n, width)."""
     number = packed.entry("attributes").integer(name)
     for found in mesh.attributes:

@@ -12,8 +12,7 @@ from beltrami_cli.formats.gltf.compression import draco_extension
 if TYPE_CHECKING:
     from collections.abc import Hashable, Iterator, Sequence
 
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Float64s, Int64s
     from beltrami_cli.formats.gltf.accessors import Accessors
     from beltrami_cli.formats.gltf.entries import Entry
 
@@ -25,7 +24,7 @@ TRIANGLES, STRIP, FAN = 4, 5, 6
 class Placement:
     """Where a mesh is taken to be."""
 
-    matrix: NDArray[np.float64]  # (4, 4), from the mesh's own space to the common one; acts on columns
+    matrix: Float64s  # (4, 4), from the mesh's own space to the common one; acts on columns
     space: (
         int  # 0: the default scene (all scenes, if none is); each other scene and unplaced mesh has its own
     )
@@ -37,7 +36,7 @@ def placements(root: Entry) -> list[Placement]:
     scenes = root.entries("scenes")
     default = root.integer("scene", below=len(scenes)) if "scene" in root else None
     order = sorted(range(len(scenes)), key=lambda scene: scene != default)
-    shown: dict[int, list[tuple[NDArray[np.float64], int]]] = {}
+    shown: dict[int, list[tuple[Float64s, int]]] = {}
     for rank, mesh, place, _ in _shown(root, [scenes[scene] for scene in order]):
         shown.setdefault(mesh, []).append((place, 0 if default is None else rank))
     found = []
@@ -57,7 +56,7 @@ def instances(root: Entry) -> list[tuple[int, Placement, str]]:
     ]
 
 
-def _shown(root: Entry, scenes: Sequence[Entry]) -> Iterator[tuple[int, int, NDArray[np.float64], Entry]]:
+def _shown(root: Entry, scenes: Sequence[Entry]) -> Iterator[tuple[int, int, Float64s, Entry]]:
     """Give the number of a scene, the mesh that a node of it shows, where, and the node."""
     # A node with a skin counts as untransformed: joints place the mesh, and its stored positions are the bind pose.
     nodes, meshes = root.entries("nodes"), root.entries("meshes")
@@ -84,9 +83,9 @@ def _children(nodes: list[Entry]) -> list[list[int]]:
 
 def _walk(
     scene: Entry, nodes: list[Entry], children: list[list[int]], seen: set[int]
-) -> list[tuple[int, NDArray[np.float64]]]:
+) -> list[tuple[int, Float64s]]:
     """Return the nodes of a scene that are not seen yet, depth first, each with its matrix; they are then seen."""
-    found: list[tuple[int, NDArray[np.float64]]] = []
+    found: list[tuple[int, Float64s]] = []
     stack = [(node, np.eye(4)) for node in reversed(scene.integers("nodes", below=len(nodes)))]
     met: set[int] = set()
     while stack:
@@ -106,7 +105,7 @@ def _walk(
     return found
 
 
-def _local(node: Entry) -> NDArray[np.float64]:
+def _local(node: Entry) -> Float64s:
     """Return a node's own transform: its matrix, or translation times rotation times scale."""
     columns = node.numbers("matrix", 16)
     if columns is not None:
@@ -117,7 +116,7 @@ def _local(node: Entry) -> NDArray[np.float64]:
     return matrix
 
 
-def _rotation(node: Entry) -> NDArray[np.float64]:
+def _rotation(node: Entry) -> Float64s:
     quaternion = node.numbers("rotation", 4)
     if quaternion is None:
         return np.eye(3)
@@ -135,25 +134,23 @@ def _rotation(node: Entry) -> NDArray[np.float64]:
     )
 
 
-def in_world(
-    positions: NDArray[np.float64], placement: Placement, accessors: Accessors, index: int
-) -> NDArray[np.float64]:
+def in_world(positions: Float64s, placement: Placement, accessors: Accessors, index: int) -> Float64s:
     """Return positions of an accessor, shape (n, 3), in the common space."""
     matrix = placement.matrix
     with np.errstate(over="ignore", invalid="ignore"):
-        moved: NDArray[np.float64] = positions @ matrix[:3, :3].T + matrix[:3, 3]
+        moved: Float64s = positions @ matrix[:3, :3].T + matrix[:3, 3]
     if not np.isfinite(moved).all():
         raise accessors[index].entry.fault("", "positions overflow in world space")
     return moved
 
 
-def turned(normals: NDArray[np.float64], matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+def turned(normals: Float64s, matrix: Float64s) -> Float64s:
     """Return unit normals, shape (n, 3), in the common space; those of length zero stay zero."""
     a, b, c = matrix[:3, :3].T
     # The cofactor matrix is the inverse transpose times the determinant, and exists for flat scales too.
     cofactors = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=1)
     sign = -1.0 if a @ cofactors[:, 0] < 0 else 1.0
-    moved: NDArray[np.float64] = normals @ (sign * cofactors).T
+    moved: Float64s = normals @ (sign * cofactors).T
     length = np.linalg.norm(moved, axis=1, keepdims=True)
     return moved / np.where(length > 0, length, 1)
 
@@ -190,7 +187,7 @@ def drawing(primitive: Entry, accessors: Accessors) -> tuple[int, Hashable]:
     return mode, None if index is None else accessors.identity(index)
 
 
-def drawn(primitive: Entry, accessors: Accessors, count: int, placement: Placement) -> NDArray[np.int64]:
+def drawn(primitive: Entry, accessors: Accessors, count: int, placement: Placement) -> Int64s:
     """Return the triangles of a primitive as vertex indices in [0, count), shape (F, 3), facing outwards."""
     index = _index_accessor(primitive, accessors)
     accessors.count_drawn(primitive, count if index is None else accessors[index].count)
@@ -209,7 +206,7 @@ def _index_accessor(primitive: Entry, accessors: Accessors) -> int | None:
     return primitive.integer("indices", below=len(accessors)) if "indices" in primitive else None
 
 
-def _indices(primitive: Entry, accessors: Accessors, index: int, count: int) -> NDArray[np.int64]:
+def _indices(primitive: Entry, accessors: Accessors, index: int, count: int) -> Int64s:
     accessor = accessors[index]
     if accessor.shape != "SCALAR" or accessor.component.kind != "u":
         raise primitive.fault("indices", f"is {accessor.shape} of {accessor.component.name}, not indices")
@@ -219,7 +216,7 @@ def _indices(primitive: Entry, accessors: Accessors, index: int, count: int) -> 
     return corners
 
 
-def _triangles(mode: int, corners: NDArray[np.int64]) -> NDArray[np.int64]:
+def _triangles(mode: int, corners: Int64s) -> Int64s:
     """Return the triangles (F, 3) that a sequence of corners draws, with the winding that glTF defines."""
     if mode == TRIANGLES:
         return corners[: len(corners) // 3 * 3].reshape(-1, 3)
@@ -232,5 +229,5 @@ def _triangles(mode: int, corners: NDArray[np.int64]) -> NDArray[np.int64]:
     faces = corners[np.stack([first, first + 1 + odd, first + 2 - odd], axis=1)]
     a, b, c = faces.T
     # Triangles that repeat a corner only join parts of the strip.
-    whole: NDArray[np.int64] = faces[(a != b) & (b != c) & (c != a)]
+    whole: Int64s = faces[(a != b) & (b != c) & (c != a)]
     return whole

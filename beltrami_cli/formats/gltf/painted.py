@@ -26,8 +26,7 @@ from beltrami_cli.surface.records import PaintedVertices
 if TYPE_CHECKING:
     from collections.abc import Hashable, Sequence
 
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Float32s, Float64s, Int32s
     from beltrami_cli.formats.gltf.accessors import Accessors, Stored
     from beltrami_cli.formats.gltf.entries import Entry
     from beltrami_cli.formats.gltf.geometry import Placement
@@ -61,7 +60,7 @@ class Surface:
     """All blocks, their triangles as rows (F, 3), and what the user should know about what was left out."""
 
     blocks: list[Block]
-    faces: NDArray[np.int32]
+    faces: Int32s
     notices: list[str]
 
 
@@ -98,7 +97,7 @@ def painted_vertices(surface: Surface, accessors: Accessors, colours: Sequence[S
     )
 
 
-def normals_of(blocks: Sequence[Block], accessors: Accessors) -> NDArray[np.float32] | None:
+def normals_of(blocks: Sequence[Block], accessors: Accessors) -> Float32s | None:
     """Return unit normals in world space if every block has them; those of length zero stay zero."""
     parts = []
     for block in blocks:
@@ -116,11 +115,9 @@ def attribute_names(root: Entry, blocks: Sequence[Block]) -> tuple[str, ...]:
     return (*(("normal",) if "NORMAL" in common else ()), *others)
 
 
-def read_attribute(
-    root: Entry, blocks: Sequence[Block], accessors: Accessors, name: str
-) -> NDArray[np.float64]:
+def read_attribute(root: Entry, blocks: Sequence[Block], accessors: Accessors, name: str) -> Float64s:
     """Read an attribute of all blocks, shape (V, G)."""
-    parts: list[NDArray[np.float64]] = []
+    parts: list[Float64s] = []
     for block in blocks:
         primitive = _first_user(root, block)
         values = accessors.values(attribute_accessor(primitive, name, accessors))
@@ -145,7 +142,7 @@ class _Gathering:
         self.accessors = accessors
         self.blocks: list[Block] = []
         self._block_of: dict[Hashable, Block] = {}
-        self._faces: dict[Hashable, NDArray[np.int32]] = {}
+        self._faces: dict[Hashable, Int32s] = {}
         self._rows = 0
         self._counts = dict.fromkeys(("uncoloured", "elsewhere", "instanced", "morphed", "plain"), 0)
         self._instanced: set[int] = set()

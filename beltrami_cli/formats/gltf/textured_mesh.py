@@ -39,8 +39,7 @@ from beltrami_cli.surface.records import (
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Float32s, Float64s, Int64s
     from beltrami_cli.formats.gltf.accessors import Accessors
     from beltrami_cli.formats.gltf.entries import Entry
     from beltrami_cli.formats.gltf.geometry import Placement
@@ -48,7 +47,7 @@ if TYPE_CHECKING:
     from beltrami_cli.surface.records import AlphaMode
 
     # Colours of the vertices of a primitive by mesh and number, shape (n, 3) or with opacity (n, 4), linear.
-    PrimitiveColours = Mapping[tuple[int, int], NDArray[np.float32]]
+    PrimitiveColours = Mapping[tuple[int, int], Float32s]
 
 _MOST_ROWS = np.iinfo(np.int32).max
 _ALPHA: dict[str, AlphaMode] = {"MASK": "mask", "BLEND": "blend"}
@@ -136,11 +135,11 @@ def _display(linear: Sequence[float]) -> tuple[float, ...]:
 class _Part:
     """The triangles of a primitive at one place; arrays have a row for each vertex, or for each corner."""
 
-    positions: NDArray[np.float64]
-    faces: NDArray[np.int64]
-    uv: NDArray[np.float64]
-    normals: NDArray[np.float64]
-    colours: NDArray[np.float32] | None
+    positions: Float64s
+    faces: Int64s
+    uv: Float64s
+    normals: Float64s
+    colours: Float32s | None
     material: int
     group: str
 
@@ -186,7 +185,7 @@ class _Reading:
             elif name not in _KNOWN and name != coordinates and not name.startswith(("JOINTS_", "WEIGHTS_")):
                 self._left_out.append(f"attribute {name}")
 
-    def _values(self, primitive: Entry, name: str, width: int, count: int) -> NDArray[np.float64] | None:
+    def _values(self, primitive: Entry, name: str, width: int, count: int) -> Float64s | None:
         """Return an attribute of the vertices, shape (count, width), None if there is none."""
         attributes = primitive.entry("attributes")
         if name not in attributes:
@@ -199,19 +198,17 @@ class _Reading:
             )
         return self._accessors.values(index)
 
-    def _coordinates(self, primitive: Entry, use: TextureUse | None, count: int) -> NDArray[np.float64]:
+    def _coordinates(self, primitive: Entry, use: TextureUse | None, count: int) -> Float64s:
         uv = self._values(primitive, "TEXCOORD_0" if use is None else use.coordinates, 2, count)
         if uv is None:
             return np.full((count, 2), np.nan)
         return usable_coordinates(uv if use is None else use.placed(uv))
 
-    def _normals(self, primitive: Entry, placement: Placement, count: int) -> NDArray[np.float64]:
+    def _normals(self, primitive: Entry, placement: Placement, count: int) -> Float64s:
         normals = self._values(primitive, "NORMAL", 3, count)
         return np.full((count, 3), np.nan) if normals is None else turned(normals, placement.matrix)
 
-    def _own_colours(
-        self, primitive: Entry, number: tuple[int, int], count: int
-    ) -> NDArray[np.float32] | None:
+    def _own_colours(self, primitive: Entry, number: tuple[int, int], count: int) -> Float32s | None:
         if number in self._colours:
             self._note_tint(primitive, self._colours[number])
             return self._colours[number]
@@ -221,7 +218,7 @@ class _Reading:
         colours = fractions(self._accessors.finite(index, "colour"))
         return colours if colours.shape in ((count, 3), (count, 4)) else None
 
-    def _note_tint(self, primitive: Entry, colours: NDArray[np.float32]) -> None:
+    def _note_tint(self, primitive: Entry, colours: Float32s) -> None:
         material = primitive.value.get("material", len(self._materials.materials) - 1)
         if "baseColor" in self._materials.materials[material].maps and (colours[:, :3] != 1).any():
             self._left_out.append("the tint of textures by their vertex colours")

@@ -24,8 +24,7 @@ from beltrami_cli.surface.records import Texture, TexturedSurface
 if TYPE_CHECKING:
     from collections.abc import Hashable, Iterable, Mapping, Sequence
 
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Float64s, Int32s, Int64s
     from beltrami_cli.formats.gltf.accessors import Accessors
     from beltrami_cli.formats.gltf.entries import Entry
     from beltrami_cli.formats.gltf.geometry import Placement
@@ -142,11 +141,11 @@ class _Part:
     position: int
     placement: Placement
     look: int
-    faces: list[NDArray[np.int64]] = field(default_factory=list)
-    uv: list[NDArray[np.float64]] = field(default_factory=list)
-    texture: list[NDArray[np.int32]] = field(default_factory=list)
+    faces: list[Int64s] = field(default_factory=list)
+    uv: list[Float64s] = field(default_factory=list)
+    texture: list[Int32s] = field(default_factory=list)
 
-    def add(self, faces: NDArray[np.int64], uv: NDArray[np.float64], texture: int) -> None:
+    def add(self, faces: Int64s, uv: Float64s, texture: int) -> None:
         """Add triangles with the texture coordinates of their corners and the number of their texture."""
         self.faces.append(faces)
         self.uv.append(uv)
@@ -163,7 +162,7 @@ class _Gathering:
         self.parts: dict[Hashable, _Part] = {}
         self.counts = dict.fromkeys(("instanced", "bare"), 0)
         self._seen: set[Hashable] = set()
-        self._decoded: dict[int, NDArray[np.float64]] = {}
+        self._decoded: dict[int, Float64s] = {}
 
     def take(self, primitive: Entry, placement: Placement) -> None:
         """Take one primitive: its triangles where they stand first, with all textures that they can have."""
@@ -213,7 +212,7 @@ class _Gathering:
             return None
         return self.shown.image(use)
 
-    def _coordinates(self, primitive: Entry, use: TextureUse, count: int) -> NDArray[np.float64]:
+    def _coordinates(self, primitive: Entry, use: TextureUse, count: int) -> Float64s:
         """Return the texture coordinates of all vertices, shape (count, 2), transform applied."""
         index = attribute_accessor(primitive, use.coordinates, self.accessors)
         accessor = self.accessors[index]
@@ -226,7 +225,7 @@ class _Gathering:
             raise use.info.fault("extensions", "its transform moves texture coordinates to infinity")
         return uv
 
-    def _values(self, index: int) -> NDArray[np.float64]:
+    def _values(self, index: int) -> Float64s:
         if index not in self._decoded:
             self._decoded[index] = self.accessors.values(index)
         return self._decoded[index]

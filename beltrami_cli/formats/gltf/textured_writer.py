@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -25,8 +25,7 @@ from beltrami_cli.surface.grouping import distinct_corners
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Array, Int64s
     from beltrami_cli.formats.document import Written
     from beltrami_cli.formats.gltf.json_text import Tree
     from beltrami_cli.surface.records import Material, TexturedMesh, Wrap
@@ -109,7 +108,7 @@ def _with_bare_materials(mesh: TexturedMesh) -> TexturedMesh:
     return dataclasses.replace(mesh, materials=shown, material_of=numbers)
 
 
-def _groups(mesh: TexturedMesh) -> Iterator[tuple[str, NDArray[np.int64]]]:
+def _groups(mesh: TexturedMesh) -> Iterator[tuple[str, Int64s]]:
     """Give the names of the groups that have triangles, and these."""
     for number, name in enumerate(mesh.groups):
         faces = (
@@ -128,7 +127,7 @@ class _Parts:
         self._positions = single_precision(mesh.positions, stem, notices)
         self._colours = None if mesh.colours is None else linear_colours(mesh.colours, notices)
 
-    def primitives(self, faces: NDArray[np.int64]) -> list[Tree]:
+    def primitives(self, faces: Int64s) -> list[Tree]:
         """Return a primitive for each material of some triangles."""
         mesh = self._mesh
         material_of = np.zeros(len(faces), int) if mesh.material_of is None else mesh.material_of[faces]
@@ -137,12 +136,12 @@ class _Parts:
             for material in np.unique(material_of).tolist()
         ]
 
-    def _primitive(self, faces: NDArray[np.int64], material: int) -> Tree:
+    def _primitive(self, faces: Int64s, material: int) -> Tree:
         mesh, arrays = self._mesh, self.arrays
         corners = mesh.faces[faces].ravel()
         uv = mesh.uv[faces].reshape(-1, 2).astype("<f4")
         normals = None if mesh.normals is None else mesh.normals[faces].reshape(-1, 3)
-        columns: list[NDArray[Any]] = [corners]
+        columns: list[Array] = [corners]
         if np.isfinite(uv).all():
             columns += [*uv.T]
         if normals is not None and np.isfinite(normals).all():

@@ -17,8 +17,7 @@ from beltrami_cli.surface.records import Slot
 if TYPE_CHECKING:
     from collections.abc import Hashable, Sequence
 
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Float64s
     from beltrami_cli.formats.gltf.accessors import Accessors
     from beltrami_cli.formats.gltf.entries import Entry
     from beltrami_cli.formats.gltf.json_text import Tree
@@ -193,11 +192,11 @@ class TextureUse:
     transform: tuple[float, float, float, float, float, float]  # u' = a u + b v + c, v' = d u + e v + f
     alpha_hides: bool  # whether the material's alphaMode makes anything of opacity; OPAQUE does not
 
-    def placed(self, uv: NDArray[np.float64]) -> NDArray[np.float64]:
+    def placed(self, uv: Float64s) -> Float64s:
         """Return texture coordinates, shape (n, 2), with the transform applied; overflow gives infinity."""
         a, b, c, d, e, f = self.transform
         with np.errstate(over="ignore", invalid="ignore"):
-            moved: NDArray[np.float64] = uv @ np.array([[a, d], [b, e]]) + np.array([c, f])
+            moved: Float64s = uv @ np.array([[a, d], [b, e]]) + np.array([c, f])
         return moved
 
 

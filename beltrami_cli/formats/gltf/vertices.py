@@ -12,8 +12,7 @@ from beltrami_cli.formats.gltf.columns import Column, exchange
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Sequence
 
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Float32s, Float64s
     from beltrami_cli.formats.gltf.accessors import Accessors, Stored
     from beltrami_cli.formats.gltf.edit import Edit
     from beltrami_cli.formats.gltf.entries import Entry
@@ -24,11 +23,7 @@ _STALE = "The vertices moved, but their {} are as they were; make them anew, or 
 
 
 def recolour(
-    edit: Edit,
-    blocks: Sequence[Block],
-    stored: Sequence[Stored],
-    old: NDArray[np.float32],
-    new: NDArray[np.float32],
+    edit: Edit, blocks: Sequence[Block], stored: Sequence[Stored], old: Float32s, new: Float32s
 ) -> None:
     """Put new colours (V, 3) into a file; `stored` are those of each block, and only entries that differ change."""
     if new.shape != old.shape or not np.isfinite(new).all():
@@ -62,7 +57,7 @@ def require_movable(accessors: Accessors, blocks: Sequence[Block]) -> None:
             raise accessor.entry.fault("", "its node scales the positions to nothing")
 
 
-def move(edit: Edit, blocks: Sequence[Block], old: NDArray[np.float64], places: MovedVertices) -> None:
+def move(edit: Edit, blocks: Sequence[Block], old: Float64s, places: MovedVertices) -> None:
     """Put new positions, and normals if there are any, into a file; only rows that differ from `old` are written."""
     moves = places.positions - old
     _exchange_shared(edit, "POSITION", [(block, block.position) for block in blocks], _moved(moves))
@@ -78,7 +73,7 @@ def move(edit: Edit, blocks: Sequence[Block], old: NDArray[np.float64], places: 
     edit.notices += [_STALE.format(what) for what in sorted(stale)]
 
 
-def _moved(moves: NDArray[np.float64]) -> Callable[[Block, Stored], Stored]:
+def _moved(moves: Float64s) -> Callable[[Block, Stored], Stored]:
     def renew(block: Block, before: Stored) -> Stored:
         mine = moves[block.first_row : block.first_row + block.count]
         rows = mine.any(axis=1)
@@ -90,7 +85,7 @@ def _moved(moves: NDArray[np.float64]) -> Callable[[Block, Stored], Stored]:
     return renew
 
 
-def _turned(normals: NDArray[np.float32]) -> Callable[[Block, Stored], Stored]:
+def _turned(normals: Float32s) -> Callable[[Block, Stored], Stored]:
     def renew(block: Block, before: Stored) -> Stored:
         mine = normals[block.first_row : block.first_row + block.count].astype(np.float64)
         rows = ~np.isnan(mine).any(axis=1)
@@ -108,10 +103,7 @@ def _turned(normals: NDArray[np.float32]) -> Callable[[Block, Stored], Stored]:
 
 
 def _exchange_shared(
-    edit: Edit,
-    attribute: str,
-    held: Sequence[tuple[Block, int]],
-    renew: Callable[[Block, Stored], Stored],
+    edit: Edit, attribute: str, held: Sequence[tuple[Block, int]], renew: Callable[[Block, Stored], Stored]
 ) -> None:
     """Exchange an attribute of all blocks, which may share its numbers."""
     accessors, root = edit.accessors, edit.container.root

@@ -19,14 +19,11 @@ from beltrami_cli.surface.polygons import triangulate
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from beltrami_cli.arrays import Float32s, Float64s
     from beltrami_cli.formats.gltf.json_text import Tree
     from beltrami_cli.surface.records import MeshContents, VertexColours
 
-_STORED_AS = {
-    ("linear", "uint8"): "<u1",
-    ("linear", "uint16"): "<u2",
-    ("srgb", "uint8"): "<u2",
-}
+_STORED_AS = {("linear", "uint8"): "<u1", ("linear", "uint16"): "<u2", ("srgb", "uint8"): "<u2"}
 """Component type of COLOR_0 by encoding and type of the source; float32 for all others.
 
 sRGB levels are closest near black, where one of 255 is 20 of 65535 linear steps and one of 65535 is 0.08:
@@ -148,7 +145,7 @@ def _model(primitive: Tree, painting: Tree, arrays: Arrays, stem: str) -> Tree:
     }
 
 
-def single_precision(exact: NDArray[np.float64], stem: str, notices: list[str]) -> Stored:
+def single_precision(exact: Float64s, stem: str, notices: list[str]) -> Stored:
     """Return positions as glTF stores them; a notice is added if that rounds them."""
     with np.errstate(over="ignore"):
         positions = exact.astype("<f4")
@@ -178,7 +175,7 @@ def linear_colours(contents: MeshContents | VertexColours, notices: list[str]) -
     return quantised(colours, np.dtype(_STORED_AS.get((contents.encoding, contents.stored), "<f4")))
 
 
-def unit_normals(normals: NDArray[np.float32]) -> Stored:
+def unit_normals(normals: Float32s) -> Stored:
     """Return normals of length one; where there is none, upwards, since glTF allows no others."""
     exact = np.nan_to_num(normals.astype(np.float64), posinf=0, neginf=0)
     length = np.linalg.norm(exact, axis=1, keepdims=True)

@@ -14,8 +14,7 @@ from beltrami_cli.formats.image.recognition import FORMATS, format_of_suffix, la
 from beltrami_cli.surface.colour_values import linear_to_srgb, srgb_to_linear
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Array
     from beltrami_cli.formats.image.picture import Picture
 
 _BITS = {"uint8": 8, "uint16": 16, "float16": 16, "float32": 32}
@@ -73,9 +72,7 @@ def noise_losses(picture: Picture, suffix: str | None, remedy: str) -> tuple[str
     )
 
 
-def converted(
-    picture: Picture, pixels: NDArray[Any], known: str, *, as_data: bool
-) -> tuple[NDArray[Any], Any]:
+def converted(picture: Picture, pixels: Array, known: str, *, as_data: bool) -> tuple[Array, Any]:
     """Return pixels as another format stores them, and their OpenImageIO.ImageSpec for it."""
     # Unless they are data, colours become linear light in floats and sRGB in integers.
     stored = _type_in(_finest(picture, known), known)

@@ -22,7 +22,7 @@ import numpy as np
 from beltrami_cli.errors import InputError
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from beltrami_cli.arrays import Uint8s
 
 _PACKAGES = {"ktx2": ("alktx2", "alktx2"), "avif": ("PIL._avif", "Pillow 11.3 or later")}
 EXTRA_CODECS = tuple(_PACKAGES)
@@ -46,7 +46,7 @@ _FASTEST_EFFORT, _SLOWEST_SPEED = 2, 6
 class Extra:
     """A decoded image: shape (H, W, 3 or 4), and what else is known of it."""
 
-    pixels: NDArray[np.uint8]
+    pixels: Uint8s
     notices: tuple[str, ...] = ()
     profile: bytes | None = field(default=None, repr=False)  # ICC
 
@@ -94,14 +94,14 @@ def decoded(data: bytes, known: str, name: str) -> Extra:
         return Extra(pixels, notices, image.info.get("icc_profile"))
 
 
-def encoded(known: str, pixels: NDArray[np.uint8], quality: int, source: bytes, *, as_data: bool) -> bytes:
+def encoded(known: str, pixels: Uint8s, quality: int, source: bytes, *, as_data: bool) -> bytes:
     """Encode pixels as decoded ones are; `source` is the file that they came from if it is of the format."""
     if known == "ktx2":
         return _encoded_ktx2(pixels, quality, source, as_data=as_data)
     return _encoded_avif(pixels, quality, source)
 
 
-def encoding_cost(known: str, pixels: NDArray[np.uint8], data: bytes, name: str) -> str:
+def encoding_cost(known: str, pixels: Uint8s, data: bytes, name: str) -> str:
     """Say what the encoding of pixels, shape (H, W, C), has cost: the PSNR of colours of full scale 255."""
     again = decoded(data, known, name).pixels[..., :3]
     error = float(np.mean((again.astype(np.float32) - pixels[..., :3]) ** 2))
@@ -164,7 +164,7 @@ def _decoded_ktx2(data: bytes, name: str) -> Extra:
     return Extra(np.ascontiguousarray(rows[..., order]))
 
 
-def _encoded_ktx2(pixels: NDArray[np.uint8], quality: int, source: bytes, *, as_data: bool) -> bytes:
+def _encoded_ktx2(pixels: Uint8s, quality: int, source: bytes, *, as_data: bool) -> bytes:
     """Keep codec, transfer function, mip levels and supercompression of a source; else UASTC for sRGB, with mips."""
     import alktx2
 
@@ -213,7 +213,7 @@ def _avif_bits(data: bytes) -> int:
     return 12 if flags & _TWELVE_BIT else 10
 
 
-def _encoded_avif(pixels: NDArray[np.uint8], quality: int, source: bytes) -> bytes:
+def _encoded_avif(pixels: Uint8s, quality: int, source: bytes) -> bytes:
     from PIL import Image
 
     kept = {}

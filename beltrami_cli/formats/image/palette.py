@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import struct
 import zlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,6 +19,8 @@ from beltrami_cli.surface.large_arrays import blocks
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from beltrami_cli.arrays import Array, Uint8s
+
 _MOST = 256  # entries
 _ROWS = 64  # looked at together
 _OPAQUE = 255
@@ -26,7 +28,7 @@ _INDICES = 3  # as type of colour
 _LEVEL, _LEVEL_OF_SMALL = 6, 9  # of compression
 
 
-def encode_with_palette(pixels: NDArray[Any], source: bytes, *, small: bool) -> bytes | None:
+def encode_with_palette(pixels: Array, source: bytes, *, small: bool) -> bytes | None:
     """Encode pixels, (H, W, C) of 8 bits, with the palette of a PNG file; None if not all colours find room in it.
 
     Entries keep their numbers; colours that are not among them are added behind.
@@ -56,7 +58,7 @@ def _palette_of(source: bytes) -> NDArray[np.uint32]:
     return _as_numbers(np.concatenate([colours, alpha], axis=1))
 
 
-def _as_numbers(pixels: NDArray[Any]) -> NDArray[np.uint32]:
+def _as_numbers(pixels: Array) -> NDArray[np.uint32]:
     """Return each pixel, of grey or colours, with or without opacity, as one number."""
     channels = pixels.shape[-1]
     entries = np.full((*pixels.shape[:-1], 4), _OPAQUE, np.uint8)
@@ -66,7 +68,7 @@ def _as_numbers(pixels: NDArray[Any]) -> NDArray[np.uint32]:
     return entries.view(np.uint32)[..., 0]
 
 
-def _encoded(indices: NDArray[np.uint8], palette: NDArray[np.uint32], depth: int, level: int) -> bytes:
+def _encoded(indices: Uint8s, palette: NDArray[np.uint32], depth: int, level: int) -> bytes:
     height, width = indices.shape
     entries = palette.view(np.uint8).reshape(-1, 4)
     alpha = entries[:, 3]

@@ -10,8 +10,7 @@ import numpy as np
 from beltrami_cli.surface.large_arrays import blocks
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Array, Bools, Float32s
     from beltrami_cli.surface.records import Encoding
 
 _ROWS = 64  # compared at a time
@@ -26,7 +25,7 @@ class Picture:
     name: str
     # Shape (H, W, C), row 0 is the upper one, values as in the file: alpha is not multiplied into colours that are
     # stored without it, orientation tags are ignored, palettes are resolved, and half floats are float32.
-    pixels: NDArray[Any]
+    pixels: Array
     channels: tuple[str, ...]  # names of the C channels
     colour: tuple[int, ...]  # the channels that are grey, or red, green and blue
     alpha: int | None  # the channel that is the opacity
@@ -40,7 +39,7 @@ class Picture:
     spec: Any = field(repr=False)  # OpenImageIO.ImageSpec of the file
 
 
-def new_picture(pixels: NDArray[Any], name: str) -> Picture:
+def new_picture(pixels: Array, name: str) -> Picture:
     """Describe new sRGB pixels of uint8 or uint16, RGB or RGBA with unassociated alpha, as a PNG without metadata."""
     import OpenImageIO
 
@@ -63,7 +62,7 @@ def new_picture(pixels: NDArray[Any], name: str) -> Picture:
     )
 
 
-def to_float(picture: Picture) -> NDArray[np.float32]:
+def to_float(picture: Picture) -> Float32s:
     """Return all channels, shape (H, W, C), as `full_scale_one` does."""
     return full_scale_one(picture.pixels)
 
@@ -75,7 +74,7 @@ def is_associated(picture: Picture) -> bool:
     return not (picture.format == "tiff" and picture.spec.get_int_attribute("oiio:UnassociatedAlpha"))
 
 
-def without_alpha(picture: Picture, values: NDArray[np.float32]) -> NDArray[np.float32]:
+def without_alpha(picture: Picture, values: Float32s) -> Float32s:
     """Return channels of full scale 1, shape (..., C), with colours divided by alpha, except where it is nearly 0."""
     if not is_associated(picture):
         return values
@@ -86,7 +85,7 @@ def without_alpha(picture: Picture, values: NDArray[np.float32]) -> NDArray[np.f
     return straight
 
 
-def supplies_colour(picture: Picture, opacity: NDArray[Any]) -> NDArray[np.bool_]:
+def supplies_colour(picture: Picture, opacity: Array) -> Bools:
     """Return from their stored opacity which pixels have a colour: not those that are transparent."""
     if not is_associated(picture):
         return np.asarray(opacity != 0)
@@ -95,13 +94,13 @@ def supplies_colour(picture: Picture, opacity: NDArray[Any]) -> NDArray[np.bool_
     return np.asarray((share >= max(_LEAST_OPACITY, _LEAST_STEPS / steps)) & np.isfinite(share))
 
 
-def is_unchanged(picture: Picture, pixels: NDArray[Any]) -> bool:
+def is_unchanged(picture: Picture, pixels: Array) -> bool:
     """Whether pixels, shape (H, W, C), are all as in the picture."""
     # Some rows at a time: most differ in the first ones, and a whole table of booleans is large.
     return all(np.array_equal(pixels[rows], picture.pixels[rows]) for rows in blocks(len(pixels), _ROWS))
 
 
-def full_scale_one(pixels: NDArray[Any]) -> NDArray[np.float32]:
+def full_scale_one(pixels: Array) -> Float32s:
     """Return a copy of pixels in which the largest integer of their type is 1; floats stay as they are."""
     values = pixels.astype(np.float32)
     if pixels.dtype.kind != "f":
@@ -109,7 +108,7 @@ def full_scale_one(pixels: NDArray[Any]) -> NDArray[np.float32]:
     return values
 
 
-def as_stored(values: NDArray[np.float32], kind: str) -> NDArray[Any]:
+def as_stored(values: Float32s, kind: str) -> Array:
     """Round values of full scale 1 to a type, clipped to its range; NaN becomes 0 in integers, halves are float32."""
     if kind == "float32":
         return values

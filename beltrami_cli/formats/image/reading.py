@@ -21,7 +21,7 @@ from beltrami_cli.surface.large_arrays import copy_of, is_on_disk
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    from numpy.typing import NDArray
+    from beltrami_cli.arrays import Array
 
 _LARGEST = 1 << 28  # pixels: 16384 x 16384, the largest texture that graphics cards take
 _MOST_CHANNELS = 64
@@ -182,7 +182,7 @@ def _check(spec: Any, format_name: str, known: str, name: str) -> None:
 
 
 def _picture(
-    data: bytes, name: str, known: str, spec: Any, pixels: NDArray[Any], notices: tuple[str, ...]
+    data: bytes, name: str, known: str, spec: Any, pixels: Array, notices: tuple[str, ...]
 ) -> Picture:
     kinds = tuple(_STORED[str(kind)] for kind in (spec.channelformats or [spec.format] * spec.nchannels))
     channels = tuple(spec.channelnames)
@@ -226,11 +226,7 @@ def _damaged(name: str, known: str, error: str, path: Path) -> InputError:
             f"this build of OpenImageIO does not read how the {label_of(known)} image is compressed ({shown})"
         )
         return InputError(name, cause, "save it without compression, or with another one")
-    return InputError(
-        name,
-        f"the {label_of(known)} image is damaged or cut off ({shown})",
-        "export it anew",
-    )
+    return InputError(name, f"the {label_of(known)} image is damaged or cut off ({shown})", "export it anew")
 
 
 def _changes(file: Any, spec: Any, data: bytes, known: str, name: str) -> tuple[str, ...]:

@@ -28,8 +28,7 @@ from beltrami_cli.formats.image.recognition import FORMATS, WRITABLE, format_of_
 from beltrami_cli.surface.records import ImageFile
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Array
     from beltrami_cli.formats.image.picture import Picture
 
 _SPLICED = ("png", "jpeg", "webp")  # formats whose metadata are carried over as bytes
@@ -48,7 +47,7 @@ _PNG_FILTER_UP = 0x20  # as libpng numbers them
 
 def write_image(
     picture: Picture,
-    pixels: NDArray[Any],
+    pixels: Array,
     *,
     suffix: str | None = None,
     jpeg_quality: int = 98,
@@ -96,9 +95,7 @@ def check_writable(picture: Picture, suffix: str | None) -> str:
     raise UsageError(f"{picture.name}: images cannot be written as {what}; choose {_CHOICES}")
 
 
-def _write_extra(
-    picture: Picture, pixels: NDArray[Any], known: str, quality: int, *, as_data: bool
-) -> ImageFile:
+def _write_extra(picture: Picture, pixels: Array, known: str, quality: int, *, as_data: bool) -> ImageFile:
     """Encode pixels in a format that OpenImageIO does not have, and say what that costs."""
     is_new, values = known != picture.format, pixels
     if is_new:
@@ -165,7 +162,7 @@ def _set_options(spec: Any, known: str, compression: str, quality: int, *, small
         spec.attribute("DateTime", "")
 
 
-def _encode(spec: Any, pixels: NDArray[Any], known: str, name: str) -> bytes:
+def _encode(spec: Any, pixels: Array, known: str, name: str) -> bytes:
     import OpenImageIO
 
     file = OpenImageIO.ImageOutput.create(known)

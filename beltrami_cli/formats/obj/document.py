@@ -29,8 +29,7 @@ from beltrami_cli.surface.records import MeshContents, PaintedVertices, VertexCo
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Float32s, Float64s, Int32s, Int64s
     from beltrami_cli.formats.document import Changes, Naming
     from beltrami_cli.formats.obj.materials import Library
     from beltrami_cli.formats.obj.texturing import Coordinates
@@ -124,7 +123,7 @@ class ObjDocument(Document):
     def attributes(self) -> tuple[str, ...]:
         return ("normal",) if "normals" in self._scan.dropped else ()
 
-    def _attribute(self, name: str) -> NDArray[np.float64]:
+    def _attribute(self, name: str) -> Float64s:
         vertices = self._scan.vertices
         statements = Statements(self.data, self.name)
         normals = read_normals(statements, self._scan.corners, len(vertices.positions))[vertices.coloured]
@@ -151,7 +150,7 @@ class ObjDocument(Document):
             left_out=self._scan.dropped,
         )
 
-    def textured_mesh(self, colours: NDArray[np.float32] | None = None) -> TexturedMesh:
+    def textured_mesh(self, colours: Float32s | None = None) -> TexturedMesh:
         statements, vertices = Statements(self.data, self.name), self._scan.vertices
         source = Path(self.name).stem
         mesh = read_textured_mesh(statements, self._scan, self._coordinates, self._materials, source)
@@ -166,7 +165,7 @@ class ObjDocument(Document):
         shown = VertexColours(values, "srgb", self._stored, self._alpha())
         return dataclasses.replace(mesh, colours=shown)
 
-    def _alpha(self) -> NDArray[np.float32] | None:
+    def _alpha(self) -> Float32s | None:
         alpha = self._scan.vertices.alpha
         if alpha is None:
             return None
@@ -196,14 +195,14 @@ class ObjDocument(Document):
         return scan
 
     @cached_property
-    def _polygons(self) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+    def _polygons(self) -> tuple[Int32s, Int64s]:
         vertices = self._scan.vertices
         if len(vertices.coloured) == len(vertices.positions):
             return self._scan.corners, self._scan.offsets
         return among(self._scan.corners, self._scan.offsets, vertices.coloured, len(vertices.positions))
 
     @cached_property
-    def _colours(self) -> NDArray[np.float32]:
+    def _colours(self) -> Float32s:
         return (self._scan.vertices.colours / self._scale).astype(np.float32)
 
     @cached_property
@@ -234,9 +233,7 @@ class ObjDocument(Document):
         return UnpaintedError(self.name, cause, "export the mesh with vertex colours (v x y z r g b)")
 
 
-def _take_apart(
-    data: bytes, scan: Scan, colours: NDArray[np.float32] | None, materials: Materials
-) -> Fingerprint:
+def _take_apart(data: bytes, scan: Scan, colours: Float32s | None, materials: Materials) -> Fingerprint:
     """Take an OBJ file apart: its text, that of each library, and the images that these name; colours if it has any."""
     if scan.polypaint is not None:
         data = zeroed(data, scan.polypaint.starts + 2, _BYTES_OF_POLYPAINT)

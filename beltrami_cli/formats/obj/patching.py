@@ -17,8 +17,7 @@ from beltrami_cli.formats.tokens import Spans, exchange_spans, exchange_tokens
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Bools, Float32s, Float64s, Int64s
     from beltrami_cli.formats.document import Bytes, Naming
     from beltrami_cli.formats.obj.materials import Library, Map, Materials
     from beltrami_cli.surface.records import ImageFile, Slot
@@ -32,19 +31,14 @@ _MOST_DECIMALS = 17
 class NewNumbers:
     """Tokens of a file and the numbers that replace them."""
 
-    starts: NDArray[np.int64]  # (K,) where the tokens stand
-    ends: NDArray[np.int64]
-    values: NDArray[np.float64]
+    starts: Int64s  # (K,) where the tokens stand
+    ends: Int64s
+    values: Float64s
     decimals: int
 
 
 def new_colours(
-    data: bytes,
-    starts: NDArray[np.int64],
-    ends: NDArray[np.int64],
-    colours: NDArray[np.float32],
-    changed: NDArray[np.bool_],
-    scale: float,
+    data: bytes, starts: Int64s, ends: Int64s, colours: Float32s, changed: Bools, scale: float
 ) -> NewNumbers:
     """Format the colours that changed, all of shape (V, 3), like the old ones; `scale` is full scale, 1 or 255."""
     values = colours[changed].astype(np.float64) * scale
@@ -59,11 +53,7 @@ def new_colours(
 
 
 def new_positions(
-    data: bytes,
-    starts: NDArray[np.int64],
-    ends: NDArray[np.int64],
-    positions: NDArray[np.float64],
-    changed: NDArray[np.bool_],
+    data: bytes, starts: Int64s, ends: Int64s, positions: Float64s, changed: Bools
 ) -> NewNumbers:
     """Spell the coordinates that changed with as many decimals as the old ones, and no less than float32 has."""
     largest = float(np.abs(positions).max(initial=0)) or 1.0
@@ -91,7 +81,7 @@ def renumbered(data: bytes, parts: Sequence[NewNumbers]) -> list[Bytes]:
     return [*exchange_tokens(data, starts[order], ends[order], spell)]
 
 
-def _most_decimals(data: bytes, starts: NDArray[np.int64], ends: NDArray[np.int64]) -> int:
+def _most_decimals(data: bytes, starts: Int64s, ends: Int64s) -> int:
     """Return how many characters stand behind the point at most; negative if no token has one."""
     points = np.append(np.flatnonzero(np.frombuffer(data, np.uint8) == ord(".")), len(data))
     return int((ends - points[np.searchsorted(points, starts)] - 1).max())

@@ -16,7 +16,7 @@ from beltrami_cli.errors import InputError
 from beltrami_cli.formats.tokens import blocks, find_tokens, read_numbers, require_short_lines
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from beltrami_cli.arrays import Bools, Float64s, Int64s
 
 _INDICES = {b"v": (0, "vertex"), b"vt": (1, "texture coordinates"), b"vn": (2, "normal")}
 """How many "/" stand before the index of each kind in a corner, and what it refers to."""
@@ -44,14 +44,14 @@ class Statements:
         heads = np.concatenate([[0], stops[:-1]])
         self.heads, self.stops = heads[heads < stops], stops[heads < stops]
 
-    def select(self, keyword: bytes) -> NDArray[np.int64]:
+    def select(self, keyword: bytes) -> Int64s:
         """Return which statements have a keyword, in file order."""
         chosen = np.flatnonzero(self.ends[self.heads] - self.starts[self.heads] == len(keyword))
         for place, character in enumerate(keyword):
             chosen = chosen[self._characters[self.starts[self.heads[chosen]] + place] == character]
         return chosen
 
-    def arguments(self, chosen: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def arguments(self, chosen: Int64s) -> tuple[Int64s, Int64s]:
         """Return the K tokens behind the keywords of N statements, and the N + 1 offsets of each statement's."""
         firsts = self.heads[chosen] + 1
         sizes = self.stops[chosen] - firsts
@@ -59,7 +59,7 @@ class Statements:
         np.cumsum(sizes, out=offsets[1:])
         return np.repeat(firsts - offsets[:-1], sizes) + np.arange(offsets[-1]), offsets
 
-    def numbers(self, tokens: NDArray[np.int64]) -> NDArray[np.float64]:
+    def numbers(self, tokens: Int64s) -> Float64s:
         """Read tokens, given in file order, as numbers; InputError if one is none."""
         if not tokens.size:
             return np.empty(0)
@@ -75,7 +75,7 @@ class Statements:
             raise self.error(tokens[len(values)], "is no number")
         return values
 
-    def finite_numbers(self, tokens: NDArray[np.int64]) -> NDArray[np.float64]:
+    def finite_numbers(self, tokens: Int64s) -> Float64s:
         """Read tokens as `numbers` does; InputError if one is not finite."""
         values = self.numbers(tokens)
         finite = np.isfinite(values)
@@ -83,7 +83,7 @@ class Statements:
             raise self.error(tokens[int(np.argmin(finite))], "is not a finite number")
         return values
 
-    def corners(self, keyword: bytes) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    def corners(self, keyword: bytes) -> tuple[Int64s, Int64s, Int64s]:
         """Return the rows of a keyword (v, vt, vn) at K corners, -1: none, their tokens, and polygon offsets."""
         targets, polygons = self.select(keyword), self.select(b"f")
         tokens, offsets = self.arguments(polygons)
@@ -99,14 +99,14 @@ class Statements:
             raise self.error(tokens[int(np.argmax(outside))], cause)
         return np.where(index == 0, -1, rows), tokens, offsets
 
-    def _first_indices(self, tokens: NDArray[np.int64]) -> NDArray[np.int64]:
+    def _first_indices(self, tokens: Int64s) -> Int64s:
         """Read the whole numbers that tokens have before their first "/"; InputError if one has none."""
         values = np.empty(len(tokens), np.int64)
         for block in blocks(len(tokens), _BLOCK):
             values[block], _ = self._whole(tokens[block], self.starts[tokens[block]], "is no vertex index")
         return values
 
-    def _indices_behind(self, tokens: NDArray[np.int64], slash: int) -> NDArray[np.int64]:
+    def _indices_behind(self, tokens: Int64s, slash: int) -> Int64s:
         """Read the whole numbers that tokens have behind their first or second "/"; 0 where there is none."""
         of = "texture coordinates" if slash == 1 else "a normal"
         values = np.zeros(len(tokens), np.int64)
@@ -125,9 +125,7 @@ class Statements:
                 )
         return values
 
-    def _whole(
-        self, tokens: NDArray[np.int64], first: NDArray[np.int64], cause: str
-    ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    def _whole(self, tokens: Int64s, first: Int64s, cause: str) -> tuple[Int64s, Bools]:
         """Read whole numbers that start at some places in tokens; return them, and which of them are 0."""
         ends = self.ends[tokens]
         negative = self._characters[first] == ord("-")

@@ -16,8 +16,7 @@ from beltrami_cli.surface.polygons import triangulate_corners
 from beltrami_cli.surface.records import ImageFile, Material, MaterialMap, MeshImage, TexturedMesh
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Float32s, Int32s, Int64s
     from beltrami_cli.formats.obj.materials import Map, Materials
     from beltrami_cli.formats.obj.statements import Statements
     from beltrami_cli.formats.obj.texturing import Coordinates
@@ -32,11 +31,7 @@ _Placed = tuple[tuple[float, float], tuple[float, float]]  # scale and offset of
 
 
 def read_textured_mesh(
-    statements: Statements,
-    scan: Scan,
-    coordinates: Coordinates,
-    materials: Materials,
-    source: str,
+    statements: Statements, scan: Scan, coordinates: Coordinates, materials: Materials, source: str
 ) -> TexturedMesh:
     """Return all triangles of a file, with their materials, groups, normals and texture coordinates."""
     cut, polygon = triangulate_corners(scan.vertices.positions, scan.corners, scan.offsets)
@@ -202,16 +197,14 @@ def _numbers(text: bytes) -> list[float]:
     return values if np.isfinite(values).all() else []
 
 
-def _normals(statements: Statements) -> NDArray[np.float32]:
+def _normals(statements: Statements) -> Float32s:
     """Return the normals of all corners of polygons, NaN where there is none."""
     rows, _, _ = statements.corners(b"vn")
     values = np.append(unit_normals(statements), [[np.nan] * 3], axis=0)
     return values[rows].astype(np.float32)
 
 
-def _groups(
-    statements: Statements, polygon: NDArray[np.int64]
-) -> tuple[tuple[str, ...], NDArray[np.int32], list[str]]:
+def _groups(statements: Statements, polygon: Int64s) -> tuple[tuple[str, ...], Int32s, list[str]]:
     """Return the names of objects, or else of groups, which of them each triangle is in, and what is left out."""
     polygons = statements.select(b"f")
     given = {keyword: statements.select(keyword) for keyword in (b"o", b"g")}

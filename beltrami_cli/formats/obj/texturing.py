@@ -15,8 +15,7 @@ from beltrami_cli.surface.records import Texture, TexturedSurface
 from beltrami_cli.surface.tiling import TilingError, on_tiles
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Float64s, Int32s, Int64s
     from beltrami_cli.formats.model_folder import ModelFolder
     from beltrami_cli.formats.obj.materials import Materials
     from beltrami_cli.formats.obj.statements import Statements
@@ -28,10 +27,10 @@ if TYPE_CHECKING:
 class Coordinates:
     """What an OBJ file says about textures, polygon by polygon."""
 
-    values: NDArray[np.float64]  # (N, 2), the `vt` statements: u to the right, v up
-    corners: NDArray[np.int64]  # (K,) row of `values` of every corner, -1 where it has none
+    values: Float64s  # (N, 2), the `vt` statements: u to the right, v up
+    corners: Int64s  # (K,) row of `values` of every corner, -1 where it has none
     names: list[str]  # of materials
-    material_of: NDArray[np.int64]  # (P,) index into `names` of every polygon, -1 where it has none
+    material_of: Int64s  # (P,) index into `names` of every polygon, -1 where it has none
 
 
 def read_coordinates(statements: Statements, materials: Materials) -> Coordinates:
@@ -49,7 +48,7 @@ def read_coordinates(statements: Statements, materials: Materials) -> Coordinate
     return Coordinates(values, corners, names, material_of)
 
 
-def _materials_of(statements: Statements, materials: Materials) -> tuple[list[str], NDArray[np.int64]]:
+def _materials_of(statements: Statements, materials: Materials) -> tuple[list[str], Int64s]:
     """Return all names behind `usemtl`, and which of them holds for each polygon."""
     switches, polygons = statements.select(b"usemtl"), statements.select(b"f")
     texts = [statements.rest(switch)[0] for switch in switches]
@@ -73,7 +72,7 @@ class _Painted:
 
 
 def gather_textured(
-    mesh: tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.int64]],
+    mesh: tuple[Float64s, Int32s, Int64s],
     coordinates: Coordinates,
     materials: Materials,
     folder: ModelFolder,

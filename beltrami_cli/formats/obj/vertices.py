@@ -23,6 +23,8 @@ from beltrami_cli.surface.geometry import unit_vectors
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s, Uint8s
+
 _SIZES = (3, 4, 5, 6, 7, 8)
 _PLAIN, _ALPHA_OR_WEIGHT, _BOTH = 6, 7, 8  # numbers of a vertex with colours
 
@@ -39,14 +41,14 @@ _VALUES[_UPPER] = _VALUES[_LOWER] = np.arange(16)
 class Vertices:
     """The vertices of a file."""
 
-    positions: NDArray[np.float64]  # (N, 3) of all vertices
-    coloured: NDArray[np.int64]  # (V,) which of them have colours, in file order
-    colours: NDArray[np.float64]  # (V, 3) the numbers in the file
-    alpha: NDArray[np.float64] | None  # (V,) the numbers in the file, if all coloured vertices have one
+    positions: Float64s  # (N, 3) of all vertices
+    coloured: Int64s  # (V,) which of them have colours, in file order
+    colours: Float64s  # (V, 3) the numbers in the file
+    alpha: Float64s | None  # (V,) the numbers in the file, if all coloured vertices have one
     token_starts: NDArray[
         np.int64
     ]  # (V, 6) where positions and colours of coloured vertices stand in the file
-    token_ends: NDArray[np.int64]
+    token_ends: Int64s
     notice: str  # how numbers were understood that can mean two things, or empty
 
 
@@ -84,9 +86,7 @@ def read_vertices(statements: Statements, name: str) -> Vertices:
     )
 
 
-def _weights(
-    values: NDArray[np.float64], offsets: NDArray[np.int64], sizes: NDArray[np.int64]
-) -> tuple[bool, str]:
+def _weights(values: Float64s, offsets: Int64s, sizes: Int64s) -> tuple[bool, str]:
     """Return whether the fourth of seven numbers is a weight, and a notice about it."""
     firsts = offsets[:-1][sizes == _ALPHA_OR_WEIGHT]
     if not firsts.size:
@@ -100,8 +100,8 @@ def _weights(
 class Polypaint:
     """The entries of a file."""
 
-    colours: NDArray[np.uint8]  # (N, 3)
-    starts: NDArray[np.int64]  # (N,) where the first digit of every entry stands in the file
+    colours: Uint8s  # (N, 3)
+    starts: Int64s  # (N,) where the first digit of every entry stands in the file
 
 
 def read_polypaint(data: bytes, vertices: int, name: str) -> Polypaint | None:
@@ -137,9 +137,7 @@ def painted_by(paint: Polypaint, vertices: Vertices, statements: Statements) -> 
     )
 
 
-def repainted_entries(
-    data: bytes, starts: NDArray[np.int64], colours: NDArray[np.float32], changed: NDArray[np.bool_]
-) -> bytes:
+def repainted_entries(data: bytes, starts: Int64s, colours: Float32s, changed: Bools) -> bytes:
     """Exchange the digits of the colours that changed, (N, 3), rounded to 8 bit; every other byte stays."""
     text = np.frombuffer(data, np.uint8).copy()
     written = text[starts[:, None] + np.arange(_DIGITS)]
@@ -168,8 +166,8 @@ class Scan:
 
     vertices: Vertices
     polypaint: Polypaint | None  # where the colours stand if they are not on the lines of the vertices
-    corners: NDArray[np.int32]  # (K,) vertices of the corners of all polygons
-    offsets: NDArray[np.int64]  # (P + 1,) where each polygon starts
+    corners: Int32s  # (K,) vertices of the corners of all polygons
+    offsets: Int64s  # (P + 1,) where each polygon starts
     libraries: list[tuple[bytes, int]]  # what stands behind `mtllib` keywords, and where
     dropped: tuple[str, ...]  # what no conversion takes over
     notices: tuple[str, ...]
@@ -201,9 +199,7 @@ def scan_file(data: bytes, name: str) -> Scan:
     )
 
 
-def among(
-    corners: NDArray[np.int32], offsets: NDArray[np.int64], vertices: NDArray[np.int64], count: int
-) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+def among(corners: Int32s, offsets: Int64s, vertices: Int64s, count: int) -> tuple[Int32s, Int64s]:
     """Keep the polygons that have all corners among some vertices, and number these from 0."""
     row = np.full(count, -1, np.int32)
     row[vertices] = np.arange(len(vertices))
@@ -215,7 +211,7 @@ def among(
     return moved[kept[polygon]], ends
 
 
-def read_normals(statements: Statements, corners: NDArray[np.int32], count: int) -> NDArray[np.float64]:
+def read_normals(statements: Statements, corners: Int32s, count: int) -> Float64s:
     """Read the unit normals of all vertices, shape (count, 3); NaN where no corner of a vertex has one."""
     values = unit_normals(statements)
     rows, tokens, _ = statements.corners(b"vn")
@@ -230,7 +226,7 @@ def read_normals(statements: Statements, corners: NDArray[np.int32], count: int)
     return normals
 
 
-def unit_normals(statements: Statements) -> NDArray[np.float64]:
+def unit_normals(statements: Statements) -> Float64s:
     """Return all `vn` statements as unit vectors, shape (N, 3)."""
     chosen = statements.select(b"vn")
     tokens, offsets = statements.arguments(chosen)

@@ -6,7 +6,7 @@ Colours have six decimals, all other numbers as many digits as they need to be r
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s, Int64s
     from beltrami_cli.surface.records import Material, MeshContents, Slot, TexturedMesh, VertexColours
 
 _BLOCK = 1 << 16  # lines made at a time, which bounds the memory that their tokens take
@@ -57,7 +58,7 @@ def write_obj(contents: MeshContents, stem: str) -> Written:
     return Written(pieces, notices=(*notices, *left_out(contents)))
 
 
-def _vertex_lines(positions: NDArray[np.float64], colours: NDArray[np.float32]) -> Iterator[bytes]:
+def _vertex_lines(positions: Float64s, colours: Float32s) -> Iterator[bytes]:
     short = shortest_type(positions)
     for block in blocks(len(positions), _BLOCK):
         tokens = [*_spelled(short[block]), *colours[block].T.tolist()]
@@ -65,7 +66,7 @@ def _vertex_lines(positions: NDArray[np.float64], colours: NDArray[np.float32]) 
         yield "".join([f"v {x} {y} {z} {r:.6f} {g:.6f} {b:.6f}\n" for x, y, z, r, g, b in rows]).encode()
 
 
-def _polygon_lines(corners: NDArray[np.int32], offsets: NDArray[np.int64], style: str) -> Iterator[bytes]:
+def _polygon_lines(corners: Int32s, offsets: Int64s, style: str) -> Iterator[bytes]:
     for block in blocks(len(offsets) - 1, _BLOCK):
         ends = offsets[block.start : block.stop + 1]
         tokens = [style.format(index) for index in (corners[ends[0] : ends[-1]] + 1).tolist()]
@@ -81,7 +82,7 @@ def write_textured_obj(mesh: TexturedMesh, stem: str) -> Written:
     coordinates, coordinate_of = _distinct(mesh.uv)
     pieces = [f"mtllib {stem}.mtl\n".encode(), *vertices]
     pieces += _lines("vt {} {}\n", (coordinates * [1, -1] + [0, 1]).astype(np.float32))
-    columns: list[NDArray[Any]] = [mesh.faces + 1, coordinate_of]
+    columns: list[Array] = [mesh.faces + 1, coordinate_of]
     if mesh.normals is not None:
         normals, normal_of = _distinct(mesh.normals)
         pieces += _lines("vn {} {} {}\n", normals)
@@ -96,9 +97,7 @@ def write_textured_obj(mesh: TexturedMesh, stem: str) -> Written:
     return Written(pieces, {f"{stem}.mtl": library.encode(), **files}, (*notices, *lost))
 
 
-def _textured_vertices(
-    positions: NDArray[np.float64], colours: VertexColours | None
-) -> tuple[list[bytes], list[str]]:
+def _textured_vertices(positions: Float64s, colours: VertexColours | None) -> tuple[list[bytes], list[str]]:
     if colours is None:
         return [*_lines("v {} {} {}\n", shortest_type(positions))], []
     values, notices = display_colours(colours)
@@ -107,7 +106,7 @@ def _textured_vertices(
     return [*_vertex_lines(positions, values)], notices
 
 
-def _distinct(corners: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.int64]]:
+def _distinct(corners: Array) -> tuple[Array, Int64s]:
     """Return the distinct rows of (F, 3, C) numbers, and which of them every corner has, from 1; 0 for NaN."""
     rows = corners.reshape(-1, corners.shape[2])
     given = ~np.isnan(rows).any(axis=1)
@@ -167,7 +166,7 @@ def _numbers(values: tuple[float, ...]) -> str:
     return " ".join(f"{value:.6g}" for value in values)
 
 
-def _lines(style: str, rows: NDArray[np.float32] | NDArray[np.float64]) -> Iterator[bytes]:
+def _lines(style: str, rows: Float32s | Float64s) -> Iterator[bytes]:
     for block in blocks(len(rows), _BLOCK):
         yield "".join([style.format(*row) for row in zip(*_spelled(rows[block]), strict=True)]).encode()
 
@@ -178,7 +177,7 @@ def _triangle_lines(indices: NDArray[np.integer], style: str) -> Iterator[bytes]
         yield "".join([style.format(*corner) for corner in corners]).encode()
 
 
-def _spelled(rows: NDArray[np.float32] | NDArray[np.float64]) -> list[list[str]]:
+def _spelled(rows: Float32s | Float64s) -> list[list[str]]:
     """Return the columns as the shortest tokens that are read back the same."""
     columns: list[list[str]] = rows.T.astype("U32").tolist()
     return columns

@@ -43,8 +43,7 @@ from beltrami_cli.surface.records import MeshContents, PaintedVertices, VertexCo
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
 
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Float32s, Float64s, Int32s, Int64s
     from beltrami_cli.formats.document import Changes, Naming
     from beltrami_cli.formats.ply.header import Header
     from beltrami_cli.formats.ply.tables import Table
@@ -79,11 +78,11 @@ class PlyDocument(Document):
             stored=str(np.dtype(self._paint.type)),
         )
 
-    def grid(self) -> NDArray[np.int64] | None:
+    def grid(self) -> Int64s | None:
         return self._grid
 
     @cached_property
-    def _grid(self) -> NDArray[np.int64] | None:
+    def _grid(self) -> Int64s | None:
         return read_grid(self.data[: self._header.end], self._tables, self.name)
 
     def has_vertex_colours(self) -> bool:
@@ -122,7 +121,7 @@ class PlyDocument(Document):
             pieces = [header, memoryview(self.data)[self._header.end :]] if spans else [self.data]
         return dataclasses.replace(beside, main=pieces)
 
-    def _recoloured(self, colours: NDArray[np.float32]) -> list[Change]:
+    def _recoloured(self, colours: Float32s) -> list[Change]:
         changed = colours != self._colours.values
         stored = [
             store_colours(colours[rows, channel], self._colours.scale, self._paint.type)
@@ -133,7 +132,7 @@ class PlyDocument(Document):
     def attributes(self) -> tuple[str, ...]:
         return attribute_names(self._kinds, self._paint.names if self.has_vertex_colours() else ())
 
-    def _attribute(self, name: str) -> NDArray[np.float64]:
+    def _attribute(self, name: str) -> Float64s:
         return read_attribute(self._vertices, name, self.name)
 
     def require_movable(self) -> None:
@@ -161,7 +160,7 @@ class PlyDocument(Document):
             ),
         )
 
-    def textured_mesh(self, colours: NDArray[np.float32] | None = None) -> TexturedMesh:
+    def textured_mesh(self, colours: Float32s | None = None) -> TexturedMesh:
         shown = None
         used: set[str | None] = {*POSITION, *find_coordinates(self._tables)}
         if self.has_vertex_colours():
@@ -239,23 +238,23 @@ class PlyDocument(Document):
         return colours
 
     @cached_property
-    def _positions(self) -> NDArray[np.float64]:
+    def _positions(self) -> Float64s:
         return self._columns(POSITION, "position")
 
     @cached_property
-    def _measured(self) -> NDArray[np.float64]:
+    def _measured(self) -> Float64s:
         """Positions of a range image or of points, in which what was not measured is not finite."""
         with np.errstate(invalid="ignore"):
             return np.column_stack([self._vertices.scalars(name) for name in POSITION]).astype(np.float64)
 
     @cached_property
-    def _polygons(self) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+    def _polygons(self) -> tuple[Int32s, Int64s]:
         return read_polygons(self._tables, self._vertices.element.count, self.name)
 
-    def _columns(self, names: tuple[str, ...], what: str) -> NDArray[np.float64]:
+    def _columns(self, names: tuple[str, ...], what: str) -> Float64s:
         return finite_columns(self._vertices, names, what, self.name)
 
-    def _alpha(self) -> NDArray[np.float32] | None:
+    def _alpha(self) -> Float32s | None:
         if not self._paint.alpha:
             return None
         alpha = self._columns((self._paint.alpha,), "alpha")[:, 0]
@@ -265,7 +264,7 @@ class PlyDocument(Document):
             scale = self._colours.scale
         return np.clip(alpha / scale, 0, 1).astype(np.float32)
 
-    def _normals(self) -> NDArray[np.float32]:
+    def _normals(self) -> Float32s:
         largest = np.finfo(np.float32).max
         return np.clip(self._columns(NORMAL, "normal"), -largest, largest).astype(np.float32)
 

@@ -15,8 +15,7 @@ from beltrami_cli.formats.tokens import exchange_spans, exchange_tokens, find_to
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Float32s, Int64s
     from beltrami_cli.formats.model_folder import ModelFolder
     from beltrami_cli.formats.ply.header import Header
     from beltrami_cli.formats.ply.tables import Table
@@ -29,7 +28,7 @@ def take_apart(
     header: Header,
     tables: Mapping[str, Table],
     paint: Paint | None,
-    colours: NDArray[np.float32] | None,
+    colours: Float32s | None,
     images: Sequence[TextureComment],
     folder: ModelFolder,
 ) -> Fingerprint:
@@ -56,7 +55,7 @@ def take_apart(
     )
 
 
-def _blanked_text(text: bytes, hidden: NDArray[np.int64]) -> tuple[bytes, NDArray[np.int64]]:
+def _blanked_text(text: bytes, hidden: Int64s) -> tuple[bytes, Int64s]:
     """Return a text with a placeholder for some of its tokens, and where every token starts in it."""
     starts, ends = find_tokens(text)
     order = np.sort(hidden)

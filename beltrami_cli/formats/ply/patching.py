@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,8 +17,7 @@ from beltrami_cli.formats.tokens import exchange_tokens, find_tokens
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Array, Bools
     from beltrami_cli.formats.document import Bytes, Naming
     from beltrami_cli.formats.ply.header import Header
     from beltrami_cli.formats.ply.tables import Table
@@ -32,8 +31,8 @@ class Change:
     """New values of one property."""
 
     name: str  # the property, a scalar
-    rows: NDArray[np.bool_]  # (V,) which vertices change
-    values: NDArray[Any]  # their new values, in the property's type
+    rows: Bools  # (V,) which vertices change
+    values: Array  # their new values, in the property's type
 
 
 def patch_body(data: bytes, header: Header, vertices: Table, changes: Sequence[Change]) -> list[Bytes]:
@@ -70,7 +69,7 @@ def _patch_text(text: bytes, vertices: Table, changes: Sequence[Change]) -> list
     return exchange_tokens(text, starts[there], ends[there], spell)
 
 
-def _spelled(values: NDArray[Any]) -> list[bytes]:
+def _spelled(values: Array) -> list[bytes]:
     if values.dtype.kind in "ui":
         return [b"%d" % value for value in values.tolist()]
     spelled: list[bytes] = values.astype("S32").tolist()  # the shortest that reads back the same
@@ -94,7 +93,7 @@ def moved_changes(vertices: Table, kinds: Mapping[str, str], places: MovedVertic
 
 
 def _changes(
-    vertices: Table, kinds: Mapping[str, str], names: tuple[str, ...], new: NDArray[Any]
+    vertices: Table, kinds: Mapping[str, str], names: tuple[str, ...], new: Array
 ) -> Iterator[Change]:
     for name, column in zip(names, new.T, strict=True):
         old = vertices.scalars(name)

@@ -19,8 +19,7 @@ from beltrami_cli.errors import InputError
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Int32s, Int64s
     from beltrami_cli.formats.ply.tables import Table
 
 _LISTS = ("vertex_indices", "vertex_index")
@@ -33,9 +32,7 @@ _COLUMNS, _ROWS = ("num_cols", "width", "columns", "cols"), ("num_rows", "height
 _SIZE = re.compile(rb"^(?:obj_info|comment)[ \t]+(\w+)[ \t:=]+(\d{1,9})[ \t]*\r?$", re.MULTILINE)
 
 
-def read_polygons(
-    tables: Mapping[str, Table], vertices: int, name: str
-) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+def read_polygons(tables: Mapping[str, Table], vertices: int, name: str) -> tuple[Int32s, Int64s]:
     """Read the faces, and behind them the triangles of strips: (K,) corners and (P + 1,) offsets of polygons."""
     corners, offsets = _vertex_lists(tables, "face", name)
     _check(corners, offsets, vertices, 0, "face", name)
@@ -48,9 +45,7 @@ def read_polygons(
     )
 
 
-def _vertex_lists(
-    tables: Mapping[str, Table], element: str, name: str
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _vertex_lists(tables: Mapping[str, Table], element: str, name: str) -> tuple[Int64s, Int64s]:
     table = tables.get(element)
     if table is None or table.element.count == 0:
         return np.empty(0, np.int64), np.zeros(1, np.int64)
@@ -62,14 +57,7 @@ def _vertex_lists(
     raise InputError(name, f"element '{element}' has no list vertex_indices")
 
 
-def _check(
-    corners: NDArray[np.int64],
-    offsets: NDArray[np.int64],
-    vertices: int,
-    least: int,
-    what: str,
-    name: str,
-) -> None:
+def _check(corners: Int64s, offsets: Int64s, vertices: int, least: int, what: str, name: str) -> None:
     if corners.size and (corners.min() < least or corners.max() >= vertices):
         bad = int(np.argmax((corners < least) | (corners >= vertices)))
         row = int(np.searchsorted(offsets, bad, side="right")) - 1
@@ -78,7 +66,7 @@ def _check(
         )
 
 
-def _unroll(strips: NDArray[np.int64], ends: NDArray[np.int64]) -> NDArray[np.int64]:
+def _unroll(strips: Int64s, ends: Int64s) -> Int64s:
     """Convert strips, which -1 restarts, to triangles, with every other one of a strip reversed."""
     if strips.size < 3:
         return np.empty((0, 3), np.int64)
@@ -92,11 +80,11 @@ def _unroll(strips: NDArray[np.int64], ends: NDArray[np.int64]) -> NDArray[np.in
     triangles[odd] = triangles[odd][:, [1, 0, 2]]
     a, b, c = triangles.T
     proper = (since[2:] >= 2) & (triangles >= 0).all(axis=1) & (a != b) & (b != c) & (c != a)
-    kept: NDArray[np.int64] = triangles[proper]
+    kept: Int64s = triangles[proper]
     return kept
 
 
-def read_grid(header: bytes, tables: Mapping[str, Table], name: str) -> NDArray[np.int64] | None:
+def read_grid(header: bytes, tables: Mapping[str, Table], name: str) -> Int64s | None:
     """Return the vertices on the grid, (H, W), -1 where nothing was measured; None without a grid, or with faces."""
     if any(tables[other].element.count for other in ("face", "tristrips") if other in tables):
         return None
@@ -115,7 +103,7 @@ def read_grid(header: bytes, tables: Mapping[str, Table], name: str) -> NDArray[
     return np.arange(vertices).reshape(rows, columns)
 
 
-def _listed(table: Table, rows: int, columns: int, vertices: int, name: str) -> NDArray[np.int64]:
+def _listed(table: Table, rows: int, columns: int, vertices: int, name: str) -> Int64s:
     """Read the element that lists a vertex, or none, for every place of the grid, row by row."""
     places = table.element.count
     if rows * columns != places:

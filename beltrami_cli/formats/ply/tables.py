@@ -20,12 +20,11 @@ from beltrami_cli.formats.tokens import read_numbers
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Array, Int64s
     from beltrami_cli.formats.ply.header import Element, Header, Property
 
 
-def values_in_bytes(data: bytes | bytearray, kind: str) -> NDArray[Any]:
+def values_in_bytes(data: bytes | bytearray, kind: str) -> Array:
     """Return the overlapping values that start at every byte; writable if the data are."""
     size = np.dtype(kind).itemsize
     return np.ndarray((max(len(data) - size + 1, 0),), kind, data, strides=(1,))
@@ -43,11 +42,11 @@ class Body:
         """Return how many units a scalar takes."""
         return np.dtype(kind).itemsize
 
-    def view(self, kind: str) -> NDArray[Any]:
+    def view(self, kind: str) -> Array:
         """Return an array that has at every unit the value which would start there."""
         return values_in_bytes(self._data, self._order + kind)
 
-    def checked(self, values: NDArray[Any], kind: str, where: str) -> NDArray[Any]:
+    def checked(self, values: Array, kind: str, where: str) -> Array:
         """Return values from `view` in their type; InputError if they cannot be of it."""
         return values.astype(kind)
 
@@ -63,10 +62,10 @@ class TextBody(Body):
     def size(self, kind: str) -> int:
         return 1
 
-    def view(self, kind: str) -> NDArray[Any]:
+    def view(self, kind: str) -> Array:
         return self._values
 
-    def checked(self, values: NDArray[Any], kind: str, where: str) -> NDArray[Any]:
+    def checked(self, values: Array, kind: str, where: str) -> Array:
         if kind[0] == "f":
             return values
         limits = np.iinfo(kind)
@@ -80,7 +79,7 @@ class TextBody(Body):
 Places = slice | np.ndarray[Any, np.dtype[np.int64]]
 
 
-def indices(places: Places) -> NDArray[np.int64]:
+def indices(places: Places) -> Int64s:
     """Return places as an array."""
     return np.arange(places.start, places.stop, places.step) if isinstance(places, slice) else places
 
@@ -92,7 +91,7 @@ class Table:
     body: Body
     element: Element
     start: int  # unit of the first row
-    counts: NDArray[np.int64]
+    counts: Int64s
     """Lengths of the L lists of every row, (N, L); a broadcast view if all rows are alike, one row if L is 0."""
 
     @cached_property
@@ -104,7 +103,7 @@ class Table:
         return not self._lists or self.counts.strides[0] == 0
 
     @cached_property
-    def _row_size(self) -> NDArray[np.int64]:
+    def _row_size(self) -> Int64s:
         """Units of every row, or of any row if all are alike: shape (N,) or (1,)."""
         items = np.array([self.body.size(known.type) for known in self._lists], np.int64)
         counts = self.counts[:1] if self._alike else self.counts
@@ -128,10 +127,10 @@ class Table:
             step = int(row_size[0])
             return slice(first, first + step * (count - 1) + 1, step)
         rows = self.start + np.cumsum(row_size) - row_size
-        places: NDArray[np.int64] = rows + self._offset(name, self.counts)
+        places: Int64s = rows + self._offset(name, self.counts)
         return places
 
-    def _offset(self, name: str, counts: NDArray[np.int64]) -> NDArray[np.int64]:
+    def _offset(self, name: str, counts: Int64s) -> Int64s:
         """Units between the start of a row and a property of it, shape (rows of counts,)."""
         offset = np.zeros(len(counts), np.int64)
         lists = 0
@@ -144,7 +143,7 @@ class Table:
                 lists += 1
         return offset
 
-    def scalars(self, name: str) -> NDArray[Any]:
+    def scalars(self, name: str) -> Array:
         """Return a scalar property of all rows, shape (N,), in its type (float64 for floats in text)."""
         kind = self.element.scalars[name]
         if self.element.count == 0:
@@ -152,7 +151,7 @@ class Table:
         values = self.body.view(kind)[self.places(name)]
         return self.body.checked(values, kind, f"property '{name}' of element '{self.element.name}'")
 
-    def lists(self, name: str) -> tuple[NDArray[Any], NDArray[np.int64]]:
+    def lists(self, name: str) -> tuple[Array, Int64s]:
         """Return the items of a list property, rows one after the other, and its N + 1 offsets therein."""
         known = next(known for known in self._lists if known.name == name)
         lengths = self.counts[:, self._lists.index(known)]
@@ -179,7 +178,7 @@ def read_tables(data: bytes, header: Header, name: str) -> Mapping[str, Table]:
     return tables
 
 
-def _list_lengths(body: Body, element: Element, start: int) -> NDArray[np.int64]:
+def _list_lengths(body: Body, element: Element, start: int) -> Int64s:
     """Return the lengths of the L lists of every row, shape (N, L), checking that the body has the rows."""
     lists = len(element.lists)
     least = sum(body.size(known.count or known.type) for known in element.properties)
@@ -197,7 +196,7 @@ def _list_lengths(body: Body, element: Element, start: int) -> NDArray[np.int64]
     return _walk(body, element, start, element.count)
 
 
-def _walk(body: Body, element: Element, start: int, rows: int) -> NDArray[np.int64]:
+def _walk(body: Body, element: Element, start: int, rows: int) -> Int64s:
     """Go from list to list. Only a loop can: where a list starts depends on all lists before it."""
     steps, gap = [], 0
     for known in element.properties:

@@ -38,8 +38,7 @@ from beltrami_cli.surface.records import (
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s
     from beltrami_cli.formats.model_folder import ModelFolder
     from beltrami_cli.formats.ply.tables import Table
     from beltrami_cli.surface.records import VertexColours
@@ -86,7 +85,7 @@ def find_coordinates(tables: Mapping[str, Table]) -> tuple[str, ...]:
 
 
 def gather_textured(
-    mesh: tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.int64]],
+    mesh: tuple[Float64s, Int32s, Int64s],
     tables: Mapping[str, Table],
     comments: Sequence[TextureComment],
     folder: ModelFolder,
@@ -120,7 +119,7 @@ def gather_textured(
 
 def _numbers(
     tables: Mapping[str, Table], polygons: int, textures: int, name: str
-) -> tuple[NDArray[np.int64], list[str]]:
+) -> tuple[Int64s, list[str]]:
     """Return the number of every polygon's texture, -1 for none; strips, which have no number, show the first."""
     numbers = np.zeros(polygons, np.int64)
     face = tables.get("face")
@@ -138,7 +137,7 @@ def _numbers(
 
 def _load(
     comments: Sequence[TextureComment], folder: ModelFolder
-) -> tuple[tuple[Texture, ...], NDArray[np.int64], list[str]]:
+) -> tuple[tuple[Texture, ...], Int64s, list[str]]:
     """Return each image once, which of them every number means (the last row: -1), and those that are unreadable."""
     textures: dict[str, tuple[int, Texture]] = {}
     unreadable = []
@@ -158,9 +157,7 @@ def _load(
     return tuple(texture for _, texture in textures.values()), of_number, unreadable
 
 
-def _face_coordinates(
-    face: Table, offsets: NDArray[np.int64], name: str
-) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+def _face_coordinates(face: Table, offsets: Int64s, name: str) -> tuple[Float64s, Bools]:
     """Return coordinates of every corner, shape (K, 2), and which polygons have none."""
     items, bounds = face.lists(_OF_FACES)
     sizes, lengths = np.diff(offsets), np.zeros(len(offsets) - 1, np.int64)
@@ -183,7 +180,7 @@ def _face_coordinates(
 
 def mesh_of_surface(
     surface: TexturedSurface,
-    normals: NDArray[np.float32] | None,
+    normals: Float32s | None,
     colours: VertexColours | None,
     source: str,
     left_out: tuple[str, ...],

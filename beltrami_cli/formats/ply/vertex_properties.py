@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,8 +14,7 @@ from beltrami_cli.surface.geometry import unit_vectors
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Array, Float32s, Float64s
     from beltrami_cli.formats.ply.header import Element, Header
     from beltrami_cli.formats.ply.tables import Table
 
@@ -96,7 +95,7 @@ def _unpainted(header: Header, vertices: Element, name: str) -> UnpaintedError:
 class Colours:
     """Colours as read."""
 
-    values: NDArray[np.float32]  # (V, C), full scale 1
+    values: Float32s  # (V, C), full scale 1
     scale: float  # the stored number that is full scale
     notice: str  # about the scale, or empty
 
@@ -116,14 +115,14 @@ def read_colours(vertices: Table, paint: Paint, name: str) -> Colours:
     return Colours(values, scale, notice)
 
 
-def _integer_scale(columns: list[NDArray[Any]], kind: str) -> tuple[float, str]:
+def _integer_scale(columns: list[Array], kind: str) -> tuple[float, str]:
     largest = max(int(column.max()) for column in columns)
     if kind == "u4" and largest <= 255:
         return 255.0, "Vertex colours are 32-bit integers up to 255 and are taken for numbers of 0..255."
     return float(np.iinfo(kind).max), ""
 
 
-def store_colours(values: NDArray[np.float32], scale: float, kind: str) -> NDArray[Any]:
+def store_colours(values: Float32s, scale: float, kind: str) -> Array:
     """Round colours of full scale 1 to their stored type, to the nearest; integers are clipped to their range."""
     wide = values.astype(np.float64)
     if kind[0] == "f":
@@ -132,7 +131,7 @@ def store_colours(values: NDArray[np.float32], scale: float, kind: str) -> NDArr
     return np.rint(np.clip(wide * scale, limits.min, min(limits.max, scale))).astype(kind)
 
 
-def finite_columns(vertices: Table, names: tuple[str, ...], what: str, name: str) -> NDArray[np.float64]:
+def finite_columns(vertices: Table, names: tuple[str, ...], what: str, name: str) -> Float64s:
     """Read some scalars of all vertices, shape (V, len(names)); InputError if one is not finite."""
     values = np.empty((vertices.element.count, len(names)))
     with np.errstate(invalid="ignore"):  # Signalling NaNs warn when they are made wider.
@@ -153,7 +152,7 @@ def attribute_names(kinds: Mapping[str, str], colours: tuple[str, ...]) -> tuple
     return (*(("normal",) if real else ()), *others)
 
 
-def read_attribute(vertices: Table, name: str, file: str) -> NDArray[np.float64]:
+def read_attribute(vertices: Table, name: str, file: str) -> Float64s:
     """Read an attribute of all vertices, shape (V, G); normals become unit vectors."""
     if name != "normal":
         return finite_columns(vertices, (name,), name, file)

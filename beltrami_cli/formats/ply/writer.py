@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s, Int64s, Uint8s
     from beltrami_cli.surface.records import MeshContents, Slot, TexturedMesh, VertexColours
 
 _NAMES = {code: name for name, code in reversed(TYPES.items())}
@@ -45,7 +46,7 @@ def write_ply(contents: MeshContents, stem: str) -> Written:
     return Written([header, rows.tobytes(), polygons], notices=(*notices, *left_out(contents)))
 
 
-def _stored_colours(contents: MeshContents | VertexColours) -> tuple[NDArray[Any], list[str]]:
+def _stored_colours(contents: MeshContents | VertexColours) -> tuple[Array, list[str]]:
     """Return colours as they are stored, with alpha if there is any, and notices."""
     colours, notices = display_colours(contents)
     kind = _INTEGERS.get(contents.stored, "f4")
@@ -76,7 +77,7 @@ def write_textured_ply(mesh: TexturedMesh, stem: str) -> Written:
     )
 
 
-def _normals_by_vertex(mesh: TexturedMesh) -> tuple[NDArray[np.float32] | None, list[str]]:
+def _normals_by_vertex(mesh: TexturedMesh) -> tuple[Float32s | None, list[str]]:
     """Return the normals of vertices, shape (V, 3), if all corners of a vertex have the same, and what is left out."""
     if mesh.normals is None:
         return None, []
@@ -110,10 +111,10 @@ def _textured_faces(mesh: TexturedMesh) -> tuple[list[str], NDArray[np.void]]:
 
 
 def write_scalars_as_ply(
-    positions: NDArray[np.float64],
-    faces: NDArray[np.int32],
-    shades: NDArray[np.uint8],
-    scalars: Mapping[str, NDArray[np.float32]],
+    positions: Float64s,
+    faces: Int32s,
+    shades: Uint8s,
+    scalars: Mapping[str, Float32s],
     comments: Sequence[str] = (),
 ) -> Written:
     """Write triangles whose vertices have a colour, (V, 3), and scalar properties by name, (V,)."""
@@ -131,7 +132,7 @@ def _header(lines: Sequence[str]) -> str:
 
 
 def _vertex_element(
-    columns: Sequence[tuple[str, ...]], blocks: Sequence[NDArray[Any] | None]
+    columns: Sequence[tuple[str, ...]], blocks: Sequence[Array | None]
 ) -> tuple[list[str], NDArray[np.void]]:
     """Return the lines and the rows of the vertex element; `blocks` of None are left out."""
     fields = [
@@ -150,7 +151,7 @@ def _vertex_element(
     return [f"element vertex {count}", *properties], rows
 
 
-def _face_element(corners: NDArray[np.int32], offsets: NDArray[np.int64]) -> tuple[list[str], bytearray]:
+def _face_element(corners: Int32s, offsets: Int64s) -> tuple[list[str], bytearray]:
     """Return the lines and the rows of the face element; none of either for a cloud of points."""
     sizes = np.diff(offsets)
     if not sizes.size:

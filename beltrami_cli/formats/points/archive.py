@@ -22,7 +22,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -39,6 +39,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s, Int64s
     from beltrami_cli.formats.document import Changes, Naming
 
 
@@ -101,7 +102,7 @@ class NpzPointsDocument(Document):
             stored=str(self._stored.dtype),
         )
 
-    def grid(self) -> NDArray[np.int64] | None:
+    def grid(self) -> Int64s | None:
         if len(self._arrays.shape) != 2 or min(self._arrays.shape) < 2 or self._arrays.faces:
             return None
         places = np.full(self._arrays.count, -1, np.int64)
@@ -111,7 +112,7 @@ class NpzPointsDocument(Document):
     def attributes(self) -> tuple[str, ...]:
         return (*(["normal"] if self._arrays.normals else []), *self._arrays.rest)
 
-    def _attribute(self, name: str) -> NDArray[np.float64]:
+    def _attribute(self, name: str) -> Float64s:
         key = self._arrays.normals if name == "normal" and self._arrays.normals else name
         values = self._table(key)[self._measured]
         return np.ascontiguousarray(values, np.float64)
@@ -178,7 +179,7 @@ class NpzPointsDocument(Document):
         return arrays
 
     @cached_property
-    def _positions(self) -> NDArray[np.float64]:
+    def _positions(self) -> Float64s:
         self._archive.require_ratio(self._arrays.positions)
         return np.ascontiguousarray(self._table(self._arrays.positions), np.float64)
 
@@ -197,18 +198,18 @@ class NpzPointsDocument(Document):
         return np.flatnonzero(finite)
 
     @cached_property
-    def _faces(self) -> NDArray[np.int32]:
+    def _faces(self) -> Int32s:
         if self._arrays.faces is None:
             return np.empty((0, 3), np.int32)
         return _read_faces(self._archive, self._arrays.faces, self._arrays.count, self.name)
 
     @cached_property
-    def _stored(self) -> NDArray[Any]:
+    def _stored(self) -> Array:
         """Colours as stored, with opacity, shape (points, C) or (points, C + 1)."""
         return self._table(self._arrays.colours)
 
     @cached_property
-    def _numbers(self) -> NDArray[np.float64]:
+    def _numbers(self) -> Float64s:
         numbers = self._stored[self._measured, : self._arrays.channels].astype(np.float64)
         finite = np.isfinite(numbers).all(axis=1)
         if not finite.all():
@@ -228,17 +229,17 @@ class NpzPointsDocument(Document):
         return scale
 
     @cached_property
-    def _colours(self) -> NDArray[np.float32]:
+    def _colours(self) -> Float32s:
         return (self._numbers / self._scale).astype(np.float32)
 
-    def _alpha(self) -> NDArray[np.float32] | None:
+    def _alpha(self) -> Float32s | None:
         if not self._arrays.has_alpha:
             return None
         alpha = self._stored[self._measured, -1].astype(np.float64)
         scale = self._scale if alpha.max(initial=0) > 1 else 1.0
         return np.asarray(np.clip(np.nan_to_num(alpha) / scale, 0, 1), np.float32)
 
-    def _table(self, key: str) -> NDArray[Any]:
+    def _table(self, key: str) -> Array:
         """Read an array as a table with a row for each point."""
         return self._archive.read(key).reshape(self._arrays.count, -1)
 
@@ -276,7 +277,7 @@ def _require_room(archive: NpzArchive, keys: Iterable[str], access: Access, name
         raise InputError(name, "its arrays do not fit into memory", "raise --max-memory")
 
 
-def _read_faces(archive: NpzArchive, key: str, count: int, name: str) -> NDArray[np.int32]:
+def _read_faces(archive: NpzArchive, key: str, count: int, name: str) -> Int32s:
     """Read triangles of points; InputError if they are not of shape (F, 3), or name points that are not there."""
     shape = archive.header(key).shape
     _require(len(shape) == 2 and shape[1] == 3, name, f"the array {key} is of shape {shape}, not (F, 3)")

@@ -14,8 +14,7 @@ import numpy as np
 from beltrami_cli.errors import InputError, UnpaintedError
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Float64s
     from beltrami_cli.formats.points.table import PointTable
 
 _POSITION = (("x", "y", "z"),)
@@ -118,7 +117,7 @@ def _together(names: tuple[str, ...], triples: tuple[tuple[str, ...], ...]) -> t
     return ()
 
 
-def _fits(layout: tuple[str, ...], values: NDArray[np.float64]) -> bool:
+def _fits(layout: tuple[str, ...], values: Float64s) -> bool:
     """Whether the numbers can be normals where a layout has these, and colours where it has them."""
     for first, known in enumerate(layout):
         triple = values[:, 3 + first : 6 + first]
@@ -131,7 +130,7 @@ def _fits(layout: tuple[str, ...], values: NDArray[np.float64]) -> bool:
     return True
 
 
-def _are_unit(values: NDArray[np.float64]) -> bool:
+def _are_unit(values: Float64s) -> bool:
     """Whether all vectors have length 1, or 0 where none is known."""
     lengths = np.linalg.norm(values, axis=1)
     return bool(((np.abs(lengths - 1) < _UNIT) | (lengths == 0)).all())

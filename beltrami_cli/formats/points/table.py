@@ -14,6 +14,8 @@ from beltrami_cli.formats.tokens import find_tokens, read_numbers, require_short
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from beltrami_cli.arrays import Float64s, Int64s
+
 _BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 _SEPARATORS = bytes.maketrans(b",;", b"  ")
 _COMMENT = re.compile(rb"(?:#|//)([^\r\n]*)")
@@ -27,9 +29,9 @@ class PointTable:
 
     names: tuple[str, ...]  # of the columns, in lower case, from a line above the points; or empty
     counts: tuple[int, ...]  # of the points that follow lines of a single number
-    values: NDArray[np.float64]  # shape (P, K), maybe infinite or NaN
-    starts: NDArray[np.int64]  # where they are in the file, shape (P, K)
-    ends: NDArray[np.int64]
+    values: Float64s  # shape (P, K), maybe infinite or NaN
+    starts: Int64s  # where they are in the file, shape (P, K)
+    ends: Int64s
 
 
 def read_table(data: bytes, name: str) -> PointTable:
@@ -100,7 +102,7 @@ class _Reader:
             raise self._error(rows[row], cause)
         return tuple(there.tolist())
 
-    def _numbers(self, tokens: NDArray[np.intp]) -> NDArray[np.float64]:
+    def _numbers(self, tokens: NDArray[np.intp]) -> Float64s:
         if not len(tokens):
             return np.empty(0)
         begin, end = int(self._starts[tokens[0]]), int(self._ends[tokens[-1]])

@@ -18,6 +18,7 @@ from beltrami_cli.surface.records import MeshContents, PaintedVertices
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from beltrami_cli.arrays import Float32s, Float64s, Int64s
     from beltrami_cli.formats.document import Bytes, Changes, Naming
     from beltrami_cli.formats.points.columns import Columns
     from beltrami_cli.formats.points.table import PointTable
@@ -49,7 +50,7 @@ class TextPointsDocument(Document):
     def attributes(self) -> tuple[str, ...]:
         return (*(("normal",) if self._columns.normal else ()), *self._columns.others)
 
-    def _attribute(self, name: str) -> NDArray[np.float64]:
+    def _attribute(self, name: str) -> Float64s:
         if name == "normal" and self._columns.normal:
             return self._picked(self._columns.normal)
         return self._picked((self._columns.others[name],))
@@ -117,7 +118,7 @@ class TextPointsDocument(Document):
         return np.flatnonzero(finite)
 
     @cached_property
-    def _stored(self) -> NDArray[np.float64]:
+    def _stored(self) -> Float64s:
         colours = self._picked(self._columns.colours)
         if not len(colours):
             raise InputError(self.name, "none of its points has a place", "nothing in it can be smoothed")
@@ -135,25 +136,20 @@ class TextPointsDocument(Document):
         return scale
 
     @cached_property
-    def _colours(self) -> NDArray[np.float32]:
+    def _colours(self) -> Float32s:
         return (self._stored / self._scale).astype(np.float32)
 
-    def _places(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def _places(self) -> tuple[Int64s, Int64s]:
         """Return where the colours of measured points start and end in the file."""
         tokens = np.ix_(self._measured, np.array(self._columns.colours))
         return self._table.starts[tokens], self._table.ends[tokens]
 
-    def _picked(self, columns: tuple[int, ...]) -> NDArray[np.float64]:
+    def _picked(self, columns: tuple[int, ...]) -> Float64s:
         return np.ascontiguousarray(self._table.values[np.ix_(self._measured, np.array(columns))])
 
 
 def _with_colours(
-    data: bytes,
-    starts: NDArray[np.int64],
-    ends: NDArray[np.int64],
-    before: NDArray[np.float32],
-    after: NDArray[np.float32],
-    scale: float,
+    data: bytes, starts: Int64s, ends: Int64s, before: Float32s, after: Float32s, scale: float
 ) -> list[Bytes]:
     """Exchange the colours, each of shape (P, C), that changed, and keep every other byte.
 
@@ -177,7 +173,7 @@ def _with_colours(
     return [*exchange_tokens(data, starts[changed][order], ends[changed][order], spell)]
 
 
-def _number_format(data: bytes, starts: NDArray[np.int64], ends: NDArray[np.int64], scale: float) -> bytes:
+def _number_format(data: bytes, starts: Int64s, ends: Int64s, scale: float) -> bytes:
     characters = np.frombuffer(data, np.uint8)
     points = np.append(np.flatnonzero(characters == ord(".")), len(data))
     decimals = int((ends - points[np.searchsorted(points, starts)] - 1).max())

@@ -14,8 +14,7 @@ from beltrami_cli.surface.polygons import triangulate
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Float32s, Float64s, Uint8s
     from beltrami_cli.surface.records import MeshContents
 
 _BLOCK = 1 << 16  # lines made at a time, which bounds the memory that their tokens take
@@ -75,9 +74,7 @@ def _lines(contents: MeshContents, pieces: list[bytes]) -> Written:
 
 
 def _blocks(
-    positions: NDArray[np.float32] | NDArray[np.float64],
-    shades: NDArray[np.uint8] | NDArray[np.float32],
-    normals: NDArray[np.float32] | None,
+    positions: Float32s | Float64s, shades: Uint8s | Float32s, normals: Float32s | None
 ) -> Iterator[bytes]:
     style = "%s %s %s " + " ".join(["%d" if shades.dtype == np.uint8 else "%.6f"] * 3)
     style += "\n" if normals is None else " %s %s %s\n"
@@ -88,7 +85,7 @@ def _blocks(
         yield "".join([style % row for row in zip(*columns, strict=True)]).encode()
 
 
-def _shortest(positions: NDArray[np.float64]) -> NDArray[np.float32] | NDArray[np.float64]:
+def _shortest(positions: Float64s) -> Float32s | Float64s:
     """Return positions as floats if that loses nothing."""
     with np.errstate(over="ignore"):  # Beyond float32 they become infinite, which is not equal.
         single = positions.astype(np.float32)

@@ -22,7 +22,7 @@ from beltrami_cli.formats.tokens import require_short_lines
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
+    from beltrami_cli.arrays import Float32s, Float64s, Int64s
 
 HEADER = re.compile(rb"(?:\s++|#[^\n]*+\n)*+(ST)?(C)?(N)?(4)?(n)?OFF(?![A-Za-z_])", re.IGNORECASE)
 _COMMENT = re.compile(rb"#[^\r\n]*")
@@ -69,7 +69,7 @@ def _counts(lines: Sequence[bytes], name: str) -> tuple[int, int]:
     return vertices, faces
 
 
-def _table(lines: Sequence[bytes], least: int, name: str) -> NDArray[np.float64]:
+def _table(lines: Sequence[bytes], least: int, name: str) -> Float64s:
     rows = [line.split() for line in lines]
     width = len(rows[0]) if rows else least
     for number, row in enumerate(rows):
@@ -82,7 +82,7 @@ def _table(lines: Sequence[bytes], least: int, name: str) -> NDArray[np.float64]
         raise InputError(name, "a vertex is not made of numbers", "export it again") from None
 
 
-def _corners(rows: Sequence[Sequence[bytes]], name: str) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _corners(rows: Sequence[Sequence[bytes]], name: str) -> tuple[Int64s, Int64s]:
     corners: list[int] = []
     sizes = []
     for number, row in enumerate(rows):
@@ -103,9 +103,7 @@ def _corners(rows: Sequence[Sequence[bytes]], name: str) -> tuple[NDArray[np.int
         raise InputError(name, "a face names a vertex that cannot be", "export it again") from None
 
 
-def _of_faces(
-    rows: Sequence[Sequence[bytes]], sizes: NDArray[np.int64], name: str
-) -> tuple[NDArray[np.float32], float]:
+def _of_faces(rows: Sequence[Sequence[bytes]], sizes: Int64s, name: str) -> tuple[Float32s, float]:
     """Return colours of faces, shape (P, 4), and their full scale in the file."""
     found = np.full((len(rows), 4), np.nan)
     for number, (row, size) in enumerate(zip(rows, sizes.tolist(), strict=True)):
@@ -125,7 +123,7 @@ def _of_faces(
     return result, scale
 
 
-def _scaled(colours: NDArray[np.float64], name: str) -> tuple[NDArray[np.float32], float]:
+def _scaled(colours: Float64s, name: str) -> tuple[Float32s, float]:
     """Return colours with full scale 1, and what it was."""
     if not np.isfinite(colours).all():
         raise InputError(name, "a colour is not finite", "export it again")

@@ -11,7 +11,7 @@ from beltrami_cli.errors import InputError, UnpaintedError
 from beltrami_cli.surface.grouping import distinct_corners
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from beltrami_cli.arrays import Float32s, Float64s, Int64s
 
 _LEAST_WEIGHT = 1e-6  # of a polygon without area, against the mean one
 _MEANS = (
@@ -24,16 +24,16 @@ _BARE = "{} of {} vertices have no colour, and are white."
 class ColouredPolygons:
     """What a reader finds: V vertices, and polygons with K corners in all; colours are display values."""
 
-    positions: NDArray[np.float64]
+    positions: Float64s
     """Shape (V, 3)."""
 
-    corners: NDArray[np.int64]
+    corners: Int64s
     """Vertices of all polygons, one polygon after the other, shape (K,)."""
 
-    sizes: NDArray[np.int64]
+    sizes: Int64s
     """How many corners each polygon has."""
 
-    colours: NDArray[np.float32]
+    colours: Float32s
     """Of every corner, shape (K, 3), or (K, 4) with opacity; full scale 1, NaN where there is none."""
 
     stored: str
@@ -67,7 +67,7 @@ def joined(found: ColouredPolygons) -> ColouredPolygons:
     return replace(found, positions=found.positions[first], corners=number_of[found.corners])
 
 
-def colours_of_vertices(found: ColouredPolygons) -> tuple[NDArray[np.float32], list[str]]:
+def colours_of_vertices(found: ColouredPolygons) -> tuple[Float32s, list[str]]:
     """Give every vertex the mean of its corners' colours, weighted by the areas of their polygons, and notices.
 
     A vertex whose corners agree has exactly their colour; one without any is white.
@@ -94,7 +94,7 @@ def colours_of_vertices(found: ColouredPolygons) -> tuple[NDArray[np.float32], l
     return result, notices
 
 
-def _areas(found: ColouredPolygons) -> NDArray[np.float64]:
+def _areas(found: ColouredPolygons) -> Float64s:
     """Return the areas of polygons in units of their mean, none of them zero."""
     starts = np.cumsum(found.sizes) - found.sizes
     polygon = np.repeat(np.arange(len(found.sizes)), found.sizes)
@@ -105,5 +105,5 @@ def _areas(found: ColouredPolygons) -> NDArray[np.float64]:
     after[starts + found.sizes - 1] = starts
     across = np.cross(points, points[after])
     sums = np.stack([np.bincount(polygon, column, len(starts)) for column in across.T], axis=1)
-    areas: NDArray[np.float64] = np.linalg.norm(sums, axis=1)
+    areas: Float64s = np.linalg.norm(sums, axis=1)
     return areas / (areas.mean() or 1.0) + _LEAST_WEIGHT

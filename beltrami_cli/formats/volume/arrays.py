@@ -29,7 +29,7 @@ from beltrami_cli.formats.npz import LEVEL_SET_KEYS, NpzArchive
 from beltrami_cli.surface.volume import GridColours, Lattice, NearColours, Volume
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from beltrami_cli.arrays import Float64s
 
 
 _COLOURS = ("colours", "colors")
@@ -112,7 +112,7 @@ def _lattice(archive: NpzArchive, name: str) -> Lattice:
     return checked_lattice(np.diag(steps), np.zeros(3) if origin is None else origin, name)
 
 
-def _numbers(archive: NpzArchive, key: str, counts: tuple[int, ...], name: str) -> NDArray[np.float64] | None:
+def _numbers(archive: NpzArchive, key: str, counts: tuple[int, ...], name: str) -> Float64s | None:
     """Read a few finite numbers; None if there is no such array."""
     if key not in archive.names:
         return None
@@ -121,7 +121,7 @@ def _numbers(archive: NpzArchive, key: str, counts: tuple[int, ...], name: str) 
     _require(
         math.prod(shape) in counts, name, f"the array {key} is of shape {shape}, not of {wanted} numbers"
     )
-    numbers: NDArray[np.float64] = archive.read(key, max(counts)).astype(np.float64).ravel()
+    numbers: Float64s = archive.read(key, max(counts)).astype(np.float64).ravel()
     _require(bool(np.isfinite(numbers).all()), name, f"the array {key} is not finite")
     return numbers
 
@@ -131,7 +131,7 @@ def _require(holds: Any, name: str, cause: str) -> None:
         raise InputError(name, cause, "see the arrays that a level set has in `beltrami smooth --help`")
 
 
-def checked_lattice(axes: NDArray[np.float64], origin: NDArray[np.float64], name: str) -> Lattice:
+def checked_lattice(axes: Float64s, origin: Float64s, name: str) -> Lattice:
     """Make a lattice; InputError if steps lie in one plane, or are too small, large or unlike to compute with."""
     if not (np.isfinite(axes).all() and np.isfinite(origin).all()):
         raise InputError(name, "its spacing or origin is not finite", "repair it")

@@ -28,8 +28,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Array, Float64s
     from beltrami_cli.surface.volume import Lattice
 
 _CHANNELS = 4
@@ -70,7 +69,7 @@ def read_nrrd_colours(data: bytes, name: str, folder: Path | None, most: int) ->
     return GridColours(lattice, samples)
 
 
-def _read(data: bytes, name: str, folder: Path | None, most: int) -> tuple[NDArray[Any], Lattice, str | None]:
+def _read(data: bytes, name: str, folder: Path | None, most: int) -> tuple[Array, Lattice, str | None]:
     """Return samples, indexed [x, y, z] and in the list, where they stand, and the list's kind; None for one number."""
     nrrd = require_package("nrrd", "pynrrd", name, "to read NRRD files")
     header, rest = _header(nrrd, data, name)
@@ -130,13 +129,13 @@ def _data(header: dict[str, Any], rest: bytes, name: str, folder: Path | None) -
         ) from error
 
 
-def _samples(nrrd: Any, header: dict[str, Any], data: bytes, name: str) -> NDArray[Any]:
+def _samples(nrrd: Any, header: dict[str, Any], data: bytes, name: str) -> Array:
     """Read the numbers, with the fastest axis first; never more than the header says."""
     try:
         with warnings.catch_warnings(action="ignore"):
             if header["encoding"] in ("gzip", "gz", "bzip2", "bz2"):
                 header, data = _inflated(header, data)
-            samples: NDArray[Any] = nrrd.read_data(header, io.BytesIO(data))
+            samples: Array = nrrd.read_data(header, io.BytesIO(data))
     except (nrrd.NRRDError, *_DAMAGE, zlib.error, EOFError) as error:
         raise InputError(name, f"the NRRD data are damaged ({_one_line(error)})", _REPAIR) from error
     if samples.dtype.kind not in "uif":
@@ -211,9 +210,7 @@ def _spatial_lattice(header: Mapping[str, Any], axes: Sequence[int], name: str) 
     return checked_lattice(rows, origin, name)
 
 
-def _along_axes(
-    header: Mapping[str, Any], axes: Sequence[int]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _along_axes(header: Mapping[str, Any], axes: Sequence[int]) -> tuple[Float64s, Float64s]:
     """Return the spacings, and the place of the first sample, on axes that are at right angles."""
     lows = _finite(_field(header, "axis mins", "axismins"), axes)
     highs = _finite(_field(header, "axis maxs", "axismaxs"), axes)
@@ -233,7 +230,7 @@ def _field(header: Mapping[str, Any], *names: str) -> Any:
     return next((header[name] for name in names if name in header), None)
 
 
-def _finite(values: Any, axes: Sequence[int]) -> NDArray[np.float64]:
+def _finite(values: Any, axes: Sequence[int]) -> Float64s:
     """Return the entries of a per-axis field; NaN where there is none."""
     if values is None or len(values) <= max(axes):
         return np.full(3, np.nan)

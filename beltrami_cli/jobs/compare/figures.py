@@ -14,8 +14,7 @@ from beltrami_cli.jobs.compare.models import ROUNDED_MOVE
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Bools, Float32s, Float64s, Int64s
     from beltrami_cli.jobs.compare.models import Moves
     from beltrami_cli.jobs.settings import Limits
 
@@ -34,8 +33,8 @@ class SeamJumps:
     """How far colours jump where the surface goes on in another chart, at K places."""
 
     # (K,): the difference of the colours that both sides have at the seam, mean over channels, full scale 1.
-    reference: NDArray[np.float64]
-    test: NDArray[np.float64]
+    reference: Float64s
+    test: Float64s
 
 
 @dataclass(frozen=True)
@@ -44,21 +43,21 @@ class ComparedColours:
 
     name: str
     kind: Literal["vertices", "texture", "image"]
-    reference: NDArray[np.float32]  # (S, N): their colours, full scale 1
-    test: NDArray[np.float32]
-    index: NDArray[np.int64]  # (S,) or (S, 2): the vertex, or column and row
-    weights: NDArray[np.float64]  # (S,): what each counts
-    delta_e: NDArray[np.float64] | None  # (S,): CIEDE2000 differences, where the numbers are colours
+    reference: Float32s  # (S, N): their colours, full scale 1
+    test: Float32s
+    index: Int64s  # (S,) or (S, 2): the vertex, or column and row
+    weights: Float64s  # (S,): what each counts
+    delta_e: Float64s | None  # (S,): CIEDE2000 differences, where the numbers are colours
     ssim: float | None = None  # structural similarity, of images and textures
     # (S,): within 4 texels of a seam, or at a place where the file splits vertices; None: no seams.
-    near_seams: NDArray[np.bool_] | None = None
+    near_seams: Bools | None = None
     jumps: SeamJumps | None = None
     size: tuple[int, int] | None = None  # rows and columns of an image or texture
     # Whether it has the same colours in both, beside a part that is measured; of a texture they are not taken then.
     is_identical: bool = False
     other_opacity: bool = False  # whether opacity differs, which is not measured
 
-    def squares(self) -> NDArray[np.float64]:
+    def squares(self) -> Float64s:
         """Return the squared error of each sample, mean over its channels, shape (S,)."""
         return np.asarray(np.square(self.test.astype(np.float64) - self.reference).mean(axis=1), np.float64)
 
@@ -104,7 +103,7 @@ def figures(parts: Sequence[ComparedColours]) -> dict[str, object]:
     }
 
 
-def psnr(squares: NDArray[np.float64], weights: NDArray[np.float64]) -> float | None:
+def psnr(squares: Float64s, weights: Float64s) -> float | None:
     """Return the peak signal-to-noise ratio in dB for a full scale of 1; None if nothing differs."""
     total = float(weights.sum())
     mean = float(weights @ squares) / total if total > 0 else 0.0

@@ -15,8 +15,7 @@ from beltrami_cli.samples.settings import IMAGE_SUFFIXES
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Float64s, Uint8s
     from beltrami_cli.formats.document import Document
     from beltrami_cli.jobs.compare.figures import ComparedColours
 
@@ -87,7 +86,7 @@ def _draw_vertices(part: ComparedColours, document: Document, target: str) -> tu
     return write_scalars_as_ply(places, painted.faces, shades, scalars), scale
 
 
-def _amount(part: ComparedColours) -> NDArray[np.float64]:
+def _amount(part: ComparedColours) -> Float64s:
     if part.delta_e is not None:
         return part.delta_e
     return np.asarray(100 * np.abs(part.test - part.reference).max(axis=1), np.float64)
@@ -97,7 +96,7 @@ def _scale(parts: Sequence[ComparedColours]) -> float:
     return max(_LEAST, *(float(_amount(part).max(initial=0)) for part in parts))
 
 
-def _image_of(part: ComparedColours, scale: float) -> NDArray[np.uint8]:
+def _image_of(part: ComparedColours, scale: float) -> Uint8s:
     size = cast("tuple[int, int]", part.size)
     values, held = np.zeros(size, np.float32), np.zeros(size, bool)
     columns, rows = part.index.T
@@ -106,5 +105,5 @@ def _image_of(part: ComparedColours, scale: float) -> NDArray[np.uint8]:
     return as_bytes(colour_by_value(values, np.ones((*size, 3), np.float32), held))
 
 
-def _padded(panel: NDArray[np.uint8], height: int) -> NDArray[np.uint8]:
+def _padded(panel: Uint8s, height: int) -> Uint8s:
     return np.pad(panel, ((0, height - len(panel)), (0, 0), (0, 0)), constant_values=255)

@@ -20,6 +20,8 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from beltrami_cli.arrays import Bools, Float32s, Float64s
+
 # Linear sRGB -> XYZ [2]; rows add up to the white point.
 _XYZ = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]])
 _CUBE_ROOT_FROM = (6 / 29) ** 3
@@ -31,7 +33,7 @@ _RADIUS, _DEVIATION = 5, 1.5
 _C1, _C2 = 0.01**2, 0.03**2
 
 
-def cie_lab(linear: NDArray[np.floating]) -> NDArray[np.float64]:
+def cie_lab(linear: NDArray[np.floating]) -> Float64s:
     """Convert linear sRGB to CIE L*a*b* under D65."""
     xyz = np.maximum(linear, 0).astype(np.float64) @ (_XYZ / _XYZ.sum(axis=1, keepdims=True)).T
     f = np.where(xyz > _CUBE_ROOT_FROM, np.cbrt(xyz), xyz * (29 / 6) ** 2 / 3 + 4 / 29)
@@ -39,7 +41,7 @@ def cie_lab(linear: NDArray[np.floating]) -> NDArray[np.float64]:
     return np.stack([116 * y - 16, 500 * (x - y), 200 * (y - z)], axis=1)
 
 
-def delta_e_2000(one: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.float64]:
+def delta_e_2000(one: Float64s, other: Float64s) -> Float64s:
     """Compute the CIEDE2000 difference of pairs of colours [1]_, with k_L = k_C = k_H = 1."""
     (l1, c1, h1), (l2, c2, h2) = _with_hue(one, other)
     dl, dc = l2 - l1, c2 - c1  # eqs. (8), (9)
@@ -65,11 +67,11 @@ def delta_e_2000(one: NDArray[np.float64], other: NDArray[np.float64]) -> NDArra
     return np.asarray(np.sqrt(np.maximum(squares, 0)), np.float64)  # eq. (22)
 
 
-def _with_hue(*colours: NDArray[np.float64]) -> list[tuple[NDArray[np.float64], ...]]:
+def _with_hue(*colours: Float64s) -> list[tuple[Float64s, ...]]:
     """Return lightness, chroma and hue in degrees of both colours, with a* stretched where chroma is small."""
     mean = sum(np.hypot(lab[:, 1], lab[:, 2]) for lab in colours) / 2  # eqs. (2), (3)
     stretch = 1 + 0.5 * (1 - np.sqrt(mean**7 / (mean**7 + _25_TO_7)))  # eqs. (4), (5)
-    found: list[tuple[NDArray[np.float64], ...]] = []
+    found: list[tuple[Float64s, ...]] = []
     # Side by side: how NumPy 2.0 rounds arctan2 of other arrays depends on where in memory they lie.
     for lightness, a, b in (np.ascontiguousarray(lab.T) for lab in colours):
         stretched = stretch * a
@@ -78,16 +80,14 @@ def _with_hue(*colours: NDArray[np.float64]) -> list[tuple[NDArray[np.float64], 
     return found
 
 
-def _mean_hue(h1: NDArray[np.float64], h2: NDArray[np.float64]) -> NDArray[np.float64]:
+def _mean_hue(h1: Float64s, h2: Float64s) -> Float64s:
     """Return the mean of two hues on the shorter way around, eq. (14)."""
     total = h1 + h2
     around = np.where(total < 360, total + 360, total - 360)
     return np.asarray(np.where(np.abs(h1 - h2) <= _OPPOSITE, total, around) / 2, np.float64)
 
 
-def structural_similarity(
-    reference: NDArray[np.float32], test: NDArray[np.float32], counts: NDArray[np.bool_]
-) -> float | None:
+def structural_similarity(reference: Float32s, test: Float32s, counts: Bools) -> float | None:
     """Compute the mean SSIM, eqs. (13) and (17) of [4], over all windows that hold only pixels that count."""
     from scipy.ndimage import minimum_filter
 
@@ -98,7 +98,7 @@ def structural_similarity(
     return float(np.mean([_of_channel(one, other)[whole].mean() for one, other in channels]))
 
 
-def _of_channel(one: NDArray[np.float32], other: NDArray[np.float32]) -> NDArray[np.float64]:
+def _of_channel(one: Float32s, other: Float32s) -> Float64s:
     x, y = one.astype(np.float64), other.astype(np.float64)
     mean_x, mean_y = _windowed(x), _windowed(y)
     variances = _windowed(x * x) - mean_x**2 + _windowed(y * y) - mean_y**2
@@ -107,7 +107,7 @@ def _of_channel(one: NDArray[np.float32], other: NDArray[np.float32]) -> NDArray
     return np.asarray(alike / ((mean_x**2 + mean_y**2 + _C1) * (variances + _C2)), np.float64)
 
 
-def _windowed(values: NDArray[np.float64]) -> NDArray[np.float64]:
+def _windowed(values: Float64s) -> Float64s:
     from scipy.ndimage import gaussian_filter
 
     return np.asarray(gaussian_filter(values, _DEVIATION, radius=_RADIUS), np.float64)

@@ -17,8 +17,7 @@ from beltrami_cli.samples.voxels import LevelSetDocument
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Float64s, Int32s
     from beltrami_cli.formats.document import Document
     from beltrami_cli.samples.selection import Selection
     from beltrami_cli.samples.settings import SmoothSettings
@@ -117,9 +116,7 @@ def moves_between(documents: Pair, selection: Selection) -> Moves:
     return Moves(float(every.max()), float(every.mean()))
 
 
-def _places(
-    documents: Pair, selection: Selection
-) -> Iterator[tuple[NDArray[np.float64], NDArray[np.float64]]]:
+def _places(documents: Pair, selection: Selection) -> Iterator[tuple[Float64s, Float64s]]:
     if selection.vertices:
         one, other = (document.painted().positions for document in documents)
         yield one, other
@@ -129,7 +126,7 @@ def _places(
         yield one, other
 
 
-def _moves(places: NDArray[np.float64], others: NDArray[np.float64]) -> NDArray[np.float64]:
+def _moves(places: Float64s, others: Float64s) -> Float64s:
     """Return how far known places are apart, in sizes of the model, shape (K,)."""
     known = np.isfinite(places).all(axis=1) & np.isfinite(others).all(axis=1)
     places, others = places[known], others[known]
@@ -160,16 +157,14 @@ def require_one_model(documents: Pair, painted: tuple[PaintedVertices, PaintedVe
         raise InputError(names[1], f"its points are not where those of {names[0]} are", _OTHER_MODEL)
 
 
-def _triangles(document: Document) -> NDArray[np.int32]:
+def _triangles(document: Document) -> Int32s:
     """Return the triangles of a model, shape (F, 3); of a level set those without colours too."""
     if isinstance(document, LevelSetDocument):
         return document.contents().corners.reshape(-1, 3)
     return document.painted().faces
 
 
-def require_same_triangles(
-    faces: NDArray[np.int32], others: NDArray[np.int32], names: tuple[str, str]
-) -> None:
+def require_same_triangles(faces: Int32s, others: Int32s, names: tuple[str, str]) -> None:
     """Raise InputError if two models have other triangles."""
     if len(faces) != len(others):
         raise InputError(

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from beltrami_cli.arrays import Float32s, Float64s, Int32s, Int64s
     from beltrami_cli.flow.parameters import Space, Weights
     from beltrami_cli.formats.access import Access
     from beltrami_cli.formats.document import Document
@@ -94,7 +95,7 @@ def _differ(one: NDArray[np.floating] | None, other: NDArray[np.floating] | None
     return bool(np.abs(difference).max(initial=0) > _STEP)
 
 
-def _areas(painted: PaintedVertices, rows: NDArray[np.intp], settings: SmoothSettings) -> NDArray[np.float64]:
+def _areas(painted: PaintedVertices, rows: NDArray[np.intp], settings: SmoothSettings) -> Float64s:
     """Return the area that each vertex stands for; of points, on the surface that they lie on."""
     if len(painted.faces):
         return vertex_areas(painted.positions, painted.faces)[rows].astype(np.float64)
@@ -106,7 +107,7 @@ def _areas(painted: PaintedVertices, rows: NDArray[np.intp], settings: SmoothSet
     return vertex_areas(surface.positions, surface.faces).astype(np.float64)
 
 
-def _jumps(colours: list[NDArray[np.float32]], place: NDArray[np.int32]) -> SeamJumps:
+def _jumps(colours: list[Float32s], place: Int32s) -> SeamJumps:
     """Measure how far the colours of vertices at one place are from each other: mean of the channels' ranges."""
     order = np.argsort(place, kind="stable")
     starts = np.flatnonzero(np.r_[True, place[order][1:] != place[order][:-1]])
@@ -145,10 +146,10 @@ def compare_images(
 def _part_of_image(
     name: str,
     kind: Literal["image", "texture"],
-    colours: tuple[NDArray[np.float32], NDArray[np.float32]],
-    pixels: NDArray[np.int64],
+    colours: tuple[Float32s, Float32s],
+    pixels: Int64s,
     size: tuple[int, int],
-    weights: NDArray[np.float64],
+    weights: Float64s,
     space: Space,
 ) -> ComparedColours:
     """Return some pixels (row * width + column) of two images as a part."""
@@ -217,11 +218,7 @@ def _names(slot: Slot, textures: Sequence[Texture]) -> list[str]:
 
 
 def _parts(
-    prepared: TexelSamples,
-    both: tuple[NDArray[np.float32], NDArray[np.float32]],
-    weights: NDArray[np.float64],
-    slot: Slot,
-    space: Space,
+    prepared: TexelSamples, both: tuple[Float32s, Float32s], weights: Float64s, slot: Slot, space: Space
 ) -> list[ComparedColours]:
     """Cut what belongs to all textures together in parts."""
     atlas = prepared.atlas
@@ -243,9 +240,7 @@ def _parts(
     return parts
 
 
-def _similarity(
-    one: NDArray[np.float32], other: NDArray[np.float32], texels: NDArray[np.int64], size: tuple[int, int]
-) -> float | None:
+def _similarity(one: Float32s, other: Float32s, texels: Int64s, size: tuple[int, int]) -> float | None:
     """Compute the structural similarity of two images of which some texels (row * width + column) count."""
     counts = np.zeros(size, bool)
     counts.reshape(-1)[texels] = True
@@ -266,9 +261,7 @@ def _require_same_size(old: Picture, new: Picture, name: str) -> None:
         )
 
 
-def colour_differences(
-    reference: NDArray[np.float32], test: NDArray[np.float32], space: Space
-) -> NDArray[np.float64] | None:
+def colour_differences(reference: Float32s, test: Float32s, space: Space) -> Float64s | None:
     """Compute how different colours look, shape (S,); None if they are no colours."""
     if space not in ("srgb", "linear") or reference.shape[1] not in (1, 3):
         return None
@@ -279,6 +272,6 @@ def colour_differences(
     return found
 
 
-def _lab(colours: NDArray[np.float32], space: Space) -> NDArray[np.float64]:
+def _lab(colours: Float32s, space: Space) -> Float64s:
     linear = srgb_to_linear(colours) if space == "srgb" else colours
     return cie_lab(np.broadcast_to(linear, (len(linear), 3)))

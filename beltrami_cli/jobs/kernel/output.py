@@ -22,6 +22,8 @@ from beltrami_cli.samples.settings import IMAGE_SUFFIXES
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from beltrami_cli.arrays import Float32s, Float64s, Uint8s
+
 _TABLES = (".csv", ".json", ".npz")
 SUFFIXES = (".ply", *IMAGE_SUFFIXES, *_TABLES)
 
@@ -83,13 +85,13 @@ def _mesh(view: MeshView, radius: float, facts: dict[str, object]) -> Written:
     return write_scalars_as_ply(view.positions, view.faces, shades, scalars, comments)
 
 
-def _nearness(view: MeshView | WindowView, radius: float) -> NDArray[np.float32]:
+def _nearness(view: MeshView | WindowView, radius: float) -> Float32s:
     """Return 1 at the kernel's own sample, falling to 0 at the radius; NaN where the kernel holds nothing."""
     reach = max(np.float32(radius), np.finfo(np.float32).tiny)
     return np.asarray(1 - view.distances / reach, np.float32)
 
 
-def _picture(view: WindowView, radius: float) -> NDArray[np.uint8]:
+def _picture(view: WindowView, radius: float) -> Uint8s:
     """Draw a window three times side by side: the painting, the distances, the weights."""
     held = np.isfinite(view.distances)
     panels = (
@@ -106,11 +108,11 @@ def _picture(view: WindowView, radius: float) -> NDArray[np.uint8]:
     return as_bytes(np.hstack([drawn[0], gap, drawn[1], gap, drawn[2]]))
 
 
-def _enlarged(panel: NDArray[np.float64], zoom: int) -> NDArray[np.float64]:
+def _enlarged(panel: Float64s, zoom: int) -> Float64s:
     return panel.repeat(zoom, axis=0).repeat(zoom, axis=1)
 
 
-def _frame(panel: NDArray[np.float64], cell: tuple[int, int], zoom: int) -> None:
+def _frame(panel: Float64s, cell: tuple[int, int], zoom: int) -> None:
     """Draw the border of a cell, in place."""
     thickness = max(1, zoom // 14)
     square = panel[cell[0] * zoom : (cell[0] + 1) * zoom, cell[1] * zoom : (cell[1] + 1) * zoom]

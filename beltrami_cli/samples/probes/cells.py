@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from fnmatch import fnmatch
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,8 +15,7 @@ from beltrami_cli.surface.atlas import EMPTY
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Array, Int64s
     from beltrami_cli.flow.beltrami_flow import BeltramiFlow
     from beltrami_cli.flow.grid_manifold import GridManifold
     from beltrami_cli.flow.manifold import SampledKernel
@@ -52,7 +51,7 @@ class CellProbe(Probe):
             )
         return int(atlas.owned_cells[mine[nearest]])
 
-    def _texels_of(self, cells: NDArray[np.int64]) -> NDArray[np.int64]:
+    def _texels_of(self, cells: Int64s) -> Int64s:
         """Return the texels of cells; a halo cell has that of the cell that it is nearest to."""
         atlas, own = self.flow.manifold.atlas, cells.copy()
         at = np.searchsorted(atlas.halo_cells, cells)
@@ -107,7 +106,7 @@ class TexelProbe(CellProbe):
             f"it, as in {textures[0]}:{location.text.rpartition(':')[2]}"
         )
 
-    def columns(self, samples: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
+    def columns(self, samples: Int64s) -> dict[str, Array]:
         texels, offsets = self._texels_of(samples), self.flow.manifold.atlas.texture_offsets
         textures = np.searchsorted(offsets, texels, side="right") - 1
         widths = np.array([picture.pixels.shape[1] for picture in self.pictures])
@@ -129,7 +128,7 @@ class PixelProbe(CellProbe):
         at = f"pixel {column},{row}"
         return self._cell_at(0, column, row, width, f"the {at} of {name}"), {"at": at}
 
-    def columns(self, samples: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
+    def columns(self, samples: Int64s) -> dict[str, Array]:
         y, x = np.divmod(self._texels_of(samples), self.picture.pixels.shape[1])
         return {"x": x, "y": y}
 
@@ -139,7 +138,7 @@ class RangeProbe(CellProbe):
     """Vertices of a range image, on the grid, shape (H, W), that they were measured on."""
 
     painted: PaintedVertices
-    grid: NDArray[np.int64]
+    grid: Int64s
     name: str
 
     def find(self, location: Location) -> tuple[int, dict[str, object]]:
@@ -156,12 +155,12 @@ class RangeProbe(CellProbe):
         facts = {"at": f"vertex {vertex}", "position": self.painted.positions[vertex].tolist()}
         return int(atlas.owned_cells[found[0]]), facts
 
-    def columns(self, samples: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
+    def columns(self, samples: Int64s) -> dict[str, Array]:
         vertices = self.grid.reshape(-1)[self._texels_of(samples)]
         return {"vertex": vertices, **dict(zip("xyz", self.painted.positions[vertices].T, strict=True))}
 
 
-def _square(plane: NDArray[Any], row: int, column: int, around: int) -> NDArray[Any]:
+def _square(plane: Array, row: int, column: int, around: int) -> Array:
     """Cut a square out of the last two axes, with zeros beyond the borders."""
     first = (max(0, row - around), max(0, column - around))
     part = plane[..., first[0] : row + around + 1, first[1] : column + around + 1]

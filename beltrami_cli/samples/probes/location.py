@@ -11,7 +11,7 @@ import numpy as np
 from beltrami_cli.errors import UsageError
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from beltrami_cli.arrays import Float64s
 
 _PIXEL = "px"
 
@@ -25,7 +25,7 @@ class Location:
     numbers: tuple[float, ...]  # index of a vertex; texture coordinates, or column and row; position
     in_pixels: bool  # whether two numbers were marked as pixels
 
-    def vertex_among(self, positions: NDArray[np.float64], name: str) -> int:
+    def vertex_among(self, positions: Float64s, name: str) -> int:
         """Return the vertex with the index, or nearest to the position."""
         if len(self.numbers) == 3:
             squared = np.square(positions - np.array(self.numbers)).sum(axis=1)

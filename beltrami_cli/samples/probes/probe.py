@@ -11,8 +11,7 @@ import numpy as np
 from beltrami_cli.flow.colour_space import from_space
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s, Int64s
     from beltrami_cli.flow.beltrami_flow import BeltramiFlow
     from beltrami_cli.flow.manifold import SampledKernel
     from beltrami_cli.flow.parameters import Space
@@ -25,21 +24,21 @@ _COLOURS = ("red", "green", "blue", "grey")
 class MeshView:
     """The part of a mesh, of V vertices, that a kernel is shown on."""
 
-    positions: NDArray[np.float64]
-    faces: NDArray[np.int32]
-    shades: NDArray[np.float32]  # (V, 3): the painting, as display values in [0, 1]
-    distances: NDArray[np.float32]  # NaN where the kernel holds nothing
-    weights: NDArray[np.float32]  # 0 there
+    positions: Float64s
+    faces: Int32s
+    shades: Float32s  # (V, 3): the painting, as display values in [0, 1]
+    distances: Float32s  # NaN where the kernel holds nothing
+    weights: Float32s  # 0 there
 
 
 @dataclass(frozen=True)
 class WindowView:
     """The part of a canvas, of H x W cells, that a kernel is shown on."""
 
-    shades: NDArray[np.float32]  # (H, W, 3): the painting, as display values in [0, 1]
-    filled: NDArray[np.bool_]  # cells that hold a colour
-    distances: NDArray[np.float32]  # NaN where the kernel holds nothing
-    weights: NDArray[np.float32]  # 0 there
+    shades: Float32s  # (H, W, 3): the painting, as display values in [0, 1]
+    filled: Bools  # cells that hold a colour
+    distances: Float32s  # NaN where the kernel holds nothing
+    weights: Float32s  # 0 there
     source: tuple[int, int]  # row and column of the kernel's own cell
 
 
@@ -54,7 +53,7 @@ class WorkingColours:
     def names(self) -> tuple[str, ...]:
         return ("L", "a", "b", *self.channels[3:]) if self.space == "oklab" else self.channels
 
-    def shades(self, colours: NDArray[np.float32]) -> NDArray[np.float32]:
+    def shades(self, colours: Float32s) -> Float32s:
         """Return colours, shape (S, N), as display values of red, green and blue in [0, 1]; other data are grey."""
         coloured = [i for i, channel in enumerate(self.channels) if channel in _COLOURS]
         if coloured:
@@ -85,7 +84,7 @@ class Probe(ABC):
         return {}
 
     @abstractmethod
-    def columns(self, samples: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
+    def columns(self, samples: Int64s) -> dict[str, Array]:
         """Return what the samples of a kernel are, by the names of columns."""
 
     @abstractmethod

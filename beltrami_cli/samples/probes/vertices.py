@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from beltrami_cli.samples.probes.probe import MeshView, Probe
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Array, Bools, Int32s, Int64s
     from beltrami_cli.flow.beltrami_flow import BeltramiFlow
     from beltrami_cli.flow.manifold import SampledKernel
     from beltrami_cli.flow.mesh_manifold import MeshManifold
@@ -39,7 +38,7 @@ class VertexProbe(Probe):
     def facts(self, kernel: SampledKernel) -> dict[str, object]:
         return {"cut_short": len(kernel.samples) == self.flow.parameters.max_samples}
 
-    def columns(self, samples: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
+    def columns(self, samples: Int64s) -> dict[str, Array]:
         vertices = self.sampling.first_vertex[samples]
         return {"vertex": vertices, **dict(zip("xyz", self.painted.positions[vertices].T, strict=True))}
 
@@ -61,9 +60,7 @@ class VertexProbe(Probe):
         return _cut(view, _surroundings(places[painted.faces], near, held)[places])
 
 
-def _surroundings(
-    faces: NDArray[np.int32], near: NDArray[np.bool_], held: NDArray[np.bool_]
-) -> NDArray[np.bool_]:
+def _surroundings(faces: Int32s, near: Bools, held: Bools) -> Bools:
     """Spread over triangles until all that is held is near, and as often again."""
     steps = 0
     while not near[held].all():
@@ -76,13 +73,13 @@ def _surroundings(
     return near
 
 
-def _spread(faces: NDArray[np.int32], near: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _spread(faces: Int32s, near: Bools) -> Bools:
     wider = near.copy()
     wider[faces[near[faces].any(axis=1)]] = True
     return wider
 
 
-def _cut(view: MeshView, kept: NDArray[np.bool_]) -> MeshView:
+def _cut(view: MeshView, kept: Bools) -> MeshView:
     """Keep some of the vertices, and the triangles between them."""
     number = np.cumsum(kept, dtype=np.int32) - 1
     faces = number[view.faces[kept[view.faces].all(axis=1)]]
