@@ -124,6 +124,9 @@ class Document(ABC):
     format: ClassVar[str]
     """The name of its line in the registry."""
 
+    forms: tuple[str, ...] = ()
+    """Formats in which it can be written with all that it holds, by `repackaged`."""
+
     def __init__(
         self, data: bytes, name: str, folder: Path | None = None, access: Access = EVERYTHING_INSIDE
     ) -> None:
@@ -197,6 +200,21 @@ class Document(ABC):
     ) -> Written:
         """Return the document's files with other colours, images or positions, and everything else as it was."""
         return self._patched(Changes(colours, images, places), naming)
+
+    def repackaged(
+        self,
+        colours: NDArray[np.float32] | None,
+        naming: Naming,
+        form: str,
+        *,
+        images: Mapping[tuple[Slot, str], ImageFile] = NO_IMAGES,
+        places: MovedVertices | None = None,
+    ) -> Written:
+        """Return the document as `patch` does, as one of its `forms`."""
+        return self._as_form(Changes(colours, images, places), naming, form)
+
+    def _as_form(self, new: Changes, naming: Naming, form: str) -> Written:
+        raise NotImplementedError
 
     @abstractmethod
     def _patched(self, new: Changes, naming: Naming) -> Written: ...

@@ -41,8 +41,8 @@ _ARCHIVES = {
 """What archives and compressed files start with, and at which offset."""
 
 _READABLE = (
-    "beltrami reads PLY, OBJ, glTF (.gltf) and GLB files, points in .xyz, .pts and .npz, and the colours of OFF, STL, "
-    "3MF and DAE files"
+    "beltrami reads PLY, OBJ, glTF (.gltf), GLB and USD files, points in .xyz, .pts and .npz, and the colours of "
+    "OFF, STL, 3MF and DAE files"
 )
 
 
@@ -94,7 +94,8 @@ class Format:
 
     def load(self, name: str) -> Any:
         """Import a class or function of the format."""
-        return getattr(importlib.import_module(f"beltrami_cli.formats.{self.module}"), name)
+        module, _, own = f"beltrami_cli.formats.{self.module}.{name}".rpartition(".")
+        return getattr(importlib.import_module(module), own)
 
 
 def _starts(pattern: bytes) -> Recogniser:
@@ -124,10 +125,22 @@ def _is_npz(data: bytes, name: str) -> bool:
     return NpzArchive.recognises(data)
 
 
+def _is_usdz(data: bytes, name: str) -> bool:
+    if not data.startswith(_ZIP):
+        return False
+    length = int.from_bytes(data[26:28], "little")  # of the name of the first file
+    return data[30 : 30 + length].lower().endswith((b".usd", b".usda", b".usdc"))
+
+
 def _is_read_only(data: bytes, name: str) -> bool:
     from beltrami_cli.formats.read_only import kind_of
 
     return not name.lower().endswith(".obj") and kind_of(data, name) is not None
+
+
+def _usd(name: str, mark: Recogniser, form: str, **more: Any) -> Format:
+    writers = f"writer.write_{form}", f"writer.write_textured_{form}"
+    return Format(name, mark, "usd", "document.UsdDocument", *writers, **more)
 
 
 # The first line whose mark a file has is taken; only then the names count.
@@ -141,6 +154,10 @@ FORMATS = (
         "gltf", _starts(_JSON), "gltf", "GltfDocument",
         "write_gltf", "write_textured_gltf", ".bin", ".bin .*", _COMMON,
     ),
+    _usd("usdz", _is_usdz, "usdz", images=_COMMON),
+    _usd("usda", _starts(rb"#usda"), "usda", textured_sidecars=".*"),
+    _usd("usdc", _starts(rb"PXR-USDC"), "usdc", textured_sidecars=".*"),
+    _usd("usd", _starts(rb"(?!)"), "usdc", textured_sidecars=".*"),  # it is of one of the two forms before
     Format("xyz", _BY_NAME, "points", "TextPointsDocument", "write_xyz", aliases=("xyzrgb",)),
     Format("pts", _BY_NAME, "points", "TextPointsDocument", "write_pts"),
     Format("npz", _is_npz, "points", "NpzPointsDocument", "write_npz"),

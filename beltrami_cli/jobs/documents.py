@@ -9,7 +9,7 @@ from copy import copy
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, cast
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
@@ -116,11 +116,8 @@ def make_files(
     target_format = kind.name
     if kind.is_own or kind.suffix is not None:
         return document.patch(colours, naming, images=images, places=places)
-    from beltrami_cli.formats.gltf import GltfDocument
-
-    if isinstance(document, GltfDocument) and target_format in ("glb", "gltf"):
-        form: Literal["glb", "gltf"] = "glb" if target_format == "glb" else "gltf"
-        return document.repackaged(colours, naming, form, images=images, places=places)
+    if target_format in document.forms:
+        return document.repackaged(colours, naming, target_format, images=images, places=places)
     if is_converted_with_textures(document, kind):
         return _converted(document, colours, images, target_format, naming, moved_too=places is not None)
     if images or (document.slots() and not document.has_vertex_colours()):
@@ -140,7 +137,7 @@ def is_converted_with_textures(document: Document, kind: OutputFormat) -> bool:
     """Return whether a document is written anew, as another format that can hold its textures."""
     if kind.is_own or kind.suffix is not None or held_images(kind.name) is None or not document.slots():
         return False
-    return not (kind.name in ("glb", "gltf") and document.format in ("glb", "gltf"))
+    return kind.name not in document.forms
 
 
 def _converted(

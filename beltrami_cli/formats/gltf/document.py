@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
-from beltrami_cli.formats.document import NO_IMAGES, Changes, Document, Fingerprint
+from beltrami_cli.formats.document import Changes, Document, Fingerprint
 from beltrami_cli.formats.gltf.accessors import Accessors, Stored, fractions
 from beltrami_cli.formats.gltf.buffers import Buffers
 from beltrami_cli.formats.gltf.container import read_container
@@ -34,18 +34,17 @@ from beltrami_cli.formats.gltf.textures import Images, present_slots
 from beltrami_cli.formats.gltf.uris import files_beside
 from beltrami_cli.formats.gltf.vertices import move, recolour, require_movable
 from beltrami_cli.formats.model_folder import ModelFolder
-from beltrami_cli.surface.records import MeshContents, MovedVertices, PaintedVertices
+from beltrami_cli.surface.records import MeshContents, PaintedVertices
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
 
     from beltrami_cli.formats.document import Naming, Written
-    from beltrami_cli.formats.gltf.container import GltfForm
     from beltrami_cli.formats.gltf.json_text import Tree
-    from beltrami_cli.surface.records import ImageFile, Slot, TexturedMesh, TexturedSurface
+    from beltrami_cli.surface.records import Slot, TexturedMesh, TexturedSurface
 
 
 # What conversion leaves out of a file with textures, too.
@@ -56,6 +55,7 @@ class GltfDocument(Document):
     """An opened glTF file, in either form."""
 
     format: str  # type: ignore[misc]  # one class reads both forms, so only an instance knows its format
+    forms = ("glb", "gltf")
 
     def __init__(
         self, data: bytes, name: str, folder: Path | None, access: Access = EVERYTHING_INSIDE
@@ -123,21 +123,9 @@ class GltfDocument(Document):
         require_movable(self.accessors, self.surface.blocks)
 
     def _patched(self, new: Changes, naming: Naming) -> Written:
-        return self._written(new, naming, self.container.kind)
+        return self._as_form(new, naming, self.container.kind)
 
-    def repackaged(
-        self,
-        colours: NDArray[np.float32] | None,
-        naming: Naming,
-        form: GltfForm,
-        *,
-        images: Mapping[tuple[Slot, str], ImageFile] = NO_IMAGES,
-        places: MovedVertices | None = None,
-    ) -> Written:
-        """Return the document as `patch` does, in the other form of glTF if that is asked for."""
-        return self._written(Changes(colours, images, places), naming, form)
-
-    def _written(self, new: Changes, naming: Naming, form: GltfForm) -> Written:
+    def _as_form(self, new: Changes, naming: Naming, form: str) -> Written:
         edit = Edit(self.container, self.accessors, self.container.copy_of_tree())
         if new.colours is not None:
             recolour(edit, self.surface.blocks, self.stored_colours, self.painted().colours, new.colours)
@@ -145,7 +133,7 @@ class GltfDocument(Document):
             move(edit, self.surface.blocks, self.painted().positions, new.places)
         compress_again(edit)
         repaint(edit, self.images, new.images)
-        return written(edit, naming, form, self._folder)
+        return written(edit, naming, "glb" if form == "glb" else "gltf", self._folder)
 
     def references(self) -> Sequence[str]:
         return self._references

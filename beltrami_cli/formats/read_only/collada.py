@@ -8,7 +8,6 @@ polygons with a skin, and rounds other colours to 8 bits.
 from __future__ import annotations
 
 import io
-import signal
 import subprocess
 import sys
 import tempfile
@@ -18,9 +17,9 @@ from xml.parsers import expat
 import numpy as np
 
 from beltrami_cli.errors import InputError
+from beltrami_cli.formats.archive import Archive
 from beltrami_cli.formats.read_only.polygons import ColouredPolygons
-from beltrami_cli.formats.read_only.threemf import Archive
-from beltrami_cli.surface.worker_process import working
+from beltrami_cli.surface.worker_process import limit_process, working
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -31,7 +30,7 @@ if TYPE_CHECKING:
 
 _MODULE = "beltrami_cli.formats.read_only.collada"
 _PATIENCE, _PER_MEGABYTE = 60, 10  # seconds
-_LIBRARIES = 512 << 20  # bytes that they take
+_TREE = 16  # times as much memory as its text takes an XML document while it is read
 _MISSING = 77  # exit code where a package is not installed
 _EXTRA = "install it with: pip install 'beltrami-cli[foreign]'"
 _EXPORT = "export it as PLY or glTF"
@@ -40,7 +39,7 @@ _EXPORT = "export it as PLY or glTF"
 def read_dae(data: bytes, name: str, access: Access) -> ColouredPolygons:
     """Read a COLLADA file, or the first one in an archive (.zae)."""
     if data[:2] == b"PK":
-        archive = Archive(data, name, access)
+        archive = Archive(data, name, access, _TREE)
         member = next((each for each in archive.members if each.lower().endswith(".dae")), None)
         if member is None:
             raise InputError(name, "the archive has no .dae file in it")
@@ -88,7 +87,7 @@ def _polygons(
 
 def main() -> None:
     """Read a file from standard input, and write its triangles to standard output: the other process."""
-    _limit(seconds=int(sys.argv[1]), memory=int(sys.argv[2]))
+    limit_process(seconds=int(sys.argv[1]), memory=int(sys.argv[2]))
     data = sys.stdin.buffer.read()
     try:
         positions, colours, left_out = _triangles(data)
@@ -104,19 +103,6 @@ def main() -> None:
     answer = io.BytesIO()
     np.savez(answer, positions=positions, colours=colours, left_out=np.array(left_out, "U"))
     sys.stdout.buffer.write(answer.getvalue())
-
-
-def _limit(seconds: int, memory: int) -> None:
-    if hasattr(signal, "alarm"):  # so that it ends even where the process that waits for it was killed
-        signal.alarm(seconds + 10)
-    if memory:
-        try:
-            import resource
-        except ImportError:
-            return
-        most = resource.getrlimit(resource.RLIMIT_DATA)[1]
-        wanted = memory + _LIBRARIES
-        resource.setrlimit(resource.RLIMIT_DATA, (wanted if most < 0 else min(wanted, most), most))
 
 
 def _triangles(data: bytes) -> tuple[NDArray[np.float64], NDArray[np.float32], list[str]]:

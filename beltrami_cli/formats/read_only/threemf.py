@@ -10,11 +10,8 @@ References
 
 from __future__ import annotations
 
-import io
 import posixpath
 import re
-import zipfile
-import zlib
 from array import array
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
@@ -23,7 +20,7 @@ from xml.parsers import expat
 import numpy as np
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.access import require_ratio
+from beltrami_cli.formats.archive import Archive
 from beltrami_cli.formats.read_only.polygons import ColouredPolygons
 
 if TYPE_CHECKING:
@@ -33,10 +30,7 @@ if TYPE_CHECKING:
 
     from beltrami_cli.formats.access import Access
 
-_MOST_MEMBERS = 10_000
-_LARGEST = 1 << 30  # bytes of a member, where no memory limit is given
 _TREE = 16  # times as much memory as its text takes an XML document while it is read
-_DAMAGED = "repack it, or export it again"
 
 _RELATIONS = "_rels/.rels"
 _USUAL = "3D/3dmodel.model"
@@ -51,54 +45,6 @@ _NONE = -1
 
 Attributes = dict[str, str]
 Rgba = tuple[int, int, int, int]
-
-
-class Archive:
-    """A ZIP archive in memory, of which members are read one by one, none beyond what is allowed."""
-
-    def __init__(self, data: bytes, name: str, access: Access) -> None:
-        self._name = name
-        self._most = _LARGEST if access.memory is None else min(_LARGEST, access.memory // _TREE)
-        try:
-            self._file = zipfile.ZipFile(io.BytesIO(data))
-        except (zipfile.BadZipFile, NotImplementedError, ValueError, OSError) as error:
-            raise InputError(name, f"the archive is damaged ({error})", _DAMAGED) from error
-        if len(self._file.infolist()) > _MOST_MEMBERS:
-            raise InputError(name, f"the archive has more than {_MOST_MEMBERS} members", _DAMAGED)
-
-    @property
-    def members(self) -> list[str]:
-        """The names of all files in the archive."""
-        return [name for name in self._file.namelist() if not name.endswith("/")]
-
-    def read(self, member: str) -> bytes:
-        """Return the content of a member; its true size is checked as well as the announced one."""
-        try:
-            known = self._file.getinfo(member)
-            if known.file_size > self._most:
-                raise self._too_large(member, known.file_size)
-            require_ratio(self._name, member, known.compress_size, known.file_size)
-            with self._file.open(known) as file:
-                data = file.read(self._most + 1)
-        except KeyError:
-            raise InputError(self._name, f"the archive has no {member}", _DAMAGED) from None
-        except (
-            zipfile.BadZipFile,
-            zlib.error,
-            NotImplementedError,
-            RuntimeError,
-            EOFError,
-            OSError,
-            ValueError,
-        ) as error:
-            raise InputError(self._name, f"{member} in the archive is damaged ({error})", _DAMAGED) from error
-        if len(data) > self._most:
-            raise self._too_large(member, len(data))
-        return data
-
-    def _too_large(self, member: str, size: int) -> InputError:
-        cause = f"{member} in the archive has {size} bytes, more than the {self._most} that are read"
-        return InputError(self._name, cause, "raise --max-memory, or give a smaller model")
 
 
 @dataclass(frozen=True)
@@ -134,7 +80,7 @@ class _Model:
 
 def read_3mf(data: bytes, name: str, access: Access) -> ColouredPolygons:
     """Read a 3MF file."""
-    building = _Building(Archive(data, name, access), name, access)
+    building = _Building(Archive(data, name, access, _TREE), name, access)
     root = building.model(building.start())
     for part in root.built:
         building.add(part, np.eye(4), building.start(), 0)

@@ -1,0 +1,1 @@
+"""USD: documents that keep their layers, and writers for conversion."""

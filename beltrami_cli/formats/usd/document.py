@@ -1,0 +1,275 @@
+"""USD scenes, as layers or as a package, of which only vertex colours and images are replaced."""
+
+from __future__ import annotations
+
+import posixpath
+from functools import cached_property
+from pathlib import Path, PurePath
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from beltrami_cli.errors import InputError, UnpaintedError
+from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
+from beltrami_cli.formats.document import Document, Fingerprint, NamedImage, Written
+from beltrami_cli.formats.image.recognition import format_of, format_of_suffix
+from beltrami_cli.formats.model_folder import LEFT_ALONE, NewNames
+from beltrami_cli.formats.tiles import common_suffix, tile_name
+from beltrami_cli.formats.usd.layers import Layers
+from beltrami_cli.formats.usd.textures import Textures
+from beltrami_cli.surface.polygons import triangulate
+from beltrami_cli.surface.records import MeshContents, PaintedVertices
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from beltrami_cli.formats.document import Bytes, Changes, Naming
+    from beltrami_cli.surface.records import (
+        ImageFile,
+        Slot,
+        TexturedMesh,
+        TexturedSurface,
+    )
+
+_COUNTS = {
+    "instanced": "{} mesh(es) are instances of others; each is smoothed once, at its first place.",
+    "hidden": "{} mesh(es) are invisible, or for proxies and guides, and are left as they are.",
+    "flat": "{} mesh(es) have one colour, or one for each face, which is left as it is.",
+    "unfit": "{} mesh(es) have colours that do not fit their points; these are left as they are.",
+    "animated": "{} mesh(es) have colours that change with time, which are left as they are.",
+    "bare": "{} part(s) have no texture coordinates for a texture.",
+}
+
+
+class UsdDocument(Document):
+    """An opened scene."""
+
+    format: str  # type: ignore[misc]  # one class reads all forms, so only an instance knows its format
+
+    def __init__(
+        self, data: bytes, name: str, folder: Path | None, access: Access = EVERYTHING_INSIDE
+    ) -> None:
+        super().__init__(data, name, folder, access)
+        self._made: dict[tuple[str, tuple[tuple[str, str], ...]], bytes] = {}
+        self._layers = Layers.of(data, name, folder, access)
+        is_package = self._layers.package is not None
+        self.format = "usdz" if is_package else Path(self._layers.root).suffix[1:]
+        self.forms = ("usdz",) if is_package else ("usd", "usda", "usdc")
+
+    @cached_property
+    def _scene(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+        words, arrays = self._layers.scene()
+        counts = words["counts"]
+        self.notices += [sentence.format(n) for key, sentence in _COUNTS.items() if (n := counts.get(key))]
+        self.notices += [
+            f"'{path}' {why}{LEFT_ALONE}" for path, why in dict.fromkeys(self._layers.reasons.items())
+        ]
+        return words, arrays
+
+    @property
+    def _words(self) -> dict[str, Any]:
+        return self._scene[0]
+
+    @property
+    def _arrays(self) -> dict[str, NDArray[Any]]:
+        return self._scene[1]
+
+    @cached_property
+    def _textures(self) -> Textures:
+        return Textures(self._layers, *self._scene, self.name)
+
+    def has_vertex_colours(self) -> bool:
+        return bool(self._words["blocks"])
+
+    @cached_property
+    def _painted(self) -> PaintedVertices:
+        if not self.has_vertex_colours():
+            raise UnpaintedError(
+                self.name, "its meshes have no colours of vertices (displayColor)", "paint them first"
+            )
+        positions = self._arrays["positions"][self._arrays["colour_vertex"]]
+        colours = self._arrays["colours"].astype(np.float32)
+        for values, what in ((positions, "places"), (colours, "colours")):
+            if not np.isfinite(values).all():
+                raise InputError(self.name, f"some {what} of its vertices are no finite numbers")
+        kinds = {block["type"] for block in self._words["blocks"]}
+        corners, offsets = self._coloured_polygons
+        return PaintedVertices(
+            positions=positions,
+            faces=triangulate(positions, corners, offsets),
+            colours=colours,
+            channels=("red", "green", "blue"),
+            encoding="linear",
+            stored=kinds.pop() if len(kinds) == 1 else "float32",
+        )
+
+    @cached_property
+    def _coloured_polygons(self) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+        sizes, rows = self._arrays["sizes"], self._arrays["rows"]
+        is_coloured = rows[np.cumsum(sizes) - sizes] >= 0
+        kept = rows[np.repeat(is_coloured, sizes)].astype(np.int32)
+        return kept, np.concatenate([[0], np.cumsum(sizes[is_coloured])])
+
+    def slots(self) -> tuple[Slot, ...]:
+        return self._textures.slots()
+
+    def textured(self, slot: Slot) -> TexturedSurface:
+        known = len(self._textures.notices)
+        surface = self._textures.surface(slot)
+        self.notices += self._textures.notices[known:]
+        return surface
+
+    def references(self) -> Sequence[str]:
+        if self._layers.package is not None:
+            return []
+        images = self._textures.files()
+        return [*(layer for layer in self._layers.contents if layer != self._layers.root), *images]
+
+    def _patched(self, new: Changes, naming: Naming) -> Written:
+        return self._as_form(new, naming, self.format)
+
+    def _as_form(self, new: Changes, naming: Naming, form: str) -> Written:
+        if new.places is not None:
+            self.require_movable()
+        colours = new.colours
+        package = self._layers.package
+        files, renamed, copies = self._new_images(new.images, naming)
+        changes = colours is not None and not np.array_equal(colours, self._painted.colours)
+        root: Bytes | None = None
+        if changes or renamed or form != self.format:
+            root = self._edited(colours if changes else None, renamed, form)
+        if package is None:
+            return Written([self.data if root is None else root], files, copies=copies)
+        if root is not None:
+            files = {self._layers.root: root, **files}
+        return Written(package.packed(files) if files else [self.data])
+
+    def _edited(self, colours: NDArray[np.float32] | None, renamed: Mapping[str, str], form: str) -> bytes:
+        key = form, tuple(renamed.items())
+        if colours is None and key in self._made:  # as when files were planned
+            return self._made[key]
+        suffix = Path(self._layers.root).suffix if form == self.format else f".{form}"
+        order = {
+            "task": "edit",
+            "blocks": [] if colours is None else self._words["blocks"],
+            "files": renamed,
+            "suffix": suffix,
+            "same": form == self.format,
+        }
+        arrays = {} if colours is None else {"colours": colours}
+        made = self._layers.ask(order, arrays)[1]["layer"].tobytes()
+        if colours is None:
+            self._made[key] = made
+        return made
+
+    def _new_images(
+        self, images: Mapping[tuple[Slot, str], ImageFile], naming: Naming
+    ) -> tuple[dict[str, Bytes], dict[str, str], dict[str, str]]:
+        """Return new files, the attributes that name others with these names, and files that are copied."""
+        in_package, shown = self._layers.package is not None, self._textures
+        kept = shown.kept(images) if naming.copies and not in_package else []
+        layers = [layer for layer in self._layers.contents if layer != self._layers.root]
+        if naming.copies and not in_package:
+            kept = [*layers, *kept]
+            self._require_free(kept, naming)
+        present = self._layers.package.members if self._layers.package else self.references()
+        names = NewNames(naming, self.name, present, [*shown.missing(), *kept])
+        files: dict[str, Bytes] = {}
+        renamed: dict[str, str] = {}
+        copies = {file: file for file in kept}
+        for (path, new_files), slots in shown.replaced(images).items():
+            attributes = shown.attributes(path, slots)
+            is_replaced = attributes == shown.attributes(path)
+            new = self._new_path(path, dict(new_files), names, is_replaced=is_replaced)
+            own = {
+                file: file if new == path else tile_name(new, tile)
+                for tile, file in self._layers.tiles.get(path, {}).items()
+            } or {path: new}
+            files |= {own.pop(file): image.data for file, image in new_files}
+            copies |= {file: old for old, file in own.items() if file != old}
+            if new != path:
+                start = posixpath.dirname(self._layers.root) or "."
+                renamed |= dict.fromkeys(attributes, "./" + posixpath.relpath(new, start))
+        if in_package:
+            files |= {new: self._layers.image(old) for new, old in copies.items()}
+        return files, renamed, copies
+
+    def _new_path(
+        self, path: str, new: Mapping[str, ImageFile], names: NewNames, *, is_replaced: bool
+    ) -> str:
+        """Return where an image or a set of tiles is written: in a package in its own place, if its type stays."""
+        suffix = common_suffix(image.suffix for image in new.values())
+        known = {format_of(self._layers.image(file), file) for file in new}
+        stays = {format_of_suffix(image.suffix) for image in new.values()} == known
+        if self._layers.package is not None and is_replaced and stays:
+            return path
+        tiles = self._layers.tiles.get(path, ())
+        return names.image(path, None if stays else suffix, is_replaced=is_replaced, tiles=tiles)
+
+    def _require_free(self, kept: Sequence[str], naming: Naming) -> None:
+        """Raise InputError if files that other layers name cannot be copied under their names."""
+        taken = next((file for file in kept if naming.is_taken(file)), None)
+        if taken is not None:
+            cause = f"beside OUTPUT there is another '{taken}', whose name is needed for one of its files"
+            raise InputError(self.name, cause, "choose an empty folder")
+
+    def contents(self) -> MeshContents:
+        painted = self._painted
+        corners, offsets = self._coloured_polygons
+        opacity = self._arrays["opacity"]
+        return MeshContents(
+            positions=painted.positions,
+            corners=corners,
+            offsets=offsets,
+            colours=painted.colours,
+            encoding="linear",
+            stored=painted.stored,
+            alpha=opacity.clip(0, 1).astype(np.float32) if self._words["counts"].get("transparent") else None,
+            left_out=(*(["materials"] if self._words["materials"] else []), *self._left_out()),
+        )
+
+    def textured_mesh(self, colours: NDArray[np.float32] | None = None) -> TexturedMesh:
+        values = self._painted.colours if colours is None and self.has_vertex_colours() else colours
+        return self._textures.mesh(PurePath(self.name).stem, values, self._left_out())
+
+    def _left_out(self) -> list[str]:
+        words = self._words
+        others = [f"{kind} prims" for kind in words["others"]]
+        others += ["variants"] if words["variants"] else []
+        others += ["the axis that is up, which is Z"] if words["up"] == "Z" else []
+        others += [f"the unit of {words['unit']:g} m"] if words["unit"] != 1 else []
+        return [*others, *(["node hierarchy"] if len(words["meshes"]) > 1 else [])]
+
+    def fingerprint(self) -> Fingerprint:
+        order = {"task": "fingerprint", "blocks": self._words["blocks"], "uses": self._words["uses"]}
+        root = self._layers.root
+        parts = {"root layer": self._layers.ask(order, {})[0]["text"].encode()}
+        parts |= {f"layer {name}": data for name, data in self._layers.contents.items() if name != root}
+        shown = set(self._textures.files())
+        package = self._layers.package
+        if package is not None:
+            others = [each for each in package.members if each not in shown and each not in package.layers]
+            parts |= {f"file {name}": package.read(name) for name in others}
+        colours = {"vertex colours": self._painted.colours} if self.has_vertex_colours() else {}
+        images = {
+            label: NamedImage(posixpath.basename(file), self._layers.image(file))
+            for label, file in self._textures.labelled()
+        }
+        return Fingerprint(parts, colours, images)
+
+    def facts(self) -> dict[str, object]:
+        words = self._words
+        return {
+            "layers": list(self._layers.contents),
+            "meshes": len(words["meshes"]),
+            "polygons": len(self._arrays.get("sizes", ())),
+            "coloured meshes": len(words["blocks"]),
+            "materials": [material["name"] for material in words["materials"]],
+            "slots": list(self.slots()),
+            "up axis": words["up"],
+            "metres per unit": words["unit"],
+            "variants": words["variants"],
+            "other": words["others"],
+        }

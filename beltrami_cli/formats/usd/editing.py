@@ -1,0 +1,196 @@
+"""What the process with usd-core is asked for: a scene as arrays, layers with new values, and fingerprints of both."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from pxr import Sdf, Usd, UsdGeom, UsdShade, Vt
+
+from beltrami_cli.formats.usd.patching import in_place
+from beltrami_cli.formats.usd.scene import NeedsLayersError, Scene, image_of, opened
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+Arrays = dict[str, "NDArray[Any]"]
+_EMPTY = "empty"  # in place of what may differ, in fingerprints
+_MADE = "made"  # name of a layer that is written, without its suffix
+
+
+def read(order: dict[str, Any], _: Arrays) -> tuple[dict[str, Any], Arrays]:
+    """Return a scene, or which layers it needs as well."""
+    try:
+        stage = opened(order["root"], order["layers"], order["refused"])
+    except NeedsLayersError as error:
+        return {"needs": error.needs}, {}
+    scene = Scene()
+    others: set[str] = set()
+    images: dict[str, str] = {}
+    for prim in Usd.PrimRange.Stage(stage, Usd.TraverseInstanceProxies()):
+        if prim.IsA(UsdGeom.Mesh):
+            scene.take(prim)
+        elif prim.IsA(UsdShade.Shader):
+            images |= image_of(UsdShade.Shader(prim))
+        elif prim.IsA(UsdGeom.Gprim):
+            others.add(str(prim.GetTypeName()))
+    words = {
+        "uses": scene.uses,
+        "images": images,
+        "materials": scene.materials,
+        "blocks": scene.blocks,
+        "meshes": scene.meshes,
+        "counts": dict(scene.counts),
+        "slots": sorted(scene.slots),
+        "others": sorted(others),
+        "up": str(UsdGeom.GetStageUpAxis(stage)),
+        "unit": float(UsdGeom.GetStageMetersPerUnit(stage)),
+        "variants": _variants(stage),
+    }
+    return words, scene.joined()
+
+
+def _variants(stage: Any) -> list[str]:
+    """Return the sets of variants of a stage, each with the one that is selected."""
+    found = []
+    for prim in stage.Traverse():
+        sets = prim.GetVariantSets()
+        found += [f"{prim.GetPath()}{{{name}={sets.GetVariantSelection(name)}}}" for name in sets.GetNames()]
+    return found
+
+
+def edit(order: dict[str, Any], arrays: Arrays) -> tuple[dict[str, Any], Arrays]:
+    """Return the root layer with other colours and images, in the same form or as `suffix` says."""
+    stage = opened(order["root"], order["layers"], order["refused"])
+    root = stage.GetRootLayer()
+    before = _stored(stage, order)
+    for block in order["blocks"]:
+        _recolour(stage, block, arrays["colours"][block["first"] : block["first"] + block["count"]])
+    for path, name in order["files"].items():
+        _set(stage, path, Sdf.AssetPath(name))
+    if order["same"]:
+        path = Path(order["root"])
+        (old_colours, old_names), (new_colours, new_names) = before, _stored(stage, order)
+        changes = [
+            (old, new)
+            for old, new in zip(old_colours, new_colours, strict=True)
+            if not np.array_equal(old, new)
+        ]
+        names = list(dict.fromkeys(zip(old_names, new_names, strict=True)))
+        patched = in_place(path.read_bytes(), path.suffix, root, changes, names)
+        if patched is not None:
+            return {}, {"layer": np.frombuffer(patched, np.uint8)}
+    return {}, {"layer": _exported(root, order["suffix"])}
+
+
+def _stored(stage: Any, order: dict[str, Any]) -> tuple[list[NDArray[Any]], list[str]]:
+    """Return the stored values of the colours and names that an order is about."""
+    colours = [np.array(stage.GetAttributeAtPath(block["attribute"]).Get()) for block in order["blocks"]]
+    return colours, [stage.GetAttributeAtPath(path).Get().path for path in order["files"]]
+
+
+def _recolour(stage: Any, block: dict[str, Any], colours: NDArray[np.float32]) -> None:
+    """Give a mesh other colours; those that are named by an index stay so where they can."""
+    attribute = stage.GetAttributeAtPath(block["attribute"])
+    primvar = UsdGeom.Primvar(attribute)
+    old = np.array(primvar.ComputeFlattened(), np.float64)
+    if np.array_equal(old.astype(np.float32), colours):
+        return
+    kind = type(attribute.Get())
+    if primvar.IsIndexed():
+        indices = np.array(primvar.GetIndices(), np.int64)
+        values = np.array(attribute.Get(), np.float64).astype(np.float32)
+        values[indices] = colours
+        if not np.array_equal(values[indices], colours):
+            values, indices = np.unique(colours, axis=0, return_inverse=True)
+            _set(stage, primvar.GetIndicesAttr().GetPath(), Vt.IntArray.FromNumpy(indices.astype(np.int32)))
+    else:
+        values = colours
+    dtype = np.array(attribute.Get()).dtype
+    _set(stage, block["attribute"], kind.FromNumpy(np.ascontiguousarray(values.astype(dtype))))
+
+
+def _set(stage: Any, path: str, value: object) -> None:
+    """Set a value in the root layer: where it stands there, or in an opinion of its own that is stronger."""
+    root, attribute = stage.GetRootLayer(), stage.GetAttributeAtPath(path)
+    for spec in attribute.GetPropertyStack():
+        if spec.HasInfo("default"):
+            if spec.layer == root:
+                spec.default = value
+                return
+            break
+    if attribute.GetPrim().IsInstanceProxy():
+        raise ValueError(f"{path} is of an instance whose colours are in another layer, which stays as it is")
+    stage.SetEditTarget(root)
+    if not attribute.Set(value):
+        raise ValueError(f"{path} cannot be set")
+
+
+def _exported(layer: Any, suffix: str) -> NDArray[np.uint8]:
+    """Return a layer as a file of the kind that a suffix says; for .usd, of the kind that it was."""
+    path = Path(f"{_MADE}{suffix}")
+    arguments = {}
+    if suffix == ".usd":
+        text = Path(layer.realPath).read_bytes().startswith(b"#usda") if layer.realPath else False
+        arguments = {"format": "usda" if text else "usdc"}
+    if not layer.Export(str(path.absolute()), args=arguments):
+        raise ValueError("the layer cannot be written")
+    made = np.fromfile(path, np.uint8)
+    path.unlink()
+    return made
+
+
+def fingerprint(order: dict[str, Any], _: Arrays) -> tuple[dict[str, Any], Arrays]:
+    """Return the text of the root layer without colours and names of images."""
+    stage = opened(order["root"], order["layers"], order["refused"])
+    bare = Sdf.Layer.CreateAnonymous(".usda")
+    bare.TransferContent(stage.GetRootLayer())
+    paths = [use["attribute"] for use in order["uses"]]
+    for block in order["blocks"]:
+        primvar = UsdGeom.Primvar(stage.GetAttributeAtPath(block["attribute"]))
+        paths += [
+            block["attribute"],
+            *([str(primvar.GetIndicesAttr().GetPath())] if primvar.IsIndexed() else []),
+        ]
+    for path in paths:
+        for spec in stage.GetAttributeAtPath(path).GetPropertyStack():
+            if spec.layer == stage.GetRootLayer():
+                _empty(bare, spec.path)
+    return {"text": bare.ExportToString()}, {}
+
+
+def _empty(layer: Any, path: Any) -> None:
+    """Take the value out of a property; one in an override goes, with overrides that hold nothing else."""
+    spec = layer.GetPropertyAtPath(path)
+    owner = spec.owner
+    spec.ClearInfo("default")
+    while owner and owner.path.IsPrimPath() and owner.specifier == Sdf.SpecifierOver:
+        if isinstance(spec, Sdf.PropertySpec):
+            owner.RemoveProperty(spec)
+        if not owner.isInert or owner.nameChildren:
+            return
+        above = owner.nameParent
+        if not above:
+            del layer.rootPrims[owner.name]
+            return
+        del above.nameChildren[owner.name]
+        spec, owner = None, above
+
+
+def convert(order: dict[str, Any], arrays: Arrays) -> tuple[dict[str, Any], Arrays]:
+    """Return the text of a layer in the form that a suffix says."""
+    layer = Sdf.Layer.CreateAnonymous(".usda")
+    if not layer.ImportFromString(arrays["text"].tobytes().decode()):
+        raise ValueError("the text is no layer")
+    return {}, {"layer": _exported(layer, order["suffix"])}
+
+
+TASKS: dict[str, Callable[[dict[str, Any], Arrays], tuple[dict[str, Any], Arrays]]] = {
+    "read": read,
+    "edit": edit,
+    "fingerprint": fingerprint,
+    "convert": convert,
+}

@@ -1,0 +1,442 @@
+"""The process that opens USD layers with usd-core: a scene as arrays.
+
+usd-core is not made for files that mean harm, so it runs as `python -m` of `worker` in this package, with a limit on
+memory and time, in a folder that holds nothing but the layers that may be read.
+
+References
+----------
+.. [1] "UsdPreviewSurface specification", version 2.6. https://openusd.org/release/spec_usdpreviewsurface.html
+"""
+
+from __future__ import annotations
+
+import posixpath
+from collections import Counter
+from dataclasses import dataclass, field
+from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+# The inputs of a UsdPreviewSurface by slot; those of the last are one image's green and blue.
+INPUTS = {
+    "baseColor": ("diffuseColor",),
+    "emissive": ("emissiveColor",),
+    "normal": ("normal",),
+    "occlusion": ("occlusion",),
+    "metallicRoughness": ("roughness", "metallic"),
+}
+_CHANNELS = {"occlusion": ("r",), "metallicRoughness": ("g", "b")}
+_WRAPS = {"repeat": "repeat", "mirror": "mirror"}  # all else shows nothing, or the border
+_NUMBERS = ("metallic", "roughness", "opacity", "opacityThreshold")
+_COLOURS = ("diffuseColor", "emissiveColor")
+_SMOOTH = ("vertex", "varying")
+_DEEPEST = 8  # transforms of texture coordinates, one after the other
+_OPEN: list[Any] = []  # layers, which are read anew where nobody holds them
+
+
+class NeedsLayersError(Exception):
+    """Layers that the stage is composed of and that are not there, as (layer, path as it is written there)."""
+
+    def __init__(self, needs: list[tuple[str, str]]) -> None:
+        super().__init__()
+        self.needs = needs
+
+
+def opened(root: str, layers: list[str], refused: list[list[str]]) -> Any:
+    """Open the stage of a layer in this folder, from the layers that are known; those refused are left out."""
+    from pxr import Sdf, Usd
+
+    needs: list[tuple[str, str]] = []
+    here = Path.cwd()
+    for name in layers:
+        layer = Sdf.Layer.FindOrOpen(str(here / name))
+        if layer is None:
+            raise ValueError(f"{name} cannot be opened")
+        _OPEN.append(layer)
+        for path in layer.GetCompositionAssetDependencies():
+            if placed(name, path) in layers:
+                continue
+            if [name, path] not in refused:
+                needs.append((name, path))
+            layer.UpdateCompositionAssetDependency(path, "")
+        _without_clips(layer)
+    if needs:
+        raise NeedsLayersError(needs)
+    stage = Usd.Stage.Open(Sdf.Layer.FindOrOpen(str(here / root)), None, Usd.Stage.LoadAll)
+    if stage is None:
+        raise ValueError("it cannot be composed")
+    return stage
+
+
+def placed(layer: str, path: str) -> str:
+    """Return where a path in a layer leads, relative to the folder of the root."""
+    return posixpath.normpath(posixpath.join(posixpath.dirname(layer), path))
+
+
+def _without_clips(layer: Any) -> None:
+    """Take out values in further files, which are of other times than the first."""
+
+    def take_out(path: Any) -> None:
+        spec = layer.GetObjectAtPath(path)
+        if path.IsPrimPath() and spec.HasInfo("clips"):
+            spec.ClearInfo("clips")
+
+    layer.Traverse("/", take_out)
+
+
+@dataclass
+class Scene:
+    """What is shown, put together mesh by mesh; lists of arrays are joined at last."""
+
+    arrays: dict[str, list[NDArray[Any]]] = field(default_factory=dict)
+    uses: list[dict[str, Any]] = field(default_factory=list)  # textures of materials in slots
+    materials: list[dict[str, Any]] = field(default_factory=list)
+    blocks: list[dict[str, Any]] = field(default_factory=list)  # of coloured rows
+    meshes: list[str] = field(default_factory=list)
+    counts: Counter[str] = field(default_factory=Counter)
+    slots: set[str] = field(default_factory=set)
+    _number_of: dict[str, int] = field(default_factory=dict)
+    _seen: set[str] = field(default_factory=set)
+    _vertices: int = 0
+    _rows: int = 0
+
+    def add(self, **arrays: NDArray[Any]) -> None:
+        """Add rows to arrays."""
+        for name, values in arrays.items():
+            self.arrays.setdefault(name, []).append(values)
+
+    def joined(self) -> dict[str, NDArray[Any]]:
+        """Return all arrays whole."""
+        return {name: np.concatenate(values) for name, values in self.arrays.items()}
+
+    def take(self, prim: Any) -> None:
+        """Take a mesh, where it stands first."""
+        from pxr import Usd, UsdGeom
+
+        shown = UsdGeom.Imageable(prim)
+        if shown.ComputePurpose() not in ("default", "render") or shown.ComputeVisibility() == "invisible":
+            self.counts["hidden"] += 1
+            return
+        path = str(prim.GetPrimInPrototype().GetPath()) if prim.IsInstanceProxy() else str(prim.GetPath())
+        if path in self._seen:
+            self.counts["instanced"] += 1
+            return
+        self._seen.add(path)
+        mesh, time = UsdGeom.Mesh(prim), Usd.TimeCode.EarliestTime()
+        points = _values(mesh.GetPointsAttr()).reshape(-1, 3)
+        sizes = _values(mesh.GetFaceVertexCountsAttr()).astype(np.int64)
+        corners = _values(mesh.GetFaceVertexIndicesAttr()).astype(np.int64)
+        _require_topology(prim, len(points), sizes, corners)
+        matrix = np.array(UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(time))
+        turned = (mesh.GetOrientationAttr().Get() == "leftHanded") != (np.linalg.det(matrix[:3, :3]) < 0)
+        polygons = _Polygons.of(sizes, corners, mesh.GetHoleIndicesAttr().Get(time), turned)
+        with np.errstate(over="ignore", invalid="ignore"):
+            self.add(positions=points @ matrix[:3, :3] + matrix[3, :3])
+        self.add(sizes=polygons.sizes, corners=polygons.vertex + self._vertices)
+        self.add(mesh_of=np.full(len(polygons.sizes), len(self.meshes)))
+        self._take_materials(prim, polygons, len(points))
+        self._take_colours(prim, polygons, len(points))
+        self.add(normals=_normals(mesh, polygons, len(points), matrix))
+        self.meshes.append(prim.GetName())
+        self._vertices += len(points)
+
+    def _take_materials(self, prim: Any, polygons: _Polygons, points: int) -> None:
+        """Take what is bound to a mesh or to parts of it, with the texture coordinates of every slot."""
+        from pxr import UsdShade
+
+        binding = UsdShade.MaterialBindingAPI(prim)
+        parts = [(self._material(binding.ComputeBoundMaterial()[0]), np.arange(polygons.total))]
+        for subset in binding.GetMaterialBindSubsets():
+            bound = UsdShade.MaterialBindingAPI(subset.GetPrim()).ComputeBoundMaterial()[0]
+            chosen = np.array(subset.GetIndicesAttr().Get() or [], np.int64)
+            parts.append(
+                (self._material(bound), chosen[(chosen >= 0) & (chosen < polygons.total)]),
+            )
+        of_polygon = np.full(polygons.total, -1)
+        for number, chosen in parts:
+            of_polygon[chosen] = number
+        of_polygon = of_polygon[polygons.kept]
+        self.add(material_of=of_polygon)
+        for slot in INPUTS:
+            uv = np.full((len(polygons.vertex), 2), np.nan)
+            use_of = np.full(len(polygons.sizes), -1)
+            for number in np.unique(of_polygon[of_polygon >= 0]).tolist():
+                use = self.materials[number]["uses"].get(slot)
+                if use is None:
+                    continue
+                self.slots.add(slot)
+                own = _coordinates(prim, self.uses[use], polygons, points)
+                if own is None:
+                    self.counts["bare"] += 1
+                    continue
+                chosen = of_polygon == number
+                use_of[chosen] = use
+                in_chosen = np.repeat(chosen, polygons.sizes)
+                uv[in_chosen] = own[in_chosen]
+            self.add(**{f"uv {slot}": uv, f"use {slot}": use_of})
+
+    def _material(self, material: Any) -> int:
+        """Return the number of a material, -1 for none."""
+        if not material:
+            return -1
+        path = str(material.GetPath())
+        if path not in self._number_of:
+            self._number_of[path] = len(self.materials)
+            self.materials.append(self._read_material(material))
+        return self._number_of[path]
+
+    def _read_material(self, material: Any) -> dict[str, Any]:
+        surface = material.ComputeSurfaceSource()[0]
+        known: dict[str, Any] = {
+            "name": material.GetPrim().GetName(),
+            "uses": {},
+            "values": {},
+            "alpha": False,
+        }
+        if not surface or surface.GetIdAttr().Get() != "UsdPreviewSurface":
+            return known
+        for name in (*_NUMBERS, *_COLOURS):
+            sources = _sources(surface, name)
+            value = sources[0].Get() if sources and sources[0].GetTypeName() != "token" else None
+            if isinstance(value, (int, float)):
+                known["values"][name] = float(value)
+            elif value is not None and len(value) == 3:
+                known["values"][name] = [float(part) for part in value]
+        known["alpha"] = bool(_textures(surface, "opacity"))
+        for slot, inputs in INPUTS.items():
+            found = [use for name in inputs for use in _textures(surface, name)]
+            channels = _CHANNELS.get(slot)
+            if len(found) != len(inputs) or len({use["shader"] for use in found}) != 1:
+                continue
+            if channels and tuple(use["output"] for use in found) != channels:
+                continue
+            known["uses"][slot] = len(self.uses)
+            self.uses.append({**found[0], "material": known["name"]})
+        return known
+
+    def _take_colours(self, prim: Any, polygons: _Polygons, points: int) -> None:
+        """Take the colours of vertices or corners of a mesh."""
+        from pxr import Usd, UsdGeom
+
+        rows = np.full(len(polygons.vertex), -1)
+        primvar = UsdGeom.Gprim(prim).GetDisplayColorPrimvar()
+        values = _flat(primvar)
+        kind = str(primvar.GetInterpolation()) if primvar else ""
+        fits = {"faceVarying": polygons.all_corners, **dict.fromkeys(_SMOOTH, points)}
+        if values is None:
+            self.counts["uncoloured"] += 1
+        elif primvar.GetAttr().GetNumTimeSamples():
+            self.counts["animated"] += 1
+        elif len(values) != fits.get(kind, -1) or values.shape[1:] != (3,):
+            self.counts["flat" if kind in ("constant", "uniform") else "unfit"] += 1
+        else:
+            by_corner = kind == "faceVarying"
+            rows = (polygons.corner if by_corner else polygons.vertex) + self._rows
+            vertex = polygons.all_vertices if by_corner else np.arange(points)
+            opacity = _flat(UsdGeom.Gprim(prim).GetDisplayOpacityPrimvar())
+            fit = opacity is not None and len(opacity) == len(values)
+            self.add(colours=values, colour_vertex=vertex + self._vertices)
+            self.add(opacity=opacity if opacity is not None and fit else np.ones(len(values)))
+            self.counts["transparent"] += int(fit)
+            self.blocks.append(
+                {
+                    "attribute": str(primvar.GetAttr().GetPath()),
+                    "first": self._rows,
+                    "count": len(values),
+                    "type": np.array(primvar.Get(Usd.TimeCode.EarliestTime())).dtype.name,
+                }
+            )
+            self._rows += len(values)
+        self.add(rows=rows)
+
+
+@dataclass(frozen=True)
+class _Polygons:
+    """Polygons without holes, all with the same winding."""
+
+    sizes: NDArray[np.int64]
+    kept: NDArray[np.int64]  # which of all polygons of the mesh they are
+    corner: NDArray[np.int64]  # which of all corners of the mesh each of theirs is
+    vertex: NDArray[np.int64]  # and its vertex
+    all_vertices: NDArray[np.int64]  # of all corners
+
+    @classmethod
+    def of(cls, sizes: NDArray[np.int64], corners: NDArray[np.int64], holes: Any, turned: bool) -> _Polygons:
+        starts = np.cumsum(sizes) - sizes
+        is_kept = sizes >= 3
+        holes = np.array(holes if holes is not None else [], np.int64)
+        is_kept[holes[(holes >= 0) & (holes < len(sizes))]] = False
+        kept = np.flatnonzero(is_kept)
+        own = sizes[kept]
+        within = np.arange(own.sum()) - np.repeat(np.cumsum(own) - own, own)
+        corner = np.repeat(starts[kept], own) + (np.repeat(own, own) - 1 - within if turned else within)
+        return cls(own, kept, corner, corners[corner], corners)
+
+    @property
+    def total(self) -> int:
+        """All polygons of the mesh, the end of each being that of its last corner."""
+        return int(self.kept[-1]) + 1 if len(self.kept) else 0
+
+    @property
+    def all_corners(self) -> int:
+        """All corners of the mesh."""
+        return len(self.all_vertices)
+
+
+def _require_topology(prim: Any, points: int, sizes: NDArray[np.int64], corners: NDArray[np.int64]) -> None:
+    path = prim.GetPath()
+    if (sizes < 0).any() or sizes.sum() != len(corners):
+        raise ValueError(f"{path}: its polygons have {sizes.sum()} corners, but there are {len(corners)}")
+    if len(corners) and (corners.min() < 0 or corners.max() >= points):
+        raise ValueError(f"{path}: a polygon names a vertex that is none of the {points}")
+
+
+def _values(attribute: Any) -> NDArray[np.float64]:
+    """Return the values of an attribute at the first time; none if it has none."""
+    from pxr import Usd
+
+    return np.array(attribute.Get(Usd.TimeCode.EarliestTime()) if attribute.HasValue() else [], np.float64)
+
+
+def _flat(primvar: Any) -> NDArray[np.float64] | None:
+    """Return the values of a primvar, one for each of what it is on; None if it has none."""
+    from pxr import Usd
+
+    if not primvar or not primvar.HasValue():
+        return None
+    values = primvar.ComputeFlattened(Usd.TimeCode.EarliestTime())
+    return None if values is None else np.array(values, np.float64)
+
+
+def _on_corners(primvar: Any, polygons: _Polygons, points: int) -> NDArray[np.float64] | None:
+    """Return the values of a primvar at the corners of polygons; None if it has none that fit."""
+    values = _flat(primvar)
+    if values is None:
+        return None
+    kind = str(primvar.GetInterpolation())
+    if kind == "faceVarying" and len(values) == polygons.all_corners:
+        return values[polygons.corner]
+    if kind in _SMOOTH and len(values) == points:
+        return values[polygons.vertex]
+    return None
+
+
+def _coordinates(
+    prim: Any, use: dict[str, Any], polygons: _Polygons, points: int
+) -> NDArray[np.float64] | None:
+    """Return the texture coordinates of the corners of polygons, v up, transforms applied."""
+    from pxr import UsdGeom
+
+    primvar = UsdGeom.PrimvarsAPI(prim).FindPrimvarWithInheritance(use["coordinates"])
+    uv = _on_corners(primvar, polygons, points)
+    if uv is None or uv.shape[1:] != (2,):
+        return None
+    with np.errstate(over="ignore", invalid="ignore"):
+        moved: NDArray[np.float64] = uv @ np.array(use["matrix"]) + np.array(use["offset"])
+    return moved
+
+
+def _normals(mesh: Any, polygons: _Polygons, points: int, matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the unit normals of the corners of polygons in the world, NaN where there are none."""
+    from pxr import UsdGeom
+
+    primvar = UsdGeom.PrimvarsAPI(mesh.GetPrim()).GetPrimvar("normals")
+    normals = _on_corners(primvar, polygons, points)
+    if normals is None:
+        values, kind = mesh.GetNormalsAttr().Get(), str(mesh.GetNormalsInterpolation())
+        plain = np.array(values if values is not None else [], np.float64).reshape(-1, 3)
+        if kind == "faceVarying" and len(plain) == polygons.all_corners:
+            normals = plain[polygons.corner]
+        elif kind in _SMOOTH and len(plain) == points:
+            normals = plain[polygons.vertex]
+    if normals is None or normals.shape[1:] != (3,) or np.linalg.det(matrix[:3, :3]) == 0:
+        return np.full((len(polygons.vertex), 3), np.nan)
+    turned = normals @ np.linalg.inv(matrix[:3, :3]).T
+    lengths = np.linalg.norm(turned, axis=1, keepdims=True)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(lengths > 0, turned / lengths, np.nan)
+
+
+def _sources(shader: Any, name: str) -> list[Any]:
+    """Return the attributes that an input of a shader gets its value from, through node graphs and materials."""
+    found = shader.GetInput(name)
+    return list(found.GetValueProducingAttributes()) if found else []
+
+
+def image_of(shader: Any) -> dict[str, str]:
+    """Return the attribute that names the image of a shader, with that image; nothing if it shows none."""
+    files = _sources(shader, "file") if shader.GetIdAttr().Get() == "UsdUVTexture" else []
+    authored: Any = files[0].Get() if files else None
+    if not getattr(authored, "path", ""):
+        return {}
+    return {str(files[0].GetPath()): placed(_layer_of(files[0]), authored.path)}
+
+
+def _textures(surface: Any, name: str) -> list[dict[str, Any]]:
+    """Return the image that an input of a surface shows, in a list, if it does."""
+    from pxr import UsdShade
+
+    for attribute in _sources(surface, name)[:1]:
+        shader = UsdShade.Shader(attribute.GetPrim())
+        placing, shown = _placing(shader), image_of(shader)
+        if not attribute.GetName().startswith("outputs:") or placing is None or not shown:
+            continue
+        ((path, file),) = shown.items()
+        wraps = [_sources(shader, wrap)[:1] for wrap in ("wrapS", "wrapT")]
+        return [
+            {
+                **placing,
+                "shader": str(shader.GetPath()),
+                "attribute": path,
+                "file": file,
+                "output": attribute.GetName().removeprefix("outputs:"),
+                "wrap": [_WRAPS.get(str(wrap[0].Get()), "clamp") if wrap else "clamp" for wrap in wraps],
+            }
+        ]
+    return []
+
+
+def _placing(shader: Any) -> dict[str, Any] | None:
+    """Return which coordinates a texture is shown at, and the matrix and offset that move them; acts on rows."""
+    from pxr import UsdShade
+
+    matrix, offset = np.eye(2), np.zeros(2)
+    chain, name = shader, "st"
+    for _ in range(_DEEPEST):
+        found = _sources(chain, name)
+        if not found:
+            return None
+        chain, name = UsdShade.Shader(found[0].GetPrim()), "in"
+        kind = chain.GetIdAttr().Get()
+        if kind == "UsdPrimvarReader_float2":
+            names = _sources(chain, "varname")
+            varname = str(names[0].Get()) if names else ""
+            return {"coordinates": varname, "matrix": matrix.tolist(), "offset": offset.tolist()}
+        if kind != "UsdTransform2d":
+            return None
+        scale, move = (
+            np.array(given[0].Get() if given else default, np.float64)
+            for given, default in (
+                (_sources(chain, "scale"), (1, 1)),
+                (_sources(chain, "translation"), (0, 0)),
+            )
+        )
+        turns = _sources(chain, "rotation")
+        angle = np.deg2rad(float(turns[0].Get())) if turns else 0.0
+        turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+        own = np.diag(scale) @ turn
+        matrix, offset = own @ matrix, move @ matrix + offset
+    return None
+
+
+def _layer_of(attribute: Any) -> str:
+    """Return the layer that says the value of an attribute, relative to this folder."""
+    here = Path.cwd().resolve()
+    for spec in attribute.GetPropertyStack():
+        if spec.HasInfo("default"):
+            return PurePosixPath(Path(spec.layer.realPath).resolve().relative_to(here)).as_posix()
+    return ""

@@ -1,0 +1,310 @@
+"""The images that a USD scene shows, the triangles under them, and all of it for conversion."""
+
+from __future__ import annotations
+
+import posixpath
+from typing import TYPE_CHECKING, Any, get_args
+
+import numpy as np
+
+from beltrami_cli.errors import InputError
+from beltrami_cli.formats.image.recognition import suffix_for
+from beltrami_cli.formats.model_folder import LEFT_ALONE, UnfitReferenceError, remedy_for
+from beltrami_cli.formats.textured_mesh import POLYGONS_CUT, on_tiles, shown_materials, usable_coordinates
+from beltrami_cli.surface import tiling
+from beltrami_cli.surface.colour_values import linear_to_srgb
+from beltrami_cli.surface.polygons import triangulate_corners
+from beltrami_cli.surface.records import (
+    ImageFile,
+    Material,
+    MaterialMap,
+    MeshImage,
+    Slot,
+    Texture,
+    TexturedMesh,
+    TexturedSurface,
+    VertexColours,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from beltrami_cli.formats.usd.layers import Layers
+    from beltrami_cli.surface.tiling import Tile
+
+_ALL: tuple[Slot, ...] = get_args(Slot)
+Replaced = dict[tuple[str, tuple[tuple[str, ImageFile], ...]], list[Slot]]
+
+
+class Textures:
+    """The textures of a scene; paths are of files, or of sets of tiles, and relative to the root layer's folder."""
+
+    def __init__(
+        self, layers: Layers, words: dict[str, Any], arrays: dict[str, NDArray[Any]], name: str
+    ) -> None:
+        self._layers, self._words, self._arrays, self._name = layers, words, arrays, name
+        self.notices: list[str] = []
+        self._path_of: list[str | None] = []
+        self._reasons: dict[int, str] = {}
+        for number, use in enumerate(words["uses"]):
+            try:
+                self._path_of.append(layers.locate(use["file"]))
+            except UnfitReferenceError as error:
+                self._path_of.append(None)
+                self._reasons[number] = f"'{use['file']}' {error}"
+        self._surfaces: dict[Slot, TexturedSurface] = {}
+
+    def slots(self) -> tuple[Slot, ...]:
+        """Return the slots in which something shows an image."""
+        return tuple(slot for slot in _ALL if slot in self._words["slots"])
+
+    def _uses(self, slot: Slot) -> list[int]:
+        materials = self._words["materials"]
+        return [each["uses"][slot] for each in materials if slot in each["uses"]]
+
+    def files(self) -> list[str]:
+        """Return all image files that are shown in a slot, each once."""
+        paths = dict.fromkeys(path for path in self._path_of if path is not None)
+        return list(dict.fromkeys(file for path in paths for file in self._layers.files(path)))
+
+    def missing(self) -> list[str]:
+        """Return the paths of images that are not there."""
+        return [self._words["uses"][number]["file"] for number in self._reasons]
+
+    def labelled(self) -> Iterator[tuple[str, str]]:
+        """Give every image file with where it is used."""
+        for use, path in zip(self._words["uses"], self._path_of, strict=True):
+            tiles = self._layers.tiles.get(path or "", {})
+            for tile, file in tiles.items():
+                yield f"{use['attribute']}, tile {tile}", file
+            if path is not None and not tiles:
+                yield use["attribute"], path
+
+    def attributes(self, path: str, slots: Sequence[Slot] | None = None) -> set[str]:
+        """Return the attributes that name a path, in some slots or in all and anywhere else."""
+        uses = self._words["uses"]
+        if slots is None:
+            wanted = {use["file"] for use, known in zip(uses, self._path_of, strict=True) if known == path}
+            return {name for name, file in self._words["images"].items() if file in wanted}
+        numbers = {number for slot in slots for number in self._uses(slot)}
+        return {uses[number]["attribute"] for number in numbers if self._path_of[number] == path}
+
+    def replaced(self, images: Mapping[tuple[Slot, str], ImageFile]) -> Replaced:
+        """Return the slots in which a path, or files of a set of tiles, are replaced by the same new files."""
+        by_path: dict[tuple[str, Slot], list[tuple[str, ImageFile]]] = {}
+        for (slot, file), image in images.items():
+            paths = {self._path_of[number]: None for number in self._uses(slot)}
+            for path in paths:
+                if path is not None and file in self._layers.files(path):
+                    by_path.setdefault((path, slot), []).append((file, image))
+        slots: Replaced = {}
+        for (path, slot), files in by_path.items():
+            slots.setdefault((path, tuple(files)), []).append(slot)
+        return slots
+
+    def kept(self, images: Mapping[tuple[Slot, str], ImageFile]) -> list[str]:
+        """Return the image files that something still names when others are replaced."""
+        replaced = self.replaced(images)
+        gone = {path for path, _ in replaced}
+        for path in list(gone):
+            slots = [slot for (its, _), found in replaced.items() if its == path for slot in found]
+            if self.attributes(path, slots) != self.attributes(path):
+                gone.discard(path)
+        paths = dict.fromkeys(path for path in self._path_of if path is not None and path not in gone)
+        return list(dict.fromkeys(file for path in paths for file in self._layers.files(path)))
+
+    def surface(self, slot: Slot) -> TexturedSurface:
+        """Return all triangles and the images of a slot."""
+        if slot not in self._surfaces:
+            self._surfaces[slot] = self._gathered(slot)
+        return self._surfaces[slot]
+
+    def _gathered(self, slot: Slot) -> TexturedSurface:
+        positions, cut, polygon = self._triangles
+        gathering = _Gathering(self._layers)
+        texture_of_use = np.full(len(self._path_of) + 1, -1)
+        for number in dict.fromkeys(self._uses(slot)):
+            use, path = self._words["uses"][number], self._path_of[number]
+            if path is not None:
+                texture_of_use[number] = gathering.take(path, use)
+            else:
+                reason = (
+                    f"The {slot} texture of '{use['material']}' is left as it is: {self._reasons[number]}."
+                )
+                self.notices.append(reason)
+        texture_of = texture_of_use[self._arrays[f"use {slot}"][polygon]]
+        uv = self._arrays[f"uv {slot}"][cut]
+        texture_of[~np.isfinite(uv).all(axis=(1, 2))] = -1
+        if (texture_of == -1).all():
+            reasons = [self._reasons[number] for number in self._uses(slot) if number in self._reasons]
+            cause = f"its {slot} texture {reasons[0]}" if reasons else ""
+            raise InputError(
+                self._name, cause or f"it has no {slot} texture that is shown", remedy_for(cause)
+            )
+        uv = np.where((texture_of == -1)[:, None, None], 0.0, uv)
+        uv[..., 1] = 1 - uv[..., 1]
+        faces = self._arrays["corners"][cut].astype(np.int32)
+        surface = TexturedSurface(positions, faces, uv, texture_of.astype(np.int32), gathering.textures())
+        try:
+            return tiling.on_tiles(surface, gathering.sets)
+        except tiling.TilingError as error:
+            raise InputError(self._name, str(error), "check its texture coordinates") from error
+
+    @property
+    def _triangles(self) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
+        """Positions, and for each triangle its corners among those of polygons, and its polygon."""
+        if not len(self._arrays.get("sizes", ())):
+            raise InputError(self._name, "it has no polygons, so there is nothing to show a texture")
+        positions = self._arrays["positions"]
+        if not np.isfinite(positions).all():
+            raise InputError(self._name, "some places of its vertices are no finite numbers")
+        corners = self._arrays["corners"].astype(np.int32)
+        offsets = np.concatenate([[0], np.cumsum(self._arrays["sizes"])])
+        cut, polygon = triangulate_corners(positions, corners, offsets)
+        return positions, cut.astype(np.int64), polygon
+
+    def mesh(self, source: str, colours: NDArray[np.float32] | None, left_out: Sequence[str]) -> TexturedMesh:
+        """Return all triangles with their materials, groups, normals and texture coordinates."""
+        positions, cut, polygon = self._triangles
+        lost = list(left_out)
+        uv = np.full((len(cut), 3, 2), np.nan)
+        for slot in self.slots():
+            own = self._arrays[f"uv {slot}"][cut]
+            fresh = np.isnan(uv).any(axis=(1, 2))
+            differs = ~fresh & ~np.isnan(own).any(axis=(1, 2)) & (own != uv).any(axis=(1, 2))
+            lost += [f"{slot} maps that are placed otherwise than the base colour"] if differs.any() else []
+            uv[fresh] = own[fresh]
+        uv = usable_coordinates(uv)
+        uv[..., 1] = 1 - uv[..., 1]
+        reading = _Materials(self._layers, self._words, self._path_of)
+        materials = [reading.material(number) for number in range(len(self._words["materials"]))]
+        numbers = self._arrays["material_of"][polygon]
+        materials.append(Material())
+        shown, material_of = shown_materials(materials, np.where(numbers < 0, len(materials) - 1, numbers))
+        lost += [POLYGONS_CUT] if (self._arrays["sizes"] > 3).any() else []
+        normals = self._arrays["normals"][cut].astype(np.float32)
+        mesh = TexturedMesh(
+            positions=positions,
+            faces=self._arrays["corners"][cut].astype(np.int32),
+            uv=uv,
+            materials=shown,
+            images=tuple(reading.images),
+            source=source,
+            material_of=material_of,
+            groups=tuple(self._words["meshes"]),
+            group_of=self._arrays["mesh_of"][polygon].astype(np.int32),
+            normals=None if np.isnan(normals).all() else normals,
+            colours=None if colours is None else self._by_vertex(colours),
+            left_out=tuple(lost + reading.lost),
+        )
+        return on_tiles(mesh, reading.sets)
+
+    def _by_vertex(self, colours: NDArray[np.float32]) -> VertexColours | None:
+        """Return colours of all vertices; None if some have none, or several."""
+        vertex, count = self._arrays["colour_vertex"], len(self._arrays["positions"])
+        if len(vertex) != count or len(np.unique(vertex)) != count:
+            return None
+        ordered = np.empty_like(colours)
+        ordered[vertex] = colours
+        return VertexColours(ordered, "linear", "float32")
+
+
+class _Gathering:
+    """The images of one slot while they are taken."""
+
+    # A set of tiles has the number -2 minus its index in `sets`, which have the images of its tiles.
+
+    def __init__(self, layers: Layers) -> None:
+        self._layers = layers
+        self._number_of: dict[str, int] = {}
+        self._materials: dict[str, list[str]] = {}
+        self._wraps: dict[str, Any] = {}
+        self.sets: list[dict[Tile, int]] = []
+
+    def take(self, path: str, use: dict[str, Any]) -> int:
+        """Take what a material shows; return the number of its texture, or of its set."""
+        tiles = self._layers.tiles.get(path)
+        for file in self._layers.files(path):
+            self._number_of.setdefault(file, len(self._number_of))
+            self._wraps.setdefault(file, ("clamp", "clamp") if tiles else tuple(use["wrap"]))
+            self._materials.setdefault(file, []).append(use["material"])
+        if not tiles:
+            return self._number_of[path]
+        own = {tile: self._number_of[file] for tile, file in tiles.items()}
+        if own not in self.sets:
+            self.sets.append(own)
+        return -2 - self.sets.index(own)
+
+    def textures(self) -> tuple[Texture, ...]:
+        """Return the images."""
+        return tuple(
+            Texture(
+                key=file,
+                name=posixpath.basename(file),
+                data=self._layers.image(file),
+                materials=tuple(dict.fromkeys(self._materials[file])),
+                wrap=self._wraps[file],
+            )
+            for file in self._number_of
+        )
+
+
+class _Materials:
+    """Materials and their images while they are put together."""
+
+    def __init__(self, layers: Layers, words: dict[str, Any], path_of: Sequence[str | None]) -> None:
+        self._layers, self._words, self._path_of = layers, words, path_of
+        self._index_of: dict[str, int] = {}
+        self.images: list[MeshImage] = []
+        self.sets: dict[int, dict[Tile, int]] = {}
+        self.lost: list[str] = []
+
+    def material(self, number: int) -> Material:
+        """Return a material; colours of USD are linear light."""
+        known = self._words["materials"][number]
+        maps: dict[Slot, MaterialMap] = {}
+        for slot, use in known["uses"].items():
+            path = self._path_of[use]
+            if path is None:
+                self.lost.append(f"the {slot} map '{self._words['uses'][use]['file']}'{LEFT_ALONE[:-1]}")
+            else:
+                maps[slot] = MaterialMap(self._image(path), tuple(self._words["uses"][use]["wrap"]))
+        values = known["values"]
+        opacity = values.get("opacity", 1.0)
+        mask = values.get("opacityThreshold", 0.0) > 0
+        seen_through = known["alpha"] or opacity < 1
+        return Material(
+            name=known["name"],
+            maps=maps,
+            colour=(1.0, 1.0, 1.0)
+            if "baseColor" in maps
+            else _display(values.get("diffuseColor", [0.18] * 3)),
+            emission=(1.0, 1.0, 1.0)
+            if "emissive" in maps
+            else _display(values.get("emissiveColor", [0.0] * 3)),
+            opacity=opacity,
+            metalness=1.0 if "metallicRoughness" in maps else values.get("metallic", 0.0),
+            roughness=1.0 if "metallicRoughness" in maps else values.get("roughness", 0.5),
+            alpha="mask" if seen_through and mask else "blend" if seen_through else "opaque",
+        )
+
+    def _image(self, path: str) -> int:
+        if path in self._index_of:
+            return self._index_of[path]
+        if path in self._layers.tiles:
+            images = {tile: self._image(file) for tile, file in self._layers.tiles[path].items()}
+            self._index_of[path] = len(self.images)
+            self.sets[len(self.images)] = images
+            self.images.append(self.images[next(iter(images.values()))])
+        else:
+            data, name = self._layers.image(path), posixpath.basename(path)
+            self._index_of[path] = len(self.images)
+            self.images.append(MeshImage(ImageFile(data, suffix_for(data, name) or ".png"), name, path))
+        return self._index_of[path]
+
+
+def _display(colour: list[float]) -> tuple[float, ...]:
+    values = linear_to_srgb(np.clip(np.array(colour, np.float32), 0, 1))
+    return tuple(float(value) for value in values)

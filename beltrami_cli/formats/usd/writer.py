@@ -1,0 +1,253 @@
+"""A whole mesh as a new USD layer, with colours of vertices or with materials and their textures, or as a package.
+
+The layer is written as text, and turned into the binary form by usd-core.
+
+References
+----------
+.. [1] "UsdPreviewSurface specification", version 2.6. https://openusd.org/release/spec_usdpreviewsurface.html
+"""
+
+from __future__ import annotations
+
+import re
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from beltrami_cli.formats.colours import left_out
+from beltrami_cli.formats.document import Written
+from beltrami_cli.formats.textured_mesh import image_names, material_names, not_converted, plain_name
+from beltrami_cli.formats.tokens import blocks
+from beltrami_cli.formats.usd.layers import layer_from
+from beltrami_cli.formats.usd.package import packed
+from beltrami_cli.surface.colour_values import srgb_to_linear
+from beltrami_cli.surface.geometry import shortest_type
+from beltrami_cli.surface.grouping import distinct_corners
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    from beltrami_cli.surface.records import Material, MeshContents, Slot, TexturedMesh, VertexColours
+
+_BLOCK = 1 << 16  # rows written at a time
+_UNFIT = re.compile(r"\W", re.ASCII)
+# By slot: inputs of the surface, the type and output of the texture, whether it holds data.
+_INPUTS: dict[Slot, tuple[tuple[str, str, str], ...]] = {
+    "baseColor": (("diffuseColor", "color3f", "rgb"),),
+    "emissive": (("emissiveColor", "color3f", "rgb"),),
+    "normal": (("normal", "normal3f", "rgb"),),
+    "occlusion": (("occlusion", "float", "r"),),
+    "metallicRoughness": (("roughness", "float", "g"), ("metallic", "float", "b")),
+}
+_TYPES = {"rgb": "float3", "r": "float", "g": "float", "b": "float", "a": "float"}
+
+
+def _coloured(suffix: str, contents: MeshContents, stem: str) -> Written:
+    notices = left_out(contents)
+    shown = _colours(contents, notices)
+    own = [
+        *_array("point3f[] points", shortest_type(contents.positions), 3),
+        *_array("int[] faceVertexCounts", np.diff(contents.offsets)[:, None]),
+        *_array("int[] faceVertexIndices", contents.corners[:, None]),
+        *shown,
+    ]
+    if contents.normals is not None:
+        own += [*_array("normal3f[] normals", contents.normals, 3, 'interpolation = "vertex"')]
+    name = _identifier(stem)
+    text = [_header(name), f'    def Mesh "mesh"\n    {{\n{_PLAIN}'.encode(), *own, b"    }\n}\n"]
+    return _finished(suffix, b"".join(text), stem, {}, notices)
+
+
+def _textured(suffix: str, mesh: TexturedMesh, stem: str) -> Written:
+    names = [_identifier(name) for name in material_names(mesh.materials, "painted")]
+    names = [f"{name}_{number}" if name in names[:number] else name for number, name in enumerate(names)]
+    files = image_names(mesh, stem)
+    notices: list[str] = []
+    root = _identifier(stem)
+    text = [_header(root)]
+    shown = [] if mesh.colours is None else _colours(mesh.colours, notices)
+    group_of = np.zeros(len(mesh.faces), np.int32) if mesh.group_of is None else mesh.group_of
+    material_of = np.zeros(len(mesh.faces), np.int32) if mesh.material_of is None else mesh.material_of
+    for number, group in enumerate(mesh.groups):
+        faces = np.flatnonzero(group_of == number)
+        if not len(faces):
+            continue
+        whole = len(faces) == len(mesh.faces)
+        text += [f'    def Mesh "mesh_{number}" (\n{_BOUND}    )\n    {{\n{_PLAIN}'.encode()]
+        if plain_name(group):
+            text += [f"        string ui:displayName = {_quoted(plain_name(group))}\n".encode()]
+        text += _mesh(mesh, faces, shown if whole else [])
+        text += _subsets(material_of[faces], names, root)
+        text += [b"    }\n"]
+    if shown and len(set(group_of.tolist())) > 1:
+        notices.append(
+            "Colours of vertices beside textures are left out, since the mesh is in several parts."
+        )
+    for name, material in zip(names, mesh.materials, strict=True):
+        text += [_material(name, material, files, f"/{root}/{name}").encode()]
+    text += [b"}\n"]
+    images = {name: image.file.data for name, image in zip(files, mesh.images, strict=True)}
+    return _finished(suffix, b"".join(text), stem, images, [*notices, *not_converted(mesh)])
+
+
+_PLAIN = '        uniform token subdivisionScheme = "none"\n'
+_BOUND = '        prepend apiSchemas = ["MaterialBindingAPI"]\n'
+
+
+def _finished(suffix: str, text: bytes, stem: str, images: dict[str, bytes], notices: list[str]) -> Written:
+    if suffix == ".usda":
+        return Written([text], images, tuple(notices))
+    layer = layer_from(text, ".usdc", stem)
+    if suffix == ".usdc":
+        return Written([layer], images, tuple(notices))
+    return Written(packed({f"{stem}.usdc": layer, **images}), notices=tuple(notices))
+
+
+def _header(name: str) -> bytes:
+    lines = [
+        "#usda 1.0",
+        f'(\n    defaultPrim = "{name}"\n    metersPerUnit = 1\n    upAxis = "Y"\n)\n',
+        f'def Xform "{name}" (\n    kind = "component"\n)\n{{\n',
+    ]
+    return "\n".join(lines).encode()
+
+
+def _mesh(mesh: TexturedMesh, faces: NDArray[np.int64], shown: list[bytes]) -> Iterator[bytes]:
+    """Give points, triangles, texture coordinates, normals and colours of some triangles."""
+    used: NDArray[Any]
+    corners: NDArray[Any]
+    used, corners = np.unique(mesh.faces[faces], return_inverse=True)
+    if shown or len(used) == len(mesh.positions):
+        used, corners = np.arange(len(mesh.positions)), mesh.faces[faces]
+    yield from _array("point3f[] points", shortest_type(mesh.positions[used]), 3)
+    yield from _array("int[] faceVertexCounts", np.full((len(faces), 1), 3))
+    yield from _array("int[] faceVertexIndices", corners.reshape(-1, 1))
+    yield from shown
+    # A corner without coordinates has no texture, whatever coordinates stand there.
+    uv = np.nan_to_num(mesh.uv[faces].reshape(-1, 2)) * [1, -1] + [0, 1]
+    chosen, index_of = distinct_corners(*uv.T)
+    yield from _array(
+        "texCoord2f[] primvars:st", uv[chosen].astype(np.float32), 2, 'interpolation = "faceVarying"'
+    )
+    yield from _array("int[] primvars:st:indices", index_of[:, None])
+    if mesh.normals is not None and not np.isnan(mesh.normals[faces]).any():
+        normals = mesh.normals[faces].reshape(-1, 3)
+        yield from _array("normal3f[] normals", normals, 3, 'interpolation = "faceVarying"')
+
+
+def _subsets(material_of: NDArray[np.int32], names: list[str], root: str) -> Iterator[bytes]:
+    """Give which material triangles have: one for all, or a subset for each."""
+    shown = np.unique(material_of).tolist()
+    if len(shown) == 1:
+        yield f"        rel material:binding = </{root}/{names[shown[0]]}>\n".encode()
+        return
+    yield b'        uniform token subsetFamily:materialBind:familyType = "partition"\n'
+    for number in shown:
+        yield f'        def GeomSubset "of_{names[number]}" (\n    {_BOUND}        )\n        {{\n'.encode()
+        yield b'            uniform token elementType = "face"\n'
+        yield b'            uniform token familyName = "materialBind"\n'
+        yield from _array("int[] indices", np.flatnonzero(material_of == number)[:, None])
+        yield f"            rel material:binding = </{root}/{names[number]}>\n        }}\n".encode()
+
+
+def _material(name: str, material: Material, files: list[str], path: str) -> str:
+    """Return a material with a UsdPreviewSurface; colours are linear light there."""
+    inputs = {
+        "diffuseColor": f"color3f inputs:diffuseColor = {_linear(material.colour)}",
+        "emissiveColor": f"color3f inputs:emissiveColor = {_linear(material.emission)}",
+        "roughness": f"float inputs:roughness = {material.roughness:.6g}",
+        "metallic": f"float inputs:metallic = {material.metalness:.6g}",
+        "opacity": f"float inputs:opacity = {material.opacity:.6g}",
+    }
+    if material.alpha == "mask":
+        inputs["opacityThreshold"] = "float inputs:opacityThreshold = 0.5"
+    shaders = []
+    for slot, shown in material.maps.items():
+        outputs = {output for _, _, output in _INPUTS[slot]}
+        for target, kind, output in _INPUTS[slot]:
+            inputs[target] = f"{kind} inputs:{target}.connect = <{path}/{slot}.outputs:{output}>"
+        if slot == "baseColor" and material.alpha != "opaque":
+            outputs.add("a")
+            inputs["opacity"] = f"float inputs:opacity.connect = <{path}/baseColor.outputs:a>"
+        shaders.append(_texture(slot, files[shown.image], shown.wrap, sorted(outputs), path))
+    body = "".join(f"            {line}\n" for line in inputs.values())
+    surface = (
+        '        def Shader "surface"\n        {\n            uniform token info:id = "UsdPreviewSurface"\n'
+    )
+    reader = (
+        '        def Shader "st"\n        {\n            uniform token info:id = "UsdPrimvarReader_float2"\n'
+        '            string inputs:varname = "st"\n            float2 outputs:result\n        }\n'
+    )
+    return (
+        f'    def Material "{name}"\n    {{\n        token outputs:surface.connect = <{path}/surface.outputs:surface>\n'
+        f"{surface}{body}            token outputs:surface\n        }}\n{reader}{''.join(shaders)}    }}\n"
+    )
+
+
+def _texture(slot: Slot, file: str, wrap: tuple[str, str], outputs: list[str], path: str) -> str:
+    """Return the shader of an image."""
+    is_data = slot not in ("baseColor", "emissive")
+    lines = [
+        'uniform token info:id = "UsdUVTexture"',
+        f"asset inputs:file = @./{file}@",
+        f"float2 inputs:st.connect = <{path}/st.outputs:result>",
+        f'token inputs:wrapS = "{wrap[0]}"',
+        f'token inputs:wrapT = "{wrap[1]}"',
+        f'token inputs:sourceColorSpace = "{"raw" if is_data else "sRGB"}"',
+    ]
+    if slot == "normal":
+        lines += ["float4 inputs:scale = (2, 2, 2, 1)", "float4 inputs:bias = (-1, -1, -1, 0)"]
+    lines += [f"{_TYPES[output]} outputs:{output}" for output in outputs]
+    body = "".join(f"            {line}\n" for line in lines)
+    return f'        def Shader "{slot}"\n        {{\n{body}        }}\n'
+
+
+def _colours(contents: MeshContents | VertexColours, notices: list[str]) -> list[bytes]:
+    """Return colours of vertices, which are linear light, and their opacity."""
+    colours = contents.colours
+    if contents.encoding == "srgb":
+        colours = srgb_to_linear(colours).astype(np.float32)
+        notices.append("Colours are turned from sRGB into linear light, as USD has them.")
+    if colours.shape[1] == 1:
+        colours = np.repeat(colours, 3, axis=1)
+        notices.append("Grey is written as equal red, green and blue.")
+    on = 'interpolation = "vertex"'
+    lines = [*_array("color3f[] primvars:displayColor", colours, 3, on)]
+    if contents.alpha is not None:
+        lines += _array("float[] primvars:displayOpacity", contents.alpha[:, None], 1, on)
+    return lines
+
+
+def _array(name: str, rows: NDArray[Any], width: int = 1, metadata: str = "") -> Iterator[bytes]:
+    """Give an attribute with its values, as the shortest numbers that are read back the same."""
+    yield f"        {name} = [".encode()
+    for block in blocks(len(rows), _BLOCK):
+        columns: list[list[str]] = rows[block].T.astype("U32").tolist()
+        joined = (", ".join(row) for row in zip(*columns, strict=True))
+        text = ", ".join(f"({row})" if width > 1 else row for row in joined)
+        yield ((", " if block.start else "") + text).encode()
+    yield f"] (\n            {metadata}\n        )\n".encode() if metadata else b"]\n"
+
+
+def _linear(colour: tuple[float, ...]) -> str:
+    values = srgb_to_linear(np.array(colour, np.float32)).tolist()
+    return "({})".format(", ".join(f"{value:.6g}" for value in values))
+
+
+def _identifier(name: str) -> str:
+    """Return a name as one of a prim."""
+    plain = _UNFIT.sub("_", name)
+    return plain if plain[:1].isalpha() or plain[:1] == "_" else f"_{plain}"
+
+
+def _quoted(text: str) -> str:
+    return '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'
+
+
+write_usda, write_usdc, write_usdz = (partial(_coloured, suffix) for suffix in (".usda", ".usdc", ".usdz"))
+write_textured_usda, write_textured_usdc, write_textured_usdz = (
+    partial(_textured, suffix) for suffix in (".usda", ".usdc", ".usdz")
+)

@@ -1,0 +1,136 @@
+"""USD scenes as programs write them, made by usd-core itself where they are binary or packages."""
+
+from __future__ import annotations
+
+import zipfile
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from beltrami_cli.flow.parameters import KernelParameters
+from beltrami_cli.formats.tiles import tile_name
+from beltrami_cli.samples.settings import SmoothSettings
+from formats.image_files import encode
+from formats.tile_files import TILES, painting, part, sheet
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+GIVEN = SmoothSettings(KernelParameters(iterations=1, beta=20))
+HEADER = '#usda 1.0\n(\n    defaultPrim = "scan"\n    metersPerUnit = 1\n    upAxis = "Y"\n)\n'
+COLOURS = np.random.default_rng(5).random((64, 3)).astype(np.float32).round(3)
+
+
+def rows(values: NDArray[Any]) -> str:
+    """Return an array as the text of a layer."""
+    table = np.asarray(values)
+    if table.ndim == 1:
+        return "[" + ", ".join(map(repr, table.tolist())) + "]"
+    return "[" + ", ".join("(" + ", ".join(map(repr, row)) + ")" for row in table.tolist()) + "]"
+
+
+def mesh_text(extra: str = "", name: str = "mesh", metadata: str = "") -> str:
+    """Return the waved sheet of `tile_files` as a prim; its coordinates are from 0 to 1, of corners, with indices."""
+    positions, uv, quads = sheet()
+    return (
+        f'    def Mesh "{name}" ({metadata} prepend apiSchemas = ["MaterialBindingAPI"] )\n    {{\n'
+        f"        point3f[] points = {rows(positions.round(6))}\n"
+        f"        int[] faceVertexCounts = {rows(np.full(len(quads), 4))}\n"
+        f"        int[] faceVertexIndices = {rows(quads.ravel())}\n"
+        f'        texCoord2f[] primvars:st = {rows((uv / 2).round(6))} ( interpolation = "faceVarying" )\n'
+        f"        int[] primvars:st:indices = {rows(quads.ravel())}\n{extra}    }}\n"
+    )
+
+
+def material_text(image: str, path: str = "/scan/skin", reader: str = "st", extra: str = "") -> str:
+    name = path.rpartition("/")[2]
+    return f"""    def Material "{name}"
+    {{
+        token outputs:surface.connect = <{path}/surface.outputs:surface>
+        def Shader "surface"
+        {{
+            uniform token info:id = "UsdPreviewSurface"
+            color3f inputs:diffuseColor.connect = <{path}/diffuse.outputs:rgb>
+            float inputs:roughness = 1
+            token outputs:surface
+        }}
+        def Shader "diffuse"
+        {{
+            uniform token info:id = "UsdUVTexture"
+            asset inputs:file = @{image}@
+            float2 inputs:st.connect = <{path}/{reader}.outputs:result>
+            token inputs:wrapS = "repeat"
+            token inputs:wrapT = "mirror"
+            float3 outputs:rgb
+        }}
+        def Shader "st"
+        {{
+            uniform token info:id = "UsdPrimvarReader_float2"
+            token inputs:varname = "st"
+            float2 outputs:result
+        }}
+{extra}    }}
+"""
+
+
+BOUND = "        rel material:binding = </scan/skin>\n"
+
+
+def scene(*prims: str, header: str = HEADER) -> str:
+    return header + 'def Xform "scan" ( kind = "component" )\n{\n' + "".join(prims) + "}\n"
+
+
+def coloured(colours: NDArray[Any], kind: str = "color3f", on: str = "vertex", indices: str = "") -> str:
+    """Return the lines of vertex colours."""
+    lines = f'        {kind}[] primvars:displayColor = {rows(colours)} ( interpolation = "{on}" )\n'
+    return lines + (f"        int[] primvars:displayColor:indices = {indices}\n" if indices else "")
+
+
+def phone_scan(folder: Path, *, udim: bool = False) -> Path:
+    """Write a package to the layout of Object Capture: a binary layer, and its images in a folder."""
+    from pxr import Sdf, UsdUtils
+
+    (folder / "0").mkdir(parents=True)
+    pattern = "0/baked_tex0.<UDIM>.png" if udim else "0/baked_tex0.png"
+    mesh = mesh_text(BOUND)
+    if udim:
+        for tile in TILES:
+            (folder / tile_name(pattern, tile)).write_bytes(encode(part(painting(), tile), "png"))
+        mesh = mesh.replace(rows((sheet()[1] / 2).round(6)), rows(sheet()[1].round(6)))
+    else:
+        (folder / pattern).write_bytes(encode(painting(), "png"))
+    layer = Sdf.Layer.CreateAnonymous(".usda")
+    layer.ImportFromString(scene(mesh, material_text(pattern)))
+    layer.Export(str(folder / "baked.usdc"))
+    assert UsdUtils.CreateNewUsdzPackage(str(folder / "baked.usdc"), str(folder / "scan.usdz"))
+    return folder / "scan.usdz"
+
+
+def members(path: Path) -> dict[str, bytes]:
+    """Return the files of a package, each of which must be stored at a multiple of 64 bytes."""
+    found = {}
+    with zipfile.ZipFile(path) as archive:
+        for entry in archive.infolist():
+            data = archive.read(entry)
+            start = path.read_bytes().index(data, entry.header_offset)
+            assert (entry.compress_type, start % 64) == (zipfile.ZIP_STORED, 0)
+            found[entry.filename] = data
+    return found
+
+
+def write(folder: Path, files: dict[str, str | bytes]) -> None:
+    for name, content in files.items():
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content if isinstance(content, bytes) else content.encode())
+
+
+def package(path: Path, files: Iterable[tuple[str, bytes]], method: int = zipfile.ZIP_STORED) -> Path:
+    """Write a package that need not be right."""
+    with zipfile.ZipFile(path, "w", method) as archive:
+        for name, data in files:
+            archive.writestr(name, data)
+    return path
