@@ -18,6 +18,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from beltrami_cli.batch.item import Outcome
 from beltrami_cli.formats.image import write_image
 from beltrami_cli.formats.image.picture import new_picture
+from beltrami_cli.formats.usd.package import packed as as_package
 from formats.gltf_compressed import GRID, draco_model, meshopt_model
 from formats.gltf_files import Model, Textured
 from formats.image_files import encode
@@ -177,9 +178,9 @@ def other_seeds() -> dict[str, dict[str, bytes]]:
             )
         },
         "usdz": {
-            "stored": b"".join(packed({"a.usda": b"#usda 1.0\n", "0/a.png": PICTURE})),
+            "stored": b"".join(as_package({"a.usda": b"#usda 1.0\n", "0/a.png": PICTURE})),
             "other": stored_package(),
-            "nameless": b"".join(packed({"a.usda": b"#usda 1.0\n", "": b""})),
+            "nameless": b"".join(as_package({"a.usda": b"#usda 1.0\n", "": b""})),
         },
         "xyz": {
             "levels": b"0 0 0 255 0 0\n1 0 0 0 255 0\n0 1 0 0 0 255\n",
