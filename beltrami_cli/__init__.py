@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from beltrami_cli.jobs.arrays import ImageResult, SmoothResult, smooth, smooth_image
     from beltrami_cli.jobs.inspect import inspect_file
     from beltrami_cli.jobs.job import Job
+    from beltrami_cli.jobs.level import LevelFileReport, level_file
     from beltrami_cli.jobs.settings import BakeSettings
     from beltrami_cli.jobs.smooth import smooth_file
     from beltrami_cli.jobs.smoothing import SmoothReport
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
         EmbeddingSettings,
         ImageSettings,
         LevelSetSettings,
+        LevelSettings,
         SmoothSettings,
         TextureSettings,
     )
@@ -41,7 +43,9 @@ _HOME_OF = {
     "InputError": "errors",
     "Job": "jobs.job",
     "KernelParameters": "flow.parameters",
+    "LevelFileReport": "jobs.level",
     "LevelSetSettings": "samples.settings",
+    "LevelSettings": "samples.settings",
     "OutputError": "errors",
     "ProcessingError": "errors",
     "SmoothReport": "jobs.smoothing",
@@ -50,6 +54,7 @@ _HOME_OF = {
     "TextureSettings": "samples.settings",
     "UsageError": "errors",
     "inspect_file": "jobs.inspect",
+    "level_file": "jobs.level",
     "smooth": "jobs.arrays",
     "smooth_file": "jobs.smooth",
     "smooth_image": "jobs.arrays",
@@ -66,7 +71,9 @@ __all__ = [
     "InputError",
     "Job",
     "KernelParameters",
+    "LevelFileReport",
     "LevelSetSettings",
+    "LevelSettings",
     "OutputError",
     "ProcessingError",
     "SmoothReport",
@@ -75,6 +82,7 @@ __all__ = [
     "TextureSettings",
     "UsageError",
     "inspect_file",
+    "level_file",
     "smooth",
     "smooth_file",
     "smooth_image",

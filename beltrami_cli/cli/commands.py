@@ -133,6 +133,17 @@ class HelpfulCommand(click.Command):
         self._is_long = len(options) > _FEW and any(map(_group, options))
         self.params.append(_help_all(hidden=not self._is_long))
 
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Take --level without a number, which is the value of a level set, for --level-seams."""
+        if any("--level-seams" in each.opts for each in self.params):
+            args = [
+                "--level-seams"
+                if word == "--level" and not _is_number("".join(args[place + 1 : place + 2]))
+                else word
+                for place, word in enumerate(args)
+            ]
+        return super().parse_args(ctx, args)
+
     def option_groups(self, context: click.Context) -> dict[str, list[click.Option]]:
         """Return the options by their groups, those that matter daily first."""
         options = [each for each in self.get_params(context) if isinstance(each, click.Option)]
@@ -172,6 +183,14 @@ class HelpfulCommand(click.Command):
 
     def _is_full(self, context: click.Context) -> bool:
         return not self._is_long or bool(context.meta.get(_ALL))
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
 
 
 _ALL = "help_all"

@@ -37,7 +37,7 @@ OUTPUT by its extension:
 # Parameters of what is done with the averages, which are only looked at here.
 _OF_WRITING = (
     "clipping", "gutter", "image_suffix", "jpeg_quality", "small", "smooth_geometry",
-    "normal_beta",
+    "normal_beta", "level_seams",
 )  # fmt: skip
 
 

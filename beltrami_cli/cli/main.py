@@ -32,6 +32,7 @@ COMMANDS = {
     "config": "Show the options in force, and where each comes from.",
     "info": "Show what is coloured in files, and how noisy it is.",
     "kernel": "Write the distances and the weights of one kernel.",
+    "level": "Take exposure steps between charts out of textures.",
     "noise": "Add noise to colours, for tests.",
     "render": "Draw models, points and images as one picture.",
     "report": "Write a page that shows what changed between two files.",

@@ -22,6 +22,7 @@ from beltrami_cli.samples.settings import (
     EmbeddingSettings,
     ImageSettings,
     LevelSetSettings,
+    LevelSettings,
     SmoothSettings,
     TextureSettings,
 )
@@ -51,7 +52,7 @@ What is "chosen from the data" is explained in [Tuning](tuning.md), and what sui
 """
 _SECTIONS = (
     KernelParameters, SmoothSettings, TextureSettings, ImageSettings, LevelSetSettings, EmbeddingSettings,
-    BakeSettings, NoiseSettings, Limits, RenderSettings,
+    BakeSettings, LevelSettings, NoiseSettings, Limits, RenderSettings,
 )  # fmt: skip
 
 

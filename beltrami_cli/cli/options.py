@@ -188,10 +188,8 @@ def is_given(name: str) -> bool:
 
 
 # Which colours are meant, and how they are written, for the commands that do not smooth them.
-COLOURS = (
-    "threads", "space", "channels", "on", "slots", "materials", "names", "mask", "level", "inside", "colours",
-    "max_voxels",
-)  # fmt: skip
+TEXTURES = ("threads", "space", "channels", "on", "slots", "materials", "names")
+COLOURS = (*TEXTURES, "mask", "level", "inside", "colours", "max_voxels")
 ENCODING = ("gutter", "image_suffix", "jpeg_quality", "small")
 # Averages alone can be taken in Oklab.
 UNMIXED = {"space": {"choices": ("srgb", "linear", "data")}}

@@ -2,28 +2,22 @@
 
 from __future__ import annotations
 
-import json
 import math
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 import click
 
-from beltrami_cli.cli import options
+from beltrami_cli.cli import options, outputs
 from beltrami_cli.cli.commands import HelpfulCommand
 from beltrami_cli.cli.console import ALL_THE_SAME, NO_NOISE, choice_in_words, counted
-from beltrami_cli.errors import OutputError, UsageError
 from beltrami_cli.jobs.job import show_size
 
 if TYPE_CHECKING:
     from beltrami_cli.cli.console import Messages
-    from beltrami_cli.jobs.job import Job
     from beltrami_cli.jobs.smoothing import SmoothReport
-    from beltrami_cli.jobs.writing.output import FileSet, Output
     from beltrami_cli.samples.reports import ImageReport, SlotReport, VertexReport
-    from beltrami_cli.samples.settings import SmoothSettings
-    from beltrami_cli.view.render import Preview
 
     Done = VertexReport | ImageReport | SlotReport
 
@@ -34,6 +28,7 @@ Examples:
   beltrami smooth scan.ply clean.ply --fast             by a fixed rule, without choosing
   beltrami smooth scan.ply clean.ply -n 2 -v            two iterations; the rest chosen around it, and shown
   beltrami smooth photoscan.obj clean.obj               textures too, across their seams
+  beltrami smooth photoscan.obj clean.obj --level       take exposure steps between its charts out first
   beltrami smooth scan.glb clean.glb -n 6 -t 8 --beta 12 --metric-steps 2    parameters by hand
   beltrami smooth scan.ply clean.glb --unwrap           in a new texture, for meshes without one
   beltrami smooth photoscan.obj clean.glb               smooth and convert, with all textures
@@ -66,17 +61,7 @@ with --beta. If edges soften, raise --beta, or say --strength gentle; if noise s
 @options.output_format
 @options.reading
 @options.overwrite
-@click.option("--dry-run", is_flag=True, help="Compute and report, but write no OUTPUT.")
-@click.option(
-    "--report", "report_path", metavar="FILE.json",
-    help="Write parameters, counts, timings and changes. --overwrite replaces what is no report only if this option is "
-    "on the command line, too.",
-)  # fmt: skip
-@click.option(
-    "--preview", "preview_path", metavar="FILE.png",
-    help="Draw INPUT and OUTPUT side by side, with a detail; `beltrami render` draws others. It replaces files as "
-    "--report does.",
-)  # fmt: skip
+@outputs.besides
 @options.messages
 def command(
     source: str,
@@ -113,49 +98,21 @@ def command(
         FileSet([source, target]) as files,
     ):
         job = replace(job, dry_run=dry_run, files=files)
-        report_file = None if report_path is None else _open_report(report_path, job.overwrite, files)
-        preview = None
-        if preview_path is not None:
-            preview = _open_preview(preview_path, (source, target), settings, job, files)
+        report_file = outputs.open_report(report_path, job)
+        preview = outputs.open_preview(preview_path, (source, target), settings, job)
         report = smooth_file(source, target, settings, unwrap=unwrap, job=job)
         if preview is not None:
             preview.draw()
         if report_file is not None:
-            _write_report(report_file, report)
+            outputs.write_report(report_file, report)
         files.put_in_place()
+    outputs.show_levelled(messages, report.levelled, f"{report.output}: ")
     if not settings.kernel.iterations:
+        if settings.level_seams:
+            return
         _show_unchanged(messages, report, unwrapped=unwrap is not None, dry_run=dry_run)
         return
     _show_result(messages, report, dry_run=dry_run)
-
-
-def _open_report(path: str, overwrite: bool, files: FileSet) -> Output:
-    """Check that a report can be written before anything is computed."""
-    from beltrami_cli.jobs.smoothing import is_report
-    from beltrami_cli.jobs.writing.output import Output
-
-    if path == "-":
-        raise OutputError(path, "the report is a file; standard output is for OUTPUT", "name a file")
-    replaced = options.overwrite_at("report_path", overwrite=overwrite)
-    return Output(path, overwrite=replaced, what="report", is_own=is_report, files=files)
-
-
-def _open_preview(
-    path: str, names: tuple[str, str], settings: SmoothSettings, job: Job, files: FileSet
-) -> Preview:
-    """Check that a preview of INPUT and OUTPUT can be drawn before anything is computed."""
-    from beltrami_cli.view.render import Preview
-
-    if job.dry_run:
-        raise UsageError("--preview draws OUTPUT, which --dry-run does not write")
-    replaced = options.overwrite_at("preview_path", overwrite=job.overwrite)
-    return Preview(path, *names, settings, job.access, overwrite=replaced, files=files)
-
-
-def _write_report(output: Output, report: SmoothReport) -> None:
-    from beltrami_cli.formats.document import Written
-
-    output.write(Written(main=[(json.dumps(asdict(report), indent=2) + "\n").encode()]))
 
 
 def _show_unchanged(messages: Messages, report: SmoothReport, *, unwrapped: bool, dry_run: bool) -> None:

@@ -134,18 +134,7 @@ class GridManifold(GridKernels):
 
     def new_colours(self) -> NewColours:
         """Return the colours of the owned cells as they are now, and those of the gutter."""
-        refresh_halo(self.colours, self.atlas, interpolated=True)
-        planes, cells, threads = self.colours, self.atlas.owned_cells, self.threads
-        flat, gutter = planes.reshape(len(planes), -1), self.atlas.gutter_cells
-        beyond = np.zeros((len(gutter), len(flat)), np.float32)
-        for block in large_arrays.blocks(len(gutter), large_arrays.SCATTERED):
-            beyond[block] = flat[:, gutter[block]].T
-        return NewColours(
-            lambda block, inside: colours_at(planes, cells[block][inside], threads),
-            self.atlas.owned_texels,
-            self.atlas.gutter_texels,
-            beyond,
-        )
+        return canvas_colours(self.atlas, self.colours, self.threads)
 
     def find_clipped(self) -> ClippedChannels | None:
         """Find the channels that were cut off."""
@@ -253,3 +242,18 @@ class GridManifold(GridKernels):
         rows = np.arange(0, len(owned), max(1, int(np.count_nonzero(owned)) // _ENOUGH_STEPS))
         both = owned[rows, :-1] & owned[rows, 1:]
         return (stack[:, rows, 1:] - stack[:, rows, :-1])[:, both].T
+
+
+def canvas_colours(atlas: Atlas, planes: NDArray[np.float32], threads: int) -> NewColours:
+    """Return the colours of the owned cells, read from the canvas when they are taken, and those of the gutter."""
+    refresh_halo(planes, atlas, interpolated=True)
+    flat, cells, gutter = planes.reshape(len(planes), -1), atlas.owned_cells, atlas.gutter_cells
+    beyond = np.zeros((len(gutter), len(flat)), np.float32)
+    for block in large_arrays.blocks(len(gutter), large_arrays.SCATTERED):
+        beyond[block] = flat[:, gutter[block]].T
+    return NewColours(
+        lambda block, inside: colours_at(planes, cells[block][inside], threads),
+        atlas.owned_texels,
+        atlas.gutter_texels,
+        beyond,
+    )

@@ -139,6 +139,8 @@ def _smooth_unwrapped(
 def _check(settings: SmoothSettings) -> None:
     """Refuse what has no meaning for one new texture."""
     textures = settings.textures
+    if settings.level_seams:
+        raise UsageError("--unwrap makes new charts; take exposure steps out with `beltrami level` before")
     if settings.on == "both":
         raise UsageError("--unwrap smooths one new texture, so --on cannot be both")
     if textures.materials or textures.names or textures.slots != ("baseColor",):

@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import dataclasses
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from beltrami_cli.jobs.job import peak_memory
+from beltrami_cli.jobs.levelling import Levelling
 from beltrami_cli.samples.selection import require_geometry, require_scale
-from beltrami_cli.samples.settings import describe_settings
+from beltrami_cli.samples.settings import LevelSettings, describe_settings
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from beltrami_cli.flow.beltrami_flow import FlowResult
     from beltrami_cli.formats.document import Document
-    from beltrami_cli.samples.reports import ImageReport, SamplesReport, SlotReport, VertexReport
+    from beltrami_cli.samples.reports import ImageReport, LevelReport, SamplesReport, SlotReport, VertexReport
     from beltrami_cli.samples.samples import Part, Repainted, Samples
     from beltrami_cli.samples.selection import OutputFormat, Selection
     from beltrami_cli.samples.settings import SmoothSettings
@@ -31,6 +32,7 @@ class Smoothed:
     report: SamplesReport
     result: FlowResult
     warnings: list[str]
+    levelled: LevelReport | None = None  # what was done to exposure steps before
 
 
 def smooth_samples(samples: Samples, progress: Callable[[int, int], None] | None = None) -> Smoothed:
@@ -53,16 +55,20 @@ class Smoothing:
 
     def __init__(self, settings: SmoothSettings) -> None:
         self._settings = settings
-        self.changes = settings.kernel.iterations != 0
+        self._levelling = Levelling(LevelSettings()) if settings.level_seams else None
+        self.changes = settings.kernel.iterations != 0 or settings.level_seams
         self.done: list[Smoothed] = []
 
     def check(self, document: Document, selection: Selection, target: OutputFormat) -> None:
         if self.changes:
             require_geometry(document, selection, self._settings, target)
         require_scale(document, selection)
+        if self._levelling is not None:
+            self._levelling.check(document, selection, target)
 
     def paint(self, samples: Samples, progress: Callable[[int, int], None] | None) -> Repainted:
-        smoothed = smooth_samples(samples, progress)
+        levelled = None if self._levelling is None else self._levelling.level(samples)
+        smoothed = dataclasses.replace(smooth_samples(samples, progress), levelled=levelled)
         self.done.append(smoothed)
         return smoothed.repainted
 
@@ -92,6 +98,7 @@ def make_report(
         written=written,
         warnings=warnings,
         image=next(iter(reports["image"]), None),
+        levelled=[each.levelled for each in done if each.levelled is not None],
     )
 
 
@@ -123,6 +130,8 @@ class SmoothReport:
         Messages for the user.
     image : ImageReport or None
         Statistics of an image, if it was smoothed.
+    levelled : list of LevelReport
+        What was done to exposure steps before, if that was asked for.
     """
 
     input: str
@@ -136,6 +145,7 @@ class SmoothReport:
     written: list[str]
     warnings: list[str]
     image: ImageReport | None = None
+    levelled: list[LevelReport] = field(default_factory=list)
 
 
 def is_report(head: bytes) -> bool:

@@ -135,4 +135,48 @@ class ImageReport:
     patches: float | None = None
 
 
+@dataclass(frozen=True)
+class LevelReport:
+    """What was found of exposure steps, and done to them.
+
+    Attributes
+    ----------
+    what : str
+        Which colours.
+    charts, seams : int
+        Charts of textures, or parts of vertices by photograph, and seams between two of them.
+    stepped, painted : int
+        Seams with a mean step of 2/255 or more, and seams whose steps are taken for paint.
+    before, after : float
+        Median over all seams, by length, of the mean step, full scale 1, in the working space.
+    foretold : float
+        The share of the energy of steps that fits to other seams foretell, from which it is decided.
+    tilted : bool
+        Whether gains change over charts, as by vignetting.
+    levelled : bool
+        Whether colours were changed.
+    reason : str
+        Why not, if they were not.
+    change : dict of str to float
+        As for `SlotReport`.
+    exposures : list of dict
+        For each chart with seams its number, its texture and place there (the column and row of its centre), its
+        texels, and the gain and offset per channel that it was exposed with, in the working space.
+    """
+
+    what: str
+    charts: int
+    seams: int
+    stepped: int
+    painted: int
+    before: float
+    after: float
+    foretold: float
+    tilted: bool
+    levelled: bool
+    reason: str
+    change: dict[str, float] = field(default_factory=dict)
+    exposures: list[dict[str, object]] = field(default_factory=list)
+
+
 SamplesReport: TypeAlias = VertexReport | SlotReport | ImageReport

@@ -29,8 +29,8 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.document import Document
     from beltrami_cli.formats.image import Picture
     from beltrami_cli.samples.probes.probe import Probe
-    from beltrami_cli.samples.reports import SamplesReport
-    from beltrami_cli.samples.settings import SmoothSettings, TextureSettings
+    from beltrami_cli.samples.reports import LevelReport, SamplesReport
+    from beltrami_cli.samples.settings import LevelSettings, SmoothSettings, TextureSettings
     from beltrami_cli.surface.atlas import Indices
     from beltrami_cli.surface.records import ImageFile, Slot
 
@@ -121,6 +121,17 @@ class Samples(ABC):
     @abstractmethod
     def shift(self, grains: Grains, after: NDArray[np.float32]) -> Repainted:
         """Replace the colours in `grains` by others; colours beyond seams are shifted by the same amount."""
+
+    def level(self, wanted: LevelSettings, photographs: NDArray[np.int64] | None = None) -> LevelReport:
+        """Take exposure steps out of the colours, before flows are made of them; `photographs`: of all vertices."""
+        del wanted, photographs
+        raise UsageError(
+            f"{self.label}: they have no charts that could differ in exposure; textures of models have"
+        )
+
+    def levelled(self) -> NewColours:
+        """Return the colours after `level`."""
+        raise NotImplementedError
 
     @abstractmethod
     def require_writable(self) -> None:

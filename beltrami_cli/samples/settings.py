@@ -109,6 +109,42 @@ class TextureSettings:
         check(self)
 
 
+def _strength(text: str) -> float:
+    try:
+        value = float(text[:-1]) / 100 if text.endswith("%") else float(text)
+    except ValueError:
+        raise ValueError(f"is {text!r}, but must be a number from 0 to 1, or such as 50%") from None
+    return value
+
+
+@described
+@dataclass(frozen=True)
+class LevelSettings:
+    """How exposure steps between charts are taken out."""
+
+    group: ClassVar[str] = "Exposure steps"
+
+    strength: float = parameter(
+        1.0,
+        "How much of the exposures to take out: 1 levels the seams, 0.5 halves their steps.",
+        low=0, high=1, metavar="S", parse=_strength, show=lambda value: f"{value:g}", is_daily=True,
+    )  # fmt: skip
+    reference: tuple[str, ...] = parameter(
+        (),
+        "Charts that stay as they are, and to which the others are matched: a number of a chart, as --report lists "
+        "them, or a pattern for names of textures or materials; may be repeated.",
+        unset="none; the mean of all stays", metavar="CHART|GLOB", repeatable=True, is_daily=True,
+    )  # fmt: skip
+    photographs: str | None = parameter(
+        None,
+        "Of vertex colours: the attribute of vertices that numbers the photograph that each is from.",
+        unset="photograph, photo, image, camera, view or one of these with _id", metavar="ATTRIBUTE", is_daily=True,
+    )  # fmt: skip
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
 @described
 @dataclass(frozen=True)
 class ImageSettings:
@@ -287,6 +323,12 @@ class SmoothSettings:
         "The vertex colours, the textures, or both; auto takes the textures where there are any.",
         choices=get_args(Target), is_daily=True,
     )  # fmt: skip
+    level_seams: bool = parameter(
+        False,
+        "First take out exposure steps between the charts of textures, as `beltrami level` does; so does --level "
+        "without a number.",
+        group="Exposure steps",
+    )  # fmt: skip
     textures: TextureSettings = part(TextureSettings)  # images obey its alpha, jpeg_quality and small, too
     image: ImageSettings = part(ImageSettings)
     level_set: LevelSetSettings = part(LevelSetSettings)
@@ -317,6 +359,7 @@ def describe_settings(settings: SmoothSettings) -> dict[str, object]:
         "space": settings.space,
         "channels": settings.channels,
         "on": settings.on,
+        "level_seams": settings.level_seams,
         "textures": dataclasses.asdict(settings.textures),
         "image": dataclasses.asdict(settings.image),
         "level_set": dataclasses.asdict(settings.level_set),

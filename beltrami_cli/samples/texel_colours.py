@@ -257,6 +257,7 @@ class Repainting:
     texture_offsets: NDArray[np.int64]
     gutter: int | None
     threads: int
+    is_dithered: bool = False  # so that smooth changes of colours are no bands in 8 bits
 
     def repaint(self, index: int, new: NewColours) -> tuple[NDArray[Any], Change]:
         """Return a picture's pixels with new colours, and the change of its covered texels."""
@@ -337,6 +338,22 @@ class Repainting:
                 values = whole[:, channels]
             else:
                 values = colours.written(index, after)
+            if self.is_dithered and picture.stored == "uint8":
+                values = dithered(values, here, picture.pixels.shape[1])
             change = store(picture, table, here, values, channels, self.threads)
             changes.append(dataclasses.replace(change, count=count))
         return Change.joined(changes)
+
+
+def dithered(values: NDArray[np.float32], texels: Indices, width: int) -> NDArray[np.float32]:
+    """Add a pattern of half a step of 8 bits to some texels, so that rounding spreads what it takes away.
+
+    What is a multiple of a step stays. The pattern is interleaved gradient noise: J. Jimenez, "Next generation post
+    processing in Call of Duty: Advanced Warfare", SIGGRAPH 2014.
+    """
+    row, column = np.divmod(texels.astype(np.int64), width)
+    pattern = (52.9829189 * ((0.06711056 * column + 0.00583715 * row) % 1)) % 1
+    steps = values.astype(np.float64) * 255
+    is_whole = np.abs(steps - np.rint(steps)) < 1e-3
+    spread = (steps + 0.98 * (pattern - 0.5)[:, None]) / 255
+    return np.where(is_whole, values, spread).astype(np.float32)

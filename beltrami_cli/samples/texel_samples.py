@@ -9,15 +9,18 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
+from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.beltrami_flow import BeltramiFlow
 from beltrami_cli.flow.canvas import canvas_margin, painted
-from beltrami_cli.flow.grid_manifold import GridManifold
+from beltrami_cli.flow.grid_manifold import GridManifold, canvas_colours
 from beltrami_cli.flow.manifold import NewColours
 from beltrami_cli.formats.image import check_writable, is_unchanged, losses, read_image
 from beltrami_cli.formats.image.conversion import noise_losses
+from beltrami_cli.levelling.surfaces import level_canvas
+from beltrami_cli.samples.levelled_charts import TextureCharts, describe_level, level_report
 from beltrami_cli.samples.reports import SlotReport
 from beltrami_cli.samples.samples import Change, Grains, Part, Repainted, Samples, encoded
-from beltrami_cli.samples.settings import SLOTS, describe_kernel
+from beltrami_cli.samples.settings import SLOTS, LevelSettings, describe_kernel
 from beltrami_cli.samples.texel_colours import (
     COLOUR_SLOTS,
     Repainting,
@@ -41,6 +44,7 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.document import Document
     from beltrami_cli.formats.image import Picture
     from beltrami_cli.samples.probes.probe import Probe
+    from beltrami_cli.samples.reports import LevelReport
     from beltrami_cli.samples.settings import SmoothSettings
     from beltrami_cli.surface.atlas import Atlas
     from beltrami_cli.surface.records import Slot, TexturedSurface
@@ -84,18 +88,43 @@ class TexelSamples(Samples):
                 guided[0], self.surface, self.pictures, self.atlas, settings, guided[1]
             ).guides()
         self._gutter, self._is_smoothed = settings.textures.gutter, True
+        self._levelled: NDArray[np.float32] | None = None
+        self._is_dithered = False
 
     def flow(self) -> BeltramiFlow[GridManifold]:
         kernel, guides = self.settings.kernel, self._guides
         self._guides = []
         manifold = GridManifold(
             self.atlas,
-            self.colours.on_canvas(self.atlas, kernel.thread_count),
+            self._on_canvas(),
             kernel,
             guides=guides,
             metric_channels=self.colours.metric_channels,
         )
         return BeltramiFlow(manifold, kernel)
+
+    def _on_canvas(self) -> NDArray[np.float32]:
+        """Return the colours on the canvas, levelled if they were; these are given away."""
+        planes, self._levelled = self._levelled, None
+        if planes is None:
+            planes = self.colours.on_canvas(self.atlas, self.settings.kernel.thread_count)
+        return planes
+
+    def level(self, wanted: LevelSettings, photographs: NDArray[np.int64] | None = None) -> LevelReport:
+        if self.slot not in COLOUR_SLOTS:
+            raise UsageError(
+                f"{self.label}: they are data, which no camera exposed; leave them out of --slots"
+            )
+        planes, charts = self._on_canvas(), TextureCharts.of(self.atlas, self.surface.textures)
+        found, change = level_canvas(self.atlas, planes, wanted.strength, charts.matching(wanted.reference))
+        self._levelled = planes
+        if not change and not self.settings.level_seams:
+            self._gutter = None  # what is not levelled stays as it is
+        return level_report(self.label, found, change, charts.facts(self.pictures))
+
+    def levelled(self) -> NewColours:
+        self._is_dithered = True
+        return canvas_colours(self.atlas, self._on_canvas(), self.settings.kernel.thread_count)
 
     def require_writable(self) -> None:
         for picture in self.pictures:
@@ -120,7 +149,7 @@ class TexelSamples(Samples):
         ]
 
     def report(self, flow: BeltramiFlow[GridManifold], result: FlowResult) -> SlotReport:
-        if not flow.parameters.iterations:
+        if not flow.parameters.iterations and not self.settings.level_seams:
             self._gutter = None  # what is not smoothed stays as it is
         self._is_smoothed = flow.parameters.iterations > 0
         return SlotReport(
@@ -133,6 +162,9 @@ class TexelSamples(Samples):
         )
 
     def describe(self) -> dict[str, object]:
+        exposure = None
+        if self.slot in COLOUR_SLOTS:
+            exposure = describe_level(self.level(LevelSettings(strength=0.0)))
         flow, described = self.flow(), self.facts()
         count = len(described)
         flows = [flow] if count == 1 else [self._alone(index) for index in range(count)]
@@ -149,6 +181,7 @@ class TexelSamples(Samples):
             "colour_jumps": flow.manifold.jumps,
             "pitch": flow.manifold.spacing,
             "noise": self.named(flow.manifold.sigma),
+            "exposure": exposure,
             "smooth": describe_kernel(self.settings, flow),
         }
 
@@ -223,7 +256,8 @@ class TexelSamples(Samples):
 
     def _painter(self, gutter: int | None) -> Repainting:
         threads = self.settings.kernel.thread_count
-        return Repainting(self.pictures, self.colours, self.atlas.texture_offsets, gutter, threads)
+        offsets = self.atlas.texture_offsets
+        return Repainting(self.pictures, self.colours, offsets, gutter, threads, self._is_dithered)
 
     def _encoded(self, picture: Picture, pixels: NDArray[Any]) -> ImageFile:
         wanted, is_data = self.settings.textures, self.slot not in COLOUR_SLOTS

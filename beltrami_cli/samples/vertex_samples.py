@@ -14,7 +14,10 @@ from beltrami_cli.flow.beltrami_flow import BeltramiFlow
 from beltrami_cli.flow.colour_space import to_space
 from beltrami_cli.flow.embedding import Guide
 from beltrami_cli.flow.geometry import GeometryParameters
+from beltrami_cli.flow.manifold import NewColours
 from beltrami_cli.flow.mesh_manifold import MeshManifold
+from beltrami_cli.levelling.surfaces import level_mesh
+from beltrami_cli.samples.levelled_charts import level_report
 from beltrami_cli.samples.painted_samples import PaintedSamples, coloured_rows, describe_colours
 from beltrami_cli.samples.settings import describe_kernel
 from beltrami_cli.surface.geometry import bounds
@@ -28,12 +31,11 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from beltrami_cli.flow.beltrami_flow import FlowResult
-    from beltrami_cli.flow.manifold import NewColours
     from beltrami_cli.formats.document import Document
     from beltrami_cli.samples.probes.probe import Probe
-    from beltrami_cli.samples.reports import VertexReport
+    from beltrami_cli.samples.reports import LevelReport, VertexReport
     from beltrami_cli.samples.samples import Repainted
-    from beltrami_cli.samples.settings import SmoothSettings
+    from beltrami_cli.samples.settings import LevelSettings, SmoothSettings
     from beltrami_cli.surface.records import PaintedVertices
     from beltrami_cli.surface.vertex_sampling import VertexSampling
 
@@ -65,6 +67,11 @@ class VertexSamples(PaintedSamples):
         colours = joined.colours[:, self.channels.sampled]
         return sample_vertices(joined, to_space(colours, joined.encoding, self.settings.space))
 
+    @cached_property
+    def _stored(self) -> NDArray[np.float32]:
+        """The colours of the samples as the file has them."""
+        return self.surface.colours
+
     @property
     def surface(self) -> SampledSurface:
         """The samples and the triangles between them."""
@@ -86,6 +93,22 @@ class VertexSamples(PaintedSamples):
         metric = self.channels.metric
         manifold = MeshManifold(surface, own.kernel, guides=guides, metric_channels=metric, geometry=geometry)
         return BeltramiFlow(manifold, own.kernel)
+
+    def level(self, wanted: LevelSettings, photographs: NDArray[np.int64] | None = None) -> LevelReport:
+        (surface, sampling), stored = self._sampled, self._stored
+        if photographs is None or wanted.reference:
+            raise UsageError("--reference is of charts of textures; parts of vertex colours have no names")
+        of_samples = np.zeros(len(surface.colours), np.int64)
+        of_samples[sampling.sample_of] = photographs
+        found, change, colours = level_mesh(
+            surface.positions, surface.all_faces, stored, of_samples, wanted.strength
+        )
+        self._sampled = dataclasses.replace(surface, colours=colours), sampling
+        parts: list[dict[str, object]] = [{"chart": part} for part in range(len(found.groups))]
+        return level_report(self.label, found, change, parts)
+
+    def levelled(self) -> NewColours:
+        return NewColours.of(self.surface.colours)
 
     def report(self, flow: BeltramiFlow[MeshManifold], result: FlowResult) -> VertexReport:
         counts: dict[str, float] = {"triangles": len(self.painted.faces)}
@@ -167,7 +190,7 @@ class VertexSamples(PaintedSamples):
     def repaint(self, new: NewColours) -> Repainted:
         written, sample_of = self.channels.written, self.sampling.sample_of
         after = new.table()[:, written]
-        changed = np.any(after != self.surface.colours[:, written], axis=1)[sample_of]
+        changed = np.any(after != self._stored[:, written], axis=1)[sample_of]
         vertices = np.flatnonzero(changed)
         repainted = self._repainted(vertices, after[sample_of[vertices]])
         return dataclasses.replace(repainted, positions=self._positions)

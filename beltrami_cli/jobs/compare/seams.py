@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli.surface.atlas import EMPTY, OWNED, refresh_halo
+from beltrami_cli.surface.atlas import EMPTY, refresh_halo
 from beltrami_cli.surface.lookup import within
+from beltrami_cli.surface.seam_lines import REACH, at_seam, lines_over_seams
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -16,14 +17,12 @@ from beltrami_cli.surface.atlas import Atlas
 
 # Distance from a seam that counts as near, in texels.
 _NEAR = 4
-# A line through the values 1/2, 3/2 and 5/2 texels from a seam, by least squares, has this value at the seam.
-_EXTRAPOLATION = np.array([13, 4, -5]) / 12
 
 
 def near_seams(atlas: Atlas) -> NDArray[np.bool_]:
     """Return which owned cells are within 4 texels of a seam, shape (T,)."""
     beside = np.zeros(atlas.kind.shape, bool)
-    for inner, *_ in _lines(atlas, 1):
+    for inner, *_ in lines_over_seams(atlas, 1):
         beside.reshape(-1)[inner] = True
     # Charts are further apart on the canvas than this reaches.
     return within(beside, _NEAR - 1).reshape(-1)[atlas.owned_cells]
@@ -37,32 +36,11 @@ def seam_steps(atlas: Atlas, colours: NDArray[np.float32]) -> tuple[NDArray[np.i
     refresh_halo(planes, atlas, interpolated=True)
     flat = planes.reshape(len(planes), -1)
     cells, steps = [np.zeros(0, np.int64)], [np.zeros(0)]
-    for line in _lines(atlas, len(_EXTRAPOLATION)):
-        reach = len(_EXTRAPOLATION)
-        jump = np.zeros((len(flat), len(line[0])))
-        for weight, inner, outer in zip(_EXTRAPOLATION, line[:reach], line[reach:], strict=True):
-            jump += weight * (flat[:, outer] - flat[:, inner])
+    for line in lines_over_seams(atlas, REACH):
+        jump = at_seam([flat[:, o] - flat[:, i] for i, o in zip(line[:REACH], line[REACH:], strict=True)])
         cells.append(line[0])
         steps.append(np.abs(jump).mean(axis=0))
     return np.searchsorted(atlas.owned_cells, np.concatenate(cells)), np.concatenate(steps)
-
-
-def _lines(atlas: Atlas, reach: int) -> list[list[NDArray[np.int64]]]:
-    """Return lines of cells across seams in all four directions: `reach` owned ones from the seam, then halo ones."""
-    columns, size = atlas.kind.shape[1], atlas.kind.size
-    owned = atlas.kind.reshape(-1) == OWNED
-    beyond = np.zeros(size, bool)
-    beyond[atlas.halo_cells[atlas.halo_seams >= 0]] = True
-    first = np.flatnonzero(beyond)
-    found = []
-    for step in (1, -1, columns, -columns):
-        line = [first - step * (k + 1) for k in range(reach)] + [first + step * k for k in range(reach)]
-        fits = np.ones(len(first), bool)
-        for number, cells in enumerate(line):
-            inside = (cells >= 0) & (cells < size)
-            fits &= inside & (owned if number < reach else beyond)[np.where(inside, cells, 0)]
-        found.append([cells[fits] for cells in line])
-    return found
 
 
 def texel_areas(atlas: Atlas) -> NDArray[np.float64]:

@@ -1,0 +1,87 @@
+"""The command `beltrami level`."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from beltrami_cli.cli import options, outputs
+from beltrami_cli.cli.commands import HelpfulCommand
+from beltrami_cli.samples.settings import LevelSettings, SmoothSettings
+
+if TYPE_CHECKING:
+    from beltrami_cli.cli.console import Messages
+
+EPILOG = """\b
+Examples:
+  beltrami level photoscan.obj level.obj                     visible patches gone, if exposure made them
+  beltrami level photoscan.obj level.obj --preview look.png  before and after in a picture
+  beltrami level scan.glb level.glb --strength 0.5           half of the way
+  beltrami level scan.glb level.glb --report run.json        exposures of all charts, with their numbers
+  beltrami level scan.glb level.glb --reference 12           chart 12 stays, and the others are matched to it
+  beltrami level model.obj level.obj --reference "front*"    so do all on textures or materials of such names
+  beltrami level cloud.ply level.ply --photographs camera    vertex colours, by an attribute
+  beltrami smooth photoscan.obj clean.obj --level            level, and then smooth across the seams
+  beltrami batch scans --out-dir clean --level-seams -n 0    level many files, and do not smooth them
+
+\b
+Each chart gets one gain and one offset a channel, or a gain that changes linearly over it. A step at a seam is taken
+for exposure if charts explain it: what is fitted to some seams must foretell the steps at the others. Else it is paint,
+and stays; if all of them are, OUTPUT is INPUT. See docs/levelling.md.
+"""
+
+
+@click.command("level", cls=HelpfulCommand, epilog=EPILOG)
+@click.argument("source", metavar="INPUT")
+@click.argument("target", metavar="OUTPUT")
+@options.options_of(LevelSettings)
+@options.options_of(
+    SmoothSettings, only=(*options.TEXTURES, *options.ENCODING, "alpha"), changed=options.UNMIXED
+)
+@options.output_format
+@options.reading
+@options.overwrite
+@outputs.besides
+@options.messages
+def command(
+    source: str,
+    target: str,
+    dry_run: bool,
+    report_path: str | None,
+    preview_path: str | None,
+    messages: Messages,
+    **values: Any,
+) -> None:
+    """Take the exposure steps between the charts of INPUT out of its textures, and write OUTPUT.
+
+    Charts from photographs of differing exposure meet in steps. Gains and offsets, which may change smoothly over a
+    chart, make colours agree across seams; where a step is painted it stays, and with it all of a model that has no
+    exposure steps. The mean colour stays. INPUT and OUTPUT are what `beltrami smooth` takes and writes, and nothing but
+    colours changes. Vertex colours are levelled where an attribute says which photograph each is from.
+    """
+    wanted = options.record_from(LevelSettings, values)
+    del values["strength"]  # which is another parameter where colours are smoothed
+    settings = options.record_from(SmoothSettings, values)
+    from beltrami_cli.jobs.level import level_file
+    from beltrami_cli.jobs.writing.output import FileSet
+
+    with (
+        options.job_from(values, source, messages) as job,
+        messages.work_shown(wanted=messages.verbose > 0 or dry_run),
+        FileSet([source, target]) as files,
+    ):
+        job = replace(job, dry_run=dry_run, files=files)
+        report_file = outputs.open_report(report_path, job)
+        preview = outputs.open_preview(preview_path, (source, target), settings, job)
+        report = level_file(source, target, wanted, settings, job)
+        if preview is not None:
+            preview.draw()
+        if report_file is not None:
+            outputs.write_report(report_file, report)
+        files.put_in_place()
+    messages.warn_of(source, report.warnings)
+    outputs.show_levelled(
+        messages, report.levelled, f"{target}: {'not written (dry run), ' if dry_run else ''}"
+    )

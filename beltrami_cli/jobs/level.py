@@ -1,0 +1,114 @@
+"""Take exposure steps between the charts of a file out of its colours."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from beltrami_cli.errors import UsageError
+from beltrami_cli.fields import override
+from beltrami_cli.jobs.job import PLAIN_JOB, peak_memory
+from beltrami_cli.jobs.levelling import Levelling
+from beltrami_cli.jobs.recolour import recolour
+from beltrami_cli.samples.settings import DEFAULTS, LevelSettings, describe_settings
+
+if TYPE_CHECKING:
+    from beltrami_cli.jobs.job import Job
+    from beltrami_cli.samples.reports import LevelReport
+    from beltrami_cli.samples.settings import SmoothSettings
+
+
+@dataclass(frozen=True)
+class LevelFileReport:
+    """What was done to a file; `dataclasses.asdict` gives JSON types.
+
+    Attributes
+    ----------
+    input, output, format : str
+        Paths of the input and output, and the format written.
+    parameters : dict
+        The parameters that were requested.
+    levelled : list of LevelReport
+        What was found and done: of each texture slot, or of vertex colours.
+    stages, peak_memory, written, warnings
+        As for `SmoothReport`.
+    """
+
+    input: str
+    output: str
+    format: str
+    parameters: dict[str, object]
+    levelled: list[LevelReport]
+    stages: dict[str, dict[str, float]]
+    peak_memory: int | None
+    written: list[str]
+    warnings: list[str]
+
+
+def level_file(
+    source: str | os.PathLike[str],
+    target: str | os.PathLike[str],
+    wanted: LevelSettings = LevelSettings(),  # noqa: B008
+    settings: SmoothSettings = DEFAULTS,
+    job: Job = PLAIN_JOB,
+    **overrides: Any,
+) -> LevelFileReport:
+    """Take exposure steps between charts out of the colours of a model, and change nothing else.
+
+    Parameters
+    ----------
+    source, target : path
+        As for `smooth_file`: a model with textures, or with vertex colours that name the photograph of each vertex.
+    wanted : LevelSettings
+        How strongly, and which charts stay as they are.
+    settings : SmoothSettings
+        Which colours are meant and how they are written: the working space, channels, slots, textures and their format.
+        Gains and offsets are taken in the working space.
+    job : Job
+        What may be read, a callback for progress, and whether files are written and replaced.
+    **overrides
+        Single parameters of `wanted` or `settings` by name, such as ``strength=0.5, slots=("emissive",)``.
+
+    Returns
+    -------
+    LevelFileReport
+        For each slot, whether there were exposure steps, how large, and the exposures of the charts.
+
+    Raises
+    ------
+    UsageError
+        If a parameter is unknown or out of its range, or the colours cannot have exposure steps, as those of an image.
+    InputError
+        If the source cannot be read, has no colours, or does not say which photograph its vertex colours are from.
+    OutputError
+        If the target cannot be written, or exists and `job.overwrite` is not set. Existing files stay as they were.
+    """
+    own = {field.name for field in dataclasses.fields(LevelSettings)}
+    wanted = override(wanted, **{name: value for name, value in overrides.items() if name in own})
+    settings = override(settings, **{name: value for name, value in overrides.items() if name not in own})
+    if settings.space == "oklab":
+        raise UsageError(
+            "exposures are gains of channels, which the space oklab mixes; choose srgb or linear"
+        )
+    source, target = os.fspath(source), os.fspath(target)
+    painter = Levelling(wanted)
+    made = recolour(source, target, settings, painter, job)
+    return LevelFileReport(
+        source,
+        target,
+        made.format,
+        {**_described(settings), **dataclasses.asdict(wanted)},
+        painter.done,
+        made.stages,
+        peak_memory(),
+        made.written,
+        list(dict.fromkeys(made.warnings)),
+    )
+
+
+def _described(settings: SmoothSettings) -> dict[str, object]:
+    """Return which colours were meant, and how they were written."""
+    used = ("threads", "space", "channels", "on", "textures")
+    return {name: value for name, value in describe_settings(settings).items() if name in used}

@@ -1,0 +1,70 @@
+"""Colours without the exposures of their charts: the mean of charts that hang together stays."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from beltrami_cli.levelling.charts import Levelled
+    from beltrami_cli.surface.atlas import Indices
+
+    Samples = Callable[[NDArray[np.int64]], tuple[NDArray[np.float32], Indices, NDArray[np.float64]]]
+
+# A mean change below this is none that anybody could see: the colours stay.
+LEAST_CHANGE = 0.5 / 255
+_PROBED = 1 << 21  # samples from which means are taken
+_BLOCK = 1 << 18
+
+
+class Correction:
+    """Takes exposures out of colours, by a strength from 0 to 1."""
+
+    def __init__(self, levelled: Levelled, strength: float, fixed: NDArray[np.bool_] | None = None) -> None:
+        assert levelled.exposures is not None
+        self._found, self._strength = levelled.exposures, strength
+        channels, charts, _ = levelled.exposures.terms.shape
+        self._shift = np.zeros((charts, channels))
+        self._groups = levelled.groups
+        self._moved = np.asarray(levelled.exposures.terms.any(axis=(0, 2)))
+        self._anchored = np.zeros(charts, bool)
+        if fixed is not None:
+            self._moved &= ~fixed
+            self._anchored = np.isin(self._groups, self._groups[fixed])
+
+    def of(
+        self, colours: NDArray[np.float32], charts: Indices, places: NDArray[np.float64]
+    ) -> NDArray[np.float32]:
+        """Return the colours, shape (K, N), at places in charts without the exposures."""
+        factor, offset = self._found.at(charts, places)
+        full = ((colours.T - offset) / factor).T + self._shift[charts]
+        moved = self._moved[charts, None]
+        return np.where(moved, colours + self._strength * (full - colours), colours).astype(np.float32)
+
+    def keep_means(self, count: int, samples: Samples) -> float:
+        """Let the mean of each group of charts stay; return the mean change of a value, 0 if it could not be seen."""
+        rows = np.arange(0, count, max(1, count // _PROBED))
+        change = np.zeros_like(self._shift)
+        areas, total = np.zeros(len(change)), 0.0
+        for block in np.array_split(rows, max(1, len(rows) // _BLOCK)):
+            colours, charts, places = samples(block)
+            difference = (self.of(colours, charts, places) - colours).astype(np.float64)
+            areas += np.bincount(charts, minlength=len(areas))
+            for channel, column in enumerate(difference.T):
+                change[:, channel] += np.bincount(charts, column, len(areas))
+        for channel in range(change.shape[1]):
+            weights = np.where(self._moved, areas, 0)
+            sums = np.bincount(self._groups, np.where(self._moved, change[:, channel], 0))
+            means = sums / np.maximum(np.bincount(self._groups, weights), 1)
+            shift = -means[self._groups] / max(self._strength, 1e-9)
+            self._shift[:, channel] = np.where(self._anchored, 0, shift)
+        for block in np.array_split(rows, max(1, len(rows) // _BLOCK)):
+            colours, charts, places = samples(block)
+            total += float(np.abs(self.of(colours, charts, places) - colours).sum(dtype=np.float64))
+        mean = total / max(1, len(rows) * change.shape[1])
+        return mean if mean >= LEAST_CHANGE else 0.0

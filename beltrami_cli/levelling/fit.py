@@ -1,0 +1,188 @@
+"""Gains and offsets of charts, by robust least squares over the steps at their seams.
+
+Where a chart c was exposed by a gain and an offset, it shows (1 + g_c) T + o_c in place of the colour T, channel by
+channel. In a tilted fit g_c changes linearly over the chart, as vignetting does. On the two sides p and q of a seam T
+is the same:
+
+    v_q - v_p = (g_q - g_p) T + o_q - o_p,
+
+where T is the mean of both sides as corrected so far. So a gain common to all charts makes no difference (if T were
+the colour on either side, noise would draw all gains to -1), and at the fixed point the two sides of a seam have equal
+means and variances, whether or not their patterns fit together to a texel. The terms are drawn to 0, each by the
+deviation that is expected of it. Weights fall with the residual: first as for the sum of distances [1], which has one
+minimum, then as for the estimator of Geman and McClure [2], under which a painted edge counts for nothing.
+
+Charts are few beside texels, so the normal equations are small, and solved by a sparse factorisation on one thread.
+
+References
+----------
+.. [1] P. Holland, R. Welsch, "Robust regression using iteratively reweighted least-squares", Communications in
+       Statistics 6 (1977), doi 10.1080/03610927708827533.
+.. [2] S. Geman, D. McClure, "Statistical methods for tomographic image reconstruction", Bulletin of the International
+       Statistical Institute 52 (1987).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from beltrami_cli.levelling.steps import Steps
+    from beltrami_cli.surface.atlas import Indices
+
+GAIN, OFFSET, TILTS = 0, 1, slice(2, 4)
+
+# Iterations with each of the two weights; fewer where the fit only has to be judged.
+FULL, SHORT = (7, 6), (4, 3)
+_DAMPING = 0.7
+# Residual, beside its usual size, at which weights fall; the scale of the second ones is narrowed from wide.
+_ALLOWED = 3 / 255
+_WIDEST, _NARROWING = 4.0, 0.7
+_DEVIATIONS = 2.5
+# Then seams are dropped that agree with the others less than this, and the rest is fitted again.
+_STRICTER = (0.3, 0.5)
+# So are all seams of charts of which less than this share agrees, or with a gain or offset beyond what cameras do.
+_LEAST_AGREED, _LARGEST_GAIN, _LARGEST_OFFSETS = 0.25, 0.35, 0.12
+# Beside this a colour may have been cut off at 0 or 1.
+_CUT_OFF = 1.5 / 255
+# A larger step is none of exposure: this share of the colour, and this offset.
+_LARGEST_SHARE, _LARGEST_OFFSET = 0.35, 20 / 255
+# Neighbouring stretches of a seam share errors; so many say as much as one.
+_ALIKE = 15.0
+_GAINS = (-0.45, 0.8)
+
+
+@dataclass(frozen=True)
+class Exposures:
+    """The terms of charts, and how far the stretches of seams agree with them."""
+
+    terms: NDArray[np.float64]  # (N, charts, 2 or 4): gain, offset, tilts of the gain along rows and columns
+    weights: NDArray[np.float64]  # (K,): 1 where the sides agree, towards 0 where they differ by paint
+
+    def at(self, charts: Indices, places: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
+        """Return the factor and the offset at places in charts, each of shape (N, K)."""
+        terms = self.terms[:, charts]
+        factor = 1 + terms[..., GAIN]
+        if terms.shape[2] > 2:
+            factor = factor + np.einsum("nkt,kt->nk", terms[..., TILTS], places)
+        return np.maximum(factor, 0.25), terms[..., OFFSET]
+
+    def sides(self, steps: Steps) -> NDArray[np.float64]:
+        """Return the corrected colours of both sides, shape (K, 2, N)."""
+        found = []
+        for side in (0, 1):
+            factor, offset = self.at(steps.ends[:, side], steps.places[:, side])
+            found.append(((steps.colours[:, side].T - offset) / factor).T)
+        return np.stack(found, axis=1)
+
+
+def unexposed(steps: Steps, terms: int) -> Exposures:
+    """Return terms that change nothing."""
+    channels = steps.colours.shape[2]
+    return Exposures(np.zeros((channels, steps.charts, terms)), np.ones(len(steps.seams)))
+
+
+def fit_exposures(
+    steps: Steps,
+    spread: tuple[float, ...],
+    iterations: tuple[int, int] = FULL,
+    fixed: NDArray[np.bool_] | None = None,
+) -> Exposures:
+    """Fit the terms of all charts, of which `spread` are the expected deviations; `fixed` charts have none."""
+    system, noise = _System(steps, spread, fixed), steps.noise
+    found, scale = unexposed(steps, len(spread)), _WIDEST
+    for number in range(iterations[0] + (1 + len(_STRICTER)) * iterations[1]):
+        rounds, place = divmod(number - iterations[0], iterations[1])
+        sides = found.sides(steps)
+        if place == 0 and rounds >= 0:
+            # What varies along a seam by exposure is no noise.
+            noise = np.minimum(noise, steps.noise_of(sides))
+        if place == 0 and rounds > 0:
+            system.drop(found, _STRICTER[rounds - 1])
+        residual = _distances(sides[:, 1] - sides[:, 0], system.known)
+        if rounds < 0:
+            weights = 1 / (1 + residual / (noise + _ALLOWED))
+        else:
+            scale = max(1.0, _NARROWING * scale)
+            allowed = scale * (_DEVIATIONS * noise + _ALLOWED)
+            weights = 1 / np.square(1 + np.square(residual / allowed))
+        weights = np.where(system.used, weights, 0)
+        terms = system.solve(sides.mean(axis=1), weights * steps.counts / (_ALIKE * np.square(noise)))
+        terms = found.terms + _DAMPING * (terms - found.terms)
+        terms[..., GAIN] = terms[..., GAIN].clip(*_GAINS)
+        found = Exposures(terms, weights)
+    return found
+
+
+class _System:
+    """The normal equations of a fit, whose pattern stays while their values change."""
+
+    def __init__(self, steps: Steps, spread: tuple[float, ...], fixed: NDArray[np.bool_] | None) -> None:
+        self._steps, self._terms = steps, len(spread)
+        self._unknowns = steps.charts * self._terms
+        tied = np.ones(steps.charts) if fixed is None else np.where(fixed, 1e6, 1.0)
+        self._drawn = np.square(np.outer(tied, 1 / np.array(spread))).ravel()
+        before, after = steps.colours[:, 0], steps.colours[:, 1]
+        self._step = after - before
+        low, high = np.minimum(before, after), np.maximum(before, after)
+        self.known = (low > _CUT_OFF) & (high < 1 - _CUT_OFF)
+        plausible = np.abs(self._step) <= _LARGEST_SHARE * high + _LARGEST_OFFSET
+        self.used = plausible.all(axis=1) & self.known.any(axis=1) & ~steps.is_paint
+        columns = (steps.ends[:, :, None] * self._terms + np.arange(self._terms)).reshape(len(self._step), -1)
+        self._columns = columns.ravel().astype(np.int32)
+        self._starts = np.arange(0, self._columns.size + 1, 2 * self._terms, dtype=np.int32)
+
+    def drop(self, found: Exposures, least: float) -> None:
+        """Use no seam any more whose mean weight is below the least, and none of charts that are painted themselves."""
+        steps, counts = self._steps, self._steps.counts
+        totals = np.maximum(np.bincount(steps.seams, counts), 1)
+        shares = np.bincount(steps.seams, found.weights * counts) / totals
+        self.used &= shares[steps.seams] >= least
+        between = steps.ends[:, 0] != steps.ends[:, 1]
+        lengths, agreed = np.zeros((2, steps.charts))
+        for side in steps.ends[between].T:
+            lengths += np.bincount(side, counts[between], steps.charts)
+            agreed += np.bincount(side, (counts * self.used)[between], steps.charts)
+        is_painted = agreed < _LEAST_AGREED * lengths
+        terms = np.abs(found.terms).max(axis=0)
+        is_painted |= (terms[:, GAIN] > _LARGEST_GAIN) | (terms[:, OFFSET] > _LARGEST_OFFSETS)
+        self.used &= ~is_painted[steps.ends].any(axis=1)
+
+    def solve(self, colours: NDArray[np.float64], weights: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the terms, shape (N, charts, terms), for the true colours at the steps as known so far."""
+        from scipy.sparse import csr_array, diags_array
+        from scipy.sparse.linalg import splu
+
+        found, shape = [], (len(colours), self._unknowns)
+        for channel in range(colours.shape[1]):
+            rows = csr_array((self._rows(colours[:, channel]), self._columns, self._starts), shape=shape)
+            of_channel = weights * self.known[:, channel]
+            weighted = csr_array(
+                (rows.data * np.repeat(of_channel, 2 * self._terms), self._columns, self._starts), shape
+            )
+            matrix = (rows.T @ weighted + diags_array(self._drawn)).tocsc()
+            factors = splu(
+                matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
+            )
+            found.append(factors.solve(np.asarray(weighted.T @ self._step[:, channel])))
+        return np.asarray(np.stack(found).reshape(colours.shape[1], -1, self._terms))
+
+    def _rows(self, colours: NDArray[np.float64]) -> NDArray[np.float64]:
+        rows = np.empty((len(colours), 2, self._terms))
+        rows[:, :, GAIN] = colours[:, None]
+        rows[:, :, OFFSET] = 1
+        if self._terms > 2:
+            rows[:, :, TILTS] = colours[:, None, None] * self._steps.places
+        rows[:, 0] *= -1
+        return np.asarray(rows.ravel())
+
+
+def _distances(difference: NDArray[np.float64], known: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Return the root mean square over the channels that are known."""
+    squares = np.where(known, np.square(difference), 0).sum(axis=1)
+    return np.asarray(np.sqrt(squares / np.maximum(known.sum(axis=1), 1)))

@@ -1,0 +1,199 @@
+"""Colours on both sides of the seams of a surface, averaged over short stretches, and the places of these in charts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from beltrami_cli.surface.atlas import refresh_halo
+from beltrami_cli.surface.seam_lines import at_seam, lines_over_seams
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from beltrami_cli.surface.atlas import Atlas, Indices
+
+# Side of the blocks of cells whose steps are averaged: doubled until there are few enough of them.
+_STRETCH = 4
+_MOST = 24_000
+# Along a seam with such a deviation more than this many times the usual one, and this beside it, colours are painted.
+_UNUSUAL, _ALLOWED = 2.5, 12 / 255
+# Deviations of 8-bit colours are not known better than this.
+_FINEST = 1 / 255
+_PRIOR = 4  # stretches
+_GAINS = (-0.3, -0.15, 0.0, 0.15, 0.3)
+UNKNOWN = (np.zeros(0), np.zeros(0, bool))
+_CELLS = 1 << 20  # whose places are added up at a time
+
+
+@dataclass(frozen=True)
+class Steps:
+    """Stretches of seams, K of them, and the colours of their two sides."""
+
+    charts: int
+    ends: NDArray[np.int64]  # (K, 2): the charts on the two sides
+    colours: NDArray[np.float64]  # (K, 2, N)
+    places: NDArray[np.float64]  # (K, 2, 2): in the charts, about their centres, of deviation 1/2
+    seams: NDArray[np.int64]  # (K,): the seam that a stretch is of
+    counts: NDArray[np.float64]  # (K,): texels in it
+    noise: NDArray[np.float64]  # (K,): deviation of the steps along its seam
+    is_paint: NDArray[np.bool_]  # (K,): whether the steps along its seam vary so much that they are painted
+
+    def part(self, rows: NDArray[np.bool_]) -> Steps:
+        """Return some of the stretches."""
+        return Steps(
+            self.charts,
+            self.ends[rows],
+            self.colours[rows],
+            self.places[rows],
+            self.seams[rows],
+            self.counts[rows],
+            self.noise[rows],
+            self.is_paint[rows],
+        )
+
+    def noise_of(self, sides: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the deviation of the steps along each seam, for other colours of the two sides, shape (K,)."""
+        return with_noise(replace(self, colours=sides)).noise
+
+
+@dataclass(frozen=True)
+class ChartPlaces:
+    """Where the owned cells of each chart lie on the canvas: their centre and twice their deviation."""
+
+    centre: NDArray[np.float64]  # (charts, 2): row and column
+    scale: NDArray[np.float64]
+    areas: NDArray[np.float64]  # (charts,): owned cells
+
+    @classmethod
+    def of(cls, atlas: Atlas) -> ChartPlaces:
+        """Measure the charts of an atlas."""
+        count = max(1, atlas.charts)
+        areas, first, second = np.zeros(count), np.zeros((count, 2)), np.zeros((count, 2))
+        middle = np.array(atlas.kind.shape) / 2
+        for begin in range(0, len(atlas.owned_cells), _CELLS):
+            block = slice(begin, begin + _CELLS)
+            charts = atlas.chart_of[block]
+            cells = np.divmod(atlas.owned_cells[block], atlas.kind.shape[1])
+            areas += np.bincount(charts, minlength=count)
+            for axis in (0, 1):
+                at = cells[axis] - middle[axis]
+                first[:, axis] += np.bincount(charts, at, count)
+                second[:, axis] += np.bincount(charts, at * at, count)
+        share = np.maximum(areas, 1)[:, None]
+        variance = np.maximum(second / share - np.square(first / share), 1.0)
+        return cls(first / share + middle, 2 * np.sqrt(variance), areas)
+
+    def at(self, cells: Indices, charts: Indices, columns: int) -> NDArray[np.float64]:
+        """Return the places of some cells in their charts, shape (K, 2)."""
+        found = np.column_stack(np.divmod(cells, columns))
+        return (found - self.centre[charts]) / self.scale[charts]
+
+
+def steps_over_seams(atlas: Atlas, planes: NDArray[np.float32], places: ChartPlaces) -> Steps:
+    """Measure the colours of both sides of all seams of an atlas; its halo is interpolated in place."""
+    refresh_halo(planes, atlas, interpolated=True)
+    inner, outer, colours = _both_sides(atlas, planes)
+    halo = np.searchsorted(atlas.halo_cells, outer)
+    beyond = atlas.halo_nearest[halo]
+    cells = np.column_stack([inner, beyond]).astype(np.int64)
+    ends = atlas.chart_of[np.searchsorted(atlas.owned_cells, cells)].astype(np.int64)
+    columns = atlas.kind.shape[1]
+    where = np.stack([places.at(cells[:, side], ends[:, side], columns) for side in (0, 1)], axis=1)
+    seams = atlas.halo_seams[halo].astype(np.int64)
+    found = Steps(atlas.charts, ends, colours, where, seams, np.ones(len(seams)), *UNKNOWN)
+    stretch = _STRETCH
+    while True:
+        row, column = np.divmod(inner.astype(np.int64), columns)
+        merged = _merged(found, row // stretch, column // stretch)
+        if len(merged.seams) <= _MOST:
+            return with_noise(merged)
+        stretch *= 2
+
+
+def _both_sides(
+    atlas: Atlas, planes: NDArray[np.float32]
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
+    """Return the cells on both sides of seams, and the colours there, extrapolated to the seam."""
+    flat = planes.reshape(len(planes), -1)
+    inner, outer, colours = [], [], []
+    known = np.zeros(max(1, atlas.seams), bool)
+    for reach in (3, 1):
+        for line in lines_over_seams(atlas, reach):
+            seams = atlas.halo_seams[np.searchsorted(atlas.halo_cells, line[reach])]
+            wanted = np.ones(len(seams), bool) if reach > 1 else ~known[seams]
+            cells = [each[wanted] for each in line]
+            inner.append(cells[0])
+            outer.append(cells[reach])
+            sides = (
+                at_seam([flat[:, each] for each in cells[:reach]]),
+                at_seam([flat[:, each] for each in cells[reach:]]),
+            )
+            colours.append(np.stack(sides, axis=1).transpose(2, 1, 0))
+        # Charts may be too narrow for lines of three cells.
+        for cells_beyond in outer:
+            known[atlas.halo_seams[np.searchsorted(atlas.halo_cells, cells_beyond)]] = True
+    return np.concatenate(inner), np.concatenate(outer), np.concatenate(colours)
+
+
+def _merged(steps: Steps, *blocks: NDArray[np.int64]) -> Steps:
+    """Average the steps of a seam, with the same charts on its sides, within each block."""
+    keys = np.column_stack([steps.seams, steps.ends, *blocks])
+    order = np.lexsort(keys.T[::-1])
+    ordered = keys[order]
+    starts = np.flatnonzero(np.r_[True, np.any(ordered[1:] != ordered[:-1], axis=1)][: len(ordered)])
+    counts = np.add.reduceat(steps.counts[order], starts) if len(starts) else np.zeros(0)
+
+    def mean(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        if not len(starts):
+            return values
+        total: NDArray[np.float64] = np.add.reduceat(values[order], starts)
+        return total / counts[:, None, None]
+
+    first = order[starts]
+    return Steps(
+        steps.charts,
+        steps.ends[first],
+        mean(steps.colours),
+        mean(steps.places),
+        steps.seams[first],
+        counts,
+        *UNKNOWN,
+    )
+
+
+def with_noise(steps: Steps) -> Steps:
+    """Measure how much the steps along each seam vary, and mark the seams where that is far more than usual."""
+    if not len(steps.seams):
+        return steps
+    starts = np.flatnonzero(np.r_[True, steps.seams[1:] != steps.seams[:-1]])
+    lengths = np.diff(np.r_[starts, len(steps.seams)])
+    signs = np.where(steps.ends[:, 0] <= steps.ends[:, 1], 1.0, -1.0)[:, None]
+    step, mean = signs * (steps.colours[:, 1] - steps.colours[:, 0]), steps.colours.mean(axis=1)
+    found = np.array(
+        [_variation(step[a : a + n], mean[a : a + n]) for a, n in zip(starts, lengths, strict=True)]
+    )
+    usual = weighted_median(found, np.add.reduceat(steps.counts, starts))
+    # Of few stretches little is known, so that they are taken for usual ones.
+    found = np.sqrt((lengths * np.square(found) + _PRIOR * usual**2) / (lengths + _PRIOR))
+    is_paint = found > _UNUSUAL * usual + _ALLOWED
+    noise = np.maximum(found, _FINEST)
+    return replace(steps, noise=np.repeat(noise, lengths), is_paint=np.repeat(is_paint, lengths))
+
+
+def _variation(step: NDArray[np.float64], colours: NDArray[np.float64]) -> float:
+    """Return the deviation of the steps along a seam, less what a difference of gains makes of it."""
+    found = []
+    for gain in _GAINS:
+        left = step - gain * colours
+        found.append(np.mean(np.median(np.abs(left - np.median(left, axis=0)), axis=0)))
+    return 1.4826 * float(min(found))
+
+
+def weighted_median(values: NDArray[np.float64], weights: NDArray[np.number[Any]]) -> float:
+    """Return the value below which half of the weight is."""
+    order = np.argsort(values, kind="stable")
+    total = np.cumsum(weights[order])
+    return float(values[order][np.searchsorted(total, total[-1] / 2)])

@@ -1,0 +1,148 @@
+"""Charts of textures and parts of meshes whose exposures are levelled: their names, and what is said of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from fnmatch import fnmatch
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from beltrami_cli.errors import InputError, UsageError
+from beltrami_cli.samples.reports import LevelReport
+from beltrami_cli.surface import large_arrays
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from beltrami_cli.formats.document import Document
+    from beltrami_cli.formats.image import Picture
+    from beltrami_cli.levelling.charts import Levelled
+    from beltrami_cli.surface.atlas import Atlas
+    from beltrami_cli.surface.records import Texture
+
+_PHOTOGRAPHS = ("photograph", "photo", "image", "camera", "view")
+_NO_SEAMS = "no seam joins two of its charts"
+_NO_EXPOSURE = (
+    "no exposure steps: those at some seams do not foretell the others, as exposures of charts would"
+)
+_TOO_SMALL = "its exposure steps are too small to be seen"
+
+
+@dataclass(frozen=True)
+class TextureCharts:
+    """The charts of an atlas by the textures that they lie on."""
+
+    textures: Sequence[Texture]
+    areas: NDArray[np.int64]  # (charts,): texels of each
+    texture_of: NDArray[np.int64]  # (charts,): -1 where a chart owns no texel
+    texel: NDArray[np.int64]  # (charts,): one of its texels, counted from the first of its texture
+
+    @classmethod
+    def of(cls, atlas: Atlas, textures: Sequence[Texture]) -> TextureCharts:
+        """Find them."""
+        offsets, areas = atlas.texture_offsets, np.bincount(atlas.chart_of, minlength=max(1, atlas.charts))
+        texel = np.zeros(len(areas), np.int64)
+        for block in large_arrays.blocks(len(atlas.chart_of)):
+            texel[atlas.chart_of[block]] = atlas.owned_texels[block]
+        texture_of = np.searchsorted(offsets, texel, side="right") - 1
+        return cls(textures, areas, np.where(areas > 0, texture_of, -1), texel - offsets[texture_of])
+
+    def matching(self, wanted: Sequence[str]) -> NDArray[np.bool_] | None:
+        """Return which charts are the reference, shape (charts,); None: none was asked for."""
+        if not wanted:
+            return None
+        found = np.zeros(len(self.texture_of), bool)
+        for word in wanted:
+            if word.isdecimal() and int(word) < len(found):
+                found[int(word)] = True
+                continue
+            fits = [
+                index
+                for index, texture in enumerate(self.textures)
+                if any(fnmatch(name, word) for name in (texture.name, *texture.materials))
+            ]
+            if not fits:
+                names = ", ".join(texture.name for texture in self.textures)
+                raise UsageError(
+                    f"--reference {word} is neither one of the charts 0 to {len(found) - 1} nor a texture or material; "
+                    f"there are {names}"
+                )
+            found |= np.isin(self.texture_of, fits)
+        return found
+
+    def facts(self, pictures: Sequence[Picture]) -> list[dict[str, object]]:
+        """Return for each chart its number, its texture, a texel of it there, and how many it has."""
+        found: list[dict[str, object]] = []
+        for chart in np.flatnonzero(self.texture_of >= 0).tolist():
+            index = int(self.texture_of[chart])
+            row, column = divmod(int(self.texel[chart]), pictures[index].pixels.shape[1])
+            place = {"texture": self.textures[index].name, "column": column, "row": row}
+            found.append({"chart": chart, **place, "samples": int(self.areas[chart])})
+        return found
+
+
+def level_report(
+    what: str, found: Levelled, change: float, charts: Sequence[dict[str, object]]
+) -> LevelReport:
+    """Put together what is known; `charts` are facts about each."""
+    facts, verdict = found.facts, found.verdict
+    reason = "" if change else _TOO_SMALL
+    if verdict is None:
+        reason = _NO_SEAMS
+    elif found.exposures is None:
+        reason = _NO_EXPOSURE
+    exposures = []
+    if found.exposures is not None:
+        terms = np.round(found.exposures.terms, 5)
+        for each in charts:
+            of_chart = terms[:, int(str(each["chart"]))]
+            if of_chart.any():
+                pair = {"gain": (1 + of_chart[:, 0]).tolist(), "offset": of_chart[:, 1].tolist()}
+                exposures.append({**each, **pair})
+    return LevelReport(
+        what,
+        len(charts),
+        facts.seams,
+        facts.stepped,
+        facts.painted,
+        facts.before,
+        facts.after if change else facts.before,
+        0.0 if verdict is None else verdict.share,
+        tilted=verdict is not None and len(verdict.spread) > 2,
+        levelled=change > 0,
+        reason=reason,
+        exposures=exposures,
+    )
+
+
+def photographs_of(document: Document, wanted: str | None) -> NDArray[np.int64]:
+    """Return the number of the photograph of each vertex, shape (V,); InputError if the file does not say it."""
+    known = {name.lower(): name for name in document.attributes()}
+    words = [wanted] if wanted else [*_PHOTOGRAPHS, *(f"{name}_id" for name in _PHOTOGRAPHS)]
+    name = next((known[word.lower()] for word in words if word.lower() in known), None)
+    if name is None:
+        has = ", ".join(document.attributes()) or "none"
+        cause = (
+            "nothing says which photograph each of its vertex colours is from, so there are no seams to level"
+        )
+        if wanted:
+            cause = f"its vertices have no attribute {wanted} that says which photograph each is from"
+        raise InputError(document.name, cause, f"name one with --photographs; its attributes: {has}")
+    values = document.attribute(name)
+    found = np.unique(values, axis=0, return_inverse=True)[1]
+    return np.asarray(found.reshape(-1), np.int64)
+
+
+def describe_level(report: LevelReport) -> dict[str, object]:
+    """Return what is known of exposure steps, in JSON types, for `info`."""
+    return {
+        "step": report.before,
+        "seams": report.seams,
+        "stepped": report.stepped,
+        "painted": report.painted,
+        "foretold": report.foretold,
+        "is_exposure": bool(report.exposures),
+    }

@@ -1,0 +1,94 @@
+"""Textures whose charts were given known exposures, and how far colours are from the truth besides one for all."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from beltrami_cli.flow.canvas import painted
+from beltrami_cli.formats.registry import open_document
+from beltrami_cli.levelling.steps import ChartPlaces, steps_over_seams
+from beltrami_cli.levelling.surfaces import level_canvas
+from beltrami_cli.samples.settings import DEFAULTS
+from beltrami_cli.samples.texel_samples import TexelSamples
+
+GAINS, OFFSET, FALL_OFF = (0.82, 1.12), 10 / 255, 0.15
+
+
+@dataclass
+class ExposureScene:
+    """The texels of a model, in display values, shape (T, N)."""
+
+    samples: TexelSamples
+    truth: np.ndarray
+
+    @classmethod
+    def of(cls, path):
+        samples = TexelSamples(open_document(str(path)).textured("baseColor"), "baseColor", DEFAULTS)
+        return cls(samples, samples.colours.samples(samples.atlas).astype(float))
+
+    @property
+    def charts(self):
+        return self.samples.atlas.chart_of
+
+    def exposed(self, seed, *, fall_off=False, clipped=False):
+        """Return the truth, and that with a gain and an offset for each chart and channel, in 8 bits.
+
+        Unless some is to be clipped, the truth is brought into the range in which nothing is.
+        """
+        random, atlas = np.random.default_rng(seed), self.samples.atlas
+        truth = self.truth if clipped else 0.1 + 0.65 * self.truth
+        shape = (atlas.charts, truth.shape[1])
+        gain, offset = random.uniform(*GAINS, shape), random.uniform(-OFFSET, OFFSET, shape)
+        colours = truth * gain[self.charts]
+        if fall_off:
+            places = ChartPlaces.of(atlas).at(atlas.owned_cells, self.charts, atlas.kind.shape[1])
+            slope = random.uniform(-FALL_OFF, FALL_OFF, (atlas.charts, 2))
+            colours *= 1 + np.einsum("tk,tk->t", places.clip(-1, 1), slope[self.charts])[:, None]
+        return truth, np.rint(np.clip(colours + offset[self.charts], 0, 1) * 255) / 255
+
+    def levelled(self, colours, strength=1.0, fixed=None):
+        """Return the colours after levelling, and what was found."""
+        atlas = self.samples.atlas
+        planes = painted(atlas, colours.astype(np.float32), 1)
+        found, _ = level_canvas(atlas, planes, strength, fixed)
+        return planes.reshape(len(planes), -1)[:, atlas.owned_cells].T.astype(float), found
+
+    def joined(self):
+        """Return which texels are of charts that seams without steps join, as numbers of groups."""
+        atlas = self.samples.atlas
+        steps = steps_over_seams(
+            atlas, painted(atlas, self.truth.astype(np.float32), 1), ChartPlaces.of(atlas)
+        )
+        signs = np.where(steps.ends[:, 0] < steps.ends[:, 1], 1, -1)[:, None]
+        step = signs * (steps.colours[:, 1] - steps.colours[:, 0])
+        pairs = []
+        for seam in np.unique(steps.seams):
+            rows = steps.seams == seam
+            if steps.counts[rows].sum() >= 16 and np.abs(np.median(step[rows], axis=0)).max() < 6 / 255:
+                pairs.append(steps.ends[rows][0])
+        ends = np.array(pairs, int).reshape(-1, 2)
+        graph = coo_array((np.ones(len(ends)), ends.T), shape=(atlas.charts,) * 2)
+        return connected_components(graph, directed=False)[1][self.charts]
+
+
+def error(colours, truth, groups=None):
+    """Return the root mean square difference up to one gain and offset per channel, for all or for each group."""
+    groups = np.zeros(len(truth), int) if groups is None else groups
+    total = 0.0
+    for group in np.unique(groups):
+        inside = groups == group
+        for channel in range(truth.shape[1]):
+            shown = np.column_stack([colours[inside, channel], np.ones(inside.sum())])
+            wanted = truth[inside, channel]
+            fitted = np.linalg.lstsq(shown, wanted, rcond=None)[0]
+            total += np.square(shown @ fitted - wanted).sum()
+    return (total / truth.size) ** 0.5
+
+
+def fall(before, after, truth, groups=None):
+    """Return by how many dB the error falls."""
+    return 20 * np.log10(error(before, truth, groups) / error(after, truth, groups))

@@ -1,0 +1,165 @@
+"""The command `level`, and `smooth --level`: what they write, say and refuse."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+import beltrami_cli
+from beltrami_cli.flow.canvas import painted
+from beltrami_cli.flow.grid_manifold import canvas_colours
+from beltrami_cli.formats.registry import open_document
+from beltrami_cli.jobs.check import check_files
+from beltrami_cli.jobs.job import PLAIN_JOB
+from beltrami_cli.jobs.recolour import recolour
+from beltrami_cli.samples.settings import DEFAULTS
+from beltrami_cli.samples.texel_colours import dithered
+from benchmarks.exposure_scene import ExposureScene
+from cli.commands import SAMPLES
+from cli.commands import beltrami as run_beltrami
+
+HEAD = SAMPLES / "head-tex-clean.glb"
+
+
+PLAIN = beltrami_cli.SmoothSettings(kernel=beltrami_cli.KernelParameters())
+
+
+def beltrami(*arguments, code=0):
+    done = run_beltrami(*arguments, text=True)
+    assert done.returncode == code, done.stderr
+    return done
+
+
+class Exposing:
+    """A painter that gives charts known exposures."""
+
+    changes = colours_only = works_on_disk = True
+
+    def check(self, *_):
+        pass
+
+    def paint(self, samples, progress):
+        _, colours = ExposureScene(samples, samples.colours.samples(samples.atlas).astype(float)).exposed(1)
+        planes = painted(samples.atlas, colours.astype(np.float32), 1)
+        return samples.repaint(canvas_colours(samples.atlas, planes, 1))
+
+
+@pytest.fixture(scope="module")
+def exposed(tmp_path_factory):
+    path = tmp_path_factory.mktemp("exposed") / "exposed.glb"
+    recolour(str(HEAD), str(path), DEFAULTS, Exposing(), PLAIN_JOB)
+    return path
+
+
+def step(path):
+    job = beltrami_cli.Job(dry_run=True)
+    return beltrami_cli.level_file(path, "none.glb", job=job).levelled[0].before
+
+
+def test_level_takes_steps_out_and_changes_nothing_but_colours(exposed, tmp_path):
+    target, run = tmp_path / "level.glb", tmp_path / "run.json"
+    done = beltrami("level", exposed, target, "--report", run)
+    assert "median step" in done.stderr
+    assert check_files(str(exposed), str(target)).faithful
+    assert beltrami_cli.inspect_file(exposed, PLAIN)["textures"][0]["exposure"]["is_exposure"]
+    assert step(target) < 0.1 * step(exposed)
+    (report,) = json.loads(run.read_text())["levelled"]
+    assert report["levelled"]
+    assert {each["chart"] for each in report["exposures"]} == set(range(report["charts"]))
+
+
+def test_a_model_without_exposure_steps_stays_and_is_said_to(tmp_path):
+    done = beltrami("level", HEAD, tmp_path / "same.glb")
+    assert "left as they are; no exposure steps" in done.stderr
+    assert (tmp_path / "same.glb").read_bytes() == HEAD.read_bytes()
+
+
+def test_the_result_is_the_same_for_any_number_of_threads(exposed, tmp_path):
+    for threads in (1, 3):
+        beltrami("level", exposed, tmp_path / f"{threads}.glb", "--threads", threads)
+    assert (tmp_path / "1.glb").read_bytes() == (tmp_path / "3.glb").read_bytes()
+
+
+@pytest.mark.parametrize("flag", ["--level", "--level-seams"])
+def test_smooth_levels_first(exposed, tmp_path, flag):
+    target = tmp_path / "smooth.glb"
+    done = beltrami("smooth", flag, exposed, target, "-n", 1, "--beta", 10)
+    assert "median step" in done.stderr
+    assert "1 baseColor texture" in done.stderr
+    assert step(target) < 0.1 * step(exposed)
+
+
+def test_smooth_with_no_iterations_only_levels(exposed, tmp_path):
+    beltrami("smooth", exposed, tmp_path / "level.glb", "--level", "-n", 0)
+    assert step(tmp_path / "level.glb") < 0.1 * step(exposed)
+
+
+def test_a_number_after_level_is_that_of_a_level_set(tmp_path):
+    done = beltrami("smooth", HEAD, tmp_path / "out.glb", "--level", 0.5, code=2)
+    assert "--level" in done.stderr
+
+
+def test_what_has_no_charts_is_refused_with_a_reason(tmp_path):
+    done = beltrami("level", SAMPLES / "head-noisy.ply", tmp_path / "out.ply", code=3)
+    assert "nothing says which photograph" in done.stderr
+    done = beltrami("level", SAMPLES / "head-tex-clean.png", tmp_path / "out.png", code=2)
+    assert "no charts" in done.stderr
+    done = beltrami("level", HEAD, tmp_path / "out.glb", "--reference", "absent*", code=2)
+    assert "--reference absent*" in done.stderr
+
+
+def photographed(path, *, exposed):
+    """Write a plane of vertices with a smooth painting, of three photographs."""
+    side = 40
+    row, column = np.mgrid[:side, :side].reshape(2, -1)
+    photograph = (column > 12).astype(int) + (column + row // 3 > 32)
+    colours = 130 + 30 * np.sin(row / 6)[:, None] + 30 * np.cos(column / 5 + row / 9)[:, None] * [1, 0.8, 0.6]
+    if exposed:
+        colours = colours * np.array([[0.9, 1, 1], [1.1, 1, 0.85], [1, 0.9, 1.1]])[photograph]
+    corner = (np.arange(side - 1)[:, None] * side + np.arange(side - 1)).ravel()
+    faces = np.concatenate([
+        np.column_stack([corner, corner + 1, corner + side]),
+        np.column_stack([corner + 1, corner + side + 1, corner + side]),
+    ])  # fmt: skip
+    lines = [
+        "ply", "format ascii 1.0", f"element vertex {side**2}", "property float x", "property float y",
+        "property float z", "property uchar red", "property uchar green", "property uchar blue", "property int camera",
+        f"element face {len(faces)}", "property list uchar int vertex_indices", "end_header",
+    ]  # fmt: skip
+    table = np.column_stack([row, column, 0 * row, np.rint(colours), photograph]).astype(int)
+    lines += [" ".join(map(str, each)) for each in table.tolist()]
+    lines += [" ".join(map(str, [3, *face])) for face in faces.tolist()]
+    path.write_text("\n".join(lines) + "\n")
+    return open_document(str(path)).painted().colours
+
+
+def test_vertices_are_levelled_by_the_photographs_that_an_attribute_names(tmp_path):
+    truth = photographed(tmp_path / "truth.ply", exposed=False)
+    before = photographed(tmp_path / "exposed.ply", exposed=True)
+    beltrami("level", tmp_path / "exposed.ply", tmp_path / "out.ply")
+    after = open_document(str(tmp_path / "out.ply")).painted().colours
+
+    def off(colours):
+        return np.std(colours - truth * colours.mean(axis=0) / truth.mean(axis=0))
+
+    assert off(after) < 0.3 * off(before)
+    done = beltrami("level", tmp_path / "truth.ply", tmp_path / "same.ply", "--photographs", "camera")
+    assert "left as they are" in done.stderr
+
+
+def test_rounding_spreads_fractions_over_the_two_nearest_steps_and_keeps_whole_ones():
+    texels = np.arange(64 * 64)
+    for value in (100.0, 100.3, 100.5):
+        values = np.full((len(texels), 1), value / 255, np.float32)
+        rounded = np.rint(255 * dithered(values, texels, 64))
+        assert set(np.unique(rounded)) <= {np.floor(value), np.ceil(value)}
+        assert rounded.mean() == pytest.approx(value, abs=0.02)
+
+
+def test_the_function_in_python_takes_parameters_of_both_records(exposed, tmp_path):
+    report = beltrami_cli.level_file(exposed, tmp_path / "out.glb", strength=0.5, slots=("baseColor",))
+    assert report.levelled[0].after == pytest.approx(report.levelled[0].before / 2, rel=0.1)
+    with pytest.raises(beltrami_cli.UsageError):
+        beltrami_cli.level_file(exposed, tmp_path / "out.glb", strength=2.0)

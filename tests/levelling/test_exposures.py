@@ -1,0 +1,123 @@
+"""Known exposures are found and taken out; paint, and models without exposure steps, stay."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from beltrami_cli.flow.canvas import painted
+from beltrami_cli.levelling.decision import STRONG
+from beltrami_cli.levelling.fit import fit_exposures
+from beltrami_cli.levelling.steps import ChartPlaces, Steps, steps_over_seams, weighted_median
+from benchmarks.exposure_scene import ExposureScene, error, fall
+from cli.commands import SAMPLES
+
+HEAD, SPHERE = SAMPLES / "head-tex-clean.glb", SAMPLES / "sphere-exr-clean.obj"
+
+
+@pytest.fixture(scope="module")
+def head():
+    return ExposureScene.of(HEAD)
+
+
+@pytest.mark.parametrize(
+    ("kind", "least"),
+    [({}, 12), ({"clipped": True}, 8), ({"fall_off": True}, 8)],
+    ids=["plain", "clipped", "fall-off"],
+)
+@pytest.mark.parametrize("seed", [1, 2])
+def test_known_exposures_are_taken_out(head, kind, least, seed):
+    truth, exposed = head.exposed(seed, **kind)
+    after, _ = head.levelled(exposed)
+    assert fall(exposed, after, truth) >= least
+
+
+def test_two_charts_are_enough():
+    scene = ExposureScene.of(SAMPLES / "torus-two-clean.gltf")
+    truth, exposed = scene.exposed(3)
+    after, _ = scene.levelled(exposed)
+    assert fall(exposed, after, truth) >= 12
+
+
+@pytest.mark.parametrize(
+    "name", ["head-tex-clean.glb", "head-tex-noisy.glb", "torus-two-noisy.gltf", "sphere-exr-clean.obj"]
+)
+def test_a_model_without_exposure_steps_keeps_every_bit(name):
+    scene = ExposureScene.of(SAMPLES / name)
+    after, found = scene.levelled(scene.truth)
+    assert np.array_equal(after, scene.truth)
+    assert found.exposures is None
+
+
+def test_the_mean_stays(head):
+    _, exposed = head.exposed(1)
+    after, _ = head.levelled(exposed)
+    assert after.mean(axis=0) == pytest.approx(exposed.mean(axis=0), abs=0.2 / 255)
+
+
+def test_reference_charts_keep_every_bit_and_give_the_others_their_exposure(head):
+    truth, exposed = head.exposed(1)
+    fixed = np.arange(head.samples.atlas.charts) == 3
+    inside = fixed[head.charts]
+    exposed[inside] = truth[inside].astype(np.float32)
+    after, _ = head.levelled(exposed, fixed=fixed)
+    assert np.array_equal(after[inside], exposed[inside])
+    assert np.sqrt(np.mean(np.square(after - truth))) < 0.25 * np.sqrt(np.mean(np.square(exposed - truth)))
+
+
+def test_half_the_strength_goes_half_the_way(head):
+    _, exposed = head.exposed(1)
+    whole, half = (head.levelled(exposed, strength)[0] for strength in (1.0, 0.5))
+    assert half - exposed == pytest.approx((whole - exposed) / 2, abs=0.05 / 255)
+
+
+def stripes(scene, chart):
+    """Return texels of a chart with other colours painted on it, which vary over it: its seams are painted edges."""
+    cells = np.array(np.divmod(scene.samples.atlas.owned_cells, scene.samples.atlas.kind.shape[1])).T
+    inside = scene.charts == chart
+    pattern = np.sin(cells[inside, 0] / 5)[:, None] * [0.2, 0.25, 0.3] + [0.45, 0.4, 0.35]
+    return inside, pattern
+
+
+def test_painted_edges_along_seams_move_by_less_than_a_step(head):
+    inside, pattern = stripes(head, 5)
+    painted_head = ExposureScene(head.samples, head.truth.copy())
+    painted_head.truth[inside] = pattern
+    after, _ = painted_head.levelled(painted_head.truth)
+    assert np.abs(after - painted_head.truth).mean() < 0.5 / 255
+    truth, exposed = painted_head.exposed(1)
+    exposed[inside] = np.rint(255 * truth[inside]) / 255  # its own exposure nobody can know
+    after, _ = painted_head.levelled(exposed)
+    assert np.abs(after - exposed)[inside].mean() < 1 / 255
+    assert fall(exposed[~inside], after[~inside], truth[~inside]) >= 12
+
+
+def seam(paint):
+    """Return a seam of two charts with a gain of 1.1 between them, of which a part is painted over on one side."""
+    random = np.random.default_rng(4)
+    colours = random.uniform(0.3, 0.7, (400, 1))
+    sides = np.stack([colours, 1.1 * colours + random.normal(0, 0.002, colours.shape)], axis=1)
+    sides[:paint, 1] = 0.9
+    ends, places = np.tile([0, 1], (400, 1)), np.zeros((400, 2, 2))
+    noise, plain = np.full(400, 2 / 255), np.zeros(400, bool)
+    return Steps(2, ends, sides, places, np.zeros(400, int), np.ones(400), noise, plain)
+
+
+def test_a_painted_tenth_of_a_seam_does_not_bend_the_rest():
+    clean, edged = (fit_exposures(seam(paint), STRONG).sides(seam(0)) for paint in (0, 40))
+    assert np.abs(clean[:, 1] - clean[:, 0]).mean() < 1 / 255
+    assert np.abs(edged - clean).mean() < 0.5 / 255
+
+
+def test_steps_are_measured_at_the_seam_without_the_slope_of_the_colours(head):
+    # The head's painting is continuous, and slopes on both sides of its seams.
+    atlas = head.samples.atlas
+    steps = steps_over_seams(atlas, painted(atlas, head.truth.astype(np.float32), 1), ChartPlaces.of(atlas))
+    assert (
+        weighted_median(np.abs(steps.colours[:, 1] - steps.colours[:, 0]).max(axis=1), steps.counts) < 1 / 255
+    )
+
+
+def test_the_error_of_the_scene_does_not_see_one_gain_and_offset():
+    truth = np.random.default_rng(2).random((500, 3))
+    assert error(0.7 * truth + 0.1, truth) < 1e-12
