@@ -112,9 +112,8 @@ def _remember(image, before):
     _folder = _folder or tempfile.TemporaryDirectory(prefix="beltrami-undo-")
     step = image.get(_STEP, 0)
     for number, pixels in ((step, before), (step + 1, exchange.pixels_of(image))):
-        path = Path(_folder.name) / f"{len(_kept)}.npy"
+        path = _kept.setdefault((image.name, number), Path(_folder.name) / f"{len(_kept)}.npy")
         np.save(path, pixels)
-        _kept[image.name, number] = path
     image[_STEP] = _shown[image.name] = step + 1
 
 
@@ -127,6 +126,17 @@ def follow_undo(*_):
         if step != shown and (name, step) in _kept:
             exchange.set_pixels(image, np.load(_kept[name, step]))
             _shown[name] = step
+
+
+@bpy.app.handlers.persistent
+def forget(*_):
+    """Drop what was kept of the images of a file that is closed."""
+    global _folder
+    _kept.clear()
+    _shown.clear()
+    if _folder is not None:
+        _folder.cleanup()
+        _folder = None
 
 
 class OBJECT_OT_beltrami_smooth(bpy.types.Operator):
@@ -241,7 +251,11 @@ _CLASSES = (
     VIEW3D_PT_beltrami_more,
     BeltramiPreferences,
 )
-_HANDLERS = (bpy.app.handlers.undo_post, bpy.app.handlers.redo_post)
+_HANDLERS = (
+    (bpy.app.handlers.undo_post, follow_undo),
+    (bpy.app.handlers.redo_post, follow_undo),
+    (bpy.app.handlers.load_pre, forget),
+)
 
 
 def register():
@@ -249,15 +263,14 @@ def register():
         bpy.utils.register_class(each)
     bpy.types.Scene.beltrami = bpy.props.PointerProperty(type=parameters.BeltramiParameters)
     bpy.types.Scene.beltrami_said = bpy.props.StringProperty(options={"SKIP_SAVE"})
-    for handlers in _HANDLERS:
-        handlers.append(follow_undo)
+    for handlers, handler in _HANDLERS:
+        handlers.append(handler)
 
 
 def unregister():
-    for handlers in _HANDLERS:
-        handlers.remove(follow_undo)
+    for handlers, handler in _HANDLERS:
+        handlers.remove(handler)
     del bpy.types.Scene.beltrami, bpy.types.Scene.beltrami_said
     for each in reversed(_CLASSES):
         bpy.utils.unregister_class(each)
-    _kept.clear()
-    _shown.clear()
+    forget()

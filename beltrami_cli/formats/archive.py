@@ -69,4 +69,4 @@ class Archive:
     @property
     def entries(self) -> list[zipfile.ZipInfo]:
         """What is known of all files in the archive, in their order."""
-        return [entry for entry in self._file.infolist() if not entry.is_dir()]
+        return [entry for entry in self._file.infolist() if not entry.filename.endswith("/")]

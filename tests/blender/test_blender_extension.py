@@ -179,6 +179,22 @@ def test_an_image_is_smoothed_where_it_lies_with_undo_and_redo(scene, extension,
         np.testing.assert_array_equal(of_image(bpy.data.images[name]), wanted)
 
 
+def test_an_image_of_another_file_is_no_earlier_step_of_one_with_its_name(scene, extension):
+    for smoothed in (True, False):
+        image = bpy.data.images.new("skin", SIDE, SIDE, alpha=True)
+        image.pixels.foreach_set(noisy(seed=2 + smoothed)[1].ravel())
+        image.pack()
+        before = of_image(image)
+        bpy.ops.mesh.primitive_plane_add()
+        textured(bpy.context.active_object, image)
+        if smoothed:
+            choose(bpy.context.scene, "IMAGES", **SMALL_STEPS)
+            assert bpy.ops.object.beltrami_smooth() == {"FINISHED"}
+            bpy.ops.wm.read_homefile(use_empty=True)
+    extension.follow_undo()
+    np.testing.assert_array_equal(of_image(bpy.data.images["skin"]), before)
+
+
 @pytest.mark.parametrize("packed", [False, True])
 def test_all_tiles_of_an_image_are_one_surface(scene, extension, tmp_path, packed):
     pictures = {1001: noisy(64, seed=3), 1002: noisy(64, seed=4)}

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import pickle
+import weakref
 
 import numpy as np
 import pytest
 
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow import mesh_partitions
-from beltrami_cli.flow.beltrami_flow import in_partitions
+from beltrami_cli.flow.beltrami_flow import BeltramiFlow, in_partitions
 from beltrami_cli.flow.embedding import Guide
 from beltrami_cli.flow.geometry import GeometryParameters
 from beltrami_cli.flow.grid_manifold import GridManifold
+from beltrami_cli.flow.mesh_manifold import MeshManifold
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.samples.image_surface import ImageSurface, grid_flow
 from flow.split_surfaces import (
@@ -50,6 +52,13 @@ ON_MESHES = {
     "world": {"solver": "segments", "units": "world", "metric_steps": 0, "beta": 0.0},
     "cut short": {"solver": "segments", "max_samples": 15},
 }
+
+
+def test_triangles_are_kept_only_where_partitions_are_cut():
+    manifold = MeshManifold(SURFACE, KernelParameters(**FIXED))
+    triangles = weakref.ref(manifold.faces)
+    BeltramiFlow(manifold, KernelParameters(**FIXED))
+    assert triangles() is None
 
 
 @pytest.mark.slow

@@ -18,11 +18,14 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from beltrami_cli.batch.item import Outcome
 from beltrami_cli.formats.image import write_image
 from beltrami_cli.formats.image.picture import new_picture
+from beltrami_cli.formats.usd.package import packed as as_package
 from formats.gltf_compressed import GRID, draco_model, meshopt_model
 from formats.gltf_files import Model, Textured
 from formats.image_files import encode
 from formats.ply_files import ENCODINGS, Table, build, coloured
 from formats.read_only_files import OBJECT, coff, model, stl, threemf
+from formats.usd_files import BOUND, COLOURS, material_text, mesh_text, scene
+from formats.usd_files import coloured as with_colours
 from fuzz.targets import SEPARATOR
 
 CORE = ("triangulated", "grid", "atlas")
@@ -74,6 +77,7 @@ def ply_seeds() -> dict[str, bytes]:
 
 
 def obj_seeds() -> dict[str, bytes]:
+    tiles = "mtllib m.mtl\n" + SQUARE.replace("vt 1", "vt 2") + "usemtl a\nf 1/1 2/2 3/3 4/4\n"
     textured = "mtllib m.mtl\n" + SQUARE + "usemtl a b\nf 1/1 2/2 3/3 \\\n4/4\nf -4/-4 -3/-3 -2/-2\nl 1 2\n"
     library = "newmtl a b\nmap_Kd -s 2 2 1 -o .5 0 -clamp on a.png\nbump -bm 1 a.png\n"
     return {
@@ -81,6 +85,9 @@ def obj_seeds() -> dict[str, bytes]:
         "scale": b"v 0 0 0 255 0 0 1\nv 1 0 0 0 128 0 1\nv 0 1 0 7 8 9 0\nf 1//1 2//1 3//1\nvn 0 0 1\n",
         "polypaint": (SQUARE + "#MRGB ff102030FFaAbBcC00000000ff7f80ff\nf 1 2 3 4\n").encode(),
         "textured": files(textured, m_mtl=library, a_png=PICTURE),
+        "tiles": files(
+            tiles, m_mtl="newmtl a\nmap_Kd a.<UDIM>.png\n", a_1001_png=PICTURE, a_1002_png=PICTURE
+        ),
     }
 
 
@@ -129,6 +136,16 @@ def gltf_seeds() -> dict[str, bytes]:
     return seeds
 
 
+def stored_package() -> bytes:
+    """Return a package with directories, dates and remarks, as another program makes them."""
+    made = io.BytesIO()
+    with zipfile.ZipFile(made, "w") as archive:
+        for name, data in (("b.usdc", b"PXR-USDC"), ("0/", b""), ("0/é.jpg", b"image")):
+            archive.writestr(zipfile.ZipInfo(name, (2024, 2, 29, 1, 2, 4)), data)
+        archive.comment = b"remark"
+    return made.getvalue()
+
+
 def other_seeds() -> dict[str, dict[str, bytes]]:
     packed = io.BytesIO()
     np.savez(packed, positions=PLACES, colours=LEVELS[:, :3])
@@ -155,6 +172,16 @@ def other_seeds() -> dict[str, dict[str, bytes]]:
         },
         "stl": {"viscam": stl([1 << 15, 0]), "magics": stl([31, 1 << 15], b"COLOR=\x00\xff\x00\xff")},
         "3mf": {"stored": stored.getvalue()},
+        "usd": {
+            "scene": files(
+                scene(mesh_text(BOUND + with_colours(COLOURS[:64])), material_text("a.png")), a_png=PICTURE
+            )
+        },
+        "usdz": {
+            "stored": b"".join(as_package({"a.usda": b"#usda 1.0\n", "0/a.png": PICTURE})),
+            "other": stored_package(),
+            "nameless": b"".join(as_package({"a.usda": b"#usda 1.0\n", "": b""})),
+        },
         "xyz": {
             "levels": b"0 0 0 255 0 0\n1 0 0 0 255 0\n0 1 0 0 0 255\n",
             "shares": b"0 0 0 1 0 0\n1 0 0 0 .5 0\n",

@@ -20,6 +20,7 @@ from beltrami_cli.formats.document import Naming
 from beltrami_cli.formats.image import read_image, write_image
 from beltrami_cli.formats.registry import held_images, open_bytes, textured_sidecars, write_textured
 from beltrami_cli.formats.textured_mesh import as_if_with_suffixes
+from beltrami_cli.formats.usd.package import Package
 from beltrami_cli.formats.volume import is_volume
 from beltrami_cli.formats.volume.reading import read_volume
 from beltrami_cli.surface.records import ImageFile
@@ -74,7 +75,7 @@ def _use_vertices(document: Document, folder: Path) -> None:
             document.attribute(name)
     # What numbers mean that can mean two things may look otherwise in the result; the user sees a notice.
     doubtful = any("taken for" in notice for notice in document.notices)
-    if document.format in ("ply", "obj", "gltf", "glb") and not doubtful:
+    if document.format in ("ply", "obj", "gltf", "glb", "usda") and not doubtful:
         colours = np.clip(painted.colours * np.float32(0.5), 0, 1)
         _compare(document, document.patch(colours, Naming("out", keeps=True)), folder)
 
@@ -110,6 +111,17 @@ def _write(folder: Path, name: str, content: bytes) -> None:
         if path.resolve().is_relative_to(folder.resolve()):
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(content)
+
+
+def read_package(data: bytes) -> None:
+    """Read a USDZ package as far as this program does: its files, and itself written anew."""
+    package = Package(data, "x.usdz", ACCESS)
+    names = [name for name in package.members if name not in package.layers]
+    files = {name: package.read(name) for name in package.members}
+    assert Package(b"".join(package.packed({})), "x.usdz", ACCESS).members == package.members
+    again = Package(b"".join(package.packed(dict.fromkeys(names[:1], b"new"))), "x.usdz", ACCESS)
+    for name in package.members:
+        assert again.read(name) == (b"new" if name in names[:1] else files[name])
 
 
 def read_picture(data: bytes) -> None:
@@ -165,6 +177,8 @@ TARGETS: dict[str, Callable[[bytes], None]] = {
     "off": named("x.off"),
     "stl": named("x.stl"),
     "3mf": named("x.3mf"),
+    "usd": named("x.usda"),  # in a process of its own, so slowly
+    "usdz": read_package,
     "xyz": named("x.xyz"),
     "npz": named("x.npz"),
     "image": read_picture,

@@ -12,6 +12,7 @@ from fuzz.targets import TARGETS, attempt
 CORPUS = Path(__file__).with_name("corpus")
 SEEDS = sorted(path for path in CORPUS.rglob("*") if path.is_file() and path.parent.name != "core")
 MUTATIONS = 80
+FEW = {"usd": 2}  # by target, where each takes a process
 
 
 def mutated(data: bytes, others: list[bytes], chance: random.Random) -> bytes:
@@ -39,11 +40,13 @@ def mutated(data: bytes, others: list[bytes], chance: random.Random) -> bytes:
 @pytest.mark.parametrize("seed", SEEDS, ids=[f"{path.parent.name}-{path.name}" for path in SEEDS])
 def test_nothing_worse_than_a_refusal(seed: Path) -> None:
     target = seed.parent.name
+    if target == "usd":
+        pytest.importorskip("pxr", reason="usd-core is not installed")
     data = seed.read_bytes()
     attempt(target, data)
     chance = random.Random(seed.name)
     others = [path.read_bytes() for path in SEEDS if path.parent == seed.parent]
-    for number in range(MUTATIONS):
+    for number in range(FEW.get(target, MUTATIONS)):
         bad = mutated(data, others, chance)
         try:
             attempt(target, bad)

@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 
     from beltrami_cli.formats.document import Document
 
-KEPT = {".ply", ".obj", ".gltf", ".glb"}
+KEPT = {".ply", ".obj", ".gltf", ".glb", ".usd", ".usda", ".usdc", ".usdz"}
 READ = {".off", ".stl", ".3mf", ".dae", ".zae"}
 SETTINGS = SmoothSettings(kernel=KernelParameters(iterations=1, beta=10, clipping="keep", threads=1))
 ACCESS = Access(memory=4 << 30)

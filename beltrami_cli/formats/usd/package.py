@@ -43,7 +43,9 @@ class Package:
         require_ratio(name, "the package", len(data), sum(entry.file_size for entry in entries))
         wrong = next((each.filename for each in entries if _is_unfit(each.filename)), None)
         if wrong is not None or len(self._dates) != len(entries):
-            cause = f"it has a file named {wrong!r}" if wrong else "it has two files of one name"
+            cause = (
+                f"it has a file named {wrong[:80]!r}" if wrong is not None else "it has two files of one name"
+            )
             raise InputError(name, f"{cause}, which a package cannot have", "export it again")
         if not is_package(entries):
             raise InputError(name, "its first file is no USD layer", "export it again, by a program for USDZ")
