@@ -38,6 +38,7 @@ COMMANDS = {
     "report": "Write a page that shows what changed between two files.",
     "smooth": "Smooth the colours of a model, of points or of an image.",
     "sweep": "Smooth with many settings, and show all results together.",
+    "view": "Show a model in the browser, and smooth it there.",
 }
 
 _INTERRUPTED = "interrupted; files are as they were, or complete"

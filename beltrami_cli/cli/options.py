@@ -14,7 +14,7 @@ from beltrami_cli.cli.commands import GroupedOption, variable_in_force
 from beltrami_cli.cli.console import Messages
 from beltrami_cli.errors import UsageError
 from beltrami_cli.fields import REQUIRED, Parameter, parameters, parts
-from beltrami_cli.flow.parameters import PRESETS, KernelParameters, parameters_with
+from beltrami_cli.flow.parameters import PRESETS, TUNABLE, KernelParameters, parameters_with
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.registry import OUTPUT_FORMATS
 from beltrami_cli.jobs.job import Job, default_memory, limited_memory, parse_size
@@ -159,6 +159,38 @@ def smoothing(command: Callable[..., Any]) -> Callable[..., Any]:
 def settings_from(values: Mapping[str, Any]) -> SmoothSettings:
     """Make the settings from the values of `preset` and options of `SmoothSettings`."""
     return record_from(SmoothSettings, values, kernel=_kernel_from(values))
+
+
+def words_of(settings: SmoothSettings, preset: str | None = None) -> list[str]:
+    """Return the options that `settings_from` makes such settings of, as they are typed."""
+    usual: dict[str, Any] = dict(PRESETS[preset]) if preset else {}
+    words = ["--preset", preset] if preset else []
+    for record in (settings, *(getattr(settings, name) for name in parts(settings))):
+        for declared in parameters(record):
+            value, default = getattr(record, declared.name), usual.get(declared.name, declared.default)
+            if declared.name in TUNABLE and not preset:
+                is_given = declared.name not in settings.kernel.free and value is not None
+            else:
+                is_given = value != default
+            if is_given and declared.flags is not None:
+                words += _typed(declared, value)
+    return words
+
+
+def _typed(declared: Parameter, value: Any) -> list[str]:
+    """Return the option of a parameter with a value, as it is typed."""
+    flag = flags_of(declared)[0].partition("/")[0]
+    if declared.kind is bool:
+        return [flag]
+    if declared.repeatable:
+        return [word for each in value for word in (flag, _in_short(each))]
+    if declared.several:
+        return [flag, ",".join(map(_in_short, value)) or "none"]
+    return [flag, _in_short(value) if declared.parse is None else declared.show(value)]
+
+
+def _in_short(value: Any) -> str:
+    return str(int(value)) if isinstance(value, float) and value.is_integer() else str(value)
 
 
 def _kernel_from(values: Mapping[str, Any]) -> KernelParameters:

@@ -226,6 +226,10 @@ class TexelSamples(Samples):
                 notices += losses(picture, suffix)
         return Repainted(Change.joined(changes), images=images, notices=tuple(notices))
 
+    def painted(self, index: int, new: NewColours) -> NDArray[Any]:
+        """Return the pixels of a texture with new colours, and nothing changed around its charts."""
+        return self._painter(None).repaint(index, new)[0]
+
     def grains(self) -> Grains:
         # They are numbered by their place in the textures, and not on the canvas.
         atlas = self.atlas

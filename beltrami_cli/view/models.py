@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from beltrami_cli.formats.image.picture import is_associated
 from beltrami_cli.jobs.colour_map import VIRIDIS
 from beltrami_cli.surface.colour_values import linear_to_srgb
 from beltrami_cli.surface.grouping import distinct_corners, group_places
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from beltrami_cli.formats.document import Document
+    from beltrami_cli.formats.image import Picture
     from beltrami_cli.formats.image.document import ImageDocument
     from beltrami_cli.surface.records import PaintedVertices, Slot, TexturedSurface
 
@@ -59,7 +61,7 @@ class ModelPacker:
         self._layers.append(
             {
                 "name": f"{slot} textures", "slot": slot, "parts": parts, "middle": box.middle,
-                "seams": self._kept(edges) if len(edges) else None,
+                "numbers": numbers[0], "seams": self._kept(edges) if len(edges) else None,
             }
         )  # fmt: skip
 
@@ -70,7 +72,9 @@ class ModelPacker:
             for each in documents
         ]
         sheet = {"kind": "sheet", "textures": numbers}
-        self._layers.append({"name": "image", "flatOnly": True, "parts": [sheet], "middle": [0, 0, 0]})
+        self._layers.append(
+            {"name": "image", "flatOnly": True, "numbers": numbers[:1], "parts": [sheet], "middle": [0, 0, 0]}
+        )
 
     def packed(self, reach: float) -> dict[str, Any]:
         """Return everything in JSON types; `reach`: the change in 255ths that is shown brightest."""
@@ -83,14 +87,8 @@ class ModelPacker:
         }
 
     def texture(self, texture: Texture, slot: Slot, sheet: NDArray[np.float32] | None = None) -> int:
-        """Add a texture once, as it is if browsers show its format, or else as PNG; return its number."""
-        mime = next((mime for mark, mime in _MIME.items() if texture.data.startswith(mark)), None)
-        if mime is not None:
-            source = f"data:{mime};base64,{base64.b64encode(texture.data).decode()}"
-        else:
-            sheet = texture_sheet(texture, slot) if sheet is None else sheet
-            shown = np.concatenate([linear_to_srgb(sheet[..., :3]), sheet[..., 3:]], axis=2)
-            source = data_address(np.rint(255 * shown).astype(np.uint8))
+        """Add a texture once; return its number."""
+        source = source_of(texture, slot, sheet)
         key = f"{source} {texture.wrap} {texture.alpha_hides}"
         if key not in self._number_of:
             self._number_of[key] = len(self._textures)
@@ -139,10 +137,9 @@ class ModelPacker:
         return part
 
     def _kept(self, values: NDArray[Any]) -> str:
-        data = np.ascontiguousarray(values.astype(values.dtype.newbyteorder("<"))).tobytes()
-        key = hashlib.sha256(data).hexdigest()[:16]
-        if key not in self._buffers:
-            self._buffers[key] = base64.b64encode(zlib.compress(data)).decode()
+        packed = packed_array(values)
+        key = hashlib.sha256(packed.encode()).hexdigest()[:16]
+        self._buffers[key] = packed
         return key
 
 
@@ -159,6 +156,37 @@ class _Box:
         """Return positions in the box in 16 bits each."""
         share = np.nan_to_num((positions - self._low) / self.size)
         return np.asarray(np.rint(_FULL * np.clip(share, 0, 1)), np.uint16)
+
+
+def source_of(texture: Texture, slot: Slot, sheet: NDArray[np.float32] | None = None) -> str:
+    """Return a data URL of a texture, as it is if browsers show its format, or else as PNG."""
+    mime = next((mime for mark, mime in _MIME.items() if texture.data.startswith(mark)), None)
+    if mime is not None:
+        return f"data:{mime};base64,{base64.b64encode(texture.data).decode()}"
+    return data_address(_as_bytes(texture_sheet(texture, slot) if sheet is None else sheet))
+
+
+def displayed_pixels(picture: Picture, *, is_data: bool = False) -> NDArray[np.uint8]:
+    """Return a picture as display values with opacity, (H, W, 4)."""
+    pixels = picture.pixels
+    if pixels.dtype != np.uint8 or is_associated(picture):
+        return _as_bytes(sheet_of(picture, is_data=is_data))
+    shown = np.full((*pixels.shape[:2], 4), 255, np.uint8)
+    shown[..., :3] = pixels[..., picture.colour if len(picture.colour) == 3 else picture.colour[:1] * 3]
+    if picture.alpha is not None:
+        shown[..., 3] = pixels[..., picture.alpha]
+    return shown
+
+
+def _as_bytes(sheet: NDArray[np.float32]) -> NDArray[np.uint8]:
+    shown = np.concatenate([linear_to_srgb(sheet[..., :3]), sheet[..., 3:]], axis=2)
+    return np.asarray(np.rint(255 * shown), np.uint8)
+
+
+def packed_array(values: NDArray[Any], level: int = -1) -> str:
+    """Return the bytes of an array for a page, compressed."""
+    data = np.ascontiguousarray(values.astype(values.dtype.newbyteorder("<"))).tobytes()
+    return base64.b64encode(zlib.compress(data, level)).decode()
 
 
 def displayed_colours(painted: PaintedVertices) -> NDArray[np.uint16]:

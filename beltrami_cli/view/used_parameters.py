@@ -33,7 +33,8 @@ def used_parameters(report: dict[str, Any]) -> str:
             table([["parameter of the job", "value", "how it came about"], *others], "parameters of the job")
         )
     stages = [[name, f"{spent['wall']:.2f}"] for name, spent in report["stages"].items()]
-    tables.append(table([["stage", "seconds"], *stages], "stages"))
+    if stages:
+        tables.append(table([["stage", "seconds"], *stages], "stages"))
     nothing = "" if parts else "<p>Nothing was smoothed.</p>\n"
     return "<h2>Parameters</h2>\n" + nothing + "\n".join(tables)
 

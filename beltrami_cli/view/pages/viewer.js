@@ -130,7 +130,7 @@ const Viewer = (() => {
     layerOf(layer) {
       const solid = new THREE.Group(), flat = new THREE.Group();
       solid.position.set(...layer.middle.map((value) => -value));
-      const made = { ...layer, solid, flat, materials: [], meshes: [], wires: [], seams: [] };
+      const made = { ...layer, solid, flat, materials: [], textured: [], meshes: [], wires: [], seams: [] };
       for (const part of layer.parts) if (part.kind !== "sheet") this.addPart(made, part);
       if (layer.seams) made.seams.push(this.lines(this.positions(layer.seams), 0xd55e00, solid));
       this.addSheets(made);
@@ -155,6 +155,7 @@ const Viewer = (() => {
       const shape = part.kind === "points" ? new THREE.Points(geometry, material) : new THREE.Mesh(geometry, material);
       shape.frustumCulled = false;
       layer.materials.push(material);
+      layer.textured.push([part, material]);
       layer.meshes.push(shape);
       layer.solid.add(shape);
       if (part.index) layer.wires.push(this.wires(geometry, layer.solid));
@@ -198,12 +199,15 @@ const Viewer = (() => {
       const total = sizes.reduce((sum, size) => sum + size, 0) + 0.05 * (pairs.length - 1);
       let left = -total / 2;
       pairs.forEach((part, number) => {
-        const sheet = new THREE.Group(), plane = new THREE.PlaneGeometry(1, 1);
+        const sheet = new THREE.Group();
+        sheet.userData.number = layer.numbers ? layer.numbers.indexOf(part.textures[0]) : 0;
+        const plane = new THREE.PlaneGeometry(1, 1);
         plane.attributes.uv.array.set([0, 0, 1, 0, 0, 1, 1, 1]);
         const material = this.material({ ...part, moved: null });
         material.uniforms.hides.value = 0;
         material.uniforms.charts = { value: 0 };
         layer.materials.push(material);
+        layer.textured.push([part, material]);
         sheet.add(new THREE.Mesh(plane, material));
         sheet.scale.set(sizes[number], 1, 1);
         sheet.position.x = left + sizes[number] / 2;
@@ -237,6 +241,7 @@ const Viewer = (() => {
 
     // Shows another layer: the textures of a slot, or the vertex colours.
     choose(number) {
+      this.number = number;
       this.layer = this.layers[number];
       this.isFlat = Boolean(this.layer.flatOnly);
       for (const name of ["charts", "seams"]) this.offer(name, this.layer.seams.length > 0);
@@ -246,6 +251,7 @@ const Viewer = (() => {
       this.offer("texels", this.layer.flat.children.length > 0);
       this.look();
       this.reset();
+      this.root.dispatchEvent(new Event("layer"));
     }
 
     offer(name, is_there) {
@@ -264,11 +270,81 @@ const Viewer = (() => {
       for (const lines of this.layer.wires) lines.visible = on("wires");
       for (const lines of this.layer.seams) lines.visible = on("seams");
       for (const tint of this.layer.tints || []) tint.visible = on("charts");
-      for (const map of this.maps) {
-        map.magFilter = on("texels") ? THREE.NearestFilter : THREE.LinearFilter;
-        map.needsUpdate = true;
+      this.filter = on("texels") ? THREE.NearestFilter : THREE.LinearFilter;
+      for (const layer of this.layers)
+        for (const { uniforms } of layer.materials) for (const map of [uniforms.mapOld, uniforms.mapFresh]) this.refilter(map.value);
+      this.draw();
+    }
+
+    refilter(map) {
+      if (!map || map.magFilter === this.filter) return;
+      map.magFilter = this.filter;
+      map.needsUpdate = true;
+    }
+
+    // Where somebody looks: a ray through the box of the model, or a place of a flat texture.
+    focus() {
+      const target = this.controls.target, { flat, middle } = this.layer;
+      if (!this.isFlat) {
+        const from = this.camera.position, way = target.clone().sub(from).normalize();
+        return { origin: [from.x + middle[0], from.y + middle[1], from.z + middle[2]], direction: [way.x, way.y, way.z] };
+      }
+      const x = target.x / flat.scale.x, y = target.y / flat.scale.y;
+      const beside = flat.children.map((sheet) => Math.max(0, Math.abs(x - sheet.position.x) - sheet.scale.x / 2));
+      const number = beside.indexOf(Math.min(...beside)), sheet = flat.children[number];
+      return { origin: [(x - sheet.position.x) / sheet.scale.x + 0.5, 0.5 - y, sheet.userData.number], direction: null };
+    }
+
+    // Shows new colours: of all or some vertices, of a texture, or of a part of one.
+    async paint(patches) {
+      for (const patch of patches) {
+        const layer = this.layers[patch.layer];
+        if (patch.colours) await this.paintVertices(layer, patch);
+        else if (patch.source) await this.paintTexture(layer, patch);
+        else await this.paintTexels(layer, patch);
       }
       this.draw();
+    }
+
+    async paintVertices(layer, patch) {
+      const rows = new Uint32Array(await inflated(patch.rows)), colours = new Uint16Array(await inflated(patch.colours));
+      const { after } = layer.meshes[0].geometry.attributes;
+      for (let at = 0; at < rows.length; at++)
+        for (let channel = 0; channel < 3; channel++) after.array[3 * rows[at] + channel] = colours[3 * at + channel];
+      after.needsUpdate = true;
+    }
+
+    // The parts with a texture, by its number in the layer.
+    using(layer, number) {
+      const first = layer.numbers[number];
+      return layer.textured.filter(([part]) => part.textures && part.textures[0] === first);
+    }
+
+    async paintTexture(layer, patch) {
+      const { image } = await loaded(patch.source), parts = this.using(layer, patch.texture);
+      if (parts.length) this.replace(parts, image);
+    }
+
+    replace(parts, image) {
+      const { uniforms } = parts[0][1], old = uniforms.mapFresh.value;
+      const made = textureOf(image, this.data.textures[parts[0][0].textures[0]].wrap);
+      this.refilter(made);
+      for (const [, material] of parts) material.uniforms.mapFresh.value = made;
+      if (old !== uniforms.mapOld.value) old.dispose();
+      return made;
+    }
+
+    async paintTexels(layer, patch) {
+      const parts = this.using(layer, patch.texture), { uniforms } = parts[0][1];
+      let map = uniforms.mapFresh.value;
+      if (map === uniforms.mapOld.value) map = this.replace(parts, map.image);
+      const pixels = new Uint8Array(await inflated(patch.pixels));
+      const piece = new THREE.DataTexture(pixels, patch.width, patch.height);
+      piece.colorSpace = THREE.SRGBColorSpace;
+      piece.needsUpdate = true;
+      this.renderer.initTexture(map);
+      this.renderer.copyTextureToTexture(piece, map, null, new THREE.Vector2(patch.x, patch.y));
+      piece.dispose();
     }
 
     reset() {
@@ -398,7 +474,7 @@ const Viewer = (() => {
 
     // B goes from before to after and back, from wherever the focus is unless keys mean something there.
     switchByKey(event) {
-      const busy = event.target.closest?.("input:not([type=radio], [type=checkbox]), select, textarea");
+      const busy = event.target.closest?.("input[type=text], select, textarea");
       if (busy || event.ctrlKey || event.metaKey || event.altKey) return;
       const wanted = { b: this.show === "after" ? "before" : "after", d: "difference", s: "swipe" }[event.key.toLowerCase()];
       if (wanted) this.present(wanted);

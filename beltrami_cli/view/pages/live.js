@@ -1,0 +1,132 @@
+// The live view: sends what the controls say, and shows what comes back.
+"use strict";
+(async () => {
+  const part = (name) => document.getElementById(name);
+  const page = crypto.randomUUID(), form = part("controls");
+  const fetched = async (name) => (await fetch(name)).json();
+  const asked = async (name, request) => {
+    const answer = await fetch(name, { method: "POST", body: JSON.stringify(request) });
+    const said = await answer.json();
+    if (!answer.ok) throw new Error(said.message);
+    return said;
+  };
+
+  const [model, start] = await Promise.all([fetched("model.json"), fetched("start.json")]);
+  const viewer = await new Viewer(part("viewer"), model).start();
+  let number = 0, isSending = false, isStale = false;
+
+  function fill(values) {
+    for (const [name, value] of Object.entries(values)) {
+      const input = form.elements[name], auto = form.querySelector(`[data-auto=${name}]`);
+      if (name === "slots") for (const box of form.querySelectorAll("[name=slots]")) box.checked = value.includes(box.value);
+      else if (input) input.value = value;
+      if (auto) auto.checked = false;
+    }
+    label();
+  }
+
+  function label() {
+    for (const range of form.querySelectorAll("input[type=range]"))
+      part(`${range.name}-value`).textContent = range.value;
+  }
+
+  function values() {
+    const found = {}, boxes = [...form.querySelectorAll("[name=slots]")];
+    for (const choice of form.querySelectorAll("select")) found[choice.name] = choice.value;
+    for (const range of form.querySelectorAll("input[type=range]"))
+      if (!form.querySelector(`[data-auto=${range.name}]`)?.checked) found[range.name] = Number(range.value);
+    if (boxes.length) found.slots = boxes.filter((box) => box.checked).map((box) => box.value);
+    else if (start.values.slots) found.slots = start.values.slots;
+    return found;
+  }
+
+  // One request is on its way at a time; of those that wait, only the last is sent.
+  async function send() {
+    isStale = true;
+    if (isSending) return;
+    isSending = true;
+    while (isStale) {
+      isStale = false;
+      try {
+        const request = { page, values: values(), layer: viewer.number, focus: viewer.focus(), target: part("target").value };
+        part("viewer").dataset.asked = performance.now();
+        const { command } = await asked("change", request);
+        part("command").textContent = command;
+        number += 1;
+      } catch (error) {
+        part("state").textContent = error.message;
+      }
+    }
+    isSending = false;
+  }
+
+  form.addEventListener("submit", (event) => event.preventDefault());
+  form.addEventListener("input", ({ target }) => {
+    const auto = target.type === "range" && form.querySelector(`[data-auto=${target.name}]`);
+    if (auto) auto.checked = false;
+    label();
+    send();
+  });
+  part("target").addEventListener("change", send);
+  part("viewer").addEventListener("layer", send);
+
+  part("copy").addEventListener("click", async () => {
+    await navigator.clipboard.writeText(part("command").textContent);
+    part("copy").textContent = "Copied";
+    setTimeout(() => { part("copy").textContent = "Copy command"; }, 2000);
+  });
+
+  part("save").addEventListener("submit", async (event) => {
+    event.preventDefault();
+    const button = part("save").querySelector("button");
+    button.disabled = true;
+    part("saved").textContent = "Smoothing the whole, as the command does.";
+    try {
+      const request = { values: values(), target: part("target").value, overwrite: part("overwrite").checked };
+      const { written, warnings } = await asked("save", request);
+      part("saved").textContent = [`Written: ${written.join(", ")}.`, ...warnings].join(" ");
+    } catch (error) {
+      part("saved").textContent = error.message;
+    }
+    button.disabled = false;
+  });
+
+  const shown = {
+    progress: ({ label: what, share }) => {
+      part("state").textContent = `Smoothing the whole: ${what}.`;
+      part("progress").value = share;
+    },
+    preview: async ({ patches, samples, seconds }) => {
+      await viewer.paint(patches);
+      part("viewer").dataset.previews = Number(part("viewer").dataset.previews || 0) + 1;
+      part("viewer").dataset.latency = performance.now() - part("viewer").dataset.asked;
+      part("state").textContent = `Preview of ${samples} samples in the middle, ${seconds.toFixed(2)} s; the whole follows.`;
+    },
+    whole: async ({ patches, used, chosen, notices, number: which }) => {
+      await viewer.paint(patches);
+      part("progress").value = 1;
+      part("state").textContent = "Done.";
+      part("used").innerHTML = used; // escaped where it is made
+      part("notices").replaceChildren(...notices.map((text) => Object.assign(document.createElement("li"), { textContent: text })));
+      for (const [name, value] of Object.entries(chosen)) {
+        const range = form.elements[name];
+        if (range && form.querySelector(`[data-auto=${name}]`)?.checked) range.value = value;
+      }
+      label();
+      part("viewer").dataset.whole = which;
+    },
+    failed: ({ message }) => { part("state").textContent = message; },
+  };
+  const events = new EventSource(`events/${page}`);
+  let last = Promise.resolve();
+  events.addEventListener("message", ({ data }) => {
+    const event = JSON.parse(data);
+    last = last.then(() => shown[event.kind](event));
+  });
+  events.addEventListener("error", () => {
+    events.close();
+    part("state").textContent = "The program has ended; what was saved is kept.";
+    for (const control of document.querySelectorAll("#controls *, #save *")) control.disabled = true;
+  });
+  events.addEventListener("open", () => { fill(start.values); send(); });
+})();

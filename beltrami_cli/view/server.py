@@ -1,0 +1,221 @@
+"""Serves one page to the browsers of this machine: on loopback only, to those who know a random token."""
+
+from __future__ import annotations
+
+import hmac
+import json
+import secrets
+import select
+import socket
+import threading
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from queue import Empty, Queue
+from typing import TYPE_CHECKING, Any, Protocol
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+POLICY = (
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; connect-src 'self'; "
+    "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+)
+_HEADERS = {
+    "Content-Security-Policy": POLICY,
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "DENY",
+    "Referrer-Policy": "no-referrer",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Cache-Control": "no-store",
+}
+_LONGEST_REQUEST = 1 << 16  # bytes
+_BEAT = 0.25  # seconds between looks at whether a page is still there
+_GRACE = 2.0  # seconds in which a page may be loaded again
+
+Events = Queue[dict[str, Any]]
+
+
+class RefusedError(Exception):
+    """A request that cannot be fulfilled, with a sentence for the user."""
+
+
+class Application(Protocol):
+    """What is served."""
+
+    files: Mapping[str, tuple[str, bytes]]
+    """Types and contents by name; "" is the page."""
+
+    def events_of(self, page: str) -> Events:
+        """Return what a page is to be told from now on."""
+
+    def leave(self, page: str) -> None:
+        """Forget a page that was closed."""
+
+    def answer(self, name: str, request: dict[str, Any]) -> dict[str, Any]:
+        """Do what a page asks for; KeyError if there is no such request, RefusedError if it cannot be done."""
+
+
+class PageServer(ThreadingHTTPServer):
+    """A server on a free port of the loopback interface."""
+
+    daemon_threads = True
+
+    def __init__(self, application: Application) -> None:
+        super().__init__(("127.0.0.1", 0), _Handler)
+        self.application = application
+        self.host = f"127.0.0.1:{self.server_address[1]}"
+        self.token, self._ticket = secrets.token_urlsafe(32), secrets.token_urlsafe(32)
+        self._pages, self._lock, self._closing = 0, threading.Lock(), threading.Event()
+        self._left: threading.Timer | None = None
+
+    @property
+    def address(self) -> str:
+        """The address of the page."""
+        return f"http://{self.host}/{self.token}/"
+
+    @property
+    def first_address(self) -> str:
+        """An address that leads to the page once: others can see what a browser is started with."""
+        return f"http://{self.host}/{self._ticket}"
+
+    def takes_ticket(self, given: str) -> bool:
+        """Whether a ticket is the one that is valid, which it is not any more then."""
+        with self._lock:
+            is_valid = hmac.compare_digest(given.encode(), self._ticket.encode())
+            if is_valid:
+                self._ticket = secrets.token_urlsafe(32)
+            return is_valid
+
+    def run(self) -> None:
+        """Serve until the last page is closed."""
+        serving = threading.Thread(target=self.serve_forever, args=(_BEAT,), daemon=True)
+        serving.start()
+        try:
+            while not self._closing.wait(_BEAT):
+                pass
+        finally:
+            self._closing.set()
+            self.shutdown()
+            self.server_close()
+
+    @property
+    def is_closing(self) -> bool:
+        """Whether all connections are to end."""
+        return self._closing.is_set()
+
+    def page_came(self) -> None:
+        """Count a page that is open."""
+        with self._lock:
+            self._pages += 1
+            if self._left is not None:
+                self._left.cancel()
+
+    def page_went(self) -> None:
+        """End some time after the last page is closed, unless it is loaded again."""
+        with self._lock:
+            self._pages -= 1
+            if not self._pages:
+                self._left = threading.Timer(_GRACE, self._closing.set)
+                self._left.daemon = True
+                self._left.start()
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Drop what a browser that went away causes."""
+
+
+class _Handler(BaseHTTPRequestHandler):
+    server: PageServer
+    protocol_version = "HTTP/1.1"
+    timeout = 60
+
+    def log_message(self, *_: Any) -> None:
+        """Print nothing."""
+
+    def version_string(self) -> str:
+        """Say nothing of what serves."""
+        return "beltrami"
+
+    def do_GET(self) -> None:
+        name = self._name()
+        if name is None:
+            self._send(HTTPStatus.NOT_FOUND, "text/plain", b"")
+        elif name.startswith("events/"):
+            self._stream(name.removeprefix("events/"))
+        elif name in self.server.application.files:
+            self._send(HTTPStatus.OK, *self.server.application.files[name])
+        else:
+            self._send(HTTPStatus.NOT_FOUND, "text/plain", b"")
+
+    def do_POST(self) -> None:
+        name, length = self._name(), self.headers.get("Content-Length", "")
+        if name is None or not self.headers.get("Origin") or not length.isdecimal():
+            self._send(HTTPStatus.NOT_FOUND, "text/plain", b"")
+            return
+        if int(length) > _LONGEST_REQUEST:
+            self._send(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, "text/plain", b"")
+            return
+        try:
+            status, answer = HTTPStatus.OK, self._answer(name, self.rfile.read(int(length)))
+        except RefusedError as error:
+            status, answer = HTTPStatus.CONFLICT, {"message": str(error)}
+        except (KeyError, ValueError, TypeError):
+            status, answer = HTTPStatus.BAD_REQUEST, {"message": "the request is not understood"}
+        self._send(status, "application/json", json.dumps(answer).encode())
+
+    def _answer(self, name: str, body: bytes) -> dict[str, Any]:
+        request = json.loads(body)
+        if not isinstance(request, dict):
+            raise TypeError
+        return self.server.application.answer(name, request)
+
+    def _name(self) -> str | None:
+        """Return what is asked for; None to those who may not ask, who learn nothing."""
+        origin, site = self.headers.get("Origin"), self.headers.get("Sec-Fetch-Site", "none")
+        if self.headers.get("Host") != self.server.host or origin not in (None, f"http://{self.server.host}"):
+            return None
+        token, slash, name = self.path.removeprefix("/").partition("/")
+        if not slash and self.server.takes_ticket(token):
+            self._send(HTTPStatus.SEE_OTHER, "text/plain", b"", {"Location": f"/{self.server.token}/"})
+            raise ConnectionAbortedError
+        if not slash or not hmac.compare_digest(token.encode(), self.server.token.encode()):
+            return None
+        return name if not name or site in ("same-origin", "none") else None
+
+    def _send(
+        self, status: HTTPStatus, kind: str, body: bytes, more: Mapping[str, str] | None = None
+    ) -> None:
+        self.send_response(status)
+        headers = {**_HEADERS, "Content-Type": kind, "Content-Length": str(len(body)), **(more or {})}
+        if status != HTTPStatus.OK:
+            headers["Connection"] = "close"
+        for name, value in headers.items():
+            self.send_header(name, value)
+        self.end_headers()
+        self.wfile.write(body)
+
+    def _stream(self, page: str) -> None:
+        """Send events to a page until it is closed."""
+        self.close_connection = True
+        events = self.server.application.events_of(page)
+        self.server.page_came()
+        self.send_response(HTTPStatus.OK)
+        for name, value in {**_HEADERS, "Content-Type": "text/event-stream", "Connection": "close"}.items():
+            self.send_header(name, value)
+        try:
+            self.end_headers()
+            while not self.server.is_closing and not self._is_gone():
+                try:
+                    event = events.get(timeout=_BEAT)
+                except Empty:
+                    continue
+                self.wfile.write(f"data: {json.dumps(event)}\n\n".encode())
+        except OSError:
+            pass
+        finally:
+            self.server.application.leave(page)
+            self.server.page_went()
+
+    def _is_gone(self) -> bool:
+        ready, _, _ = select.select([self.connection], [], [], 0)
+        return bool(ready) and not self.connection.recv(1, socket.MSG_PEEK)

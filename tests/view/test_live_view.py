@@ -1,0 +1,286 @@
+"""`beltrami view`: a page that smooths, for those who may see it only, and what it saves."""
+
+from __future__ import annotations
+
+import contextlib
+import http.client
+import re
+import shlex
+import shutil
+import signal
+import subprocess
+import time
+from dataclasses import replace
+
+import click
+import numpy as np
+import pytest
+
+from beltrami_cli.cli import options, smooth
+from beltrami_cli.flow.parameters import KernelParameters
+from beltrami_cli.formats.access import EVERYTHING_INSIDE
+from beltrami_cli.formats.image import read_image
+from beltrami_cli.jobs.documents import open_input
+from beltrami_cli.jobs.job import PLAIN_JOB
+from beltrami_cli.jobs.recolour import recolour_in_memory
+from beltrami_cli.jobs.smoothing import Smoothing
+from beltrami_cli.samples.settings import DEFAULTS
+from beltrami_cli.view.controls import given_values, plain_settings, settings_from
+from beltrami_cli.view.models import displayed_colours, displayed_pixels
+from beltrami_cli.view.preview import Focus, Previewer
+from cli.commands import COMMAND, SAMPLES, beltrami
+from cli.pictures import textured_square
+from view.browsing import WIDTHS, Viewer
+
+NOISY = SAMPLES / "nonmanifold-noisy.ply"
+
+
+class Served:
+    """A running `beltrami view`, with the address of its page."""
+
+    def __init__(self, source, folder, *arguments):
+        command = [*COMMAND, "view", source, "--no-open", *arguments]
+        self.process = subprocess.Popen(command, cwd=folder, stderr=subprocess.PIPE, text=True)
+        self.address = re.search(r"http://\S+", self.process.stderr.readline())[0]
+        self.host, self.token = self.address.removeprefix("http://").strip("/").split("/")
+
+    def ask(self, path, method="GET", body=None, **headers):
+        connection = http.client.HTTPConnection(self.host, timeout=10)
+        with contextlib.closing(connection):
+            connection.request(method, path, body, {"Host": self.host, **headers})
+            answer = connection.getresponse()
+            return answer.status, answer.read()
+
+    def end(self):
+        """End it as Ctrl-C does; return its exit code."""
+        self.process.send_signal(signal.SIGINT)
+        try:
+            return self.process.wait(timeout=20)
+        finally:
+            self.process.stderr.close()
+
+
+@pytest.fixture
+def served(tmp_path):
+    running = []
+
+    def start(source, *arguments):
+        running.append(Served(source, tmp_path, *arguments))
+        return running[-1]
+
+    yield start
+    for each in running:
+        if each.process.poll() is None:
+            each.process.kill()
+            each.process.wait()
+        each.process.stderr.close()
+
+
+class Live(Viewer):
+    """The page in a browser."""
+
+    def data(self, name):
+        return self.page.locator("#viewer").get_attribute(f"data-{name}")
+
+    def wait_for(self, name, before=None):
+        """Wait until something of the page is there, or another than before."""
+        end = time.monotonic() + 60
+        while self.data(name) in (None, before):
+            assert time.monotonic() < end, self.page.locator("#state").inner_text()
+            self.page.wait_for_timeout(20)
+        return self.data(name)
+
+    def slide(self, name, value):
+        self.page.locator(f"#{name}").fill(str(value))
+
+    def roughness(self):
+        """How much neighbouring pixels in the middle of the view differ."""
+        shot = read_image(self.part("place").screenshot(), "").pixels.astype(float)
+        height, width = shot.shape[:2]
+        middle = shot[height // 2 - 40 : height // 2 + 40, width // 2 - 40 : width // 2 + 40, :3]
+        return float(np.abs(np.diff(middle, axis=1)).mean())
+
+
+@pytest.mark.slow
+def test_only_those_with_the_token_and_from_its_own_origin_get_anything(served):
+    live = served(NOISY)
+    own, body = f"http://{live.host}", '{"page": "x", "values": {}}'
+    assert live.ask(f"/{live.token}/")[0] == 200
+    nothing = (404, b"")
+    assert live.ask("/") == nothing
+    assert live.ask("/model.json") == nothing
+    assert live.ask(f"/{live.token}") == nothing
+    assert live.ask(f"/{live.token[:-1]}x/model.json") == nothing
+    assert live.ask(f"/{live.token}/../../etc/passwd") == nothing
+    assert live.ask(f"/{live.token}/model.json", Host="evil.example") == nothing
+    assert live.ask(f"/{live.token}/model.json", Origin="http://evil.example") == nothing
+    assert live.ask(f"/{live.token}/model.json", **{"Sec-Fetch-Site": "cross-site"}) == nothing
+    assert live.ask(f"/{live.token}/save", "POST", body) == nothing
+    assert live.ask(f"/{live.token}/save", "POST", body, Origin="null") == nothing
+    assert live.ask(f"/{live.token}/other", "POST", body, Origin=own)[0] == 400
+    assert live.ask(f"/{live.token}/change", "POST", "[]", Origin=own)[0] == 400
+    assert live.end() == 130
+
+
+@pytest.mark.slow
+def test_a_change_arrives_and_closing_the_page_ends_the_program(browser, served):
+    live = served(NOISY)
+    viewer = Live(browser, live.address)
+    viewer.page.get_by_label("after", exact=True).check()
+    first = viewer.wait_for("whole")
+    smooth_one = viewer.roughness()
+    viewer.slide("iterations", 1)
+    viewer.slide("beta", 40)
+    viewer.wait_for("whole", first)
+    rough = viewer.roughness()
+    assert smooth_one < 0.8 * rough
+    viewer.page.keyboard.press("b")
+    assert viewer.roughness() > rough
+    assert viewer.page.locator("#command").inner_text().endswith("-n 1 --beta 40")
+    assert viewer.errors == []
+    viewer.page.close()
+    assert live.process.wait(timeout=15) == 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["nonmanifold-noisy.ply", "mirrored-noisy.obj", "scan-noisy.jpg"])
+def test_previews_are_of_the_kernel_and_come_before_the_whole(browser, served, name):
+    live = served(SAMPLES / name)
+    viewer = Live(browser, live.address)
+    viewer.page.get_by_label("after", exact=True).check()
+    viewer.wait_for("whole")
+    before = viewer.data("previews")
+    viewer.slide("beta", 0)
+    viewer.wait_for("previews", before)
+    viewer.page.wait_for_timeout(50)
+    assert viewer.errors == []
+
+
+@pytest.mark.slow
+def test_what_is_saved_is_what_smooth_writes_with_its_refusals(browser, served, tmp_path):
+    for name in ("mirrored-noisy.obj", "mirrored-noisy.mtl", "mirrored-noisy.png"):
+        shutil.copy(SAMPLES / name, tmp_path)
+    live = served("mirrored-noisy.obj")
+    viewer = Live(browser, live.address)
+    viewer.slide("iterations", 2)
+    viewer.slide("beta", 9)
+    target, save = viewer.page.locator("#target"), viewer.page.get_by_role("button", name="Save", exact=True)
+    target.fill("saved.obj")
+    target.press("Tab")
+    save.click()
+    viewer.page.wait_for_selector("#saved:has-text('Written')", timeout=60_000)
+    words = shlex.split(viewer.page.locator("#command").inner_text())
+    assert words[:4] == ["beltrami", "smooth", "mirrored-noisy.obj", "saved.obj"]
+    other = tmp_path / "other"
+    other.mkdir()
+    for name in ("mirrored-noisy.obj", "mirrored-noisy.mtl", "mirrored-noisy.png"):
+        shutil.copy(SAMPLES / name, other)
+    run = beltrami(*words[1:], cwd=other)
+    assert run.returncode == 0, run.stderr
+    written = sorted(path.name for path in other.iterdir())
+    assert written == sorted(path.name for path in tmp_path.iterdir() if path.is_file())
+    assert all((other / name).read_bytes() == (tmp_path / name).read_bytes() for name in written)
+    save.click()
+    refused = beltrami(*words[1:], cwd=other).stderr.decode().strip().removeprefix("beltrami: ")
+    viewer.page.locator("#saved", has_text=refused).wait_for(timeout=30_000)
+
+
+@pytest.mark.slow
+def test_two_pages_are_apart_and_learn_that_the_program_was_killed(browser, served):
+    live = served(NOISY)
+    one, other = Live(browser, live.address), Live(browser, live.address)
+    one.wait_for("whole")
+    shown = other.wait_for("whole")
+    one.slide("beta", 3)
+    one.wait_for("whole", one.data("whole"))
+    assert "--beta 3" in one.page.locator("#command").inner_text()
+    assert "--beta" not in other.page.locator("#command").inner_text()
+    assert other.data("whole") == shown
+    one.page.close()
+    other.slide("beta", 5)
+    other.wait_for("whole", shown)
+    live.process.kill()
+    other.page.locator("#state", has_text="has ended").wait_for(timeout=15_000)
+    assert other.page.locator("#beta").is_disabled()
+
+
+@pytest.mark.slow
+def test_the_page_fits_names_stay_text_and_nothing_bars_anybody(browser, served, tmp_path):
+    source = textured_square(tmp_path / "<b onclick=alert(1)>&amp;.obj", np.full((2, 2, 3), 90))
+    live = served(source.name)
+    for width in WIDTHS:
+        viewer = Live(browser, live.address, width=width, color_scheme="dark" if width == 768 else "light")
+        viewer.wait_for("whole")
+        assert viewer.page.locator("h1").inner_text() == source.name
+        assert viewer.page.locator("main b").count() == 0
+        assert viewer.overflow() <= 0
+        assert viewer.violations() == []
+        assert viewer.errors == []
+
+
+def parsed(words):
+    """Return the settings that `smooth` makes of options."""
+    with smooth.command.make_context("smooth", ["in", "out", *words]) as context, context:
+        assert click.get_current_context() is context
+        return options.settings_from(context.params)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "",
+        "-n 5 -t 2.4 --beta 7.5",
+        "--preset paper --beta 3",
+        "--preset paper -n 4",
+        "--strength gentle --patches off --window 9",
+        "--slots baseColor,normal --gutter keep --space linear --fast",
+        "--material 'a b' --material c --metric-channels none --channels r,g",
+        "--guide normal --guide-beta 3.0 --smooth-geometry --texture-format png",
+    ],
+)
+def test_the_command_gives_the_settings_that_it_was_made_of(words):
+    settings, preset = parsed(shlex.split(words)), "paper" if "paper" in words else None
+    assert parsed(options.words_of(settings, preset)) == settings
+    assert settings_from(plain_settings(settings), given_values(settings)) == settings
+
+
+def test_controls_that_are_let_go_are_chosen_again():
+    plain = plain_settings(parsed(["-n", "5", "--beta", "3"]))
+    assert settings_from(plain, {"slots": ["baseColor"]}) == DEFAULTS
+
+
+def middle(kind, document):
+    """Return where somebody looks who looks at the middle from the front, or at the middle of an image."""
+    if kind == "image":
+        return Focus(np.array([0.5, 0.5, 0.0]))
+    positions = document.painted().positions if kind is None else document.textured(kind).positions
+    low, high = positions.min(axis=0), positions.max(axis=0)
+    return Focus((low + high) / 2 + [0, 0, 3 * (high - low).max()], np.array([0.0, 0, -1]))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "slot", "budget"),
+    [
+        ("knot-noisy.ply", None, 2000),
+        ("head-tex-noisy.glb", "baseColor", 20_000),
+        ("scan-noisy.jpg", "image", 40_000),
+    ],
+)
+def test_most_of_a_preview_is_what_the_whole_becomes(name, slot, budget):
+    kernel = KernelParameters(iterations=2, t=1.0, beta=8.0, metric_steps=1)
+    settings = replace(DEFAULTS, kernel=kernel)
+    document = open_input(str(SAMPLES / name), settings, EVERYTHING_INSIDE)
+    previewer = Previewer(document, None if slot == "image" else slot)
+    patches = previewer.smooth(settings, middle(slot, document), budget, None)
+    assert budget / 4 < sum(len(patch.rows) for patch in patches) < 2 * budget
+    whole = recolour_in_memory(document, settings, Smoothing(settings), PLAIN_JOB)
+    for patch in patches:
+        if slot is None:
+            expected, one = displayed_colours(whole.painted())[patch.rows], 257
+        else:
+            data = whole.data if slot == "image" else whole.textured(slot).textures[patch.texture].data
+            expected, one = displayed_pixels(read_image(data, name))[patch.rows, patch.columns], 1
+        off = np.abs(patch.colours.astype(int) - expected).max(axis=1) / one
+        # JPEG stores less than what is shown; the outermost samples lack what lies beyond.
+        assert np.mean(off <= (4 if slot == "image" else 1)) > 0.7
