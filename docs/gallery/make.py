@@ -16,6 +16,7 @@ from pathlib import Path
 HERE = Path(__file__).resolve().parent
 PAGE = HERE.parent / "gallery.md"
 SAMPLES = HERE.parents[1] / "sample_data"
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 
 
 def main(arguments: list[str]) -> int:
@@ -30,10 +31,46 @@ def main(arguments: list[str]) -> int:
         for command in commands(text):
             words = shlex.split(command, comments=True)
             print(command)
-            subprocess.run([sys.executable, "-m", "beltrami_cli", *words[1:]], cwd=folder, check=True)
+            call = [sys.executable, "-m", "beltrami_cli", *words[1:]]
+            if words[1] == "view":
+                take_live(call, folder)
+                continue
+            subprocess.run(call, cwd=folder, check=True)
+            for page in (Path(folder) / word for word in words if word.endswith(".html")):
+                take(page.as_uri(), page.with_suffix(".png"), "main")
         for name in re.findall(r"\(gallery/([^)]+)\)", text):
-            shutil.copy(Path(folder) / name, kept)
+            if (Path(folder) / name).exists() or CHROMIUM:
+                shutil.copy(Path(folder) / name, kept)
     return 0
+
+
+def take_live(call: list[str], folder: str) -> None:
+    """Take a picture of the live view, when all is smoothed."""
+    running = subprocess.Popen([*call, "--no-open"], cwd=folder, stderr=subprocess.PIPE, text=True)
+    try:
+        address = re.search(r"http://\S+", running.stderr.readline())
+        take(address[0], Path(folder) / "view.png", "#viewer[data-whole]")
+    finally:
+        running.terminate()
+        running.wait()
+
+
+def take(address: str, picture: Path, ready: str) -> None:
+    """Take a picture of a page in Chromium, when a part of it is there; without Chromium the old one is kept."""
+    if CHROMIUM is None:
+        print(f"there is no Chromium, so {picture.name} stays as it is")
+        return
+    from playwright.sync_api import sync_playwright
+
+    flags = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+    with sync_playwright() as running:
+        browser = running.chromium.launch(executable_path=CHROMIUM, args=flags)
+        page = browser.new_page(viewport={"width": 1280, "height": 900})
+        page.goto(address)
+        page.wait_for_selector(ready, timeout=120_000)
+        page.wait_for_timeout(1000)  # until the models are drawn
+        page.screenshot(path=picture)
+        browser.close()
 
 
 def commands(page: str) -> list[str]:
