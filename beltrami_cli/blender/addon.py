@@ -44,8 +44,6 @@ class Run:
         self._temporary = tempfile.TemporaryDirectory(prefix="beltrami-")
         folder = Path(self._temporary.name)
         try:
-            if item.mode != "OBJECT":
-                item.update_from_editmode()
             kind = exchange.ColourAttribute if values.target == "COLOURS" else exchange.ImageTextures
             self.exchange = kind(item, folder)
             arguments = parameters.arguments(values)
@@ -83,7 +81,7 @@ class Run:
         try:
             if self.process.returncode:
                 raise exchange.ExchangeError(said[-1] if said else "beltrami failed")
-            before = self.exchange.take()
+            before = self._taken()
             for name, pixels in (before or {}).items():
                 _remember(bpy.data.images[name], pixels)
             if self._saves:
@@ -96,6 +94,12 @@ class Run:
         for file in ("in.ply", "out.ply"):
             said = [line.replace(str(folder / file), self._name) for line in said]
         return said
+
+    def _taken(self):
+        try:
+            return self.exchange.take()
+        except (KeyError, RuntimeError, TypeError, ValueError) as error:
+            raise exchange.ExchangeError(f"{self._name} was changed meanwhile ({error})") from error
 
     def end(self):
         """Stop the process, if need be, and remove the files."""
@@ -148,7 +152,11 @@ class OBJECT_OT_beltrami_smooth(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context):
-        return context.active_object is not None and context.active_object.type == "MESH"
+        item = context.active_object
+        if item is not None and item.mode == "EDIT":
+            cls.poll_message_set("Leave edit mode first")
+            return False
+        return item is not None and item.type == "MESH"
 
     def invoke(self, context, event):
         try:

@@ -344,6 +344,19 @@ def test_what_cannot_be_done_is_said_and_changes_nothing(scene):
     np.testing.assert_array_equal(of_image(image), before)
 
 
+def test_what_is_gone_when_the_result_comes_is_said(scene, extension):
+    item = painted_sphere()
+    choose(scene, "COLOURS", **SMALL_STEPS)
+    run = extension.Run(bpy.context)
+    item.data.color_attributes.remove(item.data.color_attributes["paint"])
+    run.process.wait()
+    with pytest.raises(extension.exchange.ExchangeError, match="was changed meanwhile"):
+        run.finish()
+    assert not Path(run._temporary.name).exists()
+    bpy.ops.object.mode_set(mode="EDIT")
+    assert not bpy.ops.object.beltrami_smooth.poll()
+
+
 def test_blender_installs_it_and_it_names_what_cannot_be_started(written):
     bpy.ops.wm.read_factory_settings(use_empty=True)
     bpy.ops.preferences.addon_enable(module="bl_pkg")

@@ -1,4 +1,5 @@
 // Prints what the asset auditor of Khronos finds unfit in glTF files, as JSON: a list of names, in the order of the files.
+// Null stands for a file that it does not read.
 // Called with the folder in which the package is installed, and the files.
 import fs from "fs";
 import path from "path";
@@ -17,6 +18,7 @@ async function failures(file) {
     .filter((each) => !/\.(gltf|glb)$/.test(each) && fs.statSync(each).isFile());
   const auditor = new Auditor();
   await auditor.schema.loadFromFileSystem(schema);
+  auditor.schema.requireNotOverlappingUVs.value = false; // slow, and triangles stay what they are
   await auditor.model.loadFromFileSystem(file.endsWith(".glb") ? [file] : [file, ...beside]);
   auditor.generateReport();
   return auditor.report.getItems().filter((item) => item.tested && !item.pass).map((item) => item.name);
@@ -24,7 +26,7 @@ async function failures(file) {
 
 const all = [];
 for (const file of files) {
-  all.push(await failures(file).catch((error) => [`not read: ${error?.message ?? error}`]));
+  all.push(await failures(file).catch(() => null)); // Draco among them, for which it wants a browser
 }
 print(JSON.stringify(all));
 process.exit(0);
