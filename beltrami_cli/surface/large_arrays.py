@@ -62,17 +62,17 @@ def zeros(shape: int | Sequence[int], dtype: DTypeLike) -> Array:
     return np.zeros(shape, dtype) if found is None else found
 
 
-def empty(shape: int | Sequence[int], dtype: DTypeLike) -> Array:
+def empty(shape: int | Sequence[int], dtype: DTypeLike, smallest: int | None = None) -> Array:
     """Return an array whose values mean nothing yet, like `numpy.empty`; ProcessingError as for `zeros`."""
-    found = _on_disk(shape, dtype)
+    found = _on_disk(shape, dtype, smallest)
     return np.empty(shape, dtype) if found is None else found
 
 
-def _on_disk(shape: int | Sequence[int], dtype: DTypeLike) -> Array | None:
+def _on_disk(shape: int | Sequence[int], dtype: DTypeLike, smallest: int | None = None) -> Array | None:
     disk = _DISK.get()
     shape = (shape,) if isinstance(shape, int) else tuple(shape)
     size = math.prod(shape) * np.dtype(dtype).itemsize
-    if disk is None or size < SMALLEST_FILE:
+    if disk is None or size < (SMALLEST_FILE if smallest is None else smallest):
         return None
     import tempfile
 
@@ -93,9 +93,9 @@ def _on_disk(shape: int | Sequence[int], dtype: DTypeLike) -> Array | None:
     return np.frombuffer(pages, dtype).reshape(shape)
 
 
-def copy_of(array: Array) -> Array:
-    """Return a copy of an array, made block by block."""
-    copy = empty(array.shape, array.dtype)
+def copy_of(array: Array, smallest: int | None = None) -> Array:
+    """Return a copy of an array, made block by block; where there are many, small ones belong into files, too."""
+    copy = empty(array.shape, array.dtype, smallest)
     source, target = array.reshape(-1), copy.reshape(-1)
     for block in blocks(len(source)):
         target[block] = source[block]

@@ -56,7 +56,18 @@ def test_the_list_of_commands_loads_no_command():
 
 
 def test_the_commands_with_many_options_have_them_in_groups():
-    assert set(LONG) == {"batch", "compare", "info", "kernel", "level", "noise", "render", "smooth", "sweep", "view"}
+    assert set(LONG) == {
+        "batch",
+        "compare",
+        "info",
+        "kernel",
+        "level",
+        "noise",
+        "render",
+        "smooth",
+        "sweep",
+        "view",
+    }
     assert {"Textures", "Images", "Level sets"} < set(groups_of("smooth"))
 
 

@@ -39,6 +39,7 @@ from formats.usd_files import (
     write,
 )
 
+pytestmark = pytest.mark.slow
 PICTURE = encode(painting(), "png")
 POINTS, _, QUADS = sheet()
 
@@ -388,3 +389,19 @@ def test_without_usd_core_the_way_to_install_it_is_said(scan, tmp_path):
     )  # fmt: skip
     assert done.returncode == 3
     assert "pip install 'beltrami-cli[usd]'" in done.stderr
+
+
+def test_an_image_that_is_shown_twice_is_named_once_in_the_root(tmp_path):
+    glowing = material_text("a.png").replace(
+        "            float inputs:roughness",
+        "            color3f inputs:emissiveColor.connect = </scan/skin/diffuse.outputs:rgb>\n"
+        "            float inputs:roughness",
+    )
+    base = scene(mesh_text(BOUND), glowing)
+    write(
+        tmp_path,
+        {"a.usda": "#usda 1.0\n( subLayers = [@./base.usda@] )\n", "base.usda": base, "a.png": PICTURE},
+    )
+    smooth_file(tmp_path / "a.usda", tmp_path / "b.usda", GIVEN, slots=("baseColor", "emissive"))
+    assert (tmp_path / "b.usda").read_text().count("@./b.png@") == 1
+    assert check_files(tmp_path / "a.usda", tmp_path / "b.usda").faithful

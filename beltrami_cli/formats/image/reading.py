@@ -35,6 +35,7 @@ _COMPRESSIONS_OF_TIFF = ("", "none", "lzw", "zip", "packbits")  # that OpenImage
 _WHOLE_BYTES = (8, 16, 32)
 # PNG and JPEG files have their size before their pixels, mostly in this many bytes, so that not all of them are copied.
 _SIZE_FIRST, _HEAD = (b"\x89PNG", b"\xff\xd8\xff"), 1 << 16
+_SMALLEST_FILE = 1 << 18  # bytes of pixels in a file: a model may have a hundred images (tiles)
 _UNNAMED = "an image"
 _EXPORT = "export it as RGB or grey with 8 or 16 bits, or as floats"
 
@@ -133,7 +134,7 @@ def _decoded(data: bytes, name: str, finite: bool) -> Picture:
             raise _damaged(name, known, error, path)
         notices = _changes(file, spec, data, known, name)
     if is_on_disk():
-        pixels = copy_of(pixels)
+        pixels = copy_of(pixels, _SMALLEST_FILE)
     pixels = pixels.reshape(spec.height, spec.width, spec.nchannels)
     if pixels.dtype.kind == "f":
         pixels = pixels.astype(np.float32)

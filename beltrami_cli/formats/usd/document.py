@@ -52,6 +52,7 @@ class UsdDocument(Document):
         self, data: bytes, name: str, folder: Path | None, access: Access = EVERYTHING_INSIDE
     ) -> None:
         super().__init__(data, name, folder, access)
+        self._compared = False  # whether the scene is read for that
         self._made: dict[tuple[str, tuple[tuple[str, str], ...]], bytes] = {}
         self._layers = Layers.of(data, name, folder, access)
         is_package = self._layers.package is not None
@@ -60,7 +61,7 @@ class UsdDocument(Document):
 
     @cached_property
     def _scene(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-        words, arrays = self._layers.scene()
+        words, arrays = self._layers.scene(text=self._compared)
         counts = words["counts"]
         self.notices += [sentence.format(n) for key, sentence in _COUNTS.items() if (n := counts.get(key))]
         self.notices += [
@@ -243,9 +244,12 @@ class UsdDocument(Document):
         return [*others, *(["node hierarchy"] if len(words["meshes"]) > 1 else [])]
 
     def fingerprint(self) -> Fingerprint:
-        order = {"task": "fingerprint", "blocks": self._words["blocks"], "uses": self._words["uses"]}
-        root = self._layers.root
-        parts = {"root layer": self._layers.ask(order, {})[0]["text"].encode()}
+        self._compared = True
+        words, root = self._words, self._layers.root
+        if "text" not in words:
+            order = {"task": "fingerprint", "blocks": words["blocks"], "uses": words["uses"]}
+            words["text"] = self._layers.ask(order, {})[0]["text"]
+        parts = {"root layer": words["text"].encode()}
         parts |= {f"layer {name}": data for name, data in self._layers.contents.items() if name != root}
         shown = set(self._textures.files())
         package = self._layers.package

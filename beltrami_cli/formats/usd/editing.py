@@ -50,6 +50,8 @@ def read(order: dict[str, Any], _: Arrays) -> tuple[dict[str, Any], Arrays]:
         "unit": float(UsdGeom.GetStageMetersPerUnit(stage)),
         "variants": _variants(stage),
     }
+    if order.get("text"):
+        words["text"] = _without_colours(stage, words)
     return words, scene.joined()
 
 
@@ -146,25 +148,29 @@ def _exported(layer: Any, suffix: str) -> NDArray[np.uint8]:
 def fingerprint(order: dict[str, Any], _: Arrays) -> tuple[dict[str, Any], Arrays]:
     """Return the text of the root layer without colours and names of images."""
     stage = opened(order["root"], order["layers"], order["refused"])
+    return {"text": _without_colours(stage, order)}, {}
+
+
+def _without_colours(stage: Any, words: dict[str, Any]) -> str:
     bare = Sdf.Layer.CreateAnonymous(".usda")
     bare.TransferContent(stage.GetRootLayer())
-    paths = [use["attribute"] for use in order["uses"]]
-    for block in order["blocks"]:
+    paths = [use["attribute"] for use in words["uses"]]
+    for block in words["blocks"]:
         primvar = UsdGeom.Primvar(stage.GetAttributeAtPath(block["attribute"]))
-        paths += [
-            block["attribute"],
-            *([str(primvar.GetIndicesAttr().GetPath())] if primvar.IsIndexed() else []),
-        ]
-    for path in paths:
+        indices = [str(primvar.GetIndicesAttr().GetPath())] if primvar.IsIndexed() else []
+        paths += [block["attribute"], *indices]
+    for path in dict.fromkeys(paths):
         for spec in stage.GetAttributeAtPath(path).GetPropertyStack():
             if spec.layer == stage.GetRootLayer():
                 _empty(bare, spec.path)
-    return {"text": bare.ExportToString()}, {}
+    return str(bare.ExportToString())
 
 
 def _empty(layer: Any, path: Any) -> None:
     """Take the value out of a property; one in an override goes, with overrides that hold nothing else."""
     spec = layer.GetPropertyAtPath(path)
+    if spec is None:  # an instance has it as well
+        return
     owner = spec.owner
     spec.ClearInfo("default")
     while owner and owner.path.IsPrimPath() and owner.specifier == Sdf.SpecifierOver:

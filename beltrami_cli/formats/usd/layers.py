@@ -62,10 +62,10 @@ class Layers:
         root = _UNFIT.sub("_", Path(name).stem).strip(". ") + suffix
         return cls(name, access, None, beside, root, {root: data})
 
-    def scene(self) -> Answer:
-        """Read the scene, with all layers that it needs."""
+    def scene(self, *, text: bool = False) -> Answer:
+        """Read the scene, with all layers that it needs; `text`: with what `fingerprint` gives."""
         while True:
-            words, arrays = self.ask({"task": "read"}, {})
+            words, arrays = self.ask({"task": "read", "text": text}, {})
             if "needs" not in words:
                 return words, arrays
             for layer, path in words["needs"]:
