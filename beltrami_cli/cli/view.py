@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import shlex
+import sys
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -61,4 +63,5 @@ def command(source: str, no_open: bool, messages: Messages, **smoothing: Any) ->
                 webbrowser.open(server.first_address)
             server.run()
         finally:
-            live.close()
+            if not live.close():  # threads of the core would end the process with an abort
+                os._exit(0 if sys.exc_info()[0] is None else 130)

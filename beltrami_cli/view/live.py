@@ -23,25 +23,17 @@ import numpy as np
 
 from beltrami_cli.errors import BeltramiError, UsageError
 from beltrami_cli.formats.image import WRITABLE
-from beltrami_cli.formats.image.document import ImageDocument
-from beltrami_cli.formats.image.reading import pictures_kept, read_image
+from beltrami_cli.formats.image.reading import pictures_kept
 from beltrami_cli.formats.registry import OUTPUT_FORMATS
 from beltrami_cli.jobs.documents import open_input
 from beltrami_cli.jobs.recolour import recolour_in_memory
 from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.jobs.smoothing import Smoothing, make_report
 from beltrami_cli.samples.selection import select
-from beltrami_cli.surface.records import Texture
 from beltrami_cli.view.controls import controls, given_values, plain_settings, settings_from
-from beltrami_cli.view.models import (
-    ModelPacker,
-    displayed_colours,
-    displayed_pixels,
-    packed_array,
-    source_of,
-)
+from beltrami_cli.view.layers import Layers
 from beltrami_cli.view.pages import asset, viewer
-from beltrami_cli.view.preview import Focus, Patch, Previewer
+from beltrami_cli.view.preview import Focus, Previewer
 from beltrami_cli.view.server import Events, RefusedError
 from beltrami_cli.view.used_parameters import used_parameters
 from beltrami_cli.view.views import image_files
@@ -49,12 +41,10 @@ from beltrami_cli.view.views import image_files
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from numpy.typing import NDArray
-
-    from beltrami_cli.formats.document import Document
     from beltrami_cli.jobs.job import Job
+    from beltrami_cli.jobs.smoothing import SmoothReport
     from beltrami_cli.samples.settings import SmoothSettings
-    from beltrami_cli.surface.records import Slot
+    from beltrami_cli.view.layers import Shown
 
     Command = Callable[[SmoothSettings, str], str]
 
@@ -63,8 +53,8 @@ _WAIT = 0.35  # seconds without a change after which the whole is smoothed
 _WANTED = 0.15  # seconds that a preview may take, beside sending and drawing it
 _FIRST_RATE = 4e5  # samples times iterations a second, before any preview was timed
 _LEAST, _MOST = 2_000, 400_000  # samples of a preview
+_PATIENCE = 1.0  # seconds in which work ends
 _LOW = 10  # priority: previews go first
-_QUICK = 1  # of zlib
 _REACH = 32  # 255ths that are shown brightest first
 
 
@@ -72,7 +62,7 @@ class SupersededError(Exception):
     """Somebody wants something else by now."""
 
 
-@dataclass
+@dataclass(eq=False)
 class _Page:
     """What a page asked for last, and what it shows."""
 
@@ -84,8 +74,7 @@ class _Page:
     asked: float = 0.0
     previewed: int = 0
     done: int = 0
-    # Pixels as they are shown, by layer and texture; those that are absent are the document's own.
-    shown: dict[tuple[int, int], NDArray[np.uint8]] = field(default_factory=dict)
+    shown: Shown = field(default_factory=dict)
     chosen: dict[str, float] = field(default_factory=dict)
     chosen_by: str = ""  # the strength
 
@@ -100,12 +89,12 @@ class Live:
         self._plain = plain_settings(settings)
         self._document = open_input(source, settings, job.access)
         select(self._document, settings)  # raises if nothing is coloured
-        self._layers = _layers(self._document)
+        self._layers = Layers(self._document)
         self._previewers: dict[int, Previewer] = {}
-        self._boxes: dict[int, tuple[NDArray[np.float64], float]] = {}  # lowest corners and longest sides
         self._rate = _FIRST_RATE
         self._pages: dict[str, _Page] = {}
         self._changed, self._is_over, self._previews = threading.Condition(), False, 0
+        self._saving = threading.Lock()
         self.files: Mapping[str, tuple[str, bytes]] = self._pack(settings)
         self._threads = [
             threading.Thread(target=work, daemon=True) for work in (self._preview_all, self._smooth_all)
@@ -113,14 +102,16 @@ class Live:
         for thread in self._threads:
             thread.start()
 
-    def close(self) -> None:
-        """End all work."""
+    def close(self) -> bool:
+        """End all work; return whether it has ended, which the choice of parameters does not do at once."""
         with self._changed:
             self._is_over = True
             self._pages.clear()
             self._changed.notify_all()
         for thread in self._threads:
-            thread.join(timeout=5)
+            thread.join(timeout=_PATIENCE)
+        has_saved = self._saving.acquire(timeout=_PATIENCE)
+        return has_saved and not any(thread.is_alive() for thread in self._threads)
 
     def events_of(self, page: str) -> Events:
         """Return what a page is to be told."""
@@ -146,11 +137,26 @@ class Live:
                 return {"command": command}
             if target == "-":
                 raise UsageError("the output must be a file, since the page cannot show it")
-            job = dataclasses.replace(self._job, overwrite=bool(request["overwrite"]))
-            report = smooth_file(self._source, target, settings, job)
+            report = self._save(settings, target, overwrite=bool(request["overwrite"]))
         except BeltramiError as error:
             raise RefusedError(str(error)) from error
         return {"written": report.written, "warnings": report.warnings, "command": command}
+
+    def _save(self, settings: SmoothSettings, target: str, *, overwrite: bool) -> SmoothReport:
+        """Do what `smooth` does, one after the other; at the end of the program nothing half done is left."""
+
+        def progress(*_: object) -> None:
+            if self._is_over:
+                raise SupersededError
+
+        with self._saving:
+            progress()
+            return smooth_file(
+                self._source,
+                target,
+                settings,
+                dataclasses.replace(self._job, overwrite=overwrite, progress=progress),
+            )
 
     def _take(self, name: str, settings: SmoothSettings, layer: int, focus: dict[str, Any] | None) -> None:
         found = None
@@ -164,17 +170,11 @@ class Live:
             self._changed.notify_all()
 
     def _pack(self, settings: SmoothSettings) -> dict[str, tuple[str, bytes]]:
-        packer = ModelPacker()
-        for slot in self._layers:
-            if isinstance(self._document, ImageDocument):
-                packer.add_image((self._document, self._document))
-            else:
-                packer.add((self._document, self._document), slot)
         name = html.escape(self._source)
         page = Template(asset("view.html")).substitute(
             title=name,
             viewer=viewer("Before and after"),
-            controls=controls(self._layers),
+            controls=controls(self._layers.slots),
             target=html.escape(_target(self._source), quote=True),
         )
         start = {"values": given_values(settings), "reach": _REACH, "target": _target(self._source)}
@@ -182,7 +182,7 @@ class Live:
         return {
             "": ("text/html; charset=utf-8", page.encode(errors="replace")),
             "style.css": ("text/css", asset("style.css").encode()),
-            "model.json": ("application/json", json.dumps(packer.packed(_REACH)).encode()),
+            "model.json": ("application/json", json.dumps(self._layers.packed(_REACH)).encode()),
             "start.json": ("application/json", json.dumps(start).encode()),
             **scripts,
         }
@@ -247,7 +247,7 @@ class Live:
         settings = request.settings
         if settings is None or request.focus is None:
             return
-        slot = self._layers[request.layer]
+        slot = self._layers.slots[request.layer]
         if request.layer not in self._previewers:
             self._previewers[request.layer] = Previewer(self._document, slot)
         previewer, selection = self._previewers[request.layer], select(self._document, settings)
@@ -257,13 +257,13 @@ class Live:
             return
         iterations, began = settings.kernel.iterations, time.perf_counter()
         budget = int(np.clip(_WANTED * self._rate / iterations, _LEAST, _MOST))
-        focus = self._in_space(request.focus, request.layer)
+        focus = self._layers.in_space(request.focus, request.layer)
         patches = previewer.smooth(settings, focus, budget, lambda *_: self._check(page, request))
         spent = time.perf_counter() - began
         held = sum(len(patch.rows) for patch in patches)
         self._rate = 0.5 * self._rate + 0.5 * held * iterations / max(spent, 1e-3)
         self._check(page, request)
-        events = [self._patched(page, request.layer, patch) for patch in patches]
+        events = [self._layers.patched(page.shown, request.layer, patch) for patch in patches]
         page.events.put(
             {
                 "kind": "preview",
@@ -284,49 +284,6 @@ class Live:
             kernel = dataclasses.replace(kernel, fast=True)
         kernel = dataclasses.replace(kernel, patches="off")
         return dataclasses.replace(settings, kernel=kernel)
-
-    def _in_space(self, focus: Focus, layer: int) -> Focus:
-        """Return a focus in the space of the document, where its page has it in the box of the model."""
-        if focus.direction is None:
-            return focus
-        if layer not in self._boxes:
-            slot = self._layers[layer]
-            positions = (
-                self._document.painted() if slot is None else self._document.textured(slot)
-            ).positions
-            low, high = np.nanmin(positions, axis=0), np.nanmax(positions, axis=0)
-            self._boxes[layer] = low, max(float((high - low).max()), np.finfo(float).tiny)
-        low, size = self._boxes[layer]
-        return Focus(low + size * focus.origin, focus.direction)
-
-    def _patched(self, page: _Page, layer: int, patch: Patch) -> dict[str, Any]:
-        """Return a patch for the viewer, and keep what a texture looks like with it."""
-        if patch.texture < 0:
-            painted = self._document.painted()
-            rows = patch.rows
-            if not len(painted.faces):  # points that are nowhere are not drawn
-                drawn = np.asarray(np.isfinite(painted.positions).all(axis=1))
-                rows, kept = (np.cumsum(drawn) - 1)[rows], drawn[rows]
-                rows, patch = rows[kept], dataclasses.replace(patch, colours=patch.colours[kept])
-            own = packed_array(rows.astype(np.uint32), _QUICK), packed_array(patch.colours, _QUICK)
-            return {"layer": layer, "rows": own[0], "colours": own[1]}
-        pixels = self._shown(page, layer, patch.texture)
-        pixels[patch.rows, patch.columns] = patch.colours
-        top, left = int(patch.rows.min()), int(patch.columns.min())
-        part = pixels[top : int(patch.rows.max()) + 1, left : int(patch.columns.max()) + 1]
-        return {
-            "layer": layer, "texture": patch.texture, "x": left, "y": top,
-            "width": part.shape[1], "height": part.shape[0], "pixels": packed_array(part, _QUICK),
-        }  # fmt: skip
-
-    def _shown(self, page: _Page, layer: int, texture: int) -> NDArray[np.uint8]:
-        key = layer, texture
-        if key not in page.shown:
-            data, name = _images_of(self._document, self._layers[layer])[texture]
-            page.shown[key] = displayed_pixels(
-                read_image(data, name, finite=not isinstance(self._document, ImageDocument))
-            )
-        return page.shown[key]
 
     def _smooth(self, page: _Page, request: _Page) -> dict[str, Any]:
         """Smooth the whole as `smooth` does."""
@@ -361,50 +318,11 @@ class Live:
         choices = [done.report.choice for done in painter.done if done.report.choice is not None]
         chosen = dict(choices[0]["chosen"]) if choices else {}  # type: ignore[call-overload]
         page.chosen, page.chosen_by = chosen, settings.kernel.strength
-        page.shown.clear()
-        patches = [patch for layer in range(len(self._layers)) for patch in self._whole(page, result, layer)]
-        notices = [*self._document.notices, *(each for done in painter.done for each in done.warnings)]
+        patches = self._layers.whole(page.shown, result)
+        said = [each for done in painter.done for each in (*done.warnings, *done.repainted.notices)]
+        notices = [*dict.fromkeys([*self._document.notices, *said])]
         used = used_parameters(described)
         return {"kind": "whole", "patches": patches, "used": used, "chosen": chosen, "notices": notices}
-
-    def _whole(self, page: _Page, result: Document, layer: int) -> list[dict[str, Any]]:
-        """Return all of a layer as it is after smoothing."""
-        slot = self._layers[layer]
-        if slot is None and not isinstance(result, ImageDocument):
-            painted = result.painted()
-            rows = np.arange(len(painted.positions))
-            return [self._patched(page, layer, Patch(-1, rows, rows, displayed_colours(painted)))]
-        old, new = _images_of(self._document, slot), _images_of(result, slot)
-        found = []
-        for index, ((before, _), (after, name)) in enumerate(zip(old, new, strict=True)):
-            if after != before:
-                picture = read_image(after, name, finite=not isinstance(result, ImageDocument))
-                page.shown[layer, index] = displayed_pixels(picture)
-            source = source_of(_texture(result, slot, index), slot or "baseColor")
-            found.append({"layer": layer, "texture": index, "source": source})
-        return found
-
-
-def _layers(document: Document) -> list[Slot | None]:
-    """Return what is coloured: the slots of its textures, and None for vertex colours or an image."""
-    if isinstance(document, ImageDocument):
-        return [None]
-    return [*document.slots(), *([None] if document.has_vertex_colours() else [])]
-
-
-def _images_of(document: Document, slot: Slot | None) -> list[tuple[bytes, str]]:
-    """Return the image files of a layer with their names."""
-    if isinstance(document, ImageDocument):
-        return [(document.data, document.name)]
-    assert slot is not None
-    return [(texture.data, texture.name) for texture in document.textured(slot).textures]
-
-
-def _texture(document: Document, slot: Slot | None, index: int) -> Texture:
-    if isinstance(document, ImageDocument):
-        return Texture("", document.name, document.data)
-    assert slot is not None
-    return document.textured(slot).textures[index]
 
 
 def _target(source: str) -> str:

@@ -73,7 +73,10 @@ class Previewer:
 
     def can(self, settings: SmoothSettings) -> bool:
         """Whether parts are smoothed as the whole would be."""
-        plain = not (settings.embedding.guides or settings.embedding.smooth_geometry or settings.image.given)
+        embedding = settings.embedding
+        plain = not (
+            embedding.guides or embedding.smooth_geometry or settings.image.given or settings.level_seams
+        )
         return plain and (isinstance(self._document, ImageDocument) or self._document.grid() is None)
 
     def smooth(

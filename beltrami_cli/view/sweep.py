@@ -32,7 +32,7 @@ from beltrami_cli.view.sheet import Panel, arranged
 from beltrami_cli.view.views import image_files, view_of
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     import numpy as np
     from numpy.typing import NDArray
@@ -87,17 +87,15 @@ def sweep_file(
     _check(source, len(trials), looks if kind is None else None)
     is_page = Path(target).suffix.lower() in PAGES
     suffix = "" if is_page or kind else picture_suffix(target, ", or .html for a page")
-    known = [source] if reference is None else [source, reference]
+    known = [name for name in (source, reference) if name is not None]
     output = Output(target, overwrite=job.overwrite, is_text=kind is not None, what="sheet", reads=known)
     job = Job(output.files.watching(job.access), job.progress)
     document, truth = _opened(source, reference, trials[0][1], job)
     drawing = None if kind else _Drawing(looks, job.progress)
     done = []
     with pictures_kept([*image_files(document), *([] if truth is None else image_files(truth))]):
-        for label, shown in (("reference", truth), ("before", document)):
-            if drawing is not None and shown is not None:
-                drawing.add(label, shown)
-        first = 0 if drawing is None else len(drawing.panels)
+        if drawing is not None:
+            drawing.add_all({"reference": truth, "before": document})
         for parameters, settings in tracked(trials, "trials", job.progress):
             trial, result = _tried(document, truth, parameters, settings, job)
             done.append(trial)
@@ -108,7 +106,7 @@ def sweep_file(
     elif is_page:
         output.write(Written(main=[_page(source, done, drawing.panels, looks)]))
     else:
-        output.write(encoded(_sheet(drawing.panels, first, columns, looks), target, suffix))
+        output.write(encoded(_sheet(drawing.panels, len(done), columns, looks), target, suffix))
     return done
 
 
@@ -119,6 +117,12 @@ class _Drawing:
         self.panels: list[Panel] = []
         self._looks, self._progress = looks, progress
         self._view: Drawable | None = None
+
+    def add_all(self, documents: Mapping[str, Document | None]) -> None:
+        """Draw the documents that there are, under their labels."""
+        for label, document in documents.items():
+            if document is not None:
+                self.add(label, document)
 
     def add(self, label: str, document: Document) -> None:
         """Draw a document; details lie where there is most to see in the first."""
@@ -138,8 +142,9 @@ def _opened(
     return document, truth
 
 
-def _sheet(panels: Sequence[Panel], first: int, columns: int, looks: RenderSettings) -> NDArray[np.uint8]:
-    """Arrange panels in a picture, in which those from `first` on begin in a row of their own."""
+def _sheet(panels: Sequence[Panel], trials: int, columns: int, looks: RenderSettings) -> NDArray[np.uint8]:
+    """Arrange panels in a picture, in which the trials, which are the last, begin in a row of their own."""
+    first = len(panels) - trials
     empty = [None] * (-first % columns)
     placed = [*panels[:first], *empty, *panels[first:]]
     return arranged(placed, columns, background_of(looks, panels))

@@ -9,8 +9,10 @@ import shlex
 import shutil
 import signal
 import subprocess
+import threading
 import time
 from dataclasses import replace
+from types import SimpleNamespace
 
 import click
 import numpy as np
@@ -28,6 +30,7 @@ from beltrami_cli.samples.settings import DEFAULTS
 from beltrami_cli.view.controls import given_values, plain_settings, settings_from
 from beltrami_cli.view.models import displayed_colours, displayed_pixels
 from beltrami_cli.view.preview import Focus, Previewer
+from beltrami_cli.view.server import PageServer
 from cli.commands import COMMAND, SAMPLES, beltrami
 from cli.pictures import textured_square
 from view.browsing import WIDTHS, Viewer
@@ -39,7 +42,8 @@ class Served:
     """A running `beltrami view`, with the address of its page."""
 
     def __init__(self, source, folder, *arguments):
-        command = [*COMMAND, "view", source, "--no-open", *arguments]
+        # What is chosen is not the point here.
+        command = [*COMMAND, "view", source, "--no-open", "--fast", *arguments]
         self.process = subprocess.Popen(command, cwd=folder, stderr=subprocess.PIPE, text=True)
         self.address = re.search(r"http://\S+", self.process.stderr.readline())[0]
         self.host, self.token = self.address.removeprefix("http://").strip("/").split("/")
@@ -136,23 +140,27 @@ def test_a_change_arrives_and_closing_the_page_ends_the_program(browser, served)
     assert smooth_one < 0.8 * rough
     viewer.page.keyboard.press("b")
     assert viewer.roughness() > rough
-    assert viewer.page.locator("#command").inner_text().endswith("-n 1 --beta 40")
+    assert viewer.page.locator("#command").inner_text().endswith("-n 1 --beta 40 --fast")
     assert viewer.errors == []
     viewer.page.close()
     assert live.process.wait(timeout=15) == 0
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["nonmanifold-noisy.ply", "mirrored-noisy.obj", "scan-noisy.jpg"])
-def test_previews_are_of_the_kernel_and_come_before_the_whole(browser, served, name):
-    live = served(SAMPLES / name)
-    viewer = Live(browser, live.address)
+@pytest.mark.parametrize("suffix", [".obj", ".png"])
+def test_previews_of_textures_and_images_come_before_the_whole(browser, served, tmp_path, suffix):
+    noise = np.random.default_rng(1).integers(60, 200, (12, 12, 3))
+    source = textured_square(tmp_path / "square.obj", noise).with_suffix(suffix)
+    viewer = Live(browser, served(source.name).address)
     viewer.page.get_by_label("after", exact=True).check()
     viewer.wait_for("whole")
+    rough = viewer.roughness()
     before = viewer.data("previews")
-    viewer.slide("beta", 0)
+    for name, value in (("iterations", 8), ("time step", 10), ("beta", 0)):
+        viewer.page.get_by_label(name, exact=True).fill(str(value))
     viewer.wait_for("previews", before)
-    viewer.page.wait_for_timeout(50)
+    viewer.wait_for("whole", viewer.data("whole"))
+    assert viewer.roughness() < rough
     assert viewer.errors == []
 
 
@@ -218,6 +226,25 @@ def test_the_page_fits_names_stay_text_and_nothing_bars_anybody(browser, served,
         assert viewer.errors == []
 
 
+def test_the_address_that_a_browser_is_started_with_is_good_once():
+    server = PageServer(SimpleNamespace(files={}))
+    thread = threading.Thread(target=server.serve_forever, daemon=True)
+    thread.start()
+    try:
+        ticket = server.first_address
+        for expected in (303, 404):
+            connection = http.client.HTTPConnection(server.host, timeout=10)
+            with contextlib.closing(connection):
+                connection.request("GET", ticket.removeprefix(f"http://{server.host}"))
+                answer = connection.getresponse()
+                assert answer.status == expected
+                assert (answer.getheader("Location") == f"/{server.token}/") == (expected == 303)
+    finally:
+        server.shutdown()
+        server.server_close()
+        thread.join()
+
+
 def parsed(words):
     """Return the settings that `smooth` makes of options."""
     with smooth.command.make_context("smooth", ["in", "out", *words]) as context, context:
@@ -233,6 +260,7 @@ def parsed(words):
         "--preset paper --beta 3",
         "--preset paper -n 4",
         "--strength gentle --patches off --window 9",
+        "--level-seams -n 3",
         "--slots baseColor,normal --gutter keep --space linear --fast",
         "--material 'a b' --material c --metric-channels none --channels r,g",
         "--guide normal --guide-beta 3.0 --smooth-geometry --texture-format png",

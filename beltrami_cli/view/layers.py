@@ -1,0 +1,129 @@
+"""The layers of a document in the live view: its vertex colours, the textures of each slot, or an image."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from beltrami_cli.formats.image.document import ImageDocument
+from beltrami_cli.formats.image.reading import read_image
+from beltrami_cli.surface.records import Texture
+from beltrami_cli.view.models import (
+    ModelPacker,
+    displayed_colours,
+    displayed_pixels,
+    packed_array,
+    source_of,
+)
+from beltrami_cli.view.preview import Focus, Patch
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from beltrami_cli.formats.document import Document
+    from beltrami_cli.surface.records import Slot
+
+    # Pixels as a page shows them, by layer and texture; those that are absent are the document's own.
+    Shown = dict[tuple[int, int], NDArray[np.uint8]]
+
+_QUICK = 1  # of zlib
+
+
+class Layers:
+    """What is coloured in a document: `slots` of its textures, and None for vertex colours or an image."""
+
+    def __init__(self, document: Document) -> None:
+        self.document = document
+        is_image = isinstance(document, ImageDocument)
+        slots: list[Slot | None] = [] if is_image else [*document.slots()]
+        self.slots = [*slots, None] if is_image or document.has_vertex_colours() else slots
+        self._boxes: dict[int, tuple[NDArray[np.float64], float]] = {}  # lowest corners and longest sides
+
+    def packed(self, reach: float) -> dict[str, Any]:
+        """Return the document for the viewer, with the same before and after."""
+        packer = ModelPacker()
+        for slot in self.slots:
+            if isinstance(self.document, ImageDocument):
+                packer.add_image((self.document, self.document))
+            else:
+                packer.add((self.document, self.document), slot)
+        return packer.packed(reach)
+
+    def in_space(self, focus: Focus, layer: int) -> Focus:
+        """Return a focus in the space of the document, where its page has it in the box of the model."""
+        if focus.direction is None:
+            return focus
+        if layer not in self._boxes:
+            slot = self.slots[layer]
+            positions = (self.document.painted() if slot is None else self.document.textured(slot)).positions
+            low, high = np.nanmin(positions, axis=0), np.nanmax(positions, axis=0)
+            self._boxes[layer] = low, max(float((high - low).max()), np.finfo(float).tiny)
+        low, size = self._boxes[layer]
+        return Focus(low + size * focus.origin, focus.direction)
+
+    def patched(self, shown: Shown, layer: int, patch: Patch) -> dict[str, Any]:
+        """Return a patch for the viewer, and keep what a texture looks like with it."""
+        if patch.texture < 0:
+            painted = self.document.painted()
+            rows = patch.rows
+            if not len(painted.faces):  # points that are nowhere are not drawn
+                drawn = np.asarray(np.isfinite(painted.positions).all(axis=1))
+                rows, kept = (np.cumsum(drawn) - 1)[rows], drawn[rows]
+                rows, patch = rows[kept], dataclasses.replace(patch, colours=patch.colours[kept])
+            own = packed_array(rows.astype(np.uint32), _QUICK), packed_array(patch.colours, _QUICK)
+            return {"layer": layer, "rows": own[0], "colours": own[1]}
+        pixels = self._pixels(shown, layer, patch.texture)
+        pixels[patch.rows, patch.columns] = patch.colours
+        top, left = int(patch.rows.min()), int(patch.columns.min())
+        part = pixels[top : int(patch.rows.max()) + 1, left : int(patch.columns.max()) + 1]
+        return {
+            "layer": layer, "texture": patch.texture, "x": left, "y": top,
+            "width": part.shape[1], "height": part.shape[0], "pixels": packed_array(part, _QUICK),
+        }  # fmt: skip
+
+    def _pixels(self, shown: Shown, layer: int, texture: int) -> NDArray[np.uint8]:
+        key = layer, texture
+        if key not in shown:
+            data, name = _images_of(self.document, self.slots[layer])[texture]
+            shown[key] = displayed_pixels(
+                read_image(data, name, finite=not isinstance(self.document, ImageDocument))
+            )
+        return shown[key]
+
+    def whole(self, shown: Shown, result: Document) -> list[dict[str, Any]]:
+        """Return all layers as they are after smoothing."""
+        shown.clear()
+        return [patch for layer in range(len(self.slots)) for patch in self._smoothed(shown, result, layer)]
+
+    def _smoothed(self, shown: Shown, result: Document, layer: int) -> list[dict[str, Any]]:
+        slot = self.slots[layer]
+        if slot is None and not isinstance(result, ImageDocument):
+            painted = result.painted()
+            rows = np.arange(len(painted.positions))
+            return [self.patched(shown, layer, Patch(-1, rows, rows, displayed_colours(painted)))]
+        old, new = _images_of(self.document, slot), _images_of(result, slot)
+        found = []
+        for index, ((before, _), (after, name)) in enumerate(zip(old, new, strict=True)):
+            if after != before:
+                picture = read_image(after, name, finite=not isinstance(result, ImageDocument))
+                shown[layer, index] = displayed_pixels(picture)
+            source = source_of(_texture(result, slot, index), slot or "baseColor")
+            found.append({"layer": layer, "texture": index, "source": source})
+        return found
+
+
+def _images_of(document: Document, slot: Slot | None) -> list[tuple[bytes, str]]:
+    """Return the image files of a layer with their names."""
+    if isinstance(document, ImageDocument):
+        return [(document.data, document.name)]
+    assert slot is not None
+    return [(texture.data, texture.name) for texture in document.textured(slot).textures]
+
+
+def _texture(document: Document, slot: Slot | None, index: int) -> Texture:
+    if isinstance(document, ImageDocument):
+        return Texture("", document.name, document.data)
+    assert slot is not None
+    return document.textured(slot).textures[index]
