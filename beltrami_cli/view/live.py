@@ -9,8 +9,6 @@ from __future__ import annotations
 import dataclasses
 import html
 import json
-import os
-import sys
 import threading
 import time
 from dataclasses import dataclass, field
@@ -49,12 +47,11 @@ if TYPE_CHECKING:
     Command = Callable[[SmoothSettings, str], str]
 
 _SCRIPTS = ("three.js", "viewer.js", "live.js")
-_WAIT = 0.35  # seconds without a change after which the whole is smoothed
+_WAIT = 0.35  # seconds after a preview in which the whole is not begun, since another change may follow
 _WANTED = 0.15  # seconds that a preview may take, beside sending and drawing it
 _FIRST_RATE = 4e5  # samples times iterations a second, before any preview was timed
 _LEAST, _MOST = 2_000, 400_000  # samples of a preview
 _PATIENCE = 1.0  # seconds in which work ends
-_LOW = 10  # priority: previews go first
 _REACH = 32  # 255ths that are shown brightest first
 
 
@@ -200,12 +197,10 @@ class Live:
                 finally:
                     with self._changed:
                         self._previews -= 1
-                        page.previewed = max(page.previewed, request.number)
+                        page.previewed, page.asked = max(page.previewed, request.number), time.monotonic()
                         self._changed.notify_all()
 
     def _smooth_all(self) -> None:
-        if sys.platform == "linux":  # there it is of this thread, and of those that it starts
-            os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _LOW)
         with pictures_kept(image_files(self._document)):
             while (
                 found := self._next(lambda page: page.done < page.number <= page.previewed, _WAIT)
