@@ -277,7 +277,8 @@ class Live:
             kernel = dataclasses.replace(kernel, **known, free=())  # type: ignore[arg-type]
         else:
             kernel = dataclasses.replace(kernel, fast=True)
-        kernel = dataclasses.replace(kernel, patches="off")
+        # So few samples gain little by more threads, and wait long for them where the machine is busy.
+        kernel = dataclasses.replace(kernel, patches="off", threads=1)
         return dataclasses.replace(settings, kernel=kernel)
 
     def _smooth(self, page: _Page, request: _Page) -> dict[str, Any]:
