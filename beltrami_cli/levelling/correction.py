@@ -42,9 +42,12 @@ class Correction:
     ) -> NDArray[np.float32]:
         """Return the colours, shape (K, N), at places in charts without the exposures."""
         factor, offset = self._found.at(charts, places)
-        full = ((colours.T - offset) / factor).T + self._shift[charts]
-        moved = self._moved[charts, None]
-        return np.where(moved, colours + self._strength * (full - colours), colours).astype(np.float32)
+        moved = self._moved[charts]
+        after = np.empty_like(colours)
+        for channel, column in enumerate(colours.T):
+            full = (column - offset[channel]) / factor[channel] + self._shift[charts, channel]
+            after[:, channel] = np.where(moved, column + self._strength * (full - column), column)
+        return after
 
     def keep_means(self, count: int, samples: Samples) -> float:
         """Let the mean of each group of charts stay; return the mean change of a value, 0 if it could not be seen."""

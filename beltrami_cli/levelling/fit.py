@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 GAIN, OFFSET, TILTS = 0, 1, slice(2, 4)
 
 # Iterations with each of the two weights; fewer where the fit only has to be judged.
-FULL, SHORT = (7, 6), (4, 3)
+FULL, SHORT = (7, 6), (4, 2)
 _DAMPING = 0.7
 # Residual, beside its usual size, at which weights fall; the scale of the second ones is narrowed from wide.
 _ALLOWED = 3 / 255
@@ -64,11 +64,16 @@ class Exposures:
     terms: NDArray[np.float64]  # (N, charts, 2 or 4): gain, offset, tilts of the gain along rows and columns
     weights: NDArray[np.float64]  # (K,): 1 where the sides agree, towards 0 where they differ by paint
 
+    @property
+    def is_tilted(self) -> bool:
+        """Whether gains change over charts, so that places matter."""
+        return bool(self.terms.shape[2] > 2)
+
     def at(self, charts: Indices, places: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
         """Return the factor and the offset at places in charts, each of shape (N, K)."""
         terms = self.terms[:, charts]
         factor = 1 + terms[..., GAIN]
-        if terms.shape[2] > 2:
+        if self.is_tilted:
             factor = factor + np.einsum("nkt,kt->nk", terms[..., TILTS], places)
         return np.maximum(factor, 0.25), terms[..., OFFSET]
 

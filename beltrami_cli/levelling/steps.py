@@ -172,9 +172,7 @@ def with_noise(steps: Steps) -> Steps:
     lengths = np.diff(np.r_[starts, len(steps.seams)])
     signs = np.where(steps.ends[:, 0] <= steps.ends[:, 1], 1.0, -1.0)[:, None]
     step, mean = signs * (steps.colours[:, 1] - steps.colours[:, 0]), steps.colours.mean(axis=1)
-    found = np.array(
-        [_variation(step[a : a + n], mean[a : a + n]) for a, n in zip(starts, lengths, strict=True)]
-    )
+    found = np.min([_deviations(step - gain * mean, starts, lengths) for gain in _GAINS], axis=0)
     usual = weighted_median(found, np.add.reduceat(steps.counts, starts))
     # Of few stretches little is known, so that they are taken for usual ones.
     found = np.sqrt((lengths * np.square(found) + _PRIOR * usual**2) / (lengths + _PRIOR))
@@ -183,13 +181,18 @@ def with_noise(steps: Steps) -> Steps:
     return replace(steps, noise=np.repeat(noise, lengths), is_paint=np.repeat(is_paint, lengths))
 
 
-def _variation(step: NDArray[np.float64], colours: NDArray[np.float64]) -> float:
-    """Return the deviation of the steps along a seam, less what a difference of gains makes of it."""
-    found = []
-    for gain in _GAINS:
-        left = step - gain * colours
-        found.append(np.mean(np.median(np.abs(left - np.median(left, axis=0)), axis=0)))
-    return 1.4826 * float(min(found))
+def _deviations(
+    values: NDArray[np.float64], starts: NDArray[np.int64], lengths: NDArray[np.int64]
+) -> NDArray[np.float64]:
+    """Return for each run of rows the deviation, by the median from the median, mean over channels."""
+    run = np.repeat(np.arange(len(starts)), lengths)
+    middle = starts + lengths // 2
+
+    def medians(column: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.asarray(column[np.lexsort((column, run))][middle])
+
+    found = [medians(np.abs(column - medians(column)[run])) for column in values.T]
+    return np.asarray(1.4826 * np.mean(found, axis=0))
 
 
 def weighted_median(values: NDArray[np.float64], weights: NDArray[np.number[Any]]) -> float:

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from beltrami_cli.levelling.charts import Levelled
     from beltrami_cli.surface.atlas import Atlas, Indices
 
+_NOWHERE = np.zeros((0, 2))  # places, where they make no difference
+
 
 def level_canvas(
     atlas: Atlas, planes: NDArray[np.float32], strength: float, fixed: NDArray[np.bool_] | None = None
@@ -32,7 +34,8 @@ def level_canvas(
         rows: NDArray[np.int64] | slice,
     ) -> tuple[NDArray[np.float32], Indices, NDArray[np.float64]]:
         cells, charts = atlas.owned_cells[rows], atlas.chart_of[rows]
-        return flat[:, cells].T, charts, places.at(cells, charts, columns)
+        is_tilted = found.exposures is not None and found.exposures.is_tilted
+        return flat[:, cells].T, charts, places.at(cells, charts, columns) if is_tilted else _NOWHERE
 
     change = 0.0
     if found.exposures is not None:

@@ -351,9 +351,9 @@ def dithered(values: NDArray[np.float32], texels: Indices, width: int) -> NDArra
     What is a multiple of a step stays. The pattern is interleaved gradient noise: J. Jimenez, "Next generation post
     processing in Call of Duty: Advanced Warfare", SIGGRAPH 2014.
     """
-    row, column = np.divmod(texels.astype(np.int64), width)
+    row, column = np.divmod(texels.astype(np.int32), np.int32(width))
     pattern = (52.9829189 * ((0.06711056 * column + 0.00583715 * row) % 1)) % 1
-    steps = values.astype(np.float64) * 255
-    is_whole = np.abs(steps - np.rint(steps)) < 1e-3
-    spread = (steps + 0.98 * (pattern - 0.5)[:, None]) / 255
-    return np.where(is_whole, values, spread).astype(np.float32)
+    steps = values * np.float32(255)
+    is_whole = np.abs(steps - np.rint(steps)) < 2e-3
+    spread = (steps + (0.98 * (pattern - 0.5)).astype(np.float32)[:, None]) / np.float32(255)
+    return np.where(is_whole, values, spread)

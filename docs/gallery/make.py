@@ -12,6 +12,15 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from beltrami_cli.flow.canvas import painted
+from beltrami_cli.flow.grid_manifold import canvas_colours
+from beltrami_cli.jobs.job import PLAIN_JOB
+from beltrami_cli.jobs.recolour import recolour
+from beltrami_cli.samples.settings import DEFAULTS
 
 HERE = Path(__file__).resolve().parent
 PAGE = HERE.parent / "gallery.md"
@@ -28,6 +37,7 @@ def main(arguments: list[str]) -> int:
         for sample in SAMPLES.iterdir():
             if sample.is_file() and sample.suffix not in {".py", ".md"}:
                 shutil.copy(sample, folder)
+        expose(Path(folder) / "scan-clean.glb", Path(folder) / "scan-exposed.glb")
         for command in commands(text):
             words = shlex.split(command, comments=True)
             print(command)
@@ -71,6 +81,30 @@ def take(address: str, picture: Path, ready: str) -> None:
         page.wait_for_timeout(1000)  # until the models are drawn
         page.screenshot(path=picture)
         browser.close()
+
+
+class Exposing:
+    """A painter that gives every chart a gain and an offset in each channel, as photographs of their own would."""
+
+    changes = colours_only = True
+    works_on_disk = False
+
+    def check(self, *_: object) -> None:
+        """Accept all."""
+
+    def paint(self, samples: Any, _: object) -> Any:
+        """Expose the charts of a texture."""
+        atlas, random = samples.atlas, np.random.default_rng(1)
+        colours = samples.colours.samples(atlas)
+        shape = (atlas.charts, colours.shape[1])
+        gain, offset = random.uniform(0.82, 1.12, shape), random.uniform(-10, 10, shape) / 255
+        exposed = colours * gain[atlas.chart_of] + offset[atlas.chart_of]
+        return samples.repaint(canvas_colours(atlas, painted(atlas, exposed.astype(np.float32), 1), 1))
+
+
+def expose(source: Path, target: Path) -> None:
+    """Write a model whose charts differ in exposure."""
+    recolour(str(source), str(target), DEFAULTS, Exposing(), PLAIN_JOB)
 
 
 def commands(page: str) -> list[str]:
