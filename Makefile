@@ -170,7 +170,7 @@ viewer:
 
 # What is found is kept under build/fuzz, to go on from next time.
 FUZZ_SECONDS ?= 60
-FUZZ_TARGETS ?= ply obj gltf off stl 3mf xyz npz volume image arrays configuration manifest record report
+FUZZ_TARGETS ?= ply obj gltf off stl 3mf usd usdz xyz npz volume image arrays configuration manifest record report
 CLANG        ?= clang++
 
 fuzz: fuzz-readers fuzz-core

@@ -9,7 +9,8 @@ import numpy as np
 from pxr import Sdf, Usd, UsdGeom, UsdShade, Vt
 
 from beltrami_cli.formats.usd.patching import in_place
-from beltrami_cli.formats.usd.scene import NeedsLayersError, Scene, image_of, opened
+from beltrami_cli.formats.usd.scene import NeedsLayersError, Scene, opened
+from beltrami_cli.formats.usd.shading import image_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable
