@@ -60,6 +60,16 @@ const Viewer = (() => {
     return new Response(stream).arrayBuffer();
   }
 
+  // Rows of which the differences to the rows before are given, column by column.
+  function summed(steps, columns) {
+    const rows = new steps.constructor(steps.length), count = steps.length / columns;
+    for (let column = 0; column < columns; column++) {
+      for (let row = 0, at = column; row < count; row++, at += columns)
+        rows[at] = steps[column * count + row] + (row ? rows[at - columns] : 0);
+    }
+    return rows;
+  }
+
   const loaded = (source) => new Promise((resolve, reject) => new THREE.TextureLoader().load(source, resolve, undefined, reject));
 
   function textureOf(image, wrap) {
@@ -138,7 +148,7 @@ const Viewer = (() => {
     }
 
     positions(key) {
-      return new THREE.BufferAttribute(new Uint16Array(this.arrays[key]), 3, true);
+      return new THREE.BufferAttribute(summed(new Uint16Array(this.arrays[key]), 3), 3, true);
     }
 
     addPart(layer, part) {
@@ -150,7 +160,7 @@ const Viewer = (() => {
           geometry.setAttribute(name, new THREE.BufferAttribute(new Uint16Array(arrays[part.colours[side]]).slice(), 3, true)));
       if (part.uv) geometry.setAttribute("uv", new THREE.BufferAttribute(new Float32Array(arrays[part.uv]), 2));
       if (part.charts) geometry.setAttribute("chart", new THREE.BufferAttribute(new Uint16Array(arrays[part.charts]), 1));
-      if (part.index) geometry.setIndex(new THREE.BufferAttribute(new Uint32Array(arrays[part.index]), 1));
+      if (part.index) geometry.setIndex(new THREE.BufferAttribute(summed(new Uint32Array(arrays[part.index]), 3), 1));
       const material = this.material(part);
       const shape = part.kind === "points" ? new THREE.Points(geometry, material) : new THREE.Mesh(geometry, material);
       shape.frustumCulled = false;
