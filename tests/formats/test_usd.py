@@ -405,3 +405,24 @@ def test_an_image_that_is_shown_twice_is_named_once_in_the_root(tmp_path):
     smooth_file(tmp_path / "a.usda", tmp_path / "b.usda", GIVEN, slots=("baseColor", "emissive"))
     assert (tmp_path / "b.usda").read_text().count("@./b.png@") == 1
     assert check_files(tmp_path / "a.usda", tmp_path / "b.usda").faithful
+
+
+def test_an_image_that_is_shown_as_something_else_too_stays_in_the_package(tmp_path):
+    other = """        def Shader "other"
+        {
+            uniform token info:id = "UsdUVTexture"
+            asset inputs:file = @a.png@
+            float2 inputs:st.connect = </scan/skin/st.outputs:result>
+            float outputs:r
+        }
+"""
+    text = scene(mesh_text(BOUND), material_text("a.png", extra=other)).replace(
+        "float inputs:roughness = 1", "float inputs:roughness.connect = </scan/skin/other.outputs:r>"
+    )
+    source = package(tmp_path / "a.usdz", [("a.usda", text.encode()), ("a.png", PICTURE)])
+    smooth_file(source, tmp_path / "b.usdz", GIVEN)
+    after = members(tmp_path / "b.usdz")
+    assert list(after) == ["a.usda", "a.png", "b.png"]
+    assert after["a.png"] == PICTURE
+    assert after["a.usda"].decode().count("@./b.png@") == 1
+    assert check_files(source, tmp_path / "b.usdz").faithful

@@ -251,15 +251,16 @@ class UsdDocument(Document):
             words["text"] = self._layers.ask(order, {})[0]["text"]
         parts = {"root layer": words["text"].encode()}
         parts |= {f"layer {name}": data for name, data in self._layers.contents.items() if name != root}
-        shown = set(self._textures.files())
+        named = self._textures.labelled()
         package = self._layers.package
         if package is not None:
-            others = [each for each in package.members if each not in shown and each not in package.layers]
+            known = {*named.values(), *package.layers}
+            others = [each for each in package.members if each not in known]
             parts |= {f"file {name}": package.read(name) for name in others}
         colours = {"vertex colours": self._painted.colours} if self.has_vertex_colours() else {}
         images = {
             label: NamedImage(posixpath.basename(file), self._layers.image(file))
-            for label, file in self._textures.labelled()
+            for label, file in named.items()
         }
         return Fingerprint(parts, colours, images)
 

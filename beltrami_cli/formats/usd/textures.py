@@ -27,7 +27,7 @@ from beltrami_cli.surface.records import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -73,14 +73,17 @@ class Textures:
         """Return the paths of images that are not there."""
         return [self._words["uses"][number]["file"] for number in self._reasons]
 
-    def labelled(self) -> Iterator[tuple[str, str]]:
-        """Give every image file with where it is used."""
-        for use, path in zip(self._words["uses"], self._path_of, strict=True):
-            tiles = self._layers.tiles.get(path or "", {})
-            for tile, file in tiles.items():
-                yield f"{use['attribute']}, tile {tile}", file
-            if path is not None and not tiles:
-                yield use["attribute"], path
+    def labelled(self) -> dict[str, str]:
+        """Return every image file by where it is named, in a slot or elsewhere."""
+        found: dict[str, str] = {}
+        for attribute, file in self._words["images"].items():
+            try:
+                path = self._layers.locate(file)
+            except UnfitReferenceError:
+                continue
+            tiles = self._layers.tiles.get(path, {})
+            found |= {f"{attribute}, tile {tile}": each for tile, each in tiles.items()} or {attribute: path}
+        return found
 
     def attributes(self, path: str, slots: Sequence[Slot] | None = None) -> set[str]:
         """Return the attributes that name a path, in some slots or in all and anywhere else."""
