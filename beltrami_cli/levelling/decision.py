@@ -28,7 +28,7 @@ _SATURATED = 14 / 255  # steps count no more than this
 _SURE = 0.25  # strong steps that are foretold so well are not tried as faint ones
 # Shares of the energy of steps that must be foretold, and in how many standard errors over the seams: where it is more,
 # one will do, as there may be few seams.
-_ENOUGH = ((0.05, 2.0), (0.15, 0.9))
+_ENOUGH = ((0.12, 2.0), (0.2, 0.9))
 
 
 @dataclass(frozen=True)
