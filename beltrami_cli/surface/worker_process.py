@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 import subprocess
 import sys
 import tempfile
@@ -52,20 +51,3 @@ def working(module: str, job: IO[bytes], arguments: Sequence[str] = ()) -> Itera
         finally:
             process.kill()
             process.wait()
-
-
-_LIBRARIES = 512 << 20  # bytes that they take
-
-
-def limit_process(seconds: int, memory: int) -> None:
-    """Limit this process, for libraries that are not made for files that mean harm; 0 bytes: no limit."""
-    if hasattr(signal, "alarm"):  # so that it ends even where the process that waits for it was killed
-        signal.alarm(seconds + 10)
-    if memory:
-        try:
-            import resource
-        except ImportError:
-            return
-        most = resource.getrlimit(resource.RLIMIT_DATA)[1]
-        wanted = memory + _LIBRARIES
-        resource.setrlimit(resource.RLIMIT_DATA, (wanted if most < 0 else min(wanted, most), most))

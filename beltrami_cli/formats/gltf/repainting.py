@@ -217,13 +217,7 @@ def _point(edit: Edit, images: Images, change: _Change, image: int, renewed: Map
     media = MEDIA[change.file.suffix.lower()]
     own = next((name for name, kind in IMAGE_EXTENSIONS.items() if kind == media), None)
     was_plain = media_type(images.data(change.image)) == media and own not in extensions
-    for source in (
-        *(extensions.get(name, {}).get("source") for name in IMAGE_EXTENSIONS),
-        texture.get("source"),
-    ):
-        if source is not None and source < len(images) and images.canonical(source) == image:
-            image = source  # another description of the same image
-            break
+    image = _described(texture, extensions, images, image)
     present = [name for name in IMAGE_EXTENSIONS if name in extensions]
     shown = WEBP if WEBP in present or "source" in texture else next(iter(present), None)
     for extension in present:
@@ -253,6 +247,17 @@ def _point(edit: Edit, images: Images, change: _Change, image: int, renewed: Map
         texture["extensions"] = extensions
     else:
         texture.pop("extensions", None)
+
+
+def _described(texture: Tree, extensions: Tree, images: Images, image: int) -> int:
+    """Return the description of an image that a texture shows already, if there are several; else the image."""
+    for source in (
+        *(extensions.get(name, {}).get("source") for name in IMAGE_EXTENSIONS),
+        texture.get("source"),
+    ):
+        if source is not None and source < len(images) and images.canonical(source) == image:
+            return int(source)
+    return image
 
 
 def _extensions(tree: Tree) -> set[str]:

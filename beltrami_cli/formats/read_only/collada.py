@@ -8,9 +8,6 @@ polygons with a skin, and rounds other colours to 8 bits.
 from __future__ import annotations
 
 import io
-import subprocess
-import sys
-import tempfile
 from typing import TYPE_CHECKING, Any
 from xml.parsers import expat
 
@@ -18,22 +15,21 @@ import numpy as np
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.archive import Archive
+from beltrami_cli.formats.foreign_library import ForeignLibrary, serve
 from beltrami_cli.formats.read_only.polygons import ColouredPolygons
-from beltrami_cli.surface.worker_process import limit_process, working
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from numpy.typing import NDArray
 
+    from beltrami_cli.arrays import Array
     from beltrami_cli.formats.access import Access
 
-_MODULE = "beltrami_cli.formats.read_only.collada"
-_PATIENCE, _PER_MEGABYTE = 60, 10  # seconds
 _TREE = 16  # times as much memory as its text takes an XML document while it is read
-_MISSING = 77  # exit code where a package is not installed
-_EXTRA = "install it with: pip install 'beltrami-cli[foreign]'"
-_EXPORT = "export it as PLY or glTF"
+_PYCOLLADA = ForeignLibrary(
+    "beltrami_cli.formats.read_only.collada", "foreign", 10, "export it as PLY or glTF"
+)
 
 
 def read_dae(data: bytes, name: str, access: Access) -> ColouredPolygons:
@@ -45,20 +41,9 @@ def read_dae(data: bytes, name: str, access: Access) -> ColouredPolygons:
             raise InputError(name, "the archive has no .dae file in it")
         data = archive.read(member)
     _check(data, name)
-    seconds = _PATIENCE + _PER_MEGABYTE * (len(data) >> 20)
-    with tempfile.TemporaryFile() as job:
-        job.write(data)
-        job.seek(0)
-        with working(_MODULE, job, [str(seconds), str(access.memory or 0)]) as worker:
-            try:
-                worker.process.wait(seconds)
-            except subprocess.TimeoutExpired:
-                raise InputError(name, f"it could not be read within {seconds} s", _EXPORT) from None
-            if (cause := worker.failure()) is not None:
-                missing = worker.process.returncode == _MISSING
-                raise InputError(name, cause[:200], _EXTRA if missing else _EXPORT)
-            with np.load(worker.answer, allow_pickle=False) as made:
-                return _polygons(made["positions"], made["colours"], made["left_out"].tolist())
+    question = {"data": np.frombuffer(data, np.uint8)}
+    left_out, made = _PYCOLLADA.ask((None, question), name, len(data), access.memory)
+    return _polygons(made["positions"], made["colours"], left_out)
 
 
 def _check(data: bytes, name: str) -> None:
@@ -85,24 +70,9 @@ def _polygons(
     )
 
 
-def main() -> None:
-    """Read a file from standard input, and write its triangles to standard output: the other process."""
-    limit_process(seconds=int(sys.argv[1]), memory=int(sys.argv[2]))
-    data = sys.stdin.buffer.read()
-    try:
-        positions, colours, left_out = _triangles(data)
-    except ImportError as error:
-        sys.stderr.write(f"to read dae files, the package {error.name} is needed\n")
-        sys.exit(_MISSING)
-    except MemoryError:
-        sys.exit("it needs more memory than it may take")
-    except Exception as error:  # whatever the library makes of a damaged file
-        sys.exit(
-            f"it is damaged, or not understood ({' '.join(f'{type(error).__name__}: {error}'.split())[:150]})"
-        )
-    answer = io.BytesIO()
-    np.savez(answer, positions=positions, colours=colours, left_out=np.array(left_out, "U"))
-    sys.stdout.buffer.write(answer.getvalue())
+def _answer(_: object, arrays: dict[str, Array]) -> tuple[list[str], dict[str, Array]]:
+    positions, colours, left_out = _triangles(arrays["data"].tobytes())
+    return left_out, {"positions": positions, "colours": colours}
 
 
 def _triangles(data: bytes) -> tuple[NDArray[np.float64], NDArray[np.float32], list[str]]:
@@ -162,4 +132,4 @@ def _colours_of(primitive: Any) -> NDArray[np.float32]:
 
 
 if __name__ == "__main__":
-    main()
+    serve(_answer, "dae", "pycollada")

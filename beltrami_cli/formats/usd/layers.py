@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import posixpath
 import re
-import subprocess
 import tempfile
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
@@ -13,27 +12,25 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from beltrami_cli.errors import InputError
+from beltrami_cli.formats.foreign_library import ForeignLibrary
 from beltrami_cli.formats.model_folder import ModelFolder, UnfitReferenceError, is_outside
 from beltrami_cli.formats.tiles import found_tiles, has_token
 from beltrami_cli.formats.usd.package import LAYERS, Package
-from beltrami_cli.formats.usd.worker import MISSING, receive, send
-from beltrami_cli.surface.worker_process import working
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from beltrami_cli.arrays import Array
     from beltrami_cli.formats.access import Access
     from beltrami_cli.surface.tiling import Tile
 
-_MODULE = "beltrami_cli.formats.usd.worker"
-_PATIENCE, _PER_MEGABYTE = 60, 5  # seconds
-_EXTRA = "install it with: pip install 'beltrami-cli[usd]'"
 _EXPORT = "open and save it with a program for USD"
+_USD_CORE = ForeignLibrary("beltrami_cli.formats.usd.worker", "usd", 5, _EXPORT)
 _MOST_LAYERS = 2000
 _CRATE = b"PXR-USDC"
 _UNFIT = re.compile(r"[^\w .()+-]")
 
-Answer = tuple[Any, "dict[str, NDArray[Any]]"]
+Answer = tuple[Any, "dict[str, Array]"]
 
 
 @dataclass
@@ -146,36 +143,14 @@ class Layers:
                 path.parent.mkdir(parents=True, exist_ok=True)
                 path.write_bytes(data)
             known = {"root": self.root, "layers": list(self.contents), "refused": self.refused}
+            question = known | order | {"folder": folder}, arrays
             size = sum(map(len, self.contents.values()))
-            return ask(known | order, arrays, folder, self.name, (size, self.access.memory))
-
-
-def ask(
-    order: dict[str, Any],
-    arrays: dict[str, NDArray[Any]],
-    folder: str,
-    name: str,
-    sizes: tuple[int, int | None],
-) -> Answer:
-    """Let usd-core carry out an order in a folder; `sizes` are those of the layers and of the memory, in bytes."""
-    seconds = _PATIENCE + _PER_MEGABYTE * (sizes[0] >> 20)
-    with tempfile.TemporaryFile() as job:
-        send(job, order, arrays)
-        job.seek(0)
-        with working(_MODULE, job, [folder, str(seconds), str(sizes[1] or 0)]) as worker:
-            try:
-                worker.process.wait(seconds)
-            except subprocess.TimeoutExpired:
-                raise InputError(name, f"it could not be read within {seconds} s", _EXPORT) from None
-            if (cause := worker.failure()) is not None:
-                missing = worker.process.returncode == MISSING
-                raise InputError(name, cause[:300], _EXTRA if missing else _EXPORT)
-            return receive(worker.answer)
+            return _USD_CORE.ask(question, self.name, size, self.access.memory)
 
 
 def layer_from(text: bytes, suffix: str, name: str) -> bytes:
     """Return the text of a layer in the form that a suffix says."""
     with tempfile.TemporaryDirectory(prefix="beltrami-") as folder:
-        order = {"task": "convert", "suffix": suffix}
-        arrays = {"text": np.frombuffer(text, np.uint8)}
-        return ask(order, arrays, folder, name, (len(text), None))[1]["layer"].tobytes()
+        order = {"task": "convert", "suffix": suffix, "folder": folder}
+        question = order, {"text": np.frombuffer(text, np.uint8)}
+        return _USD_CORE.ask(question, name, len(text), None)[1]["layer"].tobytes()
