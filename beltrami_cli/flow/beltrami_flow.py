@@ -95,17 +95,27 @@ class BeltramiFlow(Generic[AnyManifold]):
             raise UsageError("vertices are not moved in pieces; leave out --pieces, or --smooth-geometry")
         if moves:  # positions take the same iterations, and what is best for colours is not best for them
             parameters = dataclasses.replace(parameters, free=())
-        chosen, self.choice = tune(manifold, parameters)
+        noisy, self._error = is_noisy(manifold.noise), 0.0
+        corrects = noisy and manifold.shares_noise and parameters.takes_patches and not moves
+        self._sigma = manifold.noise
+        if corrects:
+            self._error = manifold.denoise_means()
+        chosen, self.choice = tune(manifold, parameters, noisy=noisy)
+        if corrects and "iterations" in parameters.free:
+            chosen = dataclasses.replace(chosen, iterations=max(1, chosen.iterations))
+        if self.choice is not None:
+            self.choice = self.choice.improved(-self._error)
         work = manifold.work
         self.parameters = work.bounded(chosen)
         work.announce(self.parameters)
         manifold.parameters = self.parameters
         chosen_beta = self.parameters.beta
-        self.beta = manifold.beta if chosen_beta is None or manifold.beta == 0 else chosen_beta
+        self._beta = manifold.beta if chosen_beta is None or manifold.beta == 0 else chosen_beta
+        self.beta = manifold.given_beta(self._beta)
         if self._split is None:
             manifold.release()
         self.takes_patches = parameters.takes_patches and self.parameters.iterations > 0 and not moves
-        self.takes_patches &= is_noisy(manifold.sigma)
+        self.takes_patches &= noisy
         self._samples, self._truncated = 0.0, 0
         self._clipped = None
         if self.parameters.clipping == "restore" and self.beta > 0 and self.parameters.iterations:
@@ -114,7 +124,7 @@ class BeltramiFlow(Generic[AnyManifold]):
     def step(self, iteration: int) -> Step:
         """Return an iteration, counted from 0."""
         own = self.parameters
-        return Step(self.beta * own.growth(iteration), own.t, own.is_regularised(iteration))
+        return Step(self._beta * own.growth(iteration), own.t, own.is_regularised(iteration))
 
     def stop_before(self, iteration: int) -> None:
         """Have `run` do only the iterations before one, counted from 0, and nothing after them."""
@@ -141,7 +151,7 @@ class BeltramiFlow(Generic[AnyManifold]):
         else:
             manifold.colours = self._smooth(manifold.colours, stages)
         return FlowResult(
-            manifold.spacing, self.beta, manifold.sigma,
+            manifold.spacing, self.beta, self._sigma,
             self._samples / max(1, self.parameters.iterations * manifold.kernels), self._truncated,
             self.parameters.max_samples, choice, share,
         )  # fmt: skip

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from beltrami_cli.flow.manifold import Mixing
     from beltrami_cli.flow.parameters import KernelParameters
     from beltrami_cli.surface.atlas import Atlas, Indices
 
@@ -60,6 +61,31 @@ def colours_at(planes: NDArray[np.float32], cells: Indices, threads: int) -> NDA
     for block in large_arrays.blocks(len(cells)):
         gather_colours(planes, cells[block], colours[block], threads)
     return colours
+
+
+def collaborate_on_canvas(
+    kind: NDArray[np.uint8],
+    noisy: NDArray[np.float32],
+    pilot: NDArray[np.float32],
+    mixing: Mixing,
+    threads: int,
+    progress: Callable[[int], None] | None = None,
+) -> NDArray[np.float32]:
+    """Estimate the colours of the owned cells from patches that look alike in the pilot."""
+    from beltrami_cli._native import collaborate_on_grid
+
+    estimates, weights = (large_arrays.zeros(noisy.shape, np.float32) for _ in range(2))
+
+    def report(done: int) -> None:
+        large_arrays.leave_memory()
+        if progress is not None:
+            progress(done)
+
+    own = mixing.forth, mixing.back, mixing.variances
+    collaborate_on_grid(
+        kind, noisy, pilot, own, None, mixing.has_pilot, estimates, weights, threads, report
+    )  # fmt: skip
+    return estimates
 
 
 def canvas_margin(parameters: KernelParameters) -> int:

@@ -199,7 +199,7 @@ class GridKernels(Manifold):
         if self.repeats is not None:
             weights /= self.repeats.reshape(-1)[cells]
         colours = np.ascontiguousarray(self.colours.reshape(len(self.colours), -1)[:, cells].T)
-        return SampledKernel(cells.astype(np.int64), distances, weights, colours)
+        return SampledKernel(cells.astype(np.int64), distances, weights, self.as_given(colours))
 
     def _distances(
         self, metric: NDArray[np.float32], beta: float, own: KernelParameters, centre: tuple[int, int]

@@ -6,13 +6,23 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from beltrami_cli.flow.canvas import colours_at, end_at_seams, find_colour_jumps, halo_beyond, painted
+from beltrami_cli.flow.canvas import (
+    collaborate_on_canvas,
+    colours_at,
+    end_at_seams,
+    find_colour_jumps,
+    halo_beyond,
+    painted,
+)
 from beltrami_cli.flow.clipping import find_clipped_on_canvas
+from beltrami_cli.flow.coarse_levels import denoise_means, left_for_cells
 from beltrami_cli.flow.grid_kernels import GridKernels
 from beltrami_cli.flow.grid_partitions import cut_grid
 from beltrami_cli.flow.kernel_work import KernelWork
 from beltrami_cli.flow.manifold import NewColours, SampleTrial
-from beltrami_cli.flow.noise.grid import estimate_noise_on_grid
+from beltrami_cli.flow.noise.grid import estimate_sigma_on_grid
+from beltrami_cli.flow.noise.grid_scales import find_grid_noise
+from beltrami_cli.flow.noise.haar_noise import covariance_of_cells, sigma_of_covariances
 from beltrami_cli.flow.regularisation import gaussian_taps, guide_radius
 from beltrami_cli.flow.search_range import ON_GRIDS, RULE_ON_GRIDS
 from beltrami_cli.flow.tuning.grid_trial import choose_blocks, perturbations, tried_cells, with_halo
@@ -60,7 +70,7 @@ class GridManifold(GridKernels):
         unit: float | None = None,
     ) -> None:
         self.colours = planes
-        self.sigma, self.noise_covariances = estimate_noise_on_grid(planes, atlas.kind == OWNED)
+        self._find_noise(atlas.kind == OWNED, parameters)
         different = np.zeros(max(1, atlas.seams), bool)
         # Where colours do not count as distance, a jump in colour is not an edge.
         if parameters.beta != 0 and (metric_channels is None or len(metric_channels)):
@@ -75,6 +85,40 @@ class GridManifold(GridKernels):
             unit = self.spacing if parameters.units == "world" else 1.0
         self.unit = unit
         self.embed(guides)
+
+    def _find_noise(self, filled: NDArray[np.bool_], parameters: KernelParameters) -> None:
+        """Estimate the noise, and make it even at all levels if it is not."""
+        planes, given = self.colours, parameters.given_noise
+        self.noise_covariances: NDArray[np.float64] | None = None
+        if given is None:
+            noise = find_grid_noise(planes, filled, by_level=parameters.evens_noise)
+            self.stabiliser, self.noise_covariances = noise.stabiliser, noise.covariances
+        elif given.is_by_level:
+            self.stabiliser = given.stabiliser()
+        if self.stabiliser is not None:
+            for rows in large_arrays.blocks(planes.shape[1], _ROWS):
+                self.stabiliser.stabilise(planes[:, rows])
+        self.sigma = estimate_sigma_on_grid(planes, filled)
+        self.take_given(given)
+        if self.noise_covariances is not None:
+            self.sigma = sigma_of_covariances(self.noise_covariances)
+
+    def denoise_means(self) -> float:
+        """Remove the noise that neighbouring cells share, but for their own details."""
+        if self.noise_covariances is None:
+            return 0.0
+        error = denoise_means(self, self.noise_covariances)
+        self.noise_covariances = left_for_cells(self.noise_covariances)
+        self.sigma = sigma_of_covariances(self.noise_covariances)
+        self.embed([])
+        return error
+
+    @property
+    def noise_covariance(self) -> NDArray[np.float64]:
+        """Covariance of the noise of channels."""
+        if self.noise_covariances is None:
+            return super().noise_covariance
+        return covariance_of_cells(self.noise_covariances)
 
     def partitions(
         self, count: int, widening: int, steps: Sequence[Step], channels: int
@@ -130,11 +174,11 @@ class GridManifold(GridKernels):
 
     def values(self) -> NDArray[np.float32]:
         """Return the colours of the owned cells as they are now, shape (T, N)."""
-        return colours_at(self.colours, self.atlas.owned_cells, self.threads)
+        return self.as_given(colours_at(self.colours, self.atlas.owned_cells, self.threads))
 
     def new_colours(self) -> NewColours:
         """Return the colours of the owned cells as they are now, and those of the gutter."""
-        return canvas_colours(self.atlas, self.colours, self.threads)
+        return canvas_colours(self.atlas, self.colours, self.threads).mapped(self.as_given)
 
     def find_clipped(self) -> ClippedChannels | None:
         """Find the channels that were cut off."""
@@ -167,28 +211,7 @@ class GridManifold(GridKernels):
         self, noisy: Stack, pilot: Stack, mixing: Mixing, progress: Callable[[int], None] | None
     ) -> Stack:
         """Estimate the colours of the owned cells from patches, and show them in the halo."""
-        from beltrami_cli._native import collaborate_on_grid
-
-        estimates, weights = (large_arrays.zeros(noisy.shape, np.float32) for _ in range(2))
-        own = mixing.forth, mixing.back, mixing.variances
-
-        def report(done: int) -> None:
-            large_arrays.leave_memory()
-            if progress is not None:
-                progress(done)
-
-        collaborate_on_grid(
-            self.atlas.kind,
-            noisy,
-            pilot,
-            own,
-            None,
-            mixing.has_pilot,
-            estimates,
-            weights,
-            self.threads,
-            report,
-        )
+        estimates = collaborate_on_canvas(self.atlas.kind, noisy, pilot, mixing, self.threads, progress)
         refresh_halo(estimates, self.atlas)
         return estimates
 

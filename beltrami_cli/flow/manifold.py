@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from beltrami_cli.flow.embedding import beta_of, choose_guide_beta, join_channels
+from beltrami_cli.flow.noise.stabilising import COLOURS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
     from beltrami_cli.flow.embedding import Guide
     from beltrami_cli.flow.geometry import MovingPositions
     from beltrami_cli.flow.kernel_work import KernelWork
+    from beltrami_cli.flow.noise.given import GivenNoise
+    from beltrami_cli.flow.noise.stabilising import VarianceStabiliser
     from beltrami_cli.flow.parameters import KernelParameters
     from beltrami_cli.flow.partitions import Partition
     from beltrami_cli.flow.regularisation import GridGaussian, MeshGaussian
@@ -91,6 +94,13 @@ class NewColours:
             np.zeros((0, rows.shape[1]), np.float32) if beyond is None else beyond,
         )
 
+    def mapped(self, each: Callable[[NDArray[np.float32]], NDArray[np.float32]]) -> NewColours:
+        """Return what a function makes of rows of colours."""
+        take = self.take
+        return dataclasses.replace(
+            self, take=lambda block, inside: each(take(block, inside)), beyond=each(self.beyond)
+        )
+
     def table(self) -> NDArray[np.float32]:
         """Return all rows, shape (S, N)."""
         return self.take(slice(None), slice(None))
@@ -136,10 +146,53 @@ class Manifold(ABC):
     moving: MovingPositions | None = None
     """The positions, if they are smoothed along with the colours."""
 
+    stabiliser: VarianceStabiliser | None = None
+    """What made the noise of the colours the same at all levels."""
+
     @property
     def shares_noise(self) -> bool:
         """Whether neighbouring samples share noise."""
         return False
+
+    @property
+    def noise_covariance(self) -> NDArray[np.float64]:
+        """Covariance of the noise of channels, shape (N, N)."""
+        return np.diag(np.square(self.sigma))
+
+    @property
+    def noise(self) -> NDArray[np.float64]:
+        """Estimated standard deviation of the noise of the colours as they were given, by channel."""
+        return self.sigma * self._growth
+
+    @property
+    def _growth(self) -> NDArray[np.float64]:
+        """By what factor differences of channels grow, in the mean, when they are given back."""
+        growth = np.ones(len(self.sigma))
+        if self.stabiliser is not None:
+            growth[:COLOURS] = self.stabiliser.growth
+        return growth
+
+    def take_given(self, noise: GivenNoise | None) -> None:
+        """Set the standard deviation of the colours to what is given; other channels keep what was estimated."""
+        if noise is not None:
+            colours = min(COLOURS, len(self.sigma))
+            self.sigma[:colours] = noise.sigma if self.stabiliser is None else self.stabiliser.scale
+
+    def given_beta(self, beta: float) -> float:
+        """Return beta in units of length per unit of the colours as they were given."""
+        return beta if self.stabiliser is None else beta / self.stabiliser.growth
+
+    def as_given(self, rows: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return colours, shape (S, N), as they were given."""
+        if self.stabiliser is None:
+            return rows
+        rows = rows.copy()
+        self.stabiliser.restore(rows.T)
+        return rows
+
+    def denoise_means(self) -> float:
+        """Remove noise that neighbours share but for their own details; return the estimated mean square error."""
+        return 0.0
 
     def __init__(self, parameters: KernelParameters, metric_channels: Sequence[int] | None) -> None:
         self.parameters, self.threads = parameters, parameters.thread_count

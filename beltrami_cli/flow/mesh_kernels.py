@@ -156,7 +156,9 @@ class MeshKernels(Manifold):
         weights = kernel_values(distances, own.t)
         if self._weights is not None:
             weights = weights * self._weights[held]
-        return SampledKernel(self.order[held].astype(np.int64), distances, weights, self.colours[held])
+        return SampledKernel(
+            self.order[held].astype(np.int64), distances, weights, self.as_given(self.colours[held])
+        )
 
     def samples_per_kernel(self, kernels: int, step: Step) -> float:
         """Measure how many samples a kernel holds, from some kernels spread evenly."""

@@ -13,7 +13,7 @@ from beltrami_cli.flow.kernel_work import MeshWork, without_hubs
 from beltrami_cli.flow.manifold import NewColours, SampleTrial
 from beltrami_cli.flow.mesh_kernels import MeshKernels, rank_in
 from beltrami_cli.flow.mesh_partitions import cut_mesh, first_reach
-from beltrami_cli.flow.noise.mesh import estimate_sigma
+from beltrami_cli.flow.noise.mesh import estimate_sigma, find_stabiliser
 from beltrami_cli.flow.regularisation import MeshGaussian
 from beltrami_cli.flow.search_range import ON_MESHES, RULE_ON_MESHES
 from beltrami_cli.flow.tuning.mesh_trial import choose_patches, fingerprints, random_signs
@@ -55,7 +55,15 @@ class MeshManifold(MeshKernels):
         geometry: GeometryParameters | None = None,
     ) -> None:
         super().__init__(surface, parameters, metric_channels)
+        given = parameters.given_noise
+        if given is not None:
+            self.stabiliser = given.stabiliser() if given.is_by_level else None
+        elif parameters.evens_noise and geometry is None:
+            self.stabiliser = find_stabiliser(self.colours, self.edges)
+        if self.stabiliser is not None:
+            self.stabiliser.stabilise(self.colours.T)
         self.sigma = estimate_sigma(self.colours, self.edges)
+        self.take_given(given)
         self.embed([dataclasses.replace(guide, values=guide.values[self.order]) for guide in guides])
         if geometry is not None:
             places = GeometryParameters(geometry.places[self.order], geometry.normal_beta)
@@ -109,7 +117,7 @@ class MeshManifold(MeshKernels):
 
     def values(self) -> NDArray[np.float32]:
         """Return the colours as they are now, shape (S, N), in the caller's order."""
-        return self.in_order(self.colours)
+        return self.in_order(self.as_given(self.colours))
 
     def new_colours(self) -> NewColours:
         """Return the same as blocks to be written back."""

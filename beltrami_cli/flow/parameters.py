@@ -7,10 +7,14 @@ import os
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args
 
+from beltrami_cli.errors import UsageError
 from beltrami_cli.fields import check, described, parameter
+from beltrami_cli.flow.noise.given import given_noise
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+
+    from beltrami_cli.flow.noise.given import GivenNoise
 
 Weights = Literal["uniform", "area"]
 Units = Literal["spacing", "world"]
@@ -163,6 +167,12 @@ class KernelParameters:
         choices=get_args(Strength), is_daily=True,
     )  # fmt: skip
 
+    noise: str | None = parameter(
+        None,
+        "The noise if it is known: 12 (of 255), 4.7%, or a camera's, shot:A,read:B: the variance A L + B^2 of light L.",
+        kind=str, unset="estimated", metavar="S", is_daily=True,
+    )  # fmt: skip
+
     patches: Patches = parameter(
         "auto",
         "After the kernel, estimate patches that look alike together, and blend both by their estimated error. "
@@ -172,6 +182,17 @@ class KernelParameters:
 
     def __post_init__(self) -> None:
         check(self)
+        _ = self.given_noise
+
+    @property
+    def given_noise(self) -> GivenNoise | None:
+        """The noise that is given; UsageError if it is none."""
+        if self.noise is None:
+            return None
+        try:
+            return given_noise(self.noise)
+        except ValueError as error:
+            raise UsageError(f"noise {error}") from None
 
     def with_values(self, **values: Any) -> KernelParameters:
         """Return parameters with other values; those that are given are no longer chosen from the data."""
@@ -191,6 +212,11 @@ class KernelParameters:
     def growth(self, iteration: int) -> float:
         """Return by what factor beta is larger in an iteration, counted from 0, than in the first."""
         return math.exp(min(iteration * math.log(self.beta_growth), MOST_GROWTH))
+
+    @property
+    def evens_noise(self) -> bool:
+        """Whether noise may be made the same at all levels of colour, which beta then counts in units of."""
+        return self.is_open and self.beta is None and "beta" in self.free
 
     @property
     def takes_patches(self) -> bool:

@@ -47,14 +47,12 @@ _OPPONENTS = np.array([[1, 1, 1], [1, 0, -1], [1, -2, 1]]) / np.sqrt([[3], [2], 
 _COMPARED = np.array([1, 0.5, 0.5])
 
 # In photographs most of the detail in differences of channels is in their mean, too, and what remains of their noise is
-# what people see: more noise is reckoned with once there is a pilot.
-_MORE_IN_DIFFERENCES = 4.0
+# what people see: more noise is reckoned with once there is a pilot. Noise that neighbours share is removed on coarser
+# levels, which differences of channels need most.
+_MORE_IN_DIFFERENCES, _MORE_IF_SHARED = 4.0, 1.0
 
 # Channels of which the differences vary this much less than the mean are colours.
 _COLOURED = 0.7
-
-# Noise that neighbours share does not average out between overlapping patches.
-_SHARED = 2.0
 
 # Noise of a channel, as a share of the largest, below which there is nothing to estimate.
 _NOISELESS = 0.01
@@ -101,8 +99,8 @@ def blend_with_patches(
     if clipped is not None:
         for own, pilot in _blocks(axis, noisy, before):
             clipped.impute(own, pilot)
-    mixing = mixing_of(manifold, before)
-    second = _with_pilot(mixing, manifold)
+    mixing = mixing_of(manifold, before, manifold.noise_covariance)
+    second = with_pilot(mixing, manifold)
 
     def estimate(colours: NDArray[np.float32], pilot: NDArray[np.float32]) -> NDArray[np.float32]:
         first = manifold.collaborate(colours, pilot, mixing, stage(_FIRST))
@@ -171,29 +169,29 @@ def _mix(
     for (p, q), (own,) in zip(_blocks(manifold.axis, before, after), _blocks(0, results), strict=True):
         p += own[0] * (q - p)
     share, gain = manifold.total(results) / max(1, manifold.kernels)
-    return Blend(before, float(share), float(gain) / len(manifold.sigma))
+    growth = 1.0 if manifold.stabiliser is None else manifold.stabiliser.growth
+    return Blend(before, float(share), growth**2 * float(gain) / len(manifold.sigma))
 
 
-def mixing_of(manifold: Manifold, colours: NDArray[np.float32]) -> Mixing:
-    """Return how the channels of a stack are mixed: colours by their mean and differences, others not at all."""
-    count = len(manifold.sigma)
+def mixing_of(manifold: Manifold, colours: NDArray[np.float32], noise: NDArray[np.float64]) -> Mixing:
+    """Return how channels with a covariance of noise are mixed: colours by their mean and differences."""
+    count = len(noise)
     forth = np.eye(count)
-    variances = np.square(manifold.sigma)
     # Where there is next to no noise, that little more is none that anyone sees.
-    variances = np.maximum(variances, _NOISELESS**2 * variances.max(initial=0))
+    least = _NOISELESS**2 * np.diag(noise).max(initial=0)
+    noise = noise + np.diag(np.maximum(least - np.diag(noise), 0))
     if count >= len(_OPPONENTS) and _is_coloured(manifold, colours):
         forth[:3, :3] = _COMPARED[:, None] * _OPPONENTS
-    mixed = np.square(forth) @ variances
+    mixed = np.einsum("ki,ij,kj->k", forth, noise, forth)
     return Mixing(*(np.ascontiguousarray(part, np.float32) for part in (forth, np.linalg.inv(forth), mixed)))
 
 
-def _with_pilot(mixing: Mixing, manifold: Manifold) -> Mixing:
+def with_pilot(mixing: Mixing, manifold: Manifold) -> Mixing:
     """Return the same with the noise that is reckoned with once there is a pilot."""
     is_mixed = np.count_nonzero(mixing.forth, axis=1) > 1
     is_difference = is_mixed & (mixing.forth.sum(axis=1) < mixing.forth.max(axis=1))
-    factor = np.where(is_difference, _MORE_IN_DIFFERENCES, 1.0) * SMOOTHNESS[manifold.parameters.strength]
-    if manifold.shares_noise:
-        factor = factor * _SHARED
+    more = _MORE_IF_SHARED if manifold.shares_noise else _MORE_IN_DIFFERENCES
+    factor = np.where(is_difference, more, 1.0) * SMOOTHNESS[manifold.parameters.strength]
     variances = (mixing.variances * factor).astype(np.float32)
     return dataclasses.replace(mixing, variances=variances, has_pilot=True)
 

@@ -110,7 +110,7 @@ class PixelSamples(Samples):
         del facts["format"]  # is that of the file
         return {
             "image": {**facts, "pitch": flow.manifold.spacing},
-            "noise": self.named(flow.manifold.sigma),
+            "noise": self.named(flow.manifold.noise),
             "smooth": describe_kernel(self.settings, flow),
         }
 

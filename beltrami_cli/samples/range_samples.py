@@ -84,7 +84,7 @@ class RangeSamples(PaintedSamples):
                 "holes": grid.size - measured,
                 "mean_edge_length": flow.manifold.spacing,
             },
-            "noise": self.named(flow.manifold.sigma),
+            "noise": self.named(flow.manifold.noise),
             "smooth": describe_kernel(self.settings, flow),
         }
 

@@ -171,7 +171,7 @@ class TexelSamples(Samples):
         atlases = [self.atlas] if count == 1 else [own.manifold.atlas for own in flows]
         for facts, atlas, own in zip(described, atlases, flows, strict=True):
             facts |= {"charts": atlas.charts, "seams": atlas.seams, "overlapped": atlas.overlapped}
-            facts |= {"pitch": own.manifold.spacing, "noise": self.named(own.manifold.sigma)}
+            facts |= {"pitch": own.manifold.spacing, "noise": self.named(own.manifold.noise)}
         between = self.atlas.seams - sum(atlas.seams for atlas in atlases)
         return {
             "slot": self.slot,
@@ -180,7 +180,7 @@ class TexelSamples(Samples):
             "seams_between_textures": max(0, between),
             "colour_jumps": flow.manifold.jumps,
             "pitch": flow.manifold.spacing,
-            "noise": self.named(flow.manifold.sigma),
+            "noise": self.named(flow.manifold.noise),
             "exposure": exposure,
             "smooth": describe_kernel(self.settings, flow),
         }

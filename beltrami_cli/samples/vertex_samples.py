@@ -150,7 +150,7 @@ class VertexSamples(PaintedSamples):
                 "mean_edge_length": manifold.spacing,
                 "bounds": bounds(painted.positions),
             },
-            "noise": self.named(manifold.sigma),
+            "noise": self.named(manifold.noise),
             "smooth": describe_kernel(self.settings, flow) | moving | {"samples_per_kernel": held},
         }
 

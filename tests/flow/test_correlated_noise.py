@@ -9,8 +9,9 @@ from scipy.ndimage import gaussian_filter
 
 import beltrami_cli
 from beltrami_cli.flow.manifold import Step
-from beltrami_cli.flow.noise import grid
-from beltrami_cli.flow.noise.grid import correlated_covariances, estimate_sigma_on_grid
+from beltrami_cli.flow.noise import grid_scales
+from beltrami_cli.flow.noise.grid import estimate_sigma_on_grid
+from beltrami_cli.flow.noise.grid_scales import find_grid_noise
 from beltrami_cli.flow.noise.haar_noise import draw_haar_noise, sigma_of_covariances
 from beltrami_cli.flow.tuning.sure import RiskEstimate
 from formats.image_files import encode
@@ -56,7 +57,7 @@ def found(image):
     planes = np.ascontiguousarray(np.moveaxis(image, 2, 0), np.float32)
     filled = np.ones(planes.shape[1:], bool)
     sigma = estimate_sigma_on_grid(planes, filled)
-    return correlated_covariances(planes, filled, sigma), sigma
+    return find_grid_noise(planes, filled, by_level=False).covariances, sigma
 
 
 def psnr(result, clean):
@@ -135,12 +136,10 @@ def test_the_estimated_error_is_the_true_one_where_neighbours_share_noise():
 @pytest.mark.parametrize("sigma", [2, 5, 20])
 def test_independent_noise_is_not_taken_for_shared_noise(sigma):
     random = np.random.default_rng(0)
-    grain = np.stack([gaussian_filter(random.standard_normal((256, 256)), 1.5) for _ in range(3)], axis=2)
+    # Texture of which each channel is another would be grain.
+    grain = gaussian_filter(random.standard_normal((256, 256)), 1.5)[..., None] * [1.0, 0.9, 0.8]
     grain /= grain.std()
-    rich, dark = (
-        0.5 + 0.1 * grain.mean(axis=2, keepdims=True) * [1.0, 0.9, 0.8],
-        (0.05 + 0.05 * grain).clip(0, 1),
-    )
+    rich, dark = 0.5 + 0.1 * grain, (0.05 + 0.05 * grain).clip(0, 1)
     for clean in (painting(256), rich, dark):
         assert found(stored(clean, sigma) / 255)[0] is None
 
@@ -149,7 +148,7 @@ def test_independent_noise_is_not_taken_for_shared_noise(sigma):
 def test_rich_dark_texture_is_not_taken_for_shared_noise(grain, contrast, mean):
     """Noise that was cut off at 0 makes differences of channels smaller, too."""
     random = np.random.default_rng(0)
-    texture = np.stack([gaussian_filter(random.standard_normal((256, 256)), grain) for _ in range(3)], axis=2)
+    texture = gaussian_filter(random.standard_normal((256, 256)), grain)[..., None] * [1.0, 0.9, 0.8]
     assert found(stored((mean + contrast / texture.std() * texture).clip(0, 1), 5) / 255)[0] is None
 
 
@@ -168,7 +167,7 @@ def test_the_noise_that_jpeg_left_is_found(quality, subsampling, sigma, tmp_path
     alpha = 0.5 + 0.03 * np.random.default_rng(1).standard_normal((512, 512, 1))
     covariances, sigma = found(np.concatenate([image, alpha], axis=2))
     assert sigma_of_covariances(covariances)[:3] == pytest.approx(left.std(axis=(0, 1)), rel=1 / 3)
-    assert sigma_of_covariances(covariances)[3] == pytest.approx(sigma[3])
+    assert sigma_of_covariances(covariances)[3] == pytest.approx(sigma[3], rel=0.03)  # by other even tiles
 
 
 @pytest.mark.parametrize("factor", [1.3, 2.0])
@@ -185,7 +184,7 @@ def test_the_noise_of_a_large_picture_is_estimated_from_bands(monkeypatch):
     noise = enlarged((2048, 512), 1.5, 10 / 255)
     covariances = []
     for cells in (2048 * 512, 2 * 128 * 512):
-        monkeypatch.setattr(grid, "MOST_CELLS", cells)
+        monkeypatch.setattr(grid_scales, "MOST_CELLS", cells)
         covariances.append(found(0.5 + noise)[0])
     assert sigma_of_covariances(covariances[1]) == pytest.approx(
         sigma_of_covariances(covariances[0]), rel=0.1
@@ -235,7 +234,6 @@ def test_noise_of_colours_of_which_hardly_any_is_inside_the_limits_is_still_a_nu
     # Two cells of five are black or white: at half the resolution hardly a square is free of them.
     cut_off = random.random((256, 256)) < 0.4
     noisy[:, cut_off] = random.integers(0, 2, (3, np.count_nonzero(cut_off)))
-    sigma, covariances = grid.estimate_noise_on_grid(noisy, np.ones((256, 256), bool))
-    assert np.isfinite(sigma).all()
-    assert covariances is None
+    assert np.isfinite(estimate_sigma_on_grid(noisy, np.ones((256, 256), bool))).all()
+    assert find_grid_noise(noisy, np.ones((256, 256), bool), by_level=True).covariances is None
     assert np.isfinite(estimate_sigma_on_grid(noisy[:, :2, :2], np.ones((2, 2), bool))).all()

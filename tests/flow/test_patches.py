@@ -227,7 +227,7 @@ def test_channels_that_vary_apart_are_not_mixed():
         (np.dstack([clean[..., 0], clean[::-1, :, 0], clean[..., 0].T]), False),
     ):
         flow = pixel_flow(with_noise(image, 0.02), **FIXED)
-        mixing = patches.mixing_of(flow.manifold, flow.manifold.colours)
+        mixing = patches.mixing_of(flow.manifold, flow.manifold.colours, flow.manifold.noise_covariance)
         assert np.allclose(mixing.forth @ mixing.back, np.eye(3), atol=1e-6)
         assert np.count_nonzero(mixing.forth[:, 0]) == (3 if mixed else 1)
 

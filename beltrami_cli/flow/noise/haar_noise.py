@@ -21,13 +21,18 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
-def sigma_of_covariances(covariances: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return sigma of the noise of single cells, per channel, from covariances of shape (L, N, N)."""
-    variances = np.diagonal(covariances, axis1=1, axis2=2)
+def covariance_of_cells(covariances: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the covariance of the noise of single cells, shape (N, N), from those of shape (L, N, N)."""
     # Three quarters of independent noise are detail, and one quarter is in the means of 2 x 2 cells.
     shares = 3 / 4.0 ** np.arange(1, len(covariances) + 1)
-    total: NDArray[np.float64] = shares @ variances + variances[-1] / 4.0 ** len(covariances)
-    return np.sqrt(total)
+    shares[-1] += 1 / 4.0 ** len(covariances)
+    total: NDArray[np.float64] = np.einsum("l,lij->ij", shares, covariances)
+    return total
+
+
+def sigma_of_covariances(covariances: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return sigma of the noise of single cells, per channel, from covariances of shape (L, N, N)."""
+    return np.sqrt(np.diag(covariance_of_cells(covariances)))
 
 
 def draw_haar_noise(
@@ -36,11 +41,11 @@ def draw_haar_noise(
     """Draw noise, shape (N, *shape), of the given covariances of Haar details, shape (L, N, N)."""
     levels = len(covariances)
     coarse = [-(-size // 2**levels) for size in shape]
-    noise = _mixed(covariances[-1], coarse, random) / np.float32(2**levels)
+    noise = mixed_signs(covariances[-1], coarse, random) / np.float32(2**levels)
     for level in reversed(range(levels)):
         rows, columns = noise.shape[1:]
         across, down, both = (
-            _mixed(covariances[level], (rows, columns), random) / np.float32(2 ** (level + 1))
+            mixed_signs(covariances[level], (rows, columns), random) / np.float32(2 ** (level + 1))
             for _ in range(3)
         )
         finer = np.empty((len(noise), rows, 2, columns, 2), np.float32)
@@ -52,8 +57,8 @@ def draw_haar_noise(
     return np.ascontiguousarray(noise[:, : shape[0], : shape[1]])
 
 
-def _mixed(
-    covariance: NDArray[np.float64], shape: list[int] | tuple[int, int], random: np.random.Generator
+def mixed_signs(
+    covariance: NDArray[np.float64], shape: list[int] | tuple[int, ...], random: np.random.Generator
 ) -> NDArray[np.float32]:
     """Draw white noise with a covariance of the channels, shape (N, *shape)."""
     values, vectors = np.linalg.eigh(covariance)

@@ -11,12 +11,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from beltrami_cli.flow.noise.by_level import Neighbourhoods, fit_by_level, mixing_for, stabiliser_of
 from beltrami_cli.flow.noise.flat_patch_noise import Patches, WhiteNoise, flat_patch_sigma
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from numpy.typing import NDArray
+
+    from beltrami_cli.flow.noise.stabilising import VarianceStabiliser
 
 
 # Samples per block, and blocks, that suffice for an estimate.
@@ -34,6 +37,10 @@ _AROUND_SHARE, _AROUND_LEAST = 0.05, 300
 
 # Rings over which detail is averaged to rank patches.
 _RINGS_OF_DETAIL = 5
+
+# Noise by level needs this many samples. Neighbourhoods with a larger share of samples at a limit, or without any
+# noise, are left out.
+_FEWEST_BY_LEVEL, _MOST_CUT_OFF, _PLAIN = 2_000, 0.1, 1e-9
 
 _NEIGHBOURS = 3  # fewer: a border or a stray edge, whose mean leans to one side
 
@@ -121,3 +128,30 @@ def detail_around(colours: NDArray[np.float32], edges: NDArray[np.int32]) -> NDA
     for _ in range(_RINGS_OF_DETAIL):
         detail = _and_beside(detail, edges) / size
     return detail
+
+
+def find_stabiliser(colours: NDArray[np.float32], edges: NDArray[np.int32]) -> VarianceStabiliser | None:
+    """Find what makes noise the same at all levels; None if it is, or if numbers below 0 are no levels."""
+    colours, edges = _some_samples(colours[:, :3] if colours.shape[1] >= 3 else colours, edges)
+    degree = np.bincount(edges.ravel(), minlength=len(colours))
+    inside = degree >= _NEIGHBOURS
+    if np.count_nonzero(inside) < _FEWEST_BY_LEVEL or colours.min() < 0:
+        return None
+    mixing = mixing_for(colours.shape[1])
+    mixed = np.einsum("ki,si->sk", mixing, colours)
+    size = _around(np.ones(len(colours)), edges)[inside]
+    residual = np.zeros((len(colours), len(mixing)))
+    for squares, own in zip(residual.T, residuals(mixed.astype(np.float32), edges), strict=True):
+        squares[inside] = own**2
+    count = _around(inside.astype(np.float64), edges)[inside]
+    energy = np.stack([_around(squares, edges)[inside] / count for squares in residual.T])
+    means = mixed.astype(np.float64)
+    for _ in range(2):
+        means = np.stack([_and_beside(own, edges) for own in means.T], axis=1) / (degree + 1)[:, None]
+    around = [np.stack([_around(own, edges)[inside] / size for own in of.T]) for of in (means**2, means)]
+    uneven, level = np.sum(around[0] - around[1] ** 2, axis=0), around[1][0] / np.sqrt(len(mixing))
+    cut = _around(((colours <= 0) | (colours >= 1)).mean(axis=1), edges)[inside] / size
+    used = (cut < _MOST_CUT_OFF) & (energy.min(axis=0) > _PLAIN)
+    even = Neighbourhoods(energy[:, used], uneven[used], level[used], round(_FREEDOM_AROUND))
+    found = fit_by_level([even])
+    return None if found is None else stabiliser_of(found)

@@ -198,11 +198,11 @@ def choose(
 ) -> tuple[KernelParameters, Choice]:
     """Choose the free parameters by the smallest error that is estimated on a sample of the manifold."""
     sigma, metric_sigma = manifold.sigma, manifold.metric_sigma
-    noise = float(np.mean(np.square(sigma)))
     scale = choose_beta(metric_sigma, 1.0) * manifold.unit if len(metric_sigma) else 0.0
     grid = _grid(parameters, search_range, scale, manifold.beta)
     weight = (_SHARED_BY_NEIGHBOURS if trial.correlated else 1.0) * SMOOTHNESS[parameters.strength]
-    search = Search(RiskEstimate(trial, sigma), grid, noise, weight)
+    risks = RiskEstimate(trial, sigma, manifold.stabiliser)
+    search = Search(risks, grid, risks.noise, weight)
     best = search.run()
     values: dict[str, Any] = {
         "iterations": best.regularised + best.plain,
@@ -212,8 +212,10 @@ def choose(
         "metric_steps": best.regularised,
     }
     chosen: dict[str, Any] = {name: values[name] for name in parameters.free}
-    estimate = _decibels(search.tried[best], noise)
-    choice = Choice(chosen, *estimate, len(search.tried), trial.samples, trial.correlated)
+    estimate = _decibels(search.tried[best], risks.noise)
+    choice = Choice(
+        _as_given(chosen, manifold), *estimate, len(search.tried), trial.samples, trial.correlated
+    )
     return dataclasses.replace(parameters, **chosen, free=()), choice
 
 
@@ -274,15 +276,22 @@ def choose_by_rule(
         "metric_steps": rule.regularised,
     }
     chosen: dict[str, Any] = {name: values[name] for name in parameters.free}
-    return dataclasses.replace(parameters, **chosen, free=()), Choice(chosen)
+    return dataclasses.replace(parameters, **chosen, free=()), Choice(_as_given(chosen, manifold))
 
 
-def tune(manifold: Manifold, parameters: KernelParameters) -> tuple[KernelParameters, Choice | None]:
+def _as_given(chosen: dict[str, Any], manifold: Manifold) -> dict[str, Any]:
+    """Return chosen parameters with beta per unit of the colours as they were given."""
+    return chosen | ({"beta": manifold.given_beta(chosen["beta"])} if "beta" in chosen else {})
+
+
+def tune(
+    manifold: Manifold, parameters: KernelParameters, *, noisy: bool
+) -> tuple[KernelParameters, Choice | None]:
     """Return parameters with nothing left open, and what was chosen; without noise nothing is smoothed."""
     closed = dataclasses.replace(parameters, free=())
     if not parameters.is_open:
         return closed, None
-    if not is_noisy(manifold.sigma):
+    if not noisy:
         return dataclasses.replace(closed, iterations=0) if "iterations" in parameters.free else closed, None
     if parameters.fast or not manifold.work.is_surface:
         return choose_by_rule(manifold, parameters, manifold.rule)

@@ -28,6 +28,8 @@ from beltrami_cli.flow.manifold import Step
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from beltrami_cli.flow.noise.stabilising import VarianceStabiliser
+
 # The perturbation, in units of the noise: far above the rounding of float32. Distances on meshes have kinks where their
 # paths change, so a smaller one sees a derivative that varies from sample to sample, and a larger one changes the
 # kernels: on painted and photographed samples, half or twice as much chooses worse.
@@ -93,11 +95,18 @@ def wanted_probes(samples: int) -> int:
 class RiskEstimate:
     """Monte Carlo SURE on a trial, with noise of standard deviation `sigma` by channel, shape (N,)."""
 
-    def __init__(self, trial: Trial, sigma: NDArray[np.float64]) -> None:
+    def __init__(
+        self, trial: Trial, sigma: NDArray[np.float64], stabiliser: VarianceStabiliser | None = None
+    ) -> None:
         self._trial = trial
         self._epsilon = PERTURBATION * float(np.sqrt(np.square(sigma).mean()))
         self._noisy = trial.scored(trial.start)
         self._variance = np.square(sigma) * self._unclipped_variance()
+        # Errors count as they are in the colours as given.
+        self._counts: NDArray[np.float32] | float = 1.0
+        if stabiliser is not None:
+            self._counts = np.square(stabiliser.slopes(self._noisy.T)).T
+        self.noise = float(np.mean(np.broadcast_to(self._variance, self._noisy.shape) * self._counts))
         self._signs = [trial.scored(signs) for signs in trial.signs]
         # 1 for signs; perturbations like the noise have its size, channel by channel, and so need no weights.
         power = np.mean([np.mean(np.square(signs), axis=0) for signs in self._signs], axis=0)
@@ -139,8 +148,8 @@ class RiskEstimate:
         for signs, colours in zip(self._signs, state.perturbed, strict=True):
             response += signs * (self._trial.scored(colours) - smoothed)
         response /= len(self._signs) * self._epsilon
-        misfit = np.square(smoothed - self._noisy) - self._variance
-        divergence = 2 * self._response_weight * response
+        misfit = (np.square(smoothed - self._noisy) - self._variance) * self._counts
+        divergence = 2 * self._response_weight * response * self._counts
         each = (misfit + divergence).mean(axis=1)
         parts = np.array([part.mean() for part in np.array_split(each, _PARTS) if len(part)])
         error = float(parts.std(ddof=1) / np.sqrt(len(parts))) if len(parts) > 1 else float("inf")

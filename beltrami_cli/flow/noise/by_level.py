@@ -1,0 +1,167 @@
+"""Noise by the level of colours and by scale, from the samples that lie in even neighbourhoods.
+
+Noise is measured in the details of each scale, for the mean of channels and their differences, and for groups of
+neighbourhoods of similar level: the mean energy of those with the most even means around. What they hold besides noise
+makes them larger, never smaller. So
+
+    log energy (scale, component, level) = a (scale, component) + s (level) + texture,    texture >= 0
+
+is fitted with weights that fall where residuals are above 0: textures differ from level to level and from component to
+component, and where one is free of them, it shows the noise of the others [1]_.
+
+References
+----------
+.. [1] M. Lebrun, M. Colom, J.-M. Morel, "The Noise Clinic: a blind image denoising algorithm", Image Processing On Line
+   5, 2015: noise by level and by scale. https://doi.org/10.5201/ipol.2015.125
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from beltrami_cli.flow.noise.stabilising import VarianceStabiliser
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+# The mean of three channels and two differences, orthonormal.
+OPPONENTS = np.array([[1, 1, 1], [1, 0, -1], [1, -2, 1]]) / np.sqrt([[3], [2], [6]])
+
+# Levels differ if standard deviations of noise do by more than this factor, between those with a share of the samples.
+_UNEVEN, _COUNTED = 1.3, 0.02
+
+# Bound on the relative standard deviation, beyond which there is texture.
+_MOST_RELATIVE = 3.0
+
+# Groups of levels, and how far apart they are at least.
+LEVELS, _LEAST_APART = 8, 1 / 32
+
+# Neighbourhoods of a group that are taken to be even: a share, and at least this many; with fewer than the least it is
+# left out.
+_SHARE, _FEWEST, _LEAST = 0.1, 6, 3
+
+# Residuals, in logarithms of variance, above which there is texture; and iterations of the weights.
+_SCATTER, _ROUNDS = 0.1, 30
+
+# Values that make a full weight.
+_ENOUGH_VALUES = 200
+
+# Steps between neighbouring levels count by this, over the distance; all else that is not determined is small.
+_EVEN, _LITTLE = 0.03, 1e-3
+
+
+@dataclass(frozen=True)
+class Neighbourhoods:
+    """M neighbourhoods at one scale."""
+
+    energy: NDArray[np.float64]  # mean square of details by component, shape (K, M)
+    unevenness: NDArray[np.float64]  # of means around, shape (M,)
+    level: NDArray[np.float64]  # mean level, shape (M,)
+    values: int  # details in each
+
+
+@dataclass(frozen=True)
+class NoiseByLevel:
+    """Standard deviations of noise by scale and component, and the relative one by level."""
+
+    sigma: NDArray[np.float64]  # shape (L, K); NaN where there was nothing to measure
+    levels: NDArray[np.float64]  # ascending, shape (G,)
+    relative: NDArray[np.float64]  # shape (G,); its logarithm has the mean 0
+    seen: NDArray[np.float64]  # how many neighbourhoods of the finest scale have each level, shape (G,)
+
+
+def fit_by_level(scales: Sequence[Neighbourhoods]) -> NoiseByLevel | None:
+    """Fit noise to the neighbourhoods of each scale; None without enough of them at the finest."""
+    if not scales or len(scales[0].level) < _FEWEST:
+        return None
+    edges = _edges(scales[0].level)
+    groups = len(edges) - 1
+    components = len(scales[0].energy)
+    numbers: list[tuple[int, int, int]] = []
+    logs: list[float] = []
+    weights: list[float] = []
+    total, seen = np.zeros(groups), np.zeros(groups)
+    for scale, own in enumerate(scales):
+        group = np.clip(np.searchsorted(edges, own.level, "right") - 1, 0, groups - 1)
+        for number in range(groups):
+            members = np.flatnonzero(group == number)
+            if scale == 0:
+                seen[number], total[number] = len(members), own.level[members].sum()
+            if len(members) < _LEAST:
+                continue
+            count = min(len(members), max(_FEWEST, int(_SHARE * len(members))))
+            even = members[np.argsort(own.unevenness[members], kind="stable")[:count]]
+            for component, energy in enumerate(own.energy[:, even].mean(axis=1)):
+                numbers.append((scale, component, number))
+                logs.append(float(np.log(energy)))
+                weights.append(min(1.0, count * own.values / _ENOUGH_VALUES))
+    if not numbers:
+        return None
+    levels = np.where(seen > 0, total / np.maximum(seen, 1), (edges[1:] + edges[:-1]) / 2)
+    shape = len(scales), components
+    fitted, known = _fit(np.array(numbers), np.array(logs), np.array(weights), levels, shape)
+    relative = fitted[shape[0] * shape[1] :]
+    middle = float(np.average(relative, weights=np.maximum(seen, 1e-9)))
+    sigma = np.exp((fitted[: shape[0] * shape[1]].reshape(shape) + middle) / 2)
+    return NoiseByLevel(np.where(known, sigma, np.nan), levels, np.exp((relative - middle) / 2), seen)
+
+
+def stabiliser_of(found: NoiseByLevel) -> VarianceStabiliser | None:
+    """Return the transformation that makes noise even; None if it is."""
+    counted = found.seen >= _COUNTED * found.seen.sum()
+    relative = found.relative[counted]
+    if len(relative) < 2 or relative.max() < _UNEVEN * relative.min():
+        return None
+    relative = np.clip(relative, 1 / _MOST_RELATIVE, _MOST_RELATIVE)
+    return VarianceStabiliser(found.levels[counted], relative, found.seen[counted])
+
+
+def mixing_for(channels: int) -> NDArray[np.float64]:
+    """Return the mixing of channels into components, shape (K, K): the colours', or one channel each."""
+    return OPPONENTS if channels >= len(OPPONENTS) else np.eye(channels)
+
+
+def _edges(levels: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the limits of groups with equally many levels, but not closer than they may be."""
+    ordered = np.sort(levels)
+    wanted = ordered[np.linspace(0, len(ordered) - 1, LEVELS + 1).astype(int)]
+    edges = [float(wanted[0])]
+    for edge in wanted[1:]:
+        if edge - edges[-1] >= _LEAST_APART:
+            edges.append(float(edge))
+    return np.array(edges if len(edges) > 1 else [edges[0], edges[0] + _LEAST_APART])
+
+
+def _fit(
+    numbers: NDArray[np.int64],
+    logs: NDArray[np.float64],
+    weights: NDArray[np.float64],
+    levels: NDArray[np.float64],
+    shape: tuple[int, int],
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Return a and s side by side, and which of a were measured, shape (L, K)."""
+    first = shape[0] * shape[1]
+    count = first + len(levels)
+    own = numbers[:, 0] * shape[1] + numbers[:, 1]
+    design = np.zeros((len(logs), count))
+    design[np.arange(len(logs)), own] = 1
+    design[np.arange(len(logs)), first + numbers[:, 2]] = 1
+    prior = _LITTLE * np.eye(count)
+    for k, apart in enumerate(np.diff(levels)):
+        at = first + k
+        penalty = _EVEN / max(float(apart), _LEAST_APART)
+        prior[at : at + 2, at : at + 2] += penalty * np.array([[1, -1], [-1, 1]])
+    factors, fitted = np.ones(len(logs)), np.zeros(count)
+    for _ in range(_ROUNDS):
+        weighted = design * (weights * factors)[:, None]
+        fitted = np.linalg.solve(
+            np.einsum("ij,ik->jk", weighted, design) + prior, np.einsum("ij,i->j", weighted, logs)
+        )
+        residuals = logs - np.einsum("ij,j->i", design, fitted)
+        factors = np.where(residuals > 0, 1 / (1 + np.square(residuals / _SCATTER)), 1)
+    return fitted, np.bincount(own, minlength=first).reshape(shape) > 0

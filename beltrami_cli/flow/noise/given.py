@@ -1,0 +1,70 @@
+"""Noise that is given: of one standard deviation, or that of a camera."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from beltrami_cli.flow.noise.stabilising import VarianceStabiliser
+
+_CAMERA = re.compile(r"shot:([^,]+),read:([^,]+)")
+
+# Levels at which the noise of a camera is tabulated, denser where the encoding of colours is steep.
+_LEVELS = np.linspace(0, 1, 65) ** 2
+
+
+@dataclass(frozen=True)
+class GivenNoise:
+    """A standard deviation, or the shares of shot and read noise: of full scale 1 and linear light."""
+
+    sigma: float = 0.0
+    shot: float = 0.0
+    read: float = 0.0
+
+    @property
+    def is_by_level(self) -> bool:
+        """Whether it depends on the level of colours."""
+        return self.shot > 0 or self.read > 0
+
+    def stabiliser(self) -> VarianceStabiliser:
+        """Return what makes the noise of a camera the same at all levels of sRGB colours."""
+        from beltrami_cli.flow.noise.stabilising import VarianceStabiliser
+        from beltrami_cli.surface.colour_values import srgb_to_linear
+
+        light = srgb_to_linear(np.asarray(_LEVELS)).astype(np.float64)
+        slopes = np.maximum(np.gradient(light, _LEVELS), 1 / 12.92)
+        sigma: NDArray[np.float64] = np.sqrt(self.shot * light + self.read**2) / slopes
+        return VarianceStabiliser(_LEVELS, np.maximum(sigma, sigma.max() / 1000), np.ones(len(sigma)))
+
+
+def given_noise(text: str) -> GivenNoise:
+    """Read "12" or "12/255" of 255, "0.047" or "4.7%" of full scale, or "shot:A,read:B"; ValueError if it is none."""
+    camera = _CAMERA.fullmatch(text.strip())
+    try:
+        if camera:
+            found = GivenNoise(shot=float(camera[1]), read=float(camera[2]))
+        else:
+            found = GivenNoise(_number(text.strip()))
+    except (ValueError, ZeroDivisionError):
+        raise ValueError(
+            f"is {text!r}, but must be a number of 255 such as 12, a share of full scale such as 0.047 or 4.7%, or "
+            "shot:A,read:B such as shot:0.01,read:0.005"
+        ) from None
+    if not (0 <= found.sigma <= 1 and 0 <= found.shot <= 1 and 0 <= found.read <= 1):
+        raise ValueError(f"is {text!r}, but noise is at least 0, and at most 255 or a full scale of 1")
+    return found
+
+
+def _number(text: str) -> float:
+    if text.endswith("%"):
+        return float(text[:-1]) / 100
+    if "/" in text:
+        part, whole = text.split("/")
+        return float(part) / float(whole)
+    return float(text) / (255 if float(text) >= 1 else 1)
