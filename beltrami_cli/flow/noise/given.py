@@ -6,17 +6,13 @@ import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from beltrami_cli.flow.noise.stabilising import VarianceStabiliser
 
 _CAMERA = re.compile(r"shot:([^,]+),read:([^,]+)")
 
-# Levels at which the noise of a camera is tabulated, denser where the encoding of colours is steep.
-_LEVELS = np.linspace(0, 1, 65) ** 2
+# Levels at which the noise of a camera is tabulated.
+_LEVELS = 65
 
 
 @dataclass(frozen=True)
@@ -34,13 +30,16 @@ class GivenNoise:
 
     def stabiliser(self) -> VarianceStabiliser:
         """Return what makes the noise of a camera the same at all levels of sRGB colours."""
+        import numpy as np
+
         from beltrami_cli.flow.noise.stabilising import VarianceStabiliser
         from beltrami_cli.surface.colour_values import srgb_to_linear
 
-        light = srgb_to_linear(np.asarray(_LEVELS)).astype(np.float64)
-        slopes = np.maximum(np.gradient(light, _LEVELS), 1 / 12.92)
-        sigma: NDArray[np.float64] = np.sqrt(self.shot * light + self.read**2) / slopes
-        return VarianceStabiliser(_LEVELS, np.maximum(sigma, sigma.max() / 1000), np.ones(len(sigma)))
+        levels = np.linspace(0, 1, _LEVELS) ** 2  # denser where the encoding of colours is steep
+        light = srgb_to_linear(levels).astype(np.float64)
+        slopes = np.maximum(np.gradient(light, levels), 1 / 12.92)
+        sigma = np.sqrt(self.shot * light + self.read**2) / slopes
+        return VarianceStabiliser(levels, np.maximum(sigma, sigma.max() / 1000), np.ones(len(sigma)))
 
 
 def given_noise(text: str) -> GivenNoise:
