@@ -17,16 +17,16 @@ if TYPE_CHECKING:
     from beltrami_cli.surface.records import Slot
 
 _DECLARED = {each.name: each for each in parameters(SmoothSettings, deep=True)}
-_CHOICES = [
-    name for name in ("strength", "noise", "patches") if name in _DECLARED and _DECLARED[name].choices
-]
+_CHOICES = ("strength", "patches")
+_TEXTS = ("noise",)
 _SLIDERS = {"iterations": (1, 20, 1), "t": (0.5, 10, 0.1), "beta": (0, 40, 0.5), "window": (3, 31, 2)}
+_NAMES = (*_CHOICES, *_TEXTS, *_SLIDERS)
 
 
 def plain_settings(settings: SmoothSettings) -> SmoothSettings:
     """Return settings with what the controls set as it is where nothing is given."""
     kernel = settings.kernel
-    reset = {name: _DECLARED[name].default for name in (*_CHOICES, *_SLIDERS)}
+    reset = {name: _DECLARED[name].default for name in _NAMES}
     given = [name for name in TUNABLE if name in _SLIDERS and getattr(kernel, name) is not None]
     free = tuple(name for name in TUNABLE if name in kernel.free or name in given)
     textures = dataclasses.replace(settings.textures, slots=DEFAULTS.textures.slots)
@@ -38,7 +38,7 @@ def plain_settings(settings: SmoothSettings) -> SmoothSettings:
 def given_values(settings: SmoothSettings) -> dict[str, Any]:
     """Return what the controls show at first: what is given."""
     kernel, values = settings.kernel, dict[str, Any]()
-    for name in (*_CHOICES, *_SLIDERS):
+    for name in _NAMES:
         value = getattr(kernel, name)
         is_given = name not in kernel.free if name in TUNABLE else value != _DECLARED[name].default
         if is_given and value is not None:
@@ -50,7 +50,7 @@ def settings_from(plain: SmoothSettings, values: Mapping[str, Any]) -> SmoothSet
     """Return settings with the values of controls; UsageError if one cannot be."""
     made: dict[str, Any] = {}
     for name, value in values.items():
-        if name not in (*_CHOICES, *_SLIDERS, "slots"):
+        if name not in (*_NAMES, "slots"):
             raise UsageError(f"there is no control {name}")
         if value not in (None, ""):
             made[name] = tuple(value) if isinstance(value, list) else _value(_DECLARED[name], value)
@@ -66,6 +66,7 @@ def _value(declared: Parameter, value: Any) -> Any:
 def controls(layers: Sequence[Slot | None]) -> str:
     """Return the controls as parts of a page."""
     rows = [_choice(_DECLARED[name]) for name in _CHOICES]
+    rows += [_text(_DECLARED[name]) for name in _TEXTS]
     rows += [_slider(_DECLARED[name], *bounds) for name, bounds in _SLIDERS.items()]
     slots = [slot for slot in layers if slot is not None]
     if len(slots) > 1:
@@ -85,6 +86,14 @@ def _choice(declared: Parameter) -> str:
         f'<div class="control"><label for="{declared.name}">{declared.name}</label>'
         f'<select id="{declared.name}" name="{declared.name}" aria-describedby="about-{declared.name}">'
         f"{options}</select>{_about(declared)}</div>"
+    )
+
+
+def _text(declared: Parameter) -> str:
+    return (
+        f'<div class="control"><label for="{declared.name}">{declared.name}</label>'
+        f'<input type="text" id="{declared.name}" name="{declared.name}" placeholder="{declared.unset}" '
+        f'aria-describedby="about-{declared.name}" autocomplete="off" spellcheck="false">{_about(declared)}</div>'
     )
 
 

@@ -37,10 +37,10 @@ from beltrami_cli.view.used_parameters import used_parameters
 from beltrami_cli.view.views import image_files
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Mapping, Sequence
 
     from beltrami_cli.jobs.job import Job
-    from beltrami_cli.jobs.smoothing import SmoothReport
+    from beltrami_cli.jobs.smoothing import Smoothed, SmoothReport
     from beltrami_cli.samples.settings import SmoothSettings
     from beltrami_cli.view.layers import Shown
 
@@ -73,7 +73,7 @@ class _Page:
     done: int = 0
     shown: Shown = field(default_factory=dict)
     chosen: dict[str, float] = field(default_factory=dict)
-    chosen_by: str = ""  # the strength
+    chosen_by: tuple[str, str | None] | None = None  # the strength and the noise
 
 
 class Live:
@@ -273,7 +273,7 @@ class Live:
         """Return settings in which nothing is tried: what is free is as it was chosen last, or by the rule."""
         kernel = settings.kernel
         known = {name: page.chosen[name] for name in kernel.free if name in page.chosen}
-        if page.chosen_by == kernel.strength and len(known) == len(kernel.free):
+        if page.chosen_by == _choosing(settings) and len(known) == len(kernel.free):
             kernel = dataclasses.replace(kernel, **known, free=())  # type: ignore[arg-type]
         else:
             kernel = dataclasses.replace(kernel, fast=True)
@@ -313,12 +313,31 @@ class Live:
         described = json.loads(json.dumps(dataclasses.asdict(report)))
         choices = [done.report.choice for done in painter.done if done.report.choice is not None]
         chosen = dict(choices[0]["chosen"]) if choices else {}  # type: ignore[call-overload]
-        page.chosen, page.chosen_by = chosen, settings.kernel.strength
+        page.chosen, page.chosen_by = chosen, _choosing(settings)
         patches = self._layers.whole(page.shown, result)
         said = [each for done in painter.done for each in (*done.warnings, *done.repainted.notices)]
         notices = [*dict.fromkeys([*self._document.notices, *said])]
         used = used_parameters(described)
-        return {"kind": "whole", "patches": patches, "used": used, "chosen": chosen, "notices": notices}
+        noise = None if settings.kernel.noise else _mean_noise(painter.done)
+        return {
+            "kind": "whole",
+            "patches": patches,
+            "used": used,
+            "chosen": chosen,
+            "notices": notices,
+            "noise": noise,
+        }
+
+
+def _choosing(settings: SmoothSettings) -> tuple[str, str | None]:
+    """Return what parameters are chosen by, besides those that are given."""
+    return settings.kernel.strength, settings.kernel.noise
+
+
+def _mean_noise(done: Sequence[Smoothed]) -> str | None:
+    """Return the estimated noise as it could be given; None if nothing was estimated."""
+    levels = [level for each in done for level in each.report.noise.values()]
+    return f"{100 * sum(levels) / len(levels):.2g}%" if levels else None
 
 
 def _target(source: str) -> str:

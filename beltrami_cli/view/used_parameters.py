@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 # Shown of the kernel even where nobody gave or chose them.
 _ALWAYS = ("iterations", "t", "beta", "beta_growth", "metric_steps", "space")
-_NEVER = ("free", "fast", "on", "threads")
+_NEVER = ("free", "fast", "on", "threads", "noise")
 _WORDS = {"t": "time step, t", "on": "smoothed, --on"}
 
 
@@ -23,7 +23,7 @@ def used_parameters(report: dict[str, Any]) -> str:
     tables = []
     for name, done in parts:
         head = f"<h3>{html.escape(name)}</h3>\n" if len(parts) > 1 else ""
-        rows = [*_kernel(requested, done), *_measured(done)]
+        rows = [*_kernel(requested, done), *_measured(requested.get("noise"), done)]
         tables.append(
             head + table([["parameter", "value", "how it came about"], *rows], f"parameters of {name}")
         )
@@ -71,10 +71,10 @@ def _open(requested: dict[str, Any]) -> set[str]:
     return (requested.keys() - tunable) | set(requested["free"])
 
 
-def _measured(done: dict[str, Any]) -> Iterator[list[str]]:
+def _measured(given: str | None, done: dict[str, Any]) -> Iterator[list[str]]:
     """Give what was measured of a part, and the estimate that its parameters were chosen by."""
     noise = ", ".join(f"{channel} {255 * share:.1f}/255" for channel, share in done["noise"].items())
-    yield ["noise", noise, "measured"]
+    yield ["noise", noise, "measured" if given is None else f"given as {given}"]
     if done["choice"] and done["choice"]["psnr"] is not None:
         alike = "shared by neighbours" if done["choice"]["correlated"] else "of each sample by itself"
         yield ["noise model", alike, "measured"]

@@ -194,6 +194,36 @@ def test_what_is_saved_is_what_smooth_writes_with_its_refusals(browser, served, 
 
 
 @pytest.mark.slow
+def test_noise_is_given_or_shown_as_estimated_and_refused_in_the_words_of_the_program(
+    browser, served, tmp_path
+):
+    viewer = Live(browser, served(NOISY).address)
+    first, noise = viewer.wait_for("whole"), viewer.page.get_by_label("noise", exact=True)
+    assert re.fullmatch(r"estimated: [\d.]+%", noise.get_attribute("placeholder"))
+    command = viewer.page.locator("#command").inner_text()
+    assert "--noise" not in command
+    noise.fill("a lot")
+    noise.press("Enter")
+    refused = beltrami("smooth", NOISY, tmp_path / "out.ply", "--noise", "a lot").stderr.decode().strip()
+    said = refused.rpartition("must be")[2]
+    viewer.page.locator("#state", has_text=said).wait_for(timeout=30_000)
+    assert viewer.page.locator("#command").inner_text() == command
+    noise.fill("1")
+    noise.press("Enter")
+    viewer.wait_for("whole", first)
+    assert viewer.page.locator("#command").inner_text().endswith("--noise 1")
+    assert "given as 1" in viewer.page.locator("#used").inner_text()
+    target = tmp_path / "saved.ply"
+    viewer.page.locator("#target").fill(str(target))
+    viewer.page.get_by_role("button", name="Save", exact=True).click()
+    viewer.page.wait_for_selector("#saved:has-text('Written')", timeout=60_000)
+    words = shlex.split(viewer.page.locator("#command").inner_text())
+    run = beltrami(*words[1:3], tmp_path / "other.ply", *words[4:])
+    assert run.returncode == 0, run.stderr
+    assert (tmp_path / "other.ply").read_bytes() == target.read_bytes()
+
+
+@pytest.mark.slow
 def test_two_pages_are_apart_and_learn_that_the_program_was_killed(browser, served):
     live = served(NOISY)
     one, other = Live(browser, live.address), Live(browser, live.address)
@@ -260,6 +290,7 @@ def parsed(words):
         "--preset paper --beta 3",
         "--preset paper -n 4",
         "--strength gentle --patches off --window 9",
+        "--noise shot:0.01,read:0.005 --beta 3",
         "--level-seams -n 3",
         "--slots baseColor,normal --gutter keep --space linear --fast",
         "--material 'a b' --material c --metric-channels none --channels r,g",

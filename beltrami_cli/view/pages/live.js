@@ -13,7 +13,7 @@
 
   const [model, start] = await Promise.all([fetched("model.json"), fetched("start.json")]);
   const viewer = await new Viewer(part("viewer"), model).start();
-  let number = 0, isSending = false, isStale = false;
+  let number = 0, refused = "", isSending = false, isStale = false;
 
   function fill(values) {
     for (const [name, value] of Object.entries(values)) {
@@ -25,6 +25,9 @@
     label();
   }
 
+  // What was refused stays in sight while older work ends.
+  const say = (text) => { part("state").textContent = refused || text; };
+
   function label() {
     for (const range of form.querySelectorAll("input[type=range]"))
       part(`${range.name}-value`).textContent = range.value;
@@ -33,6 +36,7 @@
   function values() {
     const found = {}, boxes = [...form.querySelectorAll("[name=slots]")];
     for (const choice of form.querySelectorAll("select")) found[choice.name] = choice.value;
+    for (const text of form.querySelectorAll("input[type=text]")) found[text.name] = text.value.trim();
     for (const range of form.querySelectorAll("input[type=range]"))
       if (!form.querySelector(`[data-auto=${range.name}]`)?.checked) found[range.name] = Number(range.value);
     if (boxes.length) found.slots = boxes.filter((box) => box.checked).map((box) => box.value);
@@ -53,15 +57,18 @@
         const { command } = await asked("change", request);
         part("command").textContent = command;
         number += 1;
+        refused = "";
       } catch (error) {
-        part("state").textContent = error.message;
+        say(refused = error.message);
       }
     }
     isSending = false;
   }
 
   form.addEventListener("submit", (event) => event.preventDefault());
+  form.addEventListener("change", ({ target }) => { if (target.type === "text") send(); });
   form.addEventListener("input", ({ target }) => {
+    if (target.type === "text") return; // half of a text may be wrong
     const auto = target.type === "range" && form.querySelector(`[data-auto=${target.name}]`);
     if (auto) auto.checked = false;
     label();
@@ -93,29 +100,30 @@
 
   const shown = {
     progress: ({ label: what, share }) => {
-      part("state").textContent = `Smoothing the whole: ${what}.`;
+      say(`Smoothing the whole: ${what}.`);
       part("progress").value = share;
     },
     preview: async ({ patches, samples, seconds }) => {
       await viewer.paint(patches);
       part("viewer").dataset.previews = Number(part("viewer").dataset.previews || 0) + 1;
       part("viewer").dataset.latency = performance.now() - part("viewer").dataset.asked;
-      part("state").textContent = `Preview of ${samples} samples in the middle, ${seconds.toFixed(2)} s; the whole follows.`;
+      say(`Preview of ${samples} samples in the middle, ${seconds.toFixed(2)} s; the whole follows.`);
     },
-    whole: async ({ patches, used, chosen, notices, number: which }) => {
+    whole: async ({ patches, used, chosen, notices, noise, number: which }) => {
       await viewer.paint(patches);
       part("progress").value = 1;
-      part("state").textContent = "Done.";
+      say("Done.");
       part("used").innerHTML = used; // escaped where it is made
       part("notices").replaceChildren(...notices.map((text) => Object.assign(document.createElement("li"), { textContent: text })));
       for (const [name, value] of Object.entries(chosen)) {
         const range = form.elements[name];
         if (range && form.querySelector(`[data-auto=${name}]`)?.checked) range.value = value;
       }
+      if (noise) form.elements.noise.placeholder = `estimated: ${noise}`;
       label();
       part("viewer").dataset.whole = which;
     },
-    failed: ({ message }) => { part("state").textContent = message; },
+    failed: ({ message }) => say(message),
   };
   const events = new EventSource(`events/${page}`);
   let last = Promise.resolve();
