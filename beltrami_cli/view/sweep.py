@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import csv
 import dataclasses
-import html
 import io
 import json
-from dataclasses import dataclass
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -25,10 +24,11 @@ from beltrami_cli.jobs.smoothing import Smoothing
 from beltrami_cli.jobs.writing.output import Output
 from beltrami_cli.samples.settings import LevelSetSettings
 from beltrami_cli.view.drawing import background_of, draw_panels, with_fixed_crops
-from beltrami_cli.view.pages import PAGES, page_from, picture_tag, table
+from beltrami_cli.view.pages import PAGES
 from beltrami_cli.view.render import encoded, picture_suffix
 from beltrami_cli.view.settings import MOST_PIXELS, RenderSettings
-from beltrami_cli.view.sheet import Panel, arranged
+from beltrami_cli.view.sheet import arranged
+from beltrami_cli.view.trials import SweepPage, Trial, columns_of
 from beltrami_cli.view.views import image_files, view_of
 
 if TYPE_CHECKING:
@@ -40,36 +40,14 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.document import Document
     from beltrami_cli.samples.settings import SmoothSettings
     from beltrami_cli.view.drawing import Progress
-    from beltrami_cli.view.sheet import Background
+    from beltrami_cli.view.sheet import Panel
     from beltrami_cli.view.views import Drawable
 
     Tried = tuple[dict[str, float], SmoothSettings]
 
 FigureFormat = Literal["csv", "json"]
 
-_FIGURES = {
-    "psnr": "PSNR, dB",
-    "estimated_psnr": "estimated PSNR, dB",
-    "estimated_gain": "estimated gain, dB",
-    "psnr_near_seams": "PSNR near seams, dB",
-    "ssim": "SSIM",
-    "delta_e": "Delta E 2000",
-}
 MOST_TRIALS = 200
-
-
-@dataclass(frozen=True)
-class Trial:
-    """The result of one set of the swept parameters: figures against a reference if there is one, and estimates."""
-
-    parameters: dict[str, float]
-    figures: dict[str, float]
-
-    @property
-    def label(self) -> str:
-        """The parameters and the first figure, in short."""
-        words = [f"{name} {value:g}" for name, value in self.parameters.items()] or ["smoothed"]
-        return ", ".join(words) + (f": {self.figures['psnr']:.2f} dB" if "psnr" in self.figures else "")
 
 
 def sweep_file(
@@ -83,7 +61,10 @@ def sweep_file(
     kind: FigureFormat | None = None,
     job: Job = PLAIN_JOB,
 ) -> list[Trial]:
-    """Smooth a file with several settings, and write a picture, a page (.html), or only the figures of all results."""
+    """Smooth a file with several settings, and write a picture, a page (.html), or only the figures of all results.
+
+    The page is written anew as results come, and stays if an error or Ctrl-C ends the sweep after the first.
+    """
     _check(source, len(trials), looks if kind is None else None)
     is_page = Path(target).suffix.lower() in PAGES
     suffix = "" if is_page or kind else picture_suffix(target, ", or .html for a page")
@@ -92,8 +73,13 @@ def sweep_file(
     job = Job(output.files.watching(job.access), job.progress)
     document, truth = _opened(source, reference, trials[0][1], job)
     drawing = None if kind else _Drawing(looks, job.progress)
-    done = []
-    with pictures_kept([*image_files(document), *([] if truth is None else image_files(truth))]):
+    done: list[Trial] = []
+    labels = [Trial(parameters, {}).label for parameters, _ in trials]
+    page = SweepPage(source, output, labels, looks) if is_page and drawing is not None else None
+    with (
+        page or nullcontext(),
+        pictures_kept([*image_files(document), *([] if truth is None else image_files(truth))]),
+    ):
         if drawing is not None:
             drawing.add_all({"reference": truth, "before": document})
         for parameters, settings in tracked(trials, "trials", job.progress):
@@ -101,11 +87,11 @@ def sweep_file(
             done.append(trial)
             if drawing is not None:
                 drawing.add(trial.label, result)
+            if page is not None and drawing is not None:
+                page.show(done, drawing.panels)
     if drawing is None:
         output.write(Written(main=[_table(done, kind).encode()]))
-    elif is_page:
-        output.write(Written(main=[_page(source, done, drawing.panels, looks)]))
-    else:
+    elif not is_page:
         output.write(encoded(_sheet(drawing.panels, len(done), columns, looks), target, suffix))
     return done
 
@@ -198,19 +184,11 @@ def _figures(truth: Document, result: Document, settings: SmoothSettings, job: J
     }
 
 
-def best_of(trials: Sequence[Trial]) -> int | None:
-    """Return the number of the trial with the highest PSNR, or None without a reference."""
-    known = [
-        (trial.figures["psnr"], -number) for number, trial in enumerate(trials) if "psnr" in trial.figures
-    ]
-    return -max(known)[1] if known else None
-
-
 def _table(trials: Sequence[Trial], kind: FigureFormat | None) -> str:
     """Return parameters and figures as text."""
     if kind == "json":
         return json.dumps([dataclasses.asdict(trial) for trial in trials], indent=2) + "\n"
-    parameters, found = _columns(trials)
+    parameters, found = columns_of(trials)
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow([*parameters, *found])
@@ -218,60 +196,3 @@ def _table(trials: Sequence[Trial], kind: FigureFormat | None) -> str:
         values = [trial.parameters.get(key) for key in parameters]
         writer.writerow([*values, *(trial.figures.get(key) for key in found)])
     return text.getvalue()
-
-
-def _columns(trials: Sequence[Trial]) -> tuple[list[str], list[str]]:
-    """Return the parameters and figures that there are."""
-    parameters = sorted({key for trial in trials for key in trial.parameters})
-    return parameters, [key for key in _FIGURES if any(key in trial.figures for trial in trials)]
-
-
-def _page(name: str, trials: Sequence[Trial], panels: Sequence[Panel], looks: RenderSettings) -> bytes:
-    best = best_of(trials)
-    first = len(panels) - len(trials)
-    background = background_of(looks, panels)
-    views = []
-    for number, panel in enumerate(panels):
-        trial = trials[number - first] if number >= first else None
-        views.append(_view(panel, background, trial, is_best=trial is not None and number - first == best))
-    _, found = _columns(trials)
-    sorts = "".join(f'<option value="{key}">{html.escape(_FIGURES[key])}</option>' for key in found)
-    summary = f"{len(trials)} trials."
-    if best is not None:
-        summary += f" Best: {html.escape(trials[best].label)}."
-    return page_from(
-        "sweep.html",
-        ["sweep.js"],
-        {"trials": [dataclasses.asdict(trial) for trial in trials]},
-        title=html.escape(f"Sweep of {Path(name).name}"),
-        summary=summary,
-        sorts=sorts,
-        views="\n".join(views),
-        table=table(_rows(trials), "figures of all trials"),
-    )
-
-
-def _view(panel: Panel, background: Background, trial: Trial | None, *, is_best: bool) -> str:
-    """Return a view as an element of a page, with its label and figures as text."""
-    picture = arranged([dataclasses.replace(panel, label="")], 1, background)
-    label = html.escape(panel.label)
-    mark = ' class="best"' if is_best else ""
-    kept = "" if trial is not None else f" data-kept={'before' if panel.label == 'before' else 'reference'}"
-    shown = {} if trial is None else trial.figures
-    rows = [f"<dt>{_FIGURES[key]}</dt><dd>{shown[key]:.3f}</dd>" for key in _FIGURES if key in shown]
-    figures_shown = f"<dl>{''.join(rows)}</dl>" if rows else ""
-    best = "<strong>best</strong> " if is_best else ""
-    return (
-        f'<li{mark}{kept}><button type="button">{picture_tag(picture, panel.label)}</button>'
-        f"<p>{best}<span>{label}</span></p>{figures_shown}</li>"
-    )
-
-
-def _rows(trials: Sequence[Trial]) -> list[list[str]]:
-    """Return the parameters and figures of all trials, below their names."""
-    parameters, found = _columns(trials)
-    rows = [[*parameters, *(_FIGURES[key] for key in found)]]
-    for trial in trials:
-        cells = [f"{trial.parameters[key]:g}" for key in parameters]
-        rows.append(cells + [f"{trial.figures[key]:.3f}" if key in trial.figures else "" for key in found])
-    return rows

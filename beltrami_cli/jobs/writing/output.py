@@ -127,6 +127,7 @@ class Output:
         with self.files:
             self._stage(written)
             self.files.put_in_place()
+        self.overwrite = True  # what is there is its own
 
     def _stage(self, written: Written) -> None:
         self.check_sidecars(written.sidecars)
