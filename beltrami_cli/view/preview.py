@@ -28,7 +28,8 @@ if TYPE_CHECKING:
 
     Progress = Callable[[int, int], None]
 
-_PIECES = 64  # triangles of at most this part of the samples, so that enough of them fit
+_PIECE = 320  # texels of a triangle at most, so that enough of them fit
+_MOST_PIECES = 100_000  # in a whole texture, even if they are larger then
 _MOST_SPLITS = 8
 _BESIDE = 0.05  # of the model's size: triangles so near to the line of sight are looked at
 
@@ -58,6 +59,9 @@ class Previewer:
         self._document, self._slot = document, slot
         self._painted: PaintedVertices | None = None
         self._surface: TexturedSurface | None = None
+        self._order: tuple[bytes, NDArray[np.int64]] | None = (
+            None  # where somebody looked last, and what is near
+        )
         if isinstance(document, ImageDocument):
             return
         if slot is None:
@@ -66,10 +70,14 @@ class Previewer:
             self._centres = corners[faces].mean(axis=1) if len(faces) else corners
         else:
             surface = document.textured(slot)
-            self._surface = _used(surface, np.flatnonzero(surface.texture_of >= 0))
+            surface = _used(surface, np.flatnonzero(surface.texture_of >= 0))
             pictures = [read_image(texture.data, texture.name) for texture in surface.textures]
             self._texels = np.array([picture.pixels[..., 0].size for picture in pictures], np.float64)
-            self._centres = np.zeros((0, 3))
+            most = max(_PIECE, float(self._texels.sum()) / _MOST_PIECES)
+            self._surface = surface = _split(surface, self._texels, most)
+            self._held = _areas(surface, self._texels)
+            self._centres = surface.positions[surface.faces].mean(axis=1)
+            self._flat = np.column_stack([surface.uv.mean(axis=1), 1e3 * surface.texture_of])
 
     def can(self, settings: SmoothSettings) -> bool:
         """Whether parts are smoothed as the whole would be."""
@@ -125,7 +133,7 @@ class Previewer:
         budget: int,
         progress: Progress | None,
     ) -> list[Patch]:
-        order = _nearest(self._centres, focus, budget * (2 if len(painted.faces) else 1))
+        order = self._around(focus)[: budget * (2 if len(painted.faces) else 1)]
         rows = np.unique(painted.faces[order]) if len(painted.faces) else np.sort(order)
         part = dataclasses.replace(
             painted,
@@ -149,14 +157,8 @@ class Previewer:
         surface = self._surface
         assert surface is not None
         assert self._slot is not None
-        surface = _split(surface, self._texels, budget / _PIECES)
-        flat = focus.direction is None
-        centres = surface.uv.mean(axis=1) if flat else surface.positions[surface.faces].mean(axis=1)
-        if flat:
-            centres = np.column_stack([centres, 1e3 * (surface.texture_of - focus.origin[2])])
-            focus = Focus(np.array([*focus.origin[:2], 0.0]))
-        order = _nearest(centres, focus, len(centres))
-        held = np.cumsum(_areas(surface, self._texels)[order])
+        order = self._around(focus)
+        held = np.cumsum(self._held[order])
         part = _used(surface, order[: max(1, int(np.searchsorted(held, budget)))])
         samples = TexelSamples(part, self._slot, settings)
         flow = samples.flow()
@@ -176,9 +178,20 @@ class Previewer:
                 patches.append(Patch(number, rows, columns, shown))
         return patches
 
+    def _around(self, focus: Focus) -> NDArray[np.int64]:
+        """Return triangles or points in the order in which they are nearest; it is kept until the camera moves."""
+        key = focus.origin.tobytes() + (b"" if focus.direction is None else focus.direction.tobytes())
+        if self._order is None or self._order[0] != key:
+            if focus.direction is None and self._surface is not None:
+                order = _nearest(self._flat, Focus(focus.origin * (1, 1, 1e3)))
+            else:
+                order = _nearest(self._centres, focus)
+            self._order = key, order
+        return self._order[1]
 
-def _nearest(centres: NDArray[np.float64], focus: Focus, count: int) -> NDArray[np.int64]:
-    """Return the places nearest to the first one on the line of sight, in the order of their distance."""
+
+def _nearest(centres: NDArray[np.float64], focus: Focus) -> NDArray[np.int64]:
+    """Return places in the order of their distance from the first one on the line of sight."""
     middle = focus.origin
     if focus.direction is not None:
         offsets = centres - focus.origin
@@ -187,8 +200,7 @@ def _nearest(centres: NDArray[np.float64], focus: Focus, count: int) -> NDArray[
         near = beside < max(_BESIDE * float(along.max() - along.min()), 1.001 * float(beside.min()))
         middle = centres[near][np.argmin(along[near] + beside[near])]
     squared = np.einsum("ij,ij->i", centres - middle, centres - middle)
-    chosen = np.argpartition(squared, count - 1)[:count] if count < len(squared) else np.arange(len(squared))
-    return np.asarray(chosen[np.argsort(squared[chosen], kind="stable")], np.int64)
+    return np.asarray(np.argsort(squared), np.int64)
 
 
 def _areas(surface: TexturedSurface, texels: NDArray[np.float64]) -> NDArray[np.float64]:
