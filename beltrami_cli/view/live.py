@@ -48,7 +48,7 @@ if TYPE_CHECKING:
 
 _SCRIPTS = ("three.js", "viewer.js", "live.js")
 _WAIT = 0.5  # seconds after a preview in which the whole is not begun, since another change may follow
-_WANTED = 0.15  # seconds that a preview may take, beside sending and drawing it
+_WANTED = 0.1  # seconds that a preview may take, beside sending and drawing it
 _FIRST_RATE = 4e5  # samples times iterations a second, before any preview was timed
 _LEAST, _MOST = 2_000, 400_000  # samples of a preview
 _PATIENCE = 1.0  # seconds in which work ends
