@@ -53,9 +53,12 @@ _GROWS, _GROWS_TWICE = 1.35, 1.6
 # ... in all components by less than this from there on ...
 _EVEN, _LEAST_SIGMA = 1.6, 1.25 / 255
 # ... and then by less than this, unlike texture; for one channel alone, where there is more texture, by less than ...
-_MOST_GROWTH, _MOST_ALONE = 2.2, 1.6
+_MOST_GROWTH, _MOST_ALONE = 2.7, 1.6
 # ... and if it is larger than what clean photographs hold at these scales.
 _LEAST_MIDDLE, _LEAST_COARSE = 3.5 / 255, 4 / 255
+
+# Noise of the finest details, relative to that of the diagonal ones among them at most.
+_MOST_OF_DIAGONAL = 3.0
 
 # Growth of the mean of channels from single cells to the second scale, beyond which it is texture.
 _PLAIN_GROWTH = 2.0
@@ -144,9 +147,10 @@ def find_grid_noise(planes: NDArray[np.float32], filled: NDArray[np.bool_], *, b
         return GridNoise(None, None)
     by_level &= all(float(plane.min()) >= 0 for plane in planes[:3])  # other numbers are no levels
     stabiliser = stabiliser_of(found) if by_level else None
-    sigma = _bounded(found.sigma) if is_shared(found.sigma) else None
-    if sigma is None:
+    if not is_shared(found.sigma):
         return GridNoise(stabiliser, None)
+    diagonal = estimate_sigma_on_grid(planes[: len(mixing)], filled)
+    sigma = _bounded(found.sigma, float(np.sqrt(np.mean(diagonal**2))))
     if stabiliser is not None:
         sigma = sigma * stabiliser.scale
     covariances = np.zeros((SCALES, len(planes), len(planes)))
@@ -192,8 +196,8 @@ def _levels_off(sigma: NDArray[np.float64]) -> bool:
     return bool(coarse > 2 * _GROWS_TWICE * fine and coarse > _LEAST_COARSE and coarsest < _LEVEL * coarse)
 
 
-def _bounded(sigma: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the standard deviations of noise, shape (SCALES, K), without what is texture."""
+def _bounded(sigma: NDArray[np.float64], diagonal: float) -> NDArray[np.float64]:
+    """Return the standard deviations of noise, shape (SCALES, K), without what is texture; `diagonal`: see `grid`."""
     known = np.full((SCALES, sigma.shape[1]), np.nan)
     known[: len(sigma)] = sigma
     for scale in range(1, SCALES):
@@ -207,7 +211,8 @@ def _bounded(sigma: NDArray[np.float64]) -> NDArray[np.float64]:
         # JPEG takes the finest noise from the differences, and not from the mean, which shows if it is no texture.
         bounds = differences.copy()
         if differences[1] > _MOST_AT_SECOND * differences[0]:
-            bounds[:2] = differences[:3].max()
+            bounds[0] = min(differences[:3].max(), _MOST_OF_DIAGONAL * diagonal / _MOST_APART)
+            bounds[1] = max(differences[1], min(known[0, 0] / _MOST_APART, bounds[0]) * _GROWS)
             if known[1, 0] < _GROWS * known[0, 0]:
                 bounds = np.maximum(bounds, known[0, 0] / _MOST_APART)
         known[:, 0] = np.minimum(known[:, 0], _MOST_APART * bounds)
