@@ -27,7 +27,13 @@ def bounds(positions: Float64s) -> list[list[float]]:
 
 def unit_vectors(vectors: Float64s) -> Float64s:
     """Return vectors, shape (N, 3), with length 1, or 0 where they have none."""
-    length = np.linalg.norm(vectors, axis=1, keepdims=True)
+    with np.errstate(over="ignore"):
+        length = np.linalg.norm(vectors, axis=1, keepdims=True)
+    beyond = np.isinf(length[:, 0])  # squares of finite numbers can be
+    if beyond.any():
+        vectors = vectors.copy()
+        vectors[beyond] /= np.abs(vectors[beyond]).max(axis=1, keepdims=True)
+        length[beyond] = np.linalg.norm(vectors[beyond], axis=1, keepdims=True)
     return np.asarray(np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 0))
 
 

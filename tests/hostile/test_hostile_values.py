@@ -7,6 +7,7 @@ import json
 import random
 import re
 import warnings
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
@@ -14,12 +15,12 @@ import pytest
 
 from beltrami_cli.batch.item import Outcome
 from beltrami_cli.cli.batch import SHARED_WITH_SMOOTH
-from beltrami_cli.cli.main import COMMANDS, LazyGroup, group
+from beltrami_cli.cli.main import COMMANDS as ALL
+from beltrami_cli.cli.main import LazyGroup, group
 from cli.commands import beltrami
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-    from pathlib import Path
 
 pytestmark = pytest.mark.slow
 
@@ -53,8 +54,12 @@ TEXTS = [
     "/dev/null", "/nowhere/x", "no.such.file", "mesh.ply", "a,a", "red", "red,red", "vertices", "http://x", "x://",
     "%s{}", "auto", "none", "1,2", "1,nan,3", "99999999999x1", "*", "[", "$HOME", "0,0,0", "4x4", "#ffffff", "1e999,1",
 ]  # fmt: skip
+TEXTURED = str(Path(__file__).parents[2] / "sample_data" / "tiled-clean.glb")
+# `view` serves until it is stopped; its values are tested where it is.
+COMMANDS = [name for name in ALL if name != "view"]
 # What each command needs besides; a tiny mesh, so that a value that is accepted costs little.
 ARGUMENTS = {
+    "blender-extension": ("out.zip",),
     "bake": ("mesh.ply", "out.glb", "--to", "texture", "--size", "64"),
     "batch": ("mesh.ply", "--out-dir", "out", "--fast", "-n", "1", "-j", "1"),
     "check": ("mesh.ply", "mesh.ply"),
@@ -62,6 +67,7 @@ ARGUMENTS = {
     "config": (),
     "info": ("mesh.ply", "--fast"),
     "kernel": ("mesh.ply", "kernel.ply", "--at", "1"),
+    "level": (TEXTURED, "out.glb"),
     "noise": ("mesh.ply", "out.ply", "--sigma", "5"),
     "render": ("mesh.ply", "out.png", "--size", "16"),
     "report": ("mesh.ply", "mesh.ply", "out.html"),

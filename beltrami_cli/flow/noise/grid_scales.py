@@ -213,8 +213,9 @@ def _bounded(sigma: NDArray[np.float64], diagonal: float) -> NDArray[np.float64]
         if differences[1] > _MOST_AT_SECOND * differences[0]:
             bounds[0] = min(differences[:3].max(), _MOST_OF_DIAGONAL * diagonal / _MOST_APART)
             bounds[1] = max(differences[1], min(known[0, 0] / _MOST_APART, bounds[0]) * _GROWS)
-            if known[1, 0] < _GROWS * known[0, 0]:
-                bounds = np.maximum(bounds, known[0, 0] / _MOST_APART)
+            for scale in (0, 1):
+                if known[scale + 1, 0] < _GROWS * known[scale, 0]:
+                    bounds[scale:] = np.maximum(bounds[scale:], known[scale, 0] / _MOST_APART)
         known[:, 0] = np.minimum(known[:, 0], _MOST_APART * bounds)
     for scale in reversed(range(SCALES - 1)):
         known[scale] = np.maximum(known[scale], _LEAST_OF_NEXT**2 * known[scale + 1])
