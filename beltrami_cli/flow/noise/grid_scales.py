@@ -82,7 +82,7 @@ _MOST_AT_SECOND = 2.5
 _MOST_AT_LAST = 1.5
 
 # Steps keep some noise as a few large details, which quiet tiles do not show: at least this share of the next scale.
-_LEAST_OF_NEXT = 0.5
+_LEAST_OF_NEXT = 0.25
 
 
 @dataclass(frozen=True)
@@ -218,7 +218,7 @@ def _bounded(sigma: NDArray[np.float64], diagonal: float) -> NDArray[np.float64]
                     bounds[scale:] = np.maximum(bounds[scale:], known[scale, 0] / _MOST_APART)
         known[:, 0] = np.minimum(known[:, 0], _MOST_APART * bounds)
     for scale in reversed(range(SCALES - 1)):
-        known[scale] = np.maximum(known[scale], _LEAST_OF_NEXT**2 * known[scale + 1])
+        known[scale] = np.maximum(known[scale], _LEAST_OF_NEXT * known[scale + 1])
     return known
 
 
