@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from beltrami_cli.jobs.job import peak_memory
-from beltrami_cli.jobs.levelling import Levelling
+from beltrami_cli.jobs.level import Levelling
 from beltrami_cli.samples.selection import require_geometry, require_scale
 from beltrami_cli.samples.settings import LevelSettings, describe_settings
 

@@ -16,7 +16,7 @@ from beltrami_cli.flow.grid_manifold import GridManifold, canvas_colours
 from beltrami_cli.flow.manifold import NewColours
 from beltrami_cli.formats.image import check_writable, is_unchanged, losses, read_image
 from beltrami_cli.formats.image.conversion import noise_losses
-from beltrami_cli.levelling.surfaces import level_canvas
+from beltrami_cli.levelling.correction import level_canvas
 from beltrami_cli.samples.levelled_charts import TextureCharts, describe_level, level_report
 from beltrami_cli.samples.reports import SlotReport
 from beltrami_cli.samples.samples import Change, Grains, Part, Repainted, Samples, encoded

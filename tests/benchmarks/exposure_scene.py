@@ -10,8 +10,8 @@ from scipy.sparse.csgraph import connected_components
 
 from beltrami_cli.flow.canvas import painted
 from beltrami_cli.formats.registry import open_document
+from beltrami_cli.levelling.correction import level_canvas
 from beltrami_cli.levelling.steps import ChartPlaces, steps_over_seams
-from beltrami_cli.levelling.surfaces import level_canvas
 from beltrami_cli.samples.settings import DEFAULTS
 from beltrami_cli.samples.texel_samples import TexelSamples
 
