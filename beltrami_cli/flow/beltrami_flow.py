@@ -17,9 +17,7 @@ from beltrami_cli.flow.tuning.choice import is_noisy, tune
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-    import numpy as np
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Float32s, Float64s
     from beltrami_cli.flow.manifold import SampledKernel
     from beltrami_cli.flow.parameters import KernelParameters
     from beltrami_cli.flow.partitions import Joined, Partition, Runner
@@ -32,7 +30,7 @@ class FlowResult:
 
     spacing: float  # mean sample spacing, in the surface's own unit of length
     beta: float  # that was used, in units of length per unit of colour
-    sigma: NDArray[np.float64]  # estimated noise by channel
+    sigma: Float64s  # estimated noise by channel
     samples_per_kernel: float  # mean over samples and iterations
     truncated: int  # kernels that were cut short at ...
     max_samples: int  # ... the largest that was allowed
@@ -50,7 +48,7 @@ class Split:
     def run(
         self,
         cut: Callable[[int], Sequence[Partition]],
-        values: NDArray[np.float32],
+        values: Float32s,
         iterations: int,
         progress: Callable[[int, int], None] | None,
     ) -> Joined:
@@ -156,7 +154,7 @@ class BeltramiFlow(Generic[AnyManifold]):
             self.parameters.max_samples, choice, share,
         )  # fmt: skip
 
-    def _smooth(self, colours: NDArray[np.float32], stages: _Stages) -> NDArray[np.float32]:
+    def _smooth(self, colours: Float32s, stages: _Stages) -> Float32s:
         """Run all iterations of the kernel on colours, which are overwritten."""
         manifold, iterations = self.manifold, self.parameters.iterations
         stacks, done = [colours], Averaged([colours], 0)
@@ -171,7 +169,7 @@ class BeltramiFlow(Generic[AnyManifold]):
         self._samples, self._truncated = done.samples, done.truncated
         return done.stacks[0]
 
-    def _iterate(self, stacks: list[NDArray[np.float32]], stages: _Stages) -> Averaged:
+    def _iterate(self, stacks: list[Float32s], stages: _Stages) -> Averaged:
         """Run all iterations on the whole manifold."""
         manifold, iterations, samples, truncated = self.manifold, self.parameters.iterations, 0.0, 0
         for iteration in range(iterations):
@@ -183,12 +181,7 @@ class BeltramiFlow(Generic[AnyManifold]):
             stacks, samples, truncated = done.stacks, samples + done.samples, truncated + done.truncated
         return Averaged(stacks, samples, truncated)
 
-    def _iterate_in_partitions(
-        self,
-        stacks: list[NDArray[np.float32]],
-        split: Split,
-        stages: _Stages,
-    ) -> Averaged:
+    def _iterate_in_partitions(self, stacks: list[Float32s], split: Split, stages: _Stages) -> Averaged:
         """Run all iterations partition by partition: the same colours bit for bit; `samples` is an estimate."""
         manifold = self.manifold
         steps = [self.step(iteration) for iteration in range(self.parameters.iterations)]
@@ -203,7 +196,7 @@ class BeltramiFlow(Generic[AnyManifold]):
         manifold.put_rows(done.values, stacks)
         return Averaged(stacks, done.samples, done.truncated)
 
-    def values(self) -> NDArray[np.float32]:
+    def values(self) -> Float32s:
         """Return the colours of all samples as they are now, shape (S, N), in the caller's order."""
         return self.manifold.values()
 

@@ -15,8 +15,7 @@ from beltrami_cli.surface.atlas import EMPTY, OWNED, refresh_halo
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s, Uint8s
     from beltrami_cli.flow.manifold import Mixing
     from beltrami_cli.flow.parameters import KernelParameters
     from beltrami_cli.surface.atlas import Atlas, Indices
@@ -35,14 +34,14 @@ _ROWS_OF_A_SUM = 64
 _BLOCK = 1 << 16
 
 
-def painted(atlas: Atlas, colours: NDArray[np.float32], threads: int) -> NDArray[np.float32]:
+def painted(atlas: Atlas, colours: Float32s, threads: int) -> Float32s:
     """Put the colours of the owned cells, shape (T, N), on the canvas; see `painted_by`."""
     return painted_by(atlas, colours.shape[1], colours.__getitem__, threads)
 
 
 def painted_by(
-    atlas: Atlas, channels: int, colours_of: Callable[[slice], NDArray[np.float32]], threads: int
-) -> NDArray[np.float32]:
+    atlas: Atlas, channels: int, colours_of: Callable[[slice], Float32s], threads: int
+) -> Float32s:
     """Return planes, shape (N, R, C), with the owned cells' colours, halo included, and 0 in empty cells."""
     from beltrami_cli._native import scatter_colours
 
@@ -53,7 +52,7 @@ def painted_by(
     return planes
 
 
-def colours_at(planes: NDArray[np.float32], cells: Indices, threads: int) -> NDArray[np.float32]:
+def colours_at(planes: Float32s, cells: Indices, threads: int) -> Float32s:
     """Return the colours of K cells (flat indices, each once), shape (K, N), from planes of shape (N, R, C)."""
     from beltrami_cli._native import gather_colours
 
@@ -64,13 +63,13 @@ def colours_at(planes: NDArray[np.float32], cells: Indices, threads: int) -> NDA
 
 
 def collaborate_on_canvas(
-    kind: NDArray[np.uint8],
-    noisy: NDArray[np.float32],
-    pilot: NDArray[np.float32],
+    kind: Uint8s,
+    noisy: Float32s,
+    pilot: Float32s,
     mixing: Mixing,
     threads: int,
     progress: Callable[[int], None] | None = None,
-) -> NDArray[np.float32]:
+) -> Float32s:
     """Estimate the colours of the owned cells from patches that look alike in the pilot."""
     from beltrami_cli._native import collaborate_on_grid
 
@@ -96,7 +95,7 @@ def canvas_margin(parameters: KernelParameters) -> int:
     return max(parameters.window // 2 + blurred, PATCH_REACH if parameters.takes_patches else 0)
 
 
-def local_scales(atlas: Atlas, window: int) -> NDArray[np.float32]:
+def local_scales(atlas: Atlas, window: int) -> Float32s:
     """Return the factor of squared lengths that makes the spacing around each cell 1, float32, shape (R, C)."""
     from beltrami_cli._native import local_scale
 
@@ -109,7 +108,7 @@ def local_scales(atlas: Atlas, window: int) -> NDArray[np.float32]:
     return scales
 
 
-def mean_spacing(atlas: Atlas, scale: NDArray[np.float32]) -> float:
+def mean_spacing(atlas: Atlas, scale: Float32s) -> float:
     """Return the mean length that is 1 in local units, over the owned cells; 0 without any."""
     total, count = 0.0, 0
     for rows in large_arrays.blocks(len(atlas.kind), _ROWS_OF_A_SUM):
@@ -118,7 +117,7 @@ def mean_spacing(atlas: Atlas, scale: NDArray[np.float32]) -> float:
     return total / count if count else 0.0
 
 
-def halo_repeats(atlas: Atlas, threads: int) -> NDArray[np.uint8] | None:
+def halo_repeats(atlas: Atlas, threads: int) -> Uint8s | None:
     """Return how often each cell's texel is shown, shape (R, C); None if no texel is shown more than once."""
     from beltrami_cli._native import halo_repeats as count
 
@@ -140,9 +139,7 @@ _LEAST = 4 / 255
 _FEWEST = 8
 
 
-def find_colour_jumps(
-    atlas: Atlas, planes: NDArray[np.float32], sigma: NDArray[np.float64]
-) -> NDArray[np.bool_]:
+def find_colour_jumps(atlas: Atlas, planes: Float32s, sigma: Float64s) -> Bools:
     """Return for each seam, shape (S,), whether its sides differ by more than noise."""
     different = np.zeros(max(1, atlas.seams), bool)
     seam, steps, beside = _steps_over_seams(atlas, planes)
@@ -161,7 +158,7 @@ def find_colour_jumps(
     return different
 
 
-def _is_patterned(steps: NDArray[np.float32], beside: NDArray[np.float32], noise: float) -> bool:
+def _is_patterned(steps: Float32s, beside: Float32s, noise: float) -> bool:
     """Detect a jump that changes its sign along the seam: steps across it have more energy than those beside it."""
     if len(steps) < _FEWEST:
         return False
@@ -170,7 +167,7 @@ def _is_patterned(steps: NDArray[np.float32], beside: NDArray[np.float32], noise
     return bool(excess.mean() > max(_ERRORS * error, (_OF_NOISE * noise) ** 2 + _LEAST**2))
 
 
-def halo_beyond(atlas: Atlas, different: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def halo_beyond(atlas: Atlas, different: Bools) -> Bools:
     """Return which halo cells, shape (H,), lie beyond seams whose sides differ, `different` of shape (S,)."""
     # Near a corner of several charts a cell may be reached over two seams: it counts if either differs.
     seams = atlas.halo_seams
@@ -188,7 +185,7 @@ def halo_beyond(atlas: Atlas, different: NDArray[np.bool_]) -> NDArray[np.bool_]
     return beyond
 
 
-def _charts_at(atlas: Atlas, cells: Indices) -> NDArray[np.int32]:
+def _charts_at(atlas: Atlas, cells: Indices) -> Int32s:
     """Return the charts of some cells; -1: not owned."""
     charts = np.full(len(cells), -1, np.int32)
     for block in large_arrays.blocks(len(cells) if len(atlas.owned_cells) else 0, large_arrays.SCATTERED):
@@ -199,7 +196,7 @@ def _charts_at(atlas: Atlas, cells: Indices) -> NDArray[np.int32]:
     return charts
 
 
-def _sides_of_seams(atlas: Atlas, reached: NDArray[np.int32]) -> NDArray[np.int32]:
+def _sides_of_seams(atlas: Atlas, reached: Int32s) -> Int32s:
     """Find the two charts of each seam, shape (S, 2): of an owned cell, and what the halo cell beside it shows."""
     columns = atlas.kind.shape[1]
     owned = atlas.kind.reshape(-1) == OWNED
@@ -215,15 +212,13 @@ def _sides_of_seams(atlas: Atlas, reached: NDArray[np.int32]) -> NDArray[np.int3
     return sides
 
 
-def _steps_over_seams(
-    atlas: Atlas, planes: NDArray[np.float32]
-) -> tuple[NDArray[np.int32], NDArray[np.float32], NDArray[np.float32]]:
+def _steps_over_seams(atlas: Atlas, planes: Float32s) -> tuple[Int32s, Float32s, Float32s]:
     """Find the halo cells next to an owned cell: their seam, the step to them, and the step before it."""
     rows, columns = atlas.kind.shape
     flat_kind, flat = atlas.kind.reshape(-1), planes.reshape(len(planes), -1)
-    seams: list[NDArray[np.int32]] = []
-    over: list[NDArray[np.float32]] = []
-    before: list[NDArray[np.float32]] = []
+    seams: list[Int32s] = []
+    over: list[Float32s] = []
+    before: list[Float32s] = []
     of_seams = np.flatnonzero(atlas.halo_seams >= 0)
     for block in large_arrays.blocks(len(of_seams), large_arrays.SCATTERED):
         cells, halo_seams = atlas.halo_cells[of_seams[block]], atlas.halo_seams[of_seams[block]]
@@ -240,7 +235,7 @@ def _steps_over_seams(
     return np.concatenate(seams), np.concatenate(over), np.concatenate(before)
 
 
-def without_references(part: Atlas, whole: Atlas, cells: NDArray[np.int64]) -> Atlas:
+def without_references(part: Atlas, whole: Atlas, cells: Int64s) -> Atlas:
     """Return the atlas of some cells of another, whose halo others refresh."""
     kind = part.kind
     kind[cells == whole.kind.size - 1] = (
@@ -264,7 +259,7 @@ def without_references(part: Atlas, whole: Atlas, cells: NDArray[np.int64]) -> A
     )
 
 
-def end_at_seams(planes: NDArray[np.float32], atlas: Atlas, threads: int) -> None:
+def end_at_seams(planes: Float32s, atlas: Atlas, threads: int) -> None:
     """Continue a guide as a constant, in place, beyond the seams whose two sides differ."""
     from beltrami_cli._native import nearest_marked
 

@@ -28,7 +28,7 @@ import numpy as np
 from beltrami_cli.surface import large_arrays
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from beltrami_cli.arrays import Float32s, Float64s
 
 # Fewer samples at a limit, as a share of all, change no mean that is worth a plane of memory.
 _WORTH_RESTORING = 1e-3
@@ -47,14 +47,14 @@ class ClippedChannels:
 
     low: tuple[bool, ...]
     high: tuple[bool, ...]
-    sigma: NDArray[np.float64]
+    sigma: Float64s
 
     @property
     def clipped(self) -> list[int]:
         """The channels that were cut off at either limit."""
         return [k for k, (low, high) in enumerate(zip(self.low, self.high, strict=True)) if low or high]
 
-    def marks(self, channels: NDArray[np.float32]) -> NDArray[np.float32]:
+    def marks(self, channels: Float32s) -> Float32s:
         """Mark samples at a limit, to be averaged like colours, shape (clipped channels, ...): 1, 0 or -1."""
         # Both limits share one plane, because no average holds many samples of either at once.
         found = np.zeros((len(self.clipped), *channels.shape[1:]), np.float32)
@@ -65,7 +65,7 @@ class ClippedChannels:
                 mark[channels[k] <= 0] = -1
         return found
 
-    def restore(self, channels: NDArray[np.float32], marks: NDArray[np.float32]) -> None:
+    def restore(self, channels: Float32s, marks: Float32s) -> None:
         """Turn averages of clipped colours, in place, into estimates of the noise-free colours."""
         for share, k in zip(marks, self.clipped, strict=True):
             sigma = np.float32(_TRUSTED * self.sigma[k])
@@ -77,7 +77,7 @@ class ClippedChannels:
             lowered = mean - _towards_limit(mean, -share[low], sigma)
             channels[k][low] = np.maximum(lowered, np.minimum(mean, 0))
 
-    def impute(self, channels: NDArray[np.float32], pilot: NDArray[np.float32]) -> None:
+    def impute(self, channels: Float32s, pilot: Float32s) -> None:
         """Replace samples at a limit, in place, by what noise beyond it would be on average around the pilot."""
         normal = _normal()
         for k in self.clipped:
@@ -89,7 +89,7 @@ class ClippedChannels:
                 at = own <= 0
                 own[at] = around[at] - sigma * normal.beyond(around[at] / sigma)
 
-    def cut_off(self, channels: NDArray[np.float32]) -> NDArray[np.float32]:
+    def cut_off(self, channels: Float32s) -> Float32s:
         """Return channels of imputed samples as they were, cut off at the limits."""
         cut = channels.copy()
         for k in self.clipped:
@@ -97,7 +97,7 @@ class ClippedChannels:
             np.clip(cut[k], low, high, out=cut[k])
         return cut
 
-    def expected(self, channels: NDArray[np.float32]) -> NDArray[np.float32]:
+    def expected(self, channels: Float32s) -> Float32s:
         """Return the mean of samples with noise that is cut off, by the colours without noise."""
         mean, normal = channels.copy(), _normal()
         for k in self.clipped:
@@ -108,10 +108,10 @@ class ClippedChannels:
                 mean[k] += sigma * normal.lost(own / sigma)
         return mean
 
-    def share_within(self, channels: NDArray[np.float32], k: int) -> NDArray[np.float32]:
+    def share_within(self, channels: Float32s, k: int) -> Float32s:
         """Return the share of samples of channel `k` that are not cut off, by the colours without noise."""
         own, sigma, normal = channels[k], np.float32(self.sigma[k]), _normal()
-        share: NDArray[np.float32] = np.ones_like(own)
+        share: Float32s = np.ones_like(own)
         if self.high[k]:
             share -= normal.share_beyond((1 - own) / sigma)
         if self.low[k]:
@@ -119,7 +119,7 @@ class ClippedChannels:
         return share
 
 
-def find_clipped(colours: NDArray[np.float32], sigma: NDArray[np.float64]) -> ClippedChannels | None:
+def find_clipped(colours: Float32s, sigma: Float64s) -> ClippedChannels | None:
     """Find which channels of colours, shape (S, N), were cut off at 0 or full scale; None if none was."""
     from beltrami_cli._native import find_limits
 
@@ -127,9 +127,7 @@ def find_clipped(colours: NDArray[np.float32], sigma: NDArray[np.float64]) -> Cl
     return _clipped(found, len(colours), sigma)
 
 
-def find_clipped_on_canvas(
-    planes: NDArray[np.float32], filled: int, sigma: NDArray[np.float64]
-) -> ClippedChannels | None:
+def find_clipped_on_canvas(planes: Float32s, filled: int, sigma: Float64s) -> ClippedChannels | None:
     """Do the same for planes of shape (N, R, C) that are 0 in all but `filled` cells."""
     from beltrami_cli._native import find_limits
 
@@ -142,7 +140,7 @@ def find_clipped_on_canvas(
 
 
 def _clipped(
-    found: list[list[tuple[float, float, int, int]]], count: int, sigma: NDArray[np.float64], empty: int = 0
+    found: list[list[tuple[float, float, int, int]]], count: int, sigma: Float64s, empty: int = 0
 ) -> ClippedChannels | None:
     """Decide from minimum, maximum and numbers of samples at 0 and 1, for each block and channel."""
     if not count:
@@ -158,23 +156,21 @@ def _clipped(
     return ClippedChannels(tuple(low), tuple(high), np.asarray(sigma, np.float64))
 
 
-def sigma_of_clipped(gap: NDArray[np.float64], share: NDArray[np.float64]) -> NDArray[np.float64]:
+def sigma_of_clipped(gap: Float64s, share: Float64s) -> Float64s:
     """Return sigma of noise before clipping [1]_, by the gap from mean to limit and the share at the limit."""
     table = _censored_normal()
-    sigma: NDArray[np.float64] = gap / np.interp(share, table.share, table.gap)
+    sigma: Float64s = gap / np.interp(share, table.share, table.gap)
     return sigma
 
 
-def variance_of_clipped(share: NDArray[np.float64]) -> NDArray[np.float64]:
+def variance_of_clipped(share: Float64s) -> Float64s:
     """Return the variance of unit noise after clipping [1]_, by the share of samples at the limit."""
     table = _censored_normal()
-    variance: NDArray[np.float64] = np.interp(share, table.share, table.variance)
+    variance: Float64s = np.interp(share, table.share, table.variance)
     return variance
 
 
-def _towards_limit(
-    gap: NDArray[np.float32], share: NDArray[np.float32], sigma: np.float32
-) -> NDArray[np.float32]:
+def _towards_limit(gap: Float32s, share: Float32s, sigma: np.float32) -> Float32s:
     """Return how much closer to a limit the true value is than the average."""
     table = _censored_normal()
     # The share of a true colour within the limits is at most one half.
@@ -182,7 +178,7 @@ def _towards_limit(
     alpha = np.interp(share, table.share, table.alpha).astype(np.float32)
     gap_of_one = np.interp(share, table.share, table.gap).astype(np.float32)
     local = np.minimum(gap / gap_of_one, sigma)
-    closer: NDArray[np.float32] = local * (gap_of_one - alpha)
+    closer: Float32s = local * (gap_of_one - alpha)
     return np.maximum(closer, 0)
 
 
@@ -190,10 +186,10 @@ def _towards_limit(
 class _CensoredNormal:
     """Statistics of a normal variable with sigma = 1, censored at a limit, by the share of samples at the limit."""
 
-    share: NDArray[np.float64]  # ascending from 0 to 1
-    alpha: NDArray[np.float64]  # from the mean before censoring to the limit
-    gap: NDArray[np.float64]  # from the mean after censoring to the limit
-    variance: NDArray[np.float64]  # after censoring
+    share: Float64s  # ascending from 0 to 1
+    alpha: Float64s  # from the mean before censoring to the limit
+    gap: Float64s  # from the mean after censoring to the limit
+    variance: Float64s  # after censoring
 
 
 @cache
@@ -217,23 +213,23 @@ class _Normal:
     """Of a normal variable z with sigma = 1: functions of a limit a, at even steps."""
 
     # P(z > a), E max(z - a, 0) and E[z | z > a].
-    tables: dict[str, NDArray[np.float32]]
+    tables: dict[str, Float32s]
 
-    def share_beyond(self, a: NDArray[np.float32]) -> NDArray[np.float32]:
+    def share_beyond(self, a: Float32s) -> Float32s:
         return self._at("share", a)
 
-    def lost(self, a: NDArray[np.float32]) -> NDArray[np.float32]:
+    def lost(self, a: Float32s) -> Float32s:
         return self._at("lost", a)
 
-    def beyond(self, a: NDArray[np.float32]) -> NDArray[np.float32]:
+    def beyond(self, a: Float32s) -> Float32s:
         return self._at("beyond", a)
 
-    def _at(self, name: str, a: NDArray[np.float32]) -> NDArray[np.float32]:
+    def _at(self, name: str, a: Float32s) -> Float32s:
         table = self.tables[name]
         place = np.clip((a + _FURTHEST) * np.float32(_STEPS), 0, len(table) - 1.001).astype(np.float32)
         first = place.astype(np.int32)
         below = table[first]
-        value: NDArray[np.float32] = below + (place - first) * (table[first + 1] - below)
+        value: Float32s = below + (place - first) * (table[first + 1] - below)
         return value
 
 

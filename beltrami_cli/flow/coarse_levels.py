@@ -25,6 +25,7 @@ from beltrami_cli.surface.atlas import EMPTY, OWNED, refresh_halo
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from beltrami_cli.arrays import Float32s, Float64s, Uint8s
     from beltrami_cli.flow.grid_kernels import GridKernels
 
 # Of the noise of a level, what its own details hold; the rest is in its means, which coarser levels estimate: but for
@@ -41,7 +42,7 @@ _PERTURBATION, _SEED = 0.2, 21
 _ROWS = 64
 
 
-def denoise_means(manifold: GridKernels, covariances: NDArray[np.float64]) -> float:
+def denoise_means(manifold: GridKernels, covariances: Float64s) -> float:
     """Estimate the means of squares, coarse to fine, in place; return their estimated mean square error."""
     planes, kind = manifold.colours, manifold.atlas.kind
     error, random = 0.0, np.random.default_rng(_SEED)
@@ -59,7 +60,7 @@ def denoise_means(manifold: GridKernels, covariances: NDArray[np.float64]) -> fl
     return error
 
 
-def _coarsest(covariances: NDArray[np.float64], gap: int) -> int:
+def _coarsest(covariances: Float64s, gap: int) -> int:
     """Return the coarsest level that is needed, of which no square holds cells of two charts, `gap` cells apart."""
     sizes = np.sqrt(np.trace(covariances, axis1=1, axis2=2))
     grows = np.flatnonzero(sizes[1:] > _GROWS * sizes[:-1])
@@ -70,17 +71,13 @@ def _coarsest(covariances: NDArray[np.float64], gap: int) -> int:
 
 
 def _estimated(
-    manifold: GridKernels,
-    means: NDArray[np.float32],
-    kinds: NDArray[np.uint8],
-    noise: NDArray[np.float64],
-    random: np.random.Generator,
-) -> tuple[NDArray[np.float32], float]:
+    manifold: GridKernels, means: Float32s, kinds: Uint8s, noise: Float64s, random: np.random.Generator
+) -> tuple[Float32s, float]:
     """Estimate means from patches; return them and their mean square error by SURE, see `tuning.sure`."""
     first = mixing_of(manifold, manifold.colours, noise)
     second = with_pilot(first, manifold)
 
-    def estimate(noisy: NDArray[np.float32]) -> NDArray[np.float32]:
+    def estimate(noisy: Float32s) -> Float32s:
         pilot = collaborate_on_canvas(kinds, noisy, noisy, first, manifold.threads)
         return collaborate_on_canvas(kinds, noisy, pilot, second, manifold.threads)
 
@@ -96,15 +93,15 @@ def _estimated(
     return after, float(np.mean(misfit - np.diag(noise) + 2 * freedom))
 
 
-def noise_of_level(covariances: NDArray[np.float64], level: int, coarsest: int) -> NDArray[np.float64]:
+def noise_of_level(covariances: Float64s, level: int, coarsest: int) -> Float64s:
     """Return the covariance of noise, shape (N, N), that is left in the means of a level, 0 being single cells."""
     above = covariances[min(level + 1, len(covariances) - 1)]
     shared = _ALL if level == coarsest else _LEFT
-    own: NDArray[np.float64] = (_OWN * covariances[level] + shared * above) / 4**level
+    own: Float64s = (_OWN * covariances[level] + shared * above) / 4**level
     return own
 
 
-def left_for_cells(covariances: NDArray[np.float64]) -> NDArray[np.float64]:
+def left_for_cells(covariances: Float64s) -> Float64s:
     """Return the covariances of noise that coarser levels leave, shape (L, N, N), see `haar_noise`."""
     left = np.zeros_like(covariances)
     left[0] = covariances[0]
@@ -112,8 +109,8 @@ def left_for_cells(covariances: NDArray[np.float64]) -> NDArray[np.float64]:
     return left
 
 
-def means_of_squares(planes: NDArray[np.float32], kind: NDArray[np.uint8], side: int) -> tuple[
-    NDArray[np.float32], NDArray[np.uint8]
+def means_of_squares(planes: Float32s, kind: Uint8s, side: int) -> tuple[
+    Float32s, Uint8s
 ]:  # fmt: skip
     """Return means of squares of cells and their kinds: of the owned cells, or of halo where there are no such."""
     rows, columns = (-(-size // side) for size in kind.shape)
@@ -133,13 +130,7 @@ def means_of_squares(planes: NDArray[np.float32], kind: NDArray[np.uint8], side:
     return means, kinds
 
 
-def add_enlarged(
-    planes: NDArray[np.float32],
-    kind: NDArray[np.uint8],
-    changes: NDArray[np.float32],
-    kinds: NDArray[np.uint8],
-    side: int,
-) -> None:
+def add_enlarged(planes: Float32s, kind: Uint8s, changes: Float32s, kinds: Uint8s, side: int) -> None:
     """Add changes of squares to their owned cells, in place, bilinear between the squares that have such."""
     owned = (kinds == OWNED).astype(np.float32)
     changes = np.concatenate([changes * owned, owned[None]])

@@ -10,8 +10,7 @@ from beltrami_cli.errors import UsageError
 from beltrami_cli.surface.colour_values import linear_to_srgb, srgb_to_linear
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Float32s
     from beltrami_cli.flow.parameters import Space
     from beltrami_cli.surface.records import Encoding
 
@@ -32,7 +31,7 @@ _LAB = np.array(
 )
 
 
-def to_space(colours: NDArray[np.float32], encoding: Encoding, space: Space) -> NDArray[np.float32]:
+def to_space(colours: Float32s, encoding: Encoding, space: Space) -> Float32s:
     """Convert stored colours, shape (S, C), full scale 1, to the working space; "data" keeps the numbers."""
     if space in ("data", encoding):
         return colours
@@ -43,7 +42,7 @@ def to_space(colours: NDArray[np.float32], encoding: Encoding, space: Space) -> 
     return np.asarray(srgb_to_linear(colours) if space == "linear" else linear_to_srgb(colours), np.float32)
 
 
-def from_space(colours: NDArray[np.float32], encoding: Encoding, space: Space) -> NDArray[np.float32]:
+def from_space(colours: Float32s, encoding: Encoding, space: Space) -> Float32s:
     """Convert working colours, shape (S, C), back to what the file stores; the inverse of `to_space`."""
     if space in ("data", encoding):
         return colours
@@ -56,7 +55,7 @@ def from_space(colours: NDArray[np.float32], encoding: Encoding, space: Space) -
     return np.asarray(converted, np.float32)
 
 
-def _require_three(colours: NDArray[np.float32]) -> None:
+def _require_three(colours: Float32s) -> None:
     if colours.shape[1] != 3:
         raise UsageError(
             f"the space oklab needs red, green and blue, but there are {colours.shape[1]} channels; "

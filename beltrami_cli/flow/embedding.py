@@ -23,8 +23,7 @@ from beltrami_cli.flow.parameters import SMOOTHNESS
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Float32s, Float64s
     from beltrami_cli.flow.parameters import KernelParameters
 
 # One level of an 8-bit file, spread evenly, has the deviation 1 / (255 sqrt(12)). Noise below that cannot be measured.
@@ -48,18 +47,18 @@ class Guide:
     """Channels of a guide; `beta`: units of length per unit of the guide, None: by `choose_guide_beta`."""
 
     name: str
-    values: NDArray[np.float32]  # shape (S, G), one row per sample, finite
+    values: Float32s  # shape (S, G), one row per sample, finite
     beta: float | None = None
     # Values are components in the frame of their chart, as those of normal maps, and cannot be compared across seams.
     in_chart_frame: bool = False
 
 
-def centred(values: NDArray[np.float64]) -> NDArray[np.float32]:
+def centred(values: Float64s) -> Float32s:
     """Subtract the mean of a guide, shape (S, G), before rounding: only differences count."""
     return np.ascontiguousarray(values - values.mean(axis=0) if len(values) else values, np.float32)
 
 
-def choose_guide_beta(values: NDArray[np.float32], steps: NDArray[np.float32]) -> float:
+def choose_guide_beta(values: Float32s, steps: Float32s) -> float:
     """Choose beta so that usual steps, shape (K, G), hardly hinder the kernel and unusual ones stop it."""
     if not values.size:
         return 0.0
@@ -74,9 +73,7 @@ def choose_guide_beta(values: NDArray[np.float32], steps: NDArray[np.float32]) -
     return 1 / scale if scale > 0 else 0.0
 
 
-def join_channels(
-    parts: Sequence[tuple[NDArray[np.float32], float]], axis: int
-) -> tuple[NDArray[np.float32], float]:
+def join_channels(parts: Sequence[tuple[Float32s, float]], axis: int) -> tuple[Float32s, float]:
     """Concatenate channels of different beta, colours first, as channels of one beta; it is 0 if none has any."""
     weighted = [(values, beta) for values, beta in parts if beta > 0 and values.shape[axis] > 0]
     if len(weighted) < 2:
@@ -88,18 +85,18 @@ def join_channels(
     return np.concatenate(scaled, axis=axis), common
 
 
-def choose_beta(sigma: NDArray[np.float64], contrast: float = _BETA_SIGMA) -> float:
+def choose_beta(sigma: Float64s, contrast: float = _BETA_SIGMA) -> float:
     """Choose beta, in spacings per unit of colour, so that noise has a length of `contrast` spacings."""
     return contrast / max(overall_noise(sigma), float(_QUANTISATION))
 
 
-def overall_noise(sigma: NDArray[np.float64]) -> float:
+def overall_noise(sigma: Float64s) -> float:
     """Return the root mean square of the channels' noise, without channels that have none, such as constant alpha."""
     noisy = sigma[sigma > 0.1 * sigma.max()] if len(sigma) else sigma
     return float(np.sqrt(np.mean(np.square(noisy)))) if len(noisy) else 0.0
 
 
-def beta_of(parameters: KernelParameters, sigma: NDArray[np.float64], unit: float) -> float:
+def beta_of(parameters: KernelParameters, sigma: Float64s, unit: float) -> float:
     """Return the given beta, or else the one that `choose_beta` gives, in units of length per unit of colour."""
     if parameters.beta is not None:
         return parameters.beta

@@ -29,16 +29,16 @@ from beltrami_cli.surface.geometry import normal_tensors, on_boundary, vertex_no
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from numpy.typing import NDArray
+    from beltrami_cli.arrays import Float32s, Float64s, Int32s
 
-    Average = Callable[[NDArray[np.float32]], NDArray[np.float32]]
+    Average = Callable[[Float32s], Float32s]
 
 
 @dataclass(frozen=True)
 class GeometryParameters:
     """How positions are smoothed: samples of one place, shape (S,), move together."""
 
-    places: NDArray[np.int32]
+    places: Int32s
     # How strongly creases are kept: units of length per difference of normals (nearly radians), 0: not at all, None: by
     # `choose_normal_beta`.
     normal_beta: float | None = None
@@ -49,9 +49,9 @@ class MovingPositions:
 
     def __init__(
         self,
-        positions: NDArray[np.float64],
-        faces: NDArray[np.int32],
-        edges: NDArray[np.int32],
+        positions: Float64s,
+        faces: Int32s,
+        edges: Int32s,
         spacing: float,
         unit: float,
         parameters: GeometryParameters,
@@ -70,11 +70,11 @@ class MovingPositions:
         chosen = parameters.normal_beta
         self.beta = choose_normal_beta(self.normals, edges, self.sigma) * unit if chosen is None else chosen
 
-    def channels(self) -> NDArray[np.float32]:
+    def channels(self) -> Float32s:
         """Return the positions as channels to be averaged, shape (S, 3), in sample spacings."""
         return ((self.positions - self._origin) / self._spacing).astype(np.float32)
 
-    def move(self, before: NDArray[np.float32], after: NDArray[np.float32], average: Average) -> None:
+    def move(self, before: Float32s, after: Float32s, average: Average) -> None:
         """Move the positions; borders stay fixed, and samples of one place stay together."""
         taken = before - after
         moves = (average(taken).astype(np.float64) - taken) * self._spacing
@@ -101,7 +101,7 @@ _NORMAL_BETA_SIGMA = 1.5
 _TURN_COUNTS = 0.8
 
 
-def estimate_normal_sigma(normals: NDArray[np.float32], edges: NDArray[np.int32]) -> float:
+def estimate_normal_sigma(normals: Float32s, edges: Int32s) -> float:
     """Estimate the noise of unit normals, shape (S, 3): standard deviation about each of two axes, in radians."""
     # Lengths of the residuals, not components, so that rotating the surface changes nothing.
     squares = sum(np.square(residual) for residual in residuals(normals, edges))
@@ -110,7 +110,7 @@ def estimate_normal_sigma(normals: NDArray[np.float32], edges: NDArray[np.int32]
     return float(_SIGMA_PER_MEDIAN_LENGTH * np.sqrt(np.median(squares)))
 
 
-def choose_normal_beta(normals: NDArray[np.float32], edges: NDArray[np.int32], sigma: float) -> float:
+def choose_normal_beta(normals: Float32s, edges: Int32s, sigma: float) -> float:
     """Choose beta, in spacings per radian, so that creases stop the kernel, but not noise or usual curvature."""
     by_noise = choose_beta(np.array([sigma]), _NORMAL_BETA_SIGMA)
     if not len(edges):

@@ -27,8 +27,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from typing import Self
 
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Array, Float32s, Int64s
     from beltrami_cli.flow.manifold import Step
     from beltrami_cli.flow.parameters import KernelParameters
     from beltrami_cli.surface.atlas import Atlas
@@ -96,15 +95,13 @@ class GridKernels(Manifold):
         whole._in_one_block = True
         return whole
 
-    def measure(self, colours: NDArray[np.float32], step: Step) -> None:
+    def measure(self, colours: Float32s, step: Step) -> None:
         """Choose the metric, eq. (1), which is induced row block by row block while they are averaged."""
         self._step, self._count = step, len(colours)
         if step.regularised and step.beta and self._gaussian is None:
             self._gaussian = self._smoothing()
 
-    def average(
-        self, stacks: list[NDArray[np.float32]], progress: Callable[[int], None] | None = None
-    ) -> Averaged:
+    def average(self, stacks: list[Float32s], progress: Callable[[int], None] | None = None) -> Averaged:
         """Average the channels by eq. (9): in place, unless all is one block."""
         blocks = self.row_blocks
         if len(blocks) < 2:
@@ -136,9 +133,7 @@ class GridKernels(Manifold):
             refresh_halo(stack, self.atlas)
         return Averaged(stacks, samples)
 
-    def _apply_kernel(
-        self, planes: NDArray[np.float32], progress: Callable[[int], None] | None
-    ) -> tuple[NDArray[np.float32], int]:
+    def _apply_kernel(self, planes: Float32s, progress: Callable[[int], None] | None) -> tuple[Float32s, int]:
         """Average planes at once; return them, and the samples held."""
         from beltrami_cli._native import smooth_grid
 
@@ -149,7 +144,7 @@ class GridKernels(Manifold):
             own.radius, own.window // 2, scheme_of(own), self.threads, progress,
         )  # fmt: skip
 
-    def cut(self, samples: slice | NDArray[np.int64], *others: Any) -> Self:
+    def cut(self, samples: slice | Int64s, *others: Any) -> Self:
         """Return a part: rows, or cells by flat index, shape (R', C'); `others`: mask of cells that have a kernel."""
         (inside,) = others
         part = copy(self)
@@ -170,13 +165,13 @@ class GridKernels(Manifold):
             part.atlas = without_references(part.atlas, self.atlas, samples)
         return part
 
-    def pick(self, planes: NDArray[Any], samples: slice | NDArray[np.int64]) -> NDArray[Any]:
+    def pick(self, planes: Array, samples: slice | Int64s) -> Array:
         """Return rows, or cells, of an array whose last axes are those of the canvas."""
         if isinstance(samples, slice):
             return planes[..., samples, :]
         return np.ascontiguousarray(planes.reshape(*planes.shape[:-2], -1)[..., samples])
 
-    def rows(self, stacks: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
+    def rows(self, stacks: Sequence[Float32s]) -> Float32s:
         """Return the channels of all stacks at the owned cells."""
         cells = self.atlas.owned_cells
         return np.concatenate([colours_at(stack, cells, self.threads) for stack in stacks], axis=1)
@@ -202,8 +197,8 @@ class GridKernels(Manifold):
         return SampledKernel(cells.astype(np.int64), distances, weights, self.as_given(colours))
 
     def _distances(
-        self, metric: NDArray[np.float32], beta: float, own: KernelParameters, centre: tuple[int, int]
-    ) -> NDArray[np.float32]:
+        self, metric: Float32s, beta: float, own: KernelParameters, centre: tuple[int, int]
+    ) -> Float32s:
         """Return the distances of the cells in the window of one, infinite beyond the kernel's radius."""
         from beltrami_cli._native import grid_distances
 
@@ -237,7 +232,7 @@ def scheme_of(parameters: KernelParameters) -> str:
     return "sweep" if parameters.window <= _WIDEST_SWEEP else "triangles"
 
 
-def _split(planes: NDArray[np.float32], like: Sequence[NDArray[np.float32]]) -> list[NDArray[np.float32]]:
+def _split(planes: Float32s, like: Sequence[Float32s]) -> list[Float32s]:
     return np.split(planes, np.cumsum([len(stack) for stack in like])[:-1])
 
 

@@ -33,8 +33,7 @@ from beltrami_cli.surface.atlas import EMPTY, OWNED, refresh_halo, without_halo
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Bools, Float32s, Float64s, Int64s
     from beltrami_cli.flow.clipping import ClippedChannels
     from beltrami_cli.flow.embedding import Guide
     from beltrami_cli.flow.grid_partitions import GridPartition
@@ -61,7 +60,7 @@ class GridManifold(GridKernels):
     def __init__(
         self,
         atlas: Atlas,
-        planes: NDArray[np.float32],
+        planes: Float32s,
         parameters: KernelParameters,
         *,
         stop_at_holes: bool = False,
@@ -86,10 +85,10 @@ class GridManifold(GridKernels):
         self.unit = unit
         self.embed(guides)
 
-    def _find_noise(self, filled: NDArray[np.bool_], parameters: KernelParameters) -> None:
+    def _find_noise(self, filled: Bools, parameters: KernelParameters) -> None:
         """Estimate the noise, and make it even at all levels if it is not."""
         planes, given = self.colours, parameters.given_noise
-        self.noise_covariances: NDArray[np.float64] | None = None
+        self.noise_covariances: Float64s | None = None
         if given is None:
             noise = find_grid_noise(planes, filled, by_level=parameters.evens_noise)
             self.stabiliser, self.noise_covariances = noise.stabiliser, noise.covariances
@@ -114,7 +113,7 @@ class GridManifold(GridKernels):
         return error
 
     @property
-    def noise_covariance(self) -> NDArray[np.float64]:
+    def noise_covariance(self) -> Float64s:
         """Covariance of the noise of channels."""
         if self.noise_covariances is None:
             return super().noise_covariance
@@ -148,7 +147,7 @@ class GridManifold(GridKernels):
         signs = perturbations(wanted_probes(len(scored)), len(planes), part.atlas, self.noise_covariances)
         return SampleTrial(part, planes, signs, scored, correlated=self.noise_covariances is not None)
 
-    def cut_blocks(self, cells: NDArray[np.int64], core: NDArray[np.bool_], reach: int) -> GridManifold:
+    def cut_blocks(self, cells: Int64s, core: Bools, reach: int) -> GridManifold:
         """Cut out blocks; cells beyond their borders keep their colours, as halo that is not refreshed."""
         side = cells.shape[1]
         at = np.arange(side)
@@ -160,7 +159,7 @@ class GridManifold(GridKernels):
     def release(self) -> None:
         """Keep everything: averages need all that cuts need."""
 
-    def put_rows(self, rows: NDArray[np.float32], stacks: Sequence[NDArray[np.float32]]) -> None:
+    def put_rows(self, rows: Float32s, stacks: Sequence[Float32s]) -> None:
         """Put rows of the owned cells back, and give the halo its values."""
         planes = [plane.reshape(-1) for stack in stacks for plane in stack]
         for plane, channel in zip(planes, rows.T, strict=True):
@@ -168,11 +167,11 @@ class GridManifold(GridKernels):
         for stack in stacks:
             refresh_halo(stack, self.atlas)
 
-    def take(self, stack: NDArray[np.float32], samples: NDArray[np.int64]) -> NDArray[np.float32]:
+    def take(self, stack: Float32s, samples: Int64s) -> Float32s:
         """Return the channels of some cells, by their flat indices, with a row a cell."""
         return stack.reshape(len(stack), -1)[:, samples].T
 
-    def values(self) -> NDArray[np.float32]:
+    def values(self) -> Float32s:
         """Return the colours of the owned cells as they are now, shape (T, N)."""
         return self.as_given(colours_at(self.colours, self.atlas.owned_cells, self.threads))
 
@@ -184,7 +183,7 @@ class GridManifold(GridKernels):
         """Find the channels that were cut off."""
         return find_clipped_on_canvas(self.colours, int(np.count_nonzero(self.atlas.kind)), self.sigma)
 
-    def marks(self, clipped: ClippedChannels) -> NDArray[np.float32]:
+    def marks(self, clipped: ClippedChannels) -> Float32s:
         """Return the marks of the cells at a limit, shape (M, R, C)."""
         kind = self.atlas.kind
         marks = large_arrays.empty((len(clipped.clipped), *kind.shape), np.float32)
@@ -195,9 +194,7 @@ class GridManifold(GridKernels):
         refresh_halo(marks, self.atlas)
         return marks
 
-    def restore(
-        self, clipped: ClippedChannels, colours: NDArray[np.float32], marks: NDArray[np.float32]
-    ) -> None:
+    def restore(self, clipped: ClippedChannels, colours: Float32s, marks: Float32s) -> None:
         """Turn averages of clipped colours into estimates of the colours without noise."""
         for rows in large_arrays.blocks(len(self.atlas.kind), _ROWS):
             clipped.restore(colours[:, rows], marks[:, rows])
@@ -215,26 +212,24 @@ class GridManifold(GridKernels):
         refresh_halo(estimates, self.atlas)
         return estimates
 
-    def perturbation(self) -> NDArray[np.float32]:
+    def perturbation(self) -> Float32s:
         """Return random planes like the noise: independent signs, or correlated as the noise is."""
-        planes: NDArray[np.float32] = perturbations(1, len(self.colours), self.atlas, self.noise_covariances)[
-            0
-        ]
+        planes: Float32s = perturbations(1, len(self.colours), self.atlas, self.noise_covariances)[0]
         return planes
 
-    def planes(self, count: int) -> NDArray[np.float32]:
+    def planes(self, count: int) -> Float32s:
         """Return planes of zeros."""
-        planes: NDArray[np.float32] = large_arrays.zeros((count, *self.atlas.kind.shape), np.float32)
+        planes: Float32s = large_arrays.zeros((count, *self.atlas.kind.shape), np.float32)
         return planes
 
-    def total(self, planes: NDArray[np.float32]) -> NDArray[np.float64]:
+    def total(self, planes: Float32s) -> Float64s:
         """Sum planes over the owned cells."""
         kind, total = self.atlas.kind, np.zeros(len(planes))
         for rows in large_arrays.blocks(len(kind), _ROWS):
             total += planes[:, rows].sum(axis=(1, 2), dtype=np.float64, where=kind[rows] == OWNED)
         return total
 
-    def spread(self, planes: NDArray[np.float32]) -> NDArray[np.float32]:
+    def spread(self, planes: Float32s) -> Float32s:
         """Average planes over the surface, in passes that reach as far as the halo."""
         from beltrami_cli._native import convolve
 
@@ -253,13 +248,13 @@ class GridManifold(GridKernels):
             planes = after
         return planes
 
-    def _laid_out(self, guide: Guide) -> NDArray[np.float32]:
+    def _laid_out(self, guide: Guide) -> Float32s:
         planes = painted(self.atlas, guide.values, self.threads)
         if guide.in_chart_frame:
             end_at_seams(planes, self.atlas, self.threads)
         return planes
 
-    def steps(self, stack: NDArray[np.float32]) -> NDArray[np.float32]:
+    def steps(self, stack: Float32s) -> Float32s:
         """Return differences between neighbours along rows, in evenly spread rows, shape (K, G)."""
         owned = self.atlas.kind == OWNED
         rows = np.arange(0, len(owned), max(1, int(np.count_nonzero(owned)) // _ENOUGH_STEPS))
@@ -267,7 +262,7 @@ class GridManifold(GridKernels):
         return (stack[:, rows, 1:] - stack[:, rows, :-1])[:, both].T
 
 
-def canvas_colours(atlas: Atlas, planes: NDArray[np.float32], threads: int) -> NewColours:
+def canvas_colours(atlas: Atlas, planes: Float32s, threads: int) -> NewColours:
     """Return the colours of the owned cells, read from the canvas when they are taken, and those of the gutter."""
     refresh_halo(planes, atlas, interpolated=True)
     flat, cells, gutter = planes.reshape(len(planes), -1), atlas.owned_cells, atlas.gutter_cells

@@ -14,8 +14,7 @@ from beltrami_cli.surface.atlas import EMPTY, OWNED
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Bools, Float32s, Float64s, Int64s
     from beltrami_cli.flow.grid_kernels import GridKernels
     from beltrami_cli.flow.manifold import Step
     from beltrami_cli.surface.atlas import Atlas
@@ -38,8 +37,8 @@ class GridPartition:
         self,
         whole: GridKernels,
         core: Core,
-        number: NDArray[np.int64],  # of the sample in each cell of the canvas
-        source: NDArray[np.int64],  # number of the sample whose value the cell has
+        number: Int64s,  # of the sample in each cell of the canvas
+        source: Int64s,  # number of the sample whose value the cell has
         steps: Sequence[Step],
         channels: int,
     ) -> None:
@@ -61,9 +60,7 @@ class GridPartition:
         is_own = self.owned[own_row] == drawn
         self._rows = np.where(is_own, own_row, len(self.owned) + np.searchsorted(self.borrowed, drawn))
 
-    def advance(
-        self, own: NDArray[np.float32], borrowed: NDArray[np.float32], iteration: int, threads: int
-    ) -> Advance:
+    def advance(self, own: Float32s, borrowed: Float32s, iteration: int, threads: int) -> Advance:
         """Run an iteration, see `Partition`."""
         part = self._part
         part.threads = threads
@@ -83,7 +80,7 @@ def cut_grid(whole: GridKernels, count: int, steps: Sequence[Step], channels: in
     return [GridPartition(whole, core, number, source, steps, channels) for core in cores]
 
 
-def _sources(atlas: Atlas) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _sources(atlas: Atlas) -> tuple[Int64s, Int64s]:
     """Return for each cell of the canvas its own sample, and the sample whose value it has; -1: none."""
     number = np.full(atlas.kind.size, -1, np.int64)
     number[atlas.owned_cells] = np.arange(len(atlas.owned_cells))
@@ -92,7 +89,7 @@ def _sources(atlas: Atlas) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     return number, source
 
 
-def _cores(owned: NDArray[np.bool_], count: int) -> Iterator[Core]:
+def _cores(owned: Bools, count: int) -> Iterator[Core]:
     """Cut into bands of rows, and each band into columns, so that rectangles are about square and equally full."""
     rows, columns = owned.shape
     bands = int(np.clip(round((count * rows / max(1, columns)) ** 0.5), 1, count))
@@ -107,7 +104,7 @@ def _cores(owned: NDArray[np.bool_], count: int) -> Iterator[Core]:
                 yield Core(top, bottom, left, right)
 
 
-def _even(counts: NDArray[np.int64], shares: NDArray[np.float64]) -> list[int]:
+def _even(counts: Int64s, shares: Float64s) -> list[int]:
     """Return borders between entries so that the sum before each is about its share of the total."""
     totals = np.concatenate([[0], np.cumsum(counts)])
     borders = np.searchsorted(totals, shares * totals[-1])

@@ -16,7 +16,7 @@ import numpy as np
 from beltrami_cli.flow.parameters import KernelParameters
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from beltrami_cli.arrays import Bools, Int32s
 
 LOG = logging.getLogger(__name__)
 """Says how much work is ahead, before it starts."""
@@ -37,12 +37,12 @@ _DENSITY = 2 * math.pi / math.sqrt(3)
 _LARGEST = 2
 
 
-def find_hubs(size: int, edges: NDArray[np.int32]) -> NDArray[np.bool_]:
+def find_hubs(size: int, edges: Int32s) -> Bools:
     """Find the vertices with very many edges."""
     return np.asarray(np.bincount(edges.ravel(), minlength=size) > _HUB)
 
 
-def without_hubs(size: int, edges: NDArray[np.int32]) -> NDArray[np.int32]:
+def without_hubs(size: int, edges: Int32s) -> Int32s:
     """Leave out the edges at hubs."""
     hubs = find_hubs(size, edges)
     return edges[~hubs[edges].any(axis=1)] if hubs.any() else edges
@@ -83,7 +83,7 @@ class KernelWork:
 class MeshWork(KernelWork):
     """Work with the kernels of triangles, where hubs and tangles cost more."""
 
-    def __init__(self, kernels: int, unit: float, edges: NDArray[np.int32], faces: int) -> None:
+    def __init__(self, kernels: int, unit: float, edges: Int32s, faces: int) -> None:
         super().__init__(kernels, unit)
         degrees = np.bincount(edges.ravel(), minlength=kernels)
         joined = int(np.count_nonzero(degrees))

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from beltrami_cli.arrays import Bools, Float32s, Float64s, Int64s
     from beltrami_cli.flow.clipping import ClippedChannels
     from beltrami_cli.flow.embedding import Guide
     from beltrami_cli.flow.geometry import MovingPositions
@@ -35,7 +36,7 @@ if TYPE_CHECKING:
     from beltrami_cli.flow.search_range import Rule, SearchRange
     from beltrami_cli.surface.atlas import Indices
 
-    Stack = NDArray[np.float32]
+    Stack = Float32s
 
 
 @dataclass(frozen=True)
@@ -51,7 +52,7 @@ class Step:
 class Averaged:
     """Averages of channels by eq. (9), how many samples the kernels held, and how many kernels were cut short."""
 
-    stacks: list[NDArray[np.float32]]
+    stacks: list[Float32s]
     samples: float
     truncated: int = 0
 
@@ -60,9 +61,9 @@ class Averaged:
 class Mixing:
     """How N channels are mixed so that each can be estimated by itself, shape (N, N), and their noise, shape (N,)."""
 
-    forth: NDArray[np.float32]
-    back: NDArray[np.float32]
-    variances: NDArray[np.float32]
+    forth: Float32s
+    back: Float32s
+    variances: Float32s
     has_pilot: bool = field(default=False, kw_only=True)  # patches are compared on an estimate
 
 
@@ -70,20 +71,18 @@ class Mixing:
 class NewColours:
     """Colours of S samples, read block by block, and the colours that continue them beyond seams."""
 
-    take: Callable[
-        [slice, NDArray[np.bool_] | slice], NDArray[np.float32]
-    ]  # a block's rows, all or by a mask
+    take: Callable[[slice, Bools | slice], Float32s]  # a block's rows, all or by a mask
     places: Indices  # texels or pixels of the samples, shape (S,)
     beyond_places: Indices  # texels or pixels around charts, shape (G,)
-    beyond: NDArray[np.float32]  # their colours, shape (G, N)
+    beyond: Float32s  # their colours, shape (G, N)
 
     @classmethod
     def of(
         cls,
-        rows: NDArray[np.float32],
+        rows: Float32s,
         places: Indices | None = None,
         beyond_places: Indices | None = None,
-        beyond: NDArray[np.float32] | None = None,
+        beyond: Float32s | None = None,
     ) -> NewColours:
         """Give the rows of a table, shape (S, N)."""
         none = np.zeros(0, np.int64)
@@ -94,14 +93,14 @@ class NewColours:
             np.zeros((0, rows.shape[1]), np.float32) if beyond is None else beyond,
         )
 
-    def mapped(self, each: Callable[[NDArray[np.float32]], NDArray[np.float32]]) -> NewColours:
+    def mapped(self, each: Callable[[Float32s], Float32s]) -> NewColours:
         """Return what a function makes of rows of colours."""
         take = self.take
         return dataclasses.replace(
             self, take=lambda block, inside: each(take(block, inside)), beyond=each(self.beyond)
         )
 
-    def table(self) -> NDArray[np.float32]:
+    def table(self) -> Float32s:
         """Return all rows, shape (S, N)."""
         return self.take(slice(None), slice(None))
 
@@ -137,10 +136,10 @@ class Manifold(ABC):
     unit: float
     """The unit of length of t and beta, in sample spacings."""
 
-    colours: NDArray[np.float32]
+    colours: Float32s
     """The stack of the colours, before or after iterations."""
 
-    sigma: NDArray[np.float64]
+    sigma: Float64s
     """Estimated standard deviation of the noise, by channel."""
 
     moving: MovingPositions | None = None
@@ -155,17 +154,17 @@ class Manifold(ABC):
         return False
 
     @property
-    def noise_covariance(self) -> NDArray[np.float64]:
+    def noise_covariance(self) -> Float64s:
         """Covariance of the noise of channels, shape (N, N)."""
         return np.diag(np.square(self.sigma))
 
     @property
-    def noise(self) -> NDArray[np.float64]:
+    def noise(self) -> Float64s:
         """Estimated standard deviation of the noise of the colours as they were given, by channel."""
         return self.sigma * self._growth
 
     @property
-    def _growth(self) -> NDArray[np.float64]:
+    def _growth(self) -> Float64s:
         """By what factor differences of channels grow, in the mean, when they are given back."""
         growth = np.ones(len(self.sigma))
         if self.stabiliser is not None:
@@ -182,7 +181,7 @@ class Manifold(ABC):
         """Return beta in units of length per unit of the colours as they were given."""
         return beta if self.stabiliser is None else beta / self.stabiliser.growth
 
-    def as_given(self, rows: NDArray[np.float32]) -> NDArray[np.float32]:
+    def as_given(self, rows: Float32s) -> Float32s:
         """Return colours, shape (S, N), as they were given."""
         if self.stabiliser is None:
             return rows
@@ -198,7 +197,7 @@ class Manifold(ABC):
         self.parameters, self.threads = parameters, parameters.thread_count
         self.chosen = None if metric_channels is None else list(metric_channels)
         self.guide_betas: dict[str, float] = {}
-        self.guides: list[tuple[NDArray[np.float32], float]] = []
+        self.guides: list[tuple[Float32s, float]] = []
         self._gaussian: MeshGaussian | GridGaussian | None = None
 
     def embed(self, guides: Sequence[Guide]) -> None:
@@ -212,7 +211,7 @@ class Manifold(ABC):
             self.guide_betas[guide.name] = beta
             self.guides.append((stack, beta))
 
-    def channels(self, colours: NDArray[np.float32], step: Step) -> tuple[NDArray[np.float32], float]:
+    def channels(self, colours: Float32s, step: Step) -> tuple[Float32s, float]:
         """Return the channels that enter the metric besides the positions, and their beta."""
         beta = step.beta
         if self.chosen is not None:
@@ -220,7 +219,7 @@ class Manifold(ABC):
         own = self.regularised(colours, beta) if step.regularised else (colours, beta)
         return join_channels([own, *self.guides, *self._features(step)], self.axis)
 
-    def regularised(self, channels: NDArray[np.float32], beta: float) -> tuple[NDArray[np.float32], float]:
+    def regularised(self, channels: Float32s, beta: float) -> tuple[Float32s, float]:
         """Return smoothed channels for the metric, and their beta."""
         if beta == 0:
             return channels, beta
@@ -246,13 +245,11 @@ class Manifold(ABC):
         """Free the memory that only cuts need."""
 
     @abstractmethod
-    def measure(self, colours: NDArray[np.float32], step: Step) -> None:
+    def measure(self, colours: Float32s, step: Step) -> None:
         """Induce the metric, eq. (1), by colours."""
 
     @abstractmethod
-    def average(
-        self, stacks: list[NDArray[np.float32]], progress: Callable[[int], None] | None = None
-    ) -> Averaged:
+    def average(self, stacks: list[Float32s], progress: Callable[[int], None] | None = None) -> Averaged:
         """Average stacks by the kernels of the metric, eqs. (8) and (9); they may be changed in place."""
 
     @abstractmethod
@@ -266,19 +263,19 @@ class Manifold(ABC):
         """Return a part of the manifold as a manifold without colours; its metric is that of the whole."""
 
     @abstractmethod
-    def rows(self, stacks: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
+    def rows(self, stacks: Sequence[Float32s]) -> Float32s:
         """Return the channels of all stacks, with a row a sample."""
 
     @abstractmethod
-    def put_rows(self, rows: NDArray[np.float32], stacks: Sequence[NDArray[np.float32]]) -> None:
+    def put_rows(self, rows: Float32s, stacks: Sequence[Float32s]) -> None:
         """Put rows of samples back into stacks, in place."""
 
     @abstractmethod
-    def take(self, stack: NDArray[np.float32], samples: NDArray[np.int64]) -> NDArray[np.float32]:
+    def take(self, stack: Float32s, samples: Int64s) -> Float32s:
         """Return the channels of some samples, with a row a sample."""
 
     @abstractmethod
-    def values(self) -> NDArray[np.float32]:
+    def values(self) -> Float32s:
         """Return the colours as they are now, shape (S, N), in the caller's order."""
 
     @abstractmethod
@@ -290,13 +287,11 @@ class Manifold(ABC):
         """Find the channels whose noise was cut off at 0 or at full scale."""
 
     @abstractmethod
-    def marks(self, clipped: ClippedChannels) -> NDArray[np.float32]:
+    def marks(self, clipped: ClippedChannels) -> Float32s:
         """Return the stack of marks of the samples at a limit."""
 
     @abstractmethod
-    def restore(
-        self, clipped: ClippedChannels, colours: NDArray[np.float32], marks: NDArray[np.float32]
-    ) -> None:
+    def restore(self, clipped: ClippedChannels, colours: Float32s, marks: Float32s) -> None:
         """Turn averages of clipped colours, in place, into estimates of the colours without noise."""
 
     @abstractmethod
@@ -306,19 +301,19 @@ class Manifold(ABC):
         """Estimate colours from patches that look alike in the pilot."""
 
     @abstractmethod
-    def perturbation(self) -> NDArray[np.float32] | NDArray[np.int8]:
+    def perturbation(self) -> Float32s | NDArray[np.int8]:
         """Return a stack of random signs, or of noise that neighbours share as they share that of the colours."""
 
     @abstractmethod
-    def planes(self, count: int) -> NDArray[np.float32]:
+    def planes(self, count: int) -> Float32s:
         """Return zeros for numbers of samples that are no colours, with these numbers along the first axis."""
 
     @abstractmethod
-    def total(self, planes: NDArray[np.float32]) -> NDArray[np.float64]:
+    def total(self, planes: Float32s) -> Float64s:
         """Sum planes over the samples that have a kernel."""
 
     @abstractmethod
-    def spread(self, planes: NDArray[np.float32]) -> NDArray[np.float32]:
+    def spread(self, planes: Float32s) -> Float32s:
         """Average planes over the surface by about a Gaussian of standard deviation `width`."""
 
     @abstractmethod
@@ -330,14 +325,14 @@ class Manifold(ABC):
         """Make the Gaussian of the regularised metric."""
 
     @abstractmethod
-    def _laid_out(self, guide: Guide) -> NDArray[np.float32]:
+    def _laid_out(self, guide: Guide) -> Float32s:
         """Return the stack of a guide."""
 
     @abstractmethod
-    def steps(self, stack: NDArray[np.float32]) -> NDArray[np.float32]:
+    def steps(self, stack: Float32s) -> Float32s:
         """Return differences of a stack between neighbouring samples, shape (K, G)."""
 
-    def _features(self, step: Step) -> list[tuple[NDArray[np.float32], float]]:
+    def _features(self, step: Step) -> list[tuple[Float32s, float]]:
         """Return further channels that count as distance, with their beta."""
         del step
         return []
@@ -352,13 +347,13 @@ def at_step(parameters: KernelParameters, step: Step) -> KernelParameters:
 class SampledKernel:
     """The K samples in the kernel of one sample p, p first and the others by their distance."""
 
-    samples: NDArray[np.int64]  # of a surface, or flat indices of cells of a canvas, shape (K,)
-    distances: NDArray[np.float32]  # d(p, q), in the unit of length of the parameters; 0 at p
-    weights: NDArray[np.float32]  # w_q exp(-d(p, q)^2 / (4 t)), eqs. (8, 9), not yet divided by their sum
-    colours: NDArray[np.float32]  # I(q), before the iteration, in the working space, shape (K, N)
+    samples: Int64s  # of a surface, or flat indices of cells of a canvas, shape (K,)
+    distances: Float32s  # d(p, q), in the unit of length of the parameters; 0 at p
+    weights: Float32s  # w_q exp(-d(p, q)^2 / (4 t)), eqs. (8, 9), not yet divided by their sum
+    colours: Float32s  # I(q), before the iteration, in the working space, shape (K, N)
 
     @property
-    def mean(self) -> NDArray[np.float64]:
+    def mean(self) -> Float64s:
         """The colour that the iteration gives p, shape (N,): sum w I / sum w."""
         weights = self.weights.astype(np.float64)
         if not weights.any():  # a sample that stands for no area, alone
@@ -371,9 +366,9 @@ class SampleTrial:
     """A part of a manifold to try iterations on; samples in `scored_samples` count, None: all."""
 
     part: Manifold
-    start: NDArray[np.float32]  # stack of the noisy colours
-    signs: NDArray[np.float32]  # stacks like `start`
-    scored_samples: NDArray[np.int64] | None
+    start: Float32s  # stack of the noisy colours
+    signs: Float32s  # stacks like `start`
+    scored_samples: Int64s | None
     correlated: bool = False  # neighbours share noise, and so do the perturbations
 
     @property
@@ -381,16 +376,16 @@ class SampleTrial:
         """How many samples count."""
         return len(self.scored(self.start))
 
-    def step(self, state: NDArray[np.float32], step: Step) -> NDArray[np.float32]:
+    def step(self, state: Float32s, step: Step) -> Float32s:
         """Return the colours after an iteration."""
         self.part.measure(state, step)
         return self.part.average([state]).stacks[0]
 
-    def scored(self, state: NDArray[np.float32]) -> NDArray[np.float32]:
+    def scored(self, state: Float32s) -> Float32s:
         """Return the colours of the samples that count, shape (S, N)."""
         return state if self.scored_samples is None else self.part.take(state, self.scored_samples)
 
 
-def kernel_values(distances: NDArray[np.float32], t: float) -> NDArray[np.float32]:
+def kernel_values(distances: Float32s, t: float) -> Float32s:
     """Return exp(-d^2 / (4 t)), eq. (8)."""
     return np.asarray(np.exp(-np.square(distances.astype(np.float64)) / (4 * t)), np.float32)

@@ -18,9 +18,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from typing import Self
 
-    from numpy.typing import NDArray
-
     from beltrami_cli._native import SegmentManifold, SurfacePatches, TriangulatedManifold
+    from beltrami_cli.arrays import Array, Bools, Float32s, Int32s, Int64s
     from beltrami_cli.flow.manifold import Step
     from beltrami_cli.flow.parameters import KernelParameters
     from beltrami_cli.surface.records import SampledSurface
@@ -32,10 +31,7 @@ class MeshKernels(Manifold):
     axis: ClassVar[int] = 1
 
     def __init__(
-        self,
-        surface: SampledSurface,
-        parameters: KernelParameters,
-        metric_channels: Sequence[int] | None,
+        self, surface: SampledSurface, parameters: KernelParameters, metric_channels: Sequence[int] | None
     ) -> None:
         from beltrami_cli._native import vertex_order
 
@@ -74,15 +70,13 @@ class MeshKernels(Manifold):
     def __getstate__(self) -> dict[str, object]:
         return {**self.__dict__, "_core": None, "_patches": None}
 
-    def measure(self, colours: NDArray[np.float32], step: Step) -> None:
+    def measure(self, colours: Float32s, step: Step) -> None:
         """Induce the metric, eq. (1)."""
         channels, beta = self.channels(colours, step)
         self.core.update_metric(self.positions, channels, beta, self._scales, self.threads)
         self._measured = at_step(self.parameters, step)
 
-    def average(
-        self, stacks: list[NDArray[np.float32]], progress: Callable[[int], None] | None = None
-    ) -> Averaged:
+    def average(self, stacks: list[Float32s], progress: Callable[[int], None] | None = None) -> Averaged:
         """Average the channels, and the positions if they move, by eq. (9)."""
         widths = np.cumsum([stack.shape[1] for stack in stacks])
         channels = stacks[0] if len(stacks) == 1 else np.concatenate(stacks, axis=1)
@@ -99,15 +93,15 @@ class MeshKernels(Manifold):
         return Averaged([np.ascontiguousarray(part) for part in parts], samples, truncated)
 
     def apply_kernel(
-        self, channels: NDArray[np.float32], progress: Callable[[int], None] | None = None
-    ) -> tuple[NDArray[np.float32], int, int]:
+        self, channels: Float32s, progress: Callable[[int], None] | None = None
+    ) -> tuple[Float32s, int, int]:
         """Average channels; return them, the samples held, and the kernels cut short."""
         own = self._measured
         return self.core.smooth(
             channels, self._weights, own.t, own.radius, own.max_samples, self.threads, progress
         )
 
-    def marked(self, marks: NDArray[np.float32], max_samples: int) -> NDArray[np.bool_]:
+    def marked(self, marks: Float32s, max_samples: int) -> Bools:
         """Find the samples whose kernels hold a marked one, with kernels of up to `max_samples`."""
         radius = self._measured.radius
         # With such a long time step no kernel value is small.
@@ -115,7 +109,7 @@ class MeshKernels(Manifold):
         averages = self.core.smooth(marks, None, t, radius, max_samples, self.threads, None)[0]
         return np.asarray(averages.any(axis=1))
 
-    def cut(self, samples: NDArray[np.int64], *others: Any) -> Self:
+    def cut(self, samples: Int64s, *others: Any) -> Self:
         """Return a part of some samples, ascending; `others`: their places in a larger part, and its size."""
         places, size = others or (np.arange(len(samples)), len(samples))
         part = copy(self)
@@ -128,7 +122,7 @@ class MeshKernels(Manifold):
         inside = (ends >= 0).all(axis=1)
         part.edges, part._lengths = ends[inside], self._lengths[inside]
 
-        def spread(rows: NDArray[Any], filling: float = 0) -> NDArray[Any]:
+        def spread(rows: Array, filling: float = 0) -> Array:
             if size == len(samples):
                 return rows[samples]
             whole = np.full((size, *rows.shape[1:]), filling, rows.dtype)
@@ -171,14 +165,14 @@ class MeshKernels(Manifold):
     def _smoothing(self) -> MeshGaussian:
         return MeshGaussian(self.size, self.edges, self._lengths, self.parameters.metric_scale, self._gain)
 
-    def _features(self, step: Step) -> list[tuple[NDArray[np.float32], float]]:
+    def _features(self, step: Step) -> list[tuple[Float32s, float]]:
         if self.moving is None:
             return []
         normals = self.moving.normals, self.moving.beta
         return [self.regularised(*normals) if step.regularised else normals]
 
 
-def rank_in(order: NDArray[np.int32]) -> NDArray[np.int32]:
+def rank_in(order: Int32s) -> Int32s:
     """Return where each sample stands in an order of all."""
     rank = np.empty_like(order)
     rank[order] = np.arange(len(order), dtype=rank.dtype)

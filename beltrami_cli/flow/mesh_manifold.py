@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -22,8 +22,7 @@ from beltrami_cli.flow.tuning.sure import wanted_probes
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s
     from beltrami_cli.flow.clipping import ClippedChannels
     from beltrami_cli.flow.embedding import Guide
     from beltrami_cli.flow.manifold import Mixing, Stack, Step
@@ -100,22 +99,22 @@ class MeshManifold(MeshKernels):
         """Give back the triangles, which only cuts need."""
         self.faces = np.empty((0, 3), np.int32)  # a slice would keep them
 
-    def rows(self, stacks: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
+    def rows(self, stacks: Sequence[Float32s]) -> Float32s:
         """Return the channels of all stacks, in the inner order."""
         return stacks[0] if len(stacks) == 1 else np.concatenate(stacks, axis=1)
 
-    def put_rows(self, rows: NDArray[np.float32], stacks: Sequence[NDArray[np.float32]]) -> None:
+    def put_rows(self, rows: Float32s, stacks: Sequence[Float32s]) -> None:
         """Put rows in the inner order back."""
         first = 0
         for stack in stacks:
             stack[:] = rows[:, first : first + stack.shape[1]]
             first += stack.shape[1]
 
-    def take(self, stack: NDArray[np.float32], samples: NDArray[np.int64]) -> NDArray[np.float32]:
+    def take(self, stack: Float32s, samples: Int64s) -> Float32s:
         """Return the rows of some samples."""
         return stack[samples]
 
-    def values(self) -> NDArray[np.float32]:
+    def values(self) -> Float32s:
         """Return the colours as they are now, shape (S, N), in the caller's order."""
         return self.in_order(self.as_given(self.colours))
 
@@ -123,7 +122,7 @@ class MeshManifold(MeshKernels):
         """Return the same as blocks to be written back."""
         return NewColours.of(self.values())
 
-    def in_order(self, rows: NDArray[Any]) -> NDArray[Any]:
+    def in_order(self, rows: Array) -> Array:
         """Bring rows back to the order that the caller gave them in."""
         ordered = np.empty_like(rows)
         ordered[self.order] = rows
@@ -135,13 +134,11 @@ class MeshManifold(MeshKernels):
         joined[self.edges] = True
         return find_clipped(self.colours[joined], self.sigma)
 
-    def marks(self, clipped: ClippedChannels) -> NDArray[np.float32]:
+    def marks(self, clipped: ClippedChannels) -> Float32s:
         """Return the marks of the samples at a limit, shape (S, M)."""
         return np.ascontiguousarray(clipped.marks(self.colours.T).T)
 
-    def restore(
-        self, clipped: ClippedChannels, colours: NDArray[np.float32], marks: NDArray[np.float32]
-    ) -> None:
+    def restore(self, clipped: ClippedChannels, colours: Float32s, marks: Float32s) -> None:
         """Turn averages of clipped colours into estimates of the colours without noise."""
         clipped.restore(colours.T, marks.T)
 
@@ -157,7 +154,7 @@ class MeshManifold(MeshKernels):
         )
         return estimates
 
-    def perturbation(self) -> NDArray[np.float32]:
+    def perturbation(self) -> Float32s:
         """Find the patches, and return random signs; both depend only on nearby colours, which change from then on."""
         from beltrami_cli._native import SurfacePatches
 
@@ -166,18 +163,18 @@ class MeshManifold(MeshKernels):
         joined[self.edges] = True
         axes, around = _axes(places[joined], self.colours[joined]), fingerprints(coarse, self.edges)
         self._patches = SurfacePatches(places, self.edges, axes, around, self.threads)
-        signs: NDArray[np.float32] = random_signs(coarse, around, 1)[0]
+        signs: Float32s = random_signs(coarse, around, 1)[0]
         return signs
 
-    def planes(self, count: int) -> NDArray[np.float32]:
+    def planes(self, count: int) -> Float32s:
         """Return rows of zeros."""
         return np.zeros((count, self.size), np.float32)
 
-    def total(self, planes: NDArray[np.float32]) -> NDArray[np.float64]:
+    def total(self, planes: Float32s) -> Float64s:
         """Sum rows over all samples."""
         return np.asarray(planes.sum(axis=1, dtype=np.float64))
 
-    def spread(self, planes: NDArray[np.float32]) -> NDArray[np.float32]:
+    def spread(self, planes: Float32s) -> Float32s:
         """Average rows over the surface, in passes over the neighbours of each sample."""
         means = MeshGaussian(self.size, self.edges, self._lengths, _SPREAD, gain=1.0)
         rows = np.ascontiguousarray(planes.T)
@@ -185,15 +182,15 @@ class MeshManifold(MeshKernels):
             rows = means.smooth(rows)
         return np.ascontiguousarray(rows.T)
 
-    def _laid_out(self, guide: Guide) -> NDArray[np.float32]:
+    def _laid_out(self, guide: Guide) -> Float32s:
         return guide.values
 
-    def steps(self, stack: NDArray[np.float32]) -> NDArray[np.float32]:
+    def steps(self, stack: Float32s) -> Float32s:
         """Return differences along all edges."""
         return stack[self.edges[:, 0]] - stack[self.edges[:, 1]]
 
 
-def _in_three_dimensions(positions: NDArray[np.float64]) -> NDArray[np.float64]:
+def _in_three_dimensions(positions: Float64s) -> Float64s:
     """Return positions with zeros added, or projected on the three directions in which they extend most."""
     if positions.shape[1] > 3:
         offsets = positions - positions.mean(axis=0)
@@ -204,7 +201,7 @@ def _in_three_dimensions(positions: NDArray[np.float64]) -> NDArray[np.float64]:
     return places
 
 
-def _axes(positions: NDArray[np.float64], colours: NDArray[np.float32]) -> NDArray[np.float64]:
+def _axes(positions: Float64s, colours: Float32s) -> Float64s:
     """Return two directions, shape (2, 3), that turn with the model: to where colours are brighter and stronger."""
     offsets = positions - positions.mean(axis=0)
     level = colours.sum(axis=1, dtype=np.float64)

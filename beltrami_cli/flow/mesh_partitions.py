@@ -11,8 +11,7 @@ from beltrami_cli.flow.partitions import Advance
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Float32s, Int32s
     from beltrami_cli.flow.manifold import Step
     from beltrami_cli.flow.mesh_kernels import MeshKernels
 
@@ -43,7 +42,7 @@ class MeshPartition:
         self,
         whole: MeshKernels,
         owned: tuple[int, int],
-        ring: NDArray[np.int32],  # edges from each sample to the owned ones, shape (S,); -1: not received
+        ring: Int32s,  # edges from each sample to the owned ones, shape (S,); -1: not received
         known: int,
         steps: Sequence[Step],
         channels: int,
@@ -64,9 +63,7 @@ class MeshPartition:
         self._unknown[places, 0] = ring[samples] > known
         self.threads = whole.parameters.threads
 
-    def advance(
-        self, own: NDArray[np.float32], borrowed: NDArray[np.float32], iteration: int, threads: int
-    ) -> Advance:
+    def advance(self, own: Float32s, borrowed: Float32s, iteration: int, threads: int) -> Advance:
         """Run an iteration, see `Partition`."""
         part, parameters = self._part, self._part.parameters
         part.threads = threads
@@ -120,30 +117,30 @@ def first_reach(whole: MeshKernels) -> int:
 class Neighbours:
     """The neighbours of every vertex, from edges of shape (E, 2)."""
 
-    def __init__(self, count: int, edges: NDArray[np.int32]) -> None:
+    def __init__(self, count: int, edges: Int32s) -> None:
         both = np.concatenate([edges[:, 0], edges[:, 1]])
         order = np.argsort(both, kind="stable")
         self._targets = np.concatenate([edges[:, 1], edges[:, 0]])[order]
         self._offsets = np.zeros(count + 1, np.int64)
         np.cumsum(np.bincount(both, minlength=count), out=self._offsets[1:])
 
-    def rings(self, first: int, last: int, limit: int) -> NDArray[np.int32]:
+    def rings(self, first: int, last: int, limit: int) -> Int32s:
         """Return for each vertex how many edges it is away from those in [first, last); -1: more than `limit`."""
         ring = np.full(len(self._offsets) - 1, -1, np.int32)
         ring[first:last] = 0
-        front: NDArray[np.int32] = np.arange(first, last, dtype=np.int32)
+        front: Int32s = np.arange(first, last, dtype=np.int32)
         for number in range(1, limit + 1):
-            beside: NDArray[np.int32] = np.unique(self._beside(front))
+            beside: Int32s = np.unique(self._beside(front))
             front = beside[ring[beside] < 0]
             if not len(front):
                 break
             ring[front] = number
         return ring
 
-    def _beside(self, vertices: NDArray[np.int32]) -> NDArray[np.int32]:
+    def _beside(self, vertices: Int32s) -> Int32s:
         starts = self._offsets[vertices]
         counts = self._offsets[vertices + 1] - starts
         # Entry i of a row of `counts` numbers that begins at `starts`.
         places = np.arange(int(counts.sum())) + np.repeat(starts - (np.cumsum(counts) - counts), counts)
-        beside: NDArray[np.int32] = self._targets[places]
+        beside: Int32s = self._targets[places]
         return beside

@@ -15,7 +15,7 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from numpy.typing import NDArray
+    from beltrami_cli.arrays import Float32s, Int64s
 
 
 class TooNarrowError(Exception):
@@ -26,7 +26,7 @@ class TooNarrowError(Exception):
 class Advance:
     """The result of one iteration on a partition."""
 
-    values: NDArray[np.float32]  # of the owned samples, shape (O, N)
+    values: Float32s  # of the owned samples, shape (O, N)
     samples: float  # in all kernels
     truncated: int  # kernels that were cut short
     is_exact: bool = True  # if not, too few samples were received
@@ -35,18 +35,16 @@ class Advance:
 class Partition(Protocol):
     """A part of a surface with S samples; it can be sent to another process."""
 
-    owned: NDArray[np.int64]
+    owned: Int64s
     """Numbers of the samples that it computes, shape (O,)."""
 
-    borrowed: NDArray[np.int64]
+    borrowed: Int64s
     """Numbers of the samples of other partitions whose values it needs before an iteration, shape (B,)."""
 
     threads: int | None
     """The requested number of threads; None: the runner decides."""
 
-    def advance(
-        self, own: NDArray[np.float32], borrowed: NDArray[np.float32], iteration: int, threads: int
-    ) -> Advance:
+    def advance(self, own: Float32s, borrowed: Float32s, iteration: int, threads: int) -> Advance:
         """Run an iteration, counted from 0, on the values of its own, (O, N), and the borrowed samples, (B, N)."""
 
 
@@ -55,8 +53,8 @@ class Transfer:
     """Rows that a partition receives from another, and their places among its borrowed samples."""
 
     source: int
-    rows: NDArray[np.int64]
-    places: NDArray[np.int64]
+    rows: Int64s
+    places: Int64s
 
 
 def plan_transfers(partitions: Sequence[Partition], count: int) -> list[list[Transfer]]:
@@ -76,9 +74,7 @@ def plan_transfers(partitions: Sequence[Partition], count: int) -> list[list[Tra
     return plans
 
 
-def collect(
-    transfers: Sequence[Transfer], received: Sequence[NDArray[np.float32]], width: int
-) -> NDArray[np.float32]:
+def collect(transfers: Sequence[Transfer], received: Sequence[Float32s], width: int) -> Float32s:
     """Return the rows of all transfers, arrays of shape (K, `width`), in the order of the borrowed samples."""
     values = np.empty((sum(len(transfer.places) for transfer in transfers), width), np.float32)
     for transfer, rows in zip(transfers, received, strict=True):
@@ -86,9 +82,7 @@ def collect(
     return values
 
 
-def joined(
-    partitions: Sequence[Partition], own: Sequence[NDArray[np.float32]], values: NDArray[np.float32]
-) -> NDArray[np.float32]:
+def joined(partitions: Sequence[Partition], own: Sequence[Float32s], values: Float32s) -> Float32s:
     """Return the values of all samples from those of all partitions, in an array like `values`."""
     whole = np.empty_like(values)
     for partition, rows in zip(partitions, own, strict=True):
@@ -100,7 +94,7 @@ def joined(
 class Joined:
     """The values of all samples after all iterations, shape (S, N), with totals as in `Advance`."""
 
-    values: NDArray[np.float32]
+    values: Float32s
     samples: float
     truncated: int
 
@@ -111,7 +105,7 @@ class Runner(Protocol):
     def run(
         self,
         partitions: Sequence[Partition],
-        values: NDArray[np.float32],
+        values: Float32s,
         iterations: int,
         progress: Callable[[int, int], None] | None,
     ) -> Joined:

@@ -24,7 +24,7 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -35,8 +35,7 @@ from beltrami_cli.surface import large_arrays
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Array, Float32s, Float64s
     from beltrami_cli.flow.clipping import ClippedChannels
     from beltrami_cli.flow.manifold import Manifold
 
@@ -76,15 +75,15 @@ _AT_ONCE = 1 << 18
 class Blend:
     """Colours, the mean weight of the patches, and by how much the mean square error is estimated to fall."""
 
-    colours: NDArray[np.float32]
+    colours: Float32s
     share: float
     gain: float
 
 
 def blend_with_patches(
     manifold: Manifold,
-    noisy: NDArray[np.float32],
-    kernel: Callable[[NDArray[np.float32]], NDArray[np.float32]],
+    noisy: Float32s,
+    kernel: Callable[[Float32s], Float32s],
     clipped: ClippedChannels | None,
     stage: Callable[[int], Callable[[int], None] | None],
 ) -> Blend:
@@ -102,7 +101,7 @@ def blend_with_patches(
     mixing = mixing_of(manifold, before, manifold.noise_covariance)
     second = with_pilot(mixing, manifold)
 
-    def estimate(colours: NDArray[np.float32], pilot: NDArray[np.float32]) -> NDArray[np.float32]:
+    def estimate(colours: Float32s, pilot: Float32s) -> Float32s:
         first = manifold.collaborate(colours, pilot, mixing, stage(_FIRST))
         for own, kernels in _blocks(axis, first, pilot):
             own += kernels
@@ -124,16 +123,16 @@ def blend_with_patches(
 class _Model:
     """What the noise of channels does to the sums."""
 
-    def __init__(self, sigma: NDArray[np.float64], clipped: ClippedChannels | None) -> None:
+    def __init__(self, sigma: Float64s, clipped: ClippedChannels | None) -> None:
         self._sigma, self._clipped = sigma, clipped
 
     def parabola(
         self,
-        noisy: NDArray[np.float32],
-        probe: NDArray[Any],
-        results: tuple[NDArray[np.float32], NDArray[np.float32]],
-        responses: tuple[NDArray[np.float32], NDArray[np.float32]],
-    ) -> NDArray[np.float32]:
+        noisy: Float32s,
+        probe: Array,
+        results: tuple[Float32s, Float32s],
+        responses: tuple[Float32s, Float32s],
+    ) -> Float32s:
         """Return the terms of the numerator and of the denominator of w, summed over channels."""
         middle = (results[0] + results[1]) * np.float32(0.5)
         if self._clipped is not None:
@@ -149,9 +148,7 @@ class _Model:
         return np.stack([slope.sum(axis=0), np.square(difference).sum(axis=0)])
 
 
-def _mix(
-    manifold: Manifold, before: NDArray[np.float32], after: NDArray[np.float32], sums: NDArray[np.float32]
-) -> Blend:
+def _mix(manifold: Manifold, before: Float32s, after: Float32s, sums: Float32s) -> Blend:
     """Find w from its terms, and blend in place."""
     slope, square = manifold.total(sums)
     # In between, regions differ, and those of which sums say little are plain: there the kernel is at home.
@@ -173,7 +170,7 @@ def _mix(
     return Blend(before, float(share), growth**2 * float(gain) / len(manifold.sigma))
 
 
-def mixing_of(manifold: Manifold, colours: NDArray[np.float32], noise: NDArray[np.float64]) -> Mixing:
+def mixing_of(manifold: Manifold, colours: Float32s, noise: Float64s) -> Mixing:
     """Return how channels with a covariance of noise are mixed: colours by their mean and differences."""
     count = len(noise)
     forth = np.eye(count)
@@ -196,20 +193,20 @@ def with_pilot(mixing: Mixing, manifold: Manifold) -> Mixing:
     return dataclasses.replace(mixing, variances=variances, has_pilot=True)
 
 
-def _is_coloured(manifold: Manifold, colours: NDArray[np.float32]) -> bool:
+def _is_coloured(manifold: Manifold, colours: Float32s) -> bool:
     """Whether the first three channels vary mostly together."""
     steps = manifold.steps(colours)[:, :3].astype(np.float64)
     mixed = np.square(np.einsum("kj,ij->ki", steps, _OPPONENTS)).sum(axis=0)
     return bool(mixed[1:].sum() <= 2 * _COLOURED * mixed[0])
 
 
-def _add(axis: int, stack: NDArray[np.float32], signs: NDArray[Any], size: np.float32) -> None:
+def _add(axis: int, stack: Float32s, signs: Array, size: np.float32) -> None:
     """Add multiples of the signs to a stack, in place."""
     for own, sign in _blocks(axis, stack, signs):
         own += size * sign
 
 
-def _blocks(axis: int, *stacks: NDArray[Any]) -> Iterator[tuple[NDArray[Any], ...]]:
+def _blocks(axis: int, *stacks: Array) -> Iterator[tuple[Array, ...]]:
     """Go through stacks together in blocks, with the channels, which are at `axis`, first."""
     whole = [np.moveaxis(stack, axis, 0) for stack in stacks]
     size = max(1, _AT_ONCE // max(1, whole[0][0, :1].size))

@@ -16,8 +16,7 @@ from beltrami_cli.surface.atlas import EMPTY
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s
     from beltrami_cli.surface.atlas import Atlas
 
 _ROWS = 256  # of a grid that are processed together
@@ -27,12 +26,7 @@ class MeshGaussian:
     """Gaussian means over the neighbours of each vertex; `lengths` and `scale` (sigma) in sample spacings."""
 
     def __init__(
-        self,
-        count: int,
-        edges: NDArray[np.int32],
-        lengths: NDArray[np.float64],
-        scale: float,
-        gain: float | None = None,
+        self, count: int, edges: Int32s, lengths: Float64s, scale: float, gain: float | None = None
     ) -> None:
         # Edges with a length in space only, not those of hard colour edges.
         self._edges, self._count = edges, count
@@ -46,13 +40,13 @@ class MeshGaussian:
         joined = self._total > 1  # vertices without neighbours keep their noise, and do not count
         return float(gains[joined].mean()) if joined.any() else 1.0
 
-    def smooth(self, colours: NDArray[np.float32]) -> NDArray[np.float32]:
+    def smooth(self, colours: Float32s) -> Float32s:
         """Smooth colours of shape (count, N)."""
         from beltrami_cli._native import neighbour_means
 
         return neighbour_means(colours, self._edges, self._weights, self._total)
 
-    def _gather(self, weights: NDArray[np.float32]) -> NDArray[np.float64]:
+    def _gather(self, weights: Float32s) -> Float64s:
         low, high = self._edges.T
         sums = np.bincount(low, weights, self._count) + np.bincount(high, weights, self._count)
         return np.asarray(sums, np.float64)
@@ -63,7 +57,7 @@ class GridGaussian:
 
     def __init__(
         self,
-        filled: NDArray[np.bool_],
+        filled: Bools,
         scale: float,
         *,
         stop_at_holes: bool = False,
@@ -86,7 +80,7 @@ class GridGaussian:
         part._first = first
         return part
 
-    def smooth(self, planes: NDArray[np.float32]) -> NDArray[np.float32]:
+    def smooth(self, planes: Float32s) -> Float32s:
         """Smooth planes, shape (N, K, C), which must be 0 where cells are not filled."""
         first, (count, columns) = self._first, planes.shape[1:]
         smoothed = self._convolve(planes, None if self._open is None else self._open[first : first + count])
@@ -98,7 +92,7 @@ class GridGaussian:
                 self._cut_means.apply(plane, result, first)
         return smoothed
 
-    def _partial_totals(self, filled: NDArray[np.bool_]) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+    def _partial_totals(self, filled: Bools) -> tuple[Int32s, Float32s]:
         """Find the filled cells (flat indices) that lack a neighbour, and their total weights."""
         reach = len(self._taps) // 2
         # Most cells have all neighbours: weights sum to 1 but for rounding. The lightest neighbour is in a corner.
@@ -114,7 +108,7 @@ class GridGaussian:
             totals.append(total.reshape(-1)[lacking])
         return np.concatenate(cells), np.concatenate(totals)
 
-    def _convolve(self, planes: NDArray[np.float32], filled: NDArray[np.bool_] | None) -> NDArray[np.float32]:
+    def _convolve(self, planes: Float32s, filled: Bools | None) -> Float32s:
         """Convolve planes, up to holes if `filled` is given."""
         if filled is None:
             from beltrami_cli._native import convolve
@@ -124,9 +118,7 @@ class GridGaussian:
         return np.stack([_convolve_up_to_holes(plane.T, filled.T, self._taps).T for plane in along])
 
 
-def _convolve_up_to_holes(
-    plane: NDArray[np.float32], filled: NDArray[np.bool_], taps: NDArray[np.float32]
-) -> NDArray[np.float32]:
+def _convolve_up_to_holes(plane: Float32s, filled: Bools, taps: Float32s) -> Float32s:
     """Convolve along the first axis, from each cell only up to the next that is not filled."""
     reach = len(taps) // 2
     result = np.where(filled, taps[reach] * plane, np.float32(0))
@@ -148,7 +140,7 @@ def guide_radius(scale: float) -> int:
     return len(gaussian_taps(scale)) // 2 if scale > 0 else 0
 
 
-def gaussian_taps(scale: float) -> NDArray[np.float32]:
+def gaussian_taps(scale: float) -> Float32s:
     """Return the weights of a Gaussian of a standard deviation in cells, shape (2 reach + 1,), with the sum 1."""
     # Beyond 2.5 standard deviations lies one per cent of a Gaussian.
     reach = max(1, int(np.ceil(2.5 * scale - 0.5)))
@@ -165,7 +157,7 @@ _AT_ONCE = 1 << 20
 class CutMeans:
     """Means over the cells of a square window that can be reached from its centre inside the window."""
 
-    def __init__(self, atlas: Atlas, taps: NDArray[np.float32]) -> None:
+    def __init__(self, atlas: Atlas, taps: Float32s) -> None:
         self._shape, self._reach = atlas.kind.shape, len(taps) // 2
         self._weights = np.outer(taps, taps).reshape(-1)
         self._cells = self._near(atlas)
@@ -173,7 +165,7 @@ class CutMeans:
         reached = [np.packbits(self._reached(atlas, cells), axis=1) for cells in chunks]
         self._reached_bits = np.concatenate(reached) if reached else np.zeros((0, 1), np.uint8)
 
-    def apply(self, plane: NDArray[np.float32], result: NDArray[np.float32], first: int = 0) -> None:
+    def apply(self, plane: Float32s, result: Float32s, first: int = 0) -> None:
         """Write the means at cells near cuts to `result`; `plane` and `result` are canvas rows from `first` on."""
         rows, columns = self._shape
         last = first + len(plane)
@@ -194,7 +186,7 @@ class CutMeans:
         for first in range(begin, end, size):
             yield slice(first, min(first + size, end))
 
-    def _near(self, atlas: Atlas) -> NDArray[np.int64]:
+    def _near(self, atlas: Atlas) -> Int64s:
         """Find the cells, not empty, whose window holds a cell at a cut."""
         near = np.zeros(atlas.kind.size, bool)
         rows, columns = np.divmod(atlas.cut_cells, self._shape[1])
@@ -205,7 +197,7 @@ class CutMeans:
                 near[row[inside] * self._shape[1] + column[inside]] = True
         return np.flatnonzero(near & (atlas.kind.reshape(-1) != EMPTY)).astype(np.int64)
 
-    def _window(self, cells: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    def _window(self, cells: Int64s) -> tuple[Int64s, Bools]:
         """Return the cells of the windows around some cells, shape (K, W), and which of them lie on the canvas."""
         offsets = np.arange(-self._reach, self._reach + 1)
         rows = (cells // self._shape[1])[:, None, None] + offsets[:, None]
@@ -214,7 +206,7 @@ class CutMeans:
         flat = np.where(inside, rows * self._shape[1] + columns, cells[:, None, None])
         return flat.reshape(len(cells), -1), inside.reshape(len(cells), -1)
 
-    def _reached(self, atlas: Atlas, cells: NDArray[np.int64]) -> NDArray[np.bool_]:
+    def _reached(self, atlas: Atlas, cells: Int64s) -> Bools:
         """Return which cells of the windows can be reached from their centres over edges, shape (K, W)."""
         side = 2 * self._reach + 1
         window, inside = self._window(cells)

@@ -25,9 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
     from pathlib import Path
 
-    import numpy as np
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Float32s, Float64s, Int64s
     from beltrami_cli.surface.records import (
         ImageFile,
         MeshContents,
@@ -91,7 +89,7 @@ class Changes:
 
     # Rows as in `painted().colours`, shape (V, C); None: unchanged. They are clipped to the range of the stored type
     # and rounded to it once, to the nearest.
-    colours: NDArray[np.float32] | None
+    colours: Float32s | None
     # By slot and `Texture.key`, of the same size in pixels: each replaces that image in that slot and nowhere else. The
     # type of file may change.
     images: Mapping[tuple[Slot, str], ImageFile] = field(default_factory=dict)
@@ -114,7 +112,7 @@ class Fingerprint:
     # Neither colours nor images, by place in the file; placeholders stand for these and for names of images, so that
     # files that differ in nothing but colours have equal parts.
     parts: Mapping[str, bytes]
-    colours: Mapping[str, NDArray[np.float32]] = field(default_factory=dict)  # full scale 1, shape (n, C)
+    colours: Mapping[str, Float32s] = field(default_factory=dict)  # full scale 1, shape (n, C)
     images: Mapping[str, NamedImage] = field(default_factory=dict)  # by where they are used
 
 
@@ -143,7 +141,7 @@ class Document(ABC):
     @abstractmethod
     def _painted(self) -> PaintedVertices: ...
 
-    def grid(self) -> NDArray[np.int64] | None:
+    def grid(self) -> Int64s | None:
         """Return the rows of `painted()` on the grid of a range image, shape (H, W), -1: none; None without a grid."""
         return None
 
@@ -159,7 +157,7 @@ class Document(ABC):
         """Return the names of what vertices have besides positions and colours; "normal" if they have normals."""
         return ()
 
-    def attribute(self, name: str) -> NDArray[np.float64]:
+    def attribute(self, name: str) -> Float64s:
         """Return an attribute, shape (V, G), with rows as in `painted().colours`; InputError if there is none.
 
         The name is one of `attributes()`, in any case of letters. Integers are divided by their full scale only where
@@ -171,7 +169,7 @@ class Document(ABC):
             raise InputError(self.name, f"its vertices have no {name}, but {known} beside their colours")
         return self._attribute(fits[0])
 
-    def _attribute(self, name: str) -> NDArray[np.float64]:
+    def _attribute(self, name: str) -> Float64s:
         raise NotImplementedError
 
     def has_normals_by_vertex(self) -> bool:
@@ -192,7 +190,7 @@ class Document(ABC):
 
     def patch(
         self,
-        colours: NDArray[np.float32] | None,
+        colours: Float32s | None,
         naming: Naming,
         *,
         images: Mapping[tuple[Slot, str], ImageFile] = NO_IMAGES,
@@ -203,7 +201,7 @@ class Document(ABC):
 
     def repackaged(
         self,
-        colours: NDArray[np.float32] | None,
+        colours: Float32s | None,
         naming: Naming,
         form: str,
         *,
@@ -227,7 +225,7 @@ class Document(ABC):
     def contents(self) -> MeshContents:
         """Return the mesh for conversion to another format; InputError as `painted`."""
 
-    def textured_mesh(self, colours: NDArray[np.float32] | None = None) -> TexturedMesh:
+    def textured_mesh(self, colours: Float32s | None = None) -> TexturedMesh:
         """Return all triangles with materials and images, for conversion; `colours` as in `patch`."""
         raise InputError(self.name, f"the textures of a {self.format} file cannot be converted")
 

@@ -35,8 +35,7 @@ from beltrami_cli.surface.records import ImageFile, MovedVertices
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Float32s, Float64s
     from beltrami_cli.formats.access import Access
     from beltrami_cli.formats.document import Document, Written
     from beltrami_cli.jobs.writing.output import Output
@@ -96,7 +95,7 @@ def with_painted(document: Document, painted: Sequence[Repainted]) -> Document:
 
 def _with_colours(document: Document, new: Repainted) -> PaintedVertices:
     """Return the vertices of a document with new colours, rounded to what a file holds of them."""
-    painted, colours = document.painted(), cast("NDArray[np.float32]", new.colours)
+    painted, colours = document.painted(), cast("Float32s", new.colours)
     if painted.stored.startswith("uint"):
         full = np.float32(np.iinfo(painted.stored).max)
         colours = np.asarray(np.rint(np.clip(colours, 0, 1) * full) / full, np.float32)
@@ -106,7 +105,7 @@ def _with_colours(document: Document, new: Repainted) -> PaintedVertices:
 
 def make_files(
     document: Document,
-    colours: NDArray[np.float32] | None,
+    colours: Float32s | None,
     images: Mapping[tuple[Slot, str], ImageFile],
     kind: OutputFormat,
     naming: Naming,
@@ -142,7 +141,7 @@ def is_converted_with_textures(document: Document, kind: OutputFormat) -> bool:
 
 def _converted(
     document: Document,
-    colours: NDArray[np.float32] | None,
+    colours: Float32s | None,
     images: Mapping[tuple[Slot, str], ImageFile],
     target_format: str,
     naming: Naming,
@@ -169,7 +168,7 @@ def _moved(contents: MeshContents, places: MovedVertices) -> MeshContents:
     return dataclasses.replace(contents, positions=places.positions, normals=normals)
 
 
-def moved_vertices(document: Document, positions: NDArray[np.float64]) -> MovedVertices:
+def moved_vertices(document: Document, positions: Float64s) -> MovedVertices:
     """Return new positions, rows as in `painted`, with normals around moved vertices if every vertex has one."""
     painted = document.painted()
     if not document.has_normals_by_vertex():
@@ -177,9 +176,7 @@ def moved_vertices(document: Document, positions: NDArray[np.float64]) -> MovedV
     return MovedVertices(positions, _normals(painted, document.attribute("normal"), positions))
 
 
-def _normals(
-    painted: PaintedVertices, old: NDArray[np.float64], positions: NDArray[np.float64]
-) -> NDArray[np.float32]:
+def _normals(painted: PaintedVertices, old: Float64s, positions: Float64s) -> Float32s:
     """Return the normals of moved vertices and their neighbours, shape (V, 3), NaN for the others."""
     # Copies of a vertex that share a normal share the new one; others stay separate, so that hard edges stay hard.
     columns = [*painted.positions.T, *old.T]
@@ -269,11 +266,7 @@ def _references_of(target: str, access: Access) -> frozenset[str]:
 
 
 def _names(
-    naming: Naming,
-    document: Document,
-    selection: Selection,
-    settings: SmoothSettings,
-    kind: OutputFormat,
+    naming: Naming, document: Document, selection: Selection, settings: SmoothSettings, kind: OutputFormat
 ) -> list[str]:
     """Find the files that would be written beside the output, by writing the old images anew."""
     from beltrami_cli.samples.texel_colours import choose_textures

@@ -17,9 +17,7 @@ from beltrami_cli.samples.settings import DEFAULTS, LevelSettings, describe_sett
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    import numpy as np
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Int64s
     from beltrami_cli.formats.document import Document
     from beltrami_cli.jobs.job import Job
     from beltrami_cli.samples.reports import LevelReport
@@ -131,7 +129,7 @@ class Levelling:
 
     def __init__(self, wanted: LevelSettings) -> None:
         self._wanted = wanted
-        self._photographs: NDArray[np.int64] | None = None
+        self._photographs: Int64s | None = None
         self.done: list[LevelReport] = []
 
     def check(self, document: Document, selection: Selection, target: OutputFormat) -> None:

@@ -14,13 +14,11 @@ from beltrami_cli.surface.atlas import refresh_halo
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s
     from beltrami_cli.levelling.decision import Levelled
     from beltrami_cli.surface.atlas import Indices
 
-    Samples = Callable[[NDArray[np.int64]], tuple[NDArray[np.float32], Indices, NDArray[np.float64]]]
-    from numpy.typing import NDArray
+    Samples = Callable[[Int64s], tuple[Float32s, Indices, Float64s]]
 
     from beltrami_cli.surface.atlas import Atlas, Indices
 
@@ -34,7 +32,7 @@ _NOWHERE = np.zeros((0, 2))  # places, where they make no difference
 class Correction:
     """Takes exposures out of colours, by a strength from 0 to 1."""
 
-    def __init__(self, levelled: Levelled, strength: float, fixed: NDArray[np.bool_] | None = None) -> None:
+    def __init__(self, levelled: Levelled, strength: float, fixed: Bools | None = None) -> None:
         assert levelled.exposures is not None
         self._found, self._strength = levelled.exposures, strength
         channels, charts, _ = levelled.exposures.terms.shape
@@ -46,9 +44,7 @@ class Correction:
             self._moved &= ~fixed
             self._anchored = np.isin(self._groups, self._groups[fixed])
 
-    def of(
-        self, colours: NDArray[np.float32], charts: Indices, places: NDArray[np.float64]
-    ) -> NDArray[np.float32]:
+    def of(self, colours: Float32s, charts: Indices, places: Float64s) -> Float32s:
         """Return the colours, shape (K, N), at places in charts without the exposures."""
         factor, offset = self._found.at(charts, places)
         moved = self._moved[charts]
@@ -83,16 +79,14 @@ class Correction:
 
 
 def level_canvas(
-    atlas: Atlas, planes: NDArray[np.float32], strength: float, fixed: NDArray[np.bool_] | None = None
+    atlas: Atlas, planes: Float32s, strength: float, fixed: Bools | None = None
 ) -> tuple[Levelled, float]:
     """Take exposures out of planes, shape (N, R, C), in place; return also the mean change, 0 if they stay."""
     places, columns = ChartPlaces.of(atlas), atlas.kind.shape[1]
     found = find_exposures(steps_over_seams(atlas, planes, places), strength, fixed)
     flat = planes.reshape(len(planes), -1)
 
-    def samples(
-        rows: NDArray[np.int64] | slice,
-    ) -> tuple[NDArray[np.float32], Indices, NDArray[np.float64]]:
+    def samples(rows: Int64s | slice) -> tuple[Float32s, Indices, Float64s]:
         cells, charts = atlas.owned_cells[rows], atlas.chart_of[rows]
         is_tilted = found.exposures is not None and found.exposures.is_tilted
         return flat[:, cells].T, charts, places.at(cells, charts, columns) if is_tilted else _NOWHERE
@@ -108,12 +102,8 @@ def level_canvas(
 
 
 def level_mesh(
-    positions: NDArray[np.float64],
-    faces: NDArray[np.int32],
-    colours: NDArray[np.float32],
-    photographs: NDArray[np.int64],
-    strength: float,
-) -> tuple[Levelled, float, NDArray[np.float32]]:
+    positions: Float64s, faces: Int32s, colours: Float32s, photographs: Int64s, strength: float
+) -> tuple[Levelled, float, Float32s]:
     """Take exposures out of the colours of vertices, shape (S, N), each of one photograph."""
     steps, charts, places = steps_over_edges(positions, faces, colours.astype(np.float64), photographs)
     found = find_exposures(steps, strength)

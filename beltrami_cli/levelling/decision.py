@@ -15,8 +15,7 @@ from beltrami_cli.levelling.fit import SHORT, fit_exposures
 from beltrami_cli.levelling.steps import weighted_median
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Bools, Float64s, Int64s
     from beltrami_cli.levelling.fit import Exposures
     from beltrami_cli.levelling.steps import Steps
     from beltrami_cli.surface.atlas import Indices
@@ -50,7 +49,7 @@ class Verdict:
         return any(self.share >= share and self.errors >= errors for share, errors in _ENOUGH)
 
 
-def judge(steps: Steps, fixed: NDArray[np.bool_] | None = None) -> Verdict:
+def judge(steps: Steps, fixed: Bools | None = None) -> Verdict:
     """Choose the kind of exposure steps by cross-validation over the seams."""
     folds, groups = _folds(steps), _groups(steps)
 
@@ -64,7 +63,7 @@ def judge(steps: Steps, fixed: NDArray[np.bool_] | None = None) -> Verdict:
     return max(found, key=lambda verdict: verdict.share)
 
 
-def _folds(steps: Steps) -> NDArray[np.int64]:
+def _folds(steps: Steps) -> Int64s:
     """Return the fold of each stretch: by its seam, or if there are few of those along each."""
     seams = np.unique(steps.seams)
     if len(seams) >= _FEWEST_SEAMS:
@@ -73,7 +72,7 @@ def _folds(steps: Steps) -> NDArray[np.int64]:
     return np.arange(len(steps.seams)) // (2 * _STRETCHES) % _FOLDS
 
 
-def _groups(steps: Steps) -> NDArray[np.int64]:
+def _groups(steps: Steps) -> Int64s:
     """Divide stretches into groups of neighbours on a seam, with the same two charts, and return their numbers."""
     keys = np.column_stack([steps.seams, steps.ends])
     starts = np.flatnonzero(np.r_[True, np.any(keys[1:] != keys[:-1], axis=1)][: len(keys)])
@@ -83,11 +82,7 @@ def _groups(steps: Steps) -> NDArray[np.int64]:
 
 
 def _foretold(
-    steps: Steps,
-    spread: tuple[float, ...],
-    folds: NDArray[np.int64],
-    groups: NDArray[np.int64],
-    fixed: NDArray[np.bool_] | None,
+    steps: Steps, spread: tuple[float, ...], folds: Int64s, groups: Int64s, fixed: Bools | None
 ) -> Verdict:
     after = np.empty_like(steps.colours)
     for fold in range(_FOLDS):
@@ -106,7 +101,7 @@ def _foretold(
     return Verdict(spread, float(gained.sum()) / total, float(gained.sum()) / error)
 
 
-def _energy(steps: Steps, sides: NDArray[np.float64], groups: NDArray[np.int64]) -> NDArray[np.float64]:
+def _energy(steps: Steps, sides: Float64s, groups: Int64s) -> Float64s:
     """Return the squared mean step of each group, of which paint cannot make much, times its texels."""
     counts = np.bincount(groups, steps.counts)
     step = sides[:, 1] - sides[:, 0]
@@ -135,7 +130,7 @@ class Levelled:
     groups: Indices  # (charts,): charts that are joined by seams without paint
 
 
-def find_exposures(steps: Steps, strength: float = 1.0, fixed: NDArray[np.bool_] | None = None) -> Levelled:
+def find_exposures(steps: Steps, strength: float = 1.0, fixed: Bools | None = None) -> Levelled:
     """Decide whether the charts differ in exposure, and find how; `fixed` charts stay as they are."""
     apart = np.arange(steps.charts)
     if not np.any(steps.ends[:, 0] != steps.ends[:, 1]):
@@ -154,7 +149,7 @@ def _facts(steps: Steps, found: Exposures, strength: float) -> SeamFacts:
     signs = np.where(steps.ends[between, 0] < steps.ends[between, 1], 1.0, -1.0)
     counts = np.bincount(seam, steps.counts[between])
 
-    def sizes(sides: NDArray[np.float64]) -> NDArray[np.float64]:
+    def sizes(sides: Float64s) -> Float64s:
         step = signs[:, None] * (sides[between, 1] - sides[between, 0])
         means = [np.bincount(seam, each * steps.counts[between]) / counts for each in step.T]
         return np.asarray(np.sqrt(np.mean(np.square(means), axis=0)))

@@ -30,8 +30,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Bools, Float64s
     from beltrami_cli.levelling.steps import Steps
     from beltrami_cli.surface.atlas import Indices
 
@@ -61,15 +60,15 @@ _GAINS = (-0.45, 0.8)
 class Exposures:
     """The terms of charts, and how far the stretches of seams agree with them."""
 
-    terms: NDArray[np.float64]  # (N, charts, 2 or 4): gain, offset, tilts of the gain along rows and columns
-    weights: NDArray[np.float64]  # (K,): 1 where the sides agree, towards 0 where they differ by paint
+    terms: Float64s  # (N, charts, 2 or 4): gain, offset, tilts of the gain along rows and columns
+    weights: Float64s  # (K,): 1 where the sides agree, towards 0 where they differ by paint
 
     @property
     def is_tilted(self) -> bool:
         """Whether gains change over charts, so that places matter."""
         return bool(self.terms.shape[2] > 2)
 
-    def at(self, charts: Indices, places: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
+    def at(self, charts: Indices, places: Float64s) -> tuple[Float64s, ...]:
         """Return the factor and the offset at places in charts, each of shape (N, K)."""
         terms = self.terms[:, charts]
         factor = 1 + terms[..., GAIN]
@@ -77,7 +76,7 @@ class Exposures:
             factor = factor + np.einsum("nkt,kt->nk", terms[..., TILTS], places)
         return np.maximum(factor, 0.25), terms[..., OFFSET]
 
-    def sides(self, steps: Steps) -> NDArray[np.float64]:
+    def sides(self, steps: Steps) -> Float64s:
         """Return the corrected colours of both sides, shape (K, 2, N)."""
         found = []
         for side in (0, 1):
@@ -93,10 +92,7 @@ def unexposed(steps: Steps, terms: int) -> Exposures:
 
 
 def fit_exposures(
-    steps: Steps,
-    spread: tuple[float, ...],
-    iterations: tuple[int, int] = FULL,
-    fixed: NDArray[np.bool_] | None = None,
+    steps: Steps, spread: tuple[float, ...], iterations: tuple[int, int] = FULL, fixed: Bools | None = None
 ) -> Exposures:
     """Fit the terms of all charts, of which `spread` are the expected deviations; `fixed` charts have none."""
     system, noise = _System(steps, spread, fixed), steps.noise
@@ -127,7 +123,7 @@ def fit_exposures(
 class _System:
     """The normal equations of a fit, whose pattern stays while their values change."""
 
-    def __init__(self, steps: Steps, spread: tuple[float, ...], fixed: NDArray[np.bool_] | None) -> None:
+    def __init__(self, steps: Steps, spread: tuple[float, ...], fixed: Bools | None) -> None:
         self._steps, self._terms = steps, len(spread)
         self._unknowns = steps.charts * self._terms
         tied = np.ones(steps.charts) if fixed is None else np.where(fixed, 1e6, 1.0)
@@ -158,7 +154,7 @@ class _System:
         is_painted |= (terms[:, GAIN] > _LARGEST_GAIN) | (terms[:, OFFSET] > _LARGEST_OFFSETS)
         self.used &= ~is_painted[steps.ends].any(axis=1)
 
-    def solve(self, colours: NDArray[np.float64], weights: NDArray[np.float64]) -> NDArray[np.float64]:
+    def solve(self, colours: Float64s, weights: Float64s) -> Float64s:
         """Return the terms, shape (N, charts, terms), for the true colours at the steps as known so far."""
         from scipy.sparse import csr_array, diags_array
         from scipy.sparse.linalg import splu
@@ -177,7 +173,7 @@ class _System:
             found.append(factors.solve(np.asarray(weighted.T @ self._step[:, channel])))
         return np.asarray(np.stack(found).reshape(colours.shape[1], -1, self._terms))
 
-    def _rows(self, colours: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _rows(self, colours: Float64s) -> Float64s:
         rows = np.empty((len(colours), 2, self._terms))
         rows[:, :, GAIN] = colours[:, None]
         rows[:, :, OFFSET] = 1
@@ -187,7 +183,7 @@ class _System:
         return np.asarray(rows.ravel())
 
 
-def _distances(difference: NDArray[np.float64], known: NDArray[np.bool_]) -> NDArray[np.float64]:
+def _distances(difference: Float64s, known: Bools) -> Float64s:
     """Return the root mean square over the channels that are known."""
     squares = np.where(known, np.square(difference), 0).sum(axis=1)
     return np.asarray(np.sqrt(squares / np.maximum(known.sum(axis=1), 1)))

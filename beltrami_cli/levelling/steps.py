@@ -13,6 +13,7 @@ from beltrami_cli.surface.seam_lines import at_seam, lines_over_seams
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s
     from beltrami_cli.surface.atlas import Atlas, Indices
 
 # Side of the blocks of cells whose steps are averaged: doubled until there are few enough of them.
@@ -34,15 +35,15 @@ class Steps:
     """Stretches of seams, K of them, and the colours of their two sides."""
 
     charts: int
-    ends: NDArray[np.int64]  # (K, 2): the charts on the two sides
-    colours: NDArray[np.float64]  # (K, 2, N)
-    places: NDArray[np.float64]  # (K, 2, 2): in the charts, about their centres, of deviation 1/2
-    seams: NDArray[np.int64]  # (K,): the seam that a stretch is of
-    counts: NDArray[np.float64]  # (K,): texels in it
-    noise: NDArray[np.float64]  # (K,): deviation of the steps along its seam
-    is_paint: NDArray[np.bool_]  # (K,): whether the steps along its seam vary so much that they are painted
+    ends: Int64s  # (K, 2): the charts on the two sides
+    colours: Float64s  # (K, 2, N)
+    places: Float64s  # (K, 2, 2): in the charts, about their centres, of deviation 1/2
+    seams: Int64s  # (K,): the seam that a stretch is of
+    counts: Float64s  # (K,): texels in it
+    noise: Float64s  # (K,): deviation of the steps along its seam
+    is_paint: Bools  # (K,): whether the steps along its seam vary so much that they are painted
 
-    def part(self, rows: NDArray[np.bool_]) -> Steps:
+    def part(self, rows: Bools) -> Steps:
         """Return some of the stretches."""
         return Steps(
             self.charts,
@@ -55,7 +56,7 @@ class Steps:
             self.is_paint[rows],
         )
 
-    def noise_of(self, sides: NDArray[np.float64]) -> NDArray[np.float64]:
+    def noise_of(self, sides: Float64s) -> Float64s:
         """Return the deviation of the steps along each seam, for other colours of the two sides, shape (K,)."""
         return with_noise(replace(self, colours=sides)).noise
 
@@ -64,9 +65,9 @@ class Steps:
 class ChartPlaces:
     """Where the owned cells of each chart lie on the canvas: their centre and twice their deviation."""
 
-    centre: NDArray[np.float64]  # (charts, 2): row and column
-    scale: NDArray[np.float64]
-    areas: NDArray[np.float64]  # (charts,): owned cells
+    centre: Float64s  # (charts, 2): row and column
+    scale: Float64s
+    areas: Float64s  # (charts,): owned cells
 
     @classmethod
     def of(cls, atlas: Atlas) -> ChartPlaces:
@@ -87,13 +88,13 @@ class ChartPlaces:
         variance = np.maximum(second / share - np.square(first / share), 1.0)
         return cls(first / share + middle, 2 * np.sqrt(variance), areas)
 
-    def at(self, cells: Indices, charts: Indices, columns: int) -> NDArray[np.float64]:
+    def at(self, cells: Indices, charts: Indices, columns: int) -> Float64s:
         """Return the places of some cells in their charts, shape (K, 2)."""
         found = np.column_stack(np.divmod(cells, columns))
         return (found - self.centre[charts]) / self.scale[charts]
 
 
-def steps_over_seams(atlas: Atlas, planes: NDArray[np.float32], places: ChartPlaces) -> Steps:
+def steps_over_seams(atlas: Atlas, planes: Float32s, places: ChartPlaces) -> Steps:
     """Measure the colours of both sides of all seams of an atlas; its halo is interpolated in place."""
     refresh_halo(planes, atlas, interpolated=True)
     inner, outer, colours = _both_sides(atlas, planes)
@@ -114,9 +115,7 @@ def steps_over_seams(atlas: Atlas, planes: NDArray[np.float32], places: ChartPla
         stretch *= 2
 
 
-def _both_sides(
-    atlas: Atlas, planes: NDArray[np.float32]
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
+def _both_sides(atlas: Atlas, planes: Float32s) -> tuple[Int64s, Int64s, Float64s]:
     """Return the cells on both sides of seams, and the colours there, extrapolated to the seam."""
     flat = planes.reshape(len(planes), -1)
     inner, outer, colours = [], [], []
@@ -139,7 +138,7 @@ def _both_sides(
     return np.concatenate(inner), np.concatenate(outer), np.concatenate(colours)
 
 
-def _merged(steps: Steps, *blocks: NDArray[np.int64]) -> Steps:
+def _merged(steps: Steps, *blocks: Int64s) -> Steps:
     """Average the steps of a seam, with the same charts on its sides, within each block."""
     keys = np.column_stack([steps.seams, steps.ends, *blocks])
     order = np.lexsort(keys.T[::-1])
@@ -147,10 +146,10 @@ def _merged(steps: Steps, *blocks: NDArray[np.int64]) -> Steps:
     starts = np.flatnonzero(np.r_[True, np.any(ordered[1:] != ordered[:-1], axis=1)][: len(ordered)])
     counts = np.add.reduceat(steps.counts[order], starts) if len(starts) else np.zeros(0)
 
-    def mean(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    def mean(values: Float64s) -> Float64s:
         if not len(starts):
             return values
-        total: NDArray[np.float64] = np.add.reduceat(values[order], starts)
+        total: Float64s = np.add.reduceat(values[order], starts)
         return total / counts[:, None, None]
 
     first = order[starts]
@@ -182,21 +181,19 @@ def with_noise(steps: Steps) -> Steps:
     return replace(steps, noise=np.repeat(noise, lengths), is_paint=np.repeat(is_paint, lengths))
 
 
-def _deviations(
-    values: NDArray[np.float64], starts: NDArray[np.int64], lengths: NDArray[np.int64]
-) -> NDArray[np.float64]:
+def _deviations(values: Float64s, starts: Int64s, lengths: Int64s) -> Float64s:
     """Return for each run of rows the deviation, by the median from the median, mean over channels."""
     run = np.repeat(np.arange(len(starts)), lengths)
     middle = starts + lengths // 2
 
-    def medians(column: NDArray[np.float64]) -> NDArray[np.float64]:
+    def medians(column: Float64s) -> Float64s:
         return np.asarray(column[np.lexsort((column, run))][middle])
 
     found = [medians(np.abs(column - medians(column)[run])) for column in values.T]
     return np.asarray(1.4826 * np.mean(found, axis=0))
 
 
-def weighted_median(values: NDArray[np.float64], weights: NDArray[np.number[Any]]) -> float:
+def weighted_median(values: Float64s, weights: NDArray[np.number[Any]]) -> float:
     """Return the value below which half of the weight is."""
     order = np.argsort(values, kind="stable")
     total = np.cumsum(weights[order])
@@ -204,11 +201,8 @@ def weighted_median(values: NDArray[np.float64], weights: NDArray[np.number[Any]
 
 
 def steps_over_edges(
-    positions: NDArray[np.float64],
-    faces: NDArray[np.int32],
-    colours: NDArray[np.float64],
-    photographs: NDArray[np.int64],
-) -> tuple[Steps, Indices, NDArray[np.float64]]:
+    positions: Float64s, faces: Int32s, colours: Float64s, photographs: Int64s
+) -> tuple[Steps, Indices, Float64s]:
     """Measure the steps over edges of a mesh between photographs; also return each vertex' chart and place in it.
 
     A chart is what edges join of one photograph.
@@ -239,7 +233,7 @@ def steps_over_edges(
     return with_noise(steps), charts, places
 
 
-def _places(positions: NDArray[np.float64], charts: Indices, count: int) -> NDArray[np.float64]:
+def _places(positions: Float64s, charts: Indices, count: int) -> Float64s:
     """Return the places of vertices in their charts, on the plane of the two directions in which all is longest."""
     centred = positions - positions.mean(axis=0)
     flat = centred @ np.linalg.eigh(centred.T @ centred)[1][:, -2:]
@@ -250,9 +244,7 @@ def _places(positions: NDArray[np.float64], charts: Indices, count: int) -> NDAr
     return np.asarray((flat - centre[charts]) / np.where(deviation > 0, 2 * deviation, 1)[charts])
 
 
-def _slopes(
-    positions: NDArray[np.float64], colours: NDArray[np.float64], edges: NDArray[np.int64]
-) -> NDArray[np.float64]:
+def _slopes(positions: Float64s, colours: Float64s, edges: Int64s) -> Float64s:
     """Return the slope of colours at each vertex, shape (S, 3, N), by least squares over its edges."""
     directions = positions[edges[:, 1]] - positions[edges[:, 0]]
     rises = colours[edges[:, 1]] - colours[edges[:, 0]]

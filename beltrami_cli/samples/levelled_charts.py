@@ -15,8 +15,7 @@ from beltrami_cli.surface import large_arrays
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Bools, Int64s
     from beltrami_cli.formats.document import Document
     from beltrami_cli.formats.image import Picture
     from beltrami_cli.levelling.decision import Levelled
@@ -36,9 +35,9 @@ class TextureCharts:
     """The charts of an atlas by the textures that they lie on."""
 
     textures: Sequence[Texture]
-    areas: NDArray[np.int64]  # (charts,): texels of each
-    texture_of: NDArray[np.int64]  # (charts,): -1 where a chart owns no texel
-    texel: NDArray[np.int64]  # (charts,): one of its texels, counted from the first of its texture
+    areas: Int64s  # (charts,): texels of each
+    texture_of: Int64s  # (charts,): -1 where a chart owns no texel
+    texel: Int64s  # (charts,): one of its texels, counted from the first of its texture
 
     @classmethod
     def of(cls, atlas: Atlas, textures: Sequence[Texture]) -> TextureCharts:
@@ -50,7 +49,7 @@ class TextureCharts:
         texture_of = np.searchsorted(offsets, texel, side="right") - 1
         return cls(textures, areas, np.where(areas > 0, texture_of, -1), texel - offsets[texture_of])
 
-    def matching(self, wanted: Sequence[str]) -> NDArray[np.bool_] | None:
+    def matching(self, wanted: Sequence[str]) -> Bools | None:
         """Return which charts are the reference, shape (charts,); None: none was asked for."""
         if not wanted:
             return None
@@ -118,7 +117,7 @@ def level_report(
     )
 
 
-def photographs_of(document: Document, wanted: str | None) -> NDArray[np.int64]:
+def photographs_of(document: Document, wanted: str | None) -> Int64s:
     """Return the number of the photograph of each vertex, shape (V,); InputError if the file does not say it."""
     known = {name.lower(): name for name in document.attributes()}
     words = [wanted] if wanted else [*_PHOTOGRAPHS, *(f"{name}_id" for name in _PHOTOGRAPHS)]

@@ -29,10 +29,8 @@ from beltrami_cli.surface.records import ImageFile
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-    from typing import Any
 
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Array, Float32s, Int64s
     from beltrami_cli.flow.beltrami_flow import BeltramiFlow, FlowResult
     from beltrami_cli.flow.grid_manifold import GridManifold
     from beltrami_cli.formats.access import Access
@@ -42,7 +40,7 @@ if TYPE_CHECKING:
     from beltrami_cli.samples.samples import Change
     from beltrami_cli.samples.settings import SmoothSettings
 
-    Pixels = NDArray[np.int64]
+    Pixels = Int64s
 
 
 class PixelSamples(Samples):
@@ -167,7 +165,7 @@ class PixelSamples(Samples):
         pixels = np.flatnonzero(self.valid)
         return Grains(self.colours.samples(pixels), np.arange(len(pixels)))
 
-    def shift(self, grains: Grains, after: NDArray[np.float32]) -> Repainted:
+    def shift(self, grains: Grains, after: Float32s) -> Repainted:
         new = NewColours.of(after, np.flatnonzero(self.valid))
         pixels, change = self.colours.repainted(new, threads=1)
         picture, suffix = self.picture, self._suffix
@@ -181,7 +179,7 @@ class PixelSamples(Samples):
             [*notices, *file.notices, *noise_losses(picture, suffix, "an OUTPUT in .png keeps all")],
         )
 
-    def _encoded(self, pixels: NDArray[Any]) -> ImageFile:
+    def _encoded(self, pixels: Array) -> ImageFile:
         is_data = self.settings.space == "data"
         return encoded(self.picture, pixels, self.settings.textures, self._suffix, as_data=is_data)
 

@@ -18,8 +18,7 @@ from beltrami_cli.samples.settings import describe_kernel
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Float32s, Int64s
     from beltrami_cli.flow.beltrami_flow import BeltramiFlow, FlowResult
     from beltrami_cli.flow.grid_manifold import GridManifold
     from beltrami_cli.flow.manifold import NewColours
@@ -37,11 +36,7 @@ class RangeSamples(PaintedSamples):
     label = "range image"
 
     def __init__(
-        self,
-        painted: PaintedVertices,
-        grid: NDArray[np.int64],
-        settings: SmoothSettings,
-        guides: Sequence[Guide] = (),
+        self, painted: PaintedVertices, grid: Int64s, settings: SmoothSettings, guides: Sequence[Guide] = ()
     ) -> None:
         super().__init__(painted, settings, guides)
         self.grid = grid
@@ -59,12 +54,12 @@ class RangeSamples(PaintedSamples):
         surface = ImageSurface(None, positions, measured)
         return grid_flow(surface, self._working, self.settings.kernel, guides, self.channels.metric)
 
-    def _working(self, places: NDArray[np.int64]) -> NDArray[np.float32]:
+    def _working(self, places: Int64s) -> Float32s:
         """Return the colours at some places of the grid in the working space, shape (T, N)."""
         colours = self.painted.colours[self.grid.reshape(-1)[places]][:, self.channels.sampled]
         return to_space(colours, self.painted.encoding, self.settings.space)
 
-    def _guide_at(self, guide: Guide, places: NDArray[np.int64]) -> Guide:
+    def _guide_at(self, guide: Guide, places: Int64s) -> Guide:
         return Guide(guide.name, guide.values[self.grid.reshape(-1)[places]], guide.beta)
 
     def report(self, flow: BeltramiFlow[GridManifold], result: FlowResult) -> VertexReport:

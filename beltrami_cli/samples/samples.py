@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s
     from beltrami_cli.flow.beltrami_flow import BeltramiFlow, FlowResult
     from beltrami_cli.flow.manifold import NewColours
     from beltrami_cli.formats.document import Document
@@ -44,8 +45,8 @@ class Repainted:
     """New colours for a document: of vertices, with positions of those that moved, or image files."""
 
     change: Change
-    colours: NDArray[np.float32] | None = None
-    positions: NDArray[np.float64] | None = None
+    colours: Float32s | None = None
+    positions: Float64s | None = None
     images: dict[tuple[Slot, str], ImageFile] = field(default_factory=dict)
     notices: tuple[str, ...] = ()
 
@@ -54,12 +55,12 @@ class Repainted:
 class Grains:
     """Colours that noise is added to, in the working space, and how random numbers are assigned to them."""
 
-    colours: NDArray[np.float32]  # shape (K, N)
+    colours: Float32s  # shape (K, N)
     number_of: NDArray[
         np.integer[Any]
     ]  # shape (K,); equal at one place of the surface, where colours change alike
     stream: int = 0  # separates the random numbers of parts of a document
-    grey: NDArray[np.bool_] | None = None  # where all channels are one
+    grey: Bools | None = None  # where all channels are one
 
     @property
     def limits(self) -> tuple[float, float]:
@@ -119,10 +120,10 @@ class Samples(ABC):
         """Return the colours that noise is added to."""
 
     @abstractmethod
-    def shift(self, grains: Grains, after: NDArray[np.float32]) -> Repainted:
+    def shift(self, grains: Grains, after: Float32s) -> Repainted:
         """Replace the colours in `grains` by others; colours beyond seams are shifted by the same amount."""
 
-    def level(self, wanted: LevelSettings, photographs: NDArray[np.int64] | None = None) -> LevelReport:
+    def level(self, wanted: LevelSettings, photographs: Int64s | None = None) -> LevelReport:
         """Take exposure steps out of the colours, before flows are made of them; `photographs`: of all vertices."""
         del wanted, photographs
         raise UsageError(
@@ -165,7 +166,7 @@ class Samples(ABC):
         del result
         return []
 
-    def named(self, values: NDArray[np.float64]) -> dict[str, float]:
+    def named(self, values: Float64s) -> dict[str, float]:
         """Pair a value per channel with the channels' names."""
         return {name: float(value) for name, value in zip(self.names, values, strict=True)}
 
@@ -180,7 +181,7 @@ class Change:
     largest: float = 0.0
 
     @classmethod
-    def between(cls, before: NDArray[np.float32], after: NDArray[np.float32]) -> Change:
+    def between(cls, before: Float32s, after: Float32s) -> Change:
         """Compare two arrays of the same shape."""
         difference = np.abs(after - before)
         if not difference.size:
@@ -201,12 +202,7 @@ class Change:
 
 
 def store(
-    picture: Picture,
-    table: NDArray[Any],
-    pixels: Indices,
-    values: NDArray[np.float32],
-    channels: Sequence[int],
-    threads: int,
+    picture: Picture, table: Array, pixels: Indices, values: Float32s, channels: Sequence[int], threads: int
 ) -> Change:
     """Write values of full scale 1, shape (K, M), to M channels of K pixels, in place, clipped and rounded once."""
     if table.dtype.kind == "f":
@@ -219,7 +215,7 @@ def store(
 
 
 def encoded(
-    picture: Picture, pixels: NDArray[Any], wanted: TextureSettings, suffix: str | None, *, as_data: bool
+    picture: Picture, pixels: Array, wanted: TextureSettings, suffix: str | None, *, as_data: bool
 ) -> ImageFile:
     """Write new pixels as a file like a picture's own, or in another format."""
     quality, small = wanted.jpeg_quality, wanted.small

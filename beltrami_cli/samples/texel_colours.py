@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import dataclass
 from fnmatch import fnmatch
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,8 +21,7 @@ from beltrami_cli.surface.lookup import fill_gutter, within
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Array, Bools, Float32s, Int64s
     from beltrami_cli.flow.manifold import NewColours
     from beltrami_cli.flow.parameters import Space
     from beltrami_cli.formats.image import Picture
@@ -100,31 +99,31 @@ class TexelColours:
         if in_metric is not None:
             self.metric_channels = [self.names.index(all_names[i]) for i in in_metric]
 
-    def samples(self, atlas: Atlas) -> NDArray[np.float32]:
+    def samples(self, atlas: Atlas) -> Float32s:
         """Return the colours of the owned cells in the working space, shape (T, N)."""
         table = large_arrays.empty((len(atlas.owned_texels), len(self.names)), np.float32)
         for block in large_arrays.blocks(len(table)):
             table[block] = self._of_block(atlas, block)
         return table
 
-    def on_canvas(self, atlas: Atlas, threads: int) -> NDArray[np.float32]:
+    def on_canvas(self, atlas: Atlas, threads: int) -> Float32s:
         """Return the colours of the owned cells, and of what continues them, on the canvas, shape (N, R, C)."""
         return painted_by(atlas, len(self.names), lambda block: self._of_block(atlas, block), threads)
 
-    def _of_block(self, atlas: Atlas, block: slice) -> NDArray[np.float32]:
+    def _of_block(self, atlas: Atlas, block: slice) -> Float32s:
         texels = atlas.owned_texels[block]
         table = np.empty((len(texels), len(self.names)), np.float32)
         for index, inside, own in texels_by_texture(atlas.texture_offsets, texels):
             table[inside] = self.working(self._pictures[index], own)
         return table
 
-    def working(self, picture: Picture, texels: NDArray[np.int64]) -> NDArray[np.float32]:
+    def working(self, picture: Picture, texels: Int64s) -> Float32s:
         """Return the colours of some texels (row * width + column) of a picture in the working space."""
         return self._working(
             picture, np.take(picture.pixels.reshape(-1, picture.pixels.shape[2]), texels, axis=0)
         )
 
-    def _working(self, picture: Picture, stored: NDArray[Any]) -> NDArray[np.float32]:
+    def _working(self, picture: Picture, stored: Array) -> Float32s:
         """Return the colours of some pixels of a picture, shape (K, C), in the working space."""
         pixels = self._straight(picture, full_scale_one(stored))
         working = to_space(self._widened(picture, pixels), picture.encoding, self.space)
@@ -135,7 +134,7 @@ class TexelColours:
         opacity = pixels[:, picture.alpha] if picture.alpha is not None else np.ones(len(pixels), np.float32)
         return np.column_stack([working, opacity])
 
-    def transparent(self, atlas: Atlas, textures: Sequence[Texture]) -> NDArray[np.bool_]:
+    def transparent(self, atlas: Atlas, textures: Sequence[Texture]) -> Bools:
         """Return which owned cells supply no colour because their texel is transparent."""
         hidden = np.zeros(len(atlas.owned_texels), bool)
         if not any(self._can_hide(index, texture) for index, texture in enumerate(textures)):
@@ -145,7 +144,7 @@ class TexelColours:
                 hidden[block][inside] = self.hidden(index, textures[index], texels)
         return hidden
 
-    def hidden(self, index: int, texture: Texture, texels: NDArray[np.int64]) -> NDArray[np.bool_]:
+    def hidden(self, index: int, texture: Texture, texels: Int64s) -> Bools:
         """Return which of some texels (row * width + column) of a picture supply no colour."""
         picture = self._pictures[index]
         if not self._can_hide(index, texture):
@@ -170,14 +169,12 @@ class TexelColours:
         is_plain = self.space in ("data", picture.encoding) and len(picture.colour) == self._width
         return not is_plain or self._is_normal or self._is_divided(picture)
 
-    def written(self, index: int, samples: NDArray[np.float32]) -> NDArray[np.float32]:
+    def written(self, index: int, samples: Float32s) -> Float32s:
         """Return the channels of unconverted samples that are stored, in the order of `columns`."""
         chosen = self._written()[: len(self.columns(index))]
         return samples if chosen == list(range(samples.shape[1])) else samples[:, chosen]
 
-    def changed(
-        self, picture: Picture, stored: NDArray[Any], samples: NDArray[np.float32]
-    ) -> NDArray[np.bool_]:
+    def changed(self, picture: Picture, stored: Array, samples: Float32s) -> Bools:
         """Return for which pixels of a picture, shape (K, C), samples differ in a channel that is written."""
         working = self._working(picture, stored)
         different = np.zeros(len(stored), bool)
@@ -190,13 +187,7 @@ class TexelColours:
         colours = [self._kept.index(i) for i in self._changing]
         return [*colours, *([len(self._kept)] if self._alpha else [])]
 
-    def write(
-        self,
-        values: NDArray[np.float32],
-        index: int,
-        texels: NDArray[np.int64] | slice,
-        samples: NDArray[np.float32],
-    ) -> None:
+    def write(self, values: Float32s, index: int, texels: Int64s | slice, samples: Float32s) -> None:
         """Write samples, shape (K, N), to some texels of a picture's values, shape (..., C), in place."""
         picture = self._pictures[index]
         table = values.reshape(-1, values.shape[-1])
@@ -219,7 +210,7 @@ class TexelColours:
         if self._alpha and picture.alpha is not None:
             table[texels, picture.alpha] = samples[:, -1]
 
-    def opacity(self, picture: Picture) -> NDArray[np.float32] | None:
+    def opacity(self, picture: Picture) -> Float32s | None:
         """Return the opacity by which a picture's colours, but not samples, are multiplied, shape (H, W), or None."""
         if not self._is_divided(picture):
             return None
@@ -229,16 +220,16 @@ class TexelColours:
         # Colours that are averaged together with alpha are weighted by it already.
         return self._hides and self.space != "data" and is_associated(picture)
 
-    def _straight(self, picture: Picture, pixels: NDArray[np.float32]) -> NDArray[np.float32]:
+    def _straight(self, picture: Picture, pixels: Float32s) -> Float32s:
         return without_alpha(picture, pixels) if self._is_divided(picture) else pixels
 
-    def _widened(self, picture: Picture, pixels: NDArray[np.float32]) -> NDArray[np.float32]:
+    def _widened(self, picture: Picture, pixels: Float32s) -> Float32s:
         every = tuple(range(pixels.shape[1]))
         colours = pixels if picture.colour == every else pixels[:, list(picture.colour)]
         return np.repeat(colours, self._width, axis=1) if colours.shape[1] < self._width else colours
 
 
-def _renormalised(stored: NDArray[np.float32]) -> NDArray[np.float32]:
+def _renormalised(stored: Float32s) -> Float32s:
     """Normalise normals stored as (n + 1) / 2."""
     normals = 2 * stored - 1
     length = np.linalg.norm(normals, axis=1, keepdims=True)
@@ -254,12 +245,12 @@ class Repainting:
 
     pictures: Sequence[Picture]
     colours: TexelColours
-    texture_offsets: NDArray[np.int64]
+    texture_offsets: Int64s
     gutter: int | None
     threads: int
     is_dithered: bool = False  # so that smooth changes of colours are no bands in 8 bits
 
-    def repaint(self, index: int, new: NewColours) -> tuple[NDArray[Any], Change]:
+    def repaint(self, index: int, new: NewColours) -> tuple[Array, Change]:
         """Return a picture's pixels with new colours, and the change of its covered texels."""
         picture = self.pictures[index]
         pixels = large_arrays.copy_of(picture.pixels)
@@ -272,7 +263,7 @@ class Repainting:
             fill_gutter(pixels, covered, None, self.gutter, known, self.threads, columns, opacity)
         return pixels, change
 
-    def shift(self, index: int, added: NewColours, limits: tuple[float, float]) -> NDArray[Any]:
+    def shift(self, index: int, added: NewColours, limits: tuple[float, float]) -> Array:
         """Return a picture's pixels with an offset added to its colours and gutter, within limits."""
         picture = self.pictures[index]
         pixels, shape = picture.pixels.copy(), picture.pixels.shape[:2]
@@ -290,7 +281,7 @@ class Repainting:
         self._paint(pixels, index, there, lambda block, inside: after[block][inside])
         return pixels
 
-    def _of_texture(self, texels: Indices, index: int) -> tuple[NDArray[np.bool_] | slice, Indices]:
+    def _of_texture(self, texels: Indices, index: int) -> tuple[Bools | slice, Indices]:
         """Select the texels of one texture, and number them from its first."""
         if len(self.texture_offsets) == 2:  # there is no other
             return slice(None), texels
@@ -300,7 +291,7 @@ class Repainting:
 
     def _near_charts(
         self, index: int, shape: tuple[int, ...], new: NewColours
-    ) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.int64]]:
+    ) -> tuple[Bools, Bools, Int64s]:
         """Return the covered texels of a texture, shape (H, W), the gutter texels near them, and their rows."""
         assert self.gutter is not None
         covered, near = np.zeros(shape, bool), np.zeros(shape, bool)
@@ -312,11 +303,7 @@ class Repainting:
         return covered, near, np.arange(len(new.beyond_places))[inside][chosen]
 
     def _paint(
-        self,
-        pixels: NDArray[Any],
-        index: int,
-        texels: Indices,
-        take: Callable[[slice, NDArray[np.bool_] | slice], NDArray[np.float32]],
+        self, pixels: Array, index: int, texels: Indices, take: Callable[[slice, Bools | slice], Float32s]
     ) -> Change:
         """Write samples into pixels like a picture's own, in place, and return how these change."""
         picture, colours = self.pictures[index], self.colours
@@ -345,7 +332,7 @@ class Repainting:
         return Change.joined(changes)
 
 
-def dithered(values: NDArray[np.float32], texels: Indices, width: int) -> NDArray[np.float32]:
+def dithered(values: Float32s, texels: Indices, width: int) -> Float32s:
     """Add a pattern of half a step of 8 bits to some texels, so that rounding spreads what it takes away.
 
     What is a multiple of a step stays. The pattern is interleaved gradient noise: J. Jimenez, "Next generation post

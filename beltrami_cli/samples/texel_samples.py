@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections import Counter
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -35,8 +35,7 @@ from beltrami_cli.surface.records import ImageFile
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Array, Float32s, Int64s
     from beltrami_cli.flow.beltrami_flow import FlowResult
     from beltrami_cli.flow.embedding import Guide
     from beltrami_cli.flow.parameters import KernelParameters
@@ -88,7 +87,7 @@ class TexelSamples(Samples):
                 guided[0], self.surface, self.pictures, self.atlas, settings, guided[1]
             ).guides()
         self._gutter, self._is_smoothed = settings.textures.gutter, True
-        self._levelled: NDArray[np.float32] | None = None
+        self._levelled: Float32s | None = None
         self._is_dithered = False
 
     def flow(self) -> BeltramiFlow[GridManifold]:
@@ -103,14 +102,14 @@ class TexelSamples(Samples):
         )
         return BeltramiFlow(manifold, kernel)
 
-    def _on_canvas(self) -> NDArray[np.float32]:
+    def _on_canvas(self) -> Float32s:
         """Return the colours on the canvas, levelled if they were; these are given away."""
         planes, self._levelled = self._levelled, None
         if planes is None:
             planes = self.colours.on_canvas(self.atlas, self.settings.kernel.thread_count)
         return planes
 
-    def level(self, wanted: LevelSettings, photographs: NDArray[np.int64] | None = None) -> LevelReport:
+    def level(self, wanted: LevelSettings, photographs: Int64s | None = None) -> LevelReport:
         if self.slot not in COLOUR_SLOTS:
             raise UsageError(
                 f"{self.label}: they are data, which no camera exposed; leave them out of --slots"
@@ -226,7 +225,7 @@ class TexelSamples(Samples):
                 notices += losses(picture, suffix)
         return Repainted(Change.joined(changes), images=images, notices=tuple(notices))
 
-    def painted(self, index: int, new: NewColours) -> NDArray[Any]:
+    def painted(self, index: int, new: NewColours) -> Array:
         """Return the pixels of a texture with new colours, and nothing changed around its charts."""
         return self._painter(None).repaint(index, new)[0]
 
@@ -240,7 +239,7 @@ class TexelSamples(Samples):
         stream = 1 + SLOTS.index(self.slot)
         return Grains(self.colours.samples(atlas), number, stream, np.asarray(in_grey, bool))
 
-    def shift(self, grains: Grains, after: NDArray[np.float32]) -> Repainted:
+    def shift(self, grains: Grains, after: Float32s) -> Repainted:
         atlas, added = self.atlas, after - grains.colours
         planes = painted(atlas, added, threads=1)
         beyond = np.ascontiguousarray(planes.reshape(len(planes), -1)[:, atlas.gutter_cells].T)
@@ -263,7 +262,7 @@ class TexelSamples(Samples):
         offsets = self.atlas.texture_offsets
         return Repainting(self.pictures, self.colours, offsets, gutter, threads, self._is_dithered)
 
-    def _encoded(self, picture: Picture, pixels: NDArray[Any]) -> ImageFile:
+    def _encoded(self, picture: Picture, pixels: Array) -> ImageFile:
         wanted, is_data = self.settings.textures, self.slot not in COLOUR_SLOTS
         file = encoded(picture, pixels, wanted, wanted.image_suffix, as_data=is_data)
         return dataclasses.replace(file, is_chosen=wanted.image_suffix is not None)
@@ -300,7 +299,7 @@ def atlas_notices(atlas: Atlas) -> tuple[str, ...]:
 
 @dataclass
 class _Joined:
-    pixels: NDArray[Any]
+    pixels: Array
     columns: set[int]
     slots: tuple[Slot, ...]
 
@@ -315,8 +314,8 @@ class SharedImages:
         self._joined: dict[str, _Joined] = {}
 
     def join(
-        self, slot: Slot, key: str, pixels: NDArray[Any], columns: Sequence[int]
-    ) -> tuple[NDArray[Any], tuple[Slot, ...]]:
+        self, slot: Slot, key: str, pixels: Array, columns: Sequence[int]
+    ) -> tuple[Array, tuple[Slot, ...]]:
         """Combine an image's new pixels with the channels that other slots changed; also return these slots."""
         # Colours and data are encoded differently, so they are not joined.
         self._remaining[key] -= 1

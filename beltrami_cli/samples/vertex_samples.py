@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from beltrami_cli.arrays import Float32s, Float64s, Int64s
     from beltrami_cli.flow.beltrami_flow import FlowResult
     from beltrami_cli.formats.document import Document
     from beltrami_cli.samples.probes.probe import Probe
@@ -54,7 +55,7 @@ class VertexSamples(PaintedSamples):
     ) -> None:
         super().__init__(painted, settings, guides)
         self.is_cloud = not len(painted.faces)
-        self._positions: NDArray[np.float64] | None = None
+        self._positions: Float64s | None = None
 
     @cached_property
     def joined(self) -> PaintedVertices:
@@ -68,7 +69,7 @@ class VertexSamples(PaintedSamples):
         return sample_vertices(joined, to_space(colours, joined.encoding, self.settings.space))
 
     @cached_property
-    def _stored(self) -> NDArray[np.float32]:
+    def _stored(self) -> Float32s:
         """The colours of the samples as the file has them."""
         return self.surface.colours
 
@@ -94,7 +95,7 @@ class VertexSamples(PaintedSamples):
         manifold = MeshManifold(surface, own.kernel, guides=guides, metric_channels=metric, geometry=geometry)
         return BeltramiFlow(manifold, own.kernel)
 
-    def level(self, wanted: LevelSettings, photographs: NDArray[np.int64] | None = None) -> LevelReport:
+    def level(self, wanted: LevelSettings, photographs: Int64s | None = None) -> LevelReport:
         (surface, sampling), stored = self._sampled, self._stored
         if photographs is None or wanted.reference:
             raise UsageError("--reference is of charts of textures; parts of vertex colours have no names")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,8 +11,7 @@ from beltrami_cli.surface.atlas import OWNED
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Array, Float64s, Int64s
     from beltrami_cli.surface.atlas import Atlas
 
 # A line through the values 1/2, 3/2 and 5/2 texels from a seam, by least squares, has this value at the seam.
@@ -20,7 +19,7 @@ _EXTRAPOLATION = np.array([13, 4, -5]) / 12
 REACH = len(_EXTRAPOLATION)
 
 
-def at_seam(values: Sequence[NDArray[Any]]) -> NDArray[np.float64]:
+def at_seam(values: Sequence[Array]) -> Float64s:
     """Extrapolate the values of three cells on a line, the nearest first, to the seam; of one, take it."""
     if len(values) == 1:
         return values[0].astype(np.float64)
@@ -30,7 +29,7 @@ def at_seam(values: Sequence[NDArray[Any]]) -> NDArray[np.float64]:
     return total
 
 
-def lines_over_seams(atlas: Atlas, reach: int) -> list[list[NDArray[np.int64]]]:
+def lines_over_seams(atlas: Atlas, reach: int) -> list[list[Int64s]]:
     """Return lines of cells across seams in all four directions: `reach` owned ones from the seam, then halo ones."""
     columns, size = atlas.kind.shape[1], atlas.kind.size
     owned = atlas.kind.reshape(-1) == OWNED

@@ -15,9 +15,9 @@ from beltrami_cli.formats.image.reading import scratch_file
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from numpy.typing import NDArray
+    from beltrami_cli.arrays import Uint8s
 
-    Frames = Sequence[NDArray[np.uint8]]  # of one size, (H, W, 3), or (H, W, 4) with opacity
+    Frames = Sequence[Uint8s]  # of one size, (H, W, 3), or (H, W, 4) with opacity
 
 _WEBP_QUALITY = 90
 _MP4_QUALITY = "16"  # constant rate factor of H.264: what cannot be distinguished from the original

@@ -6,12 +6,12 @@ View coordinates are x to the right, y up, z towards the eye.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from beltrami_cli.arrays import Array, Float64s
 
 _SMALLEST = 1e-13  # of the distance from the origin: smaller models are lost in rounding
 _NARROWEST = 1e-3  # degrees, below which rays are parallel
@@ -52,17 +52,14 @@ def pixels_of(window: Window, width: int, height: int) -> tuple[slice, slice]:
 class Camera:
     """A camera, perspective or orthographic."""
 
-    rotation: NDArray[np.float64]  # (3, 3): rows are the directions of view coordinates
-    place: NDArray[np.float64]  # (3,), view coordinates: the eye; orthographic: a point in front of the model
-    reach: NDArray[np.float64]  # (2,): half the width and height seen at distance 1; orthographic: anywhere
+    rotation: Float64s  # (3, 3): rows are the directions of view coordinates
+    place: Float64s  # (3,), view coordinates: the eye; orthographic: a point in front of the model
+    reach: Float64s  # (2,): half the width and height seen at distance 1; orthographic: anywhere
     is_orthographic: bool
 
     def rays(
-        self,
-        columns: NDArray[np.float64],
-        rows: NDArray[np.float64],
-        precision: type[np.float32] | type[np.float64] = np.float64,
-    ) -> tuple[NDArray[Any], NDArray[Any]]:
+        self, columns: Float64s, rows: Float64s, precision: type[np.float32] | type[np.float64] = np.float64
+    ) -> tuple[Array, Array]:
         """Return origins and unit directions of rays, (K, 3) each, through places in fractions of the view."""
         # Columns (C,) with rows (R, 1) make a grid, by the rules of broadcasting.
         across, up = (
@@ -78,7 +75,7 @@ class Camera:
         directions /= np.sqrt(across**2 + up**2 + 1).astype(precision)
         return np.broadcast_to(eye, (directions.size // 3, 3)), directions.reshape(-1, 3)
 
-    def project(self, positions: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def project(self, positions: Float64s) -> tuple[Float64s, Float64s]:
         """Return where points are in the view, (K, 2), as fractions of it, and their depths, (K,)."""
         seen = positions @ self.rotation.T - self.place
         depth = -seen[:, 2]
@@ -86,15 +83,13 @@ class Camera:
         across = seen[:, :2] / (scale * self.reach)
         return np.column_stack([(1 + across[:, 0]) / 2, (1 - across[:, 1]) / 2]), depth
 
-    def breadth(self, distances: NDArray[np.float64]) -> NDArray[np.float64]:
+    def breadth(self, distances: Float64s) -> Float64s:
         """Return the width of the whole view at distances from the origins of rays, in units of the model."""
-        width: NDArray[np.float64] = (
-            2 * self.reach[0] * (np.ones_like(distances) if self.is_orthographic else distances)
-        )
+        width: Float64s = 2 * self.reach[0] * (np.ones_like(distances) if self.is_orthographic else distances)
         return width
 
 
-def orientation(azimuth: float, elevation: float, up: str = "y") -> NDArray[np.float64]:
+def orientation(azimuth: float, elevation: float, up: str = "y") -> Float64s:
     """Return the rotation to view coordinates, (3, 3), of an eye to the right of the front and above, in degrees."""
     (c, s), (d, e) = ((np.cos(angle), np.sin(angle)) for angle in np.radians((azimuth, elevation)))
     around = np.array([[c, 0, -s], [0, 1, 0], [s, 0, c]])
@@ -102,15 +97,13 @@ def orientation(azimuth: float, elevation: float, up: str = "y") -> NDArray[np.f
     return np.asarray(over @ around @ np.array(_FRONT[up], float))
 
 
-def size_between(low: NDArray[np.float64], high: NDArray[np.float64]) -> float:
+def size_between(low: Float64s, high: Float64s) -> float:
     """Return the longest side of a bounding box, or a small positive number for a single point."""
     farthest = float(np.abs([low, high]).max())
     return max(float((high - low).max()), _SMALLEST * farthest, float(np.finfo(float).tiny))
 
 
-def fitted(
-    positions: NDArray[np.float64], rotation: NDArray[np.float64], field: float, aspect: float
-) -> Camera:
+def fitted(positions: Float64s, rotation: Float64s, field: float, aspect: float) -> Camera:
     """Place a camera so that all points, at least one, are visible and fill the view."""
     seen = positions @ rotation.T
     low, high = seen.min(axis=0), seen.max(axis=0)

@@ -13,8 +13,7 @@ from beltrami_cli.view.pages import picture_tag
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Float64s
     from beltrami_cli.jobs.compare.figures import ComparedColours
 
 _LONGEST = 768  # pixels, of a seam map
@@ -62,7 +61,7 @@ def histogram(pairs: Sequence[ComparedColours]) -> str:
     )
 
 
-def _bins(change: NDArray[np.float64]) -> tuple[int, float]:
+def _bins(change: Float64s) -> tuple[int, float]:
     """Return the number of bins of a histogram of changes in 255ths, and its largest change."""
     wanted = max(1.0, float(np.percentile(np.abs(change), 99.5))) if change.size else 1.0
     step = -(-2 * wanted // _STEPS) // 2 * 2 + 1 if wanted > _FEW else 2 * wanted / _STEPS

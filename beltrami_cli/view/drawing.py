@@ -16,13 +16,12 @@ from beltrami_cli.view.views import ImageView
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Float32s, Float64s, Uint8s
     from beltrami_cli.view.camera import Camera, Window
     from beltrami_cli.view.settings import RenderSettings
     from beltrami_cli.view.views import Drawable
 
-    Draw = Callable[..., NDArray[np.float32]]  # of a size and a window
+    Draw = Callable[..., Float32s]  # of a size and a window
     Progress = Callable[[str, int, int], None]
 
 _ALIKE = 0.1  # boxes that differ by less than this, in sizes of the first, are seen by one camera
@@ -37,7 +36,7 @@ def draw_views(
     labels: Sequence[str],
     settings: RenderSettings,
     progress: Progress | None = None,
-) -> NDArray[np.uint8]:
+) -> Uint8s:
     """Draw all views, each with a label that may be empty, and arrange them: sRGB, with opacity on no background."""
     panels = draw_panels(views, labels, settings, progress)
     turns = max(1, settings.turntable)
@@ -52,7 +51,7 @@ def draw_turns(
     labels: Sequence[str],
     settings: RenderSettings,
     progress: Progress | None = None,
-) -> list[NDArray[np.uint8]]:
+) -> list[Uint8s]:
     """Draw all views at each turn of a turntable, as pictures of one size."""
     panels = draw_panels(views, labels, settings, progress)
     background = background_of(settings, panels)
@@ -122,7 +121,7 @@ def background_of(settings: RenderSettings, panels: Sequence[Panel]) -> Backgrou
     return Background(opacity=0.0) if colour is None else Background(colour)
 
 
-def richest_window(view: NDArray[np.float32], side: float) -> Window:
+def richest_window(view: Float32s, side: float) -> Window:
     """Return the square window, the first of equals, filled by the model, with the most varying brightness."""
     height, width = view.shape[:2]
     square = max(1, round(side * min(width, height)))
@@ -139,7 +138,7 @@ def richest_window(view: NDArray[np.float32], side: float) -> Window:
     return left / width, upper / height, (left + square) / width, (upper + square) / height
 
 
-def _sums(values: NDArray[np.float64], square: int) -> NDArray[np.float64]:
+def _sums(values: Float64s, square: int) -> Float64s:
     """Return the sum over each square that fits, by its upper left corner."""
     table = np.pad(values, [(1, 0), (1, 0)]).cumsum(axis=0).cumsum(axis=1)
     near, far = slice(None, -square), slice(square, None)
@@ -150,7 +149,7 @@ def _drawers(views: Sequence[Drawable], settings: RenderSettings) -> list[Draw]:
     """Return what draws each view; models that lie in one place are seen by one camera."""
     rotation = orientation(settings.azimuth, settings.elevation, settings.up)
     aspect = settings.size[0] / settings.size[1]
-    shared: tuple[Camera, NDArray[np.float64]] | None = None
+    shared: tuple[Camera, Float64s] | None = None
     drawers: list[Draw] = []
     for view in views:
         if isinstance(view, ImageView):
@@ -166,11 +165,11 @@ def _drawers(views: Sequence[Drawable], settings: RenderSettings) -> list[Draw]:
     return drawers
 
 
-def _is_alike(box: NDArray[np.float64], other: NDArray[np.float64]) -> bool:
+def _is_alike(box: Float64s, other: Float64s) -> bool:
     return bool(np.abs(box - other).max() <= _ALIKE * np.ptp(other, axis=0).max())
 
 
-def _detail_windows(view: NDArray[np.float32], settings: RenderSettings) -> list[Window]:
+def _detail_windows(view: Float32s, settings: RenderSettings) -> list[Window]:
     """Return where details are; automatic ones are chosen in the view of the last file."""
     width, height = settings.size
     shorter = min(width, height)

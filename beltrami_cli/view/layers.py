@@ -20,13 +20,12 @@ from beltrami_cli.view.models import (
 from beltrami_cli.view.preview import Focus, Patch
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Float64s, Uint8s
     from beltrami_cli.formats.document import Document
     from beltrami_cli.surface.records import Slot
 
     # Pixels as a page shows them, by layer and texture; those that are absent are the document's own.
-    Shown = dict[tuple[int, int], NDArray[np.uint8]]
+    Shown = dict[tuple[int, int], Uint8s]
 
 _QUICK = 1  # of zlib
 
@@ -39,7 +38,7 @@ class Layers:
         is_image = isinstance(document, ImageDocument)
         slots: list[Slot | None] = [] if is_image else [*document.slots()]
         self.slots = [*slots, None] if is_image or document.has_vertex_colours() else slots
-        self._boxes: dict[int, tuple[NDArray[np.float64], float]] = {}  # lowest corners and longest sides
+        self._boxes: dict[int, tuple[Float64s, float]] = {}  # lowest corners and longest sides
 
     def packed(self, reach: float) -> dict[str, Any]:
         """Return the document for the viewer, with the same before and after."""
@@ -83,7 +82,7 @@ class Layers:
             "width": part.shape[1], "height": part.shape[0], "pixels": packed_array(part, _QUICK),
         }  # fmt: skip
 
-    def _pixels(self, shown: Shown, layer: int, texture: int) -> NDArray[np.uint8]:
+    def _pixels(self, shown: Shown, layer: int, texture: int) -> Uint8s:
         key = layer, texture
         if key not in shown:
             data, name = _images_of(self.document, self.slots[layer])[texture]

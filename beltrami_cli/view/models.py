@@ -20,6 +20,7 @@ from beltrami_cli.view.views import disc_radii, light_of, sheet_of, texture_shee
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s, Int64s, Uint8s
     from beltrami_cli.formats.document import Document
     from beltrami_cli.formats.image import Picture
     from beltrami_cli.formats.image.document import ImageDocument
@@ -86,7 +87,7 @@ class ModelPacker:
             "reach": int(np.clip(np.ceil(round(reach, 2)), _LEAST_REACH, _MOST_REACH)),
         }
 
-    def texture(self, texture: Texture, slot: Slot, sheet: NDArray[np.float32] | None = None) -> int:
+    def texture(self, texture: Texture, slot: Slot, sheet: Float32s | None = None) -> int:
         """Add a texture once; return its number."""
         source = source_of(texture, slot, sheet)
         key = f"{source} {texture.wrap} {texture.alpha_hides}"
@@ -117,10 +118,10 @@ class ModelPacker:
         self,
         surface: TexturedSurface,
         box: _Box,
-        mine: NDArray[np.bool_],
-        chart_of: NDArray[np.int32],
+        mine: Bools,
+        chart_of: Int32s,
         textures: list[int] | None,
-        borders: NDArray[np.int64],
+        borders: Int64s,
     ) -> dict[str, Any]:
         """Return the triangles of one texture, with a vertex for each place, texture coordinate and chart."""
         corners, uv = surface.faces[mine].reshape(-1), surface.uv[mine].reshape(-1, 2).astype(np.float32)
@@ -141,7 +142,7 @@ class ModelPacker:
         before = np.concatenate([np.zeros_like(rows[:1]), rows[:-1]])
         return self._kept((rows - before).T)
 
-    def _kept(self, values: NDArray[Any]) -> str:
+    def _kept(self, values: Array) -> str:
         packed = packed_array(values)
         key = hashlib.sha256(packed.encode()).hexdigest()[:16]
         self._buffers[key] = packed
@@ -151,19 +152,19 @@ class ModelPacker:
 class _Box:
     """The box around a model, whose longest side becomes 1."""
 
-    def __init__(self, positions: NDArray[np.float64]) -> None:
+    def __init__(self, positions: Float64s) -> None:
         positions = positions[np.isfinite(positions).all(axis=1)]
         self._low, high = positions.min(axis=0), positions.max(axis=0)
         self.size = max(float((high - self._low).max()), np.finfo(float).tiny)
         self.middle = ((high - self._low) / self.size / 2).tolist()
 
-    def places(self, positions: NDArray[np.float64]) -> NDArray[np.uint16]:
+    def places(self, positions: Float64s) -> NDArray[np.uint16]:
         """Return positions in the box in 16 bits each."""
         share = np.nan_to_num((positions - self._low) / self.size)
         return np.asarray(np.rint(_FULL * np.clip(share, 0, 1)), np.uint16)
 
 
-def source_of(texture: Texture, slot: Slot, sheet: NDArray[np.float32] | None = None) -> str:
+def source_of(texture: Texture, slot: Slot, sheet: Float32s | None = None) -> str:
     """Return a data URL of a texture, as it is if browsers show its format, or else as PNG."""
     mime = next((mime for mark, mime in _MIME.items() if texture.data.startswith(mark)), None)
     if mime is not None:
@@ -171,7 +172,7 @@ def source_of(texture: Texture, slot: Slot, sheet: NDArray[np.float32] | None = 
     return data_address(_as_bytes(texture_sheet(texture, slot) if sheet is None else sheet))
 
 
-def displayed_pixels(picture: Picture, *, is_data: bool = False) -> NDArray[np.uint8]:
+def displayed_pixels(picture: Picture, *, is_data: bool = False) -> Uint8s:
     """Return a picture as display values with opacity, (H, W, 4)."""
     pixels = picture.pixels
     if pixels.dtype != np.uint8 or is_associated(picture):
@@ -183,12 +184,12 @@ def displayed_pixels(picture: Picture, *, is_data: bool = False) -> NDArray[np.u
     return shown
 
 
-def _as_bytes(sheet: NDArray[np.float32]) -> NDArray[np.uint8]:
+def _as_bytes(sheet: Float32s) -> Uint8s:
     shown = np.concatenate([linear_to_srgb(sheet[..., :3]), sheet[..., 3:]], axis=2)
     return np.asarray(np.rint(255 * shown), np.uint8)
 
 
-def packed_array(values: NDArray[Any], level: int = -1) -> str:
+def packed_array(values: Array, level: int = -1) -> str:
     """Return the bytes of an array for a page, compressed."""
     data = np.ascontiguousarray(values.astype(values.dtype.newbyteorder("<"))).tobytes()
     return base64.b64encode(zlib.compress(data, level)).decode()
@@ -199,7 +200,7 @@ def displayed_colours(painted: PaintedVertices) -> NDArray[np.uint16]:
     return np.asarray(np.rint(_FULL * linear_to_srgb(light_of(painted))), np.uint16)
 
 
-def charts_of(surface: TexturedSurface) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+def charts_of(surface: TexturedSurface) -> tuple[Int32s, Int64s]:
     """Return the chart of each triangle, and the seams, (K, 2), as triangles and the corners they begin at."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
@@ -223,7 +224,7 @@ def charts_of(surface: TexturedSurface) -> tuple[NDArray[np.int32], NDArray[np.i
     return connected_components(joined, directed=False)[1], np.stack([cut // 3, cut % 3], axis=1)
 
 
-def _ends(corners: NDArray[np.float64], edges: NDArray[np.int64]) -> NDArray[np.float64]:
+def _ends(corners: Float64s, edges: Int64s) -> Float64s:
     """Return both ends of edges that begin at corners of triangles, (2 K, X)."""
     face, corner = edges.T
     pairs = np.stack([corners[face, corner], corners[face, (corner + 1) % 3]], axis=1)

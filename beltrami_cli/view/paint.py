@@ -6,7 +6,7 @@ doi:10.1145/800059.801126.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
@@ -15,11 +15,10 @@ from beltrami_cli.surface.lookup import look_up
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s
     from beltrami_cli.surface.records import TexturedSurface, Wrap
 
-    Sheet = NDArray[np.float32]
+    Sheet = Float32s
     """An image in linear light with opacity, shape (H, W, 4); colours are not multiplied by it."""
 
 _EXACT = 1 << 13  # texels from the origin up to which single precision does
@@ -35,9 +34,7 @@ class Paint(Protocol):
     is_linear: bool
     """Whether colours change steadily across each triangle."""
 
-    def __call__(
-        self, faces: NDArray[np.int32], weights: NDArray[np.float32], footprints: NDArray[np.float64]
-    ) -> NDArray[np.float32]:
+    def __call__(self, faces: Int32s, weights: Float32s, footprints: Float64s) -> Float32s:
         """Return linear red, green, blue and opacity, (K, 4), at points of faces with barycentric weights, (K, 3)."""
         ...
 
@@ -47,12 +44,10 @@ class VertexPaint:
 
     is_opaque = is_linear = True
 
-    def __init__(self, faces: NDArray[np.int32], colours: NDArray[np.float64]) -> None:
+    def __init__(self, faces: Int32s, colours: Float64s) -> None:
         self._corners = colours.astype(np.float32)[faces]
 
-    def __call__(
-        self, faces: NDArray[np.int32], weights: NDArray[np.float32], footprints: NDArray[np.float64]
-    ) -> NDArray[np.float32]:
+    def __call__(self, faces: Int32s, weights: Float32s, footprints: Float64s) -> Float32s:
         """See `Paint`."""
         mixed = np.ones((len(faces), 4), np.float32)
         mixed[:, :3] = _interpolated(self._corners, faces, weights)
@@ -64,7 +59,7 @@ class TexturePaint:
 
     is_linear = False
 
-    def __init__(self, surface: TexturedSurface, sheets: Sequence[Sheet], areas: NDArray[np.float64]) -> None:
+    def __init__(self, surface: TexturedSurface, sheets: Sequence[Sheet], areas: Float64s) -> None:
         self._surface = surface
         self._pyramids = [Pyramid(sheet) for sheet in sheets]
         first, second = (surface.uv[:, k] - surface.uv[:, 0] for k in (1, 2))
@@ -82,9 +77,7 @@ class TexturePaint:
             for pyramid, texture in zip(self._pyramids, surface.textures, strict=True)
         )
 
-    def __call__(
-        self, faces: NDArray[np.int32], weights: NDArray[np.float32], footprints: NDArray[np.float64]
-    ) -> NDArray[np.float32]:
+    def __call__(self, faces: Int32s, weights: Float32s, footprints: Float64s) -> Float32s:
         """See `Paint`."""
         if self._is_one:
             return self._looked_up(0, faces, weights, footprints)
@@ -97,13 +90,7 @@ class TexturePaint:
                 colours[mine] = self._looked_up(number, faces[mine], weights[mine], footprints[mine])
         return colours
 
-    def _looked_up(
-        self,
-        number: int,
-        faces: NDArray[np.int32],
-        weights: NDArray[np.float32],
-        footprints: NDArray[np.float64],
-    ) -> NDArray[np.float32]:
+    def _looked_up(self, number: int, faces: Int32s, weights: Float32s, footprints: Float64s) -> Float32s:
         texture = self._surface.textures[number]
         uv = _interpolated(self._uv, faces, weights)
         found = self._pyramids[number].look_up(uv, texture.wrap, footprints * self._density[faces])
@@ -127,9 +114,7 @@ class Pyramid:
             self._levels.append(_halved(self._levels[-1], is_opaque=self.is_opaque))
         return self._levels[number]
 
-    def look_up(
-        self, uv: NDArray[np.float64], wrap: tuple[Wrap, Wrap], texels: NDArray[np.float64]
-    ) -> NDArray[np.float32]:
+    def look_up(self, uv: Float64s, wrap: tuple[Wrap, Wrap], texels: Float64s) -> Float32s:
         """Interpolate at places, (K, 2), v down, that stand for areas of `texels`, (K,), of the first level; (K, 4)."""
         if not texels.size or texels.max() <= 1:
             return look_up(self.level(0), uv, wrap, None if self.is_opaque else 3, np.float32)
@@ -146,9 +131,7 @@ class Pyramid:
                 colours[mine] = self._between(number, uv[mine], wrap, part[mine])
         return colours
 
-    def _between(
-        self, number: int, uv: NDArray[np.float64], wrap: tuple[Wrap, Wrap], part: NDArray[np.float32]
-    ) -> NDArray[np.float32]:
+    def _between(self, number: int, uv: Float64s, wrap: tuple[Wrap, Wrap], part: Float32s) -> Float32s:
         """Interpolate in a copy and, to a part, in the next smaller one."""
         alpha = None if self.is_opaque else 3
         colours = look_up(self.level(number), uv, wrap, alpha, np.float32)
@@ -160,9 +143,7 @@ class Pyramid:
         return colours
 
 
-def _interpolated(
-    corners: NDArray[Any], faces: NDArray[np.int32], weights: NDArray[np.float32]
-) -> NDArray[Any]:
+def _interpolated(corners: Array, faces: Int32s, weights: Float32s) -> Array:
     """Interpolate numbers at the corners of all faces, (F, 3, X), at points of some of them; (K, X)."""
     three = corners.take(faces, axis=0)
     return three[:, 0] * weights[:, :1] + three[:, 1] * weights[:, 1:2] + three[:, 2] * weights[:, 2:]

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from beltrami_cli.arrays import Float64s, Int64s
     from beltrami_cli.formats.document import Document
     from beltrami_cli.samples.settings import SmoothSettings
     from beltrami_cli.surface.records import PaintedVertices, Slot, TexturedSurface
@@ -38,8 +39,8 @@ _BESIDE = 0.05  # of the model's size: triangles so near to the line of sight ar
 class Focus:
     """Where somebody looks: along a ray through the model, or at a place of a texture or image."""
 
-    origin: NDArray[np.float64]  # (3,), or of a flat texture u, v and its number
-    direction: NDArray[np.float64] | None = None  # (3,), of length 1; None: the texture is seen flat
+    origin: Float64s  # (3,), or of a flat texture u, v and its number
+    direction: Float64s | None = None  # (3,), of length 1; None: the texture is seen flat
 
 
 @dataclass(frozen=True)
@@ -59,9 +60,7 @@ class Previewer:
         self._document, self._slot = document, slot
         self._painted: PaintedVertices | None = None
         self._surface: TexturedSurface | None = None
-        self._order: tuple[bytes, NDArray[np.int64]] | None = (
-            None  # where somebody looked last, and what is near
-        )
+        self._order: tuple[bytes, Int64s] | None = None  # where somebody looked last, and what is near
         if isinstance(document, ImageDocument):
             return
         if slot is None:
@@ -178,7 +177,7 @@ class Previewer:
                 patches.append(Patch(number, rows, columns, shown))
         return patches
 
-    def _around(self, focus: Focus) -> NDArray[np.int64]:
+    def _around(self, focus: Focus) -> Int64s:
         """Return triangles or points in the order in which they are nearest; it is kept until the camera moves."""
         key = focus.origin.tobytes() + (b"" if focus.direction is None else focus.direction.tobytes())
         if self._order is None or self._order[0] != key:
@@ -190,7 +189,7 @@ class Previewer:
         return self._order[1]
 
 
-def _nearest(centres: NDArray[np.float64], focus: Focus) -> NDArray[np.int64]:
+def _nearest(centres: Float64s, focus: Focus) -> Int64s:
     """Return places in the order of their distance from the first one on the line of sight."""
     middle = focus.origin
     if focus.direction is not None:
@@ -203,13 +202,13 @@ def _nearest(centres: NDArray[np.float64], focus: Focus) -> NDArray[np.int64]:
     return np.asarray(np.argsort(squared), np.int64)
 
 
-def _areas(surface: TexturedSurface, texels: NDArray[np.float64]) -> NDArray[np.float64]:
+def _areas(surface: TexturedSurface, texels: Float64s) -> Float64s:
     """Return how many texels each triangle covers."""
     one, two = (surface.uv[:, k] - surface.uv[:, 0] for k in (1, 2))
     return np.asarray(np.abs(one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0]) / 2 * texels[surface.texture_of])
 
 
-def _used(surface: TexturedSurface, chosen: NDArray[np.int64]) -> TexturedSurface:
+def _used(surface: TexturedSurface, chosen: Int64s) -> TexturedSurface:
     """Return some triangles of a surface, with their vertices."""
     rows, corners = np.unique(surface.faces[chosen], return_inverse=True)
     return dataclasses.replace(
@@ -222,7 +221,7 @@ def _used(surface: TexturedSurface, chosen: NDArray[np.int64]) -> TexturedSurfac
     )
 
 
-def _split(surface: TexturedSurface, texels: NDArray[np.float64], most: float) -> TexturedSurface:
+def _split(surface: TexturedSurface, texels: Float64s, most: float) -> TexturedSurface:
     """Return a surface whose large triangles are cut at the middles of their sides, so that each has few texels."""
     for _ in range(_MOST_SPLITS):
         large = _areas(surface, texels) > most
@@ -246,7 +245,7 @@ def _split(surface: TexturedSurface, texels: NDArray[np.float64], most: float) -
     return surface
 
 
-def _quarters(corners: NDArray[np.float64]) -> NDArray[np.float64]:
+def _quarters(corners: Float64s) -> Float64s:
     """Return the four triangles between the corners and the middles of the sides of each, (4 K, 3, X)."""
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
     ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2

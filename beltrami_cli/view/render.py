@@ -24,9 +24,7 @@ from beltrami_cli.view.views import open_view
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    import numpy as np
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Uint8s
     from beltrami_cli.jobs.writing.output import FileSet
     from beltrami_cli.samples.settings import SmoothSettings
     from beltrami_cli.view.drawing import Progress
@@ -128,7 +126,7 @@ def picture_suffix(target: str, others: str = "") -> str:
     return suffix
 
 
-def encoded(picture: NDArray[np.uint8], target: str, suffix: str) -> Written:
+def encoded(picture: Uint8s, target: str, suffix: str) -> Written:
     """Return a picture as the file that it is written as."""
     file = write_image(new_picture(picture, target), picture, suffix=suffix, small=True)
     return Written(main=[file.data])

@@ -16,8 +16,7 @@ from beltrami_cli.view.camera import pixels_of
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Bools, Float32s, Float64s, Uint8s
     from beltrami_cli.view.camera import Window
 
 # Frames of details, distinct for the colour-blind too. M. Okabe, K. Ito, "Color universal design" (2008).
@@ -46,9 +45,9 @@ class Background:
 class Panel:
     """A view, shape (H, W, 4), with a label above it, details below it, and their windows in the view."""
 
-    view: NDArray[np.float32]
+    view: Float32s
     label: str = ""
-    details: Sequence[NDArray[np.float32]] = ()
+    details: Sequence[Float32s] = ()
     windows: Sequence[Window] = ()
 
 
@@ -72,7 +71,7 @@ def _shared(rows: Sequence[Sequence[str]]) -> int:
     return len([*takewhile(lambda column: len({*column}) == 1, columns)])
 
 
-def is_lost_on_white(views: Sequence[NDArray[np.float32]]) -> bool:
+def is_lost_on_white(views: Sequence[Float32s]) -> bool:
     """Return whether more than a quarter of the outlines of what is drawn could not be seen on white."""
     outline, white = 0, 0
     for view in views:
@@ -83,13 +82,13 @@ def is_lost_on_white(views: Sequence[NDArray[np.float32]]) -> bool:
     return white > _LOST * outline
 
 
-def _eroded(shown: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _eroded(shown: Bools) -> Bools:
     """Return which pixels are shown and have no neighbour in their row or column that is not."""
     around = np.pad(shown, 1, constant_values=True)
     return shown & around[2:, 1:-1] & around[:-2, 1:-1] & around[1:-1, 2:] & around[1:-1, :-2]
 
 
-def arranged(panels: Sequence[Panel | None], columns: int, background: Background) -> NDArray[np.uint8]:
+def arranged(panels: Sequence[Panel | None], columns: int, background: Background) -> Uint8s:
     """Arrange panels of one size in rows and columns, as sRGB (H, W, 3), or (H, W, 4) without background."""
     present = [panel for panel in panels if panel is not None]
     width = present[0].view.shape[1]
@@ -113,7 +112,7 @@ def detail_size(width: int, count: int) -> int:
     return int((width - (count - 1) * _gap(width)) // max(count, 2))
 
 
-def displayed(view: NDArray[np.float32], background: Background) -> NDArray[np.float64]:
+def displayed(view: Float32s, background: Background) -> Float64s:
     """Return a view in front of a background as display values with opacity, (H, W, 4)."""
     light, opacity = view[..., :3].astype(np.float64), view[..., 3:].astype(np.float64)
     if background.opacity == 0:
@@ -129,7 +128,7 @@ def _gap(width: int) -> int:
     return max(2, width // 80)
 
 
-def _drawn(panel: Panel, background: Background, *, labelled: bool) -> NDArray[np.float64]:
+def _drawn(panel: Panel, background: Background, *, labelled: bool) -> Float64s:
     """Return the label, the view with frames, and the details of a panel, one below the other."""
     view = displayed(panel.view, background)
     height, width = view.shape[:2]
@@ -149,7 +148,7 @@ def _drawn(panel: Panel, background: Background, *, labelled: bool) -> NDArray[n
     return np.concatenate(parts)
 
 
-def _label(text: str, width: int, background: Background) -> NDArray[np.float64]:
+def _label(text: str, width: int, background: Background) -> Float64s:
     letters = max(11, round(min(width, 900) / 26))
     strip = _blank(round(1.8 * letters), width, background)
     if not text:
@@ -158,7 +157,7 @@ def _label(text: str, width: int, background: Background) -> NDArray[np.float64]
     return strip * (1 - cover) + np.array([background.ink] * 3 + [1.0]) * cover
 
 
-def _lettering(text: str, size: tuple[int, int], height: int) -> NDArray[np.float32]:
+def _lettering(text: str, size: tuple[int, int], height: int) -> Float32s:
     """Return how much of each pixel of a strip is covered by a line of text in its middle, 0 to 1."""
     import OpenImageIO
 
@@ -183,13 +182,11 @@ def _text_box(text: str, height: int) -> Any:
     return OpenImageIO.ImageBufAlgo.text_size(text, height, _FONT)
 
 
-def _blank(height: int, width: int, background: Background) -> NDArray[np.float64]:
+def _blank(height: int, width: int, background: Background) -> Float64s:
     return np.tile(np.array([*background.colour, background.opacity]), (height, width, 1))
 
 
-def _joined(
-    parts: Sequence[NDArray[np.float64]], gap: int, background: Background, axis: int
-) -> NDArray[np.float64]:
+def _joined(parts: Sequence[Float64s], gap: int, background: Background, axis: int) -> Float64s:
     """Put parts next to each other, with gaps between them."""
     height, width = parts[0].shape[:2]
     between = _blank(gap, width, background) if axis == 0 else _blank(height, gap, background)
@@ -197,7 +194,7 @@ def _joined(
     return np.concatenate(pieces[1:], axis=axis)
 
 
-def _draw_frame(picture: NDArray[np.float64], thickness: int, number: int) -> None:
+def _draw_frame(picture: Float64s, thickness: int, number: int) -> None:
     """Draw the border of a picture inside it, in place."""
     inner = picture[thickness:-thickness, thickness:-thickness].copy()
     picture[..., :3], picture[..., 3] = _FRAMES[number % len(_FRAMES)], 1

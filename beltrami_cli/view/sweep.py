@@ -34,9 +34,7 @@ from beltrami_cli.view.views import image_files, view_of
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    import numpy as np
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Uint8s
     from beltrami_cli.formats.document import Document
     from beltrami_cli.samples.settings import SmoothSettings
     from beltrami_cli.view.drawing import Progress
@@ -128,7 +126,7 @@ def _opened(
     return document, truth
 
 
-def _sheet(panels: Sequence[Panel], trials: int, columns: int, looks: RenderSettings) -> NDArray[np.uint8]:
+def _sheet(panels: Sequence[Panel], trials: int, columns: int, looks: RenderSettings) -> Uint8s:
     """Arrange panels in a picture, in which the trials, which are the last, begin in a row of their own."""
     first = len(panels) - trials
     empty = [None] * (-first % columns)

@@ -21,12 +21,11 @@ from beltrami_cli.view.camera import size_between
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s, Int64s
     from beltrami_cli.view.camera import Camera, Window
     from beltrami_cli.view.paint import Paint
 
-    Rays = tuple[NDArray[Any], NDArray[Any]]  # origins and unit directions, (K, 3) each
+    Rays = tuple[Array, Array]  # origins and unit directions, (K, 3) each
 
 SAMPLES = 3  # rays along a side of each pixel
 AMBIENT = 0.35  # share of the light that comes from everywhere
@@ -47,16 +46,16 @@ _STEP = 1e-5  # behind a transparent surface the ray goes on, in sizes of the mo
 class Hits(NamedTuple):
     """Which rays hit, (K,), and the faces, barycentric weights, (K, 3), and distances of these places."""
 
-    rays: NDArray[np.int64]
-    faces: NDArray[np.int32]
-    weights: NDArray[np.float32]
-    distances: NDArray[np.float64]
+    rays: Int64s
+    faces: Int32s
+    weights: Float32s
+    distances: Float64s
 
 
 class Tracer:
     """Triangles, (F, 3), of finite positions, (V, 3), that rays can be cast at."""
 
-    def __init__(self, positions: NDArray[np.float64], faces: NDArray[np.int32]) -> None:
+    def __init__(self, positions: Float64s, faces: Int32s) -> None:
         scenes, meshes = require_embree()
         low, high = positions.min(axis=0), positions.max(axis=0)
         # Embree computes in single precision: around the middle and of unit size, large coordinates lose no digits.
@@ -66,7 +65,7 @@ class Tracer:
         vertices = np.ascontiguousarray(self._normalised(positions))
         self._mesh = meshes.TriangleMesh(self._scene, vertices, np.ascontiguousarray(faces, np.int32))
 
-    def cast(self, starts: NDArray[np.float64], directions: NDArray[np.float64]) -> Hits:
+    def cast(self, starts: Float64s, directions: Float64s) -> Hits:
         """Return what rays along unit directions hit first."""
         found = self._scene.run(
             np.ascontiguousarray(self._normalised(starts)),
@@ -79,7 +78,7 @@ class Tracer:
         weights = np.stack([1 - u - v, u, v], axis=1)
         return Hits(rays, faces[rays], weights, found["tfar"][rays].astype(np.float64) * self.size)
 
-    def _normalised(self, positions: NDArray[np.float64]) -> NDArray[np.float32]:
+    def _normalised(self, positions: Float64s) -> Float32s:
         if positions.strides[0] or not len(positions):
             return np.asarray((positions - self._middle) / self.size, np.float32)
         place = np.asarray((positions[0] - self._middle) / self.size, np.float32)  # one for all
@@ -103,16 +102,14 @@ def require_embree() -> tuple[Any, Any]:
 class SurfaceView:
     """A painted surface of at least one triangle, seen from both sides, to be looked at from anywhere."""
 
-    def __init__(self, positions: NDArray[np.float64], faces: NDArray[np.int32], paint: Paint) -> None:
+    def __init__(self, positions: Float64s, faces: Int32s, paint: Paint) -> None:
         used = np.zeros(len(positions), bool)
         used[faces] = True
         self.positions = positions[used]
         self._all, self._faces, self._paint = positions, faces, paint
         self._tracer = Tracer(self.positions, (np.cumsum(used, dtype=np.int32) - 1)[faces])
 
-    def painted(
-        self, positions: NDArray[np.float64], faces: NDArray[np.int32], paint: Paint
-    ) -> SurfaceView | None:
+    def painted(self, positions: Float64s, faces: Int32s, paint: Paint) -> SurfaceView | None:
         """Return the same surface painted otherwise; None if it is another."""
         if not (np.array_equal(positions, self._all) and np.array_equal(faces, self._faces)):
             return None
@@ -128,7 +125,7 @@ class SurfaceView:
         *,
         lit: bool,
         progress: Callable[[int, int], None] | None = None,
-    ) -> NDArray[np.float32]:
+    ) -> Float32s:
         """Draw a window of a view, `size` = (width, height) pixels: linear light times opacity, and opacity."""
         width, height = size
         image = np.zeros((height, width, 4), np.float32)
@@ -172,9 +169,7 @@ class SurfaceView:
         last = np.clip(np.ceil((high - window[:2]) / share * size), 0, size).astype(int)
         return slice(first[1], last[1]), slice(first[0], last[0])
 
-    def _look_at_triangles(
-        self, light: NDArray[np.float32], camera: Camera, rays: Sequence[Rays], pixel: float
-    ) -> None:
+    def _look_at_triangles(self, light: Float32s, camera: Camera, rays: Sequence[Rays], pixel: float) -> None:
         """Add what all rays through each pixel see of an opaque surface whose triangles have no patterns."""
         found = {number: self._tracer.cast(*rays[number]) for number in (*_CORNERS, _MIDDLE)}
         face_of = np.full((len(found), len(light)), -1, np.int32)
@@ -195,10 +190,10 @@ class SurfaceView:
 
     def _follow(
         self,
-        light: NDArray[np.float32],
+        light: Float32s,
         camera: Camera,
-        starts: NDArray[np.float64],
-        directions: NDArray[np.float64],
+        starts: Float64s,
+        directions: Float64s,
         pixel: float,
         *,
         lit: bool,
@@ -232,21 +227,15 @@ class SurfaceView:
         light += seen
 
     def _colours(
-        self,
-        camera: Camera,
-        hits: Hits,
-        directions: NDArray[np.float64],
-        pixel: float,
-        *,
-        lit: bool,
-    ) -> NDArray[np.float32]:
+        self, camera: Camera, hits: Hits, directions: Float64s, pixel: float, *, lit: bool
+    ) -> Float32s:
         footprints = (camera.breadth(hits.distances) * pixel) ** 2
         colours = self._paint(hits.faces, hits.weights, footprints)
         if lit:
             colours[:, :3] *= self._light(camera, hits, directions[hits.rays])[:, None]
         return colours
 
-    def _light(self, camera: Camera, hits: Hits, directions: NDArray[np.float64]) -> NDArray[np.float32]:
+    def _light(self, camera: Camera, hits: Hits, directions: Float64s) -> Float32s:
         normals = np.einsum("kc,kcx->kx", hits.weights, self._corner_normals[hits.faces])
         normals /= np.maximum(np.sqrt(np.einsum("kx,kx->k", normals, normals)), 1e-30)[:, None]
         away = np.einsum("kx,kx->k", self._face_normals[hits.faces], directions) > 0
@@ -255,7 +244,7 @@ class SurfaceView:
         return np.asarray(AMBIENT + (1 - AMBIENT) * lambert, np.float32)
 
     @cached_property
-    def _face_normals(self) -> NDArray[np.float32]:
+    def _face_normals(self) -> Float32s:
         corners = self._all[self._faces]
         crosses = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         lengths = np.linalg.norm(crosses, axis=1, keepdims=True)
@@ -263,7 +252,7 @@ class SurfaceView:
         return np.asarray(normals, np.float32)
 
     @cached_property
-    def _corner_normals(self) -> NDArray[np.float32]:
+    def _corner_normals(self) -> Float32s:
         """Normals of the corners of triangles, (F, 3, 3): smooth, except at creases."""
         place_of, _ = group_equal_rows(*self._all.T)
         smooth = vertex_normals(self._all, self._faces, place_of).astype(np.float64)[self._faces]
@@ -272,15 +261,13 @@ class SurfaceView:
         return np.asarray(np.where(creased, flat, smooth), np.float32)
 
 
-def surface_view(
-    positions: NDArray[np.float64], faces: NDArray[np.int32], paint: Paint, like: object = None
-) -> SurfaceView:
+def surface_view(positions: Float64s, faces: Int32s, paint: Paint, like: object = None) -> SurfaceView:
     """Return a painted surface; `like`: a view of perhaps the same surface, whose tracer serves again then."""
     again = like.painted(positions, faces, paint) if isinstance(like, SurfaceView) else None
     return again or SurfaceView(positions, faces, paint)
 
 
-def _places(first: float, last: float, pixels: int) -> NDArray[np.float64]:
+def _places(first: float, last: float, pixels: int) -> Float64s:
     """Return where rays go through along one side of a window."""
     count = pixels * SAMPLES
     return np.asarray(first + (last - first) * (np.arange(count) + 0.5) / count, np.float64)

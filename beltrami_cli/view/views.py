@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from beltrami_cli.arrays import Float32s, Float64s, Int64s
     from beltrami_cli.formats.access import Access
     from beltrami_cli.formats.document import Document
     from beltrami_cli.surface.records import PaintedVertices, Slot, Texture
@@ -43,7 +44,7 @@ _SMALLEST = 0.75  # radius in samples, below which points would fall between the
 class CloudView:
     """Points in linear light, as small discs that face the eye, to be looked at from anywhere."""
 
-    def __init__(self, positions: NDArray[np.float64], colours: NDArray[np.float64]) -> None:
+    def __init__(self, positions: Float64s, colours: Float64s) -> None:
         self.positions = positions
         self._colours = colours.astype(np.float32)
         self._radii = disc_radii(positions)
@@ -56,7 +57,7 @@ class CloudView:
         *,
         lit: bool,
         progress: Callable[[int, int], None] | None = None,
-    ) -> NDArray[np.float32]:
+    ) -> Float32s:
         """Draw as `SurfaceView.draw` does; points have no normals, so that no lamp shines on them."""
         width, height = (side * SAMPLES for side in size)
         places, depths = camera.project(self.positions)
@@ -82,7 +83,7 @@ class ImageView:
 
     def draw(
         self, size: tuple[int, int], window: Window, progress: Callable[[int, int], None] | None = None
-    ) -> NDArray[np.float32]:
+    ) -> Float32s:
         """Draw a window of a view that the image fills as far as its proportions allow, see `SurfaceView.draw`."""
         height, width = self._pyramid.shape[:2]
         view = np.array(size) / [window[2] - window[0], window[3] - window[1]]
@@ -138,7 +139,7 @@ def image_files(document: Document) -> list[tuple[bytes, str]]:
     return [(texture.data, texture.name) for texture in textures]
 
 
-def sheet_of(picture: Picture, *, is_data: bool = False) -> NDArray[np.float32]:
+def sheet_of(picture: Picture, *, is_data: bool = False) -> Float32s:
     """Return an image in linear light with opacity, (H, W, 4); data are shown as if they were display values."""
     channels = picture.colour if len(picture.colour) == 3 else picture.colour[:1] * 3
     if picture.pixels.dtype.kind == "u" and not is_associated(picture):
@@ -154,7 +155,7 @@ def sheet_of(picture: Picture, *, is_data: bool = False) -> NDArray[np.float32]:
     return np.concatenate([light, np.nan_to_num(opacity)], axis=2).astype(np.float32)
 
 
-def _sheet_of_levels(picture: Picture, channels: tuple[int, ...]) -> NDArray[np.float32]:
+def _sheet_of_levels(picture: Picture, channels: tuple[int, ...]) -> Float32s:
     """Return an image of integers as `sheet_of` does: each of their levels is turned into linear light once."""
     pixels = picture.pixels
     levels = full_scale_one(np.arange(np.iinfo(pixels.dtype).max + 1, dtype=pixels.dtype))
@@ -167,12 +168,12 @@ def _sheet_of_levels(picture: Picture, channels: tuple[int, ...]) -> NDArray[np.
     return sheet
 
 
-def texture_sheet(texture: Texture, slot: Slot) -> NDArray[np.float32]:
+def texture_sheet(texture: Texture, slot: Slot) -> Float32s:
     """Return a texture of a slot in linear light with opacity, (H, W, 4)."""
     return sheet_of(read_image(texture.data, texture.name), is_data=slot not in COLOUR_SLOTS)
 
 
-def light_of(painted: PaintedVertices) -> NDArray[np.float64]:
+def light_of(painted: PaintedVertices) -> Float64s:
     """Return vertex colours in linear light, (V, 3); channels other than red, green and blue are shown as grey."""
     is_rgb = set(_RGB) <= set(painted.channels)
     chosen = [painted.channels.index(name) for name in _RGB] if is_rgb else [0, 0, 0]
@@ -180,7 +181,7 @@ def light_of(painted: PaintedVertices) -> NDArray[np.float64]:
     return np.asarray(srgb_to_linear(colours) if painted.encoding == "srgb" else colours, np.float64)
 
 
-def within_reach(positions: NDArray[np.float64]) -> NDArray[np.float64]:
+def within_reach(positions: Float64s) -> Float64s:
     """Return positions, times a power of two if squares of areas would overflow or underflow otherwise."""
     largest = np.max(np.abs(positions), where=np.isfinite(positions), initial=0.0)
     exponent = np.frexp(largest)[1]
@@ -189,16 +190,14 @@ def within_reach(positions: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(np.ldexp(positions, -_FAR * round(exponent / _FAR)), np.float64)
 
 
-def disc_radii(positions: NDArray[np.float64]) -> NDArray[np.float64]:
+def disc_radii(positions: Float64s) -> Float64s:
     """Return the radius of each disc, so that neighbours leave no holes in a surface; 0 for a single place."""
     from scipy.spatial import cKDTree
 
     places, which = np.unique(positions, axis=0, return_inverse=True)
     if len(places) < 2:
         return np.zeros(len(positions))
-    found: NDArray[np.float64] = np.asarray(
-        cKDTree(places).query(places, k=min(_NEIGHBOURS + 1, len(places)))[0]
-    )
+    found: Float64s = np.asarray(cKDTree(places).query(places, k=min(_NEIGHBOURS + 1, len(places)))[0])
     radii = _SHARE * found[:, -1]
     # Points far from all others would hide what is around them.
     limited = np.minimum(radii, _LARGEST * np.median(radii))
@@ -222,12 +221,7 @@ def _painted(painted: PaintedVertices, like: Drawable | None) -> SurfaceView | C
     return CloudView(positions[finite], light[finite])
 
 
-def _discs(
-    at: NDArray[np.float64],
-    radii: NDArray[np.float64],
-    colours: NDArray[np.float32],
-    size: tuple[int, int],
-) -> NDArray[np.float32]:
+def _discs(at: Float64s, radii: Float64s, colours: Float32s, size: tuple[int, int]) -> Float32s:
     """Return discs drawn over each other, (height, width, 4); later ones are nearer and hide earlier ones."""
     width, height = size
     front = np.full((height, width), -1, np.int64)  # the number of the disc that is seen
@@ -242,12 +236,7 @@ def _discs(
     return image
 
 
-def _stamp_small(
-    front: NDArray[np.int64],
-    discs: NDArray[np.intp],
-    at: NDArray[np.float64],
-    radii: NDArray[np.float64],
-) -> None:
+def _stamp_small(front: Int64s, discs: NDArray[np.intp], at: Float64s, radii: Float64s) -> None:
     """Draw many small discs, all at once for each place around their centres."""
     height, width = front.shape
     seen = front.reshape(-1)
@@ -264,7 +253,7 @@ def _stamp_small(
             np.maximum.at(seen, cell[stamped, 1] * width + cell[stamped, 0], discs[stamped])
 
 
-def _stamp_large(front: NDArray[np.int64], disc: np.intp, at: NDArray[np.float64], radius: float) -> None:
+def _stamp_large(front: Int64s, disc: np.intp, at: Float64s, radius: float) -> None:
     """Draw one disc, on the rows and columns that it covers."""
     shape = front.shape[::-1]
     first = np.clip(np.floor(at - radius), 0, shape).astype(np.int64)

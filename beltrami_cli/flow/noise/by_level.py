@@ -27,7 +27,7 @@ from beltrami_cli.flow.noise.stabilising import VarianceStabiliser
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
+    from beltrami_cli.arrays import Bools, Float64s, Int64s
 
 # The mean of three channels and two differences, orthonormal.
 OPPONENTS = np.array([[1, 1, 1], [1, 0, -1], [1, -2, 1]]) / np.sqrt([[3], [2], [6]])
@@ -59,9 +59,9 @@ _EVEN, _LITTLE = 0.03, 1e-3
 class Neighbourhoods:
     """M neighbourhoods at one scale."""
 
-    energy: NDArray[np.float64]  # mean square of details by component, shape (K, M)
-    unevenness: NDArray[np.float64]  # of means around, shape (M,)
-    level: NDArray[np.float64]  # mean level, shape (M,)
+    energy: Float64s  # mean square of details by component, shape (K, M)
+    unevenness: Float64s  # of means around, shape (M,)
+    level: Float64s  # mean level, shape (M,)
     values: int  # details in each
 
 
@@ -69,10 +69,10 @@ class Neighbourhoods:
 class NoiseByLevel:
     """Standard deviations of noise by scale and component, and the relative one by level."""
 
-    sigma: NDArray[np.float64]  # shape (L, K); NaN where there was nothing to measure
-    levels: NDArray[np.float64]  # ascending, shape (G,)
-    relative: NDArray[np.float64]  # shape (G,); its logarithm has the mean 0
-    seen: NDArray[np.float64]  # how many neighbourhoods of the finest scale have each level, shape (G,)
+    sigma: Float64s  # shape (L, K); NaN where there was nothing to measure
+    levels: Float64s  # ascending, shape (G,)
+    relative: Float64s  # shape (G,); its logarithm has the mean 0
+    seen: Float64s  # how many neighbourhoods of the finest scale have each level, shape (G,)
 
 
 def fit_by_level(scales: Sequence[Neighbourhoods]) -> NoiseByLevel | None:
@@ -121,12 +121,12 @@ def stabiliser_of(found: NoiseByLevel) -> VarianceStabiliser | None:
     return VarianceStabiliser(found.levels[counted], relative, found.seen[counted])
 
 
-def mixing_for(channels: int) -> NDArray[np.float64]:
+def mixing_for(channels: int) -> Float64s:
     """Return the mixing of channels into components, shape (K, K): the colours', or one channel each."""
     return OPPONENTS if channels >= len(OPPONENTS) else np.eye(channels)
 
 
-def _edges(levels: NDArray[np.float64]) -> NDArray[np.float64]:
+def _edges(levels: Float64s) -> Float64s:
     """Return the limits of groups with equally many levels, but not closer than they may be."""
     ordered = np.sort(levels)
     wanted = ordered[np.linspace(0, len(ordered) - 1, LEVELS + 1).astype(int)]
@@ -138,12 +138,8 @@ def _edges(levels: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _fit(
-    numbers: NDArray[np.int64],
-    logs: NDArray[np.float64],
-    weights: NDArray[np.float64],
-    levels: NDArray[np.float64],
-    shape: tuple[int, int],
-) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    numbers: Int64s, logs: Float64s, weights: Float64s, levels: Float64s, shape: tuple[int, int]
+) -> tuple[Float64s, Bools]:
     """Return a and s side by side, and which of a were measured, shape (L, K)."""
     first = shape[0] * shape[1]
     count = first + len(levels)

@@ -30,7 +30,7 @@ import numpy as np
 from beltrami_cli.flow.clipping import sigma_of_clipped, variance_of_clipped
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from beltrami_cli.arrays import Bools, Float64s
 
 # Patches with at most this share of their samples at a limit lose little of their noise there, and how much is known.
 # If there are this many of them (as a share, and in number), no others are used.
@@ -80,19 +80,19 @@ class WhiteNoise:
 class Patches:
     """M patches of neighbouring samples with N channels: arrays of float64, shape (N, M)."""
 
-    energy: NDArray[np.float64]  # mean square of residuals that have the variance of the noise in flat areas
-    unevenness: NDArray[np.float64]  # variance of local means of colours
-    low: NDArray[np.float64]  # share of samples at 0
-    high: NDArray[np.float64]  # share of samples at 1
-    mean: NDArray[np.float64]  # mean colour
+    energy: Float64s  # mean square of residuals that have the variance of the noise in flat areas
+    unevenness: Float64s  # variance of local means of colours
+    low: Float64s  # share of samples at 0
+    high: Float64s  # share of samples at 1
+    mean: Float64s  # mean colour
 
     @cached_property
-    def remaining(self) -> NDArray[np.float64]:
+    def remaining(self) -> Float64s:
         """The share of the variance of noise that clipping at the limits has left."""
         return np.maximum(variance_of_clipped(self.low) * variance_of_clipped(self.high), _LEAST_REMAINING)
 
 
-def flat_patch_sigma(patches: Patches, white: WhiteNoise) -> NDArray[np.float64]:
+def flat_patch_sigma(patches: Patches, white: WhiteNoise) -> Float64s:
     """Estimate sigma of the noise per channel, shape (N,), in the unit of the residuals; 0 without patches."""
     if white.freedom < _LEAST_FREEDOM:
         return np.zeros(len(patches.energy))
@@ -116,7 +116,7 @@ def flat_patch_sigma(patches: Patches, white: WhiteNoise) -> NDArray[np.float64]
     return sigma
 
 
-def _usable(patches: Patches, channel: int) -> tuple[NDArray[np.bool_], list[NDArray[np.float64]]]:
+def _usable(patches: Patches, channel: int) -> tuple[Bools, list[Float64s]]:
     """Choose the patches that show a channel's noise; return them, and estimates of its variance from every patch."""
     low, high, mean = patches.low[channel], patches.high[channel], patches.mean[channel]
     energy = patches.energy[channel] / patches.remaining[channel]
@@ -140,8 +140,8 @@ def _usable(patches: Patches, channel: int) -> tuple[NDArray[np.bool_], list[NDA
 
 
 def _texture(
-    patches: Patches, usable: dict[int, NDArray[np.bool_]], variance: dict[int, float], white: WhiteNoise
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    patches: Patches, usable: dict[int, Bools], variance: dict[int, float], white: WhiteNoise
+) -> tuple[Float64s, Float64s]:
     """Return the unevenness of M patches relative to noise, a mean over channels, and the number of these."""
     # Channels share their texture, but not their noise.
     total, channels = np.zeros(patches.energy.shape[1]), np.zeros(patches.energy.shape[1])
@@ -153,30 +153,26 @@ def _texture(
     return total / np.maximum(channels, 1), channels
 
 
-def _flattest(
-    texture: NDArray[np.float64], channels: NDArray[np.float64], white: WhiteNoise
-) -> NDArray[np.bool_]:
+def _flattest(texture: Float64s, channels: Float64s, white: WhiteNoise) -> Bools:
     """Choose the patches that are as even as noise alone leaves them, but not too few."""
     excess = texture / (1 + white.spread / np.sqrt(channels))
     wanted = max(white.minimum, int(white.share * len(texture)), int(np.count_nonzero(excess <= 1)))
     if wanted >= len(excess):
         return np.ones(len(excess), bool)
     limit = np.partition(excess, wanted - 1)[wanted - 1]
-    flat: NDArray[np.bool_] = excess < limit
+    flat: Bools = excess < limit
     flat[np.flatnonzero(excess == limit)[: wanted - np.count_nonzero(flat)]] = True  # of equal ones the first
     return flat
 
 
-def _variance(
-    chosen: NDArray[np.bool_], energies: list[NDArray[np.float64]], freedom: float, share: float
-) -> float:
+def _variance(chosen: Bools, energies: list[Float64s], freedom: float, share: float) -> float:
     """Estimate the variance from a quantile of the patches' energies, the smallest of several estimates."""
     # Of few patches none may be free of texture; the median is closer to the noise than the minimum.
     share = max(share, min(0.5, 2 / np.count_nonzero(chosen)))
     return min(quantile(energy[chosen], share) for energy in energies) / chi_square_quantile(freedom, share)
 
 
-def quantile(values: NDArray[np.float64], share: float) -> float:
+def quantile(values: Float64s, share: float) -> float:
     """Return what numpy.quantile does, whose import of masked arrays takes a tenth of the time of a small mesh."""
     place = share * (len(values) - 1)
     below = int(place)

@@ -19,7 +19,7 @@ import numpy as np
 from beltrami_cli.flow.noise.flat_patch_noise import Patches, WhiteNoise, flat_patch_sigma
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from beltrami_cli.arrays import Bools, Float32s, Float64s
 
 # These squares make three thousand tiles, of which the lowest tenth is a stable estimate.
 _ENOUGH_SQUARES = 200_000
@@ -37,7 +37,7 @@ _UNEVEN_TILES, _SPREAD_OF_TILES = 0.237, 0.253
 _TILES_SHARE, _TILES_LEAST = 0.1, 20
 
 
-def estimate_sigma_on_grid(planes: NDArray[np.float32], filled: NDArray[np.bool_]) -> NDArray[np.float64]:
+def estimate_sigma_on_grid(planes: Float32s, filled: Bools) -> Float64s:
     """Estimate sigma of independent noise of the filled cells, per channel; 0 where no square is filled."""
     from beltrami_cli._native import HAAR_TILE_SIDE, measure_haar_tiles
 

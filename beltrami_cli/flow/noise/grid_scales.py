@@ -26,6 +26,7 @@ from beltrami_cli.flow.noise.grid import estimate_sigma_on_grid
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from beltrami_cli.arrays import Bools, Float32s, Float64s
     from beltrami_cli.flow.noise.stabilising import VarianceStabiliser
 
 
@@ -90,12 +91,10 @@ class GridNoise:
     """What was found besides independent noise that is the same at all levels."""
 
     stabiliser: VarianceStabiliser | None
-    covariances: NDArray[np.float64] | None  # of stabilised colours, shape (L, N, N), see `haar_noise`
+    covariances: Float64s | None  # of stabilised colours, shape (L, N, N), see `haar_noise`
 
 
-def measure_by_scale(
-    planes: NDArray[np.float32], filled: NDArray[np.bool_]
-) -> tuple[list[Neighbourhoods], NDArray[np.float64]]:
+def measure_by_scale(planes: Float32s, filled: Bools) -> tuple[list[Neighbourhoods], Float64s]:
     """Measure the tiles of each scale; return them, and the mixing of channels into components, shape (K, K)."""
     colours = planes[:3] if len(planes) >= 3 else planes
     mixing = mixing_for(len(colours))
@@ -135,7 +134,7 @@ def measure_by_scale(
     return scales, mixing
 
 
-def find_grid_noise(planes: NDArray[np.float32], filled: NDArray[np.bool_], *, by_level: bool) -> GridNoise:
+def find_grid_noise(planes: Float32s, filled: Bools, *, by_level: bool) -> GridNoise:
     """Find how noise depends on the level, if it may, and what neighbouring cells share of it."""
     if np.count_nonzero(filled) < _MIN_CELLS or min(filled.shape) < _MIN_SIDE:
         return GridNoise(None, None)
@@ -162,7 +161,7 @@ def find_grid_noise(planes: NDArray[np.float32], filled: NDArray[np.bool_], *, b
     return GridNoise(stabiliser, covariances)
 
 
-def is_shared(sigma: NDArray[np.float64]) -> bool:
+def is_shared(sigma: Float64s) -> bool:
     """Whether neighbours share noise, by its standard deviation at each scale, shape (L, K)."""
     components = sigma[:, 1:] if sigma.shape[1] == 3 else sigma
     if len(sigma) < 3 or np.isnan(components[:3]).any():
@@ -186,7 +185,7 @@ def is_shared(sigma: NDArray[np.float64]) -> bool:
     return bool(grows or lost or taken or _levels_off(sigma))
 
 
-def _levels_off(sigma: NDArray[np.float64]) -> bool:
+def _levels_off(sigma: Float64s) -> bool:
     """Whether differences of channels, and their mean as well, stop growing at the last scale, as coarse grain does."""
     if sigma.shape != (SCALES, len(OPPONENTS)) or np.isnan(sigma[:, 1:]).any():
         return False
@@ -196,7 +195,7 @@ def _levels_off(sigma: NDArray[np.float64]) -> bool:
     return bool(coarse > 2 * _GROWS_TWICE * fine and coarse > _LEAST_COARSE and coarsest < _LEVEL * coarse)
 
 
-def _bounded(sigma: NDArray[np.float64], diagonal: float) -> NDArray[np.float64]:
+def _bounded(sigma: Float64s, diagonal: float) -> Float64s:
     """Return the standard deviations of noise, shape (SCALES, K), without what is texture; `diagonal`: see `grid`."""
     known = np.full((SCALES, sigma.shape[1]), np.nan)
     known[: len(sigma)] = sigma
@@ -222,13 +221,13 @@ def _bounded(sigma: NDArray[np.float64], diagonal: float) -> NDArray[np.float64]
     return known
 
 
-def _corners(planes: NDArray[np.float32]) -> NDArray[np.float32]:
+def _corners(planes: Float32s) -> Float32s:
     """Return the four corners of squares of 2 x 2 cells, side by side, shape (4, N, R // 2, C // 2)."""
     rows, columns = (size // 2 * 2 for size in planes.shape[1:])
     return np.stack([planes[:, i:rows:2, j:columns:2] for i in (0, 1) for j in (0, 1)])
 
 
-def _all_filled(filled: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _all_filled(filled: Bools) -> Bools:
     """Return which squares of 2 x 2 cells are filled."""
     rows, columns = (size // 2 * 2 for size in filled.shape)
     above, below = filled[:rows:2, :columns], filled[1:rows:2, :columns]
@@ -236,7 +235,7 @@ def _all_filled(filled: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return np.asarray(both[:, ::2] & both[:, 1::2])
 
 
-def _tiles(values: NDArray[np.float32] | NDArray[np.bool_], side: int) -> NDArray[np.float64]:
+def _tiles(values: Float32s | Bools, side: int) -> Float64s:
     """Sum over tiles; incomplete tiles at the borders are left out."""
     rows, columns = (size // side for size in values.shape)
     whole = values[: rows * side, : columns * side].reshape(rows, side, columns, side)

@@ -18,26 +18,24 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from beltrami_cli.arrays import Float32s, Float64s
 
 
-def covariance_of_cells(covariances: NDArray[np.float64]) -> NDArray[np.float64]:
+def covariance_of_cells(covariances: Float64s) -> Float64s:
     """Return the covariance of the noise of single cells, shape (N, N), from those of shape (L, N, N)."""
     # Three quarters of independent noise are detail, and one quarter is in the means of 2 x 2 cells.
     shares = 3 / 4.0 ** np.arange(1, len(covariances) + 1)
     shares[-1] += 1 / 4.0 ** len(covariances)
-    total: NDArray[np.float64] = np.einsum("l,lij->ij", shares, covariances)
+    total: Float64s = np.einsum("l,lij->ij", shares, covariances)
     return total
 
 
-def sigma_of_covariances(covariances: NDArray[np.float64]) -> NDArray[np.float64]:
+def sigma_of_covariances(covariances: Float64s) -> Float64s:
     """Return sigma of the noise of single cells, per channel, from covariances of shape (L, N, N)."""
     return np.sqrt(np.diag(covariance_of_cells(covariances)))
 
 
-def draw_haar_noise(
-    covariances: NDArray[np.float64], shape: tuple[int, int], random: np.random.Generator
-) -> NDArray[np.float32]:
+def draw_haar_noise(covariances: Float64s, shape: tuple[int, int], random: np.random.Generator) -> Float32s:
     """Draw noise, shape (N, *shape), of the given covariances of Haar details, shape (L, N, N)."""
     levels = len(covariances)
     coarse = [-(-size // 2**levels) for size in shape]
@@ -58,12 +56,12 @@ def draw_haar_noise(
 
 
 def mixed_signs(
-    covariance: NDArray[np.float64], shape: list[int] | tuple[int, ...], random: np.random.Generator
-) -> NDArray[np.float32]:
+    covariance: Float64s, shape: list[int] | tuple[int, ...], random: np.random.Generator
+) -> Float32s:
     """Draw white noise with a covariance of the channels, shape (N, *shape)."""
     values, vectors = np.linalg.eigh(covariance)
     root = (vectors * np.sqrt(np.maximum(values, 0))) @ vectors.T
     signs = (random.integers(0, 2, (len(root), *shape), np.int8) * 2 - 1).astype(np.float32)
     # Not by BLAS, whose threads would spin on.
-    mixed: NDArray[np.float32] = np.einsum("ij,jrc->irc", root.astype(np.float32), signs)
+    mixed: Float32s = np.einsum("ij,jrc->irc", root.astype(np.float32), signs)
     return mixed

@@ -7,7 +7,7 @@ more than 131,072 samples, evenly spread blocks of consecutive samples are used.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,8 +17,7 @@ from beltrami_cli.flow.noise.flat_patch_noise import Patches, WhiteNoise, flat_p
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s
     from beltrami_cli.flow.noise.stabilising import VarianceStabiliser
 
 
@@ -45,7 +44,7 @@ _FEWEST_BY_LEVEL, _MOST_CUT_OFF, _PLAIN = 2_000, 0.1, 1e-9
 _NEIGHBOURS = 3  # fewer: a border or a stray edge, whose mean leans to one side
 
 
-def estimate_sigma(colours: NDArray[np.float32], edges: NDArray[np.int32]) -> NDArray[np.float64]:
+def estimate_sigma(colours: Float32s, edges: Int32s) -> Float64s:
     """Estimate sigma of independent noise, per channel of colours, shape (S, N); 0 without neighbours."""
     colours, edges = _some_samples(colours, edges)
     count = len(colours)
@@ -70,9 +69,7 @@ def estimate_sigma(colours: NDArray[np.float32], edges: NDArray[np.int32]) -> ND
     return flat_patch_sigma(Patches(*np.array(found).swapaxes(0, 1)), white)
 
 
-def _some_samples(
-    colours: NDArray[np.float32], edges: NDArray[np.int32]
-) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+def _some_samples(colours: Float32s, edges: Int32s) -> tuple[Float32s, Int32s]:
     """Choose blocks of samples, evenly spread, with the edges between them; all samples if there are no more."""
     if len(colours) <= _BLOCK * _BLOCKS:
         return colours, edges
@@ -84,19 +81,19 @@ def _some_samples(
     return colours[chosen], rank[edges[is_chosen[edges[:, 0]] & is_chosen[edges[:, 1]]]]
 
 
-def _around(values: NDArray[Any], edges: NDArray[np.int32]) -> NDArray[np.float64]:
+def _around(values: Array, edges: Int32s) -> Float64s:
     """Sum over each sample and its neighbours, and over these and their neighbours again."""
     if not values.any():
         return np.zeros(len(values))
     return _and_beside(_and_beside(values.astype(np.float64), edges), edges)
 
 
-def _and_beside(values: NDArray[np.float64], edges: NDArray[np.int32]) -> NDArray[np.float64]:
+def _and_beside(values: Float64s, edges: Int32s) -> Float64s:
     """Sum over each sample and its neighbours."""
     return np.asarray(values + _beside(values, edges), np.float64)
 
 
-def _beside(values: NDArray[np.float64], edges: NDArray[np.int32]) -> NDArray[np.float64]:
+def _beside(values: Float64s, edges: Int32s) -> Float64s:
     """Sum over the neighbours of each sample."""
     one, other = edges[:, 0], edges[:, 1]
     count = len(values)
@@ -104,7 +101,7 @@ def _beside(values: NDArray[np.float64], edges: NDArray[np.int32]) -> NDArray[np
     return np.asarray(total, np.float64)
 
 
-def residuals(values: NDArray[np.float32], edges: NDArray[np.int32]) -> Iterator[NDArray[np.float64]]:
+def residuals(values: Float32s, edges: Int32s) -> Iterator[Float64s]:
     """Yield for each channel how samples differ from the mean of their neighbours, in units of their noise."""
     count = len(values)
     degree = np.bincount(edges.ravel(), minlength=count)
@@ -115,7 +112,7 @@ def residuals(values: NDArray[np.float32], edges: NDArray[np.int32]) -> Iterator
         yield (channel[inside] - _beside(channel, edges)[inside] / degree[inside]) * scale
 
 
-def detail_around(colours: NDArray[np.float32], edges: NDArray[np.int32]) -> NDArray[np.float64]:
+def detail_around(colours: Float32s, edges: Int32s) -> Float64s:
     """Return how uneven colours are around each sample, beyond what noise makes of them."""
     count = len(colours)
     size = np.bincount(edges.ravel(), minlength=count) + 1.0
@@ -130,7 +127,7 @@ def detail_around(colours: NDArray[np.float32], edges: NDArray[np.int32]) -> NDA
     return detail
 
 
-def find_stabiliser(colours: NDArray[np.float32], edges: NDArray[np.int32]) -> VarianceStabiliser | None:
+def find_stabiliser(colours: Float32s, edges: Int32s) -> VarianceStabiliser | None:
     """Find what makes noise the same at all levels; None if it is, or if numbers below 0 are no levels."""
     colours, edges = _some_samples(colours[:, :3] if colours.shape[1] >= 3 else colours, edges)
     degree = np.bincount(edges.ravel(), minlength=len(colours))

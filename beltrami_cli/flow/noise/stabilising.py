@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from beltrami_cli.arrays import Float32s, Float64s
 
 # Colours of red, green and blue share the curve; other channels are no levels.
 COLOURS = 3
@@ -30,9 +30,7 @@ _STEPS = 1024
 class VarianceStabiliser:
     """The transformation for noise of a relative standard deviation at ascending levels, each of some samples."""
 
-    def __init__(
-        self, levels: NDArray[np.float64], relative: NDArray[np.float64], samples: NDArray[np.float64]
-    ) -> None:
+    def __init__(self, levels: Float64s, relative: Float64s, samples: Float64s) -> None:
         self._levels = np.linspace(0, 1, _STEPS + 1)
         inverse = 1 / np.interp(self._levels, levels, relative)
         steps = (inverse[1:] + inverse[:-1]) / (2 * _STEPS)
@@ -44,18 +42,18 @@ class VarianceStabiliser:
         """Root mean square factor by which small differences grow when they are transformed back."""
 
     @cached_property
-    def _slopes(self) -> NDArray[np.float64]:
+    def _slopes(self) -> Float64s:
         return np.diff(self._levels) / np.diff(self._stable)
 
-    def stabilise(self, channels: NDArray[np.float32]) -> None:
+    def stabilise(self, channels: Float32s) -> None:
         """Transform channels, the first axis, in place."""
         self._each(channels, self._levels, self._stable)
 
-    def restore(self, channels: NDArray[np.float32]) -> None:
+    def restore(self, channels: Float32s) -> None:
         """Transform them back, in place."""
         self._each(channels, self._stable, self._levels)
 
-    def slopes(self, channels: NDArray[np.float32]) -> NDArray[np.float32]:
+    def slopes(self, channels: Float32s) -> Float32s:
         """Return by what factor small differences of stabilised channels grow when they are transformed back."""
         factors = np.ones_like(channels)
         for own, plane in zip(factors, channels[: _count(channels)], strict=False):
@@ -66,9 +64,7 @@ class VarianceStabiliser:
         """Return the standard deviation at a level of colour, by that of stabilised colours."""
         return sigma * float(np.interp(level, (self._levels[1:] + self._levels[:-1]) / 2, self._slopes))
 
-    def _each(
-        self, channels: NDArray[np.float32], before: NDArray[np.float64], after: NDArray[np.float64]
-    ) -> None:
+    def _each(self, channels: Float32s, before: Float64s, after: Float64s) -> None:
         first, last = (
             (after[at] - after[at - 1]) / (before[at] - before[at - 1]) for at in (1, len(before) - 1)
         )
@@ -79,6 +75,6 @@ class VarianceStabiliser:
             plane[...] = within
 
 
-def _count(channels: NDArray[np.float32]) -> int:
+def _count(channels: Float32s) -> int:
     """Return how many of the channels are colours."""
     return min(COLOURS, len(channels))

@@ -16,8 +16,7 @@ from beltrami_cli.flow.parameters import MOST_GROWTH, SMOOTHNESS
 from beltrami_cli.flow.tuning.sure import Risk, RiskEstimate
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Float64s
     from beltrami_cli.flow.manifold import Manifold, SampleTrial
     from beltrami_cli.flow.parameters import KernelParameters
     from beltrami_cli.flow.search_range import Rule, SearchRange
@@ -219,7 +218,7 @@ def choose(
     return dataclasses.replace(parameters, **chosen, free=()), choice
 
 
-def is_noisy(sigma: NDArray[np.float64]) -> bool:
+def is_noisy(sigma: Float64s) -> bool:
     """Return whether there is noise to choose by."""
     return bool(len(sigma)) and float(np.max(sigma, initial=0.0)) > _LEAST_NOISE
 

@@ -14,6 +14,7 @@ from beltrami_cli.surface.atlas import EMPTY, OWNED, refresh_halo
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from beltrami_cli.arrays import Bools, Float32s, Float64s, Int64s
     from beltrami_cli.surface.atlas import Atlas, Indices
 
 # Cells on which parameters are tried, as a share of all, so that trying takes no longer than smoothing: some sixty
@@ -42,7 +43,7 @@ def tried_cells(atlas: Atlas) -> int:
     return min(max(_LEAST_TRIED, int(len(atlas.owned_cells) * _SHARE_TRIED)), _MOST_TRIED)
 
 
-def with_halo(part: Atlas, whole: Atlas, cells: NDArray[np.int64], core: NDArray[np.bool_]) -> Atlas:
+def with_halo(part: Atlas, whole: Atlas, cells: Int64s, core: Bools) -> Atlas:
     """Return the atlas of some cells of another, with those of its halo cells whose owned cells are there, too."""
     # A cell that is in several blocks is taken from the one whose core it is, and not from another's rim.
     owned = part.owned_cells
@@ -63,9 +64,7 @@ def with_halo(part: Atlas, whole: Atlas, cells: NDArray[np.int64], core: NDArray
     )
 
 
-def perturbations(
-    count: int, channels: int, atlas: Atlas, noise_covariances: NDArray[np.float64] | None
-) -> NDArray[np.float32]:
+def perturbations(count: int, channels: int, atlas: Atlas, noise_covariances: Float64s | None) -> Float32s:
     """Return some stacks of random planes like the noise: independent signs, or correlated as the noise is."""
     random, shape = np.random.default_rng(_SEED), atlas.kind.shape
     if noise_covariances is None:
@@ -90,7 +89,7 @@ def random_signs(channels: int, atlas: Atlas) -> NDArray[np.int8]:
     return planes
 
 
-def choose_blocks(atlas: Atlas, budget: int, reach: int) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+def choose_blocks(atlas: Atlas, budget: int, reach: int) -> tuple[Int64s, Bools]:
     """Choose evenly spread blocks; return their cells and which are in a core, shape (blocks * side, side)."""
     rows, columns = atlas.kind.shape
     across = np.arange(0, columns, _CORE)
@@ -111,7 +110,7 @@ def choose_blocks(atlas: Atlas, budget: int, reach: int) -> tuple[NDArray[np.int
     return cells.astype(np.int64), core
 
 
-def _rank(ascending: Indices, wanted: Indices) -> NDArray[np.int64]:
+def _rank(ascending: Indices, wanted: Indices) -> Int64s:
     """Find where numbers are in an ascending list, the first of equal ones; -1: nowhere."""
     if not len(ascending):
         return np.full(wanted.shape, -1, np.int64)

@@ -12,6 +12,8 @@ from beltrami_cli.flow.noise.mesh import detail_around
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from beltrami_cli.arrays import Bools, Float32s, Int32s, Int64s
+
 # Samples to try parameters on, as a share of all, so that trying takes hardly longer than smoothing: some sixty
 # iterations are tried, each two or three times. Fewer than the least are too uncertain; these take tenths of a second.
 _SHARE_TRIED = 1 / 20
@@ -42,13 +44,11 @@ _STIR = np.uint64(0xBF58476D1CE4E5B9)
 class TrialSamples:
     """Samples to try parameters on: ascending indices, shape (P,), and which of them are scored."""
 
-    samples: NDArray[np.int64]
-    scored: NDArray[np.bool_]
+    samples: Int64s
+    scored: Bools
 
 
-def choose_patches(
-    colours: NDArray[np.float32], around: NDArray[np.uint64], edges: NDArray[np.int32]
-) -> TrialSamples:
+def choose_patches(colours: Float32s, around: NDArray[np.uint64], edges: Int32s) -> TrialSamples:
     """Choose patches spread at random, by the `fingerprints` of colours and not by the order of samples."""
     joined = np.bincount(edges.ravel(), minlength=len(around)) > 0
     connected = np.flatnonzero(joined)
@@ -70,19 +70,14 @@ def choose_patches(
     return patches
 
 
-def _ranked(
-    colours: NDArray[np.float32],
-    around: NDArray[np.uint64],
-    edges: NDArray[np.int32],
-    connected: NDArray[np.int64],
-) -> NDArray[np.int64]:
+def _ranked(colours: Float32s, around: NDArray[np.uint64], edges: Int32s, connected: Int64s) -> Int64s:
     """Sort samples by the detail around them."""
     # A few patches at random may miss all detail, or hold nothing else; one from each part of this order does neither.
     detail = detail_around(colours, edges)[connected]
     return connected[np.lexsort((around[connected], detail))]
 
 
-def _grown(middles: NDArray[np.bool_], edges: NDArray[np.int32]) -> TrialSamples:
+def _grown(middles: Bools, edges: Int32s) -> TrialSamples:
     """Grow patches around some samples, ring by ring."""
     reached, scored = middles.copy(), middles
     low, high = np.ascontiguousarray(edges.T)
@@ -96,7 +91,7 @@ def _grown(middles: NDArray[np.bool_], edges: NDArray[np.int32]) -> TrialSamples
     return TrialSamples(samples, scored[samples])
 
 
-def fingerprints(colours: NDArray[np.float32], edges: NDArray[np.int32]) -> NDArray[np.uint64]:
+def fingerprints(colours: Float32s, edges: Int32s) -> NDArray[np.uint64]:
     """Hash each sample's colours with those of its neighbours, and theirs; uint64, shape (S,)."""
     hashes = np.zeros(len(colours), np.uint64)
     # A sum does not depend on the order of channels, nor on that of neighbours.
@@ -110,7 +105,7 @@ def fingerprints(colours: NDArray[np.float32], edges: NDArray[np.int32]) -> NDAr
     return hashes
 
 
-def random_signs(colours: NDArray[np.float32], around: NDArray[np.uint64], count: int) -> NDArray[np.float32]:
+def random_signs(colours: Float32s, around: NDArray[np.uint64], count: int) -> Float32s:
     """Return signs, shape (count, S, N), that look random but depend only on nearby colours; `count` <= 64."""
     # So the choice is the same for a mesh that was rotated, or whose vertices or channels come in another order.
     signs = np.empty((count, *colours.shape), np.float32)
@@ -121,7 +116,7 @@ def random_signs(colours: NDArray[np.float32], around: NDArray[np.uint64], count
     return signs
 
 
-def _bits(colours: NDArray[np.float32]) -> NDArray[np.uint64]:
+def _bits(colours: Float32s) -> NDArray[np.uint64]:
     """Return the bits of each channel's colours as numbers, shape (N, S)."""
     return np.ascontiguousarray(colours.T).view(np.uint32).astype(np.uint64)
 

@@ -26,8 +26,7 @@ from beltrami_cli.flow.clipping import variance_of_clipped
 from beltrami_cli.flow.manifold import Step
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Float32s, Float64s
     from beltrami_cli.flow.noise.stabilising import VarianceStabiliser
 
 # The perturbation, in units of the noise: far above the rounding of float32. Distances on meshes have kinks where their
@@ -52,17 +51,17 @@ class Trial(Protocol):
     """A sample of a surface on which iterations can be tried; states are arrays of any layout."""
 
     @property
-    def start(self) -> NDArray[np.float32]:
+    def start(self) -> Float32s:
         """The noisy colours."""
 
     @property
-    def signs(self) -> NDArray[np.float32]:
+    def signs(self) -> Float32s:
         """Perturbations: independent signs, 1 or -1, or correlated noise with a mean square of 1."""
 
-    def step(self, state: NDArray[np.float32], step: Step) -> NDArray[np.float32]:
+    def step(self, state: Float32s, step: Step) -> Float32s:
         """Return the state after an iteration."""
 
-    def scored(self, state: NDArray[np.float32]) -> NDArray[np.float32]:
+    def scored(self, state: Float32s) -> Float32s:
         """Return the colours, shape (S, N), of those samples that are as they would be on the whole surface."""
 
 
@@ -83,8 +82,8 @@ class Risk:
 class State:
     """Colours after some iterations, and the perturbed colours after them, for each stack of signs."""
 
-    plain: NDArray[np.float32]
-    perturbed: tuple[NDArray[np.float32], ...]
+    plain: Float32s
+    perturbed: tuple[Float32s, ...]
 
 
 def wanted_probes(samples: int) -> int:
@@ -95,15 +94,13 @@ def wanted_probes(samples: int) -> int:
 class RiskEstimate:
     """Monte Carlo SURE on a trial, with noise of standard deviation `sigma` by channel, shape (N,)."""
 
-    def __init__(
-        self, trial: Trial, sigma: NDArray[np.float64], stabiliser: VarianceStabiliser | None = None
-    ) -> None:
+    def __init__(self, trial: Trial, sigma: Float64s, stabiliser: VarianceStabiliser | None = None) -> None:
         self._trial = trial
         self._epsilon = PERTURBATION * float(np.sqrt(np.square(sigma).mean()))
         self._noisy = trial.scored(trial.start)
         self._variance = np.square(sigma) * self._unclipped_variance()
         # Errors count as they are in the colours as given.
-        self._counts: NDArray[np.float32] | float = 1.0
+        self._counts: Float32s | float = 1.0
         if stabiliser is not None:
             self._counts = np.square(stabiliser.slopes(self._noisy.T)).T
         self.noise = float(np.mean(np.broadcast_to(self._variance, self._noisy.shape) * self._counts))
@@ -118,12 +115,12 @@ class RiskEstimate:
         start = self._trial.start
         return State(start, tuple(start + np.float32(self._epsilon) * signs for signs in self._trial.signs))
 
-    def _unclipped_variance(self) -> NDArray[np.float64] | float:
+    def _unclipped_variance(self) -> Float64s | float:
         """Return which part of the noise's variance was not cut off at 0 and full scale, sample by sample."""
         # There y is the value that the estimate takes for y: x plus the mean of clipped noise, to which averages tend
         # until they are restored.
         start = self._trial.start
-        remaining: NDArray[np.float64] | float = 1.0
+        remaining: Float64s | float = 1.0
         limits = (
             (start <= 0, self._noisy.min(initial=1) == 0),
             (start >= 1, self._noisy.max(initial=0) == 1),

@@ -40,8 +40,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
 
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Float32s, Float64s
     from beltrami_cli.formats.document import Naming, Written
     from beltrami_cli.formats.gltf.json_text import Tree
     from beltrami_cli.surface.records import Slot, TexturedMesh, TexturedSurface
@@ -111,12 +110,12 @@ class GltfDocument(Document):
     def attributes(self) -> tuple[str, ...]:
         return attribute_names(self.root, self.surface.blocks)
 
-    def _attribute(self, name: str) -> NDArray[np.float64]:
+    def _attribute(self, name: str) -> Float64s:
         if name == "normal" and (normals := self._normals()) is not None:
             return normals.astype(np.float64)
         return read_attribute(self.root, self.surface.blocks, self.accessors, name)
 
-    def _normals(self) -> NDArray[np.float32] | None:
+    def _normals(self) -> Float32s | None:
         return normals_of(self.surface.blocks, self.accessors)
 
     def require_movable(self) -> None:
@@ -152,9 +151,9 @@ class GltfDocument(Document):
             left_out=tuple(_left_out(self.container.tree)),
         )
 
-    def textured_mesh(self, colours: NDArray[np.float32] | None = None) -> TexturedMesh:
+    def textured_mesh(self, colours: Float32s | None = None) -> TexturedMesh:
         stored = "float32"
-        by_primitive: dict[tuple[int, int], NDArray[np.float32]] = {}
+        by_primitive: dict[tuple[int, int], Float32s] = {}
         if self.has_vertex_colours():
             painted = self.painted()
             stored, values = painted.stored, painted.colours if colours is None else colours
@@ -173,7 +172,7 @@ class GltfDocument(Document):
 
     def fingerprint(self) -> Fingerprint:
         parts, images = fingerprint(self.container, self.accessors, self.images)
-        colours: dict[str, NDArray[np.float32]] = {}
+        colours: dict[str, Float32s] = {}
         if self.has_vertex_colours():
             colours["vertex colours"] = self.painted().colours
             opacity = [stored[:, 3].tobytes() for stored in self.stored_colours if stored.shape[1] == 4]
@@ -215,7 +214,7 @@ class GltfDocument(Document):
         }
 
 
-def _opacity(colours: Sequence[Stored]) -> NDArray[np.float32] | None:
+def _opacity(colours: Sequence[Stored]) -> Float32s | None:
     """Return the opacity of all rows in [0, 1], None if no block has any."""
     if all(numbers.shape[1] == 3 for numbers in colours):
         return None

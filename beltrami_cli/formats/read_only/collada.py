@@ -21,9 +21,7 @@ from beltrami_cli.formats.read_only.polygons import ColouredPolygons
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from numpy.typing import NDArray
-
-    from beltrami_cli.arrays import Array
+    from beltrami_cli.arrays import Array, Float32s, Float64s
     from beltrami_cli.formats.access import Access
 
 _TREE = 16  # times as much memory as its text takes an XML document while it is read
@@ -60,9 +58,7 @@ def _refuse(*_: object) -> None:
     raise ValueError("a document type, which could make it grow without bounds, is not allowed")
 
 
-def _polygons(
-    positions: NDArray[np.float64], colours: NDArray[np.float32], left_out: list[str]
-) -> ColouredPolygons:
+def _polygons(positions: Float64s, colours: Float32s, left_out: list[str]) -> ColouredPolygons:
     """Return triangles that have vertices of their own."""
     corners = np.arange(len(positions))
     return ColouredPolygons(
@@ -75,7 +71,7 @@ def _answer(_: object, arrays: dict[str, Array]) -> tuple[list[str], dict[str, A
     return left_out, {"positions": positions, "colours": colours}
 
 
-def _triangles(data: bytes) -> tuple[NDArray[np.float64], NDArray[np.float32], list[str]]:
+def _triangles(data: bytes) -> tuple[Float64s, Float32s, list[str]]:
     """Return the places and colours of the corners of all triangles, where nodes place them, and what is left out."""
     import collada
 
@@ -109,7 +105,7 @@ def _triangles(data: bytes) -> tuple[NDArray[np.float64], NDArray[np.float32], l
     )
 
 
-def _placed(scene: Any) -> Iterator[tuple[Any, NDArray[np.float64]]]:
+def _placed(scene: Any) -> Iterator[tuple[Any, Float64s]]:
     """Yield every geometry with its matrix: of its node or, with a skin, of where it was bound to the joints."""
     for bound in scene.objects("geometry"):
         yield bound.original, bound.matrix
@@ -118,7 +114,7 @@ def _placed(scene: Any) -> Iterator[tuple[Any, NDArray[np.float64]]]:
             yield bound.skin.geometry, bound.skin.bind_shape_matrix
 
 
-def _colours_of(primitive: Any) -> NDArray[np.float32]:
+def _colours_of(primitive: Any) -> Float32s:
     """Return colours of all corners of triangles, shape (3 F, 4)."""
     result = np.full((3 * len(primitive.index), 4), np.nan, np.float32)
     sources = primitive.sources.get("COLOR")

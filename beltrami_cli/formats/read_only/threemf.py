@@ -26,8 +26,7 @@ from beltrami_cli.formats.read_only.polygons import ColouredPolygons
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Float32s, Float64s, Int64s
     from beltrami_cli.formats.access import Access
 
 _TREE = 16  # times as much memory as its text takes an XML document while it is read
@@ -53,7 +52,7 @@ class _Part:
 
     path: str
     number: str
-    matrix: NDArray[np.float64]
+    matrix: Float64s
 
 
 @dataclass
@@ -169,7 +168,7 @@ def _colour(text: str) -> Rgba:
     return octets[0], octets[1], octets[2], octets[3]
 
 
-def _colours_of(model: _Model, thing: _Object) -> NDArray[np.float32]:
+def _colours_of(model: _Model, thing: _Object) -> Float32s:
     """Return the colours of the corners of an object's triangles, shape (F, 3, 4); NaN where there is none."""
     table = np.array(thing.triangles, np.int64).reshape(-1, 6)
     result = np.full((len(table), 3, 4), np.nan, np.float32)
@@ -195,9 +194,9 @@ class _Building:
         self._triangles_left = min(_MOST_TRIANGLES, memory // _BYTES_OF_TRIANGLE)
         self._models: dict[str, _Model] = {}
         self._parts, self._vertices = 0, 0
-        self._positions: list[NDArray[np.float64]] = []
-        self._corners: list[NDArray[np.int64]] = []
-        self._colours: list[NDArray[np.float32]] = []
+        self._positions: list[Float64s] = []
+        self._corners: list[Int64s] = []
+        self._colours: list[Float32s] = []
 
     def start(self) -> str:
         """Return the member that the archive says to start with."""
@@ -214,7 +213,7 @@ class _Building:
             self._models[path] = _read_model(self._archive.read(path), self._name)
         return self._models[path]
 
-    def add(self, part: _Part, above: NDArray[np.float64], path: str, depth: int) -> None:
+    def add(self, part: _Part, above: Float64s, path: str, depth: int) -> None:
         """Add an object and all of its parts; matrices act on rows."""
         self._parts += 1
         if depth > _DEEPEST or self._parts > _MOST_PARTS:

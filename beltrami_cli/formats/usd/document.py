@@ -23,8 +23,7 @@ from beltrami_cli.surface.records import MeshContents, PaintedVertices
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Array, Float32s, Int32s, Int64s
     from beltrami_cli.formats.document import Bytes, Changes, Naming
     from beltrami_cli.surface.records import (
         ImageFile,
@@ -60,7 +59,7 @@ class UsdDocument(Document):
         self.forms = ("usdz",) if is_package else ("usd", "usda", "usdc")
 
     @cached_property
-    def _scene(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    def _scene(self) -> tuple[dict[str, Any], dict[str, Array]]:
         words, arrays = self._layers.scene(text=self._compared)
         counts = words["counts"]
         self.notices += [sentence.format(n) for key, sentence in _COUNTS.items() if (n := counts.get(key))]
@@ -74,7 +73,7 @@ class UsdDocument(Document):
         return self._scene[0]
 
     @property
-    def _arrays(self) -> dict[str, NDArray[Any]]:
+    def _arrays(self) -> dict[str, Array]:
         return self._scene[1]
 
     @cached_property
@@ -107,7 +106,7 @@ class UsdDocument(Document):
         )
 
     @cached_property
-    def _coloured_polygons(self) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+    def _coloured_polygons(self) -> tuple[Int32s, Int64s]:
         sizes, rows = self._arrays["sizes"], self._arrays["rows"]
         is_coloured = rows[np.cumsum(sizes) - sizes] >= 0
         kept = rows[np.repeat(is_coloured, sizes)].astype(np.int32)
@@ -147,7 +146,7 @@ class UsdDocument(Document):
             files = {self._layers.root: root, **files}
         return Written(package.packed(files) if files else [self.data])
 
-    def _edited(self, colours: NDArray[np.float32] | None, renamed: Mapping[str, str], form: str) -> bytes:
+    def _edited(self, colours: Float32s | None, renamed: Mapping[str, str], form: str) -> bytes:
         key = form, tuple(renamed.items())
         if colours is None and key in self._made:  # as when files were planned
             return self._made[key]
@@ -231,7 +230,7 @@ class UsdDocument(Document):
             left_out=(*(["materials"] if self._words["materials"] else []), *self._left_out()),
         )
 
-    def textured_mesh(self, colours: NDArray[np.float32] | None = None) -> TexturedMesh:
+    def textured_mesh(self, colours: Float32s | None = None) -> TexturedMesh:
         values = self._painted.colours if colours is None and self.has_vertex_colours() else colours
         return self._textures.mesh(PurePath(self.name).stem, values, self._left_out())
 

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from beltrami_cli.arrays import Array, Float32s, Uint8s
+
 Arrays = dict[str, "NDArray[Any]"]
 _EMPTY = "empty"  # in place of what may differ, in fingerprints
 _MADE = "made"  # name of a layer that is written, without its suffix
@@ -89,13 +91,13 @@ def edit(order: dict[str, Any], arrays: Arrays) -> tuple[dict[str, Any], Arrays]
     return {}, {"layer": _exported(root, order["suffix"])}
 
 
-def _stored(stage: Any, order: dict[str, Any]) -> tuple[list[NDArray[Any]], list[str]]:
+def _stored(stage: Any, order: dict[str, Any]) -> tuple[list[Array], list[str]]:
     """Return the stored values of the colours and names that an order is about."""
     colours = [np.array(stage.GetAttributeAtPath(block["attribute"]).Get()) for block in order["blocks"]]
     return colours, [stage.GetAttributeAtPath(path).Get().path for path in order["files"]]
 
 
-def _recolour(stage: Any, block: dict[str, Any], colours: NDArray[np.float32]) -> None:
+def _recolour(stage: Any, block: dict[str, Any], colours: Float32s) -> None:
     """Give a mesh other colours; those that are named by an index stay so where they can."""
     attribute = stage.GetAttributeAtPath(block["attribute"])
     primvar = UsdGeom.Primvar(attribute)
@@ -132,7 +134,7 @@ def _set(stage: Any, path: str, value: object) -> None:
         raise ValueError(f"{path} cannot be set")
 
 
-def _exported(layer: Any, suffix: str) -> NDArray[np.uint8]:
+def _exported(layer: Any, suffix: str) -> Uint8s:
     """Return a layer as a file of the kind that a suffix says; for .usd, of the kind that it was."""
     path = Path(f"{_MADE}{suffix}")
     arguments = {}

@@ -18,8 +18,6 @@ from beltrami_cli.formats.tiles import found_tiles, has_token
 from beltrami_cli.formats.usd.package import LAYERS, Package
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from beltrami_cli.arrays import Array
     from beltrami_cli.formats.access import Access
     from beltrami_cli.surface.tiling import Tile
@@ -135,7 +133,7 @@ class Layers:
         except OSError as error:
             raise InputError(file, f"cannot be read ({error.strerror})") from error
 
-    def ask(self, order: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Answer:
+    def ask(self, order: dict[str, Any], arrays: dict[str, Array]) -> Answer:
         """Let usd-core carry out an order on the layers."""
         with tempfile.TemporaryDirectory(prefix="beltrami-") as folder:
             for name, data in self.contents.items():

@@ -15,9 +15,9 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
+    from beltrami_cli.arrays import Array
 
-    Change = tuple[NDArray[Any], NDArray[Any]]  # the values of an attribute before and after
+    Change = tuple[Array, Array]  # the values of an attribute before and after
 
 _COLOURS = re.compile(rb"primvars:displayColor\s*=\s*\[([^\]]*)\]")
 _VECTOR = re.compile(rb"\([^()]*\)")
@@ -67,7 +67,7 @@ def _in_text(data: bytes, colours: Sequence[Change], names: Sequence[tuple[str, 
     return b"".join([*pieces, data[at:]])
 
 
-def _spelled(colour: NDArray[Any]) -> bytes:
+def _spelled(colour: Array) -> bytes:
     """Return the shortest numbers that are read back the same."""
     return b"(" + b", ".join(str(value).encode() for value in colour.astype("U32").tolist()) + b")"
 

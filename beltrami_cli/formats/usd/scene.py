@@ -16,7 +16,7 @@ import numpy as np
 from beltrami_cli.formats.usd.shading import INPUTS, placed, read_material
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from beltrami_cli.arrays import Array, Float64s, Int64s
 
 _SMOOTH = ("vertex", "varying")
 _OPEN: list[Any] = []  # layers, which are read anew where nobody holds them
@@ -71,7 +71,7 @@ def _without_clips(layer: Any) -> None:
 class Scene:
     """What is shown, put together mesh by mesh; lists of arrays are joined at last."""
 
-    arrays: dict[str, list[NDArray[Any]]] = field(default_factory=dict)
+    arrays: dict[str, list[Array]] = field(default_factory=dict)
     uses: list[dict[str, Any]] = field(default_factory=list)  # textures of materials in slots
     materials: list[dict[str, Any]] = field(default_factory=list)
     blocks: list[dict[str, Any]] = field(default_factory=list)  # of coloured rows
@@ -83,12 +83,12 @@ class Scene:
     _vertices: int = 0
     _rows: int = 0
 
-    def add(self, **arrays: NDArray[Any]) -> None:
+    def add(self, **arrays: Array) -> None:
         """Add rows to arrays."""
         for name, values in arrays.items():
             self.arrays.setdefault(name, []).append(values)
 
-    def joined(self) -> dict[str, NDArray[Any]]:
+    def joined(self) -> dict[str, Array]:
         """Return all arrays whole."""
         return {name: np.concatenate(values) for name, values in self.arrays.items()}
 
@@ -215,14 +215,14 @@ class Scene:
 class _Polygons:
     """Polygons without holes, all with the same winding."""
 
-    sizes: NDArray[np.int64]
-    kept: NDArray[np.int64]  # which of all polygons of the mesh they are
-    corner: NDArray[np.int64]  # which of all corners of the mesh each of theirs is
-    vertex: NDArray[np.int64]  # and its vertex
-    all_vertices: NDArray[np.int64]  # of all corners
+    sizes: Int64s
+    kept: Int64s  # which of all polygons of the mesh they are
+    corner: Int64s  # which of all corners of the mesh each of theirs is
+    vertex: Int64s  # and its vertex
+    all_vertices: Int64s  # of all corners
 
     @classmethod
-    def of(cls, sizes: NDArray[np.int64], corners: NDArray[np.int64], holes: Any, turned: bool) -> _Polygons:
+    def of(cls, sizes: Int64s, corners: Int64s, holes: Any, turned: bool) -> _Polygons:
         starts = np.cumsum(sizes) - sizes
         is_kept = sizes >= 3
         holes = np.array(holes if holes is not None else [], np.int64)
@@ -244,7 +244,7 @@ class _Polygons:
         return len(self.all_vertices)
 
 
-def _require_topology(prim: Any, points: int, sizes: NDArray[np.int64], corners: NDArray[np.int64]) -> None:
+def _require_topology(prim: Any, points: int, sizes: Int64s, corners: Int64s) -> None:
     path = prim.GetPath()
     if (sizes < 0).any() or sizes.sum() != len(corners):
         raise ValueError(f"{path}: its polygons have {sizes.sum()} corners, but there are {len(corners)}")
@@ -252,14 +252,14 @@ def _require_topology(prim: Any, points: int, sizes: NDArray[np.int64], corners:
         raise ValueError(f"{path}: a polygon names a vertex that is none of the {points}")
 
 
-def _values(attribute: Any) -> NDArray[np.float64]:
+def _values(attribute: Any) -> Float64s:
     """Return the values of an attribute at the first time; none if it has none."""
     from pxr import Usd
 
     return np.array(attribute.Get(Usd.TimeCode.EarliestTime()) if attribute.HasValue() else [], np.float64)
 
 
-def _flat(primvar: Any) -> NDArray[np.float64] | None:
+def _flat(primvar: Any) -> Float64s | None:
     """Return the values of a primvar, one for each of what it is on; None if it has none."""
     from pxr import Usd
 
@@ -269,7 +269,7 @@ def _flat(primvar: Any) -> NDArray[np.float64] | None:
     return None if values is None else np.array(values, np.float64)
 
 
-def _on_corners(primvar: Any, polygons: _Polygons, points: int) -> NDArray[np.float64] | None:
+def _on_corners(primvar: Any, polygons: _Polygons, points: int) -> Float64s | None:
     """Return the values of a primvar at the corners of polygons; None if it has none that fit."""
     values = _flat(primvar)
     if values is None:
@@ -282,9 +282,7 @@ def _on_corners(primvar: Any, polygons: _Polygons, points: int) -> NDArray[np.fl
     return None
 
 
-def _coordinates(
-    prim: Any, use: dict[str, Any], polygons: _Polygons, points: int
-) -> NDArray[np.float64] | None:
+def _coordinates(prim: Any, use: dict[str, Any], polygons: _Polygons, points: int) -> Float64s | None:
     """Return the texture coordinates of the corners of polygons, v up, transforms applied."""
     from pxr import UsdGeom
 
@@ -293,11 +291,11 @@ def _coordinates(
     if uv is None or uv.shape[1:] != (2,):
         return None
     with np.errstate(over="ignore", invalid="ignore"):
-        moved: NDArray[np.float64] = uv @ np.array(use["matrix"]) + np.array(use["offset"])
+        moved: Float64s = uv @ np.array(use["matrix"]) + np.array(use["offset"])
     return moved
 
 
-def _normals(mesh: Any, polygons: _Polygons, points: int, matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+def _normals(mesh: Any, polygons: _Polygons, points: int, matrix: Float64s) -> Float64s:
     """Return the unit normals of the corners of polygons in the world, NaN where there are none."""
     from pxr import UsdGeom
 

@@ -29,8 +29,7 @@ from beltrami_cli.surface.records import (
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s
     from beltrami_cli.formats.usd.layers import Layers
     from beltrami_cli.surface.tiling import Tile
 
@@ -41,9 +40,7 @@ Replaced = dict[tuple[str, tuple[tuple[str, ImageFile], ...]], list[Slot]]
 class Textures:
     """The textures of a scene; paths are of files, or of sets of tiles, and relative to the root layer's folder."""
 
-    def __init__(
-        self, layers: Layers, words: dict[str, Any], arrays: dict[str, NDArray[Any]], name: str
-    ) -> None:
+    def __init__(self, layers: Layers, words: dict[str, Any], arrays: dict[str, Array], name: str) -> None:
         self._layers, self._words, self._arrays, self._name = layers, words, arrays, name
         self.notices: list[str] = []
         self._path_of: list[str | None] = []
@@ -156,7 +153,7 @@ class Textures:
             raise InputError(self._name, str(error), "check its texture coordinates") from error
 
     @property
-    def _triangles(self) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
+    def _triangles(self) -> tuple[Float64s, Int64s, Int64s]:
         """Positions, and for each triangle its corners among those of polygons, and its polygon."""
         if not len(self._arrays.get("sizes", ())):
             raise InputError(self._name, "it has no polygons, so there is nothing to show a texture")
@@ -168,7 +165,7 @@ class Textures:
         cut, polygon = triangulate_corners(positions, corners, offsets)
         return positions, cut.astype(np.int64), polygon
 
-    def mesh(self, source: str, colours: NDArray[np.float32] | None, left_out: Sequence[str]) -> TexturedMesh:
+    def mesh(self, source: str, colours: Float32s | None, left_out: Sequence[str]) -> TexturedMesh:
         """Return all triangles with their materials, groups, normals and texture coordinates."""
         positions, cut, polygon = self._triangles
         lost = list(left_out)
@@ -204,7 +201,7 @@ class Textures:
         )
         return on_tiles(mesh, reading.sets)
 
-    def _by_vertex(self, colours: NDArray[np.float32]) -> VertexColours | None:
+    def _by_vertex(self, colours: Float32s) -> VertexColours | None:
         """Return colours of all vertices; None if some have none, or several."""
         vertex, count = self._arrays["colour_vertex"], len(self._arrays["positions"])
         if len(vertex) != count or len(np.unique(vertex)) != count:

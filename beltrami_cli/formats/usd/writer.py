@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import re
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -28,8 +28,7 @@ from beltrami_cli.surface.grouping import distinct_corners
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from numpy.typing import NDArray
-
+    from beltrami_cli.arrays import Array, Int32s, Int64s
     from beltrami_cli.surface.records import Material, MeshContents, Slot, TexturedMesh, VertexColours
 
 _BLOCK = 1 << 16  # rows written at a time
@@ -115,10 +114,10 @@ def _header(name: str) -> bytes:
     return "\n".join(lines).encode()
 
 
-def _mesh(mesh: TexturedMesh, faces: NDArray[np.int64], shown: list[bytes]) -> Iterator[bytes]:
+def _mesh(mesh: TexturedMesh, faces: Int64s, shown: list[bytes]) -> Iterator[bytes]:
     """Give points, triangles, texture coordinates, normals and colours of some triangles."""
-    used: NDArray[Any]
-    corners: NDArray[Any]
+    used: Array
+    corners: Array
     used, corners = np.unique(mesh.faces[faces], return_inverse=True)
     if shown or len(used) == len(mesh.positions):
         used, corners = np.arange(len(mesh.positions)), mesh.faces[faces]
@@ -138,7 +137,7 @@ def _mesh(mesh: TexturedMesh, faces: NDArray[np.int64], shown: list[bytes]) -> I
         yield from _array("normal3f[] normals", normals, 3, 'interpolation = "faceVarying"')
 
 
-def _subsets(material_of: NDArray[np.int32], names: list[str], root: str) -> Iterator[bytes]:
+def _subsets(material_of: Int32s, names: list[str], root: str) -> Iterator[bytes]:
     """Give which material triangles have: one for all, or a subset for each."""
     shown = np.unique(material_of).tolist()
     if len(shown) == 1:
@@ -221,7 +220,7 @@ def _colours(contents: MeshContents | VertexColours, notices: list[str]) -> list
     return lines
 
 
-def _array(name: str, rows: NDArray[Any], width: int = 1, metadata: str = "") -> Iterator[bytes]:
+def _array(name: str, rows: Array, width: int = 1, metadata: str = "") -> Iterator[bytes]:
     """Give an attribute with its values, as the shortest numbers that are read back the same."""
     yield f"        {name} = [".encode()
     for block in blocks(len(rows), _BLOCK):

@@ -11,7 +11,7 @@ from beltrami_cli.surface.lookup import within
 from beltrami_cli.surface.seam_lines import REACH, at_seam, lines_over_seams
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from beltrami_cli.arrays import Bools, Float32s, Float64s, Int64s
 
 from beltrami_cli.surface.atlas import Atlas
 
@@ -19,7 +19,7 @@ from beltrami_cli.surface.atlas import Atlas
 _NEAR = 4
 
 
-def near_seams(atlas: Atlas) -> NDArray[np.bool_]:
+def near_seams(atlas: Atlas) -> Bools:
     """Return which owned cells are within 4 texels of a seam, shape (T,)."""
     beside = np.zeros(atlas.kind.shape, bool)
     for inner, *_ in lines_over_seams(atlas, 1):
@@ -28,7 +28,7 @@ def near_seams(atlas: Atlas) -> NDArray[np.bool_]:
     return within(beside, _NEAR - 1).reshape(-1)[atlas.owned_cells]
 
 
-def seam_steps(atlas: Atlas, colours: NDArray[np.float32]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+def seam_steps(atlas: Atlas, colours: Float32s) -> tuple[Int64s, Float64s]:
     """Return the owned cells at seams (rows of `colours`, shape (T, N)) and the jump there, mean over channels."""
     # The colours of three texels on a line across the seam are extrapolated to it, from both sides.
     planes = np.zeros((colours.shape[1], *atlas.kind.shape), np.float32)
@@ -43,7 +43,7 @@ def seam_steps(atlas: Atlas, colours: NDArray[np.float32]) -> tuple[NDArray[np.i
     return np.searchsorted(atlas.owned_cells, np.concatenate(cells)), np.concatenate(steps)
 
 
-def texel_areas(atlas: Atlas) -> NDArray[np.float64]:
+def texel_areas(atlas: Atlas) -> Float64s:
     """Return the surface area of each owned cell, shape (T,), in the surface's own unit squared."""
     across, down, diagonal = (plane.astype(np.float64) for plane in atlas.squared_lengths[:3])
     known = (atlas.kind != EMPTY)[:-1, :-1] & (atlas.kind != EMPTY)[1:, 1:]

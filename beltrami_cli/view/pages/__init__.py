@@ -16,8 +16,7 @@ from beltrami_cli.formats.image.picture import new_picture
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-    import numpy as np
-    from numpy.typing import NDArray
+    from beltrami_cli.arrays import Uint8s
 
 PAGES = (".html", ".htm")
 """Extensions of pages."""
@@ -54,14 +53,14 @@ def asset(name: str) -> str:
     return (files(__name__) / name).read_text(encoding="utf-8")
 
 
-def picture_tag(picture: NDArray[np.uint8], alternative: str) -> str:
+def picture_tag(picture: Uint8s, alternative: str) -> str:
     """Return an image element with the picture in it, as PNG."""
     height, width = picture.shape[:2]
     text = html.escape(alternative, quote=True)
     return f'<img width="{width}" height="{height}" alt="{text}" src="{data_address(picture)}">'
 
 
-def data_address(picture: NDArray[np.uint8]) -> str:
+def data_address(picture: Uint8s) -> str:
     """Return a data URL of the picture, as PNG."""
     data = write_image(new_picture(picture, "a picture"), picture, suffix=".png").data
     return f"data:image/png;base64,{base64.b64encode(data).decode()}"
