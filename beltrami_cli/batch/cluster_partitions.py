@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
-from beltrami_cli.batch.cluster_connection import LOST
+from beltrami_cli.batch.cluster import LOST
 from beltrami_cli.batch.item import Attempt, do_item
 from beltrami_cli.errors import ProcessingError
 from beltrami_cli.flow.beltrami_flow import in_partitions

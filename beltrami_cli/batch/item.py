@@ -17,7 +17,7 @@ from beltrami_cli.batch.storage import hash_at, is_url, staged
 from beltrami_cli.errors import BeltramiError, InputError
 from beltrami_cli.formats.access import Access
 from beltrami_cli.jobs.job import Job, limited_memory
-from beltrami_cli.jobs.writing.output import FileSet
+from beltrami_cli.jobs.output import FileSet
 
 if TYPE_CHECKING:
     from collections.abc import Callable

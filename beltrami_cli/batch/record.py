@@ -16,7 +16,7 @@ from beltrami_cli.errors import InputError, OutputError
 from beltrami_cli.formats.access import is_there, open_regular
 from beltrami_cli.formats.data_text import parse_json
 from beltrami_cli.formats.document import Written
-from beltrami_cli.jobs.writing.output import Output, Overwrite
+from beltrami_cli.jobs.output import Output, Overwrite
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

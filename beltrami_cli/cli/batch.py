@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from beltrami_cli.batch.plan import Request
     from beltrami_cli.batch.run import Executor
     from beltrami_cli.cli.console import Messages
+    from beltrami_cli.jobs.output import Overwrite
     from beltrami_cli.jobs.settings import BakeSettings
-    from beltrami_cli.jobs.writing.output import Overwrite
 
 EPILOG = """\b
 Examples:
@@ -254,8 +254,7 @@ def _executor(
     if scheduler is None:
         yield None
         return
-    from beltrami_cli.batch.cluster_connection import connected
-    from beltrami_cli.batch.cluster_files import ClusterExecutor
+    from beltrami_cli.batch.cluster import ClusterExecutor, connected
     from beltrami_cli.batch.cluster_partitions import PartitionExecutor
 
     with connected(scheduler) as client:

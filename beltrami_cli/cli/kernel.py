@@ -74,7 +74,7 @@ def command(
     `beltrami smooth` takes with the same options.
     """
     settings = options.settings_from(smoothing)
-    from beltrami_cli.jobs.kernel.file import kernel_file
+    from beltrami_cli.jobs.kernel import kernel_file
 
     with options.job_from(smoothing, source, messages) as job:
         facts = kernel_file(source, target, at, settings, iteration=iteration, whole=whole, job=job)

@@ -65,7 +65,7 @@ def command(
     del values["strength"]  # which is another parameter where colours are smoothed
     settings = options.record_from(SmoothSettings, values)
     from beltrami_cli.jobs.level import level_file
-    from beltrami_cli.jobs.writing.output import FileSet
+    from beltrami_cli.jobs.output import FileSet
 
     with (
         options.job_from(values, source, messages) as job,

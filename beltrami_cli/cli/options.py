@@ -24,7 +24,7 @@ from beltrami_cli.samples.settings import IMAGE_FORMATS, SmoothSettings, Texture
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Mapping
 
-    from beltrami_cli.jobs.writing.output import Overwrite
+    from beltrami_cli.jobs.output import Overwrite
 
     Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 

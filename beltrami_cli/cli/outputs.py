@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from beltrami_cli.cli.console import Messages
     from beltrami_cli.jobs.job import Job
-    from beltrami_cli.jobs.writing.output import Output
+    from beltrami_cli.jobs.output import Output
     from beltrami_cli.samples.reports import LevelReport
     from beltrami_cli.samples.settings import SmoothSettings
     from beltrami_cli.view.render import Preview
@@ -41,8 +41,8 @@ def besides(command: Callable[..., Any]) -> Callable[..., Any]:
 
 def open_report(path: str | None, job: Job) -> Output | None:
     """Check that a report can be written, if one is wanted, before anything is computed."""
+    from beltrami_cli.jobs.output import Output
     from beltrami_cli.jobs.smoothing import is_report
-    from beltrami_cli.jobs.writing.output import Output
 
     if path is None:
         return None

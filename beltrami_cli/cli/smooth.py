@@ -89,8 +89,8 @@ def command(
     """
     settings = options.settings_from(smoothing)
     unwrap = options.unwrapping_from(smoothing)
+    from beltrami_cli.jobs.output import FileSet
     from beltrami_cli.jobs.smooth import smooth_file
-    from beltrami_cli.jobs.writing.output import FileSet
 
     with (
         options.job_from(smoothing, source, messages) as job,

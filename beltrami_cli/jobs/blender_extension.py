@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from beltrami_cli.fields import parameters
 from beltrami_cli.formats.document import Written
-from beltrami_cli.jobs.writing.output import Output
+from beltrami_cli.jobs.output import Output
 from beltrami_cli.samples.settings import SmoothSettings
 
 if TYPE_CHECKING:

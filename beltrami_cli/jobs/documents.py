@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from beltrami_cli.arrays import Float32s, Float64s
     from beltrami_cli.formats.access import Access
     from beltrami_cli.formats.document import Document, Written
-    from beltrami_cli.jobs.writing.output import Output
+    from beltrami_cli.jobs.output import Output
     from beltrami_cli.samples.samples import Repainted
     from beltrami_cli.samples.selection import OutputFormat, Selection
     from beltrami_cli.samples.settings import SmoothSettings

@@ -19,7 +19,7 @@ from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
 
-    from beltrami_cli.jobs.writing.output import FileSet, Output
+    from beltrami_cli.jobs.output import FileSet, Output
 
     Progress = Callable[[str, int, int], None]
 
@@ -66,7 +66,7 @@ class Job:
 
     def output(self, target: str) -> Output | None:
         """Check where OUTPUT goes; None on a dry run."""
-        from beltrami_cli.jobs.writing.output import Output
+        from beltrami_cli.jobs.output import Output
 
         return None if self.dry_run else Output(target, overwrite=self.overwrite, files=self.files)
 

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from beltrami_cli.surface.atlas import refresh_halo
-from beltrami_cli.surface.seam_lines import at_seam, lines_over_seams
+from beltrami_cli.surface.atlas import at_seam, lines_over_seams, refresh_halo
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

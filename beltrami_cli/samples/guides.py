@@ -1,33 +1,44 @@
-"""Guides: channels that count as distance and are not changed.
+"""Guides: channels that count as distance and are not changed, of vertices, pixels and textures.
 
 For vertices they are attributes, or tables in files with one row per vertex; for images, images of the same size.
 """
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from beltrami_cli.errors import InputError
+from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.flow.embedding import Guide, centred
 from beltrami_cli.formats.access import Access, is_there, read_source
 from beltrami_cli.formats.image import read_image
 from beltrami_cli.formats.image.picture import full_scale_one
 from beltrami_cli.formats.npz import NPY_MAGIC, NpzArchive, read_npy
 from beltrami_cli.formats.registry import document_of
+from beltrami_cli.samples.settings import SLOTS, EmbeddingSettings
+from beltrami_cli.samples.texel_colours import TexelColours
+from beltrami_cli.surface.lookup import look_up
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s
+    from beltrami_cli.formats.access import Access
     from beltrami_cli.formats.document import Document
     from beltrami_cli.formats.image import Picture
     from beltrami_cli.samples.settings import SmoothSettings
+    from beltrami_cli.surface.atlas import Atlas
+    from beltrami_cli.surface.records import Slot, Texture, TexturedSurface
 
 _MOST_NUMBERS = 1 << 31  # of an array, before it is known that it fits
 _ONE_ROW = "a guide needs one row for each coloured vertex, in the order of the file"
+# Values of a material without a texture in a slot: glTF 2.0, section 3.9; a normal is perpendicular to the surface.
+_WITHOUT = {"normal": (0.5, 0.5, 1.0), "emissive": (0.0, 0.0, 0.0)}
 
 
 def vertex_guides(document: Document, settings: SmoothSettings, access: Access) -> list[Guide]:
@@ -133,3 +144,112 @@ def read_guide_images(
             )
         guides.append(GuideImage(path, image, beta))
     return tuple(guides)
+
+
+@dataclass(frozen=True)
+class GuidedTexels:
+    """The texels that guides are read for."""
+
+    document: Document
+    surface: TexturedSurface
+    pictures: Sequence[Picture]
+    atlas: Atlas
+    settings: SmoothSettings
+    access: Access
+
+    def guides(self) -> list[Guide]:
+        """Read all guides, with one row per owned texel."""
+        return [self._guide(name, beta) for name, beta in self.settings.embedding.weighted_guides]
+
+    def _guide(self, name: str, beta: float | None) -> Guide:
+        slots = {slot.lower(): slot for slot in self.document.slots()}
+        if name.lower() in slots:
+            slot = slots[name.lower()]
+            return Guide(name, self._of_slot(slot), beta, in_chart_frame=slot == "normal")
+        if not exists(name):
+            known = ", ".join(self.document.slots())
+            asked = "texture in the slot" if name in SLOTS else "such file, and no slot"
+            raise InputError(name, f"no {asked}; the slots of {self.document.name} are {known}")
+        return Guide(name, self._of_file(name), beta)
+
+    def _of_file(self, path: str) -> Float32s:
+        if len(self.pictures) != 1:
+            names = ", ".join(texture.name for texture in self.surface.textures)
+            raise UsageError(
+                f"{path} guides one texture, but several are smoothed ({names}); choose one by --texture or --material"
+            )
+        image, picture = read_map(path, self.access), self.pictures[0]
+        require_size(image, picture.pixels.shape[:2], path, picture.name)
+        values = _at(image, self.atlas.owned_texels)
+        require_finite(values, path, "pixel")
+        return values
+
+    def _of_slot(self, slot: Slot) -> Float32s:
+        """Return the values of another slot at each owned texel."""
+        guiding = self.document.textured(slot)
+        images = self._images(guiding, slot)
+        width = images[0].shape[2] if images else 1
+        values = np.empty((len(self.atlas.owned_texels), width), np.float32)
+        for index, picture in enumerate(self.pictures):
+            first, last = self.atlas.texture_offsets[index : index + 2]
+            inside = (self.atlas.owned_texels >= first) & (self.atlas.owned_texels < last)
+            shown = self._shown_with(index, guiding, slot)
+            if shown is None:
+                values[inside] = np.resize(_WITHOUT.get(slot, (1.0,)), width)
+            else:
+                texture, size = guiding.textures[shown], picture.pixels.shape[:2]
+                values[inside] = _at_size(
+                    images[shown], size, texture, self.atlas.owned_texels[inside] - first
+                )
+        return values
+
+    def _images(self, guiding: TexturedSurface, slot: Slot) -> list[Float32s]:
+        """Decode the textures of a slot, each of shape (H, W, G), in the working space."""
+        pictures = [read_image(texture.data, texture.name) for texture in guiding.textures]
+        textures = dataclasses.replace(self.settings.textures, alpha="keep")
+        plain = dataclasses.replace(
+            self.settings, channels=None, textures=textures, embedding=EmbeddingSettings()
+        )
+        colours = TexelColours(pictures, slot, plain)
+        images = []
+        for picture in pictures:
+            height, width = picture.pixels.shape[:2]
+            images.append(colours.working(picture, np.arange(height * width)).reshape(height, width, -1))
+        return images
+
+    def _shown_with(self, index: int, guiding: TexturedSurface, slot: Slot) -> int | None:
+        """Return the texture of the guiding slot on the triangles of a smoothed texture; None: none."""
+        faces = np.flatnonzero(self.surface.texture_of == index)
+        name = self.surface.textures[index].name
+        if len(guiding.faces) != len(self.surface.faces):
+            cause = f"only one of the textures in the slots of {name} and {slot} is in tiles"
+            raise InputError(self.document.name, f"{cause}, so {slot} cannot guide it", "leave the guide out")
+        shown = np.unique(guiding.texture_of[faces])
+        if len(shown) > 1:
+            raise InputError(
+                self.document.name,
+                f"{name} is shown with several {slot} textures, or with one in places only, so {slot} cannot guide it",
+                "choose other textures by --texture or --material",
+            )
+        if not len(shown) or shown[0] < 0:
+            return None
+        if not np.array_equal(guiding.uv[faces], self.surface.uv[faces]):
+            raise InputError(
+                self.document.name,
+                f"{name} and its {slot} texture have different texture coordinates, so {slot} cannot guide it",
+                "bake both to the same coordinates",
+            )
+        return int(shown[0])
+
+
+def _at(image: Float32s, texels: Int64s) -> Float32s:
+    return image.reshape(-1, image.shape[2])[texels]
+
+
+def _at_size(image: Float32s, size: tuple[int, ...], texture: Texture, texels: Int64s) -> Float32s:
+    """Sample an image at the centres of texels of an image of another size, or of the same."""
+    if image.shape[:2] == size:
+        return _at(image, texels)
+    row, column = np.divmod(texels, size[1])
+    uv = np.column_stack([(column + 0.5) / size[1], (row + 0.5) / size[0]])
+    return np.asarray(look_up(image, uv, texture.wrap), np.float32)

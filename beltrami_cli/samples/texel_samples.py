@@ -81,7 +81,7 @@ class TexelSamples(Samples):
         self._shared = shared or SharedImages()
         self._guides: list[Guide] = []
         if guided is not None and settings.embedding.guides:
-            from beltrami_cli.samples.texel_guides import GuidedTexels
+            from beltrami_cli.samples.guides import GuidedTexels
 
             self._guides = GuidedTexels(
                 guided[0], self.surface, self.pictures, self.atlas, settings, guided[1]

@@ -33,7 +33,6 @@ if TYPE_CHECKING:
 
     from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s, Int64s, Uint8s
 
-    # int32 in atlases of textures, which halves the memory for them.
     Indices: TypeAlias = NDArray[np.signedinteger[Any]]
     from collections.abc import Sequence
 
@@ -41,8 +40,10 @@ if TYPE_CHECKING:
 
     from beltrami_cli.surface.records import TexturedSurface
 
-
 EMPTY, OWNED, HALO = 0, 1, 2
+# A line through the values 1/2, 3/2 and 5/2 texels from a seam, by least squares, has this value at the seam.
+_EXTRAPOLATION = np.array([13, 4, -5]) / 12
+REACH = len(_EXTRAPOLATION)
 
 
 @dataclass(frozen=True)
@@ -270,3 +271,31 @@ def _ends(step: tuple[int, int]) -> tuple[tuple[slice, slice], tuple[slice, slic
     else:
         columns = slice(-right, None), slice(None, right)
     return (rows[0], columns[0]), (rows[1], columns[1])
+
+
+def at_seam(values: Sequence[Array]) -> Float64s:
+    """Extrapolate the values of three cells on a line, the nearest first, to the seam; of one, take it."""
+    if len(values) == 1:
+        return values[0].astype(np.float64)
+    total = np.zeros(values[0].shape)
+    for weight, each in zip(_EXTRAPOLATION, values, strict=True):
+        total += weight * each
+    return total
+
+
+def lines_over_seams(atlas: Atlas, reach: int) -> list[list[Int64s]]:
+    """Return lines of cells across seams in all four directions: `reach` owned ones from the seam, then halo ones."""
+    columns, size = atlas.kind.shape[1], atlas.kind.size
+    owned = atlas.kind.reshape(-1) == OWNED
+    beyond = np.zeros(size, bool)
+    beyond[atlas.halo_cells[atlas.halo_seams >= 0]] = True
+    first = np.flatnonzero(beyond)
+    found = []
+    for step in (1, -1, columns, -columns):
+        line = [first - step * (k + 1) for k in range(reach)] + [first + step * k for k in range(reach)]
+        fits = np.ones(len(first), bool)
+        for number, cells in enumerate(line):
+            inside = (cells >= 0) & (cells < size)
+            fits &= inside & (owned if number < reach else beyond)[np.where(inside, cells, 0)]
+        found.append([cells[fits] for cells in line])
+    return found

@@ -1,12 +1,4 @@
-"""Stored colours as numbers: the sRGB transfer function, and rounding to integers.
-
-Full scale is 1. Negative values are treated odd-symmetrically, and values above 1 by the same formula, so that nothing
-is clipped.
-
-References
-----------
-.. [1] IEC 61966-2-1:1999, "Colour measurement and management - Default RGB colour space - sRGB".
-"""
+"""Colours as numbers: the sRGB transfer function, rounding to integers, and values drawn as colours."""
 
 from __future__ import annotations
 
@@ -19,15 +11,34 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-    from beltrami_cli.arrays import Array, Float32s, Float64s
+    from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Uint8s
     from beltrami_cli.surface.atlas import Indices
-
 
 _SLOPE = 12.92  # of the straight piece near black
 _OFFSET = 0.055
 _EXPONENT = 2.4
 _KNEE_SRGB = 0.04045  # where the standard lets the straight piece end, on either side
 _KNEE_LINEAR = 0.0031308
+# Every tenth part of the colour map viridis: its lightness grows evenly, also for the colour-blind and in grey.
+# S. van der Walt, N. Smith, "A better default colormap for matplotlib" (2015), in the public domain (CC0).
+VIRIDIS = np.array(
+    [
+        [0.267, 0.005, 0.329],
+        [0.283, 0.141, 0.458],
+        [0.254, 0.265, 0.530],
+        [0.207, 0.372, 0.553],
+        [0.164, 0.471, 0.558],
+        [0.128, 0.567, 0.551],
+        [0.135, 0.659, 0.518],
+        [0.267, 0.749, 0.441],
+        [0.478, 0.821, 0.318],
+        [0.741, 0.873, 0.150],
+        [0.993, 0.906, 0.144],
+    ]
+)
+# The greys of a painting where there is no value: neither black nor white.
+_GREY_FROM, _GREY_TO = 0.35, 0.9
+_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
 
 def srgb_to_linear(values: ArrayLike) -> NDArray[np.floating[Any]]:
@@ -65,3 +76,17 @@ def store_integers(
     total, squares, largest = store_colours(table, pixels, rows, columns, threads)
     one = float(np.iinfo(table.dtype).max)
     return total / one, squares / one**2, largest / one
+
+
+def colour_by_value(values: Float32s, painting: Float32s, known: Bools) -> Float64s:
+    """Colour values in [0, 1], of any shape, by viridis; where none is known, the painting's grey shows."""
+    at = np.clip(np.where(known, values, 0), 0, 1)
+    steps = np.linspace(0, 1, len(VIRIDIS))
+    colours = np.stack([np.interp(at, steps, channel) for channel in VIRIDIS.T], axis=-1)
+    grey = _GREY_FROM + (_GREY_TO - _GREY_FROM) * (painting.astype(np.float64) @ _LUMINANCE)
+    return np.where(known[..., None], colours, grey[..., None])
+
+
+def as_bytes(colours: Float64s) -> Uint8s:
+    """Round display values in [0, 1] to bytes."""
+    return np.rint(255 * colours).astype(np.uint8)

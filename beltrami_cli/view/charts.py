@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli.jobs.colour_map import colour_by_value
+from beltrami_cli.surface.colour_values import colour_by_value
 from beltrami_cli.view.pages import picture_tag
 
 if TYPE_CHECKING:

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from beltrami_cli.formats.image.picture import is_associated
-from beltrami_cli.jobs.colour_map import VIRIDIS
-from beltrami_cli.surface.colour_values import linear_to_srgb
+from beltrami_cli.surface.colour_values import VIRIDIS, linear_to_srgb
 from beltrami_cli.surface.grouping import distinct_corners, group_places
 from beltrami_cli.surface.records import Texture
 from beltrami_cli.view.pages import data_address

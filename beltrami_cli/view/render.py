@@ -13,7 +13,7 @@ from beltrami_cli.formats.image import format_of_suffix, write_image
 from beltrami_cli.formats.image.picture import new_picture
 from beltrami_cli.formats.image.recognition import is_image
 from beltrami_cli.jobs.job import tracked
-from beltrami_cli.jobs.writing.output import Output, Overwrite
+from beltrami_cli.jobs.output import Output, Overwrite
 from beltrami_cli.view.animation import ANIMATIONS, encoded_animation, require_encoder
 from beltrami_cli.view.drawing import draw_turns, draw_views
 from beltrami_cli.view.settings import DEFAULT_RENDER, MOST_PIXELS, Crop, RenderSettings
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from beltrami_cli.arrays import Uint8s
-    from beltrami_cli.jobs.writing.output import FileSet
+    from beltrami_cli.jobs.output import FileSet
     from beltrami_cli.samples.settings import SmoothSettings
     from beltrami_cli.view.drawing import Progress
 

@@ -19,7 +19,7 @@ from beltrami_cli.jobs.compare.figures import figures
 from beltrami_cli.jobs.compare.files import Compared, compare_documents, open_both
 from beltrami_cli.jobs.compare.models import EVERYTHING
 from beltrami_cli.jobs.job import PLAIN_JOB, Job, tracked
-from beltrami_cli.jobs.writing.output import Output
+from beltrami_cli.jobs.output import Output
 from beltrami_cli.view.charts import histogram, seam_map
 from beltrami_cli.view.models import ModelPacker
 from beltrami_cli.view.pages import PAGES, page_from, table, viewer

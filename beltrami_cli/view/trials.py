@@ -19,7 +19,7 @@ from beltrami_cli.view.sheet import arranged
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from beltrami_cli.jobs.writing.output import Output
+    from beltrami_cli.jobs.output import Output
     from beltrami_cli.view.settings import RenderSettings
     from beltrami_cli.view.sheet import Background, Panel
 

@@ -16,7 +16,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from batch.dask_cluster import Cluster
-from beltrami_cli.batch.cluster_files import ClusterExecutor
+from beltrami_cli.batch.cluster import ClusterExecutor
 from beltrami_cli.batch.cluster_partitions import ClusterRunner
 from beltrami_cli.batch.item import Item
 from beltrami_cli.batch.record import Record

@@ -14,7 +14,7 @@ from rich.table import Table
 
 from beltrami_cli import smooth
 from beltrami_cli.surface import level_set
-from beltrami_cli.surface.volume import GridColours, Lattice, interpolate_colours, places
+from beltrami_cli.surface.level_set import GridColours, Lattice, interpolate_colours, places
 
 sys.path.append(str(Path(__file__).parents[1]))
 from oracles import level_sets

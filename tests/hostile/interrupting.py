@@ -39,7 +39,7 @@ def child(target: str, at: int, number: int) -> None:
     """Be a command that writes an OBJ file with its library and texture; exit with 77 if the step was not reached."""
     from beltrami_cli.cli import main as command
     from beltrami_cli.formats.document import Written
-    from beltrami_cli.jobs.writing.output import Output
+    from beltrami_cli.jobs.output import Output
 
     def job(**_: object) -> int:
         output = Output(target, overwrite=True)
@@ -90,7 +90,7 @@ def main(source: Path, target: str, number: int) -> None:
     """Try every step."""
     # Loaded once for all children.
     import beltrami_cli.cli.main
-    import beltrami_cli.jobs.writing.output  # noqa: F401
+    import beltrami_cli.jobs.output  # noqa: F401
 
     work = source.parent / "work"
 

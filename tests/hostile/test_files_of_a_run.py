@@ -9,7 +9,7 @@ import pytest
 
 from beltrami_cli.errors import OutputError
 from beltrami_cli.formats.document import Written
-from beltrami_cli.jobs.writing.output import FileSet, Output
+from beltrami_cli.jobs.output import FileSet, Output
 from cli.commands import SAMPLES, beltrami
 from hostile.folders import snapshot
 

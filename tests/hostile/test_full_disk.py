@@ -14,7 +14,7 @@ import pytest
 
 from beltrami_cli.errors import OutputError
 from beltrami_cli.formats.document import Written
-from beltrami_cli.jobs.writing.output import Output
+from beltrami_cli.jobs.output import Output
 from cli.commands import COMMAND, SAMPLES
 from hostile.folders import snapshot
 from hostile.test_interruptions import folder_with_model

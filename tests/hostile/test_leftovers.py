@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 import pytest
 
 from beltrami_cli.formats.document import Written
-from beltrami_cli.jobs.writing import replacing
-from beltrami_cli.jobs.writing.output import Output
-from beltrami_cli.jobs.writing.replacing import remove_leftovers, temporary_beside
+from beltrami_cli.jobs import replacing
+from beltrami_cli.jobs.output import Output
+from beltrami_cli.jobs.replacing import remove_leftovers, temporary_beside
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -23,7 +23,7 @@ FILES = Written([b"new"], {"a.mtl": b"new", "maps/a.png": b"new"})
 STAGING = """
 import sys
 from beltrami_cli.formats.document import Written
-from beltrami_cli.jobs.writing.output import FileSet, Output
+from beltrami_cli.jobs.output import FileSet, Output
 with FileSet() as files:
     Output(sys.argv[1], overwrite=True, files=files).write(
         Written([b"new"], {"a.mtl": b"new", "maps/a.png": b"new"}))

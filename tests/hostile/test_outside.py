@@ -13,8 +13,8 @@ from beltrami_cli.formats.document import Written
 from beltrami_cli.formats.model_folder import ModelFolder, UnfitReferenceError
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.job import Job
+from beltrami_cli.jobs.output import Output
 from beltrami_cli.jobs.smooth import smooth_file
-from beltrami_cli.jobs.writing.output import Output
 from hostile.folders import snapshot
 from hostile.textured_models import ONCE, OTHER, PICTURE, write_model
 

@@ -15,8 +15,8 @@ import pytest
 
 from beltrami_cli.errors import OutputError
 from beltrami_cli.formats.document import Written
-from beltrami_cli.jobs.writing import replacing
-from beltrami_cli.jobs.writing.output import Output
+from beltrami_cli.jobs import replacing
+from beltrami_cli.jobs.output import Output
 from cli.commands import COMMAND, SAMPLES
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ WRITER = """
 import sys
 from beltrami_cli.errors import OutputError
 from beltrami_cli.formats.document import Written
-from beltrami_cli.jobs.writing.output import Output
+from beltrami_cli.jobs.output import Output
 
 if sys.argv[3] == "no links":
     import errno, os
@@ -39,7 +39,7 @@ if sys.argv[3] == "no links":
 overwrite = sys.argv[3] == "overwrite"
 if overwrite:  # so slowly that each would meet the other
     import time
-    from beltrami_cli.jobs.writing import replacing
+    from beltrami_cli.jobs import replacing
 
     put = replacing._put
 

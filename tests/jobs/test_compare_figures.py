@@ -7,7 +7,7 @@ import pytest
 
 from beltrami_cli.jobs.compare.figures import ComparedColours, figures
 from beltrami_cli.jobs.compare.measures import cie_lab, delta_e_2000, structural_similarity
-from beltrami_cli.jobs.compare.seams import near_seams, seam_steps, texel_areas
+from beltrami_cli.jobs.compare.parts import near_seams, seam_steps, texel_areas
 from beltrami_cli.surface.atlas import build_atlas
 from beltrami_cli.surface.geometry import triangle_areas
 from jobs.cut_boards import BOARD, CHART, SIDE

@@ -13,9 +13,15 @@ from beltrami_cli.errors import InputError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.document import Document, Fingerprint, Written
 from beltrami_cli.formats.model_folder import ModelFolder, is_outside
-from beltrami_cli.formats.ply.fingerprint import take_apart
 from beltrami_cli.formats.ply.header import read_header
-from beltrami_cli.formats.ply.patching import Change, moved_changes, patch_body, renamed_images, require_real
+from beltrami_cli.formats.ply.patching import (
+    Change,
+    moved_changes,
+    patch_body,
+    renamed_images,
+    require_real,
+    take_apart,
+)
 from beltrami_cli.formats.ply.polygons import VERTEX_LISTS, read_grid, read_polygons
 from beltrami_cli.formats.ply.tables import read_tables
 from beltrami_cli.formats.ply.texturing import (

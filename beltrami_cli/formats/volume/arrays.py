@@ -26,7 +26,7 @@ import numpy as np
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.npz import LEVEL_SET_KEYS, NpzArchive
-from beltrami_cli.surface.volume import GridColours, Lattice, NearColours, Volume
+from beltrami_cli.surface.level_set import GridColours, Lattice, NearColours, Volume
 
 if TYPE_CHECKING:
     from beltrami_cli.arrays import Float64s

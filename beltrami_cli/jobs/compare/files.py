@@ -17,8 +17,8 @@ from beltrami_cli.jobs.compare.models import EVERYTHING, Moves, choose_parts, mo
 from beltrami_cli.jobs.compare.parts import compare_images, compare_textures, compare_vertices
 from beltrami_cli.jobs.documents import document_from
 from beltrami_cli.jobs.job import PLAIN_JOB, Job, tracked
+from beltrami_cli.jobs.output import Output, Overwrite
 from beltrami_cli.jobs.settings import Limits
-from beltrami_cli.jobs.writing.output import Output, Overwrite
 from beltrami_cli.samples.memory_check import require_memory_for_textures
 from beltrami_cli.samples.settings import DEFAULTS, LevelSetSettings
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from beltrami_cli.errors import UsageError
 from beltrami_cli.formats.document import Written
-from beltrami_cli.jobs.colour_map import as_bytes, colour_by_value
 from beltrami_cli.samples.settings import IMAGE_SUFFIXES
+from beltrami_cli.surface.colour_values import as_bytes, colour_by_value
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -14,7 +14,6 @@ from beltrami_cli.formats.image import read_image
 from beltrami_cli.jobs.compare.figures import ComparedColours, SeamJumps
 from beltrami_cli.jobs.compare.measures import cie_lab, delta_e_2000, structural_similarity
 from beltrami_cli.jobs.compare.models import require_one_model, same_textures
-from beltrami_cli.jobs.compare.seams import near_seams, seam_steps, texel_areas
 from beltrami_cli.samples.memory_check import require_memory
 from beltrami_cli.samples.painted_samples import choose_channels
 from beltrami_cli.samples.pixel_samples import PixelSamples
@@ -23,16 +22,18 @@ from beltrami_cli.samples.texel_colours import TexelColours, choose_textures
 from beltrami_cli.samples.texel_samples import TexelSamples
 from beltrami_cli.samples.vertex_samples import with_surface
 from beltrami_cli.samples.voxels import LevelSetDocument
+from beltrami_cli.surface.atlas import EMPTY, REACH, Atlas, at_seam, lines_over_seams, refresh_halo
 from beltrami_cli.surface.colour_values import srgb_to_linear
 from beltrami_cli.surface.geometry import vertex_areas
 from beltrami_cli.surface.grouping import group_places
+from beltrami_cli.surface.lookup import within
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
-    from beltrami_cli.arrays import Float32s, Float64s, Int32s, Int64s
+    from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s
     from beltrami_cli.flow.parameters import Space, Weights
     from beltrami_cli.formats.access import Access
     from beltrami_cli.formats.document import Document
@@ -41,8 +42,56 @@ if TYPE_CHECKING:
     from beltrami_cli.samples.settings import SmoothSettings
     from beltrami_cli.surface.records import PaintedVertices, Slot, Texture
 
+# Distance from a seam that counts as near, in texels.
+_NEAR = 4
 _STEP = 0.75 / 255  # of opacity, which 8 bits store
 _BLOCK = 1 << 18  # colours compared at a time, which bounds the memory for them
+
+
+def near_seams(atlas: Atlas) -> Bools:
+    """Return which owned cells are within 4 texels of a seam, shape (T,)."""
+    beside = np.zeros(atlas.kind.shape, bool)
+    for inner, *_ in lines_over_seams(atlas, 1):
+        beside.reshape(-1)[inner] = True
+    # Charts are further apart on the canvas than this reaches.
+    return within(beside, _NEAR - 1).reshape(-1)[atlas.owned_cells]
+
+
+def seam_steps(atlas: Atlas, colours: Float32s) -> tuple[Int64s, Float64s]:
+    """Return the owned cells at seams (rows of `colours`, shape (T, N)) and the jump there, mean over channels."""
+    # The colours of three texels on a line across the seam are extrapolated to it, from both sides.
+    planes = np.zeros((colours.shape[1], *atlas.kind.shape), np.float32)
+    planes.reshape(len(planes), -1)[:, atlas.owned_cells] = colours.T
+    refresh_halo(planes, atlas, interpolated=True)
+    flat = planes.reshape(len(planes), -1)
+    cells, steps = [np.zeros(0, np.int64)], [np.zeros(0)]
+    for line in lines_over_seams(atlas, REACH):
+        jump = at_seam([flat[:, o] - flat[:, i] for i, o in zip(line[:REACH], line[REACH:], strict=True)])
+        cells.append(line[0])
+        steps.append(np.abs(jump).mean(axis=0))
+    return np.searchsorted(atlas.owned_cells, np.concatenate(cells)), np.concatenate(steps)
+
+
+def texel_areas(atlas: Atlas) -> Float64s:
+    """Return the surface area of each owned cell, shape (T,), in the surface's own unit squared."""
+    across, down, diagonal = (plane.astype(np.float64) for plane in atlas.squared_lengths[:3])
+    known = (atlas.kind != EMPTY)[:-1, :-1] & (atlas.kind != EMPTY)[1:, 1:]
+    known &= (atlas.kind != EMPTY)[:-1, 1:] & (atlas.kind != EMPTY)[1:, :-1]
+    sides = across[:-1, :-1], down[:-1, :-1], diagonal[:-1, :-1]
+    known &= np.isfinite(sides[0]) & np.isfinite(sides[1]) & np.isfinite(sides[2])
+    a, b, c = (np.where(known, side, 0) for side in sides)
+    # Each square of four cells is the parallelogram of its sides; a cell has the mean of the squares around it.
+    # |a x b|^2 = |a|^2 |b|^2 - (a . b)^2, where a . b follows from |a + b|^2.
+    area = np.sqrt(np.maximum(a * b - ((c - a - b) / 2) ** 2, 0))
+    total, count = np.zeros(atlas.kind.shape), np.zeros(atlas.kind.shape)
+    for rows in (slice(None, -1), slice(1, None)):
+        for columns in (slice(None, -1), slice(1, None)):
+            total[rows, columns] += area
+            count[rows, columns] += known
+    owned_total, owned_count = (plane.reshape(-1)[atlas.owned_cells] for plane in (total, count))
+    measured = owned_count > 0
+    usual = float(np.mean(owned_total[measured] / owned_count[measured])) if measured.any() else 1.0
+    return np.where(measured, owned_total / np.maximum(owned_count, 1), usual)
 
 
 def compare_vertices(

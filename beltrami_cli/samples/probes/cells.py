@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from beltrami_cli.flow.manifold import SampledKernel
     from beltrami_cli.formats.document import Document
     from beltrami_cli.formats.image import Picture
-    from beltrami_cli.samples.probes.location import Location
+    from beltrami_cli.samples.probes.probe import Location
     from beltrami_cli.surface.records import PaintedVertices, Texture
 
 # Cells around the window that are shown at least.

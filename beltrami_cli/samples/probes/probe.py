@@ -1,13 +1,15 @@
-"""Samples of one kind, and what a kernel on them needs to be found, named and drawn."""
+"""Kernels on samples of one kind: which one is wanted, how it is found, named and drawn."""
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.colour_space import from_space
 
 if TYPE_CHECKING:
@@ -15,9 +17,92 @@ if TYPE_CHECKING:
     from beltrami_cli.flow.beltrami_flow import BeltramiFlow
     from beltrami_cli.flow.manifold import SampledKernel
     from beltrami_cli.flow.parameters import Space
-    from beltrami_cli.samples.probes.location import Location
 
+_PIXEL = "px"
 _COLOURS = ("red", "green", "blue", "grey")
+
+
+@dataclass(frozen=True)
+class Location:
+    """A vertex, a position, a texel or a pixel of a file; methods raise UsageError if the file has none such."""
+
+    text: str  # as it was written
+    texture: str  # glob for the name of the texture that it is in; empty: the only one
+    numbers: tuple[float, ...]  # index of a vertex; texture coordinates, or column and row; position
+    in_pixels: bool  # whether two numbers were marked as pixels
+
+    def vertex_among(self, positions: Float64s, name: str) -> int:
+        """Return the vertex with the index, or nearest to the position."""
+        if len(self.numbers) == 3:
+            squared = np.square(positions - np.array(self.numbers)).sum(axis=1)
+            return int(np.where(np.isfinite(squared), squared, np.inf).argmin())
+        if len(self.numbers) != 1 or self.in_pixels or self.texture:
+            raise UsageError(
+                f"--at {self.text} is in an image, but vertex colours of {name} are smoothed; give the index of a "
+                "vertex or a position X,Y,Z"
+            )
+        index = _whole(self.numbers[0], self.text)
+        if not 0 <= index < len(positions):
+            raise UsageError(
+                f"--at {self.text} is no vertex; {name} has the vertices 0 to {len(positions) - 1}"
+            )
+        return index
+
+    def pixel_of(self, width: int, height: int, name: str) -> tuple[int, int]:
+        """Return column and row of a pixel of an image."""
+        if len(self.numbers) != 2 or self.texture:
+            raise UsageError(f"--at {self.text} names no pixel of {name}; give its column and row as X,Y")
+        return self._inside(width, height, name)
+
+    def texel_of(self, width: int, height: int, name: str, *, v_down: bool) -> tuple[int, int]:
+        """Return column and row of a texel; v counts from the upper side of the image (glTF) or the lower."""
+        if len(self.numbers) != 2:
+            raise UsageError(
+                f"--at {self.text} names no texel, but the texture {name} is smoothed; give texture coordinates U,V, a "
+                "texel as in 300px,200px, or --on vertices"
+            )
+        if self.in_pixels:
+            return self._inside(width, height, name)
+        u, v = self.numbers
+        if not (0 <= u <= 1 and 0 <= v <= 1):
+            raise UsageError(
+                f"--at {self.text} lies outside the texture {name}: coordinates go from 0 to 1; texels are written as "
+                "in 300px,200px"
+            )
+        down = v if v_down else 1 - v
+        return min(int(u * width), width - 1), min(int(down * height), height - 1)
+
+    def _inside(self, width: int, height: int, name: str) -> tuple[int, int]:
+        column, row = (_whole(number, self.text) for number in self.numbers)
+        if not (0 <= column < width and 0 <= row < height):
+            raise UsageError(
+                f"--at {self.text} lies outside {name}, which has the columns 0 to {width - 1} and the rows 0 to "
+                f"{height - 1}"
+            )
+        return column, row
+
+
+def read_location(text: str) -> Location:
+    """Read ``INDEX``, ``X,Y,Z``, ``X,Y``, ``U,V`` or ``Xpx,Ypx``, with ``GLOB:`` before it to choose a texture."""
+    texture, _, rest = text.rpartition(":")
+    parts = [part.strip() for part in rest.split(",")]
+    in_pixels = [part.endswith(_PIXEL) for part in parts]
+    try:
+        numbers = tuple(float(part.removesuffix(_PIXEL)) for part in parts)
+    except ValueError:
+        numbers = ()
+    fits = len(numbers) in (1, 2, 3) and all(map(math.isfinite, numbers))
+    if not fits or (any(in_pixels) and in_pixels != [True, True]):
+        raise UsageError(
+            f"--at {text} is no place; give the index of a vertex, X,Y,Z, texture coordinates U,V, or a pixel X,Y"
+        )
+    return Location(text, texture, numbers, all(in_pixels))
+
+
+def _whole(number: float, text: str) -> int:
+    if number != int(number):
+        raise UsageError(f"--at {text} must be of whole numbers here, counted from 0")
+    return int(number)
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Literal
 
 from beltrami_cli.errors import OutputError
-from beltrami_cli.jobs.writing.replacing import (
+from beltrami_cli.jobs.replacing import (
     Aside,
     check_writable,
     endings_held,

@@ -1,1 +1,0 @@
-"""One kernel, to look at."""
