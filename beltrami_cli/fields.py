@@ -215,6 +215,13 @@ def check(record: Any) -> None:
         each.check(getattr(record, each.name))
 
 
+class Checked:
+    """A record that is checked as it is made."""
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
 def override(record: Record, **values: Any) -> Record:
     """Return a record with other values, by the names of parameters in it or in records in it.
 

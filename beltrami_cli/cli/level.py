@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -48,9 +47,6 @@ and stays; if all of them are, OUTPUT is INPUT. See docs/levelling.md.
 def command(
     source: str,
     target: str,
-    dry_run: bool,
-    report_path: str | None,
-    preview_path: str | None,
     messages: Messages,
     **values: Any,
 ) -> None:
@@ -65,23 +61,14 @@ def command(
     del values["strength"]  # which is another parameter where colours are smoothed
     settings = options.record_from(SmoothSettings, values)
     from beltrami_cli.jobs.level import level_file
-    from beltrami_cli.jobs.output import FileSet
 
-    with (
-        options.job_from(values, source, messages) as job,
-        messages.work_shown(wanted=messages.verbose > 0 or dry_run),
-        FileSet([source, target]) as files,
-    ):
-        job = replace(job, dry_run=dry_run, files=files)
-        report_file = outputs.open_report(report_path, job)
-        preview = outputs.open_preview(preview_path, (source, target), settings, job)
-        report = level_file(source, target, wanted, settings, job)
-        if preview is not None:
-            preview.draw()
-        if report_file is not None:
-            outputs.write_report(report_file, report)
-        files.put_in_place()
-    messages.warn_of(source, report.warnings)
-    outputs.show_levelled(
-        messages, report.levelled, f"{target}: {'not written (dry run), ' if dry_run else ''}"
+    report = outputs.written(
+        values,
+        (source, target),
+        settings,
+        messages,
+        lambda job: level_file(source, target, wanted, settings, job),
     )
+    messages.warn_of(source, report.warnings)
+    unwritten = "not written (dry run), " if values["dry_run"] else ""
+    outputs.show_levelled(messages, report.levelled, f"{target}: {unwritten}")

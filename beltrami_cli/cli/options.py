@@ -24,8 +24,6 @@ from beltrami_cli.samples.settings import IMAGE_FORMATS, SmoothSettings, Texture
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Mapping
 
-    from beltrami_cli.jobs.output import Overwrite
-
     Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 
 Record = TypeVar("Record")
@@ -301,16 +299,6 @@ def messages(command: Callable[..., Any]) -> Callable[..., Any]:
         return command(messages=Messages(quiet=quiet, verbose=verbose), **given)
 
     return quiet(verbose(with_messages))
-
-
-def overwrite_at(option: str, *, overwrite: bool) -> Overwrite:
-    """Whether the file that an option names may be replaced.
-
-    One that this program did not write may be only if the command line itself names it and says --overwrite.
-    """
-    sources = [click.get_current_context().get_parameter_source(name) for name in (option, "overwrite")]
-    is_direct = all(source is ParameterSource.COMMANDLINE for source in sources)
-    return "own" if overwrite and not is_direct else overwrite
 
 
 def reading(command: Callable[..., Any]) -> Callable[..., Any]:

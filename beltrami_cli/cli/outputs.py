@@ -3,23 +3,29 @@
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING, Any
+from dataclasses import asdict, replace
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
+from click.core import ParameterSource
 
 from beltrami_cli.cli import options
 from beltrami_cli.cli.console import counted
 from beltrami_cli.errors import OutputError, UsageError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from beltrami_cli.cli.console import Messages
     from beltrami_cli.jobs.job import Job
-    from beltrami_cli.jobs.output import Output
+    from beltrami_cli.jobs.level import LevelFileReport
+    from beltrami_cli.jobs.output import Output, Overwrite
+    from beltrami_cli.jobs.smoothing import SmoothReport
     from beltrami_cli.samples.reports import LevelReport
     from beltrami_cli.samples.settings import SmoothSettings
     from beltrami_cli.view.render import Preview
+
+Report = TypeVar("Report", "SmoothReport", "LevelFileReport")
 
 _dry_run = click.option("--dry-run", is_flag=True, help="Compute and report, but write no OUTPUT.")
 _report = click.option(
@@ -39,7 +45,44 @@ def besides(command: Callable[..., Any]) -> Callable[..., Any]:
     return _dry_run(_report(_preview(command)))
 
 
-def open_report(path: str | None, job: Job) -> Output | None:
+def written(
+    values: Mapping[str, Any],
+    ends: tuple[str, str],
+    settings: SmoothSettings,
+    messages: Messages,
+    carry_out: Callable[[Job], Report],
+) -> Report:
+    """Carry out a job from INPUT to OUTPUT, and put all that it writes in place together; return its report."""
+    from beltrami_cli.jobs.output import FileSet
+
+    with (
+        options.job_from(values, ends[0], messages) as job,
+        messages.work_shown(wanted=messages.verbose > 0 or values["dry_run"]),
+        FileSet(ends) as files,
+    ):
+        job = replace(job, dry_run=values["dry_run"], files=files)
+        report_file = _open_report(values["report_path"], job)
+        preview = _open_preview(values["preview_path"], ends, settings, job)
+        report = carry_out(job)
+        if preview is not None:
+            preview.draw()
+        if report_file is not None:
+            _write_report(report_file, report)
+        files.put_in_place()
+    return report
+
+
+def overwrite_at(option: str, *, overwrite: bool) -> Overwrite:
+    """Whether the file that an option names may be replaced.
+
+    One that this program did not write may be only if the command line itself names it and says --overwrite.
+    """
+    sources = [click.get_current_context().get_parameter_source(name) for name in (option, "overwrite")]
+    is_direct = all(source is ParameterSource.COMMANDLINE for source in sources)
+    return "own" if overwrite and not is_direct else overwrite
+
+
+def _open_report(path: str | None, job: Job) -> Output | None:
     """Check that a report can be written, if one is wanted, before anything is computed."""
     from beltrami_cli.jobs.output import Output
     from beltrami_cli.jobs.smoothing import is_report
@@ -48,11 +91,11 @@ def open_report(path: str | None, job: Job) -> Output | None:
         return None
     if path == "-":
         raise OutputError(path, "the report is a file; standard output is for OUTPUT", "name a file")
-    replaced = options.overwrite_at("report_path", overwrite=job.overwrite)
+    replaced = overwrite_at("report_path", overwrite=job.overwrite)
     return Output(path, overwrite=replaced, what="report", is_own=is_report, files=job.files)
 
 
-def open_preview(
+def _open_preview(
     path: str | None, names: tuple[str, str], settings: SmoothSettings, job: Job
 ) -> Preview | None:
     """Check that a preview of INPUT and OUTPUT can be drawn, if one is wanted, before anything is computed."""
@@ -63,14 +106,12 @@ def open_preview(
     if job.dry_run:
         raise UsageError("--preview draws OUTPUT, which --dry-run does not write")
     assert job.files is not None
-    replaced = options.overwrite_at("preview_path", overwrite=job.overwrite)
+    replaced = overwrite_at("preview_path", overwrite=job.overwrite)
     return Preview(path, *names, settings, job.access, overwrite=replaced, files=job.files)
 
 
-def write_report(output: Output, report: Any) -> None:
+def _write_report(output: Output, report: Any) -> None:
     """Write the record of a report as JSON."""
-    from dataclasses import asdict
-
     from beltrami_cli.formats.document import Written
 
     output.write(Written(main=[(json.dumps(asdict(report), indent=2) + "\n").encode()]))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -66,9 +65,6 @@ with --beta. If edges soften, raise --beta, or say --strength gentle; if noise s
 def command(
     source: str,
     target: str,
-    dry_run: bool,
-    report_path: str | None,
-    preview_path: str | None,
     messages: Messages,
     **smoothing: Any,
 ) -> None:
@@ -87,25 +83,17 @@ def command(
     .npz with the arrays values (X, Y, Z) and colours (X, Y, Z, C), or points (P, 3) and point_colours (P, C) near the
     surface; and, if there are, spacing, origin, level and mask (X, Y, Z). NaN, and 0 in the mask, are holes.
     """
-    settings = options.settings_from(smoothing)
+    settings, dry_run = options.settings_from(smoothing), smoothing["dry_run"]
     unwrap = options.unwrapping_from(smoothing)
-    from beltrami_cli.jobs.output import FileSet
     from beltrami_cli.jobs.smooth import smooth_file
 
-    with (
-        options.job_from(smoothing, source, messages) as job,
-        messages.work_shown(wanted=messages.verbose > 0 or dry_run),
-        FileSet([source, target]) as files,
-    ):
-        job = replace(job, dry_run=dry_run, files=files)
-        report_file = outputs.open_report(report_path, job)
-        preview = outputs.open_preview(preview_path, (source, target), settings, job)
-        report = smooth_file(source, target, settings, unwrap=unwrap, job=job)
-        if preview is not None:
-            preview.draw()
-        if report_file is not None:
-            outputs.write_report(report_file, report)
-        files.put_in_place()
+    report = outputs.written(
+        smoothing,
+        (source, target),
+        settings,
+        messages,
+        lambda job: smooth_file(source, target, settings, unwrap=unwrap, job=job),
+    )
     outputs.show_levelled(messages, report.levelled, f"{report.output}: ")
     if not settings.kernel.iterations:
         if settings.level_seams:

@@ -12,7 +12,8 @@ from beltrami_cli.fields import override
 from beltrami_cli.jobs.job import PLAIN_JOB, peak_memory
 from beltrami_cli.jobs.recolour import recolour
 from beltrami_cli.samples.levelled_charts import photographs_of
-from beltrami_cli.samples.settings import DEFAULTS, LevelSettings, describe_settings
+from beltrami_cli.samples.reports import describe_settings
+from beltrami_cli.samples.settings import DEFAULTS, LevelSettings
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -11,7 +11,6 @@ import contextlib
 import dataclasses
 import filecmp
 import os
-import stat
 import sys
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
@@ -23,6 +22,7 @@ from beltrami_cli.jobs.replacing import (
     check_writable,
     endings_held,
     folders_locked,
+    is_special,
     make_folder,
     put_together,
     remove_leftovers,
@@ -66,7 +66,7 @@ class Output:
         self.is_stdout = target == "-"
         # A link is followed, so that what it points to is replaced and the link stays.
         self.path = Path(os.path.realpath(target))
-        self.is_device = not self.is_stdout and _is_special(self.path)
+        self.is_device = not self.is_stdout and is_special(self.path)
         self._sidecars: tuple[str, ...] = ()
         self.replaceable: frozenset[str] = frozenset()  # files beside an old OUTPUT, which belong to it
         self._is_alone = files is None
@@ -108,7 +108,7 @@ class Output:
             path = PurePosixPath(name)
             if (
                 path.is_absolute() or ".." in path.parts
-            ):  # No reader gives such a name; this is the last check.
+            ):  # no reader gives such a name; this is the last check
                 raise OutputError(name, "would be written outside the output's folder")
             self._check_file(self.folder / name)
             remove_leftovers(self.folder / name)
@@ -151,9 +151,7 @@ class Output:
             if isinstance(error, BrokenPipeError):
                 # What is still in the buffer must not be tried again when the interpreter ends.
                 os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-            raise OutputError(
-                self.target, f"cannot be written ({error.strerror})", "free space or choose another place"
-            ) from error
+            raise _unwritable(self.target, error) from error
 
     def _check_file(self, path: Path) -> None:
         name = self._named(path)
@@ -166,7 +164,7 @@ class Output:
         if is_folder:
             raise OutputError(name, "is a folder", "name a file")
         if exists and not self.overwrite:
-            raise OutputError(name, "exists already", "choose another name, or --overwrite")
+            raise _existing(name)
 
     def _require_own(self, is_own: Callable[[bytes], bool]) -> None:
         try:
@@ -201,14 +199,6 @@ class Output:
             if target.is_symlink():
                 return str(path)
         return str(target.parent / path.relative_to(self.path.parent))
-
-
-def _is_special(path: Path) -> bool:
-    try:
-        mode = path.stat().st_mode
-    except OSError:
-        return False
-    return not (stat.S_ISREG(mode) or stat.S_ISDIR(mode))
 
 
 @dataclass(frozen=True)

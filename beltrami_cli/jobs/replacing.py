@@ -126,6 +126,15 @@ def put_together(files: Sequence[Aside]) -> None:
         undoing.pop_all()
 
 
+def is_special(path: Path) -> bool:
+    """Whether a path is neither a file nor a folder, such as a device or a pipe."""
+    try:
+        mode = path.stat().st_mode
+    except OSError:
+        return False
+    return not (stat.S_ISREG(mode) or stat.S_ISDIR(mode))
+
+
 def check_writable(path: Path) -> None:
     """Make a file beside a path and remove it; OSError if that is not possible."""
     probe = temporary_beside(path)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import ClassVar, Literal, get_args
 
 from beltrami_cli.errors import UsageError
-from beltrami_cli.fields import REQUIRED, check, described, parameter
+from beltrami_cli.fields import REQUIRED, Checked, check, described, parameter
 
 _SMALLEST_SIDE, _LARGEST_SIDE = 16, 16384  # of a texture: less is of no use, graphics cards take no more
 
@@ -54,7 +54,7 @@ def share(text: str) -> float:
 
 
 @dataclass(frozen=True)
-class NoiseSettings:
+class NoiseSettings(Checked):
     """What noise is added; UsageError if a value is out of its range."""
 
     group: ClassVar[str] = "Noise"
@@ -77,9 +77,6 @@ class NoiseSettings:
         "The same seed gives the same noise, for any number of threads.",
         low=0, metavar="K", is_daily=True,
     )  # fmt: skip
-
-    def __post_init__(self) -> None:
-        check(self)
 
 
 @described
@@ -115,7 +112,7 @@ class BakeSettings:
 
 
 @dataclass(frozen=True)
-class Limits:
+class Limits(Checked):
     """What a comparison must keep to; None: anything goes. UsageError if nothing could keep to it."""
 
     group: ClassVar[str] = "Limits"
@@ -146,6 +143,3 @@ class Limits:
         "not move by more than rounding.",
         kind=float, low=0, unit="longest sides of the model", metavar="SHARE", parse=share,
     )  # fmt: skip
-
-    def __post_init__(self) -> None:
-        check(self)

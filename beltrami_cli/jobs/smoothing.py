@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 from beltrami_cli.jobs.job import peak_memory
 from beltrami_cli.jobs.level import Levelling
+from beltrami_cli.samples.reports import describe_settings
 from beltrami_cli.samples.selection import require_geometry, require_scale
-from beltrami_cli.samples.settings import LevelSettings, describe_settings
+from beltrami_cli.samples.settings import LevelSettings
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

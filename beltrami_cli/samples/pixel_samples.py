@@ -23,7 +23,7 @@ from beltrami_cli.formats.image.picture import full_scale_one, is_associated, su
 from beltrami_cli.samples.guides import read_guide_images
 from beltrami_cli.samples.image_surface import grid_flow, read_surface
 from beltrami_cli.samples.memory_check import require_memory
-from beltrami_cli.samples.reports import ImageReport
+from beltrami_cli.samples.reports import ImageReport, describe_kernel
 from beltrami_cli.samples.samples import (
     Change,
     Grains,
@@ -35,7 +35,7 @@ from beltrami_cli.samples.samples import (
     options_of_meshes,
     store,
 )
-from beltrami_cli.samples.settings import DEFAULTS, describe_kernel
+from beltrami_cli.samples.settings import DEFAULTS
 from beltrami_cli.surface.records import ImageFile
 
 if TYPE_CHECKING:

@@ -12,8 +12,8 @@ from beltrami_cli.flow.colour_space import to_space
 from beltrami_cli.flow.embedding import Guide
 from beltrami_cli.samples.image_surface import ImageSurface, grid_flow
 from beltrami_cli.samples.painted_samples import PaintedSamples, describe_colours
+from beltrami_cli.samples.reports import describe_kernel
 from beltrami_cli.samples.samples import options_of_meshes
-from beltrami_cli.samples.settings import describe_kernel
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

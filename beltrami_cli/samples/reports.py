@@ -1,9 +1,15 @@
-"""What was done to the samples of a document, as records whose `dataclasses.asdict` gives JSON types."""
+"""What was asked for and done to the samples of a document; `dataclasses.asdict` of the records gives JSON types."""
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass, field
-from typing import TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+if TYPE_CHECKING:
+    from beltrami_cli.flow.beltrami_flow import BeltramiFlow
+    from beltrami_cli.flow.tuning.choice import Choice
+    from beltrami_cli.samples.settings import SmoothSettings
 
 
 @dataclass(frozen=True)
@@ -180,3 +186,39 @@ class LevelReport:
 
 
 SamplesReport: TypeAlias = VertexReport | SlotReport | ImageReport
+
+
+def describe_settings(settings: SmoothSettings) -> dict[str, object]:
+    """Return what was asked for."""
+    return {
+        **dataclasses.asdict(settings.kernel),
+        "threads": settings.kernel.thread_count,
+        "space": settings.space,
+        "channels": settings.channels,
+        "on": settings.on,
+        "level_seams": settings.level_seams,
+        "textures": dataclasses.asdict(settings.textures),
+        "image": dataclasses.asdict(settings.image),
+        "level_set": dataclasses.asdict(settings.level_set),
+        "embedding": dataclasses.asdict(settings.embedding),
+    }
+
+
+def describe_kernel(settings: SmoothSettings, flow: BeltramiFlow[Any]) -> dict[str, object]:
+    """Return the parameters of the kernel that a flow uses."""
+    choice = describe_choice(flow.choice)
+    used = dataclasses.asdict(dataclasses.replace(flow.parameters, beta=flow.beta))
+    del used["free"]  # nothing is any more
+    return {
+        **used,
+        "patches": "on" if flow.takes_patches else "off",
+        "threads": settings.kernel.thread_count,
+        "space": settings.space,
+        **({"guide_betas": flow.manifold.guide_betas} if flow.manifold.guide_betas else {}),
+        **({"choice": choice} if choice else {}),
+    }
+
+
+def describe_choice(choice: Choice | None) -> dict[str, object] | None:
+    """Return what was chosen, and by what estimate."""
+    return None if choice is None else dataclasses.asdict(choice)

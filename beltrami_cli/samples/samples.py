@@ -16,7 +16,8 @@ import numpy as np
 from beltrami_cli.errors import UsageError
 from beltrami_cli.formats.image import write_image
 from beltrami_cli.formats.image.picture import as_stored
-from beltrami_cli.samples.settings import DEFAULTS, describe_choice
+from beltrami_cli.samples.reports import describe_choice
+from beltrami_cli.samples.settings import DEFAULTS
 from beltrami_cli.surface.colour_values import store_integers
 
 if TYPE_CHECKING:

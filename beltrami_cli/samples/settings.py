@@ -8,16 +8,12 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args
+from typing import ClassVar, Literal, get_args
 
 from beltrami_cli.errors import UsageError
-from beltrami_cli.fields import check, described, named_files, names_in, parameter, part
+from beltrami_cli.fields import Checked, check, described, named_files, names_in, parameter, part
 from beltrami_cli.flow.parameters import TUNABLE, KernelParameters, Space
 from beltrami_cli.formats.access import is_file
-
-if TYPE_CHECKING:
-    from beltrami_cli.flow.beltrami_flow import BeltramiFlow
-    from beltrami_cli.flow.tuning.choice import Choice
 
 Target = Literal["auto", "vertices", "texture", "both"]
 AlphaMode = Literal["keep", "smooth"]
@@ -59,7 +55,7 @@ def _metric_channels(text: str) -> tuple[str, ...]:
 
 @described
 @dataclass(frozen=True)
-class TextureSettings:
+class TextureSettings(Checked):
     """Which textures are smoothed, and how they are written."""
 
     group: ClassVar[str] = "Textures"
@@ -105,9 +101,6 @@ class TextureSettings:
     )  # fmt: skip
     small: bool = parameter(False, "Compress PNG files well, which takes longer.")
 
-    def __post_init__(self) -> None:
-        check(self)
-
 
 def _strength(text: str) -> float:
     try:
@@ -119,7 +112,7 @@ def _strength(text: str) -> float:
 
 @described
 @dataclass(frozen=True)
-class LevelSettings:
+class LevelSettings(Checked):
     """How exposure steps between charts are taken out."""
 
     group: ClassVar[str] = "Exposure steps"
@@ -140,9 +133,6 @@ class LevelSettings:
         "Of vertex colours: the attribute of vertices that numbers the photograph that each is from.",
         unset="photograph, photo, image, camera, view or one of these with _id", metavar="ATTRIBUTE", is_daily=True,
     )  # fmt: skip
-
-    def __post_init__(self) -> None:
-        check(self)
 
 
 @described
@@ -193,7 +183,7 @@ class ImageSettings:
 
 @described
 @dataclass(frozen=True)
-class LevelSetSettings:
+class LevelSetSettings(Checked):
     """The surface in a volume, and its colours."""
 
     group: ClassVar[str] = "Level sets"
@@ -220,9 +210,6 @@ class LevelSetSettings:
         "Of a level set: the largest grid that is read.",
         low=8, high=MOST_VOXELS, unit="voxels", metavar="COUNT", lifts_limit=True,
     )  # fmt: skip
-
-    def __post_init__(self) -> None:
-        check(self)
 
     @property
     def given(self) -> tuple[str, ...]:
@@ -354,39 +341,3 @@ class SmoothSettings:
 
 
 DEFAULTS = SmoothSettings()
-
-
-def describe_settings(settings: SmoothSettings) -> dict[str, object]:
-    """Return what was asked for."""
-    return {
-        **dataclasses.asdict(settings.kernel),
-        "threads": settings.kernel.thread_count,
-        "space": settings.space,
-        "channels": settings.channels,
-        "on": settings.on,
-        "level_seams": settings.level_seams,
-        "textures": dataclasses.asdict(settings.textures),
-        "image": dataclasses.asdict(settings.image),
-        "level_set": dataclasses.asdict(settings.level_set),
-        "embedding": dataclasses.asdict(settings.embedding),
-    }
-
-
-def describe_kernel(settings: SmoothSettings, flow: BeltramiFlow[Any]) -> dict[str, object]:
-    """Return the parameters of the kernel that a flow uses."""
-    choice = describe_choice(flow.choice)
-    used = dataclasses.asdict(dataclasses.replace(flow.parameters, beta=flow.beta))
-    del used["free"]  # nothing is any more
-    return {
-        **used,
-        "patches": "on" if flow.takes_patches else "off",
-        "threads": settings.kernel.thread_count,
-        "space": settings.space,
-        **({"guide_betas": flow.manifold.guide_betas} if flow.manifold.guide_betas else {}),
-        **({"choice": choice} if choice else {}),
-    }
-
-
-def describe_choice(choice: Choice | None) -> dict[str, object] | None:
-    """Return what was chosen, and by what estimate."""
-    return None if choice is None else dataclasses.asdict(choice)

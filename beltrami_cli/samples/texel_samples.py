@@ -18,9 +18,9 @@ from beltrami_cli.formats.image import check_writable, is_unchanged, losses, rea
 from beltrami_cli.formats.image.conversion import noise_losses
 from beltrami_cli.levelling.correction import level_canvas
 from beltrami_cli.samples.levelled_charts import TextureCharts, describe_level, level_report
-from beltrami_cli.samples.reports import SlotReport
+from beltrami_cli.samples.reports import SlotReport, describe_kernel
 from beltrami_cli.samples.samples import Change, Grains, Part, Repainted, Samples, encoded
-from beltrami_cli.samples.settings import SLOTS, LevelSettings, describe_kernel
+from beltrami_cli.samples.settings import SLOTS, LevelSettings
 from beltrami_cli.samples.texel_colours import (
     COLOUR_SLOTS,
     Repainting,

@@ -19,7 +19,7 @@ from beltrami_cli.flow.mesh_manifold import MeshManifold
 from beltrami_cli.levelling.correction import level_mesh
 from beltrami_cli.samples.levelled_charts import level_report
 from beltrami_cli.samples.painted_samples import PaintedSamples, coloured_rows, describe_colours
-from beltrami_cli.samples.settings import describe_kernel
+from beltrami_cli.samples.reports import describe_kernel
 from beltrami_cli.surface.geometry import bounds
 from beltrami_cli.surface.point_triangulation import faces_of_points
 from beltrami_cli.surface.records import SampledSurface

@@ -23,8 +23,6 @@ from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -257,6 +255,9 @@ def _prepared(values: Array, level: float, scale: float, known: Bools | None) ->
 
 def compacted(vertices: Float64s, faces: Int32s) -> tuple[Float64s, Int32s]:
     """Put together vertices that edges join and whose nearest grid point is the same, in the middle of them."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     nearest = np.rint(vertices)
     edges = edges[(nearest[edges[:, 0]] == nearest[edges[:, 1]]).all(axis=1)]

@@ -5,7 +5,8 @@ from __future__ import annotations
 import html
 from typing import TYPE_CHECKING, Any
 
-from beltrami_cli.samples.settings import DEFAULTS, describe_settings
+from beltrami_cli.samples.reports import describe_settings
+from beltrami_cli.samples.settings import DEFAULTS
 from beltrami_cli.view.pages import table
 
 if TYPE_CHECKING:
