@@ -175,8 +175,8 @@ def _towards_limit(gap: Float32s, share: Float32s, sigma: np.float32) -> Float32
     table = _censored_normal()
     # The share of a true colour within the limits is at most one half.
     share = np.minimum(share, np.float32(0.5))
-    alpha = np.interp(share, table.share, table.alpha).astype(np.float32)
-    gap_of_one = np.interp(share, table.share, table.gap).astype(np.float32)
+    alpha = _interpolated(share, table.share, table.alpha)
+    gap_of_one = _interpolated(share, table.share, table.gap)
     local = np.minimum(gap / gap_of_one, sigma)
     closer: Float32s = local * (gap_of_one - alpha)
     return np.maximum(closer, 0)
@@ -208,29 +208,30 @@ def _censored_normal() -> _CensoredNormal:
     return _CensoredNormal(share, alpha, gap, variance)
 
 
+def _interpolated(places: Float32s, at: Float64s, table: Float64s) -> Float32s:
+    """Interpolate a table linearly; `at`: ascending in even steps."""
+    from beltrami_cli._native import interpolate
+
+    values = np.ravel(places).astype(np.float32)
+    interpolate(values, at, table)
+    return values.reshape(places.shape)
+
+
 @dataclass(frozen=True)
 class _Normal:
     """Of a normal variable z with sigma = 1: functions of a limit a, at even steps."""
 
-    # P(z > a), E max(z - a, 0) and E[z | z > a].
-    tables: dict[str, Float32s]
+    limits: Float64s
+    tables: dict[str, Float64s]  # P(z > a), E max(z - a, 0) and E[z | z > a]
 
     def share_beyond(self, a: Float32s) -> Float32s:
-        return self._at("share", a)
+        return _interpolated(a, self.limits, self.tables["share"])
 
     def lost(self, a: Float32s) -> Float32s:
-        return self._at("lost", a)
+        return _interpolated(a, self.limits, self.tables["lost"])
 
     def beyond(self, a: Float32s) -> Float32s:
-        return self._at("beyond", a)
-
-    def _at(self, name: str, a: Float32s) -> Float32s:
-        table = self.tables[name]
-        place = np.clip((a + _FURTHEST) * np.float32(_STEPS), 0, len(table) - 1.001).astype(np.float32)
-        first = place.astype(np.int32)
-        below = table[first]
-        value: Float32s = below + (place - first) * (table[first + 1] - below)
-        return value
+        return _interpolated(a, self.limits, self.tables["beyond"])
 
 
 # Limits, and steps of the tables in a unit.
@@ -244,5 +245,4 @@ def _normal() -> _Normal:
     limits = np.arange(-_FURTHEST * _STEPS, _FURTHEST * _STEPS + 1) / _STEPS
     share = np.array([erfc(limit / sqrt(2)) / 2 for limit in limits])
     density = np.exp(-(limits**2) / 2) / np.sqrt(2 * np.pi)
-    tables = {"share": share, "lost": density - limits * share, "beyond": density / share}
-    return _Normal({name: table.astype(np.float32) for name, table in tables.items()})
+    return _Normal(limits, {"share": share, "lost": density - limits * share, "beyond": density / share})

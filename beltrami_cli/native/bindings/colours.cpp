@@ -84,6 +84,14 @@ auto find_limits(const Matrix<float>& colours) {
   return rows;
 }
 
+// See interpolate; works in place.
+void interpolate(nb::ndarray<float, nb::ndim<1>, nb::c_contig, nb::device::cpu>& places, const Vector<double>& at,
+                 const Vector<double>& table) {
+  if (at.size() < 2 || table.size() != at.size()) throw nb::value_error("a table needs two places, and a value at each");
+  const nb::gil_scoped_release unlock;
+  colours::interpolate({places.data(), places.size()}, {at.data(), at.size()}, {table.data(), table.size()}, places.data());
+}
+
 template <class Index>
 void bind_moves(nb::module_& module) {
   using namespace nb::literals;
@@ -109,6 +117,7 @@ void bind_colours(nb::module_& module) {
   bind_store<std::uint16_t, std::int32_t>(module);
   bind_store<std::uint16_t, std::int64_t>(module);
   module.def("find_limits", &find_limits, "colours"_a);
+  module.def("interpolate", &interpolate, "places"_a.noconvert(), "at"_a, "table"_a);
 }
 
 }  // namespace beltrami::bindings

@@ -19,6 +19,10 @@ struct Limits {
 // Looks at `count` rows of `channels` values each.
 std::vector<Limits> find_limits(const float* values, std::size_t count, std::size_t channels);
 
+// Interpolates a table linearly at `places`, none of which is NaN. at: ascending in nearly even steps, two or more; beyond
+// its ends values stay as they are there.
+void interpolate(std::span<const float> places, std::span<const double> at, std::span<const double> table, float* values);
+
 // Planes of `size` cells each, one a channel.
 template <class Value>
 struct Planes {

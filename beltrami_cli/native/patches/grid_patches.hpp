@@ -46,8 +46,7 @@ struct TileScratch {
   std::vector<float> noisy, pilot, relative, estimates, weights, distances;
   std::vector<std::uint8_t> kind;
   std::vector<std::uint32_t> keys;
-  std::vector<std::int32_t> places;
-  GroupScratch group;
+  Group group{};
 };
 
 // Adds the estimates of the groups that start in a tile to whole planes.

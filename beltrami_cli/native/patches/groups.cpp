@@ -21,137 +21,165 @@ constexpr float least_norm = 1e-6F;
 constexpr std::size_t block = 4;
 constexpr std::size_t most_packs = lane_count == 16 ? 4 : 2;
 
-// One channel of a group: rows of `size` columns, padded with rows of zeros to whole blocks.
-template <std::size_t size>
-class Group {
+// Transposes a square of `block` x `block` values.
+void transpose_square(const float* from, std::size_t from_step, float* to, std::size_t to_step) {
+#if defined(__SSE__)
+  __m128 a = _mm_loadu_ps(from), b = _mm_loadu_ps(from + from_step), c = _mm_loadu_ps(from + 2 * from_step),
+         d = _mm_loadu_ps(from + 3 * from_step);
+  _MM_TRANSPOSE4_PS(a, b, c, d);
+  _mm_storeu_ps(to, a);
+  _mm_storeu_ps(to + to_step, b);
+  _mm_storeu_ps(to + 2 * to_step, c);
+  _mm_storeu_ps(to + 3 * to_step, d);
+#else
+  for (std::size_t i = 0; i < block; ++i)
+    for (std::size_t j = 0; j < block; ++j) to[j * to_step + i] = from[i * from_step + j];
+#endif
+}
+
+template <std::size_t size, std::size_t length>
+class Estimate {
  public:
-  static constexpr std::size_t packs = size / lane_count, tile = packs < most_packs ? packs : most_packs;
-  using Row = std::array<Lanes, packs>;
-  using Block = std::array<std::array<Lanes, tile>, block>;
+  explicit Estimate(Group& group) : group_(group) {}
 
-  Group(float* pilot, float* noisy, float* theta, const float* energy, std::size_t rows, std::size_t found)
-      : pilot_(pilot), noisy_(noisy), theta_(theta), energy_(energy), rows_(rows), found_(found) {}
-
-  static std::size_t padded(std::size_t rows) { return (rows + block - 1) / block * block; }
-
-  // Reads the patches as differences from the mean of the first patch, so that sums lose few digits.
-  void read(const float* noisy, const float* pilot, const std::int32_t* places) {
-    float sum = 0;
-    for (std::size_t p = 0; p < rows_; ++p) sum += pilot[places[p * size]];
-    mean_ = sum / static_cast<float>(rows_);
-    std::fill(pilot_, pilot_ + padded(rows_) * size, 0.0F);
-    std::fill(noisy_, noisy_ + padded(rows_) * size, 0.0F);
-    for (std::size_t p = 0; p < rows_; ++p) {
-      const std::int32_t* place = places + p * size;
-      float *of_pilot = pilot_ + p * size, *of_noisy = noisy_ + p * size;
-      for (std::size_t k = 0; k < found_; ++k) of_pilot[k] = pilot[place[k]] - mean_;
-      for (std::size_t k = 0; k < found_; ++k) of_noisy[k] = noisy[place[k]] - mean_;
-    }
-  }
-
-  // Makes Theta; returns the weights of the estimates, 1 / |Theta_k|^2.
-  Row combine(bool has_pilot) {
-    multiply(has_pilot ? pilot_ : noisy_);
+  void run(bool has_pilot) {
+    transpose(has_pilot ? group_.pilot.data() : group_.noisy.data());
+    multiply();
+    float* theta = group_.theta.data();
     for (std::size_t k = 0; k < size; ++k) {
-      const float added = has_pilot ? energy_[k] : least_share * energy_[k];
-      theta_[k * size + k] += k < found_ ? added : 1;
+      const float added = has_pilot ? group_.energy[k] : least_share * group_.energy[k];
+      theta[k * size + k] += k < group_.found ? added : 1;
     }
     invert();
-    return constrain();
-  }
-
-  // Adds the estimates at their places.
-  void add(const std::int32_t* places, const Row& weights, float* estimates, float* counts) const {
-    alignas(64) std::array<float, size> weight;
-    alignas(64) std::array<float, block * size> values;
-    for (std::size_t v = 0; v < packs; ++v) store(weight.data() + v * lane_count, weights[v]);
-    for (std::size_t p = 0; p < rows_; p += block) {
-      for (std::size_t c = 0; c < packs; c += tile) {
-        Block sums{};
-        for (std::size_t i = 0; i < found_; ++i) add_product(noisy_ + p * size + i, size, theta_ + i * size, c, sums);
-        for (std::size_t j = 0; j < block; ++j)
-          for (std::size_t v = 0; v < tile; ++v)
-            store(values.data() + j * size + (c + v) * lane_count, (sums[j][v] + mean_) * weights[c + v]);
-      }
-      for (std::size_t j = 0; j < std::min(block, rows_ - p); ++j) {
-        const std::int32_t* place = places + (p + j) * size;
-        const float* value = values.data() + j * size;
-        for (std::size_t k = 0; k < found_; ++k) {
-          estimates[place[k]] += value[k];
-          counts[place[k]] += weight[k];
-        }
-      }
-    }
+    constrain();
+    combine();
   }
 
  private:
-  // sums += a column of `block` factors, `step` apart, times a tile of a row.
-  static void add_product(const float* factors, std::size_t step, const float* row, std::size_t first, Block& sums) {
-    std::array<Lanes, tile> values;
-    for (std::size_t v = 0; v < tile; ++v) values[v] = load(row + (first + v) * lane_count);
+  static constexpr std::size_t packs = size / lane_count, long_packs = length / lane_count;
+  static constexpr std::size_t long_tile = long_packs < most_packs ? long_packs : most_packs;
+  template <std::size_t count>
+  using Block = std::array<std::array<Lanes, count>, block>;
+
+  // sums += a column of `block` factors times a tile of a row.
+  template <std::size_t count>
+  static void add_product(const float* factors, const float* row, Block<count>& sums) {
+    std::array<Lanes, count> values;
+    for (std::size_t v = 0; v < count; ++v) values[v] = load(row + v * lane_count);
     for (std::size_t j = 0; j < block; ++j)
-      for (std::size_t v = 0; v < tile; ++v) sums[j][v] += values[v] * factors[j * step];
+      for (std::size_t v = 0; v < count; ++v) sums[j][v] += values[v] * factors[j];
   }
 
-  // theta = A^T A, its upper triangle.
-  void multiply(const float* a) {
+  // Makes rows of values, of which the patches are columns: one for each place in the rows of patches.
+  void transpose(const float* patches) {
+    float* values = group_.values.data();
+    const std::size_t places = (group_.used[group_.count - 1] + block) / block * block;
+    for (std::size_t k = 0; k < size; k += block)
+      for (std::size_t p = 0; p < places; p += block)
+        transpose_square(patches + k * length + p, length, values + p * size + k, size);
+    if (group_.found == size) return;
+    for (std::size_t p = 0; p < places; ++p) std::fill(values + p * size + group_.found, values + (p + 1) * size, 0.0F);
+  }
+
+  // theta = A^T A; the part above the diagonal squares is copied below them.
+  void multiply() {
+    const float* a = group_.values.data();
+    float* theta = group_.theta.data();
     for (std::size_t i = 0; i < size; i += block)
-      for (std::size_t c = i / (tile * lane_count) * tile; c < packs; c += tile) {
-        Block sums{};
-        for (std::size_t p = 0; p < rows_; ++p) add_product(a + p * size + i, 1, a + p * size, c, sums);
-        for (std::size_t j = 0; j < block; ++j)
-          for (std::size_t v = 0; v < tile; ++v) store(theta_ + (i + j) * size + (c + v) * lane_count, sums[j][v]);
-      }
-  }
-
-  // Inverts theta, symmetric and positive definite, by sweeps of its upper triangle, which make minus the inverse.
-  void invert() {
-    alignas(64) std::array<float, size> column;
-    for (std::size_t k = 0; k < size; ++k) {
-      float* pivot = theta_ + k * size;
-      for (std::size_t i = 0; i < k; ++i) column[i] = theta_[i * size + k];
-      std::copy(pivot + k, pivot + size, column.data() + k);
-      const float inverse = 1 / column[k];
-      Row values;
-      for (std::size_t v = 0; v < packs; ++v) values[v] = load(column.data() + v * lane_count);
       for_packs<0>([&]<std::size_t first>() {
-        for (std::size_t i = first * lane_count; i < (first + 1) * lane_count; ++i) {
-          float* row = theta_ + i * size;
-          const Lanes factor = splat(column[i] * inverse);
-          for (std::size_t v = first; v < packs; ++v)
-            store(row + v * lane_count, load(row + v * lane_count) - values[v] * factor);
+        if (i / lane_count != first) return;
+        constexpr std::size_t tile = (packs - first) % 3 == 0 ? 3 : (packs - first) % 2 == 0 ? 2 : 1;
+        for (std::size_t c = first; c < packs; c += tile) {
+          Block<tile> sums{};
+          for (std::size_t p = 0; p < group_.count; ++p) {
+            const float* row = a + group_.used[p] * size;
+            add_product<tile>(row + i, row + c * lane_count, sums);
+          }
+          for (std::size_t j = 0; j < block; ++j)
+            for (std::size_t v = 0; v < tile; ++v) store(theta + (i + j) * size + (c + v) * lane_count, sums[j][v]);
         }
       });
-      for (std::size_t i = 0; i < k; ++i) theta_[i * size + k] = column[i] * inverse;
-      for (std::size_t j = k; j < size; ++j) pivot[j] = column[j] * inverse;
-      pivot[k] = -inverse;
-    }
-    for (std::size_t i = 0; i < size; ++i)
-      for (std::size_t j = i; j < size; ++j) theta_[i * size + j] = theta_[j * size + i] = -theta_[i * size + j];
+    for (std::size_t i = 0; i < size; i += block)
+      for (std::size_t j = (i / lane_count + 1) * lane_count; j < size; j += block)
+        transpose_square(theta + i * size + j, size, theta + j * size + i, size);
   }
 
-  // Calls f with each pack as a constant, so that loops over the packs from it on are unrolled.
+  // Calls f with each pack as a constant.
   template <std::size_t first, class F>
   static void for_packs(F f) {
     f.template operator()<first>();
     if constexpr (first + 1 < packs) for_packs<first + 1>(f);
   }
 
+  // Inverts theta, positive definite, by Gauss and Jordan in place, `block` pivots at a time.
+  void invert() {
+    float* theta = group_.theta.data();
+    alignas(64) std::array<float, size> others;  // 1 but in the columns of the pivots
+    others.fill(1);
+    std::array<std::array<float, block>, size> factors;
+    for (std::size_t k = 0; k < size; k += block) {
+      invert_rows(k);
+      for (std::size_t i = 0; i < size; ++i) std::copy_n(theta + i * size + k, block, factors[i].data());
+      std::fill_n(others.data() + k, block, 0.0F);
+      for (std::size_t v = 0; v < packs; ++v) {
+        std::array<Lanes, block> pivots;
+        for (std::size_t j = 0; j < block; ++j) pivots[j] = load(theta + (k + j) * size + v * lane_count);
+        const bool has_pivots = k / lane_count == v;
+        const Lanes keep = load(others.data() + v * lane_count);
+        const auto eliminate = [&](std::size_t first, std::size_t last) {
+          for (std::size_t i = first; i < last; ++i) {
+            float* row = theta + i * size + v * lane_count;
+            Lanes value = load(row);
+            if (has_pivots) value = value * keep;
+            for (std::size_t j = 0; j < block; ++j) value = value - pivots[j] * factors[i][j];
+            store(row, value);
+          }
+        };
+        eliminate(0, k);
+        eliminate(k + block, size);
+      }
+      std::fill_n(others.data() + k, block, 1.0F);
+    }
+  }
+
+  // The same for the rows of the pivots alone: multiplied by the inverse of their own square, which takes its place.
+  void invert_rows(std::size_t first) {
+    float* rows = group_.theta.data() + first * size;
+    for (std::size_t j = 0; j < block; ++j) {
+      float* pivot = rows + j * size;
+      const float inverse = 1 / pivot[first + j];
+      std::array<float, block> factors;
+      for (std::size_t i = 0; i < block; ++i) {
+        factors[i] = rows[i * size + first + j];
+        rows[i * size + first + j] = i == j ? 1.0F : 0.0F;
+      }
+      for (std::size_t v = 0; v < packs; ++v) {
+        const Lanes value = load(pivot + v * lane_count) * inverse;
+        store(pivot + v * lane_count, value);
+        for (std::size_t i = 0; i < block; ++i) {
+          float* row = rows + i * size + v * lane_count;
+          if (i != j) store(row, load(row) - value * factors[i]);
+        }
+      }
+    }
+  }
+
   // From B to Theta.
-  Row constrain() {
-    Row sums{}, norms{};
-    for (std::size_t i = 0; i < found_; ++i)
-      for (std::size_t v = 0; v < packs; ++v) sums[v] += load(theta_ + i * size + v * lane_count);
+  void constrain() {
+    float* theta = group_.theta.data();
+    std::array<Lanes, packs> sums{}, norms{};
+    for (std::size_t i = 0; i < group_.found; ++i)
+      for (std::size_t v = 0; v < packs; ++v) sums[v] += load(theta + i * size + v * lane_count);
     alignas(64) std::array<float, size> b;
     for (std::size_t v = 0; v < packs; ++v) store(b.data() + v * lane_count, sums[v]);
     float total = 0;
-    for (std::size_t i = 0; i < found_; ++i) total += b[i];
+    for (std::size_t i = 0; i < group_.found; ++i) total += b[i];
     const float inverse = total > 0 ? 1 / total : 0;
-    for (std::size_t i = 0; i < found_; ++i) {
-      float* row = theta_ + i * size;
+    for (std::size_t i = 0; i < group_.found; ++i) {
+      float* row = theta + i * size;
       const float share = b[i] * inverse;
       for (std::size_t v = 0; v < packs; ++v) {
-        const Lanes energy = load(energy_ + v * lane_count);
+        const Lanes energy = load(group_.energy.data() + v * lane_count);
         store(row + v * lane_count, (sums[v] * share - load(row + v * lane_count)) * energy);
       }
       row[i] += 1;
@@ -160,33 +188,26 @@ class Group {
         norms[v] += value * value;
       }
     }
-    for (Lanes& norm : norms) norm = 1 / larger(norm, splat(least_norm));
-    return norms;
+    for (std::size_t v = 0; v < packs; ++v)
+      store(group_.weights.data() + v * lane_count, 1 / larger(norms[v], splat(least_norm)));
   }
 
-  float *pilot_, *noisy_, *theta_;
-  const float* energy_;
-  std::size_t rows_, found_;
-  float mean_ = 0;
+  // Estimates are combinations of the noisy patches.
+  void combine() {
+    const float *theta = group_.theta.data(), *noisy = group_.noisy.data();
+    for (std::size_t k = 0; k < size; k += block)
+      for (std::size_t c = 0; c < long_packs; c += long_tile) {
+        Block<long_tile> sums{};
+        for (std::size_t i = 0; i < group_.found; ++i)
+          add_product<long_tile>(theta + i * size + k, noisy + i * length + c * lane_count, sums);
+        for (std::size_t j = 0; j < block; ++j)
+          for (std::size_t v = 0; v < long_tile; ++v)
+            store(group_.estimates.data() + (k + j) * length + (c + v) * lane_count, sums[j][v]);
+      }
+  }
+
+  Group& group_;
 };
-
-template <std::size_t size>
-void add_group_of(const Channels& channels, const std::int32_t* places, std::size_t rows, std::size_t found,
-                  bool has_pilot, const Sums& sums, GroupScratch& scratch) {
-  float *relative = scratch.relative.data(), *energy = scratch.energy.data();
-  std::fill(relative, relative + size, channels.relative == nullptr ? static_cast<float>(rows) : 0);
-  if (channels.relative != nullptr)
-    for (std::size_t p = 0; p < rows; ++p)
-      for (std::size_t k = 0; k < found; ++k) relative[k] += channels.relative[places[p * size + k]];
-  for (std::size_t channel = 0; channel < channels.count; ++channel) {
-    for (std::size_t k = 0; k < size; ++k) energy[k] = relative[k] * channels.variances[channel];
-    const std::size_t plane = channel * channels.stride;
-    Group<size> group(scratch.pilot.data(), scratch.noisy.data(), scratch.theta.data(), energy, rows, found);
-    group.read(channels.noisy + plane, channels.pilot + plane, places);
-    const auto weights = group.combine(has_pilot);
-    group.add(places, weights, sums.estimates + plane, sums.weights + plane);
-  }
-}
 
 }  // namespace
 
@@ -212,14 +233,11 @@ void compare_rows(const float* features, std::size_t length, const float* mask, 
   }
 }
 
-void add_group(const Channels& channels, const std::int32_t* places, std::size_t rows, std::size_t size, std::size_t found,
-               bool has_pilot, const Sums& sums, GroupScratch& scratch) {
-  if (size == few)
-    add_group_of<few>(channels, places, rows, found, has_pilot, sums, scratch);
-  else if (size == medium)
-    add_group_of<medium>(channels, places, rows, found, has_pilot, sums, scratch);
+void estimate_group(Group& group, bool has_pilot) {
+  if (group.length == long_row)
+    group.size == few ? Estimate<few, long_row>(group).run(has_pilot) : Estimate<many, long_row>(group).run(has_pilot);
   else
-    add_group_of<many>(channels, places, rows, found, has_pilot, sums, scratch);
+    group.size == few ? Estimate<few, short_row>(group).run(has_pilot) : Estimate<medium, short_row>(group).run(has_pilot);
 }
 
 }  // namespace beltrami::patches::BELTRAMI_VARIANT

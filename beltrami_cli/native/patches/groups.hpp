@@ -25,6 +25,9 @@ namespace beltrami::patches {
 // Patches in a group: of those without a pilot, and of those with one on surfaces and on grids.
 constexpr std::size_t few = 16, medium = 32, many = 48;
 
+// Values in the rows that hold the patches of surfaces and of grids, some of which may belong to none.
+constexpr std::size_t short_row = 32, long_row = 64;
+
 // Channels of samples, one plane after the other, `stride` values each.
 struct Channels {
   const float *noisy, *pilot;
@@ -38,14 +41,22 @@ struct Sums {
   float *estimates, *weights;
 };
 
-// The most samples of a patch.
-constexpr std::size_t most_rows = 52;
+// One channel of a group, and memory to work with. Patches are rows of `length` values, as differences from one colour, so
+// that sums lose few digits.
+struct alignas(64) Group {
+  std::size_t size, length;  // `few` to `many`, `short_row` or `long_row`
+  std::size_t found;         // patches, at most `size`
+  std::size_t count;         // values in a patch
+  std::array<std::uint8_t, long_row> used;  // where in its row each is; elsewhere the noisy patches are 0
 
-// Memory of one thread, aligned to cache lines.
-struct alignas(64) GroupScratch {
-  std::array<float, most_rows * many> pilot, noisy;
-  std::array<float, many * many> theta;
-  std::array<float, many> relative, energy;
+  alignas(64) std::array<float, many> energy;  // of the noise
+  alignas(64) std::array<float, many * long_row> noisy, pilot;
+
+  alignas(64) std::array<float, many> weights;  // of the estimates, 1 / |Theta_k|^2
+  alignas(64) std::array<float, many * long_row> estimates;
+
+  alignas(64) std::array<float, many * long_row> values;  // of which patches are columns
+  alignas(64) std::array<float, many * many> theta;
 };
 
 // Writes to `distances` the sums of squared differences between rows of `length` floats, a multiple of 16: the first and
@@ -56,13 +67,10 @@ using CompareRows = void (*)(const float* features, std::size_t length, const fl
 BELTRAMI_DECLARE_VARIANTS(void compare_rows(const float* features, std::size_t length, const float* mask,
                                             const std::int32_t* rows, std::size_t count, float* distances))
 
-// Adds the estimates of one group: its patches are columns, and the sample of row p and column k is places[p * size + k].
-// Columns from `found` on are not used, and rows of places hold valid indices there. size: `few`, `medium` or `many`.
-using AddGroup = void (*)(const Channels& channels, const std::int32_t* places, std::size_t rows, std::size_t size,
-                          std::size_t found, bool has_pilot, const Sums& sums, GroupScratch& scratch);
+// Estimates the patches of a group from its noisy ones, by the pilot if there is one. All `size` rows are written, of which
+// those from `found` on mean nothing, nor do their weights.
+using EstimateGroup = void (*)(Group& group, bool has_pilot);
 
-BELTRAMI_DECLARE_VARIANTS(void add_group(const Channels& channels, const std::int32_t* places, std::size_t rows,
-                                         std::size_t size, std::size_t found, bool has_pilot, const Sums& sums,
-                                         GroupScratch& scratch))
+BELTRAMI_DECLARE_VARIANTS(void estimate_group(Group& group, bool has_pilot))
 
 }  // namespace beltrami::patches

@@ -27,7 +27,7 @@ constexpr std::size_t chunk = 1024, starts_in_part = 256, parts_in_wave = 32;
 constexpr float far_away = 1e9F, too_far = 1e17F;
 
 struct Variant {
-  AddGroup add_group;
+  EstimateGroup estimate_group;
   CompareRows compare_rows;
 };
 
@@ -228,8 +228,8 @@ class SurfacePatches::Worker {
     for (std::size_t i = 0; i + 1 < first_.size(); ++i) {
       const std::span<const std::int32_t> around(around_.data() + first_[i], first_[i + 1] - first_[i]);
       const std::size_t found = choose(surface, around, channels.count, size, variant);
-      const std::size_t rows = place(surface, around, size, found);
-      variant.add_group(channels, places_.data(), rows, size, found, has_pilot, sums, group_);
+      place(surface, around, size, found);
+      estimate(channels, has_pilot, sums, variant);
     }
     for (const std::int32_t member : part.members) number_[static_cast<std::size_t>(member)] = -1;
     for (const std::int32_t candidate : candidates_) rank_[static_cast<std::size_t>(candidate)] = -1;
@@ -319,22 +319,54 @@ class SurfacePatches::Worker {
     return found;
   }
 
-  // Finds the members at the nodes that the first patch has, for the patches that were chosen; returns how many nodes.
-  std::size_t place(const SurfacePatches& surface, std::span<const std::int32_t> around, std::size_t size,
-                    std::size_t found) {
+  // Finds the members at the nodes that the first patch has, for the patches that were chosen.
+  void place(const SurfacePatches& surface, std::span<const std::int32_t> around, std::size_t size, std::size_t found) {
     const auto patch_of = [&](std::size_t k) -> const Nodes& {
-      const std::int32_t rank = around[static_cast<std::size_t>(keys_[k < found ? k : 0].second)];
+      const std::int32_t rank = around[static_cast<std::size_t>(keys_[k].second)];
       return surface.patches_[static_cast<std::size_t>(candidates_[static_cast<std::size_t>(rank)])];
     };
+    group_.size = size;
+    group_.length = short_row;
+    group_.found = found;
+    group_.count = 0;
     const Nodes& own = patch_of(0);
-    places_.resize(nodes * size);
-    for (std::size_t k = 0; k < size; ++k) {
-      const Nodes& patch = patch_of(k);
-      std::size_t row = 0;
-      for (std::size_t node = 0; node < nodes; ++node)
-        if (own[node] >= 0) places_[row++ * size + k] = number_[static_cast<std::size_t>(patch[node])];
+    for (std::size_t node = 0; node < nodes; ++node)
+      if (own[node] >= 0) group_.used[group_.count++] = static_cast<std::uint8_t>(node);
+    places_.resize(size * nodes);
+    for (std::size_t k = 0; k < found; ++k)
+      for (std::size_t p = 0; p < group_.count; ++p)
+        places_[k * nodes + p] = number_[static_cast<std::size_t>(patch_of(k)[group_.used[p]])];
+  }
+
+  // Adds the estimates of the group at its places.
+  void estimate(const Channels& channels, bool has_pilot, const Sums& sums, const Variant& variant) {
+    const auto count = static_cast<float>(group_.count);
+    std::fill(group_.noisy.begin(), group_.noisy.end(), 0.0F);  // patches before this one may have other nodes
+    for (std::size_t channel = 0; channel < channels.count; ++channel) {
+      const std::size_t plane = channel * channels.stride;
+      const float *noisy = channels.noisy + plane, *pilot = channels.pilot + plane;
+      float mean = 0;
+      for (std::size_t p = 0; p < group_.count; ++p) mean += pilot[places_[p]];
+      mean /= count;
+      std::fill(group_.energy.begin(), group_.energy.end(), count * channels.variances[channel]);
+      each_value([&](std::size_t place, std::size_t at, std::size_t) {
+        group_.noisy[at] = noisy[place] - mean;
+        group_.pilot[at] = pilot[place] - mean;
+      });
+      variant.estimate_group(group_, has_pilot);
+      each_value([&](std::size_t place, std::size_t at, std::size_t k) {
+        sums.estimates[plane + place] += (group_.estimates[at] + mean) * group_.weights[k];
+        sums.weights[plane + place] += group_.weights[k];
+      });
     }
-    return static_cast<std::size_t>(std::count_if(own.begin(), own.end(), [](std::int32_t vertex) { return vertex >= 0; }));
+  }
+
+  // Calls f(place, index in the group's rows, patch) for each value of the patches.
+  template <class F>
+  void each_value(F f) const {
+    for (std::size_t k = 0; k < group_.found; ++k)
+      for (std::size_t p = 0; p < group_.count; ++p)
+        f(static_cast<std::size_t>(places_[k * nodes + p]), k * short_row + group_.used[p], k);
   }
 
   VertexRings rings_;
@@ -342,13 +374,13 @@ class SurfacePatches::Worker {
   std::vector<std::size_t> first_;
   std::vector<float> noisy_, pilot_, features_, mask_, distances_;
   std::vector<std::pair<float, std::int32_t>> keys_;
-  GroupScratch group_;
+  Group group_{};
 };
 
 void SurfacePatches::collaborate(const Colours& colours, bool has_pilot, const Sums& sums, unsigned threads,
                                  const Poll& poll) const {
   const InstructionSet set = choose_instruction_set();
-  const Variant variant{BELTRAMI_VARIANT_OF(add_group, set), BELTRAMI_VARIANT_OF(compare_rows, set)};
+  const Variant variant{BELTRAMI_VARIANT_OF(estimate_group, set), BELTRAMI_VARIANT_OF(compare_rows, set)};
   const std::size_t n = colours.channels, count = patches_.size();
   const std::size_t parts = (starts_.size() + starts_in_part - 1) / starts_in_part;
   std::vector<Part> wave(std::min(parts, parts_in_wave));

@@ -2,6 +2,7 @@
 #include <algorithm>
 #include <array>
 #include <bit>
+#include <cstring>
 
 #include "lanes.hpp"
 #include "patches/grid_patches.hpp"
@@ -69,22 +70,26 @@ class TilePlanes {
   }
 
   void read(Index local, Index cell, Index count) {
-    const std::size_t cells = canvas_.rows * canvas_.columns, n = canvas_.channels;
+    const std::size_t n = canvas_.channels;
     std::copy_n(canvas_.kind + cell, count, own_.kind.begin() + local);
     if (canvas_.relative != nullptr) std::copy_n(canvas_.relative + cell, count, own_.relative.begin() + local);
-    for (std::size_t to = 0; to < n; ++to)
-      for (Index i = 0; i < count; ++i) {
-        if (canvas_.kind[cell + i] == grid::empty) continue;
-        float noisy = 0, pilot = 0;
-        for (std::size_t from = 0; from < n; ++from) {
-          const std::size_t at = from * cells + static_cast<std::size_t>(cell + i);
-          noisy += canvas_.mixing[to * n + from] * canvas_.noisy[at];
-          pilot += canvas_.mixing[to * n + from] * canvas_.pilot[at];
-        }
-        const std::size_t at = to * static_cast<std::size_t>(area) + static_cast<std::size_t>(local + i);
-        own_.noisy[at] = noisy;
-        own_.pilot[at] = pilot;
-      }
+    for (std::size_t channel = 0; channel < n; ++channel) {
+      mix(canvas_.noisy, channel, local, cell, count, own_.noisy);
+      mix(canvas_.pilot, channel, local, cell, count, own_.pilot);
+    }
+  }
+
+  // Writes some cells of a mixed channel.
+  void mix(const float* planes, std::size_t channel, Index local, Index cell, Index count, std::vector<float>& all) const {
+    const std::size_t cells = canvas_.rows * canvas_.columns, n = canvas_.channels;
+    std::array<float, side> sums{};
+    for (std::size_t from = 0; from < n; ++from) {
+      const float factor = canvas_.mixing[channel * n + from], *plane = planes + from * cells + cell;
+      for (Index i = 0; i < count; ++i) sums[static_cast<std::size_t>(i)] += factor * plane[i];
+    }
+    const std::uint8_t* kind = own_.kind.data() + local;
+    float* mixed = all.data() + static_cast<Index>(channel) * area + local;
+    for (Index i = 0; i < count; ++i) mixed[i] = kind[i] == grid::empty ? far_away : sums[static_cast<std::size_t>(i)];
   }
 
   const Canvas& canvas_;
@@ -92,76 +97,177 @@ class TilePlanes {
   TileScratch& own_;
 };
 
-// The cells of a patch that are there, relative to its centre.
+// The cells of the patch at a centre that are there; patches have rows of `row_length` cells, of which the last are none.
+constexpr Index row_length = 8;
+static_assert(patch_side * row_length <= Index{long_row} && patch_side <= row_length);
+
 struct Shape {
-  std::array<std::int32_t, patch_cells> offsets;
+  alignas(64) std::array<float, long_row> is_there{};  // 1 or 0
+  std::array<std::int32_t, patch_cells> offsets;                     // relative to the centre
+  std::array<std::uint8_t, long_row> used;                           // places in the rows, one after the other
   std::size_t count = 0;
 
   Shape(const std::uint8_t* kind, Index centre) {
-    for (Index y = -patch_reach; y <= patch_reach; ++y)
-      for (Index x = -patch_reach; x <= patch_reach; ++x)
-        if (kind[centre + y * side + x] != grid::empty) offsets[count++] = static_cast<std::int32_t>(y * side + x);
+    for (Index y = 0; y < patch_side; ++y)
+      for (Index x = 0; x < patch_side; ++x) {
+        const Index offset = (y - patch_reach) * side + x - patch_reach;
+        if (kind[centre + offset] == grid::empty) continue;
+        is_there[static_cast<std::size_t>(y * row_length + x)] = 1;
+        used[count] = static_cast<std::uint8_t>(y * row_length + x);
+        offsets[count++] = static_cast<std::int32_t>(offset);
+      }
   }
 };
 
+// Candidates: their squared differences are summed for some rows of the window at a time.
+constexpr Index rows_at_once = 5;
+static_assert((2 * rows_beside + 1) % rows_at_once == 0);
+
 // Sums of squared differences of the pilot between the patch at `centre` and those of all candidates.
 void compare(const float* pilot, std::size_t channels, const Shape& shape, Index centre, float* distances) {
-  constexpr std::size_t packs = candidate_columns / lane_count;
-  for (Index y = -rows_beside; y <= rows_beside; ++y) {
-    const Index first = centre + y * side - columns_before;
-    std::array<Lanes, packs> sums{};
-    for (std::size_t channel = 0; channel < channels; ++channel) {
-      const float* plane = pilot + static_cast<Index>(channel) * area;
-      for (std::size_t p = 0; p < shape.count; ++p) {
-        const Lanes own = splat(plane[centre + shape.offsets[p]]);
-        const float* other = plane + first + shape.offsets[p];
-        for (std::size_t v = 0; v < packs; ++v) {
-          const Lanes difference = load(other + v * lane_count) - own;
-          sums[v] += difference * difference;
+  for (Index y = -rows_beside; y <= rows_beside; y += rows_at_once)
+    for (Index x = 0; x < candidate_columns; x += Index{lane_count}) {
+      const Index first = centre + y * side + x - columns_before;
+      std::array<Lanes, rows_at_once> sums{};
+      for (std::size_t channel = 0; channel < channels; ++channel) {
+        const float* plane = pilot + static_cast<Index>(channel) * area;
+        for (std::size_t p = 0; p < shape.count; ++p) {
+          const Lanes own = splat(plane[centre + shape.offsets[p]]);
+          const float* other = plane + first + shape.offsets[p];
+          for (Index row = 0; row < rows_at_once; ++row) {
+            const Lanes difference = load(other + row * side) - own;
+            sums[static_cast<std::size_t>(row)] += difference * difference;
+          }
         }
       }
+      for (Index row = 0; row < rows_at_once; ++row)
+        store(distances + (y + rows_beside + row) * candidate_columns + x, sums[static_cast<std::size_t>(row)]);
     }
-    for (std::size_t v = 0; v < packs; ++v)
-      store(distances + (y + rows_beside) * candidate_columns + static_cast<Index>(v * lane_count), sums[v]);
-  }
 }
 
-// Chooses the nearest candidates; returns how many there are. Keys hold a distance, and in their last bits a candidate.
+// A bound that at least `size` candidates are below, if there are so many: of as many least distances of parts.
+float bound_of(const float* distances, std::size_t size) {
+  constexpr Index rows = 2 * rows_beside + 1, parts = 2;
+  static_assert(parts * candidate_columns >= Index{many});
+  std::array<float, parts * candidate_columns> least;
+  for (Index part = 0; part < parts; ++part)
+    for (Index x = 0; x < candidate_columns; x += Index{lane_count}) {
+      Lanes value = splat(too_far);
+      for (Index y = part * rows / parts; y < (part + 1) * rows / parts; ++y)
+        value = smaller(value, load(distances + y * candidate_columns + x));
+      store(least.data() + part * candidate_columns + x, value);
+    }
+  const auto bound = least.begin() + static_cast<Index>(size) - 1;
+  std::nth_element(least.begin(), bound, least.end());
+  return *bound;
+}
+
+// Chooses the nearest candidates, always the patch itself, in their order in the window; returns how many there are. Keys
+// hold a distance, and in their last bits a candidate.
 std::size_t choose(std::vector<float>& distances, std::vector<std::uint32_t>& keys, std::size_t size) {
   constexpr std::uint32_t low = 1023;
   constexpr std::size_t itself = rows_beside * candidate_columns + columns_before;
   distances[itself] = 0;
+  const float most = std::min(bound_of(distances.data(), size), std::nextafter(too_far, 0.0F));
   std::size_t found = 0;
-  for (std::uint32_t i = 0; i < candidates; ++i)
-    if (distances[i] < too_far)
-      keys[found++] = (std::bit_cast<std::uint32_t>(distances[i]) & ~low) | (i == itself ? 0 : i + 1);
-  const std::size_t wanted = std::min(size, found);
-  const auto begin = keys.begin();
-  if (wanted < found) std::nth_element(begin, begin + static_cast<Index>(wanted), begin + static_cast<Index>(found));
-  std::sort(begin, begin + static_cast<Index>(wanted));
-  for (std::size_t k = 0; k < wanted; ++k) {
+  for (std::uint32_t first = 0; first < candidates; first += lane_count) {
+    if (least_lane(load(distances.data() + first)) > most) continue;
+    for (std::uint32_t i = first; i < first + lane_count; ++i) {
+      keys[found] = (std::bit_cast<std::uint32_t>(distances[i]) & ~low) | (i == itself ? 0 : i + 1);
+      found += distances[i] <= most ? 1 : 0;
+    }
+  }
+  if (found > size) {
+    std::array<std::uint32_t, candidates> ordered;
+    std::copy_n(keys.begin(), found, ordered.begin());
+    std::nth_element(ordered.begin(), ordered.begin() + static_cast<Index>(size), ordered.begin() + static_cast<Index>(found));
+    const std::uint32_t beyond = ordered[size];
+    found = static_cast<std::size_t>(std::remove_if(keys.begin(), keys.begin() + static_cast<Index>(found),
+                                                    [&](std::uint32_t key) { return key >= beyond; }) - keys.begin());
+  }
+  for (std::size_t k = 0; k < found; ++k) {
     const std::uint32_t number = keys[k] & low;
     keys[k] = number == 0 ? static_cast<std::uint32_t>(itself) : number - 1;
   }
-  return wanted;
+  return found;
+}
+
+#ifdef _MSC_VER
+#define BELTRAMI_ALONE __restrict
+#else
+#define BELTRAMI_ALONE __restrict__
+#endif
+
+// One row of a patch: its differences from `mean`, or 0 for cells that are not there.
+inline void read_row(const float* BELTRAMI_ALONE row, float mean, const float* BELTRAMI_ALONE is_there, float* BELTRAMI_ALONE to) {
+  for (Index x = 0; x < row_length; ++x) to[x] = (row[x] - mean) * is_there[x];
+}
+
+inline void add_row(const float* BELTRAMI_ALONE values, float mean, const float* BELTRAMI_ALONE weights, float* BELTRAMI_ALONE to) {
+  for (Index x = 0; x < row_length; ++x) to[x] += (values[x] + mean) * weights[x];
+}
+
+// Reads the patches whose centres are at `places`.
+void read_patches(const float* plane, const Shape& shape, const std::int32_t* places, std::size_t found, float mean,
+                  float* patches) {
+  for (std::size_t k = 0; k < found; ++k) {
+    const float* corner = plane + places[k] - patch_reach * side - patch_reach;
+    for (Index y = 0; y < patch_side; ++y)
+      read_row(corner + y * side, mean, shape.is_there.data() + y * row_length,
+               patches + k * long_row + static_cast<std::size_t>(y * row_length));
+  }
+}
+
+// Adds weighted values of one patch, whose centre is at `place`, to the sums.
+void add_patch(const float* values, const Shape& shape, std::int32_t place, float mean, float weight, float* estimates,
+               float* weights) {
+  alignas(64) std::array<float, long_row> own;
+  alignas(64) static constexpr std::array<float, row_length> zeros{};
+  for (std::size_t i = 0; i < long_row; ++i) own[i] = weight * shape.is_there[i];
+  const Index corner = place - patch_reach * side - patch_reach;
+  for (Index y = 0; y < patch_side; ++y) {
+    add_row(values + y * row_length, mean, own.data() + y * row_length, estimates + corner + y * side);
+    add_row(zeros.data(), 1, own.data() + y * row_length, weights + corner + y * side);
+  }
+}
+
+// The mean of a patch.
+float mean_of(const float* plane, const Shape& shape, Index centre) {
+  float sum = 0;
+  for (std::size_t p = 0; p < shape.count; ++p) sum += plane[centre + shape.offsets[p]];
+  return sum / static_cast<float>(shape.count);
 }
 
 // Estimates the patches that look like the one at `centre`.
-void add_one(const Canvas& canvas, const TilePlanes& planes, Index centre, bool has_pilot, TileScratch& scratch) {
-  const std::size_t size = has_pilot ? many : few;
+void add_one(const Channels& channels, Index centre, bool has_pilot, const Sums& sums, TileScratch& scratch) {
   const Shape shape(scratch.kind.data(), centre);
-  compare(scratch.pilot.data(), canvas.channels, shape, centre, scratch.distances.data());
-  const std::size_t found = choose(scratch.distances, scratch.keys, size);
-  std::array<std::int32_t, many> at{};
-  for (std::size_t k = 0; k < size; ++k) {
-    const Index number = scratch.keys[k < found ? k : 0];
-    at[k] = static_cast<std::int32_t>(centre + (number / candidate_columns - rows_beside) * side +
-                                      number % candidate_columns - columns_before);
+  compare(channels.pilot, channels.count, shape, centre, scratch.distances.data());
+  Group& group = scratch.group;
+  group.size = has_pilot ? many : few;
+  group.length = long_row;
+  group.found = choose(scratch.distances, scratch.keys, group.size);
+  group.count = shape.count;
+  group.used = shape.used;
+  std::array<std::int32_t, many> places;
+  std::array<float, many> relative{};
+  for (std::size_t k = 0; k < group.found; ++k) {
+    const Index number = scratch.keys[k];
+    places[k] = static_cast<std::int32_t>(centre + (number / candidate_columns - rows_beside) * side +
+                                          number % candidate_columns - columns_before);
+    relative[k] = static_cast<float>(shape.count);
+    if (channels.relative != nullptr) relative[k] *= mean_of(channels.relative, shape, places[k]);
   }
-  scratch.places.resize(shape.count * size);
-  for (std::size_t p = 0; p < shape.count; ++p)
-    for (std::size_t k = 0; k < size; ++k) scratch.places[p * size + k] = at[k] + shape.offsets[p];
-  add_group(planes.channels(), scratch.places.data(), shape.count, size, found, has_pilot, planes.sums(), scratch.group);
+  for (std::size_t channel = 0; channel < channels.count; ++channel) {
+    const std::size_t plane = channel * channels.stride;
+    const float mean = mean_of(channels.pilot + plane, shape, centre);
+    for (std::size_t k = 0; k < many; ++k) group.energy[k] = relative[k] * channels.variances[channel];
+    read_patches(channels.noisy + plane, shape, places.data(), group.found, mean, group.noisy.data());
+    if (has_pilot) read_patches(channels.pilot + plane, shape, places.data(), group.found, mean, group.pilot.data());
+    estimate_group(group, has_pilot);
+    for (std::size_t k = 0; k < group.found; ++k)
+      add_patch(group.estimates.data() + k * long_row, shape, places[k], mean, group.weights[k], sums.estimates + plane,
+                sums.weights + plane);
+  }
 }
 
 // Calls f(cell) for the centres of a block of cells: its own, and others until each owned cell is in a patch.
@@ -189,7 +295,7 @@ void add_tile(const Canvas& canvas, const Tile& tile, bool has_pilot, const Sums
   for (Index y = 0; y < tile_side; y += spacing)
     for (Index x = 0; x < tile_side; x += spacing)
       each_centre(scratch.kind.data(), (margin + y) * side + margin + x,
-                  [&](Index centre) { add_one(canvas, planes, centre, has_pilot, scratch); });
+                  [&](Index centre) { add_one(planes.channels(), centre, has_pilot, planes.sums(), scratch); });
   planes.add_to(sums);
 }
 
