@@ -54,6 +54,10 @@ std::size_t node_at(int row, int column) {
   return static_cast<std::size_t>((row + lattice_reach) * (2 * lattice_reach + 1) + column + lattice_reach);
 }
 
+// The rows or columns of nodes that are near enough to a place.
+int first_near(double place) { return std::max(-lattice_reach, static_cast<int>(std::ceil(place - furthest))); }
+int last_near(double place) { return std::min(lattice_reach, static_cast<int>(std::floor(place + furthest))); }
+
 Position cross(const Position& a, const Position& b) {
   return {a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]};
 }
@@ -83,8 +87,8 @@ Nodes lattice_of(std::int32_t vertex, std::span<const std::int32_t> around, std:
     const double x = dot(offsets[k], right) / step, y = std::copysign(1.0, side) * dot(offsets[k], up) / step;
     const double height = std::abs(dot(offsets[k], plane.normal)) / step;
     if (height > highest || std::abs(x) > lattice_reach + furthest || std::abs(y) > lattice_reach + furthest) continue;
-    for (int row = -lattice_reach; row <= lattice_reach; ++row)
-      for (int column = -lattice_reach; column <= lattice_reach; ++column) {
+    for (int row = first_near(y); row <= last_near(y); ++row)
+      for (int column = first_near(x); column <= last_near(x); ++column) {
         if (row == 0 && column == 0) continue;
         const double distance = (x - column) * (x - column) + (y - row) * (y - row);
         const std::size_t node = node_at(row, column);
@@ -333,9 +337,11 @@ class SurfacePatches::Worker {
     for (std::size_t node = 0; node < nodes; ++node)
       if (own[node] >= 0) group_.used[group_.count++] = static_cast<std::uint8_t>(node);
     places_.resize(size * nodes);
-    for (std::size_t k = 0; k < found; ++k)
+    for (std::size_t k = 0; k < found; ++k) {
+      const Nodes& patch = patch_of(k);
       for (std::size_t p = 0; p < group_.count; ++p)
-        places_[k * nodes + p] = number_[static_cast<std::size_t>(patch_of(k)[group_.used[p]])];
+        places_[k * nodes + p] = number_[static_cast<std::size_t>(patch[group_.used[p]])];
+    }
   }
 
   // Adds the estimates of the group at its places.
