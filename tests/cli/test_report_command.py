@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from beltrami_cli.jobs.compare.figures import ComparedColours
-from beltrami_cli.view.charts import histogram
+from beltrami_cli.view.report import histogram
 from cli.commands import SAMPLES, beltrami
 
 
