@@ -117,6 +117,6 @@ class Messages:
             def update(label: str, done: int, total: int) -> None:
                 if label not in tasks:
                     tasks[label] = bar.add_task(label, total=total)
-                bar.update(tasks[label], completed=done)
+                bar.update(tasks[label], completed=done, total=total)
 
             yield update

@@ -83,9 +83,14 @@ AnyManifold = TypeVar("AnyManifold", bound=Manifold)
 
 
 class BeltramiFlow(Generic[AnyManifold]):
-    """The kernel on a manifold, with its parameters as used: what was left open is chosen from the data."""
+    """The kernel on a manifold, with its parameters as used: what was left open is chosen from the data.
 
-    def __init__(self, manifold: AnyManifold, parameters: KernelParameters) -> None:
+    `tick` is called often meanwhile, and may raise to stop.
+    """
+
+    def __init__(
+        self, manifold: AnyManifold, parameters: KernelParameters, tick: Callable[[], None] | None = None
+    ) -> None:
         self.manifold: AnyManifold = manifold
         self._split = wanted_split()
         moves = manifold.moving is not None
@@ -97,8 +102,8 @@ class BeltramiFlow(Generic[AnyManifold]):
         corrects = noisy and manifold.shares_noise and parameters.takes_patches and not moves
         self._sigma = manifold.noise
         if corrects:
-            self._error = manifold.denoise_means()
-        chosen, self.choice = tune(manifold, parameters, noisy=noisy)
+            self._error = manifold.denoise_means(tick)
+        chosen, self.choice = tune(manifold, parameters, noisy=noisy, tick=tick)
         if corrects and "iterations" in parameters.free:
             chosen = dataclasses.replace(chosen, iterations=max(1, chosen.iterations))
         if self.choice is not None:

@@ -23,6 +23,8 @@ from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import EMPTY, OWNED, refresh_halo
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
     from beltrami_cli.arrays import Float32s, Float64s, Uint8s
@@ -42,17 +44,20 @@ _PERTURBATION, _SEED = 0.2, 21
 _ROWS = 64
 
 
-def denoise_means(manifold: GridKernels, covariances: Float64s) -> float:
+def denoise_means(
+    manifold: GridKernels, covariances: Float64s, tick: Callable[[], None] | None = None
+) -> float:
     """Estimate the means of squares, coarse to fine, in place; return their estimated mean square error."""
     planes, kind = manifold.colours, manifold.atlas.kind
     error, random = 0.0, np.random.default_rng(_SEED)
     one_chart = manifold.atlas.chart_of.max(initial=0) == 0
     gap = max(kind.shape) if one_chart else 2 * canvas_margin(manifold.parameters)
     coarsest = _coarsest(covariances, gap)
+    report = None if tick is None else lambda _: tick()
     for level in range(coarsest, 0, -1):
         means, kinds = means_of_squares(planes, kind, 2**level)
         noise = noise_of_level(covariances, level, coarsest)
-        after, risk = _estimated(manifold, means, kinds, noise, random)
+        after, risk = _estimated(manifold, means, kinds, noise, random, report)
         after -= means
         add_enlarged(planes, kind, after, kinds, 2**level)
         refresh_halo(planes, manifold.atlas)
@@ -71,15 +76,20 @@ def _coarsest(covariances: Float64s, gap: int) -> int:
 
 
 def _estimated(
-    manifold: GridKernels, means: Float32s, kinds: Uint8s, noise: Float64s, random: np.random.Generator
+    manifold: GridKernels,
+    means: Float32s,
+    kinds: Uint8s,
+    noise: Float64s,
+    random: np.random.Generator,
+    report: Callable[[int], None] | None,
 ) -> tuple[Float32s, float]:
     """Estimate means from patches; return them and their mean square error by SURE, see `tuning.sure`."""
     first = mixing_of(manifold, manifold.colours, noise)
     second = with_pilot(first, manifold)
 
     def estimate(noisy: Float32s) -> Float32s:
-        pilot = collaborate_on_canvas(kinds, noisy, noisy, first, manifold.threads)
-        return collaborate_on_canvas(kinds, noisy, pilot, second, manifold.threads)
+        pilot = collaborate_on_canvas(kinds, noisy, noisy, first, manifold.threads, report)
+        return collaborate_on_canvas(kinds, noisy, pilot, second, manifold.threads, report)
 
     after = estimate(means)
     probe = mixed_signs(noise, means.shape[1:], random)

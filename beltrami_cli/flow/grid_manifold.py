@@ -102,11 +102,11 @@ class GridManifold(GridKernels):
         if self.noise_covariances is not None:
             self.sigma = sigma_of_covariances(self.noise_covariances)
 
-    def denoise_means(self) -> float:
+    def denoise_means(self, tick: Callable[[], None] | None = None) -> float:
         """Remove the noise that neighbouring cells share, but for their own details."""
         if self.noise_covariances is None:
             return 0.0
-        error = denoise_means(self, self.noise_covariances)
+        error = denoise_means(self, self.noise_covariances, tick)
         self.noise_covariances = left_for_cells(self.noise_covariances)
         self.sigma = sigma_of_covariances(self.noise_covariances)
         self.embed([])

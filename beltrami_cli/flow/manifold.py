@@ -189,8 +189,9 @@ class Manifold(ABC):
         self.stabiliser.restore(rows.T)
         return rows
 
-    def denoise_means(self) -> float:
+    def denoise_means(self, tick: Callable[[], None] | None = None) -> float:
         """Remove noise that neighbours share but for their own details; return the estimated mean square error."""
+        del tick
         return 0.0
 
     def __init__(self, parameters: KernelParameters, metric_channels: Sequence[int] | None) -> None:

@@ -16,8 +16,6 @@ from beltrami_cli.samples.reports import describe_settings
 from beltrami_cli.samples.settings import DEFAULTS, LevelSettings
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from beltrami_cli.arrays import Int64s
     from beltrami_cli.formats.document import Document
     from beltrami_cli.jobs.job import Job
@@ -143,9 +141,9 @@ class Levelling:
         """Level samples, before they are painted otherwise."""
         return samples.level(self._wanted, self._photographs if samples.part == "vertices" else None)
 
-    def paint(self, samples: Samples, progress: Callable[[int, int], None] | None) -> Repainted:
+    def paint(self, samples: Samples, job: Job) -> Repainted:
         """Level samples, and do nothing else to them."""
-        del progress
+        del job
         report = self.level(samples)
         repainted = samples.repaint(samples.levelled())
         self.done.append(dataclasses.replace(report, change=repainted.change.summary()))

@@ -18,8 +18,6 @@ from beltrami_cli.jobs.recolour import recolour
 from beltrami_cli.samples.settings import DEFAULTS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from beltrami_cli.arrays import Float32s, Float64s
     from beltrami_cli.formats.document import Document
     from beltrami_cli.jobs.job import Job
@@ -61,8 +59,8 @@ class Noising:
     def check(self, document: Document, selection: Selection, target: OutputFormat) -> None:
         """Accept all."""
 
-    def paint(self, samples: Samples, progress: Callable[[int, int], None] | None) -> Repainted:
-        del progress
+    def paint(self, samples: Samples, job: Job) -> Repainted:
+        del job
         grains = samples.grains()
         after = add_noise(grains, self._noise)
         change = np.square(after - grains.colours, dtype=np.float64)

@@ -22,7 +22,7 @@ from beltrami_cli.samples.memory_check import checked_memory
 from beltrami_cli.samples.selection import NOTHING, OutputFormat, choose_format, samples_of, select
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
     from beltrami_cli.formats.document import Document, Naming, Written
     from beltrami_cli.jobs.job import Job
@@ -47,7 +47,7 @@ class Painter(Protocol):
     def check(self, document: Document, selection: Selection, target: OutputFormat) -> None:
         """Raise what cannot be painted, before anything is computed."""
 
-    def paint(self, samples: Samples, progress: Callable[[int, int], None] | None) -> Repainted:
+    def paint(self, samples: Samples, job: Job) -> Repainted:
         """Give samples new colours, and return what these make of the document."""
 
 
@@ -114,7 +114,7 @@ def _paint(
         document, selection, settings, job.access, suffix, colours_only=painter.colours_only
     ):
         samples.require_writable()
-        painted.append(painter.paint(samples, job.progress_of(samples.label)))
+        painted.append(painter.paint(samples, job))
         del samples
     return painted
 

@@ -172,7 +172,7 @@ def _smooth_in_texture(
         with watch.stage("smooth"):
             samples = TexelSamples(old_surface, "baseColor", _in_passing(settings))
             samples.require_writable()
-            first = smooth_samples(samples, job.progress_of(samples.label))
+            first = smooth_samples(samples, job)
     old = {} if first is None else {key: image for (_, key), image in first.repainted.images.items()}
     with watch.stage("unwrap"):
         made = texture_from_textures(document, wanted, job.progress, old)
@@ -186,7 +186,7 @@ def _smooth_in_texture(
     with watch.stage("smooth"):
         samples = TexelSamples(made.surface(), "baseColor", settings)
         samples.require_writable()
-        smoothed = smooth_samples(samples, job.progress_of("the new texture"))
+        smoothed = smooth_samples(samples, job, "the new texture")
     (image,) = smoothed.repainted.images.values()
     return _Done(made, image, [*notices, *smoothed.repainted.notices], [smoothed])
 
@@ -209,7 +209,7 @@ def _smooth_on_vertices(
     if settings.kernel.iterations > 0:
         with watch.stage("smooth"):
             samples = vertex_samples(document, settings, access)
-            smoothed = [smooth_samples(samples, job.progress_of(samples.label))]
+            smoothed = [smooth_samples(samples, job)]
     with watch.stage("unwrap"):
         colours = smoothed[0].repainted.colours if smoothed else None
         made = texture_from_vertices(document, wanted, job.progress, colours)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import re
 from dataclasses import dataclass, field
+from itertools import count
 from typing import TYPE_CHECKING, Any
 
 from beltrami_cli.jobs.job import peak_memory
@@ -18,10 +19,14 @@ if TYPE_CHECKING:
 
     from beltrami_cli.flow.beltrami_flow import FlowResult
     from beltrami_cli.formats.document import Document
+    from beltrami_cli.jobs.job import Job
     from beltrami_cli.samples.reports import ImageReport, LevelReport, SamplesReport, SlotReport, VertexReport
     from beltrami_cli.samples.samples import Part, Repainted, Samples
     from beltrami_cli.samples.selection import OutputFormat, Selection
     from beltrami_cli.samples.settings import SmoothSettings
+
+
+_USUAL_TICKS = 30  # while parameters are chosen
 
 
 @dataclass(frozen=True)
@@ -36,16 +41,29 @@ class Smoothed:
     levelled: LevelReport | None = None  # what was done to exposure steps before
 
 
-def smooth_samples(samples: Samples, progress: Callable[[int, int], None] | None = None) -> Smoothed:
-    """Run the flow on samples, and put the colours back."""
-    flow = samples.flow()
-    result = flow.run(progress)
+def smooth_samples(samples: Samples, job: Job, label: str | None = None) -> Smoothed:
+    """Run the flow on samples, and put the colours back; `label`: their name in progress, if not their own."""
+    label = label or samples.label
+    flow = samples.flow(_ticks(job.progress_of(f"{label}: choosing parameters")))
+    result = flow.run(job.progress_of(label))
     report, warnings = samples.report(flow, result), samples.warnings(result)
     new = flow.manifold.new_colours()
     del flow  # before images as large are made
     repainted = samples.repaint(new)
     report = dataclasses.replace(report, change=repainted.change.summary())
     return Smoothed(samples.part, repainted, report, result, warnings)
+
+
+def _ticks(progress: Callable[[int, int], None] | None) -> Callable[[], None] | None:
+    """Return what reports steps whose number is not known before: their share of it and of a usual number more."""
+    if progress is None:
+        return None
+    done = count()
+
+    def tick() -> None:
+        progress(number := next(done), number + _USUAL_TICKS)
+
+    return tick
 
 
 class Smoothing:
@@ -67,9 +85,9 @@ class Smoothing:
         if self._levelling is not None:
             self._levelling.check(document, selection, target)
 
-    def paint(self, samples: Samples, progress: Callable[[int, int], None] | None) -> Repainted:
+    def paint(self, samples: Samples, job: Job) -> Repainted:
         levelled = None if self._levelling is None else self._levelling.level(samples)
-        smoothed = dataclasses.replace(smooth_samples(samples, progress), levelled=levelled)
+        smoothed = dataclasses.replace(smooth_samples(samples, job), levelled=levelled)
         self.done.append(smoothed)
         return smoothed.repainted
 

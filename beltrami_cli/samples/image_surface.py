@@ -156,6 +156,7 @@ def grid_flow(
     kernel: KernelParameters,
     guides: Sequence[Callable[[Pixels], Guide]] = (),
     metric_channels: Sequence[int] | None = None,
+    tick: Callable[[], None] | None = None,
 ) -> BeltramiFlow[GridManifold]:
     """Make the flow on an image, whose owned texels are the pixels that are not holes, row by row."""
     # Over heights, as on the plane, the unit of length is the pixel, and not the spacing along the surface: samples on
@@ -177,7 +178,7 @@ def grid_flow(
         metric_channels=metric_channels,
         unit=None if surface.heights is None else 1.0,
     )
-    return BeltramiFlow(manifold, kernel)
+    return BeltramiFlow(manifold, kernel, tick)
 
 
 def _over_the_plane(heights: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -39,7 +39,7 @@ from beltrami_cli.samples.settings import DEFAULTS
 from beltrami_cli.surface.records import ImageFile
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from beltrami_cli.arrays import Array, Bools, Float32s, Int64s
     from beltrami_cli.flow.beltrami_flow import BeltramiFlow, FlowResult
@@ -219,10 +219,10 @@ class PixelSamples(Samples):
         self._guides = read_guide_images(self.picture, self.valid, settings, access)
         self._is_noted = settings.channels is None and not colours_only
 
-    def flow(self) -> BeltramiFlow[GridManifold]:
+    def flow(self, tick: Callable[[], None] | None = None) -> BeltramiFlow[GridManifold]:
         colours, guides = self.colours, [guide.at for guide in self._guides]
         kernel = self.settings.kernel
-        return grid_flow(self.surface, colours.samples, kernel, guides, colours.metric_channels)
+        return grid_flow(self.surface, colours.samples, kernel, guides, colours.metric_channels, tick)
 
     def require_writable(self) -> None:
         check_writable(self.picture, self._suffix)

@@ -16,7 +16,7 @@ from beltrami_cli.samples.reports import describe_kernel
 from beltrami_cli.samples.samples import options_of_meshes
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from beltrami_cli.arrays import Float32s, Int64s
     from beltrami_cli.flow.beltrami_flow import BeltramiFlow, FlowResult
@@ -41,7 +41,7 @@ class RangeSamples(PaintedSamples):
         super().__init__(painted, settings, guides)
         self.grid = grid
 
-    def flow(self) -> BeltramiFlow[GridManifold]:
+    def flow(self, tick: Callable[[], None] | None = None) -> BeltramiFlow[GridManifold]:
         wrong = [option for option, is_given in options_of_meshes(self.settings).items() if is_given]
         if wrong:
             raise UsageError(
@@ -52,7 +52,7 @@ class RangeSamples(PaintedSamples):
         positions[measured] = self.painted.positions[self.grid[measured]]
         guides = [partial(self._guide_at, guide) for guide in self.guides]
         surface = ImageSurface(None, positions, measured)
-        return grid_flow(surface, self._working, self.settings.kernel, guides, self.channels.metric)
+        return grid_flow(surface, self._working, self.settings.kernel, guides, self.channels.metric, tick)
 
     def _working(self, places: Int64s) -> Float32s:
         """Return the colours at some places of the grid in the working space, shape (T, N)."""

@@ -105,8 +105,8 @@ class Samples(ABC):
     """The sampled channels: those that change, and those that only enter the metric."""
 
     @abstractmethod
-    def flow(self) -> BeltramiFlow[Any]:
-        """Make the flow on these samples; it takes over their memory, so that large surfaces are not stored twice."""
+    def flow(self, tick: Callable[[], None] | None = None) -> BeltramiFlow[Any]:
+        """Make the flow on these samples, whose memory it takes over; `tick` is called meanwhile, and may raise."""
 
     @abstractmethod
     def report(self, flow: BeltramiFlow[Any], result: FlowResult) -> SamplesReport:

@@ -33,7 +33,7 @@ from beltrami_cli.surface.atlas import build_atlas, without_owned
 from beltrami_cli.surface.records import ImageFile
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Callable, Iterable, Sequence
 
     from beltrami_cli.arrays import Array, Float32s, Int64s
     from beltrami_cli.flow.beltrami_flow import FlowResult
@@ -90,7 +90,7 @@ class TexelSamples(Samples):
         self._levelled: Float32s | None = None
         self._is_dithered = False
 
-    def flow(self) -> BeltramiFlow[GridManifold]:
+    def flow(self, tick: Callable[[], None] | None = None) -> BeltramiFlow[GridManifold]:
         kernel, guides = self.settings.kernel, self._guides
         self._guides = []
         manifold = GridManifold(
@@ -100,7 +100,7 @@ class TexelSamples(Samples):
             guides=guides,
             metric_channels=self.colours.metric_channels,
         )
-        return BeltramiFlow(manifold, kernel)
+        return BeltramiFlow(manifold, kernel, tick)
 
     def _on_canvas(self) -> Float32s:
         """Return the colours on the canvas, levelled if they were; these are given away."""

@@ -26,7 +26,7 @@ from beltrami_cli.surface.records import SampledSurface
 from beltrami_cli.surface.vertex_sampling import sample_vertices
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
@@ -82,7 +82,7 @@ class VertexSamples(PaintedSamples):
     def sampling(self) -> VertexSampling:
         return self._sampled[1]
 
-    def flow(self) -> BeltramiFlow[MeshManifold]:
+    def flow(self, tick: Callable[[], None] | None = None) -> BeltramiFlow[MeshManifold]:
         # The flow reorders the surface, of which only colours are kept here.
         geometry, own, (surface, sampling) = None, self.settings, self._sampled
         if own.embedding.smooth_geometry:
@@ -93,7 +93,7 @@ class VertexSamples(PaintedSamples):
         self._sampled = remaining, sampling
         metric = self.channels.metric
         manifold = MeshManifold(surface, own.kernel, guides=guides, metric_channels=metric, geometry=geometry)
-        return BeltramiFlow(manifold, own.kernel)
+        return BeltramiFlow(manifold, own.kernel, tick)
 
     def level(self, wanted: LevelSettings, photographs: Int64s | None = None) -> LevelReport:
         (surface, sampling), stored = self._sampled, self._stored

@@ -40,7 +40,7 @@ class Exposing:
     def check(self, *_):
         pass
 
-    def paint(self, samples, progress):
+    def paint(self, samples, job):
         _, colours = ExposureScene(samples, samples.colours.samples(samples.atlas).astype(float)).exposed(1)
         planes = painted(samples.atlas, colours.astype(np.float32), 1)
         return samples.repaint(canvas_colours(samples.atlas, planes, 1))

@@ -8,6 +8,8 @@ from contextlib import contextmanager
 import pytest
 
 from beltrami_cli.cli.console import Messages
+from beltrami_cli.jobs.job import Job
+from beltrami_cli.jobs.smooth import smooth_file
 from cli.commands import SAMPLES, beltrami
 
 NOISY, CLEAN = SAMPLES / "head-tex-noisy.glb", SAMPLES / "head-tex-clean.glb"
@@ -64,3 +66,24 @@ def test_other_programs_can_ask_for_lines(tmp_path, monkeypatch):
     assert all(re.fullmatch(r"progress: [^\n]+ \d+%", line) for line in lines)
     assert lines[-1].endswith(" 100%")
     assert len(lines) == len(set(lines))
+
+
+@pytest.mark.parametrize("name", ["knot-noisy.ply", "scan-noisy.jpg"])
+def test_the_choice_of_parameters_says_how_far_it_is_and_can_be_stopped(name, tmp_path):
+    shares, target = [], tmp_path / f"out{name[-4:]}"
+
+    class StopError(Exception):
+        pass
+
+    def stop(label, done, total):
+        assert label.endswith(": choosing parameters")
+        shares.append(done / total)
+        if len(shares) == 5:
+            raise StopError
+
+    with pytest.raises(StopError):
+        smooth_file(SAMPLES / name, target, job=Job(progress=stop))
+    assert shares[0] == 0
+    assert shares == sorted(set(shares))
+    assert shares[-1] < 1
+    assert list(tmp_path.iterdir()) == []

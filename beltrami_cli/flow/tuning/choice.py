@@ -16,6 +16,8 @@ from beltrami_cli.flow.parameters import MOST_GROWTH, SMOOTHNESS
 from beltrami_cli.flow.tuning.sure import Risk, RiskEstimate
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from beltrami_cli.arrays import Float64s
     from beltrami_cli.flow.manifold import Manifold, SampleTrial
     from beltrami_cli.flow.parameters import KernelParameters
@@ -74,11 +76,21 @@ class Grid:
 
 
 class Search:
-    """A descent over a grid of schedules, by an estimate of their error; `noise` is the variance of the noise."""
+    """A descent over a grid of schedules, by an estimate of their error; `noise` is the variance of the noise.
 
-    def __init__(self, estimate: RiskEstimate, grid: Grid, noise: float, weight: float = 1.0) -> None:
+    `tick` is called before each iteration, and may raise to stop.
+    """
+
+    def __init__(
+        self,
+        estimate: RiskEstimate,
+        grid: Grid,
+        noise: float,
+        weight: float = 1.0,
+        tick: Callable[[], None] | None = None,
+    ) -> None:
         self.tried: dict[Schedule, Risk] = {}
-        self._estimate, self._grid = estimate, grid
+        self._estimate, self._grid, self._tick = estimate, grid, tick
         self._gain, self._weight = _WORTH_MOVING * noise, weight
         self._least: dict[Place, float] = {}
         self._regularised_states: dict[Schedule, State] = {}
@@ -126,7 +138,7 @@ class Search:
                 risks.append(self._try(schedule, state))
             if done >= (self._grid.max_iterations if wanted is None else wanted) or self._ends(risks):
                 return min(risks)
-            state = self._estimate.step(state, schedule.step(done))
+            state = self._step(state, schedule.step(done))
             schedule = replace(schedule, plain=schedule.plain + 1)
 
     def _ends(self, risks: list[float]) -> bool:
@@ -145,10 +157,13 @@ class Search:
         key = replace(schedule, growth=1.0) if schedule.regularised == 1 else schedule
         if key not in self._regularised_states:
             before = self._after_regularised(replace(schedule, regularised=schedule.regularised - 1))
-            self._regularised_states[key] = self._estimate.step(
-                before, schedule.step(schedule.regularised - 1)
-            )
+            self._regularised_states[key] = self._step(before, schedule.step(schedule.regularised - 1))
         return self._regularised_states[key]
+
+    def _step(self, state: State, step: Step) -> State:
+        if self._tick is not None:
+            self._tick()
+        return self._estimate.step(state, step)
 
 
 # Values that are tried of beta times the noise.
@@ -193,15 +208,18 @@ class Choice:
 
 
 def choose(
-    trial: SampleTrial, manifold: Manifold, parameters: KernelParameters, search_range: SearchRange
+    trial: SampleTrial,
+    manifold: Manifold,
+    parameters: KernelParameters,
+    tick: Callable[[], None] | None = None,
 ) -> tuple[KernelParameters, Choice]:
     """Choose the free parameters by the smallest error that is estimated on a sample of the manifold."""
     sigma, metric_sigma = manifold.sigma, manifold.metric_sigma
     scale = choose_beta(metric_sigma, 1.0) * manifold.unit if len(metric_sigma) else 0.0
-    grid = _grid(parameters, search_range, scale, manifold.beta)
+    grid = _grid(parameters, manifold.search_range, scale, manifold.beta)
     weight = (_SHARED_BY_NEIGHBOURS if trial.correlated else 1.0) * SMOOTHNESS[parameters.strength]
     risks = RiskEstimate(trial, sigma, manifold.stabiliser)
-    search = Search(risks, grid, risks.noise, weight)
+    search = Search(risks, grid, risks.noise, weight, tick)
     best = search.run()
     values: dict[str, Any] = {
         "iterations": best.regularised + best.plain,
@@ -284,7 +302,7 @@ def _as_given(chosen: dict[str, Any], manifold: Manifold) -> dict[str, Any]:
 
 
 def tune(
-    manifold: Manifold, parameters: KernelParameters, *, noisy: bool
+    manifold: Manifold, parameters: KernelParameters, *, noisy: bool, tick: Callable[[], None] | None = None
 ) -> tuple[KernelParameters, Choice | None]:
     """Return parameters with nothing left open, and what was chosen; without noise nothing is smoothed."""
     closed = dataclasses.replace(parameters, free=())
@@ -296,4 +314,4 @@ def tune(
         return choose_by_rule(manifold, parameters, manifold.rule)
     trial = manifold.trial()
     LOG.info("work: parameters are tried on %d of %d samples first", trial.samples, manifold.kernels)
-    return choose(trial, manifold, parameters, manifold.search_range)
+    return choose(trial, manifold, parameters, tick)
