@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,7 +19,7 @@ from beltrami_cli.view.models import (
 from beltrami_cli.view.preview import Focus, Patch
 
 if TYPE_CHECKING:
-    from beltrami_cli.arrays import Float64s, Uint8s
+    from beltrami_cli.arrays import Float64s, Int64s, Uint8s
     from beltrami_cli.formats.document import Document
     from beltrami_cli.surface.records import Slot
 
@@ -38,6 +37,7 @@ class Layers:
         is_image = isinstance(document, ImageDocument)
         slots: list[Slot | None] = [] if is_image else [*document.slots()]
         self.slots = [*slots, None] if is_image or document.has_vertex_colours() else slots
+        self._row_of: Int64s | None = None
         self._boxes: dict[int, tuple[Float64s, float]] = {}  # lowest corners and longest sides
 
     def packed(self, reach: float) -> dict[str, Any]:
@@ -48,6 +48,7 @@ class Layers:
                 packer.add_image((self.document, self.document))
             else:
                 packer.add((self.document, self.document), slot)
+        self._row_of = packer.row_of
         return packer.packed(reach)
 
     def in_space(self, focus: Focus, layer: int) -> Focus:
@@ -65,13 +66,13 @@ class Layers:
     def patched(self, shown: Shown, layer: int, patch: Patch) -> dict[str, Any]:
         """Return a patch for the viewer, and keep what a texture looks like with it."""
         if patch.texture < 0:
-            painted = self.document.painted()
-            rows = patch.rows
-            if not len(painted.faces):  # points that are nowhere are not drawn
-                drawn = np.asarray(np.isfinite(painted.positions).all(axis=1))
-                rows, kept = (np.cumsum(drawn) - 1)[rows], drawn[rows]
-                rows, patch = rows[kept], dataclasses.replace(patch, colours=patch.colours[kept])
-            own = packed_array(rows.astype(np.uint32), _QUICK), packed_array(patch.colours, _QUICK)
+            assert self._row_of is not None
+            rows = self._row_of[patch.rows]
+            drawn = rows >= 0  # points that are nowhere are not
+            own = (
+                packed_array(rows[drawn].astype(np.uint32), _QUICK),
+                packed_array(patch.colours[drawn], _QUICK),
+            )
             return {"layer": layer, "rows": own[0], "colours": own[1]}
         pixels = self._pixels(shown, layer, patch.texture)
         pixels[patch.rows, patch.columns] = patch.colours

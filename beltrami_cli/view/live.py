@@ -30,7 +30,7 @@ from beltrami_cli.jobs.smoothing import Smoothing, make_report
 from beltrami_cli.samples.selection import select
 from beltrami_cli.view.controls import controls, given_values, plain_settings, settings_from
 from beltrami_cli.view.layers import Layers
-from beltrami_cli.view.pages import asset, viewer
+from beltrami_cli.view.pages import LIBRARY, VIEWER_SCRIPTS, asset, viewer
 from beltrami_cli.view.preview import Focus, Previewer
 from beltrami_cli.view.server import Events, RefusedError
 from beltrami_cli.view.used_parameters import used_parameters
@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 
     Command = Callable[[SmoothSettings, str], str]
 
-_SCRIPTS = ("three.js", "viewer.js", "live.js")
+_SCRIPTS = (LIBRARY, *VIEWER_SCRIPTS, "live.js")
 _WAIT = 0.5  # seconds after a preview in which the whole is not begun, since another change may follow
 _WANTED = 0.1  # seconds that a preview may take, beside sending and drawing it
 _FIRST_RATE = 4e5  # samples times iterations a second, before any preview was timed
@@ -173,6 +173,7 @@ class Live:
             viewer=viewer("Before and after"),
             controls=controls(self._layers.slots),
             target=html.escape(_target(self._source), quote=True),
+            scripts="\n".join(f'<script src="{script}"></script>' for script in _SCRIPTS),
         )
         start = {"values": given_values(settings), "reach": _REACH, "target": _target(self._source)}
         scripts = {script: ("text/javascript", asset(script).encode()) for script in _SCRIPTS}

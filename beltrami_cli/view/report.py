@@ -22,7 +22,17 @@ from beltrami_cli.jobs.job import PLAIN_JOB, Job, tracked
 from beltrami_cli.jobs.output import Output
 from beltrami_cli.surface.colour_values import colour_by_value
 from beltrami_cli.view.models import ModelPacker
-from beltrami_cli.view.pages import PAGES, page_from, picture_tag, table, viewer
+from beltrami_cli.view.pages import (
+    LIBRARY,
+    PAGES,
+    VIEWER_SCRIPTS,
+    asset,
+    packed_text,
+    page_from,
+    picture_tag,
+    table,
+    viewer,
+)
 from beltrami_cli.view.sheet import distinct_labels
 from beltrami_cli.view.used_parameters import used_parameters
 
@@ -121,8 +131,10 @@ def _page(names: list[str], found: _Found, parameters: str) -> bytes:
     short = distinct_labels(names)
     return page_from(
         "report.html",
-        ["three.js", "viewer.js", "report.js"],
-        {"models": found.models},
+        [*VIEWER_SCRIPTS, "report.js"],
+        {"models": found.models, "three": packed_text(LIBRARY)},
+        library=LIBRARY,
+        licence=asset("three.LICENSE"),
         title=html.escape(f"{short[0]} and {short[1]}"),
         summary=html.escape(f"Before: {names[0]}. After: {names[1]}."),
         viewer=viewer("Before and after"),

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
+from beltrami_cli.surface.records import PaintedVertices
+from beltrami_cli.view.models import ModelPacker
 from cli.commands import SAMPLES, beltrami
 from cli.pictures import painted_square, plain_image, textured_square
 from view.browsing import BLUE, RED, WHITE, WIDTHS, Viewer
@@ -133,6 +137,48 @@ def test_the_page_fits_and_nothing_bars_anybody(browser, head, width):
     viewer.page.get_by_label("difference", exact=True).check()
     assert viewer.violations() == []
     assert viewer.errors == []
+
+
+RESTORED = """async ({ model, part }) => {
+  const table = async (key) => Unpacking.loaded(model.buffers[key]);
+  const index = Unpacking.triangles(await table(part.index));
+  const rows = async (key) => [...Unpacking.restored(await table(key), index)];
+  return [[...index], await rows(part.position), await rows(part.colours[1])];
+}"""
+
+
+def scattered(side):
+    """A bumpy mesh of noisy colours in bytes, whose vertices and triangles are in no order."""
+    random = np.random.default_rng(5)
+    places = np.stack(np.meshgrid(np.arange(side), np.arange(side)), axis=2).reshape(-1, 2) / (side - 1)
+    positions = np.column_stack([places, 0.1 * np.sin(9 * places).prod(axis=1)])
+    positions[:, 2] += random.normal(0, 2e-4, len(positions))
+    first = np.arange(side * side).reshape(side, side)[:-1, :-1].ravel()
+    faces = np.concatenate([first[:, None] + [0, 1, side + 1], first[:, None] + [0, side + 1, side]])
+    order = random.permutation(len(positions))
+    faces = random.permutation(np.argsort(order)[faces]).astype(np.int32)
+    colours = (random.integers(90, 110, (len(positions), 3)) / 255).astype(np.float32)
+    return PaintedVertices(positions[order], faces, colours[order], ("red", "green", "blue"), "srgb", "uint8")
+
+
+def test_what_is_packed_is_restored_and_takes_little_space(browser, squares):
+    painted, packer = scattered(81), ModelPacker()
+    document = SimpleNamespace(painted=lambda: painted)
+    packer.add((document, document), None)
+    model = packer.packed(8)
+    # A report of 400,000 triangles shall take at most 2 MB, of which the scripts take 0.2.
+    assert sum(len(each["data"]) for each in model["buffers"].values()) < 1.8e6 * len(painted.faces) / 400_000
+    page = Viewer(browser, squares).page
+    index, positions, colours = page.evaluate(
+        RESTORED, {"model": model, "part": model["layers"][0]["parts"][0]}
+    )
+    index, positions, colours = (np.reshape(rows, (-1, 3)) for rows in (index, positions, colours))
+    order = np.argsort(packer.row_of)
+    assert np.abs(positions / 65535 - (painted.positions - painted.positions.min(axis=0))[order]).max() < 1e-5
+    assert np.array_equal(colours, np.rint(255 * painted.colours)[order])
+    assert {tuple(face) for face in np.sort(index).tolist()} == {
+        tuple(face) for face in np.sort(packer.row_of[painted.faces]).tolist()
+    }
 
 
 def test_names_that_are_markup_stay_text(browser, tmp_path):

@@ -6,6 +6,7 @@ import base64
 import hashlib
 import html
 import json
+import zlib
 from importlib.resources import files
 from string import Template
 from typing import TYPE_CHECKING
@@ -22,13 +23,21 @@ PAGES = (".html", ".htm")
 """Extensions of pages."""
 
 
-def page_from(template: str, scripts: Sequence[str], data: Mapping[str, object], **parts: str) -> bytes:
+LIBRARY = "three.js"
+VIEWER_SCRIPTS = ("unpacking.js", "shapes.js", "painting.js", "operating.js", "viewer.js")
+"""The library that viewers draw with, and their scripts."""
+
+
+def page_from(
+    template: str, scripts: Sequence[str], data: Mapping[str, object], library: str = "", **parts: str
+) -> bytes:
     """Fill in a template of this folder: each ``$name`` in it becomes HTML; scripts of this folder may run, no others.
 
-    `data` are elements with JSON for the scripts, by their identity.
+    `data` are elements with JSON for the scripts, by their identity; `library` is a script that these may add.
     """
     texts = [asset(script) for script in scripts]
-    hashes = [base64.b64encode(hashlib.sha256(text.encode()).digest()).decode() for text in texts]
+    allowing = [*texts, asset(library)] if library else texts
+    hashes = [base64.b64encode(hashlib.sha256(text.encode()).digest()).decode() for text in allowing]
     allowed = " ".join(f"'sha256-{each}'" for each in hashes) or "'none'"
     policy = f"default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'; script-src {allowed}"
     blocks = [
@@ -46,6 +55,11 @@ def page_from(template: str, scripts: Sequence[str], data: Mapping[str, object],
 def viewer(heading: str) -> str:
     """Return the part of a page that a viewer draws in."""
     return Template(asset("viewer.html")).substitute(heading=html.escape(heading))
+
+
+def packed_text(name: str) -> str:
+    """Return a file of this folder, compressed."""
+    return base64.b64encode(zlib.compress(asset(name).encode(), 9)).decode()
 
 
 def asset(name: str) -> str:

@@ -104,13 +104,13 @@
       part("progress").value = share;
     },
     preview: async ({ patches, samples, seconds }) => {
-      await viewer.paint(patches);
+      await viewer.painting.paint(patches);
       part("viewer").dataset.previews = Number(part("viewer").dataset.previews || 0) + 1;
       part("viewer").dataset.latency = performance.now() - part("viewer").dataset.asked;
       say(`Preview of ${samples} samples in the middle, ${seconds.toFixed(2)} s; the whole follows.`);
     },
     whole: async ({ patches, used, chosen, notices, noise, number: which }) => {
-      await viewer.paint(patches);
+      await viewer.painting.paint(patches);
       part("progress").value = 1;
       say("Done.");
       part("used").innerHTML = used; // escaped where it is made
