@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.surface.colour_values import linear_to_srgb
+from beltrami_cli.surface.colour_values import linear_to_srgb, srgb_to_linear
 
 if TYPE_CHECKING:
     from beltrami_cli.arrays import Float32s, Float64s
@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
 BYTE = 255.0
 _INTEGER_SCALES = (BYTE, 65535.0)
+_GREY = "Grey is written as equal red, green and blue."
 _BRIGHTEST = 16.0  # four stops above white: float colours beyond this are taken for 0..255
 
 
@@ -72,10 +73,25 @@ def display_colours(contents: MeshContents | VertexColours) -> tuple[Float32s, l
     if contents.encoding == "linear":
         colours = linear_to_srgb(colours).astype(np.float32)
         notices.append("Linear colours are written as sRGB, which the format's colours are by custom.")
-    if colours.shape[1] == 1:
-        colours = np.repeat(colours, 3, axis=1)
-        notices.append("Grey is written as equal red, green and blue.")
-    return colours, notices
+    return _three_channels(colours, notices, _GREY), notices
+
+
+def linear_colours(
+    contents: MeshContents | VertexColours, notices: list[str], reason: str, grey: str = _GREY
+) -> Float32s:
+    """Return colours in linear light, shape (V, 3), which a format has for a reason; add to the notices."""
+    colours = contents.colours
+    if contents.encoding == "srgb":
+        colours = srgb_to_linear(colours).astype(np.float32)
+        notices.append(f"Colours are turned from sRGB into linear light, as {reason}.")
+    return _three_channels(colours, notices, grey)
+
+
+def _three_channels(colours: Float32s, notices: list[str], grey: str) -> Float32s:
+    if colours.shape[1] > 1:
+        return colours
+    notices.append(grey)
+    return np.repeat(colours, 3, axis=1)
 
 
 def left_out(contents: MeshContents) -> list[str]:

@@ -131,6 +131,7 @@ class Document(ABC):
         del folder  # for formats that refer to files beside them
         self.data, self.access = data, access
         self.name = name  # of the file as the user named it, for messages
+        self._textured: dict[Slot, TexturedSurface] = {}
         self.notices: list[str] = []  # for the user, one sentence each, without the file's name
 
     def painted(self) -> PaintedVertices:
@@ -186,6 +187,11 @@ class Document(ABC):
 
     def textured(self, slot: Slot) -> TexturedSurface:
         """Return the textures of a slot and their surface, always the same record; InputError without usable ones."""
+        if slot not in self._textured:
+            self._textured[slot] = self._gathered(slot)
+        return self._textured[slot]
+
+    def _gathered(self, slot: Slot) -> TexturedSurface:
         raise InputError(self.name, f"it has no {slot} texture")
 
     def patch(

@@ -9,13 +9,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.formats.document import Naming
+from beltrami_cli.formats.image.recognition import suffix_for
 from beltrami_cli.formats.model_folder import NewNames
 from beltrami_cli.formats.tiles import tile_name
 from beltrami_cli.surface.records import ImageFile, Material, MaterialMap, MeshImage
 from beltrami_cli.surface.tiling import tiles_under
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Mapping, Sequence
+    from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -26,6 +27,31 @@ if TYPE_CHECKING:
 POLYGONS_CUT = "quads and polygons, which are cut into triangles"
 _LARGEST = 1e30
 _FIT = ".png"  # the suffix of images that a format cannot hold as they are
+
+
+class MeshImages:
+    """The images of a mesh while its materials are read; one that stands for a set of tiles is in `sets`."""
+
+    def __init__(self) -> None:
+        self.images: list[MeshImage] = []
+        self.sets: dict[int, dict[Tile, int]] = {}
+        self._index_of: dict[str, int] = {}
+
+    def take(self, key: str, name: str, read: Callable[[], bytes]) -> int:
+        """Take an image, which is read once; return its number."""
+        if key not in self._index_of:
+            data = read()
+            self._index_of[key] = len(self.images)
+            self.images.append(MeshImage(ImageFile(data, suffix_for(data, name) or ".png"), name, key))
+        return self._index_of[key]
+
+    def take_set(self, key: str, tiles: dict[Tile, int]) -> int:
+        """Take a set of tiles, which are images that were taken."""
+        if key not in self._index_of:
+            self._index_of[key] = len(self.images)
+            self.sets[len(self.images)] = tiles
+            self.images.append(self.images[next(iter(tiles.values()))])
+        return self._index_of[key]
 
 
 def image_names(mesh: TexturedMesh, stem: str) -> list[str]:
@@ -177,7 +203,7 @@ def on_tiles(mesh: TexturedMesh, sets: Mapping[int, Mapping[Tile, int]]) -> Text
     if not sets:
         return mesh
     tiled = [any(shown.image in sets for shown in each.maps.values()) for each in mesh.materials]
-    material_of = np.zeros(len(mesh.faces), np.int32) if mesh.material_of is None else mesh.material_of.copy()
+    material_of = mesh.material_numbers.copy()
     faces = np.flatnonzero(np.array(tiled)[material_of] & np.isfinite(mesh.uv).all(axis=(1, 2)))
     tiles = tiles_under(mesh.uv[faces])
     uv, materials = mesh.uv.copy(), list(mesh.materials)

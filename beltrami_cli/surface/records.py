@@ -179,6 +179,16 @@ class TexturedMesh:
     colours: VertexColours | None = None
     left_out: tuple[str, ...] = ()  # as in `MeshContents`
 
+    @property
+    def material_numbers(self) -> Int32s:
+        """Index into `materials` of every triangle, shape (F,)."""
+        return np.zeros(len(self.faces), np.int32) if self.material_of is None else self.material_of
+
+    @property
+    def group_numbers(self) -> Int32s:
+        """Index into `groups` of every triangle, shape (F,)."""
+        return np.zeros(len(self.faces), np.int32) if self.group_of is None else self.group_of
+
 
 @dataclass(frozen=True)
 class SampledSurface:

@@ -69,7 +69,6 @@ class GltfDocument(Document):
         self.accessors = Accessors(self.root, self.buffers)
         self.places = placements(self.root)
         self.images = Images(self.root, self.accessors, self._folder)
-        self._textured: dict[Slot, TexturedSurface] = {}
         self._references, missing = files_beside(self.root, self._folder)
         if self.container.has_bom:
             self.notices.append(
@@ -100,12 +99,10 @@ class GltfDocument(Document):
     def slots(self) -> tuple[Slot, ...]:
         return present_slots(self.root)
 
-    def textured(self, slot: Slot) -> TexturedSurface:
-        if slot not in self._textured:
-            surface, notices = gather_textured(self.root, self.accessors, self.places, self.images, slot)
-            self._textured[slot] = surface
-            self.notices += [notice for notice in notices if notice not in self.notices]
-        return self._textured[slot]
+    def _gathered(self, slot: Slot) -> TexturedSurface:
+        surface, notices = gather_textured(self.root, self.accessors, self.places, self.images, slot)
+        self.notices += [notice for notice in notices if notice not in self.notices]
+        return surface
 
     def attributes(self) -> tuple[str, ...]:
         return attribute_names(self.root, self.surface.blocks)

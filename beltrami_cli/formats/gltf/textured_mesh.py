@@ -22,15 +22,12 @@ from beltrami_cli.formats.gltf.geometry import (
 from beltrami_cli.formats.gltf.textured_surface import image_key
 from beltrami_cli.formats.gltf.textured_writer import OWN_COLOURS
 from beltrami_cli.formats.gltf.textures import texture_uses
-from beltrami_cli.formats.image import suffix_for
 from beltrami_cli.formats.model_folder import UnfitReferenceError
-from beltrami_cli.formats.textured_mesh import shown_materials, usable_coordinates
+from beltrami_cli.formats.textured_mesh import MeshImages, shown_materials, usable_coordinates
 from beltrami_cli.surface.colour_values import linear_to_srgb
 from beltrami_cli.surface.records import (
-    ImageFile,
     Material,
     MaterialMap,
-    MeshImage,
     Slot,
     TexturedMesh,
     VertexColours,
@@ -76,8 +73,7 @@ class _Materials:
     left_out: list[str] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        self.shown: list[MeshImage] = []
-        self._index_of: dict[int, int] = {}
+        self.shown = MeshImages()
         slots: tuple[Slot, ...] = get_args(Slot)
         uses = {slot: texture_uses(self.root, slot) for slot in slots}
         entries = self.root.entries("materials")
@@ -118,12 +114,7 @@ class _Materials:
         )
 
     def _image(self, image: int) -> int:
-        if image not in self._index_of:
-            data, name = self.images.data(image), self.images.name(image)
-            self._index_of[image] = len(self.shown)
-            file = ImageFile(data, suffix_for(data, name) or ".png")
-            self.shown.append(MeshImage(file, name, image_key(image)))
-        return self._index_of[image]
+        return self.shown.take(image_key(image), self.images.name(image), lambda: self.images.data(image))
 
 
 def _display(linear: Sequence[float]) -> tuple[float, ...]:
@@ -238,7 +229,7 @@ class _Reading:
             faces=np.concatenate([part.faces + start for part, start in placed]).astype(np.int32),
             uv=uv,
             materials=materials,
-            images=tuple(self._materials.shown),
+            images=tuple(self._materials.shown.images),
             source=source,
             material_of=material_of,
             groups=groups,

@@ -13,8 +13,8 @@ from beltrami_cli.formats.gltf.uris import as_uri
 from beltrami_cli.formats.gltf.writer import (
     Arrays,
     binary_file,
-    linear_colours,
     single_precision,
+    stored_colours,
     text_file,
     unit_normals,
 )
@@ -98,7 +98,7 @@ def _textured(mesh: TexturedMesh, stem: str, notices: list[str]) -> tuple[Tree, 
 def _with_bare_materials(mesh: TexturedMesh) -> TexturedMesh:
     """Give triangles without texture coordinates copies of their materials that have no maps, as glTF demands."""
     bare = np.isnan(mesh.uv).any(axis=(1, 2))
-    material_of = np.zeros(len(mesh.faces), np.int32) if mesh.material_of is None else mesh.material_of
+    material_of = mesh.material_numbers
     materials, numbers = list(mesh.materials), material_of.copy()
     for index in np.unique(material_of[bare]).tolist():
         if materials[index].maps:
@@ -111,9 +111,7 @@ def _with_bare_materials(mesh: TexturedMesh) -> TexturedMesh:
 def _groups(mesh: TexturedMesh) -> Iterator[tuple[str, Int64s]]:
     """Give the names of the groups that have triangles, and these."""
     for number, name in enumerate(mesh.groups):
-        faces = (
-            np.arange(len(mesh.faces)) if mesh.group_of is None else np.flatnonzero(mesh.group_of == number)
-        )
+        faces = np.flatnonzero(mesh.group_numbers == number)
         if len(faces):
             yield name, faces
 
@@ -125,12 +123,11 @@ class _Parts:
         self.arrays = Arrays()
         self._mesh, self._notices = mesh, notices
         self._positions = single_precision(mesh.positions, stem, notices)
-        self._colours = None if mesh.colours is None else linear_colours(mesh.colours, notices)
+        self._colours = None if mesh.colours is None else stored_colours(mesh.colours, notices)
 
     def primitives(self, faces: Int64s) -> list[Tree]:
         """Return a primitive for each material of some triangles."""
-        mesh = self._mesh
-        material_of = np.zeros(len(faces), int) if mesh.material_of is None else mesh.material_of[faces]
+        material_of = self._mesh.material_numbers[faces]
         return [
             self._primitive(faces[material_of == material], material)
             for material in np.unique(material_of).tolist()

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from beltrami_cli.errors import InputError
+from beltrami_cli.formats.colours import linear_colours
 from beltrami_cli.formats.document import Written
 from beltrami_cli.formats.gltf.accessors import COMPONENTS, Stored, padded_elements, quantised
 from beltrami_cli.formats.gltf.container import BIN_CHUNK, JSON_CHUNK, Chunk, encoded, glb_pieces
 from beltrami_cli.formats.gltf.edit import INDEX_DATA, VERTEX_DATA
 from beltrami_cli.formats.gltf.uris import as_uri
-from beltrami_cli.surface.colour_values import srgb_to_linear
 from beltrami_cli.surface.polygons import triangulate
 
 if TYPE_CHECKING:
@@ -106,7 +106,7 @@ class Arrays:
 
 def _coloured(contents: MeshContents, stem: str, notices: list[str]) -> tuple[Tree, Arrays]:
     positions = single_precision(contents.positions, stem, notices)
-    colours = linear_colours(contents, notices)
+    colours = stored_colours(contents, notices)
     faces = triangulate(contents.positions, contents.corners, contents.offsets)
     if np.any(np.diff(contents.offsets) > 3):
         notices.append("Quads and polygons are cut into triangles.")
@@ -158,15 +158,9 @@ def single_precision(exact: Float64s, stem: str, notices: list[str]) -> Stored:
     return positions
 
 
-def linear_colours(contents: MeshContents | VertexColours, notices: list[str]) -> Stored:
+def stored_colours(contents: MeshContents | VertexColours, notices: list[str]) -> Stored:
     """Return COLOR_0 as stored, shape (V, 3), or (V, 4) with alpha."""
-    colours = contents.colours
-    if contents.encoding == "srgb":
-        colours = srgb_to_linear(colours).astype(np.float32)
-        notices.append("Colours are turned from sRGB into linear light, as glTF demands.")
-    if colours.shape[1] == 1:
-        colours = np.repeat(colours, 3, axis=1)
-        notices.append("Grey values become three equal channels.")
+    colours = linear_colours(contents, notices, "glTF demands", "Grey values become three equal channels.")
     if np.any((colours < 0) | (colours > 1)):
         colours = np.clip(colours, 0, 1)
         notices.append("Colours outside [0, 1] are clipped, since glTF does not allow them.")

@@ -53,7 +53,6 @@ class ObjDocument(Document):
         if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
             raise InputError(name, "it is text in UTF-16", "save it as UTF-8")
         self._folder = ModelFolder(folder, access)
-        self._textured: dict[Slot, TexturedSurface] = {}
 
     @cached_property
     def _painted(self) -> PaintedVertices:
@@ -79,16 +78,13 @@ class ObjDocument(Document):
     def slots(self) -> tuple[Slot, ...]:
         return tuple(slot for slot in _SLOTS if slot in self._materials.slots())
 
-    def textured(self, slot: Slot) -> TexturedSurface:
-        if slot not in self._textured:
-            vertices = self._scan.vertices
-            mesh = vertices.positions, self._scan.corners, self._scan.offsets
-            surface, notices = gather_textured(
-                mesh, self._coordinates, self._materials, self._folder, slot, self.name
-            )
-            self._textured[slot] = surface
-            self.notices += notices
-        return self._textured[slot]
+    def _gathered(self, slot: Slot) -> TexturedSurface:
+        mesh = self._scan.vertices.positions, self._scan.corners, self._scan.offsets
+        surface, notices = gather_textured(
+            mesh, self._coordinates, self._materials, self._folder, slot, self.name
+        )
+        self.notices += notices
+        return surface
 
     def _patched(self, new: Changes, naming: Naming) -> Written:
         colours, places = new.colours, new.places

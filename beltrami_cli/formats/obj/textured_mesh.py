@@ -9,11 +9,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.image import read_image, suffix_for
+from beltrami_cli.formats.image import read_image
 from beltrami_cli.formats.obj.vertices import unit_normals
-from beltrami_cli.formats.textured_mesh import alpha_mode, on_tiles, shown_materials, usable_coordinates
+from beltrami_cli.formats.textured_mesh import (
+    MeshImages,
+    alpha_mode,
+    on_tiles,
+    shown_materials,
+    usable_coordinates,
+)
 from beltrami_cli.surface.polygons import triangulate_corners
-from beltrami_cli.surface.records import ImageFile, Material, MaterialMap, MeshImage, TexturedMesh
+from beltrami_cli.surface.records import Material, MaterialMap, TexturedMesh
 
 if TYPE_CHECKING:
     from beltrami_cli.arrays import Float32s, Int32s, Int64s
@@ -22,7 +28,6 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.obj.texturing import Coordinates
     from beltrami_cli.formats.obj.vertices import Scan
     from beltrami_cli.surface.records import AlphaMode, Slot, Wrap
-    from beltrami_cli.surface.tiling import Tile
 
 _SLOTS: tuple[Slot, ...] = ("baseColor", "emissive", "normal")
 _VALUE = re.compile(rb"^[ \t]*+(newmtl|kd|ke|d|tr|pm|pr)[ \t]++([^\r\n]*[^\s])", re.IGNORECASE | re.MULTILINE)
@@ -55,7 +60,7 @@ def read_textured_mesh(
         faces=scan.corners[cut],
         uv=uv,
         materials=shown,
-        images=tuple(reading.images),
+        images=tuple(reading.shown.images),
         source=source,
         material_of=material_of,
         groups=groups,
@@ -63,7 +68,7 @@ def read_textured_mesh(
         normals=_normals(statements)[cut] if "normals" in scan.dropped else None,
         left_out=(*lost, *reading.left_out),
     )
-    return on_tiles(mesh, reading.sets)
+    return on_tiles(mesh, reading.shown.sets)
 
 
 class _Reading:
@@ -72,12 +77,10 @@ class _Reading:
     def __init__(self, materials: Materials) -> None:
         self._materials = materials
         self._values = _read_values(materials)
-        self._index_of: dict[str, int] = {}
         self.materials: list[Material] = []
         self.placed: list[_Placed] = []
-        self.images: list[MeshImage] = []
+        self.shown = MeshImages()
         self.left_out: list[str] = []
-        self.sets: dict[int, dict[Tile, int]] = {}  # images of tiles, by that which stands for all
 
     def take(self, name: str) -> None:
         """Take a material, and the images that it shows."""
@@ -96,7 +99,7 @@ class _Reading:
                 maps[slot] = MaterialMap(self._image(path), _wrap(shown))
         maps |= self._metal(name)
         base = maps.get("baseColor")
-        image = None if base is None else self.images[base.image]
+        image = None if base is None else self.shown.images[base.image]
         alpha = "opaque" if image is None else alpha_mode(image.file.data, image.name)
         self.materials.append(_material(name, self._values.get(name, {}), maps, alpha))
         self.placed.append(placed or ((1.0, 1.0), (0.0, 0.0)))
@@ -128,17 +131,10 @@ class _Reading:
         return {}
 
     def _image(self, path: str) -> int:
-        if path in self._materials.tiles and path not in self._index_of:
-            images = {tile: self._image(file) for tile, file in self._materials.tiles[path].items()}
-            self._index_of[path] = len(self.images)
-            self.sets[len(self.images)] = images
-            self.images.append(self.images[next(iter(images.values()))])
-        if path not in self._index_of:
-            data = self._materials.read(path)
-            name = path.rpartition("/")[2]
-            self._index_of[path] = len(self.images)
-            self.images.append(MeshImage(ImageFile(data, suffix_for(data, name) or ".png"), name, path))
-        return self._index_of[path]
+        if path in self._materials.tiles:
+            tiles = {tile: self._image(file) for tile, file in self._materials.tiles[path].items()}
+            return self.shown.take_set(path, tiles)
+        return self.shown.take(path, path.rpartition("/")[2], lambda: self._materials.read(path))
 
     def _is_grey(self, path: str) -> bool:
         path = self._materials.files(path)[0]

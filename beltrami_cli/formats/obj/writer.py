@@ -119,8 +119,7 @@ def _distinct(corners: Array) -> tuple[Array, Int64s]:
 def _parts(mesh: TexturedMesh, names: list[str], indices: NDArray[np.integer]) -> Iterator[bytes]:
     """Write triangles, shape (F, 3, 2 or 3), below the names of their groups and materials."""
     count = len(mesh.faces)
-    group_of = np.zeros(count, np.int32) if mesh.group_of is None else mesh.group_of
-    material_of = np.zeros(count, np.int32) if mesh.material_of is None else mesh.material_of
+    group_of, material_of = mesh.group_numbers, mesh.material_numbers
     has_uv, has_normals = np.zeros((2, count), np.bool_)
     has_uv |= (indices[:, :, 1] > 0).all(axis=1)
     if indices.shape[2] > 2:

@@ -101,13 +101,9 @@ class PlyDocument(Document):
         there = self._images and self._header.element("vertex") and find_coordinates(self._tables)
         return ("baseColor",) if there else ()
 
-    def textured(self, slot: Slot) -> TexturedSurface:
+    def _gathered(self, slot: Slot) -> TexturedSurface:
         if slot != "baseColor":
-            return super().textured(slot)
-        return self._textured
-
-    @cached_property
-    def _textured(self) -> TexturedSurface:
+            return super()._gathered(slot)
         mesh = self._positions, *self._polygons
         surface, notices = gather_textured(mesh, self._tables, self._images, self._folder, self.name)
         self.notices += notices
@@ -182,7 +178,9 @@ class PlyDocument(Document):
         ]
         left_out += [POLYGONS_CUT] if (np.diff(self._polygons[1]) > 3).any() else []
         normals = self._normals() if has_normals else None
-        return mesh_of_surface(self._textured, normals, shown, Path(self.name).stem, tuple(left_out))
+        return mesh_of_surface(
+            self.textured("baseColor"), normals, shown, Path(self.name).stem, tuple(left_out)
+        )
 
     def facts(self) -> dict[str, object]:
         elements = self._header.elements

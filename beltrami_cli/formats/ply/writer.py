@@ -91,7 +91,7 @@ def _normals_by_vertex(mesh: TexturedMesh) -> tuple[Float32s | None, list[str]]:
 def _textured_faces(mesh: TexturedMesh) -> tuple[list[str], NDArray[np.void]]:
     """Return the lines and the rows of triangles with their texture coordinates."""
     image_of = np.array([m.maps["baseColor"].image if m.maps else -1 for m in mesh.materials], np.int32)
-    numbers = image_of[np.zeros(len(mesh.faces), int) if mesh.material_of is None else mesh.material_of]
+    numbers = image_of[mesh.material_numbers]
     numbers[np.isnan(mesh.uv).any(axis=(1, 2))] = -1
     fields: list[Any] = [("corners", "u1"), ("vertices", "<i4", 3), ("numbers", "u1"), ("uv", "<f4", (3, 2))]
     announced = [

@@ -9,6 +9,8 @@ import numpy as np
 
 from beltrami_cli.formats.colours import display_colours, left_out
 from beltrami_cli.formats.document import Written
+from beltrami_cli.formats.tokens import blocks
+from beltrami_cli.surface.geometry import shortest_type
 from beltrami_cli.surface.polygons import triangulate
 
 if TYPE_CHECKING:
@@ -49,7 +51,7 @@ def write_npz(contents: MeshContents, stem: str) -> Written:
         stored = np.rint(np.clip(colours.astype(np.float64), 0, 1) * scale).astype(contents.stored)
     else:
         stored = colours.astype(np.float32)
-    arrays: dict[str, Any] = {"positions": _shortest(contents.positions), "colours": stored}
+    arrays: dict[str, Any] = {"positions": shortest_type(contents.positions), "colours": stored}
     if contents.normals is not None:
         arrays["normals"] = contents.normals
     if len(contents.offsets) > 1:
@@ -69,7 +71,7 @@ def _lines(contents: MeshContents, pieces: list[bytes]) -> Written:
         notices.append("Faces are dropped: the file has points only.")
     whole = contents.stored == "uint8" and contents.encoding == "srgb"
     shades = np.rint(np.clip(colours.astype(np.float64), 0, 1) * _BYTE).astype(np.uint8) if whole else colours
-    pieces += _blocks(_shortest(contents.positions), shades, contents.normals)
+    pieces += _blocks(shortest_type(contents.positions), shades, contents.normals)
     return Written(pieces, notices=(*notices, *left_out(contents)))
 
 
@@ -78,15 +80,7 @@ def _blocks(
 ) -> Iterator[bytes]:
     style = "%s %s %s " + " ".join(["%d" if shades.dtype == np.uint8 else "%.6f"] * 3)
     style += "\n" if normals is None else " %s %s %s\n"
-    for first in range(0, len(positions), _BLOCK):
-        block = slice(first, first + _BLOCK)
+    for block in blocks(len(positions), _BLOCK):
         columns = [*positions[block].T.astype("U32").tolist(), *shades[block].T.tolist()]
         columns += [] if normals is None else normals[block].T.astype("U32").tolist()
         yield "".join([style % row for row in zip(*columns, strict=True)]).encode()
-
-
-def _shortest(positions: Float64s) -> Float32s | Float64s:
-    """Return positions as floats if that loses nothing."""
-    with np.errstate(over="ignore"):  # Beyond float32 they become infinite, which is not equal.
-        single = positions.astype(np.float32)
-    return single if bool((single == positions).all()) else positions

@@ -115,7 +115,7 @@ class UsdDocument(Document):
     def slots(self) -> tuple[Slot, ...]:
         return self._textures.slots()
 
-    def textured(self, slot: Slot) -> TexturedSurface:
+    def _gathered(self, slot: Slot) -> TexturedSurface:
         known = len(self._textures.notices)
         surface = self._textures.surface(slot)
         self.notices += self._textures.notices[known:]

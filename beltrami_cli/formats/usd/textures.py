@@ -8,9 +8,14 @@ from typing import TYPE_CHECKING, Any, get_args
 import numpy as np
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.image.recognition import suffix_for
 from beltrami_cli.formats.model_folder import LEFT_ALONE, UnfitReferenceError, remedy_for
-from beltrami_cli.formats.textured_mesh import POLYGONS_CUT, on_tiles, shown_materials, usable_coordinates
+from beltrami_cli.formats.textured_mesh import (
+    POLYGONS_CUT,
+    MeshImages,
+    on_tiles,
+    shown_materials,
+    usable_coordinates,
+)
 from beltrami_cli.surface import tiling
 from beltrami_cli.surface.colour_values import linear_to_srgb
 from beltrami_cli.surface.polygons import triangulate_corners
@@ -18,7 +23,6 @@ from beltrami_cli.surface.records import (
     ImageFile,
     Material,
     MaterialMap,
-    MeshImage,
     Slot,
     Texture,
     TexturedMesh,
@@ -51,7 +55,6 @@ class Textures:
             except UnfitReferenceError as error:
                 self._path_of.append(None)
                 self._reasons[number] = f"'{use['file']}' {error}"
-        self._surfaces: dict[Slot, TexturedSurface] = {}
 
     def slots(self) -> tuple[Slot, ...]:
         """Return the slots in which something shows an image."""
@@ -117,11 +120,6 @@ class Textures:
 
     def surface(self, slot: Slot) -> TexturedSurface:
         """Return all triangles and the images of a slot."""
-        if slot not in self._surfaces:
-            self._surfaces[slot] = self._gathered(slot)
-        return self._surfaces[slot]
-
-    def _gathered(self, slot: Slot) -> TexturedSurface:
         positions, cut, polygon = self._triangles
         gathering = _Gathering(self._layers)
         texture_of_use = np.full(len(self._path_of) + 1, -1)
@@ -190,7 +188,7 @@ class Textures:
             faces=self._arrays["corners"][cut].astype(np.int32),
             uv=uv,
             materials=shown,
-            images=tuple(reading.images),
+            images=tuple(reading.shown.images),
             source=source,
             material_of=material_of,
             groups=tuple(self._words["meshes"]),
@@ -199,7 +197,7 @@ class Textures:
             colours=None if colours is None else self._by_vertex(colours),
             left_out=tuple(lost + reading.lost),
         )
-        return on_tiles(mesh, reading.sets)
+        return on_tiles(mesh, reading.shown.sets)
 
     def _by_vertex(self, colours: Float32s) -> VertexColours | None:
         """Return colours of all vertices; None if some have none, or several."""
@@ -256,9 +254,7 @@ class _Materials:
 
     def __init__(self, layers: Layers, words: dict[str, Any], path_of: Sequence[str | None]) -> None:
         self._layers, self._words, self._path_of = layers, words, path_of
-        self._index_of: dict[str, int] = {}
-        self.images: list[MeshImage] = []
-        self.sets: dict[int, dict[Tile, int]] = {}
+        self.shown = MeshImages()
         self.lost: list[str] = []
 
     def material(self, number: int) -> Material:
@@ -291,18 +287,10 @@ class _Materials:
         )
 
     def _image(self, path: str) -> int:
-        if path in self._index_of:
-            return self._index_of[path]
         if path in self._layers.tiles:
-            images = {tile: self._image(file) for tile, file in self._layers.tiles[path].items()}
-            self._index_of[path] = len(self.images)
-            self.sets[len(self.images)] = images
-            self.images.append(self.images[next(iter(images.values()))])
-        else:
-            data, name = self._layers.image(path), posixpath.basename(path)
-            self._index_of[path] = len(self.images)
-            self.images.append(MeshImage(ImageFile(data, suffix_for(data, name) or ".png"), name, path))
-        return self._index_of[path]
+            tiles = {tile: self._image(file) for tile, file in self._layers.tiles[path].items()}
+            return self.shown.take_set(path, tiles)
+        return self.shown.take(path, posixpath.basename(path), lambda: self._layers.image(path))
 
 
 def _display(colour: list[float]) -> tuple[float, ...]:

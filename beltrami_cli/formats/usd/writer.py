@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli.formats.colours import left_out
+from beltrami_cli.formats.colours import left_out, linear_colours
 from beltrami_cli.formats.document import Written
 from beltrami_cli.formats.textured_mesh import image_names, material_names, not_converted, plain_name
 from beltrami_cli.formats.tokens import blocks
@@ -68,8 +68,7 @@ def _textured(suffix: str, mesh: TexturedMesh, stem: str) -> Written:
     root = _identifier(stem)
     text = [_header(root)]
     shown = [] if mesh.colours is None else _colours(mesh.colours, notices)
-    group_of = np.zeros(len(mesh.faces), np.int32) if mesh.group_of is None else mesh.group_of
-    material_of = np.zeros(len(mesh.faces), np.int32) if mesh.material_of is None else mesh.material_of
+    group_of, material_of = mesh.group_numbers, mesh.material_numbers
     for number, group in enumerate(mesh.groups):
         faces = np.flatnonzero(group_of == number)
         if not len(faces):
@@ -206,13 +205,7 @@ def _texture(slot: Slot, file: str, wrap: tuple[str, str], outputs: list[str], p
 
 def _colours(contents: MeshContents | VertexColours, notices: list[str]) -> list[bytes]:
     """Return colours of vertices, which are linear light, and their opacity."""
-    colours = contents.colours
-    if contents.encoding == "srgb":
-        colours = srgb_to_linear(colours).astype(np.float32)
-        notices.append("Colours are turned from sRGB into linear light, as USD has them.")
-    if colours.shape[1] == 1:
-        colours = np.repeat(colours, 3, axis=1)
-        notices.append("Grey is written as equal red, green and blue.")
+    colours = linear_colours(contents, notices, "USD has them")
     on = 'interpolation = "vertex"'
     lines = [*_array("color3f[] primvars:displayColor", colours, 3, on)]
     if contents.alpha is not None:
