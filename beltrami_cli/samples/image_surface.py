@@ -58,6 +58,13 @@ class ImageSurface:
     valid: NDArray[np.bool_] | None = None
     notices: tuple[str, ...] = ()
 
+    def window(self, place: tuple[slice, slice]) -> ImageSurface:
+        """Return the surface of a part of the image."""
+        heights, positions, valid = (
+            None if each is None else each[place] for each in (self.heights, self.positions, self.valid)
+        )
+        return ImageSurface(heights, positions, valid)
+
     @property
     def kind(self) -> str:
         """The kind of surface: "plane", "height" or "positions"."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
@@ -44,7 +45,7 @@ if TYPE_CHECKING:
     from beltrami_cli.arrays import Array, Bools, Float32s, Int64s
     from beltrami_cli.flow.beltrami_flow import BeltramiFlow, FlowResult
     from beltrami_cli.flow.grid_manifold import GridManifold
-    from beltrami_cli.flow.parameters import Space
+    from beltrami_cli.flow.parameters import KernelParameters, Space
     from beltrami_cli.formats.access import Access
     from beltrami_cli.formats.document import Document
     from beltrami_cli.formats.image import Picture
@@ -203,11 +204,11 @@ class PixelSamples(Samples):
         refuse_options_of_meshes(settings, document.name)
         require_memory([(document.name, document.data)], access)
         self.settings, self.picture, self._suffix = settings, document.picture(), suffix
-        chosen = settings
+        self._chosen = settings
         if colours_only and settings.channels is None:
             names = ("red", "green", "blue") if len(self.picture.colour) == 3 else ("grey",)
-            chosen = dataclasses.replace(settings, channels=names)
-        self.colours = ImageColours(self.picture, chosen)
+            self._chosen = dataclasses.replace(settings, channels=names)
+        self.colours = ImageColours(self.picture, self._chosen)
         self.names = self.colours.names
         surface = read_surface(self.picture, settings.image, access)
         usable = self.colours.usable()
@@ -223,6 +224,18 @@ class PixelSamples(Samples):
         colours, guides = self.colours, [guide.at for guide in self._guides]
         kernel = self.settings.kernel
         return grid_flow(self.surface, colours.samples, kernel, guides, colours.metric_channels, tick)
+
+    def window(self, place: tuple[slice, slice], kernel: KernelParameters) -> PixelSamples:
+        """Return the samples of a part of the image, with other parameters."""
+        part = copy.copy(self)
+        part.settings = dataclasses.replace(self.settings, kernel=kernel)
+        part.picture = dataclasses.replace(
+            self.picture, pixels=np.ascontiguousarray(self.picture.pixels[place])
+        )
+        part.colours = ImageColours(part.picture, self._chosen)
+        part.valid, part.surface = self.valid[place], self.surface.window(place)
+        part._guides = tuple(dataclasses.replace(each, image=each.image[place]) for each in self._guides)
+        return part
 
     def require_writable(self) -> None:
         check_writable(self.picture, self._suffix)

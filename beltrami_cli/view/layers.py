@@ -10,6 +10,7 @@ from beltrami_cli.formats.image.document import ImageDocument
 from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.surface.records import Texture
 from beltrami_cli.view.models import (
+    Box,
     ModelPacker,
     displayed_colours,
     displayed_pixels,
@@ -19,7 +20,7 @@ from beltrami_cli.view.models import (
 from beltrami_cli.view.preview import Focus, Patch
 
 if TYPE_CHECKING:
-    from beltrami_cli.arrays import Float64s, Int64s, Uint8s
+    from beltrami_cli.arrays import Int64s, Uint8s
     from beltrami_cli.formats.document import Document
     from beltrami_cli.surface.records import Slot
 
@@ -38,7 +39,8 @@ class Layers:
         slots: list[Slot | None] = [] if is_image else [*document.slots()]
         self.slots = [*slots, None] if is_image or document.has_vertex_colours() else slots
         self._row_of: Int64s | None = None
-        self._boxes: dict[int, tuple[Float64s, float]] = {}  # lowest corners and longest sides
+        self._has_moved = False  # vertices, on the page
+        self._boxes: dict[int, Box] = {}
 
     def packed(self, reach: float) -> dict[str, Any]:
         """Return the document for the viewer, with the same before and after."""
@@ -55,13 +57,15 @@ class Layers:
         """Return a focus in the space of the document, where its page has it in the box of the model."""
         if focus.direction is None:
             return focus
+        box = self._box(layer)
+        return Focus(box.low + box.size * focus.origin, focus.direction)
+
+    def _box(self, layer: int) -> Box:
         if layer not in self._boxes:
             slot = self.slots[layer]
-            positions = (self.document.painted() if slot is None else self.document.textured(slot)).positions
-            low, high = np.nanmin(positions, axis=0), np.nanmax(positions, axis=0)
-            self._boxes[layer] = low, max(float((high - low).max()), np.finfo(float).tiny)
-        low, size = self._boxes[layer]
-        return Focus(low + size * focus.origin, focus.direction)
+            kept = self.document.painted() if slot is None else self.document.textured(slot)
+            self._boxes[layer] = Box(kept.positions)
+        return self._boxes[layer]
 
     def patched(self, shown: Shown, layer: int, patch: Patch) -> dict[str, Any]:
         """Return a patch for the viewer, and keep what a texture looks like with it."""
@@ -69,11 +73,10 @@ class Layers:
             assert self._row_of is not None
             rows = self._row_of[patch.rows]
             drawn = rows >= 0  # points that are nowhere are not
-            own = (
-                packed_array(rows[drawn].astype(np.uint32), _QUICK),
-                packed_array(patch.colours[drawn], _QUICK),
-            )
-            return {"layer": layer, "rows": own[0], "colours": own[1]}
+            kept = {"rows": rows.astype(np.uint32), "colours": patch.colours}
+            if patch.places is not None:
+                kept["places"] = self._box(layer).places(patch.places)
+            return {"layer": layer, **{name: packed_array(own[drawn], _QUICK) for name, own in kept.items()}}
         pixels = self._pixels(shown, layer, patch.texture)
         pixels[patch.rows, patch.columns] = patch.colours
         top, left = int(patch.rows.min()), int(patch.columns.min())
@@ -102,7 +105,12 @@ class Layers:
         if slot is None and not isinstance(result, ImageDocument):
             painted = result.painted()
             rows = np.arange(len(painted.positions))
-            return [self.patched(shown, layer, Patch(-1, rows, rows, displayed_colours(painted)))]
+            is_moved = not np.array_equal(
+                painted.positions, self.document.painted().positions, equal_nan=True
+            )
+            places = painted.positions if is_moved or self._has_moved else None
+            self._has_moved = is_moved
+            return [self.patched(shown, layer, Patch(-1, rows, rows, displayed_colours(painted), places))]
         old, new = _images_of(self.document, slot), _images_of(result, slot)
         found = []
         for index, ((before, _), (after, name)) in enumerate(zip(old, new, strict=True)):

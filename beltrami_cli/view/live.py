@@ -31,7 +31,7 @@ from beltrami_cli.samples.selection import select
 from beltrami_cli.view.controls import controls, given_values, plain_settings, settings_from
 from beltrami_cli.view.layers import Layers
 from beltrami_cli.view.pages import LIBRARY, VIEWER_SCRIPTS, asset, viewer
-from beltrami_cli.view.preview import Focus, Previewer
+from beltrami_cli.view.preview import Focus, NoPreviewError, Previewer
 from beltrami_cli.view.server import Events, RefusedError
 from beltrami_cli.view.used_parameters import used_parameters
 from beltrami_cli.view.views import image_files
@@ -88,7 +88,7 @@ class Live:
         select(self._document, settings)  # raises if nothing is coloured
         self._layers = Layers(self._document)
         self._previewers: dict[int, Previewer] = {}
-        self._rate = _FIRST_RATE
+        self._rates = {False: _FIRST_RATE, True: _FIRST_RATE / 5}  # without and with patches
         self._pages: dict[str, _Page] = {}
         self._changed, self._is_over, self._previews = threading.Condition(), False, 0
         self._saving = threading.Lock()
@@ -193,8 +193,11 @@ class Live:
                     self._preview(page, request)
                 except SupersededError:
                     pass
+                except NoPreviewError as error:
+                    page.events.put({"kind": "none", "number": request.number, "reason": str(error)})
                 except Exception:  # the whole, which follows, says what is wrong
-                    page.previewed = max(page.previewed, request.number)
+                    reason = "the part in view cannot be smoothed alone"
+                    page.events.put({"kind": "none", "number": request.number, "reason": reason})
                 finally:
                     with self._changed:
                         self._previews -= 1
@@ -240,24 +243,39 @@ class Live:
             raise SupersededError
 
     def _preview(self, page: _Page, request: _Page) -> None:
+        """Smooth the part that somebody looks at: by the kernel at once, then with patches if the whole has these."""
         settings = request.settings
         if settings is None or request.focus is None:
             return
-        slot = self._layers.slots[request.layer]
+        slot, selection = self._layers.slots[request.layer], select(self._document, settings)
+        if not (selection.image or (selection.vertices if slot is None else slot in selection.slots)):
+            raise NoPreviewError("what is shown is not what is smoothed")
+        if not settings.kernel.iterations:
+            raise NoPreviewError("no iteration is wanted, so nothing changes")
         if request.layer not in self._previewers:
-            self._previewers[request.layer] = Previewer(self._document, slot)
-        previewer, selection = self._previewers[request.layer], select(self._document, settings)
-        is_selected = selection.image or (selection.vertices if slot is None else slot in selection.slots)
-        settings = self._at_once(settings, page)
-        if not (is_selected and settings.kernel.iterations and previewer.can(settings)):
-            return
-        iterations, began = settings.kernel.iterations, time.perf_counter()
-        budget = int(np.clip(_WANTED * self._rate / iterations, _LEAST, _MOST))
+            self._previewers[request.layer] = Previewer(self._document, slot, self._job.access)
+        self._preview_part(page, request, self._at_once(settings, page), with_patches=False)
+        if settings.kernel.takes_patches and not settings.embedding.smooth_geometry:
+            self._preview_part(page, request, self._at_once(settings, page), with_patches=True)
+
+    def _preview_part(
+        self, page: _Page, request: _Page, settings: SmoothSettings, *, with_patches: bool
+    ) -> None:
+        assert request.focus is not None
+        if with_patches:
+            settings = dataclasses.replace(
+                settings, kernel=dataclasses.replace(settings.kernel, patches="on")
+            )
+        iterations, began = max(1, settings.kernel.iterations), time.perf_counter()
+        budget = int(np.clip(_WANTED * self._rates[with_patches] / iterations, _LEAST, _MOST))
         focus = self._layers.in_space(request.focus, request.layer)
-        patches = previewer.smooth(settings, focus, budget, lambda *_: self._check(page, request))
+        patches = self._previewers[request.layer].smooth(
+            settings, focus, budget, lambda *_: self._check(page, request)
+        )
         spent = time.perf_counter() - began
         held = sum(len(patch.rows) for patch in patches)
-        self._rate = 0.5 * self._rate + 0.5 * held * iterations / max(spent, 1e-3)
+        rate = held * iterations / max(spent, 1e-3)
+        self._rates[with_patches] = 0.5 * self._rates[with_patches] + 0.5 * rate
         self._check(page, request)
         events = [self._layers.patched(page.shown, request.layer, patch) for patch in patches]
         page.events.put(
@@ -265,6 +283,7 @@ class Live:
                 "kind": "preview",
                 "number": request.number,
                 "patches": events,
+                "stage": " with patches" if with_patches else "",
                 "seconds": spent,
                 "samples": held,
             }

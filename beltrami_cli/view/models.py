@@ -67,7 +67,7 @@ class ModelPacker:
             return
         surface, other = (document.textured(slot) for document in documents)
         numbers = [[self.texture(each, slot) for each in both.textures] for both in (surface, other)]
-        box = _Box(surface.positions)
+        box = Box(surface.positions)
         chart_of, seams = charts_of(surface)
         parts = []
         for number in np.unique(surface.texture_of).tolist():
@@ -115,7 +115,7 @@ class ModelPacker:
 
     def _painted(self, one: PaintedVertices, other: PaintedVertices) -> None:
         finite = np.asarray(np.isfinite(np.hstack([one.positions, other.positions])).all(axis=1))
-        box, part = _Box(one.positions[finite]), dict[str, Any]()
+        box, part = Box(one.positions[finite]), dict[str, Any]()
         if len(one.faces):
             rows, index = _sorted(one.faces, len(finite))
             part |= {"kind": "mesh", "index": self._triangles(index)}
@@ -138,7 +138,7 @@ class ModelPacker:
     def _part(
         self,
         surface: TexturedSurface,
-        box: _Box,
+        box: Box,
         number: int,
         chart_of: Int32s,
         textures: list[int] | None,
@@ -183,18 +183,18 @@ class ModelPacker:
         return key
 
 
-class _Box:
+class Box:
     """The box around a model, whose longest side becomes 1."""
 
     def __init__(self, positions: Float64s) -> None:
         positions = positions[np.isfinite(positions).all(axis=1)]
-        self._low, high = positions.min(axis=0), positions.max(axis=0)
-        self.size = max(float((high - self._low).max()), np.finfo(float).tiny)
-        self.middle = ((high - self._low) / self.size / 2).tolist()
+        self.low, high = positions.min(axis=0), positions.max(axis=0)
+        self.size = max(float((high - self.low).max()), np.finfo(float).tiny)
+        self.middle = ((high - self.low) / self.size / 2).tolist()
 
     def places(self, positions: Float64s) -> NDArray[np.uint16]:
         """Return positions in the box in 16 bits each."""
-        share = np.nan_to_num((positions - self._low) / self.size)
+        share = np.nan_to_num((positions - self.low) / self.size)
         return np.asarray(np.rint(_FULL * np.clip(share, 0, 1)), np.uint16)
 
 

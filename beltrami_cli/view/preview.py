@@ -1,30 +1,34 @@
-"""The part of a document that somebody looks at, small enough to be smoothed at once by the kernel."""
+"""The part of a document that somebody looks at, small enough to be smoothed at once."""
 
 from __future__ import annotations
 
-import copy
 import dataclasses
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
 from beltrami_cli.formats.access import EVERYTHING_INSIDE
 from beltrami_cli.formats.image.document import ImageDocument
 from beltrami_cli.formats.image.reading import read_image
+from beltrami_cli.samples.guides import vertex_guides
 from beltrami_cli.samples.pixel_samples import PixelSamples
+from beltrami_cli.samples.range_samples import RangeSamples
 from beltrami_cli.samples.texel_samples import TexelSamples
 from beltrami_cli.samples.vertex_samples import VertexSamples
 from beltrami_cli.view.models import displayed_colours, displayed_pixels
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
     from beltrami_cli.arrays import Float64s, Int64s
+    from beltrami_cli.flow.embedding import Guide
+    from beltrami_cli.formats.access import Access
     from beltrami_cli.formats.document import Document
-    from beltrami_cli.samples.settings import SmoothSettings
+    from beltrami_cli.samples.painted_samples import PaintedSamples
+    from beltrami_cli.samples.settings import EmbeddingSettings, SmoothSettings
     from beltrami_cli.surface.records import PaintedVertices, Slot, TexturedSurface
 
     Progress = Callable[[int, int], None]
@@ -32,7 +36,12 @@ if TYPE_CHECKING:
 _PIECE = 320  # texels of a triangle at most, so that enough of them fit
 _MOST_PIECES = 100_000  # in a whole texture, even if they are larger then
 _MOST_SPLITS = 8
+_NO_FACES = np.zeros((0, 3), np.int32)
 _BESIDE = 0.05  # of the model's size: triangles so near to the line of sight are looked at
+
+
+class NoPreviewError(Exception):
+    """Why no part can be shown before the whole."""
 
 
 @dataclass(frozen=True)
@@ -45,21 +54,47 @@ class Focus:
 
 @dataclass(frozen=True)
 class Patch:
-    """New colours of some samples: of vertices, or of texels of one texture."""
+    """New colours of some samples: of vertices, which may have moved, or of texels of one texture."""
 
     texture: int  # number of the texture; -1: vertices
     rows: NDArray[np.signedinteger[Any]]  # vertices, or rows of texels
     columns: NDArray[np.signedinteger[Any]]
     colours: NDArray[np.integer[Any]]  # display values: (K, 3) of 16 bits, or (K, 4) of 8 bits
+    places: Float64s | None = None  # positions of vertices, (K, 3), if they moved
+
+
+class _PartDocument:
+    """The part of a document's triangles that is smoothed, as guides of textures read it."""
+
+    def __init__(
+        self, document: Document, own: TexturedSurface, part: TexturedSurface, faces: Int64s
+    ) -> None:
+        self._document, self._own, self._part, self._faces = document, own, part, faces
+        self.name = document.name
+
+    def slots(self) -> Sequence[Slot]:
+        return self._document.slots()
+
+    def textured(self, slot: Slot) -> TexturedSurface:
+        guiding, part, faces = self._document.textured(slot), self._part, self._faces
+        if len(guiding.faces) != len(self._own.faces):
+            return guiding  # which is refused as for the whole
+        alike = (guiding.uv[faces] == self._own.uv[faces]).all(axis=(1, 2))
+        return dataclasses.replace(
+            part, textures=guiding.textures, texture_of=guiding.texture_of[faces],
+            uv=np.where(alike[:, None, None], part.uv, np.nan),
+        )  # fmt: skip
 
 
 class Previewer:
     """Smooths parts of one layer of a document; `slot`: of its textures, None: its vertices or its pixels."""
 
-    def __init__(self, document: Document, slot: Slot | None) -> None:
-        self._document, self._slot = document, slot
+    def __init__(self, document: Document, slot: Slot | None, access: Access = EVERYTHING_INSIDE) -> None:
+        self._document, self._slot, self._access = document, slot, access
         self._painted: PaintedVertices | None = None
         self._surface: TexturedSurface | None = None
+        self._pixels: PixelSamples | None = None
+        self._guides: tuple[EmbeddingSettings, list[Guide]] | None = None
         self._order: tuple[bytes, Int64s] | None = None  # where somebody looked last, and what is near
         if isinstance(document, ImageDocument):
             return
@@ -68,35 +103,35 @@ class Previewer:
             corners, faces = self._painted.positions, self._painted.faces
             self._centres = corners[faces].mean(axis=1) if len(faces) else corners
         else:
-            surface = document.textured(slot)
-            surface = _used(surface, np.flatnonzero(surface.texture_of >= 0))
+            self._own = document.textured(slot)
+            textured = np.flatnonzero(self._own.texture_of >= 0)
+            surface = _used(self._own, textured)
             pictures = [read_image(texture.data, texture.name) for texture in surface.textures]
             self._texels = np.array([picture.pixels[..., 0].size for picture in pictures], np.float64)
             most = max(_PIECE, float(self._texels.sum()) / _MOST_PIECES)
-            self._surface = surface = _split(surface, self._texels, most)
+            self._surface, pieces_of = _split(surface, self._texels, most)
+            self._faces = textured[pieces_of]
+            surface = self._surface
             self._held = _areas(surface, self._texels)
             self._centres = surface.positions[surface.faces].mean(axis=1)
             self._flat = np.column_stack([surface.uv.mean(axis=1), 1e3 * surface.texture_of])
-
-    def can(self, settings: SmoothSettings) -> bool:
-        """Whether parts are smoothed as the whole would be."""
-        embedding = settings.embedding
-        plain = not (
-            embedding.guides or embedding.smooth_geometry or settings.image.given or settings.level_seams
-        )
-        return plain and (isinstance(self._document, ImageDocument) or self._document.grid() is None)
 
     def smooth(
         self, settings: SmoothSettings, focus: Focus, budget: int, progress: Progress | None
     ) -> list[Patch]:
         """Smooth about as many samples as `budget` says, around where somebody looks."""
+        if settings.level_seams:
+            raise NoPreviewError("exposure steps are levelled over the whole model")
         if isinstance(self._document, ImageDocument):
-            return self._pixels(self._document, settings, focus, budget, progress)
-        if self._painted is not None:
-            return self._vertices(self._painted, settings, focus, budget, progress)
-        return self._textures(settings, focus, budget, progress)
+            return self._of_image(self._document, settings, focus, budget, progress)
+        if self._painted is None:
+            return self._of_textures(settings, focus, budget, progress)
+        grid = self._document.grid()
+        if grid is not None:
+            return self._of_grid(self._painted, grid, settings, focus, budget, progress)
+        return self._of_vertices(self._painted, settings, focus, budget, progress)
 
-    def _pixels(
+    def _of_image(
         self,
         document: ImageDocument,
         settings: SmoothSettings,
@@ -104,27 +139,37 @@ class Previewer:
         budget: int,
         progress: Progress | None,
     ) -> list[Patch]:
-        picture = document.picture()
-        height, width = picture.pixels.shape[:2]
-        side = int(np.sqrt(budget))
-        middle = focus.origin[:2] * (width, height)
-        left, top = (
-            int(np.clip(m - side / 2, 0, max(0, n - side)))
-            for m, n in zip(middle, (width, height), strict=True)
-        )
-        window = np.s_[top : top + side, left : left + side]
-        part = copy.copy(document)
-        cropped = dataclasses.replace(picture, pixels=np.ascontiguousarray(picture.pixels[window]))
-        part.__dict__["_picture"] = cropped
-        samples = PixelSamples(part, settings, EVERYTHING_INSIDE)
+        kernel = settings.kernel
+        if self._pixels is None or dataclasses.replace(self._pixels.settings, kernel=kernel) != settings:
+            self._pixels = PixelSamples(document, settings, self._access)
+        rows, columns = self._pixels.valid.shape
+        place = _window((rows, columns), focus.origin[1::-1] * (rows, columns), budget)
+        samples = self._pixels.window(place, kernel)
         flow = samples.flow()
         flow.run(progress)
-        pixels, _ = samples.colours.repainted(flow.manifold.new_colours(), settings.kernel.thread_count)
-        shown = displayed_pixels(dataclasses.replace(cropped, pixels=pixels))
-        rows, columns = (axis.ravel() for axis in np.indices(shown.shape[:2]))
-        return [Patch(0, rows + top, columns + left, shown.reshape(-1, 4))]
+        pixels, _ = samples.colours.repainted(flow.manifold.new_colours(), kernel.thread_count)
+        shown = displayed_pixels(dataclasses.replace(samples.picture, pixels=pixels))
+        row, column = (axis.ravel() for axis in np.indices(shown.shape[:2]))
+        return [Patch(0, row + place[0].start, column + place[1].start, shown.reshape(-1, 4))]
 
-    def _vertices(
+    def _of_grid(
+        self,
+        painted: PaintedVertices,
+        grid: Int64s,
+        settings: SmoothSettings,
+        focus: Focus,
+        budget: int,
+        progress: Progress | None,
+    ) -> list[Patch]:
+        nearest = self._around(focus)[0]
+        vertex = painted.faces[nearest, 0] if len(painted.faces) else nearest
+        middle = np.array(np.unravel_index(int(np.argmax(grid == vertex)), grid.shape), np.float64)
+        part = grid[_window(grid.shape, middle, budget)]
+        rows = part[part >= 0]
+        samples = RangeSamples(painted, np.ascontiguousarray(part), settings, self._vertex_guides(settings))
+        return [_smoothed(samples, painted, rows, rows, progress)]
+
+    def _of_vertices(
         self,
         painted: PaintedVertices,
         settings: SmoothSettings,
@@ -132,25 +177,28 @@ class Previewer:
         budget: int,
         progress: Progress | None,
     ) -> list[Patch]:
-        order = self._around(focus)[: budget * (2 if len(painted.faces) else 1)]
-        rows = np.unique(painted.faces[order]) if len(painted.faces) else np.sort(order)
+        is_mesh = len(painted.faces) > 0
+        order = self._around(focus)[: budget * (2 if is_mesh else 1)]
+        rows = np.unique(painted.faces[order]).astype(np.int64) if is_mesh else np.sort(order)
+        faces = np.searchsorted(rows, painted.faces[order] if is_mesh else painted.faces)
         part = dataclasses.replace(
             painted,
             positions=painted.positions[rows],
-            faces=np.searchsorted(rows, painted.faces[order] if len(painted.faces) else painted.faces).astype(
-                np.int32
-            ),
+            faces=faces.astype(np.int32),
             colours=painted.colours[rows],
             space_of=None if painted.space_of is None else painted.space_of[rows],
         )
-        samples = VertexSamples(part, settings)
-        flow = samples.flow()
-        flow.run(progress)
-        new = samples.repaint(flow.manifold.new_colours()).colours
-        shown = displayed_colours(dataclasses.replace(part, colours=part.colours if new is None else new))
-        return [Patch(-1, rows, rows, shown)]
+        guides = [
+            dataclasses.replace(guide, values=guide.values[rows]) for guide in self._vertex_guides(settings)
+        ]
+        return [_smoothed(VertexSamples(part, settings, guides), part, rows, np.arange(len(rows)), progress)]
 
-    def _textures(
+    def _vertex_guides(self, settings: SmoothSettings) -> list[Guide]:
+        if self._guides is None or self._guides[0] != settings.embedding:
+            self._guides = settings.embedding, vertex_guides(self._document, settings, self._access)
+        return self._guides[1]
+
+    def _of_textures(
         self, settings: SmoothSettings, focus: Focus, budget: int, progress: Progress | None
     ) -> list[Patch]:
         surface = self._surface
@@ -158,22 +206,23 @@ class Previewer:
         assert self._slot is not None
         order = self._around(focus)
         held = np.cumsum(self._held[order])
-        part = _used(surface, order[: max(1, int(np.searchsorted(held, budget)))])
-        samples = TexelSamples(part, self._slot, settings)
+        order = order[: max(1, int(np.searchsorted(held, budget)))]
+        part = _used(surface, order)
+        read = cast("Document", _PartDocument(self._document, self._own, part, self._faces[order]))
+        samples = TexelSamples(part, self._slot, settings, (read, self._access))
         flow = samples.flow()
         flow.run(progress)
         new = flow.manifold.new_colours()
         offsets, patches = samples.atlas.texture_offsets, []
+        keys = [each.key for each in surface.textures]
         for index, picture in enumerate(samples.pictures):
-            texels = (
-                new.places[(new.places >= offsets[index]) & (new.places < offsets[index + 1])]
-                - offsets[index]
-            )
+            inside = (new.places >= offsets[index]) & (new.places < offsets[index + 1])
+            texels = new.places[inside] - offsets[index]
             if len(texels):
                 pixels = samples.painted(index, new).reshape(-1, picture.pixels.shape[2])[texels]
                 shown = displayed_pixels(dataclasses.replace(picture, pixels=pixels[None]))[0]
                 rows, columns = np.divmod(texels, picture.pixels.shape[1])
-                number = [each.key for each in surface.textures].index(samples.surface.textures[index].key)
+                number = keys.index(samples.surface.textures[index].key)
                 patches.append(Patch(number, rows, columns, shown))
         return patches
 
@@ -187,6 +236,29 @@ class Previewer:
                 order = _nearest(self._centres, focus)
             self._order = key, order
         return self._order[1]
+
+
+def _smoothed(
+    samples: PaintedSamples, painted: PaintedVertices, rows: Int64s, own: Int64s, progress: Progress | None
+) -> Patch:
+    """Smooth samples of vertices; `rows`: these in the document, `own`: in `painted`."""
+    flow = samples.flow()
+    samples.report(flow, flow.run(progress))
+    made = samples.repaint(flow.manifold.new_colours())
+    colours = painted.colours if made.colours is None else made.colours
+    kept = dataclasses.replace(
+        painted, colours=colours[own], positions=painted.positions[own], faces=_NO_FACES
+    )
+    return Patch(-1, rows, rows, displayed_colours(kept), made.positions)
+
+
+def _window(shape: tuple[int, ...], middle: Float64s, budget: int) -> tuple[slice, slice]:
+    """Return a square of a grid with about so many cells, around a place in it."""
+    side = int(np.sqrt(budget))
+    first = [
+        int(np.clip(at - side / 2, 0, max(0, size - side))) for at, size in zip(middle, shape, strict=True)
+    ]
+    return slice(first[0], first[0] + side), slice(first[1], first[1] + side)
 
 
 def _nearest(centres: Float64s, focus: Focus) -> Int64s:
@@ -221,8 +293,9 @@ def _used(surface: TexturedSurface, chosen: Int64s) -> TexturedSurface:
     )
 
 
-def _split(surface: TexturedSurface, texels: Float64s, most: float) -> TexturedSurface:
-    """Return a surface whose large triangles are cut at the middles of their sides, so that each has few texels."""
+def _split(surface: TexturedSurface, texels: Float64s, most: float) -> tuple[TexturedSurface, Int64s]:
+    """Cut triangles with many texels at the middles of their sides; return also of which each is a part."""
+    faces = np.arange(len(surface.faces))
     for _ in range(_MOST_SPLITS):
         large = _areas(surface, texels) > most
         if not large.any():
@@ -230,6 +303,7 @@ def _split(surface: TexturedSurface, texels: Float64s, most: float) -> TexturedS
         corners, uv = surface.positions[surface.faces[large]], surface.uv[large]
         spaces = None if surface.space_of is None else surface.space_of[surface.faces[large]]
         first, small = len(surface.positions), np.flatnonzero(~large)
+        faces = np.concatenate([faces[small], np.repeat(faces[large], 4)])
         count = 4 * len(uv)
         new = np.arange(first, first + 3 * count, dtype=np.int32).reshape(-1, 3)
         surface = dataclasses.replace(
@@ -242,7 +316,7 @@ def _split(surface: TexturedSurface, texels: Float64s, most: float) -> TexturedS
             if spaces is None
             else np.concatenate([surface.space_of, np.repeat(spaces, 4, axis=0).ravel()]),
         )
-    return surface
+    return surface, faces
 
 
 def _quarters(corners: Float64s) -> Float64s:

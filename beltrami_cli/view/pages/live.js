@@ -13,7 +13,7 @@
 
   const [model, start] = await Promise.all([fetched("model.json"), fetched("start.json")]);
   const viewer = await new Viewer(part("viewer"), model).start();
-  let number = 0, refused = "", isSending = false, isStale = false;
+  let number = 0, refused = "", none = "", isSending = false, isStale = false;
 
   function fill(values) {
     for (const [name, value] of Object.entries(values)) {
@@ -26,7 +26,7 @@
   }
 
   // What was refused stays in sight while older work ends.
-  const say = (text) => { part("state").textContent = refused || text; };
+  const say = (text) => { part("state").textContent = refused || `${none}${text}`; };
 
   function label() {
     for (const range of form.querySelectorAll("input[type=range]"))
@@ -54,6 +54,7 @@
       try {
         const request = { page, values: values(), layer: viewer.number, focus: viewer.focus(), target: part("target").value };
         part("viewer").dataset.asked = performance.now();
+        none = "";
         const { command } = await asked("change", request);
         part("command").textContent = command;
         number += 1;
@@ -103,15 +104,20 @@
       say(`Smoothing the whole: ${what}.`);
       part("progress").value = share;
     },
-    preview: async ({ patches, samples, seconds }) => {
+    none: ({ reason }) => {
+      none = `No preview: ${reason}. `;
+      say("The whole follows.");
+    },
+    preview: async ({ patches, samples, stage, seconds }) => {
       await viewer.painting.paint(patches);
       part("viewer").dataset.previews = Number(part("viewer").dataset.previews || 0) + 1;
       part("viewer").dataset.latency = performance.now() - part("viewer").dataset.asked;
-      say(`Preview of ${samples} samples in the middle, ${seconds.toFixed(2)} s; the whole follows.`);
+      say(`Preview of ${samples} samples in the middle${stage}, ${seconds.toFixed(2)} s; the whole follows.`);
     },
     whole: async ({ patches, used, chosen, notices, noise, number: which }) => {
       await viewer.painting.paint(patches);
       part("progress").value = 1;
+      none = "";
       say("Done.");
       part("used").innerHTML = used; // escaped where it is made
       part("notices").replaceChildren(...notices.map((text) => Object.assign(document.createElement("li"), { textContent: text })));

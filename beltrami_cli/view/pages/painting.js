@@ -22,6 +22,18 @@ const Painting = (() => {
       for (let at = 0; at < rows.length; at++)
         for (let channel = 0; channel < 3; channel++) after.array[3 * rows[at] + channel] = colours[3 * at + channel];
       after.needsUpdate = true;
+      if (patch.places) this.move(layer, rows, new Uint16Array(await Unpacking.inflated(patch.places)));
+    }
+
+    // Vertices that are smoothed along with their colours.
+    move(layer, rows, places) {
+      const { geometry, material } = layer.meshes[0];
+      if (!geometry.attributes.moved) geometry.setAttribute("moved", geometry.attributes.position.clone());
+      const { moved } = geometry.attributes;
+      for (let at = 0; at < rows.length; at++)
+        for (let axis = 0; axis < 3; axis++) moved.array[3 * rows[at] + axis] = places[3 * at + axis];
+      moved.needsUpdate = true;
+      material.uniforms.moves.value = 1;
     }
 
     // The parts with a texture, by its number in the layer.
