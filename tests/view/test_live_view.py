@@ -376,8 +376,8 @@ def test_most_of_a_preview_is_what_the_whole_becomes(beside, name, slot, budget,
             data = whole.data if slot == "image" else whole.textured(slot).textures[patch.texture].data
             expected, one = displayed_pixels(read_image(data, name))[patch.rows, patch.columns], 1
         off = np.abs(patch.colours.astype(int) - expected).max(axis=1) / one
-        # JPEG stores less than what is shown; the outermost samples lack what lies beyond. Where vertices move, the noise
-        # of normals is estimated on the part.
+        # JPEG stores less than what is shown; the outermost samples lack what lies beyond. Where vertices move, the
+        # noise of normals is estimated on the part.
         assert np.mean(off <= (4 if slot == "image" else 1)) > (
             0.5 if settings.embedding.smooth_geometry else 0.7
         )
@@ -385,7 +385,7 @@ def test_most_of_a_preview_is_what_the_whole_becomes(beside, name, slot, budget,
         if patch.places is not None:
             before, after = (each.painted().positions[patch.rows] for each in (document, whole))
             moves = np.linalg.norm(after - before, axis=1)
-            assert np.median(np.linalg.norm(patch.places - after, axis=1)) < 0.1 * np.median(moves)
+            assert np.median(np.linalg.norm(patch.places - after, axis=1)) < 0.4 * np.median(moves)
 
 
 @pytest.mark.slow
