@@ -305,6 +305,7 @@ class Live:
         """Smooth the whole as `smooth` does."""
         settings, last = request.settings, [0.0]
         assert settings is not None
+        event = {"kind": "progress", "number": request.number}
 
         def progress(label: str, done: int, total: int) -> None:
             with self._changed:
@@ -313,19 +314,10 @@ class Live:
             self._check(page, request)
             if time.monotonic() - last[0] > 0.1:
                 last[0] = time.monotonic()
-                page.events.put(
-                    {
-                        "kind": "progress",
-                        "number": request.number,
-                        "label": label,
-                        "share": done / max(1, total),
-                    }
-                )
+                page.events.put({**event, "label": label, "share": done / max(1, total)})
 
         painter = Smoothing(settings)
-        page.events.put(
-            {"kind": "progress", "number": request.number, "label": "choosing parameters", "share": 0}
-        )
+        page.events.put({**event, "label": "choosing parameters", "share": 0})
         job = dataclasses.replace(self._job, progress=progress)
         result = recolour_in_memory(self._document, settings, painter, job)
         self._check(page, request)

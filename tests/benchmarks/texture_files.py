@@ -28,10 +28,8 @@ def read_image(data, name):
     return np.clip(values[:, :, (0, 1, 2) if channels > 2 else (0, 0, 0)], 0, 1).astype(np.float32), visible
 
 
-def write_glb(path, scene, pixels, *, torn=False):
-    """Write the scene with other images, 8-bit PNG; `torn`: vertices at seams are moved apart by a trace, so that both
-    sides of every seam are open boundaries.
-    """
+def _vertices(scene, *, torn):
+    """Return the vertices with their texture coordinates, and the triangles between them."""
     rows = np.concatenate([scene.corners, scene.uv], axis=2).astype("<f4").reshape(-1, 5)
     owned = np.column_stack([rows, np.repeat(scene.texture_of, 3)])
     vertices, index = np.unique(owned, axis=0, return_inverse=True)
@@ -41,6 +39,14 @@ def write_glb(path, scene, pixels, *, torn=False):
         split = copies[place.reshape(-1)] > 1
         trace = 3e-6 * np.ptp(vertices[:, :3], axis=0).max()
         vertices[split, :3] += np.random.default_rng(9).uniform(-trace, trace, (split.sum(), 3))
+    return vertices, index
+
+
+def write_glb(path, scene, pixels, *, torn=False):
+    """Write the scene with other images, 8-bit PNG; `torn`: vertices at seams are moved apart by a trace, so that both
+    sides of every seam are open boundaries.
+    """
+    vertices, index = _vertices(scene, torn=torn)
     pngs = [images.encode(Painting("", image / 255, None, "png8")) for image in pixels]
     columns = [np.ascontiguousarray(vertices[:, part]).tobytes() for part in (slice(3), slice(3, 5))]
     triangles = [index[scene.texture_of == number].astype("<u4") for number in range(len(pngs))]
@@ -77,9 +83,8 @@ def write_glb(path, scene, pixels, *, torn=False):
     }
     text = json.dumps(document).encode()
     text += b" " * (-len(text) % 4)
-    parts = (
-        struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(binary), b"BIN\0") + binary
-    )
+    parts = struct.pack("<I4s", len(text), b"JSON") + text
+    parts += struct.pack("<I4s", len(binary), b"BIN\0") + binary
     path.write_bytes(struct.pack("<4sII", b"glTF", 2, 12 + len(parts)) + parts)
 
 

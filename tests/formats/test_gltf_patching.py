@@ -81,12 +81,16 @@ def cases(draw, arrangement):
     if draw(st.booleans()):
         corners = rng.integers(0, count, 3 * count).astype(draw(st.sampled_from(("<u1", "<u2", "<u4"))))
         primitive["indices"] = model.indices(corners)
-    others = [primitive, json.loads(json.dumps(primitive))] if arrangement == "twice" else [primitive]
-    if arrangement == "twice":
-        model.tree["accessors"].append(dict(model.tree["accessors"][colour]))
-        others[1]["attributes"]["COLOR_0"] = len(model.tree["accessors"]) - 1
-    model.mesh(*others)
+    model.mesh(primitive, *([again(model, primitive, colour)] if arrangement == "twice" else []))
     return Case(model, colour, stored)
+
+
+def again(model, primitive, colour):
+    """Return a primitive with an accessor of its own for the same colours."""
+    model.tree["accessors"].append(dict(model.tree["accessors"][colour]))
+    other = json.loads(json.dumps(primitive))
+    other["attributes"]["COLOR_0"] = len(model.tree["accessors"]) - 1
+    return other
 
 
 def opened(model, form, folder, **style):

@@ -10,6 +10,7 @@ import shutil
 import sys
 import zipfile
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -27,6 +28,9 @@ from formats.read_only_files import OBJECT, coff, model, stl, threemf
 from formats.usd_files import BOUND, COLOURS, material_text, mesh_text, scene
 from formats.usd_files import coloured as with_colours
 from fuzz.targets import SEPARATOR
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
 
 CORE = ("triangulated", "grid", "atlas")
 CORPUS = Path(__file__).with_name("corpus")
@@ -116,6 +120,10 @@ def gltf_seeds() -> dict[str, bytes]:
     seeds["buffer"] = files(plain.text("b.bin"), b_bin=bytes(plain.binary))
     levels = np.random.default_rng(7).integers(0, 256, (len(GRID), 4)).astype("u1")
     seeds |= {"draco": draco_model(levels).glb(), "meshopt": meshopt_model(levels).glb()}
+    return seeds | dict(textured_gltf_seeds())
+
+
+def textured_gltf_seeds() -> Iterator[tuple[str, bytes]]:
     for known, extension in (("ktx2", "KHR_texture_basisu"), ("avif", "EXT_texture_avif")):
         packed = Textured()
         image = packed.image(write_image(new_picture(PIXELS, "x"), PIXELS, suffix=f".{known}").data)
@@ -123,7 +131,7 @@ def gltf_seeds() -> dict[str, bytes]:
         packed.triangles(
             PLACES, PLACES[:, :2], packed.material(baseColor=texture), corners=[0, 1, 2, 0, 2, 3]
         )
-        seeds[f"textured-{known}"] = packed.glb()
+        yield f"textured-{known}", packed.glb()
     for place in ("view", "data"):
         textured = Textured(place)
         info = {
@@ -132,8 +140,7 @@ def gltf_seeds() -> dict[str, bytes]:
         }
         material = textured.material("skin", baseColor=info, emissive=0)
         textured.triangles(PLACES, PLACES[:, :2], material, corners=[0, 1, 2, 0, 2, 3])
-        seeds[f"textured-{place}"] = textured.glb() if place == "view" else textured.data_text()
-    return seeds
+        yield f"textured-{place}", textured.glb() if place == "view" else textured.data_text()
 
 
 def stored_package() -> bytes:
@@ -146,24 +153,33 @@ def stored_package() -> bytes:
     return made.getvalue()
 
 
-def other_seeds() -> dict[str, dict[str, bytes]]:
-    packed = io.BytesIO()
-    np.savez(packed, positions=PLACES, colours=LEVELS[:, :3])
-    volume = io.BytesIO()
-    np.savez(volume, values=np.arange(27, dtype="f4").reshape(3, 3, 3) - 13, spacing=[1, 1, 1.0])
-    # Compressed members leave nothing for a fuzzer to see.
+def stored_threemf() -> bytes:
+    """Return a file whose members are not compressed, which would leave nothing for a fuzzer to see."""
     stored = io.BytesIO()
     with zipfile.ZipFile(io.BytesIO(threemf(model(OBJECT)))) as old, zipfile.ZipFile(stored, "w") as new:
         for member in old.namelist():
             new.writestr(zipfile.ZipInfo(member), old.read(member))
-    nrrd = "NRRD0004\ntype: float\ndimension: 3\nsizes: 2 2 2\nencoding: raw\nendian: little\nspacings: 1 1 1\n\n"
-    chance = np.random.default_rng(5)
+    return stored.getvalue()
+
+
+def image_seeds(chance: np.random.Generator) -> dict[str, bytes]:
     images = {
         f"{kind}": encode(chance.integers(0, 256, (3, 5, 3), np.uint8), kind)
         for kind in ("png", "jpeg", "tiff", "bmp", "targa", "webp")
     }
     for kind in ("ktx2", "avif"):
         images[kind] = write_image(new_picture(PIXELS, "x"), PIXELS, suffix=f".{kind}").data
+    return images
+
+
+def other_seeds() -> dict[str, dict[str, bytes]]:
+    packed = io.BytesIO()
+    np.savez(packed, positions=PLACES, colours=LEVELS[:, :3])
+    volume = io.BytesIO()
+    np.savez(volume, values=np.arange(27, dtype="f4").reshape(3, 3, 3) - 13, spacing=[1, 1, 1.0])
+    nrrd = "NRRD0004\ntype: float\ndimension: 3\nsizes: 2 2 2\nencoding: raw\nendian: little\nspacings: 1 1 1\n\n"
+    chance = np.random.default_rng(5)
+    images = image_seeds(chance)
     return {
         "off": {
             "float": coff("float"),
@@ -171,7 +187,7 @@ def other_seeds() -> dict[str, dict[str, bytes]]:
             "faces": b"OFF 3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2 9 8 7\n",
         },
         "stl": {"viscam": stl([1 << 15, 0]), "magics": stl([31, 1 << 15], b"COLOR=\x00\xff\x00\xff")},
-        "3mf": {"stored": stored.getvalue()},
+        "3mf": {"stored": stored_threemf()},
         "usd": {
             "scene": files(
                 scene(mesh_text(BOUND + with_colours(COLOURS[:64])), material_text("a.png")), a_png=PICTURE

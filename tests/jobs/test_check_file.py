@@ -136,20 +136,29 @@ def leaves(tree: Any, place: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
     return found or [place]
 
 
-@pytest.mark.parametrize("name", ["torus-two-noisy.gltf", "nonmanifold"])
-def test_every_member_of_a_gltf_counts(name: str, tmp_path: Path) -> None:
+def sample_as_text(name: str, folder: Path) -> Path:
+    """Put a sample into a folder as a glTF file of text."""
+    before = folder / "before.gltf"
     if name == "nonmanifold":
-        saved(
-            open_document(str(SAMPLES / f"{name}-noisy.glb")).repackaged(
-                None, Naming("x", keeps=True), "gltf"
-            ),
-            tmp_path / "before.gltf",
-        )  # type: ignore[attr-defined]
+        document = open_document(str(SAMPLES / f"{name}-noisy.glb"))
+        saved(document.repackaged(None, Naming("x", keeps=True), "gltf"), before)
     else:
         for path in SAMPLES.glob("torus-two-noisy*"):
-            shutil.copy(path, tmp_path)
-        (tmp_path / name).rename(tmp_path / "before.gltf")
-    before = tmp_path / "before.gltf"
+            shutil.copy(path, folder)
+        (folder / name).rename(before)
+    return before
+
+
+def another(value: object) -> object:
+    """Return another value of the same kind, if it is text or a number."""
+    if isinstance(value, str):
+        return f"{value}-"
+    return value + 1 if isinstance(value, (int, float)) else {"new": 1}
+
+
+@pytest.mark.parametrize("name", ["torus-two-noisy.gltf", "nonmanifold"])
+def test_every_member_of_a_gltf_counts(name: str, tmp_path: Path) -> None:
+    before = sample_as_text(name, tmp_path)
     tree = json.loads(before.read_text())
     tree["extras"] = {"note": "kept", "numbers": [1, 2.5]}
     tree["nodes"][0]["name"] = "node"
@@ -163,14 +172,7 @@ def test_every_member_of_a_gltf_counts(name: str, tmp_path: Path) -> None:
         holder = changed
         for key in parents:
             holder = holder[key]
-        value = holder[last]
-        holder[last] = (
-            f"{value}-"
-            if isinstance(value, str)
-            else value + 1
-            if isinstance(value, (int, float))
-            else {"new": 1}
-        )
+        holder[last] = another(holder[last])
         after.write_text(json.dumps(changed))
         try:
             if check_files(before, after).faithful:
