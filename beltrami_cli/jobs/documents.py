@@ -84,7 +84,7 @@ def with_painted(document: Document, painted: Sequence[Repainted]) -> Document:
         def textured(slot: Slot) -> TexturedSurface:
             surface = document.textured(slot)
             textures = [
-                dataclasses.replace(each, data=images.get((slot, each.key), each.data))
+                dataclasses.replace(each, content=images.get((slot, each.key), each.content))
                 for each in surface.textures
             ]
             return dataclasses.replace(surface, textures=tuple(textures))

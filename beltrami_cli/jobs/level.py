@@ -125,6 +125,7 @@ class Levelling:
     changes = True
     colours_only = True
     works_on_disk = True
+    works_in_groups = False  # exposures are fitted to all seams together
 
     def __init__(self, wanted: LevelSettings) -> None:
         self._wanted = wanted

@@ -49,7 +49,7 @@ class Noising:
     """A painter that adds noise."""
 
     colours_only = True
-    works_on_disk = False
+    works_on_disk = works_in_groups = False
 
     def __init__(self, noise: NoiseSettings) -> None:
         self._noise = noise

@@ -276,6 +276,8 @@ class FileSet:
 
     def stage(self, output: Output, files: Mapping[Path, Iterable[Bytes]], names: Mapping[Path, str]) -> None:
         """Write files of an output aside; OutputError if that fails."""
+        from beltrami_cli.surface.large_arrays import leave_memory
+
         with endings_held() as deliver:
             for path, pieces in files.items():
                 aside = Aside(temporary_beside(path), path, overwrite=output.may_replace(path))
@@ -285,6 +287,7 @@ class FileSet:
                     write_aside(aside, pieces, deliver)
                 except OSError as error:
                     raise _unwritable(output.target, error) from error
+                leave_memory()
                 self._staged[path] = _Staged(aside, output, names[path])
 
     def stage_stream(self, write: Callable[[], None]) -> None:

@@ -42,7 +42,7 @@ class Painter(Protocol):
     """Whether channels of images that are no colours stay, unless they are named."""
 
     works_on_disk: bool
-    """Whether it can do with textures that do not fit into memory."""
+    works_in_groups: bool  # see `DiskUse`
 
     def check(self, document: Document, selection: Selection, target: OutputFormat) -> None:
         """Raise what cannot be painted, before anything is computed."""
@@ -75,17 +75,15 @@ def recolour(source: str, target: str, settings: SmoothSettings, painter: Painte
         painter.check(document, selection, kind)
         sidecars = plan_sidecars(document, selection, settings, kind, (source, target), output, access)
     place = None if output is None else target
-    with (
-        watch.stage("smooth"),
-        checked_memory(document, selection.slots, settings.textures, access, place, painter.works_on_disk),
-    ):
-        painted = _paint(document, selection, settings, painter, replace(job, access=access), kind.suffix)
-    with watch.stage("write"):
-        in_place = not is_moved(source, target)
-        written = _files(document, painted, kind, sidecars.naming, in_place=in_place)
-        written = sidecars.complete(written, access)
-        if output is not None:
-            output.write(written)
+    with checked_memory(document, selection.slots, settings.textures, access, place, painter):
+        with watch.stage("smooth"):
+            painted = _paint(document, selection, settings, painter, replace(job, access=access), kind.suffix)
+        with watch.stage("write"):
+            in_place = not is_moved(source, target)
+            written = _files(document, painted, kind, sidecars.naming, in_place=in_place)
+            written = sidecars.complete(written, access)
+            if output is not None:
+                output.write(written)
     names = [] if output is None else [target, *written.sidecars]
     notices = [*document.notices, *selection.notices, *(n for each in painted for n in each.notices)]
     return Recoloured(document, kind.name, names, [*notices, *written.notices], watch.stages)
@@ -95,9 +93,7 @@ def recolour_in_memory(document: Document, settings: SmoothSettings, painter: Pa
     """Paint what the settings select, and return it as the document that would be written; the other is kept."""
     selection = select(document, settings) if painter.changes else NOTHING
     painter.check(document, selection, OutputFormat(document.format, is_own=True))
-    with checked_memory(
-        document, selection.slots, settings.textures, job.access, None, painter.works_on_disk
-    ):
+    with checked_memory(document, selection.slots, settings.textures, job.access, None, painter):
         return with_painted(document, _paint(document, selection, settings, painter, job, None))
 
 
@@ -111,7 +107,13 @@ def _paint(
 ) -> list[Repainted]:
     painted = []
     for samples in samples_of(
-        document, selection, settings, job.access, suffix, colours_only=painter.colours_only
+        document,
+        selection,
+        settings,
+        job.access,
+        suffix,
+        colours_only=painter.colours_only,
+        in_groups=painter.works_in_groups,
     ):
         samples.require_writable()
         painted.append(painter.paint(samples, job))

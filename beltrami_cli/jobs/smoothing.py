@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 from beltrami_cli.jobs.job import peak_memory
 from beltrami_cli.jobs.level import Levelling
-from beltrami_cli.samples.reports import describe_settings
+from beltrami_cli.samples.reports import SlotReport, describe_settings
+from beltrami_cli.samples.samples import Change
 from beltrami_cli.samples.selection import require_geometry, require_scale
 from beltrami_cli.samples.settings import LevelSettings
 
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
     from beltrami_cli.flow.beltrami_flow import FlowResult
     from beltrami_cli.formats.document import Document
     from beltrami_cli.jobs.job import Job
-    from beltrami_cli.samples.reports import ImageReport, LevelReport, SamplesReport, SlotReport, VertexReport
+    from beltrami_cli.samples.reports import ImageReport, LevelReport, SamplesReport, VertexReport
     from beltrami_cli.samples.samples import Part, Repainted, Samples
     from beltrami_cli.samples.selection import OutputFormat, Selection
     from beltrami_cli.samples.settings import SmoothSettings
@@ -75,6 +76,7 @@ class Smoothing:
     def __init__(self, settings: SmoothSettings) -> None:
         self._settings = settings
         self._levelling = Levelling(LevelSettings()) if settings.level_seams else None
+        self.works_in_groups = self._levelling is None and not settings.embedding.guides
         self.changes = settings.kernel.iterations != 0 or settings.level_seams
         self.done: list[Smoothed] = []
 
@@ -103,7 +105,7 @@ def make_report(
 ) -> SmoothReport:
     """Put together what a job did, from `ends[0]` to `ends[1]`."""
     reports: dict[Part, list[Any]] = {"vertices": [], "textures": [], "image": []}
-    for each in done:
+    for each in _joined(done):
         reports[each.part].append(each.report)
     return SmoothReport(
         input=ends[0],
@@ -118,6 +120,37 @@ def make_report(
         warnings=warnings,
         image=next(iter(reports["image"]), None),
         levelled=[each.levelled for each in done if each.levelled is not None],
+    )
+
+
+def _joined(done: Sequence[Smoothed]) -> list[Smoothed]:
+    """Put together the reports of the groups that textures of one slot were smoothed in."""
+    groups: dict[object, list[Smoothed]] = {}
+    for number, each in enumerate(done):
+        groups.setdefault(each.report.slot if isinstance(each.report, SlotReport) else number, []).append(
+            each
+        )
+    return [dataclasses.replace(each[0], report=_one_report(each)) for each in groups.values()]
+
+
+def _one_report(groups: Sequence[Smoothed]) -> SamplesReport:
+    first = groups[0].report
+    reports = [each.report for each in groups if isinstance(each.report, SlotReport)]
+    if len(groups) == 1 or not isinstance(first, SlotReport):
+        return first
+    texels = [report.counts["covered"] for report in reports]
+
+    def mean(values: Sequence[float]) -> float:
+        return sum(a * b for a, b in zip(values, texels, strict=True)) / max(1, sum(texels))
+
+    return dataclasses.replace(
+        first,
+        textures=[texture for report in reports for texture in report.textures],
+        counts={key: sum(report.counts[key] for report in reports) for key in first.counts},
+        pitch=mean([report.pitch for report in reports]),
+        samples_per_kernel=round(mean([report.samples_per_kernel for report in reports]), 2),
+        patches=None if first.patches is None else mean([report.patches or 0.0 for report in reports]),
+        change=Change.joined(each.repainted.change for each in groups).summary(),
     )
 
 

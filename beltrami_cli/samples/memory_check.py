@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.image.reading import measure_image
@@ -26,6 +26,16 @@ _FLOATS = 2 * 4  # the old and the new colours of one image at a time, in single
 TEXEL_BYTES, TEXEL_BYTES_ON_DISK = 195, 8
 
 
+class DiskUse(Protocol):
+    """How a painter can do with textures that do not fit into memory."""
+
+    works_on_disk: bool
+    """Whether it can, all together in files."""
+
+    works_in_groups: bool
+    """Whether it can, by some at a time."""
+
+
 def require_memory(images: Iterable[tuple[str, bytes]], access: Access) -> None:
     """Raise InputError if images cannot fit into memory: all as stored, and one of them twice as floats."""
     if access.memory is None:
@@ -35,7 +45,7 @@ def require_memory(images: Iterable[tuple[str, bytes]], access: Access) -> None:
         decoded += size.decoded
         working = max(working, size.samples * _FLOATS)
         if decoded + working > access.memory:
-            raise _too_large(name, size)
+            raise too_large(name, size)
 
 
 def require_memory_for_textures(
@@ -53,10 +63,10 @@ def checked_memory(
     wanted: TextureSettings,
     access: Access,
     target: str | None,
-    works_on_disk: bool,
+    painter: DiskUse,
 ) -> Iterator[None]:
     """Paint the chosen textures of a document in temporary files where memory is too small for them."""
-    if not works_on_disk:
+    if not painter.works_on_disk:
         require_memory_for_textures(document, slots, wanted, access)
         yield
         return
@@ -64,7 +74,8 @@ def checked_memory(
     on_disk = False
     if access.memory is not None:
         for slot in slots:
-            on_disk |= _is_too_much(_chosen(document, slot, wanted), access.memory)
+            sizes = list(_measured(_chosen(document, slot, wanted)))
+            on_disk |= _is_too_much(sizes, access.memory, in_groups=painter.works_in_groups)
     with kept_on_disk(_folder_beside(target)) if on_disk else contextlib.nullcontext():
         yield
 
@@ -75,16 +86,23 @@ def _folder_beside(target: str | None) -> Path:
     return Path(tempfile.gettempdir()) if target is None else Path(target).absolute().parent
 
 
-def _is_too_much(images: Iterable[tuple[str, bytes]], memory: int) -> bool:
+def _is_too_much(sizes: Sequence[tuple[str, ImageSize]], memory: int, *, in_groups: bool) -> bool:
     """Return whether images cannot be smoothed together in memory; InputError if not even in files."""
-    texels, decoded, largest = 0, 0, 0
-    for name, size in _measured(images):
-        texels += size.width * size.height
-        decoded += size.decoded
-        largest = max(largest, size.decoded)
-        if largest + TEXEL_BYTES_ON_DISK * texels > memory:
-            raise _too_large(name, size)
+    every = [size for _, size in sizes]
+    if not fit_in_files(every, memory):
+        for number, (name, size) in enumerate(sizes):
+            if not fit_in_files([size] if in_groups else every[: number + 1], memory):
+                raise too_large(name, size)
+    decoded, texels = sum(size.decoded for size in every), sum(size.texels for size in every)
     return 2 * decoded + TEXEL_BYTES * texels > memory
+
+
+def fit_in_files(sizes: Iterable[ImageSize], memory: int) -> bool:
+    """Whether images can be smoothed together where all large arrays are in files."""
+    largest = texels = 0
+    for size in sizes:
+        largest, texels = max(largest, size.decoded), texels + size.texels
+    return largest + TEXEL_BYTES_ON_DISK * texels <= memory
 
 
 def _chosen(document: Document, slot: Slot, wanted: TextureSettings) -> Iterator[tuple[str, bytes]]:
@@ -102,6 +120,7 @@ def _measured(images: Iterable[tuple[str, bytes]]) -> Iterator[tuple[str, ImageS
             yield name, size
 
 
-def _too_large(name: str, size: ImageSize) -> InputError:
+def too_large(name: str, size: ImageSize) -> InputError:
+    """Return the error that an image, with those around it, needs more memory than there is."""
     cause = f"its {size.width} x {size.height} pixels of {size.channels} channels do not fit into memory"
     return InputError(name, cause, "scale it down, or raise --max-memory")

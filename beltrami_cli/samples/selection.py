@@ -90,8 +90,10 @@ def samples_of(
     suffix: str | None = None,
     *,
     colours_only: bool = False,
+    in_groups: bool = False,
 ) -> Iterator[Samples]:
-    """Take the samples of what is selected, one kind after the other; see `PixelSamples` for the last parameters."""
+    """Take the samples of what is selected, one kind after the other; `in_groups`: of many textures some at a time."""
+    # For the other parameters see `PixelSamples`.
     if isinstance(document, ImageDocument):
         if selection.image:
             from beltrami_cli.samples.pixel_samples import PixelSamples
@@ -103,11 +105,18 @@ def samples_of(
     if selection.slots:
         from beltrami_cli.samples.texel_colours import choose_textures
         from beltrami_cli.samples.texel_samples import SharedImages, TexelSamples
+        from beltrami_cli.samples.tile_groups import CommonChoice, TileGroups
 
         chosen = [choose_textures(document.textured(slot), settings.textures) for slot in selection.slots]
         shared = SharedImages(texture.key for surface in chosen for texture in surface.textures)
-        for slot in selection.slots:
-            yield TexelSamples(document.textured(slot), slot, settings, (document, access), shared)
+        for slot, surface in zip(selection.slots, chosen, strict=True):
+            groups = TileGroups.of(surface, access.memory) if in_groups else None
+            if groups is None:
+                yield TexelSamples(document.textured(slot), slot, settings, (document, access), shared)
+                continue
+            common = CommonChoice.of(TexelSamples(groups.evenly_chosen(), slot, settings), settings)
+            for group in groups.parted(common):
+                yield TexelSamples(group.surface, slot, common.settings, shared=shared, group=group)
 
 
 def vertex_samples(document: Document, settings: SmoothSettings, access: Access) -> PaintedSamples:

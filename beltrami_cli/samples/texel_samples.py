@@ -45,6 +45,7 @@ if TYPE_CHECKING:
     from beltrami_cli.samples.probes.probe import Probe
     from beltrami_cli.samples.reports import LevelReport
     from beltrami_cli.samples.settings import SmoothSettings
+    from beltrami_cli.samples.tile_groups import TileGroup
     from beltrami_cli.surface.atlas import Atlas
     from beltrami_cli.surface.records import Slot, TexturedSurface
 
@@ -68,8 +69,12 @@ class TexelSamples(Samples):
         settings: SmoothSettings,
         guided: tuple[Document, Access] | None = None,
         shared: SharedImages | None = None,
+        group: TileGroup | None = None,
     ) -> None:
         self.slot, self.settings, self.label = slot, settings, f"{slot} textures"
+        self._group = group
+        if group is not None:
+            self.label += f", {group.label}"
         self.surface = choose_textures(surface, settings.textures)
         self.pictures = [read_image(texture.data, texture.name) for texture in self.surface.textures]
         self.atlas = atlas_of(self.surface, self.pictures, settings.kernel)
@@ -99,6 +104,7 @@ class TexelSamples(Samples):
             kernel,
             guides=guides,
             metric_channels=self.colours.metric_channels,
+            unit=None if self._group is None else self._group.common.unit,
         )
         return BeltramiFlow(manifold, kernel, tick)
 
@@ -129,6 +135,11 @@ class TexelSamples(Samples):
         for picture in self.pictures:
             check_writable(picture, self.settings.textures.image_suffix)
 
+    def _written(self) -> list[int]:
+        """Return which textures are written back: of a group, its own."""
+        own = None if self._group is None else self._group.own
+        return [i for i, texture in enumerate(self.surface.textures) if own is None or texture.key in own]
+
     def facts(self) -> list[dict[str, object]]:
         atlas = self.atlas
         covered = [len(atlas.owned_texels)]
@@ -136,28 +147,33 @@ class TexelSamples(Samples):
             covered = np.histogram(atlas.owned_texels, atlas.texture_offsets)[0].tolist()
         return [
             {
-                "name": texture.name,
+                "name": self.surface.textures[index].name,
                 "width": picture.pixels.shape[1],
                 "height": picture.pixels.shape[0],
                 "format": picture.format,
                 "stored": picture.stored,
                 "channels": list(picture.channels),
-                "covered": round(float(count / picture.pixels[..., 0].size), 4),
+                "covered": round(float(covered[index] / picture.pixels[..., 0].size), 4),
             }
-            for texture, picture, count in zip(self.surface.textures, self.pictures, covered, strict=True)
+            for index in self._written()
+            for picture in [self.pictures[index]]
         ]
 
     def report(self, flow: BeltramiFlow[GridManifold], result: FlowResult) -> SlotReport:
         if not flow.parameters.iterations and not self.settings.level_seams:
             self._gutter = None  # what is not smoothed stays as it is
         self._is_smoothed = flow.parameters.iterations > 0
+        used, counts = self._used(flow, result), atlas_counts(self.atlas)
+        if self._group is not None:
+            used |= self._group.common.described()
+            counts |= self._group.counts(self.atlas, self._written())
         return SlotReport(
             slot=self.slot,
             textures=self.facts(),
-            counts={**atlas_counts(self.atlas), "jumps": flow.manifold.jumps},
+            counts={**counts, "jumps": flow.manifold.jumps},
             pitch=result.spacing,
             samples_per_kernel=round(result.samples_per_kernel, 2),
-            **self._used(flow, result),
+            **used,
         )
 
     def describe(self) -> dict[str, object]:
@@ -209,7 +225,8 @@ class TexelSamples(Samples):
         del self.atlas  # all on the canvas but the colours, before pictures as large are made
         suffix, changes = self.settings.textures.image_suffix, []
         images: dict[tuple[Slot, str], ImageFile] = {}
-        for index, (texture, picture) in enumerate(zip(self.surface.textures, self.pictures, strict=True)):
+        for index in self._written():
+            texture, picture = self.surface.textures[index], self.pictures[index]
             pixels, change = painter.repaint(index, new)
             changes.append(change)
             large_arrays.leave_memory()
@@ -220,6 +237,8 @@ class TexelSamples(Samples):
             else:
                 file = self._encoded(picture, pixels)
                 notices += [*picture.notices, *file.notices]
+            if self._group is not None and texture.is_read_anew:
+                file = dataclasses.replace(file, content=large_arrays.kept(file.data))
             images |= {(each, texture.key): file for each in slots}
             if suffix is not None:
                 notices += losses(picture, suffix)

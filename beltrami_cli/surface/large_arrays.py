@@ -10,6 +10,8 @@ import contextlib
 import math
 import mmap
 import os
+import shutil
+import tempfile
 import weakref
 from contextvars import ContextVar
 from dataclasses import dataclass, field
@@ -74,8 +76,6 @@ def _on_disk(shape: int | Sequence[int], dtype: DTypeLike, smallest: int | None 
     size = math.prod(shape) * np.dtype(dtype).itemsize
     if disk is None or size < (SMALLEST_FILE if smallest is None else smallest):
         return None
-    import tempfile
-
     try:
         with tempfile.TemporaryFile(dir=disk.folder) as file:
             # Else a full disk would end the program when a page is written.
@@ -116,6 +116,22 @@ def leave_memory() -> None:
     if disk is not None and hasattr(mmap, "MADV_DONTNEED"):
         for pages in disk.maps:
             pages.madvise(mmap.MADV_DONTNEED)
+
+
+def free_space() -> int:
+    """Return the bytes that are free where large arrays are kept."""
+    disk = _DISK.get()
+    return shutil.disk_usage(tempfile.gettempdir() if disk is None else disk.folder).free
+
+
+def kept(data: bytes) -> bytes | memoryview:
+    """Return the same bytes, from now on in a file where large arrays are kept so."""
+    if not is_on_disk():
+        return data
+    array = empty(len(data), np.uint8, smallest=1 << 16)
+    array[:] = np.frombuffer(data, np.uint8)
+    leave_memory()
+    return array.data
 
 
 def is_on_disk() -> bool:

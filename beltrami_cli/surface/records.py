@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
 
     from beltrami_cli.arrays import Float32s, Float64s, Int32s, Int64s
 
@@ -79,11 +79,22 @@ class Texture:
 
     key: str  # what the document knows it by; new images are handed back under it
     name: str  # for messages and globs: the file's name, or the image's name in a container
-    data: bytes  # the image file as it is stored (PNG, JPEG, ...)
+    # The image file as it is stored (PNG, JPEG, ...), or what reads it: tiles may be more than fit into memory.
+    content: bytes | Callable[[], bytes]
     materials: tuple[str, ...] = ()  # names of the materials that use it
     wrap: tuple[Wrap, Wrap] = ("repeat", "repeat")  # what lies beyond 0 and 1, along u and along v
     # Whether texels of opacity 0 cannot be seen; in opaque materials of glTF alpha means nothing.
     alpha_hides: bool = True
+
+    @property
+    def data(self) -> bytes:
+        """The image file as it is stored."""
+        return self.content if isinstance(self.content, bytes) else self.content()
+
+    @property
+    def is_read_anew(self) -> bool:
+        """Whether the file is read whenever it is asked for."""
+        return not isinstance(self.content, bytes)
 
 
 @dataclass(frozen=True)
@@ -108,10 +119,16 @@ class TexturedSurface:
 class ImageFile:
     """An encoded image."""
 
-    data: bytes
+    # A view is of a file, where large arrays are kept in files.
+    content: bytes | memoryview = field(hash=False)
     suffix: str  # its usual extension, lower case, with the dot: ".png", ".jpg", ".webp", ".exr",
     notices: tuple[str, ...] = ()  # for the user, one sentence each: what did not stay as it was
     is_chosen: bool = False  # its type was asked for, so that no image of another type stays beside it
+
+    @property
+    def data(self) -> bytes:
+        """The encoded image in memory."""
+        return bytes(self.content)
 
 
 AlphaMode = Literal["opaque", "mask", "blend"]

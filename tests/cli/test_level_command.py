@@ -36,6 +36,7 @@ class Exposing:
     """A painter that gives charts known exposures."""
 
     changes = colours_only = works_on_disk = True
+    works_in_groups = False
 
     def check(self, *_):
         pass

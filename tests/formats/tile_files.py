@@ -33,17 +33,17 @@ def sheet(size: int = 2) -> tuple[NDArray[np.float64], NDArray[np.float64], NDAr
     return positions, uv, quads.reshape(-1, 4)
 
 
-def painting(kind: str = "uint8") -> NDArray[Any]:
-    """Return noisy stripes over all four tiles."""
-    y, x = np.mgrid[: 2 * SIDE, : 2 * SIDE] / SIDE
+def painting(kind: str = "uint8", size: int = 2) -> NDArray[Any]:
+    """Return noisy stripes over all tiles."""
+    y, x = np.mgrid[: size * SIDE, : size * SIDE] / SIDE
     stripes = np.stack([np.sin(4 * x + y), np.sign(np.sin(3 * y - x)), np.cos(3 * x)], axis=2)
     noisy = 0.5 + 0.25 * stripes + np.random.default_rng(3).normal(0, 0.05, stripes.shape)
     return (noisy.clip(0, 1) * np.iinfo(kind).max).astype(kind)
 
 
 def part(image: NDArray[Any], tile: tuple[int, int]) -> NDArray[Any]:
-    """Return the part of an image of all four tiles that lies in one, rows from above."""
-    top = (1 - tile[1]) * SIDE
+    """Return the part of an image of all tiles that lies in one, rows from above."""
+    top = len(image) - (tile[1] + 1) * SIDE
     return image[top : top + SIDE, tile[0] * SIDE : (tile[0] + 1) * SIDE]
 
 
@@ -55,12 +55,13 @@ def obj_text(uv: NDArray[np.float64], positions: NDArray[np.float64], quads: NDA
     return "\n".join(lines) + "\n"
 
 
-def tiled_model(folder: Path, pattern: str = "skin.<UDIM>.png", kind: str = "uint8") -> Path:
-    """Write model.obj with its four tiles."""
+def tiled_model(folder: Path, pattern: str = "skin.<UDIM>.png", kind: str = "uint8", size: int = 2) -> Path:
+    """Write model.obj with its tiles, `size` along each side."""
     folder.mkdir(parents=True, exist_ok=True)
-    positions, uv, quads = sheet()
+    positions, uv, quads = sheet(size)
     (folder / "model.obj").write_text(obj_text(uv, positions, quads))
     (folder / "model.mtl").write_text(f"newmtl skin\nmap_Kd {pattern}\n")
-    for tile in TILES:
-        (folder / tile_name(pattern, tile)).write_bytes(encode(part(painting(kind), tile), "png"))
+    image = painting(kind, size)
+    for tile in ((u, v) for v in range(size) for u in range(size)):
+        (folder / tile_name(pattern, tile)).write_bytes(encode(part(image, tile), "png"))
     return folder / "model.obj"

@@ -10,11 +10,16 @@ import numpy as np
 import pytest
 
 from beltrami_cli.errors import InputError, ProcessingError
+from beltrami_cli.flow.parameters import parameters_with
 from beltrami_cli.formats.access import Access
+from beltrami_cli.formats.image import read_image
+from beltrami_cli.jobs.check import check_files
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.smooth import smooth_file
-from beltrami_cli.samples import memory_check
+from beltrami_cli.samples import memory_check, tile_groups
+from beltrami_cli.samples.settings import SmoothSettings
 from beltrami_cli.surface import large_arrays
+from formats.tile_files import GIVEN, tiled_model
 
 SAMPLES = Path(__file__).parents[2] / "sample_data"
 
@@ -59,6 +64,63 @@ def test_the_result_is_the_same(model, tmp_path, monkeypatch, on_disk):
 def test_even_less_memory_is_refused_by_name(tmp_path, on_disk):
     with pytest.raises(InputError, match=r"do not fit into memory; scale it down, or raise --max-memory"):
         smoothed("head-tex-noisy.obj", tmp_path / "out", 1 << 20)
+    assert not list((tmp_path / "out").iterdir())
+
+
+SIDE = 4  # tiles
+
+
+def tiles_of(model, folder, memory, settings):
+    """Smooth tiles; return their pixels in order, the labels of progress, and the report."""
+    folder.mkdir()
+    labels = {}
+    job = Job(access=Access(memory=memory), progress=lambda label, *_: labels.setdefault(label))
+    report = smooth_file(model, folder / "new.obj", settings, job)
+    files = sorted(folder.glob("*.png"))
+    assert [path.name for path in files] == [
+        f"new_skin.{1001 + u + 10 * v}.png" for v in range(SIDE) for u in range(SIDE)
+    ]
+    pixels = [read_image(path.read_bytes(), path.name).pixels.astype(int) for path in files]
+    return pixels, list(labels), report.textures[0]
+
+
+def test_many_tiles_are_smoothed_in_groups_with_the_same_result(tmp_path, monkeypatch, on_disk):
+    model = tiled_model(tmp_path / "in", size=SIDE)
+    whole, _, expected = tiles_of(model, tmp_path / "whole", None, GIVEN)
+    monkeypatch.setattr(large_arrays, "SMALLEST_FILE", 1 << 14)
+    memory = 270_000  # bytes; all tiles take 302,000 with their arrays in files
+    groups, labels, done = tiles_of(model, tmp_path / "groups", memory, GIVEN)
+    assert labels[0] == f"baseColor textures, group 1 of {len(labels)}"
+    assert len(labels) > 3
+    assert max(on_disk) < 500_000  # of the whole, squared lengths alone take 920,000
+    difference = np.abs(np.array(groups) - np.array(whole))
+    assert difference.max() <= 1  # where charts meet in a corner, the order of those beyond may differ
+    assert np.count_nonzero(difference) <= 10
+    assert check_files(model, tmp_path / "groups" / "new.obj").faithful
+    assert [image["name"] for image in done.textures] == [image["name"] for image in expected.textures]
+    assert done.change == pytest.approx(expected.change)
+    for count in ("charts", "covered"):
+        assert done.counts[count] == expected.counts[count]
+
+
+@pytest.mark.slow
+def test_parameters_are_chosen_once_for_all_groups(tmp_path, monkeypatch):
+    model = tiled_model(tmp_path / "in", size=SIDE)
+    monkeypatch.setattr(large_arrays, "SMALLEST_FILE", 1 << 14)
+    settings = SmoothSettings(parameters_with({}, fast=True))
+    whole, _, expected = tiles_of(model, tmp_path / "whole", None, settings)
+    groups, labels, done = tiles_of(model, tmp_path / "groups", 270_000, settings)
+    assert len(labels) > 3
+    assert done.iterations == expected.iterations
+    assert done.beta == pytest.approx(expected.beta, rel=0.1)
+    assert np.abs(np.array(groups) - np.array(whole)).mean() < 0.5  # of 255
+
+
+def test_a_tile_that_does_not_fit_with_those_around_it_is_refused(tmp_path, monkeypatch):
+    model = tiled_model(tmp_path / "in", size=3)
+    monkeypatch.setattr(tile_groups, "TEXEL_BYTES_ON_DISK", 20)
+    with pytest.raises(InputError, match=r"^skin.1001.png: its 48 x 48 pixels .* raise --max-memory$"):
+        tiles_of(model, tmp_path / "out", 30_000, GIVEN)
     assert not list((tmp_path / "out").iterdir())
 
 

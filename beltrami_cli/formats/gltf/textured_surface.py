@@ -106,7 +106,7 @@ class _SlotImages:
             Texture(
                 key=image_key(image),
                 name=self._images.name(image),
-                data=shown.data,
+                content=shown.data,
                 materials=tuple(shown.materials),
                 wrap=shown.wraps[0],
                 alpha_hides=shown.alpha_hides,

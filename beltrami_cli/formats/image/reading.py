@@ -50,8 +50,12 @@ class ImageSize:
     sample: int
 
     @property
+    def texels(self) -> int:
+        return self.width * self.height
+
+    @property
     def samples(self) -> int:
-        return self.width * self.height * self.channels
+        return self.texels * self.channels
 
     @property
     def decoded(self) -> int:

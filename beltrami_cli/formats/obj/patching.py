@@ -136,7 +136,7 @@ def _take_images(
         suffix = common_suffix(image.suffix for _, image in files)
         new = names.image(path, suffix, is_replaced=is_replaced, tiles=materials.tiles.get(path, ()))
         new_of = _new_files(materials, path, new)
-        sidecars |= {new_of.pop(file): image.data for file, image in files}
+        sidecars |= {new_of.pop(file): image.content for file, image in files}
         copies |= {file: old for old, file in new_of.items() if file != old}
         for library, found in affected:
             edits.setdefault(library.path, {})[found.start, found.end] = _spelled(found, path, new, library)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass, field
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,6 +16,8 @@ from beltrami_cli.surface.records import Texture, TexturedSurface
 from beltrami_cli.surface.tiling import TilingError, on_tiles
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from beltrami_cli.arrays import Float64s, Int32s, Int64s
     from beltrami_cli.formats.model_folder import ModelFolder
     from beltrami_cli.formats.obj.materials import Materials
@@ -66,7 +69,7 @@ class _Painted:
     """An image while the materials that show it are being found."""
 
     number: int
-    data: bytes
+    content: bytes | Callable[[], bytes]
     materials: list[str] = field(default_factory=list)
     wraps: list[Wrap] = field(default_factory=list)
 
@@ -126,7 +129,9 @@ class _Palette:
         if painting is None:
             return
         found, path = painting
-        files = [] if path is None else [file for file in self._materials.files(path) if self._loaded(file)]
+        is_tiled = path in self._materials.tiles
+        files = [] if path is None else self._materials.files(path)
+        files = [file for file in files if self._loaded(file, in_tiles=is_tiled)]
         if not files:
             self._missing.setdefault(found.name, []).append(material)
             return
@@ -142,18 +147,19 @@ class _Palette:
             self.texture_of[number] = -2 - self.sets.index(own)
         self.scale[number], self.offset[number] = found.scale, found.offset
 
-    def _loaded(self, path: str) -> bool:
+    def _loaded(self, path: str, *, in_tiles: bool) -> bool:
         if path not in self._painted:
             try:
                 data = self._folder.read(path)
             except OSError:
                 return False
-            self._painted[path] = _Painted(len(self._painted), data)
+            content = partial(self._materials.read, path) if in_tiles else data
+            self._painted[path] = _Painted(len(self._painted), content)
         return True
 
     def textures(self) -> tuple[Texture, ...]:
         return tuple(
-            Texture(path, path.rpartition("/")[2], p.data, tuple(p.materials), (p.wraps[0], p.wraps[0]))
+            Texture(path, path.rpartition("/")[2], p.content, tuple(p.materials), (p.wraps[0], p.wraps[0]))
             for path, p in self._painted.items()
         )
 

@@ -187,7 +187,7 @@ class UsdDocument(Document):
                 file: file if new == path else tile_name(new, tile)
                 for tile, file in self._layers.tiles.get(path, {}).items()
             } or {path: new}
-            files |= {own.pop(file): image.data for file, image in new_files}
+            files |= {own.pop(file): image.content for file, image in new_files}
             copies |= {file: old for old, file in own.items() if file != old}
             if new != path:
                 start = posixpath.dirname(self._layers.root) or "."

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import posixpath
+from functools import partial
 from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
@@ -31,7 +32,7 @@ from beltrami_cli.surface.records import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s
     from beltrami_cli.formats.usd.layers import Layers
@@ -235,13 +236,18 @@ class _Gathering:
             self.sets.append(own)
         return -2 - self.sets.index(own)
 
+    def _content(self, file: str) -> bytes | Callable[[], bytes]:
+        """Return an image, or for one of many tiles what reads it."""
+        is_tile = any(file in files.values() for files in self._layers.tiles.values())
+        return partial(self._layers.image, file) if is_tile else self._layers.image(file)
+
     def textures(self) -> tuple[Texture, ...]:
         """Return the images."""
         return tuple(
             Texture(
                 key=file,
                 name=posixpath.basename(file),
-                data=self._layers.image(file),
+                content=self._content(file),
                 materials=tuple(dict.fromkeys(self._materials[file])),
                 wrap=self._wraps[file],
             )

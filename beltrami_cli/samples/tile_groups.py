@@ -1,0 +1,283 @@
+"""Textures too many for the memory, smoothed in groups that lie together, each with the surface around it.
+
+A kernel reads a few texels beyond its own in each iteration, so a texture has the same result with all others as with
+those triangles alone that are as near as all iterations reach. Only the textures of a group itself are written back.
+Parameters and noise are chosen once, on textures spread evenly over all, for all groups.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from beltrami_cli.flow.canvas import canvas_margin
+from beltrami_cli.formats.image.reading import measure_image
+from beltrami_cli.samples.memory_check import TEXEL_BYTES, TEXEL_BYTES_ON_DISK, fit_in_files, too_large
+from beltrami_cli.samples.reports import describe_choice
+from beltrami_cli.samples.texel_colours import only_textures
+from beltrami_cli.surface import large_arrays
+from beltrami_cli.surface.atlas import texels_by_texture
+from beltrami_cli.surface.grouping import group_places
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from beltrami_cli.arrays import Bools, Float64s, Int64s
+    from beltrami_cli.flow.beltrami_flow import BeltramiFlow
+    from beltrami_cli.flow.parameters import KernelParameters
+    from beltrami_cli.formats.image.reading import ImageSize
+    from beltrami_cli.samples.samples import Samples
+    from beltrami_cli.samples.settings import SmoothSettings
+    from beltrami_cli.surface.atlas import Atlas
+    from beltrami_cli.surface.records import TexturedSurface
+
+# Patches are looked for around each texel twice, and their weights are averaged.
+_PASSES_OF_PATCHES = 4
+_SHARE_OF_DISK = 0.5  # of what is free
+_RESIDENT_BYTES = 40  # of a texel that are in memory at a time, pages of files included
+_USUAL = 0.999  # of the texels of a texture; others are in slivers
+_MOST_POINTS = 1 << 18
+
+
+@dataclass(frozen=True)
+class TileGroup:
+    """Textures that are smoothed together, and the triangles around them, which are only looked at."""
+
+    label: str
+    surface: TexturedSurface
+    own: frozenset[str]  # keys of the textures that are written back
+    common: CommonChoice
+
+    def counts(self, atlas: Atlas, own: Sequence[int]) -> dict[str, int]:
+        """Return how many charts and texels are of its own textures, given by their numbers."""
+        charts, covered = set[int](), 0
+        for block in large_arrays.blocks(len(atlas.owned_texels)):
+            texels = atlas.owned_texels[block]
+            for index, inside, there in texels_by_texture(atlas.texture_offsets, texels):
+                if index in own:
+                    charts |= {*np.unique(atlas.chart_of[block][inside]).tolist()}
+                    covered += len(there)
+        return {"charts": len(charts), "covered": covered}
+
+
+@dataclass(frozen=True)
+class CommonChoice:
+    """What is the same for all groups: the parameters, with nothing left to choose, and how they were chosen."""
+
+    settings: SmoothSettings
+    unit: float
+    noise: dict[str, float]
+    choice: dict[str, object] | None
+
+    def described(self) -> dict[str, Any]:
+        """Return it by the names of the fields of reports."""
+        return {"noise": self.noise, "choice": self.choice}
+
+    @classmethod
+    def of(cls, samples: Samples, settings: SmoothSettings) -> CommonChoice:
+        """Choose on samples of some of the textures."""
+        flow: BeltramiFlow[Any] = samples.flow()
+        noise, manifold = flow.manifold.noise, flow.manifold
+        kernel = dataclasses.replace(
+            flow.parameters,
+            free=(),
+            beta=flow.beta,
+            patches="on" if flow.takes_patches else "off",
+        )
+        if kernel.noise is None and not manifold.shares_noise:
+            rms = min(1.0, float(np.sqrt(np.mean(np.square(noise)))))
+            kernel = dataclasses.replace(kernel, noise=f"{100 * rms!r}%")
+        return cls(
+            dataclasses.replace(settings, kernel=kernel),
+            manifold.unit,
+            samples.named(noise),
+            describe_choice(flow.choice),
+        )
+
+
+@dataclass(frozen=True)
+class TileGroups:
+    """Textures that do not fit into memory together, not even with all large arrays in files."""
+
+    surface: TexturedSurface
+    sizes: Sequence[ImageSize]
+    memory: int
+
+    @classmethod
+    def of(cls, surface: TexturedSurface, memory: int | None) -> TileGroups | None:
+        """Take the textures of a surface; None if they fit."""
+        if memory is None or len(surface.textures) < 2:
+            return None
+        sizes = [measure_image(texture.data, texture.name) for texture in surface.textures]
+        known = [size for size in sizes if size is not None]  # of others the decoder says what is wrong
+        if len(known) < len(sizes) or fit_in_files(known, memory):
+            return None
+        return cls(surface, known, memory)
+
+    def evenly_chosen(self) -> TexturedSurface:
+        """Return the surface with textures spread evenly over all, as many as are worth smoothing together."""
+        room, count, chosen = self._room(), len(self.sizes), [len(self.sizes) // 2]
+        for number in range(2, count):
+            wanted = np.linspace(0, count - 1, number).round().astype(int).tolist()
+            if sum(self.sizes[index].texels for index in wanted) > room:
+                break
+            chosen = wanted
+        return only_textures(self.surface, chosen)
+
+    def parted(self, common: CommonChoice) -> list[TileGroup]:
+        """Part all textures; InputError if one does not fit into memory with the surface around it."""
+        near = _near_faces(self.surface, self.sizes, common.settings.kernel)
+        beside = [{*self.surface.texture_of[faces].tolist()} for faces in near]
+        room, left = self._room(), set(range(len(self.sizes)))
+        parts: list[set[int]] = []
+        while left:
+            group = {min(left)}
+            if self._texels(group, near) > self._most_texels:
+                raise too_large(self.surface.textures[min(left)].name, self.sizes[min(left)])
+            while candidates := set[int]().union(*(beside[index] for index in group)) & left - group:
+                # The one with the most neighbours in the group makes it the roundest.
+                new = max(candidates, key=lambda index: (len(beside[index] & group), -index))
+                if self._texels(group | {new}, near) > room:
+                    break
+                group.add(new)
+            left -= group
+            parts.append(group)
+        return [
+            self._part(group, near, f"group {number} of {len(parts)}", common)
+            for number, group in enumerate(parts, 1)
+        ]
+
+    def _texels(self, group: set[int], near: Sequence[Int64s]) -> int:
+        """Return about how many texels a group has, with the surface around it."""
+        total = sum(self.sizes[index].texels for index in group)
+        faces = np.concatenate([near[index] for index in group])
+        texture, uv = self.surface.texture_of[faces], self.surface.uv[faces]
+        for index in {*texture.tolist()} - group:
+            low, high = (bound(uv[texture == index], axis=(0, 1)) for bound in (np.min, np.max))
+            total += int(self.sizes[index].texels * np.prod(np.clip(high - low, 0, 1)))
+        return total
+
+    def _part(self, group: set[int], near: Sequence[Int64s], label: str, common: CommonChoice) -> TileGroup:
+        surface = self.surface
+        kept = np.isin(surface.texture_of, [-1, *group])
+        kept[np.concatenate([near[index] for index in group])] = True
+        own = frozenset(surface.textures[index].key for index in group)
+        return TileGroup(label, _only_faces(surface, kept), own, common)
+
+    @property
+    def _most_texels(self) -> int:
+        """How many texels memory is enough for, with all large arrays in files."""
+        return (self.memory - max(size.decoded for size in self.sizes)) // TEXEL_BYTES_ON_DISK
+
+    def _room(self) -> int:
+        """Return how many texels are worth smoothing together: as pages of files, their arrays need room as well."""
+        return min(
+            self._most_texels,
+            self.memory // _RESIDENT_BYTES,
+            int(_SHARE_OF_DISK * large_arrays.free_space() / TEXEL_BYTES),
+        )
+
+
+def _only_faces(surface: TexturedSurface, kept: Bools) -> TexturedSurface:
+    """Return some triangles, and the textures that they show."""
+    shown = np.unique(surface.texture_of[kept])
+    part = dataclasses.replace(
+        surface, faces=surface.faces[kept], uv=surface.uv[kept], texture_of=surface.texture_of[kept]
+    )
+    return only_textures(part, shown[shown >= 0].tolist())
+
+
+def _near_faces(
+    surface: TexturedSurface, sizes: Sequence[ImageSize], kernel: KernelParameters
+) -> list[Int64s]:
+    """Return for each texture the triangles of others from which all iterations carry colours to it."""
+    from scipy.spatial import cKDTree
+
+    border = _Borders.of(surface)
+    pitches = _pitches(surface, sizes)
+    steps = kernel.iterations + (_PASSES_OF_PATCHES if kernel.takes_patches else 0)
+    cells = np.sqrt(2) * canvas_margin(kernel) * max(1, steps)
+    corners = surface.positions[surface.faces]
+    centres = corners.mean(axis=1)
+    radii = np.linalg.norm(corners - centres[:, None], axis=2).max(axis=1)
+    found = []
+    for index in range(len(sizes)):
+        edges, others = border.of_texture(index)
+        if not len(edges):
+            found.append(np.zeros(0, np.int64))
+            continue
+        reach = cells * max(pitches[each] for each in (index, *others))
+        points, slack = _along(surface.positions[edges], reach)
+        faces = np.flatnonzero((surface.texture_of >= 0) & (surface.texture_of != index))
+        distance = cKDTree(points).query(centres[faces])[0]
+        found.append(faces[distance <= reach + slack + radii[faces]])
+    return found
+
+
+@dataclass(frozen=True)
+class _Borders:
+    """Edges at which triangles of several textures meet, a row for each triangle there."""
+
+    edge: Int64s  # number of the edge, ascending
+    texture: Int64s
+    ends: Int64s  # rows of positions, shape (E, 2)
+
+    @classmethod
+    def of(cls, surface: TexturedSurface) -> _Borders:
+        place_of, first = group_places(surface.positions, surface.space_of)
+        faces = np.flatnonzero(surface.texture_of >= 0)
+        places = place_of[surface.faces[faces]]
+        pairs = np.sort(np.stack([places, np.roll(places, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
+        keys, number = np.unique(pairs[:, 0].astype(np.int64) * len(first) + pairs[:, 1], return_inverse=True)
+        texture = np.repeat(surface.texture_of[faces], 3).astype(np.int64)
+        low, high = np.full(len(keys), len(surface.textures)), np.full(len(keys), -1)
+        np.minimum.at(low, number, texture)
+        np.maximum.at(high, number, texture)
+        rows = np.flatnonzero((low != high)[number])
+        rows = rows[np.argsort(number[rows], kind="stable")]
+        return cls(number[rows], texture[rows], first[pairs[rows]].astype(np.int64))
+
+    def of_texture(self, index: int) -> tuple[Int64s, list[int]]:
+        """Return the ends of the edges that a texture shares, and the textures that it shares them with."""
+        own = self.texture == index
+        others = self.texture[np.isin(self.edge, self.edge[own])]
+        return self.ends[own], np.unique(others).tolist()
+
+
+def _pitches(surface: TexturedSurface, sizes: Sequence[ImageSize]) -> Float64s:
+    """Return for each texture how far apart neighbouring texels are in space, but for slivers, shape (T,)."""
+    # Of the map J from texels to space: the norm is at least the largest distance of neighbours.
+    a, b = np.moveaxis(np.diff(surface.positions[surface.faces], axis=1), 1, 0)
+    extent = np.array([(size.width, size.height) for size in sizes] + [(0, 0)], np.float64)
+    u, v = np.moveaxis(np.diff(surface.uv, axis=1) * extent[surface.texture_of][:, None], 1, 0)
+    area = np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0])
+    dot = partial(np.einsum, "fi,fi->f")
+    squared = dot(a, a) * dot(v, v) - 2 * dot(a, b) * dot(u, v) + dot(b, b) * dot(u, u)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        norms = np.sqrt(np.maximum(squared, 0)) / area
+    pitches = np.zeros(len(sizes))
+    for index in range(len(sizes)):
+        faces = np.flatnonzero((surface.texture_of == index) & (area > 0))
+        if len(faces):
+            order = faces[np.argsort(norms[faces])]
+            covered = np.cumsum(area[order])
+            pitches[index] = norms[order[np.searchsorted(covered, _USUAL * covered[-1])]]
+    return pitches
+
+
+def _along(ends: Float64s, reach: float) -> tuple[Float64s, float]:
+    """Return points along edges, shape (E, 2, 3), and how far from one of them a place on an edge is at most."""
+    steps = ends[:, 1] - ends[:, 0]
+    lengths = np.linalg.norm(steps, axis=1)
+    pace = max(reach, float(lengths.sum()) / _MOST_POINTS)
+    if pace == 0:
+        return ends[:, 0], 0.0
+    counts = np.ceil(lengths / pace).astype(np.int64) + 1
+    edge = np.repeat(np.arange(len(ends)), counts)
+    within = np.arange(len(edge)) - np.repeat(np.cumsum(counts) - counts, counts)
+    share = within / np.maximum(1, counts - 1)[edge]
+    return ends[edge, 0] + share[:, None] * steps[edge], pace / 2
