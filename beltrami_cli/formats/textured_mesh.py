@@ -1,8 +1,9 @@
-"""Meshes with textures on their way to another format: names of their files, new images, and what is left out."""
+"""What formats with textures share: images of slots and of meshes, and meshes on their way to another format."""
 
 from __future__ import annotations
 
 import dataclasses
+from dataclasses import dataclass, field
 from pathlib import PurePosixPath
 from typing import TYPE_CHECKING
 
@@ -12,7 +13,7 @@ from beltrami_cli.formats.document import Naming
 from beltrami_cli.formats.image.recognition import suffix_for
 from beltrami_cli.formats.model_folder import NewNames
 from beltrami_cli.formats.tiles import tile_name
-from beltrami_cli.surface.records import ImageFile, Material, MaterialMap, MeshImage
+from beltrami_cli.surface.records import ImageFile, Material, MaterialMap, MeshImage, Texture
 from beltrami_cli.surface.tiling import tiles_under
 
 if TYPE_CHECKING:
@@ -21,12 +22,70 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from beltrami_cli.arrays import Float64s, Int32s
-    from beltrami_cli.surface.records import AlphaMode, Slot, TexturedMesh
+    from beltrami_cli.surface.records import AlphaMode, Slot, TexturedMesh, Wrap
     from beltrami_cli.surface.tiling import Tile
 
 POLYGONS_CUT = "quads and polygons, which are cut into triangles"
 _LARGEST = 1e30
 _FIT = ".png"  # the suffix of images that a format cannot hold as they are
+
+
+@dataclass
+class _Shown:
+    """An image that is shown in a slot: the number of its texture, and which materials show it how."""
+
+    number: int
+    name: str
+    content: bytes | Callable[[], bytes]  # as in `Texture`
+    materials: list[str] = field(default_factory=list)
+    wraps: list[tuple[Wrap, Wrap]] = field(default_factory=list)
+    alpha_hides: bool = False
+
+
+class SlotImages:
+    """The images that are shown in one slot while its materials are read; by keys, as in `Texture`."""
+
+    # A set of tiles has the number -2 minus its index in `sets`, which have the images of its tiles.
+
+    def __init__(self) -> None:
+        self._shown: dict[str, _Shown] = {}
+        self.sets: list[dict[Tile, int]] = []
+
+    def __len__(self) -> int:
+        return len(self._shown)
+
+    def __contains__(self, key: str) -> bool:
+        return key in self._shown
+
+    def take(self, key: str, name: str, content: bytes | Callable[[], bytes]) -> None:
+        """Take an image that is not known yet."""
+        self._shown[key] = _Shown(len(self._shown), name, content)
+
+    def show(self, key: str, material: str, wrap: tuple[Wrap, Wrap], *, alpha_hides: bool = True) -> int:
+        """Note that a material shows an image; return the number of its texture."""
+        shown = self._shown[key]
+        shown.wraps.append(wrap)
+        shown.alpha_hides |= alpha_hides
+        if material not in shown.materials:
+            shown.materials.append(material)
+        return shown.number
+
+    def show_set(self, tiles: dict[Tile, int]) -> int:
+        """Return the number of a set of tiles."""
+        if tiles not in self.sets:
+            self.sets.append(tiles)
+        return -2 - self.sets.index(tiles)
+
+    def textures(self) -> tuple[Texture, ...]:
+        """Return the images as textures, in the order of their numbers."""
+        return tuple(
+            Texture(key, each.name, each.content, tuple(each.materials), each.wraps[0], each.alpha_hides)
+            for key, each in self._shown.items()
+        )
+
+    def mixed(self) -> list[tuple[str, str]]:
+        """Return the keys and names of images that are repeated in several ways."""
+        return [(key, each.name) for key, each in self._shown.items() if len(set(each.wraps)) > 1]
 
 
 class MeshImages:

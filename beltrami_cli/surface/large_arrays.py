@@ -11,7 +11,6 @@ import math
 import mmap
 import os
 import shutil
-import tempfile
 import weakref
 from contextvars import ContextVar
 from dataclasses import dataclass, field
@@ -76,6 +75,8 @@ def _on_disk(shape: int | Sequence[int], dtype: DTypeLike, smallest: int | None 
     size = math.prod(shape) * np.dtype(dtype).itemsize
     if disk is None or size < (SMALLEST_FILE if smallest is None else smallest):
         return None
+    import tempfile
+
     try:
         with tempfile.TemporaryFile(dir=disk.folder) as file:
             # Else a full disk would end the program when a page is written.
@@ -120,6 +121,8 @@ def leave_memory() -> None:
 
 def free_space() -> int:
     """Return the bytes that are free where large arrays are kept."""
+    import tempfile
+
     disk = _DISK.get()
     return shutil.disk_usage(tempfile.gettempdir() if disk is None else disk.folder).free
 

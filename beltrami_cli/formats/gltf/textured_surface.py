@@ -19,7 +19,8 @@ from beltrami_cli.formats.gltf.geometry import (
 )
 from beltrami_cli.formats.gltf.textures import looks, texture_uses
 from beltrami_cli.formats.model_folder import UnfitReferenceError, remedy_for
-from beltrami_cli.surface.records import Texture, TexturedSurface
+from beltrami_cli.formats.textured_mesh import SlotImages
+from beltrami_cli.surface.records import TexturedSurface
 
 if TYPE_CHECKING:
     from collections.abc import Hashable, Iterable, Mapping, Sequence
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.gltf.entries import Entry
     from beltrami_cli.formats.gltf.geometry import Placement
     from beltrami_cli.formats.gltf.textures import Images, TextureUse
-    from beltrami_cli.surface.records import Slot, Wrap
+    from beltrami_cli.surface.records import Slot
 
 _MOST_ROWS = np.iinfo(np.int32).max
 
@@ -55,64 +56,32 @@ def image_key(image: int) -> str:
     return f"image {image}"
 
 
-@dataclass
-class _ShownImage:
-    """An image that the surface shows, by the number of its texture, and who uses it."""
-
-    number: int
-    data: bytes
-    wraps: list[tuple[Wrap, Wrap]] = field(default_factory=list)
-    materials: list[str] = field(default_factory=list)
-    alpha_hides: bool = False
-
-
-class _SlotImages:
+class _SlotImages(SlotImages):
     """The images that are shown in one slot, collected while triangles are."""
 
     def __init__(self, images: Images, slot: Slot) -> None:
+        super().__init__()
         self._images, self._slot = images, slot
-        self._shown: dict[int, _ShownImage] = {}
         self._missing: dict[str, list[str]] = {}
 
-    def __len__(self) -> int:
-        return len(self._shown)
-
-    def image(self, use: TextureUse) -> int | None:
-        """Return the image of a texture; None, and the reason is kept, if it cannot be shown."""
+    def image(self, use: TextureUse) -> str | None:
+        """Return the key of the image of a texture; None, and the reason is kept, if it cannot be shown."""
         place = self._images.textures[use.texture].place
         try:
             image = self._images.canonical(self._images.shown(use.texture))
-            if image not in self._shown:
+            if image_key(image) not in self:
                 place = self._images.entries[image].place
-                self._shown[image] = _ShownImage(len(self._shown), self._images.data(image))
+                self.take(image_key(image), self._images.name(image), self._images.data(image))
         except UnfitReferenceError as error:
             materials = self._missing.setdefault(f"{place}: {error}", [])
             if use.material not in materials:
                 materials.append(use.material)
             return None
-        return image
+        return image_key(image)
 
-    def show(self, image: int, use: TextureUse) -> int:
+    def show_use(self, key: str, use: TextureUse) -> int:
         """Note that triangles show an image; return the texture's number."""
-        shown = self._shown[image]
-        shown.wraps.append(self._images.wrap(use.texture))
-        shown.alpha_hides |= use.alpha_hides
-        if use.material not in shown.materials:
-            shown.materials.append(use.material)
-        return shown.number
-
-    def textures(self) -> tuple[Texture, ...]:
-        return tuple(
-            Texture(
-                key=image_key(image),
-                name=self._images.name(image),
-                content=shown.data,
-                materials=tuple(shown.materials),
-                wrap=shown.wraps[0],
-                alpha_hides=shown.alpha_hides,
-            )
-            for image, shown in self._shown.items()
-        )
+        return self.show(key, use.material, self._images.wrap(use.texture), alpha_hides=use.alpha_hides)
 
     def obstacle(self) -> str | None:
         """Return why an image cannot be shown, if there is such an image."""
@@ -126,10 +95,8 @@ class _SlotImages:
             for reason, materials in self._missing.items()
         ]
         mixed = [
-            f"The {self._slot} image {self._images.name(image)!r} is used with several wrap modes; the first is "
-            "followed."
-            for image, shown in self._shown.items()
-            if len(set(shown.wraps)) > 1
+            f"The {self._slot} image {name!r} is used with several wrap modes; the first is followed."
+            for _, name in self.mixed()
         ]
         return left + mixed
 
@@ -189,7 +156,7 @@ class _Gathering:
                 part.add(faces, np.zeros((len(faces), 3, 2)), -1)
             else:
                 uv = self._coordinates(primitive, use, count)[faces]
-                part.add(faces, uv, self.shown.show(image, use))
+                part.add(faces, uv, self.shown.show_use(image, use))
 
     def _repeated(self, primitive: Entry, position: int, use: TextureUse | None) -> bool:
         """Return whether the same triangles were taken with the same texture before, there or elsewhere."""
@@ -203,8 +170,8 @@ class _Gathering:
         self._seen.add(tuple(key))
         return repeated
 
-    def _image(self, primitive: Entry, use: TextureUse | None) -> int | None:
-        """Return the image that a texture shows on a primitive, if it can."""
+    def _image(self, primitive: Entry, use: TextureUse | None) -> str | None:
+        """Return the key of the image that a texture shows on a primitive, if it can."""
         if use is None:
             return None
         if use.coordinates not in primitive.entry("attributes"):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -11,19 +11,17 @@ import numpy as np
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.model_folder import remedy_for
+from beltrami_cli.formats.textured_mesh import SlotImages
 from beltrami_cli.surface.polygons import triangulate_corners
-from beltrami_cli.surface.records import Texture, TexturedSurface
+from beltrami_cli.surface.records import TexturedSurface
 from beltrami_cli.surface.tiling import TilingError, on_tiles
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from beltrami_cli.arrays import Float64s, Int32s, Int64s
     from beltrami_cli.formats.model_folder import ModelFolder
     from beltrami_cli.formats.obj.materials import Materials
     from beltrami_cli.formats.obj.statements import Statements
     from beltrami_cli.surface.records import Slot, Wrap
-    from beltrami_cli.surface.tiling import Tile
 
 
 @dataclass(frozen=True)
@@ -64,16 +62,6 @@ def _materials_of(statements: Statements, materials: Materials) -> tuple[list[st
     return [os.fsdecode(name) for name in numbers], np.where(last < 0, -1, numbered[np.maximum(last, 0)])
 
 
-@dataclass
-class _Painted:
-    """An image while the materials that show it are being found."""
-
-    number: int
-    content: bytes | Callable[[], bytes]
-    materials: list[str] = field(default_factory=list)
-    wraps: list[Wrap] = field(default_factory=list)
-
-
 def gather_textured(
     mesh: tuple[Float64s, Int32s, Int64s],
     coordinates: Coordinates,
@@ -103,9 +91,11 @@ def gather_textured(
     lost = int(np.count_nonzero(bare & (palette.texture_of[material_of] != -1)))
     if lost:
         notices.append(f"{lost} triangles of textured materials have no texture coordinates.")
-    surface = TexturedSurface(positions, corners[cut], uv, texture_of.astype(np.int32), palette.textures())
+    surface = TexturedSurface(
+        positions, corners[cut], uv, texture_of.astype(np.int32), palette.shown.textures()
+    )
     try:
-        return on_tiles(surface, palette.sets), notices
+        return on_tiles(surface, palette.shown.sets), notices
     except TilingError as error:
         raise InputError(name, str(error), "check its texture coordinates") from error
 
@@ -113,13 +103,10 @@ def gather_textured(
 class _Palette:
     """The images of one slot by material; arrays are indexed by material, -1 being the last row."""
 
-    # Of sets of tiles `texture_of` is -2 minus the index in `sets`, which have the images of their tiles.
-
     def __init__(self, materials: Materials, folder: ModelFolder, slot: Slot, count: int) -> None:
         self._materials, self._folder, self.slot = materials, folder, slot
-        self._painted: dict[str, _Painted] = {}
+        self.shown = SlotImages()
         self._missing: dict[str, list[str]] = {}
-        self.sets: list[dict[Tile, int]] = []
         self.texture_of = np.full(count + 1, -1, np.int64)
         self.scale, self.offset = np.ones((count + 1, 2)), np.zeros((count + 1, 2))
 
@@ -136,36 +123,27 @@ class _Palette:
             self._missing.setdefault(found.name, []).append(material)
             return
         tiles = self._materials.tiles.get(path or "")
-        for file in files:
-            self._painted[file].materials.append(material)
-            self._painted[file].wraps.append("clamp" if found.clamped or tiles else "repeat")
-        self.texture_of[number] = self._painted[files[0]].number
+        wrap: Wrap = "clamp" if found.clamped or tiles else "repeat"
+        number_of = {file: self.shown.show(file, material, (wrap, wrap)) for file in files}
+        self.texture_of[number] = number_of[files[0]]
         if tiles:
-            own = {tile: self._painted[file].number for tile, file in tiles.items() if file in files}
-            if own not in self.sets:
-                self.sets.append(own)
-            self.texture_of[number] = -2 - self.sets.index(own)
+            own = {tile: number_of[file] for tile, file in tiles.items() if file in number_of}
+            self.texture_of[number] = self.shown.show_set(own)
         self.scale[number], self.offset[number] = found.scale, found.offset
 
     def _loaded(self, path: str, *, in_tiles: bool) -> bool:
-        if path not in self._painted:
+        if path not in self.shown:
             try:
                 data = self._folder.read(path)
             except OSError:
                 return False
             content = partial(self._materials.read, path) if in_tiles else data
-            self._painted[path] = _Painted(len(self._painted), content)
+            self.shown.take(path, path.rpartition("/")[2], content)
         return True
-
-    def textures(self) -> tuple[Texture, ...]:
-        return tuple(
-            Texture(path, path.rpartition("/")[2], p.content, tuple(p.materials), (p.wraps[0], p.wraps[0]))
-            for path, p in self._painted.items()
-        )
 
     def excuse(self) -> tuple[str, str]:
         """Return why no texture of the slot can be shown, and what can be done about it."""
-        if self._painted:
+        if len(self.shown):
             return f"it has a {self.slot} texture, but no texture coordinates for it", "export it with them"
         if self._missing:
             name = next(iter(self._missing))
@@ -181,7 +159,6 @@ class _Palette:
         ]
         found += [
             f"'{path}' is used with several wrap modes; the first is followed."
-            for path, painted in self._painted.items()
-            if len(set(painted.wraps)) > 1
+            for path, _ in self.shown.mixed()
         ]
         return found

@@ -13,6 +13,7 @@ from beltrami_cli.formats.model_folder import LEFT_ALONE, UnfitReferenceError, r
 from beltrami_cli.formats.textured_mesh import (
     POLYGONS_CUT,
     MeshImages,
+    SlotImages,
     on_tiles,
     shown_materials,
     usable_coordinates,
@@ -25,18 +26,16 @@ from beltrami_cli.surface.records import (
     Material,
     MaterialMap,
     Slot,
-    Texture,
     TexturedMesh,
     TexturedSurface,
     VertexColours,
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
 
     from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s
     from beltrami_cli.formats.usd.layers import Layers
-    from beltrami_cli.surface.tiling import Tile
 
 _ALL: tuple[Slot, ...] = get_args(Slot)
 Replaced = dict[tuple[str, tuple[tuple[str, ImageFile], ...]], list[Slot]]
@@ -122,12 +121,12 @@ class Textures:
     def surface(self, slot: Slot) -> TexturedSurface:
         """Return all triangles and the images of a slot."""
         positions, cut, polygon = self._triangles
-        gathering = _Gathering(self._layers)
+        shown = SlotImages()
         texture_of_use = np.full(len(self._path_of) + 1, -1)
         for number in dict.fromkeys(self._uses(slot)):
             use, path = self._words["uses"][number], self._path_of[number]
             if path is not None:
-                texture_of_use[number] = gathering.take(path, use)
+                texture_of_use[number] = self._take(shown, path, use)
             else:
                 reason = (
                     f"The {slot} texture of '{use['material']}' is left as it is: {self._reasons[number]}."
@@ -145,11 +144,25 @@ class Textures:
         uv = np.where((texture_of == -1)[:, None, None], 0.0, uv)
         uv[..., 1] = 1 - uv[..., 1]
         faces = self._arrays["corners"][cut].astype(np.int32)
-        surface = TexturedSurface(positions, faces, uv, texture_of.astype(np.int32), gathering.textures())
+        surface = TexturedSurface(positions, faces, uv, texture_of.astype(np.int32), shown.textures())
         try:
-            return tiling.on_tiles(surface, gathering.sets)
+            return tiling.on_tiles(surface, shown.sets)
         except tiling.TilingError as error:
             raise InputError(self._name, str(error), "check its texture coordinates") from error
+
+    def _take(self, shown: SlotImages, path: str, use: dict[str, Any]) -> int:
+        """Take what a material shows; return the number of its texture, or of its set."""
+        tiles, number_of = self._layers.tiles.get(path), {}
+        for file in self._layers.files(path):
+            if file not in shown:
+                is_tile = any(file in files.values() for files in self._layers.tiles.values())
+                content = partial(self._layers.image, file) if is_tile else self._layers.image(file)
+                shown.take(file, posixpath.basename(file), content)
+            wrap = ("clamp", "clamp") if tiles else tuple(use["wrap"])
+            number_of[file] = shown.show(file, use["material"], wrap)
+        if not tiles:
+            return number_of[path]
+        return shown.show_set({tile: number_of[file] for tile, file in tiles.items()})
 
     @property
     def _triangles(self) -> tuple[Float64s, Int64s, Int64s]:
@@ -208,51 +221,6 @@ class Textures:
         ordered = np.empty_like(colours)
         ordered[vertex] = colours
         return VertexColours(ordered, "linear", "float32")
-
-
-class _Gathering:
-    """The images of one slot while they are taken."""
-
-    # A set of tiles has the number -2 minus its index in `sets`, which have the images of its tiles.
-
-    def __init__(self, layers: Layers) -> None:
-        self._layers = layers
-        self._number_of: dict[str, int] = {}
-        self._materials: dict[str, list[str]] = {}
-        self._wraps: dict[str, Any] = {}
-        self.sets: list[dict[Tile, int]] = []
-
-    def take(self, path: str, use: dict[str, Any]) -> int:
-        """Take what a material shows; return the number of its texture, or of its set."""
-        tiles = self._layers.tiles.get(path)
-        for file in self._layers.files(path):
-            self._number_of.setdefault(file, len(self._number_of))
-            self._wraps.setdefault(file, ("clamp", "clamp") if tiles else tuple(use["wrap"]))
-            self._materials.setdefault(file, []).append(use["material"])
-        if not tiles:
-            return self._number_of[path]
-        own = {tile: self._number_of[file] for tile, file in tiles.items()}
-        if own not in self.sets:
-            self.sets.append(own)
-        return -2 - self.sets.index(own)
-
-    def _content(self, file: str) -> bytes | Callable[[], bytes]:
-        """Return an image, or for one of many tiles what reads it."""
-        is_tile = any(file in files.values() for files in self._layers.tiles.values())
-        return partial(self._layers.image, file) if is_tile else self._layers.image(file)
-
-    def textures(self) -> tuple[Texture, ...]:
-        """Return the images."""
-        return tuple(
-            Texture(
-                key=file,
-                name=posixpath.basename(file),
-                content=self._content(file),
-                materials=tuple(dict.fromkeys(self._materials[file])),
-                wrap=self._wraps[file],
-            )
-            for file in self._number_of
-        )
 
 
 class _Materials:
