@@ -10,6 +10,14 @@ if TYPE_CHECKING:
     from beltrami_cli.flow.beltrami_flow import BeltramiFlow
     from beltrami_cli.flow.tuning.choice import Choice
     from beltrami_cli.samples.settings import SmoothSettings
+    from beltrami_cli.surface.atlas import Atlas
+
+_UNCOVERED = "no texel is covered by the surface, so nothing was smoothed; --unwrap makes a new atlas"
+_UNSEEN = (
+    "all texels on the surface have an opacity of 0, so nothing was smoothed; --alpha smooth counts them, too"
+)
+# Per cent of texels with several places; fewer are due to rounding at the borders of charts.
+_WORTH_REPORTING = 1.0
 
 
 @dataclass(frozen=True)
@@ -222,3 +230,26 @@ def describe_kernel(settings: SmoothSettings, flow: BeltramiFlow[Any]) -> dict[s
 def describe_choice(choice: Choice | None) -> dict[str, object] | None:
     """Return what was chosen, and by what estimate."""
     return None if choice is None else dataclasses.asdict(choice)
+
+
+def atlas_counts(atlas: Atlas) -> dict[str, int]:
+    """Return the numbers of charts, seams and texels of an atlas."""
+    return {
+        "charts": atlas.charts,
+        "seams": atlas.seams,
+        "covered": atlas.covered,
+        "overlapped": atlas.overlapped,
+    }
+
+
+def atlas_notices(atlas: Atlas) -> tuple[str, ...]:
+    """Return notices about texels that are covered more than once, or not at all."""
+    if not len(atlas.owned_texels):
+        return (_UNSEEN if atlas.covered else _UNCOVERED,)
+    share = 100 * atlas.overlapped / max(1, atlas.covered)
+    if share < _WORTH_REPORTING:
+        return ()
+    return (
+        f"{share:.0f} % of the covered texels lie at several places of the surface (mirrored, tiled or overlapping "
+        "charts); each was smoothed at one of them",
+    )

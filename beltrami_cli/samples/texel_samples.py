@@ -18,7 +18,7 @@ from beltrami_cli.formats.image import check_writable, is_unchanged, losses, rea
 from beltrami_cli.formats.image.conversion import noise_losses
 from beltrami_cli.levelling.correction import level_canvas
 from beltrami_cli.samples.levelled_charts import TextureCharts, describe_level, level_report
-from beltrami_cli.samples.reports import SlotReport, describe_kernel
+from beltrami_cli.samples.reports import SlotReport, atlas_counts, atlas_notices, describe_kernel
 from beltrami_cli.samples.samples import Change, Grains, Part, Repainted, Samples, encoded
 from beltrami_cli.samples.settings import SLOTS, LevelSettings
 from beltrami_cli.samples.texel_colours import (
@@ -47,14 +47,7 @@ if TYPE_CHECKING:
     from beltrami_cli.samples.settings import SmoothSettings
     from beltrami_cli.samples.tile_groups import TileGroup
     from beltrami_cli.surface.atlas import Atlas
-    from beltrami_cli.surface.records import Slot, TexturedSurface
-
-_UNCOVERED = "no texel is covered by the surface, so nothing was smoothed; --unwrap makes a new atlas"
-_UNSEEN = (
-    "all texels on the surface have an opacity of 0, so nothing was smoothed; --alpha smooth counts them, too"
-)
-# Per cent of texels with several places; fewer are due to rounding at the borders of charts.
-_WORTH_REPORTING = 1.0
+    from beltrami_cli.surface.records import Slot, Texture, TexturedSurface
 
 
 class TexelSamples(Samples):
@@ -76,7 +69,7 @@ class TexelSamples(Samples):
         if group is not None:
             self.label += f", {group.label}"
         self.surface = choose_textures(surface, settings.textures)
-        self.pictures = [read_image(texture.data, texture.name) for texture in self.surface.textures]
+        self.pictures = [self._picture(texture) for texture in self.surface.textures]
         self.atlas = atlas_of(self.surface, self.pictures, settings.kernel)
         self.colours = TexelColours(self.pictures, slot, settings)
         self.names = self.colours.names
@@ -94,6 +87,13 @@ class TexelSamples(Samples):
         self._gutter, self._is_smoothed = settings.textures.gutter, True
         self._levelled: Float32s | None = None
         self._is_dithered = False
+
+    def _picture(self, texture: Texture) -> Picture:
+        """Decode a texture; of those around a group the files are not kept."""
+        picture = read_image(texture.data, texture.name)
+        if self._group is None or texture.key in self._group.own:
+            return picture
+        return dataclasses.replace(picture, source=b"")
 
     def flow(self, tick: Callable[[], None] | None = None) -> BeltramiFlow[GridManifold]:
         kernel, guides = self.settings.kernel, self._guides
@@ -291,29 +291,6 @@ def atlas_of(surface: TexturedSurface, pictures: Sequence[Picture], kernel: Kern
     """Make the atlas of the texels of pictures, continued beyond seams as far as a kernel reads."""
     sizes = [(picture.pixels.shape[1], picture.pixels.shape[0]) for picture in pictures]
     return build_atlas(surface, sizes, canvas_margin(kernel), kernel.thread_count)
-
-
-def atlas_counts(atlas: Atlas) -> dict[str, int]:
-    """Return the numbers of charts, seams and texels of an atlas."""
-    return {
-        "charts": atlas.charts,
-        "seams": atlas.seams,
-        "covered": atlas.covered,
-        "overlapped": atlas.overlapped,
-    }
-
-
-def atlas_notices(atlas: Atlas) -> tuple[str, ...]:
-    """Return notices about texels that are covered more than once, or not at all."""
-    if not len(atlas.owned_texels):
-        return (_UNSEEN if atlas.covered else _UNCOVERED,)
-    share = 100 * atlas.overlapped / max(1, atlas.covered)
-    if share < _WORTH_REPORTING:
-        return ()
-    return (
-        f"{share:.0f} % of the covered texels lie at several places of the surface (mirrored, tiled or overlapping "
-        "charts); each was smoothed at one of them",
-    )
 
 
 @dataclass

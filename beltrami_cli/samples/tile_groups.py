@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 # Patches are looked for around each texel twice, and their weights are averaged.
 _PASSES_OF_PATCHES = 4
 _SHARE_OF_DISK = 0.5  # of what is free
-_RESIDENT_BYTES = 40  # of a texel that are in memory at a time, pages of files included
+_RESIDENT_BYTES = 50  # of a texel that are in memory at a time, pages of files included
 _USUAL = 0.999  # of the texels of a texture; others are in slivers
 _MOST_POINTS = 1 << 18
 
