@@ -61,7 +61,7 @@ def document_from(data: bytes, source: str, settings: SmoothSettings, access: Ac
     if settings.level_set.given:
         raise UsageError(f"{', '.join(settings.level_set.given)}: for level sets, and {name} is none")
     if kind == "image":
-        from beltrami_cli.formats.image.document import ImageDocument
+        from beltrami_cli.formats.image import ImageDocument
 
         return ImageDocument(data, name, folder, access)
     return document_of(data, source, access)
@@ -69,7 +69,7 @@ def document_from(data: bytes, source: str, settings: SmoothSettings, access: Ac
 
 def with_painted(document: Document, painted: Sequence[Repainted]) -> Document:
     """Return a document that looks like one with other colours, for reading only: it has no bytes of its own."""
-    from beltrami_cli.formats.image.document import ImageDocument
+    from beltrami_cli.formats.image import ImageDocument
 
     images = {key: image.data for each in painted for key, image in each.images.items()}
     if isinstance(document, ImageDocument):

@@ -48,8 +48,7 @@ if TYPE_CHECKING:
     from beltrami_cli.flow.parameters import KernelParameters, Space
     from beltrami_cli.formats.access import Access
     from beltrami_cli.formats.document import Document
-    from beltrami_cli.formats.image import Picture
-    from beltrami_cli.formats.image.document import ImageDocument
+    from beltrami_cli.formats.image import ImageDocument, Picture
     from beltrami_cli.samples.probes.probe import Probe
     from beltrami_cli.samples.settings import SmoothSettings
 

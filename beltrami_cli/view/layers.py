@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from beltrami_cli.formats.image.document import ImageDocument
+from beltrami_cli.formats.image import ImageDocument
 from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.surface.records import Texture
 from beltrami_cli.view.models import (

@@ -33,8 +33,7 @@ if TYPE_CHECKING:
 
     from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s, Int64s, Uint8s
     from beltrami_cli.formats.document import Document
-    from beltrami_cli.formats.image import Picture
-    from beltrami_cli.formats.image.document import ImageDocument
+    from beltrami_cli.formats.image import ImageDocument, Picture
     from beltrami_cli.surface.records import PaintedVertices, Slot, TexturedSurface
 
     Pair = tuple[Document, Document]

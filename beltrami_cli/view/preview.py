@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from beltrami_cli.formats.access import EVERYTHING_INSIDE
-from beltrami_cli.formats.image.document import ImageDocument
+from beltrami_cli.formats.image import ImageDocument
 from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.samples.guides import vertex_guides
 from beltrami_cli.samples.pixel_samples import PixelSamples

@@ -14,7 +14,7 @@ from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.formats.access import Access, read_source
 from beltrami_cli.formats.data_text import REPORT, parse_json, text_in
 from beltrami_cli.formats.document import Written
-from beltrami_cli.formats.image.document import ImageDocument
+from beltrami_cli.formats.image import ImageDocument
 from beltrami_cli.jobs.compare.figures import figures
 from beltrami_cli.jobs.compare.files import Compared, compare_documents, open_both
 from beltrami_cli.jobs.compare.models import EVERYTHING

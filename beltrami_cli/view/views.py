@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.image import Picture, read_image, to_float, without_alpha
-from beltrami_cli.formats.image.document import ImageDocument
+from beltrami_cli.formats.image import ImageDocument, Picture, read_image, to_float, without_alpha
 from beltrami_cli.formats.image.picture import full_scale_one, is_associated
 from beltrami_cli.jobs.documents import open_input
 from beltrami_cli.samples.settings import DEFAULTS, SmoothSettings

@@ -1,5 +1,13 @@
 """Images: every pixel through OpenImageIO, every byte of metadata carried over."""
 
+from __future__ import annotations
+
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, ClassVar
+
+from beltrami_cli.errors import InputError
+from beltrami_cli.formats.document import Document, Written
 from beltrami_cli.formats.image.conversion import is_exact, losses
 from beltrami_cli.formats.image.picture import Picture, is_unchanged, to_float, without_alpha
 from beltrami_cli.formats.image.reading import read_image
@@ -13,8 +21,14 @@ from beltrami_cli.formats.image.recognition import (
 )
 from beltrami_cli.formats.image.writing import check_writable, write_image
 
+if TYPE_CHECKING:
+    from typing import NoReturn
+
+    from beltrami_cli.formats.document import Changes, Naming
+
 __all__ = [
     "WRITABLE",
+    "ImageDocument",
     "Picture",
     "check_writable",
     "format_of",
@@ -30,3 +44,35 @@ __all__ = [
     "without_alpha",
     "write_image",
 ]
+
+
+class ImageDocument(Document):
+    """An image, which is decoded when its picture is asked for."""
+
+    format: ClassVar[str] = "image"
+
+    @cached_property
+    def _picture(self) -> Picture:
+        return read_image(self.data, self.name, finite=False)
+
+    def picture(self) -> Picture:
+        """Return the decoded image; InputError if it is damaged."""
+        return self._picture
+
+    @property
+    def suffix(self) -> str:
+        """The extension that its name has, or else one of its format, with the dot."""
+        return Path(self.name).suffix or f".{label_of(format_of(self.data, self.name) or '')}"
+
+    @property
+    def _painted(self) -> NoReturn:
+        raise InputError(self.name, "it is an image, and no model")
+
+    def contents(self) -> NoReturn:
+        raise InputError(self.name, "it is an image, and no model")
+
+    def facts(self) -> dict[str, object]:
+        return {"format": self._picture.format, "bytes": len(self.data)}
+
+    def _patched(self, new: Changes, naming: Naming) -> Written:
+        return Written([image.data for image in new.images.values()] or [self.data])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import posixpath
 import re
 import tempfile
@@ -12,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.foreign_library import ForeignLibrary
+from beltrami_cli.formats.foreign_library import ForeignLibrary, serve
 from beltrami_cli.formats.model_folder import ModelFolder, UnfitReferenceError, is_outside
 from beltrami_cli.formats.tiles import found_tiles, has_token
 from beltrami_cli.formats.usd.package import LAYERS, Package
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
     from beltrami_cli.surface.tiling import Tile
 
 _EXPORT = "open and save it with a program for USD"
-_USD_CORE = ForeignLibrary("beltrami_cli.formats.usd.worker", "usd", 5, _EXPORT)
+_USD_CORE = ForeignLibrary("beltrami_cli.formats.usd.layers", "usd", 5, _EXPORT)
 _MOST_LAYERS = 2000
 _CRATE = b"PXR-USDC"
 _UNFIT = re.compile(r"[^\w .()+-]")
@@ -152,3 +153,14 @@ def layer_from(text: bytes, suffix: str, name: str) -> bytes:
         order = {"task": "convert", "suffix": suffix, "folder": folder}
         question = order, {"text": np.frombuffer(text, np.uint8)}
         return _USD_CORE.ask(question, name, len(text), None)[1]["layer"].tobytes()
+
+
+def _carry_out(order: dict[str, Any], arrays: dict[str, Array]) -> Answer:
+    from beltrami_cli.formats.usd import editing
+
+    os.chdir(order["folder"])
+    return editing.TASKS[order["task"]](order, arrays)
+
+
+if __name__ == "__main__":
+    serve(_carry_out, "USD", "usd-core")

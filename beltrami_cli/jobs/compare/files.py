@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.formats.access import read_source
-from beltrami_cli.formats.image.document import ImageDocument
+from beltrami_cli.formats.image import ImageDocument
 from beltrami_cli.formats.registry import kind_of
 from beltrami_cli.jobs.compare.figures import Verdict, check_limits, check_moves, figures
 from beltrami_cli.jobs.compare.map import draw_map, is_map, require_map

@@ -37,8 +37,7 @@ if TYPE_CHECKING:
     from beltrami_cli.flow.parameters import Space, Weights
     from beltrami_cli.formats.access import Access
     from beltrami_cli.formats.document import Document
-    from beltrami_cli.formats.image import Picture
-    from beltrami_cli.formats.image.document import ImageDocument
+    from beltrami_cli.formats.image import ImageDocument, Picture
     from beltrami_cli.samples.settings import SmoothSettings
     from beltrami_cli.surface.records import PaintedVertices, Slot, Texture
 
