@@ -1,8 +1,10 @@
 """Add noise to the colours of a file: for tests, and to show what smoothing takes away again.
 
-Noise of each kind is a function of a colour and of a uniform random number of the sample: the inverse of a distribution
-function. So samples with one colour and one number change alike, and samples at one place with different colours change
-in the same direction.
+Noise of samples by themselves is a function of a colour and of a uniform random number of the sample: the inverse of a
+distribution function. So samples with one colour and one number change alike, and samples at one place with different
+colours change in the same direction. A camera counts photons in linear light, which makes a variance of A L + B^2, and
+in pictures through a Bayer mosaic that is demosaiced chart by chart, bilinearly. Grain is a function of the place in
+space: random numbers on a lattice, mixed linearly between its points and divided by the deviation of the mixture.
 """
 
 from __future__ import annotations
@@ -13,18 +15,23 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from beltrami_cli.flow.colour_space import from_space, to_space
 from beltrami_cli.jobs.job import PLAIN_JOB
 from beltrami_cli.jobs.recolour import recolour
 from beltrami_cli.samples.settings import DEFAULTS
+from beltrami_cli.surface import large_arrays
 
 if TYPE_CHECKING:
-    from beltrami_cli.arrays import Float32s, Float64s
+    from beltrami_cli.arrays import Float32s, Float64s, Int64s
     from beltrami_cli.formats.document import Document
     from beltrami_cli.jobs.job import Job
     from beltrami_cli.jobs.settings import NoiseSettings
-    from beltrami_cli.samples.samples import Grains, Repainted, Samples
+    from beltrami_cli.samples.samples import Cells, Grains, Repainted, Samples
     from beltrami_cli.samples.selection import OutputFormat, Selection
     from beltrami_cli.samples.settings import SmoothSettings
+
+_BAYER = np.array([[0, 1], [1, 2]])  # the channel that is measured, by row and column
+_LATTICE = 1 << 16  # random numbers, which points of a lattice share by a hash
 
 
 @dataclass(frozen=True)
@@ -62,7 +69,7 @@ class Noising:
     def paint(self, samples: Samples, job: Job) -> Repainted:
         del job
         grains = samples.grains()
-        after = add_noise(grains, self._noise)
+        after = _noisy(samples, grains, self._noise)
         change = np.square(after - grains.colours, dtype=np.float64)
         what = "vertex colours" if samples.part == "vertices" else samples.label
         self.added.append(Added(what, len(change), float(np.sqrt(np.mean(change))) if change.size else 0.0))
@@ -82,6 +89,28 @@ def noise_file(
     return NoiseReport(painter.added, made.written, made.warnings)
 
 
+def _noisy(samples: Samples, grains: Grains, settings: NoiseSettings) -> Float32s:
+    """Return colours of samples with noise of any kind."""
+    if not grains.colours.size or settings.sigma == 0:
+        return grains.colours.copy()
+    if settings.kind == "jpeg":
+        return samples.coded_as_jpeg(settings.quality)
+    if settings.kind == "camera":
+        return seen_by_camera(grains, samples.cells(), settings)
+    if settings.kind == "grain":
+        return add_grain(grains, *samples.places(), settings)
+    return add_noise(grains, settings)
+
+
+def _generator(grains: Grains, settings: NoiseSettings) -> np.random.Generator:
+    return np.random.Generator(np.random.Philox(np.random.SeedSequence([settings.seed, grains.stream])))
+
+
+def _drawn(numbers: Float32s) -> Float64s:
+    # Multiples of 2^-24; half of that keeps them off 0, where distributions without bound have no inverse.
+    return numbers.astype(np.float64) + 2.0**-25
+
+
 def add_noise(grains: Grains, settings: NoiseSettings) -> Float32s:
     """Add noise to colours of full scale 1, shape (K, N), clipped to [0, 1] unless some colours lie beyond."""
     colours, number_of = grains.colours, grains.number_of
@@ -89,24 +118,21 @@ def add_noise(grains: Grains, settings: NoiseSettings) -> Float32s:
         return colours.copy()
     rows, channels = int(number_of.max()) + 1, colours.shape[1]
     columns = 1 if settings.kind == "salt-pepper" else channels
-    generator = np.random.Generator(np.random.Philox(np.random.SeedSequence([settings.seed, grains.stream])))
-    numbers = generator.random((rows, columns), dtype=np.float32)
+    numbers = _generator(grains, settings).random((rows, columns), dtype=np.float32)
     noisy = np.empty_like(colours)
     for channel in range(channels):
         drawn = numbers[number_of, min(channel, columns - 1)]
         if grains.grey is not None:
             drawn = np.where(grains.grey, numbers[number_of, 0], drawn)
-        # Multiples of 2^-24; half of that keeps them off 0, where distributions without bound have no inverse.
-        drawn = drawn.astype(np.float64) + 2.0**-25
-        noisy[:, channel] = _changed(colours[:, channel].astype(np.float64), drawn, settings)
+        noisy[:, channel] = _changed(colours[:, channel].astype(np.float64), _drawn(drawn), settings)
     return noisy.clip(*grains.limits)
 
 
 def _changed(colours: Float64s, numbers: Float64s, settings: NoiseSettings) -> Float64s:
     from scipy.special import ndtri
 
-    sigma = settings.sigma
-    if settings.kind == "gaussian":
+    sigma = settings.deviation
+    if settings.kind in ("gaussian", "white"):
         return np.asarray(colours + sigma * ndtri(numbers), np.float64)
     if settings.kind == "speckle":
         return np.asarray(colours * (1 + sigma * ndtri(numbers)), np.float64)
@@ -121,3 +147,92 @@ def _counted(colours: Float64s, numbers: Float64s, sigma: float) -> Float64s:
 
     counts = poisson.ppf(numbers, np.maximum(colours, 0) / sigma**2)
     return np.where(colours < 0, colours, counts * sigma**2)
+
+
+def seen_by_camera(grains: Grains, cells: Cells | None, settings: NoiseSettings) -> Float32s:
+    """Return colours as a camera sees them: with a mosaic in pictures of three channels, else each by itself."""
+    from scipy.special import ndtri
+
+    light = from_space(grains.colours, "linear", grains.space).astype(np.float64)
+    count, channels = int(grains.number_of.max()) + 1, light.shape[1]
+    numbers = _drawn(_generator(grains, settings).random((count, channels), dtype=np.float32))
+    normal = ndtri(numbers)[grains.number_of]
+    if grains.grey is not None:
+        normal[grains.grey] = normal[grains.grey, :1]
+    seen = light + np.sqrt(settings.shot * np.maximum(light, 0) + settings.read**2) * normal
+    if cells is not None and channels == 3:
+        through = _demosaiced(seen, cells)
+        seen = through if grains.grey is None else np.where(grains.grey[:, None], seen, through)
+    most = 1.0 if light.max(initial=1) <= 1 else np.inf
+    return to_space(seen.clip(0, most).astype(np.float32), "linear", grains.space)
+
+
+def _demosaiced(seen: Float64s, cells: Cells) -> Float64s:
+    """Return colours of which those of a Bayer mosaic were measured; the others are means of neighbours in a chart."""
+    result = seen.copy()
+    for index, (rows, columns) in enumerate(cells.sizes):
+        mine, (row, column) = cells.of(index)
+        chart = np.zeros((rows + 2, columns + 2), np.int64)
+        chart[row + 1, column + 1] = cells.chart[mine] + 1
+        measured = np.zeros(chart.shape)
+        samples = np.arange(len(row))
+        measured[row + 1, column + 1] = seen[mine][samples, _BAYER[row % 2, column % 2]]
+        sums, weights = np.zeros((2, len(row), 3))
+        for down in (-1, 0, 1):
+            for right in (-1, 0, 1):
+                channel = _BAYER[(row + down) % 2, (column + right) % 2]
+                place = row + down + 1, column + right + 1
+                weight = np.where(chart[place] == cells.chart[mine] + 1, 0.5 ** (abs(down) + abs(right)), 0.0)
+                if down and right:
+                    weight[channel == 1] = 0.0  # green is measured beside each place
+                sums[samples, channel] += weight * measured[place]
+                weights[samples, channel] += weight
+        result[mine] = np.where(weights > 0, sums / np.where(weights > 0, weights, 1), seen[mine])
+    return result
+
+
+def add_grain(grains: Grains, places: Float64s, spacing: Float64s, settings: NoiseSettings) -> Float32s:
+    """Add noise that neighbours share: of the same deviation everywhere, and a function of the place."""
+    colours = grains.colours
+    table = _generator(grains, settings).standard_normal((_LATTICE, colours.shape[1]), np.float32)
+    table = (table - table.mean(axis=0)) / table.std(axis=0)
+    pitch = np.where(spacing > 0, settings.size * spacing, np.inf)
+    finite = np.isfinite(pitch)
+    base = float(np.median(pitch[finite])) if finite.any() else 1.0
+    octave = np.log2(np.where(finite, pitch, base) / base)
+    places = (places - places.min(axis=0)) / base
+    noisy = np.empty_like(colours)
+    for block in large_arrays.blocks(len(colours)):
+        low = np.floor(octave[block])
+        turn = 0.5 * np.pi * (octave[block] - low)[:, None]
+        grain = np.cos(turn) * _on_lattice(places[block], low, table)
+        if turn.any():
+            grain += np.sin(turn) * _on_lattice(places[block], low + 1, table)
+        if grains.grey is not None:
+            grain[grains.grey[block]] = grain[grains.grey[block], :1]
+        noisy[block] = colours[block] + settings.deviation * grain
+    return noisy.clip(*grains.limits)
+
+
+def _on_lattice(places: Float64s, octave: Float64s, table: Float32s) -> Float64s:
+    """Return noise of variance 1 at places, by lattices of the steps 2^octave."""
+    scaled = places / np.exp2(octave)[:, None]
+    first = np.floor(scaled)
+    share, cell = scaled - first, first.astype(np.int64)
+    noise, power = np.zeros((len(places), table.shape[1])), np.zeros(len(places))
+    for corner in np.ndindex(2, 2, 2):
+        weight = np.where(corner, share, 1 - share).prod(axis=1)
+        if not weight.any():  # images are flat
+            continue
+        noise += weight[:, None] * table[_hashed(cell + corner, octave)]
+        power += weight**2
+    return np.asarray(noise / np.sqrt(power)[:, None], np.float64)
+
+
+def _hashed(cells: Int64s, octave: Float64s) -> Int64s:
+    """Return which random number the points of lattices have."""
+    mixed = np.zeros(len(cells), np.uint64)
+    for part in (*cells.T, octave.astype(np.int64)):
+        mixed = (mixed ^ part.astype(np.uint64)) * np.uint64(0x9E3779B97F4A7C15)
+        mixed ^= mixed >> np.uint64(29)
+    return (mixed % np.uint64(_LATTICE)).astype(np.int64)

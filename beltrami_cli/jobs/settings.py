@@ -7,11 +7,12 @@ from dataclasses import dataclass
 from typing import ClassVar, Literal, get_args
 
 from beltrami_cli.errors import UsageError
-from beltrami_cli.fields import REQUIRED, Checked, check, described, parameter
+from beltrami_cli.fields import Checked, check, described, parameter
 
 _SMALLEST_SIDE, _LARGEST_SIDE = 16, 16384  # of a texture: less is of no use, graphics cards take no more
 
-Kind = Literal["gaussian", "salt-pepper", "speckle", "poisson"]
+Kind = Literal["gaussian", "salt-pepper", "speckle", "poisson", "white", "camera", "grain", "jpeg"]
+_WITHOUT_SIGMA = ("camera", "jpeg")
 
 
 def amount(text: str) -> float:
@@ -59,17 +60,17 @@ class NoiseSettings(Checked):
 
     group: ClassVar[str] = "Noise"
 
-    sigma: float = parameter(
-        REQUIRED,
+    sigma: float | None = parameter(
+        None,
         "How much, of full scale: 20 is 20/255, as `beltrami info` shows noise; or as 20/255, 1310/65535 or "
-        "8%.",
+        "8%. Needed by all kinds but camera and jpeg.",
         kind=float, low=0, high=1, metavar="S", parse=sure_amount,
         is_daily=True,
     )  # fmt: skip
     kind: Kind = parameter(
         "gaussian",
-        "Of the same deviation everywhere; black and white samples; in proportion to the colour; to its "
-        "square root.",
+        "Of the same deviation everywhere (white is the same); black and white samples; in proportion to the "
+        "colour; to its square root; as a camera makes it; shared by neighbours; or as JPEG makes it.",
         choices=get_args(Kind), is_daily=True,
     )  # fmt: skip
     seed: int = parameter(
@@ -77,6 +78,36 @@ class NoiseSettings(Checked):
         "The same seed gives the same noise, for any number of threads.",
         low=0, metavar="K", is_daily=True,
     )  # fmt: skip
+    shot: float = parameter(
+        0.01,
+        "Of a camera: A of the variance A L + B^2 of the light L, which is linear, 0 to 1.",
+        low=0, high=1, metavar="A", is_daily=True,
+    )  # fmt: skip
+    read: float = parameter(
+        0.005,
+        "Of a camera: B of that variance, the deviation in the dark.",
+        low=0, high=1, metavar="B", is_daily=True,
+    )  # fmt: skip
+    size: float = parameter(
+        2.0,
+        "Of grain: how far neighbours share it; from this distance on they hardly do.",
+        low=1, high=64, unit="distances of samples", metavar="N", is_daily=True,
+    )  # fmt: skip
+    quality: int = parameter(
+        85,
+        "Of jpeg: the quality at which each picture is coded, with colour at half the resolution (4:2:0).",
+        low=1, high=100, metavar="Q", is_daily=True,
+    )  # fmt: skip
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.sigma is None and self.kind not in _WITHOUT_SIGMA:
+            raise UsageError(f"--sigma says how much {self.kind} noise is added, such as --sigma 20; give it")
+
+    @property
+    def deviation(self) -> float:
+        """`sigma`, or 0 where it means nothing."""
+        return 0.0 if self.sigma is None else self.sigma
 
 
 @described

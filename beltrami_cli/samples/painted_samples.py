@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from beltrami_cli.arrays import Float32s, Int32s
+    from beltrami_cli.arrays import Float32s, Float64s, Int32s
     from beltrami_cli.flow.beltrami_flow import BeltramiFlow, FlowResult
     from beltrami_cli.flow.embedding import Guide
     from beltrami_cli.samples.settings import SmoothSettings
@@ -82,7 +82,12 @@ class PaintedSamples(Samples):
         rows = self.coloured()
         painted, channels = self.painted, self.channels.changing
         colours = to_space(painted.colours[rows][:, channels], painted.encoding, self.settings.space)
-        return Grains(colours, places_of(painted, rows))
+        return Grains(colours, places_of(painted, rows), space=self.settings.space)
+
+    def places(self) -> tuple[Float64s, Float64s]:
+        painted, rows = self.painted, self.coloured()
+        positions, place_of = painted.positions[rows], places_of(painted, rows)
+        return positions, spacing_of(painted, rows, place_of)
 
     def coloured(self) -> NDArray[np.intp]:
         """Return the vertices that have a position and a colour."""
@@ -132,6 +137,30 @@ def coloured_rows(painted: PaintedVertices, *, in_triangles: bool = False) -> ND
         found[painted.faces] = True
         valid &= found
     return np.flatnonzero(valid)
+
+
+def spacing_of(painted: PaintedVertices, rows: NDArray[np.intp], place_of: Int32s) -> Float64s:
+    """Return the mean length of the sides at each vertex's place, or of points the distance to the next place."""
+    count = int(place_of.max(initial=-1)) + 1
+    first = np.zeros(count, np.int64)
+    first[place_of] = np.arange(len(rows))
+    places = painted.positions[rows][first]
+    if not len(painted.faces) and count > 1:
+        from scipy.spatial import cKDTree
+
+        apart = np.asarray(cKDTree(places).query(places, k=2)[0], np.float64)
+        return np.asarray(apart[place_of, 1])
+    number = np.full(len(painted.positions), -1)
+    number[rows] = place_of
+    corners = number[painted.faces]
+    sides = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]])
+    sides = sides[(sides >= 0).all(axis=1) & (sides[:, 0] != sides[:, 1])]
+    lengths = np.linalg.norm(places[sides[:, 0]] - places[sides[:, 1]], axis=1)
+    total, ends = (
+        np.bincount(sides.ravel(), np.repeat(lengths, 2), count),
+        np.bincount(sides.ravel(), minlength=count),
+    )
+    return np.asarray((total / np.maximum(ends, 1))[place_of], np.float64)
 
 
 def places_of(painted: PaintedVertices, rows: NDArray[np.intp]) -> Int32s:

@@ -26,11 +26,13 @@ from beltrami_cli.samples.image_surface import grid_flow, read_surface
 from beltrami_cli.samples.memory_check import require_memory
 from beltrami_cli.samples.reports import ImageReport, describe_kernel
 from beltrami_cli.samples.samples import (
+    Cells,
     Change,
     Grains,
     Part,
     Repainted,
     Samples,
+    as_jpeg,
     channel_numbers,
     encoded,
     options_of_meshes,
@@ -42,7 +44,7 @@ from beltrami_cli.surface.records import ImageFile
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from beltrami_cli.arrays import Array, Bools, Float32s, Int64s
+    from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s
     from beltrami_cli.flow.beltrami_flow import BeltramiFlow, FlowResult
     from beltrami_cli.flow.grid_manifold import GridManifold
     from beltrami_cli.flow.parameters import KernelParameters, Space
@@ -313,7 +315,22 @@ class PixelSamples(Samples):
 
     def grains(self) -> Grains:
         pixels = np.flatnonzero(self.valid)
-        return Grains(self.colours.samples(pixels), np.arange(len(pixels)))
+        return Grains(self.colours.samples(pixels), np.arange(len(pixels)), space=self.settings.space)
+
+    def cells(self) -> Cells:
+        row, column = np.nonzero(self.valid)
+        return Cells([self.valid.shape], np.zeros_like(row), row, column, np.zeros_like(row))
+
+    def places(self) -> tuple[Float64s, Float64s]:
+        row, column = np.nonzero(self.valid)
+        return np.column_stack([column, row, np.zeros_like(row)]).astype(np.float64), np.ones(len(row))
+
+    def coded_as_jpeg(self, quality: int) -> Float32s:
+        if self.names not in (("red", "green", "blue"), ("grey",)):
+            raise UsageError("JPEG codes red, green and blue together, or grey; leave out --channels")
+        space, every = self.settings.space, np.arange(self.valid.size)
+        shown = from_space(self.colours.samples(every), "srgb", space).reshape(*self.valid.shape, -1)
+        return to_space(as_jpeg(shown, quality)[self.valid], "srgb", space)
 
     def shift(self, grains: Grains, after: Float32s) -> Repainted:
         new = NewColours.of(after, np.flatnonzero(self.valid))

@@ -15,7 +15,8 @@ import numpy as np
 
 from beltrami_cli.errors import UsageError
 from beltrami_cli.formats.image import write_image
-from beltrami_cli.formats.image.picture import as_stored
+from beltrami_cli.formats.image.picture import as_stored, new_picture
+from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.samples.reports import describe_choice
 from beltrami_cli.samples.settings import DEFAULTS
 from beltrami_cli.surface.colour_values import store_integers
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s
     from beltrami_cli.flow.beltrami_flow import BeltramiFlow, FlowResult
     from beltrami_cli.flow.manifold import NewColours
+    from beltrami_cli.flow.parameters import Space
     from beltrami_cli.formats.document import Document
     from beltrami_cli.formats.image import Picture
     from beltrami_cli.samples.probes.probe import Probe
@@ -62,12 +64,39 @@ class Grains:
     ]  # shape (K,); equal at one place of the surface, where colours change alike
     stream: int = 0  # separates the random numbers of parts of a document
     grey: Bools | None = None  # where all channels are one
+    space: Space = "srgb"  # of the colours
 
     @property
     def limits(self) -> tuple[float, float]:
         """Where colours with noise are cut off: at 0 and 1, unless some colours lie beyond."""
         low = 0.0 if self.colours.min(initial=0) >= 0 else -np.inf
         return low, 1.0 if self.colours.max(initial=1) <= 1 else np.inf
+
+
+@dataclass(frozen=True)
+class Cells:
+    """Pixels of pictures: in which picture, in which row and column, and of which chart, each (K,)."""
+
+    sizes: Sequence[tuple[int, int]]  # rows and columns of each picture
+    picture: Int64s
+    row: Int64s
+    column: Int64s
+    chart: Indices
+
+    def of(self, index: int) -> tuple[Bools, tuple[Int64s, Int64s]]:
+        """Return which samples are in a picture, and their rows and columns."""
+        mine = self.picture == index
+        return mine, (self.row[mine], self.column[mine])
+
+
+def as_jpeg(shown: Float32s, quality: int) -> Float32s:
+    """Return display values of a picture, (H, W, 1 or 3), as they are after JPEG with colour at half the resolution."""
+    pixels = np.rint(255 * np.clip(shown, 0, 1)).astype(np.uint8)
+    new = new_picture(np.ascontiguousarray(np.broadcast_to(pixels, (*pixels.shape[:2], 3))), "a picture")
+    new.spec.attribute("jpeg:subsampling", "4:2:0")
+    picture = dataclasses.replace(new, format="jpeg", suffix=".jpg")
+    coded = read_image(write_image(picture, new.pixels, jpeg_quality=quality).data, "a picture").pixels
+    return np.asarray(coded[..., : shown.shape[2]] / np.float32(255), np.float32)
 
 
 def channel_numbers(
@@ -119,6 +148,20 @@ class Samples(ABC):
     @abstractmethod
     def grains(self) -> Grains:
         """Return the colours that noise is added to."""
+
+    def cells(self) -> Cells | None:
+        """Return where the samples of `grains` lie in pictures; None: they are in none."""
+        return None
+
+    def places(self) -> tuple[Float64s, Float64s]:
+        """Return the positions of the samples of `grains`, (K, 3), and their distance from neighbours, (K,)."""
+        raise NotImplementedError
+
+    def coded_as_jpeg(self, quality: int) -> Float32s:
+        """Return the colours in `grains` as they are after their pictures went through JPEG."""
+        raise UsageError(
+            f"{self.label}: JPEG codes pictures; put the colours into a texture first: `beltrami bake --to texture`"
+        )
 
     @abstractmethod
     def shift(self, grains: Grains, after: Float32s) -> Repainted:

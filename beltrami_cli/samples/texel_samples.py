@@ -12,6 +12,7 @@ import numpy as np
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.beltrami_flow import BeltramiFlow
 from beltrami_cli.flow.canvas import canvas_margin, painted
+from beltrami_cli.flow.colour_space import from_space, to_space
 from beltrami_cli.flow.grid_manifold import GridManifold, canvas_colours
 from beltrami_cli.flow.manifold import NewColours
 from beltrami_cli.formats.image import check_writable, is_unchanged, losses, read_image
@@ -19,7 +20,7 @@ from beltrami_cli.formats.image.conversion import noise_losses
 from beltrami_cli.levelling.correction import level_canvas
 from beltrami_cli.samples.levelled_charts import TextureCharts, describe_level, level_report
 from beltrami_cli.samples.reports import SlotReport, atlas_counts, atlas_notices, describe_kernel
-from beltrami_cli.samples.samples import Change, Grains, Part, Repainted, Samples, encoded
+from beltrami_cli.samples.samples import Cells, Change, Grains, Part, Repainted, Samples, as_jpeg, encoded
 from beltrami_cli.samples.settings import SLOTS, LevelSettings
 from beltrami_cli.samples.texel_colours import (
     COLOUR_SLOTS,
@@ -29,13 +30,14 @@ from beltrami_cli.samples.texel_colours import (
     only_textures,
 )
 from beltrami_cli.surface import large_arrays
-from beltrami_cli.surface.atlas import build_atlas, without_owned
+from beltrami_cli.surface.atlas import build_atlas, texels_by_texture, without_owned
+from beltrami_cli.surface.baking import texel_spacing, texels_in_space
 from beltrami_cli.surface.records import ImageFile
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
-    from beltrami_cli.arrays import Array, Float32s, Int64s
+    from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s
     from beltrami_cli.flow.beltrami_flow import FlowResult
     from beltrami_cli.flow.embedding import Guide
     from beltrami_cli.flow.parameters import KernelParameters
@@ -256,7 +258,43 @@ class TexelSamples(Samples):
         grey = np.array([len(picture.colour) == 1 for picture in self.pictures], bool)
         in_grey = grey[np.searchsorted(atlas.texture_offsets, atlas.owned_texels, side="right") - 1]
         stream = 1 + SLOTS.index(self.slot)
-        return Grains(self.colours.samples(atlas), number, stream, np.asarray(in_grey, bool))
+        space = self.colours.space
+        return Grains(self.colours.samples(atlas), number, stream, np.asarray(in_grey, bool), space)
+
+    def cells(self) -> Cells:
+        atlas, sizes = self.atlas, [picture.pixels.shape[:2] for picture in self.pictures]
+        picture = np.searchsorted(atlas.texture_offsets, atlas.owned_texels, side="right") - 1
+        own = atlas.owned_texels - atlas.texture_offsets[picture]
+        row, column = np.divmod(own, np.array([columns for _, columns in sizes], np.int64)[picture])
+        return Cells(sizes, picture, row, column, atlas.chart_of)
+
+    def places(self) -> tuple[Float64s, Float64s]:
+        surface, cells = self.surface, self.cells()
+        places, spacing = np.zeros((len(cells.row), 3)), np.ones(len(cells.row))
+        of_corners = texel_spacing(surface, [(columns, rows) for rows, columns in cells.sizes])
+        for index, (rows, columns) in enumerate(cells.sizes):
+            mine, (row, column) = cells.of(index)
+            faces = surface.texture_of == index
+            texels, found, apart = texels_in_space(
+                surface.positions[surface.faces[faces]], surface.uv[faces], (columns, rows), of_corners[faces]
+            )
+            nearest = np.minimum(np.searchsorted(texels, row * columns + column), len(texels) - 1)
+            places[mine], spacing[mine] = found[nearest], apart[nearest]
+        return places, spacing
+
+    def coded_as_jpeg(self, quality: int) -> Float32s:
+        coded = np.empty((len(self.atlas.owned_texels), len(self.names)), np.float32)
+        if self.names not in (("red", "green", "blue"), ("grey",)):
+            raise UsageError(
+                f"{self.label}: JPEG codes all channels together; leave out --channels and --alpha"
+            )
+        for index, inside, texels in texels_by_texture(self.atlas.texture_offsets, self.atlas.owned_texels):
+            picture = self.pictures[index]
+            working = self.colours.working(picture, np.arange(picture.pixels[..., 0].size))
+            shown = from_space(working, "srgb", self.colours.space).reshape(*picture.pixels.shape[:2], -1)
+            flat = as_jpeg(shown, quality).reshape(-1, len(self.names))
+            coded[inside] = to_space(flat[texels], "srgb", self.colours.space)
+        return coded
 
     def shift(self, grains: Grains, after: Float32s) -> Repainted:
         atlas, added = self.atlas, after - grains.colours

@@ -8,20 +8,22 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from beltrami_cli.surface.geometry import triangle_areas
-from beltrami_cli.surface.grouping import group_equal_rows
+from beltrami_cli.surface.grouping import group_equal_rows, group_places
 from beltrami_cli.surface.lookup import fill_gutter
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Sequence
 
     from numpy.typing import DTypeLike, NDArray
 
     from beltrami_cli.arrays import Array, Bools, Float64s, Int32s, Int64s
+    from beltrami_cli.surface.records import TexturedSurface
 
     Shade = Callable[[Int64s, Float64s], Array]
 
 
 _BLOCK = 1 << 20  # texels looked at at a time, which bounds the memory for them
+_BESIDE = 0.75  # texels: centres so near to a triangle may be of it
 _EDGE = 1e-9  # barycentric: centres on an edge are inside, whichever way they are rounded
 
 
@@ -63,6 +65,42 @@ def cover(
             offset = np.stack([column, row], axis=1) - corners[face, 0]
             weights = np.stack([_cross(offset, two[face]), _cross(one[face], offset)], axis=1)
             yield Cover(row * size[0] + column, face, weights / area[face][:, None])
+
+
+def texel_spacing(surface: TexturedSurface, sizes: Sequence[tuple[int, int]]) -> Float64s:
+    """Return how far apart texels are in space at each corner, (F, 3): the same wherever triangles meet."""
+    place_of, count = group_places(surface.positions, surface.space_of)[0], len(surface.positions)
+    shown = surface.texture_of >= 0
+    texels = np.array([across * down for across, down in sizes], np.float64)[surface.texture_of[shown]]
+    one, two = (surface.uv[shown, k] - surface.uv[shown, 0] for k in (1, 2))
+    flat = np.maximum(texels * np.abs(_cross(one, two)) / 2, np.finfo(float).tiny)
+    areas = triangle_areas(surface.positions, surface.faces[shown])
+    ends = place_of[surface.faces[shown]]
+    total = np.bincount(ends.ravel(), np.repeat(areas, 3), count)
+    covered = np.bincount(ends.ravel(), np.repeat(flat, 3), count)
+    spacing = np.sqrt(total / np.maximum(covered, np.finfo(float).tiny))
+    return np.asarray(spacing[place_of[surface.faces]], np.float64)
+
+
+def texels_in_space(
+    positions: Float64s, uv: Float64s, size: tuple[int, int], spacing: Float64s
+) -> tuple[Int64s, Float64s, Float64s]:
+    """Return texels on triangles, in ascending order, their places, and the spacing, given by corner, at them.
+
+    `positions` are those of corners, (F, 3, 3), `spacing` (F, 3).
+    """
+    found = list(cover(uv, size, _BESIDE))
+    texels = np.concatenate([part.texels for part in found])
+    faces = np.concatenate([part.faces for part in found])
+    weights = np.concatenate([part.weights for part in found])
+    outside = np.maximum(0, -np.column_stack([weights, 1 - weights.sum(axis=1)])).max(axis=1)
+    order = np.lexsort((faces, outside > _EDGE, texels))
+    texels, first = np.unique(texels[order], return_index=True)
+    chosen = order[first]
+    faces, (second, third) = faces[chosen], weights[chosen].T
+    shares = np.column_stack([1 - second - third, second, third])
+    places = np.einsum("kc,kcx->kx", shares, positions[faces])
+    return texels, places, np.einsum("kc,kc->k", shares, spacing[faces])
 
 
 def border_faces(uv: Float64s) -> NDArray[np.intp]:
