@@ -24,6 +24,7 @@ from beltrami_cli.jobs.replacing import (
     folders_locked,
     is_special,
     make_folder,
+    place_of,
     put_together,
     remove_leftovers,
     temporary_beside,
@@ -326,12 +327,6 @@ class FileSet:
             self._cleaning.pop_all()
             self._staged.clear()
         self._streams.clear()
-
-
-def place_of(path: Path) -> str:
-    """Return what two names of one place have in common."""
-    place = os.path.normcase(os.path.realpath(path.parent) + os.sep + path.name)
-    return place.casefold() if sys.platform == "darwin" else place
 
 
 def _rank(staged: _Staged) -> tuple[bool, bool, str]:

@@ -19,6 +19,7 @@ import shutil
 import signal
 import socket
 import stat
+import sys
 import threading
 import time
 from dataclasses import dataclass
@@ -124,6 +125,12 @@ def put_together(files: Sequence[Aside]) -> None:
                 error.filename = str(file.path)
                 raise
         undoing.pop_all()
+
+
+def place_of(path: Path) -> str:
+    """Return what two names of one place have in common."""
+    place = os.path.normcase(os.path.realpath(path.parent) + os.sep + path.name)
+    return place.casefold() if sys.platform == "darwin" else place
 
 
 def is_special(path: Path) -> bool:

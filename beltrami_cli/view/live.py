@@ -148,12 +148,8 @@ class Live:
 
         with self._saving:
             progress()
-            return smooth_file(
-                self._source,
-                target,
-                settings,
-                dataclasses.replace(self._job, overwrite=overwrite, progress=progress),
-            )
+            job = dataclasses.replace(self._job, overwrite=overwrite, progress=progress)
+            return smooth_file(self._source, target, settings, job)
 
     def _take(self, name: str, settings: SmoothSettings, layer: int, focus: dict[str, Any] | None) -> None:
         found = None
@@ -167,9 +163,8 @@ class Live:
             self._changed.notify_all()
 
     def _pack(self, settings: SmoothSettings) -> dict[str, tuple[str, bytes]]:
-        name = html.escape(self._source)
         page = Template(asset("view.html")).substitute(
-            title=name,
+            title=html.escape(self._source),
             viewer=viewer("Before and after"),
             controls=controls(self._layers.slots),
             target=html.escape(_target(self._source), quote=True),
@@ -217,10 +212,8 @@ class Live:
                 except BeltramiError as error:
                     event = {"kind": "failed", "message": str(error)}
                 except Exception as error:
-                    event = {
-                        "kind": "failed",
-                        "message": f"unexpected error: {type(error).__name__}: {error}",
-                    }
+                    message = f"unexpected error: {type(error).__name__}: {error}"
+                    event = {"kind": "failed", "message": message}
                 page.done = request.number
                 page.events.put({**event, "number": request.number})
 
@@ -329,15 +322,13 @@ class Live:
         patches = self._layers.whole(page.shown, result)
         said = [each for done in painter.done for each in (*done.warnings, *done.repainted.notices)]
         notices = [*dict.fromkeys([*self._document.notices, *said])]
-        used = used_parameters(described)
-        noise = None if settings.kernel.noise else _mean_noise(painter.done)
         return {
             "kind": "whole",
             "patches": patches,
-            "used": used,
+            "used": used_parameters(described),
             "chosen": chosen,
             "notices": notices,
-            "noise": noise,
+            "noise": None if settings.kernel.noise else _mean_noise(painter.done),
         }
 
 
