@@ -293,10 +293,8 @@ def test_two_files_never_become_one(scans, tmp_path):
     shutil.copy(scans / "a.ply", scans / "deep" / "a.ply")
     inputs = (scans / "a.ply", scans / "deep" / "a.ply")
     assert "would both become" in batch(*inputs, "--out-dir", tmp_path / "out", code=2)
-    report = ("--report", scans / "b.obj", "--overwrite")
-    assert "would replace a file of the batch" in batch(
-        scans / "b.obj", "--out-dir", tmp_path, *report, code=4
-    )
+    report = ("--out-dir", tmp_path, "--report", scans / "b.obj", "--overwrite")
+    assert "would replace a file of the batch" in batch(scans / "b.obj", *report, code=4)
     assert "replaced by its own output" in batch(scans, "--out-dir", scans, "--overwrite", code=2)
 
 
@@ -327,16 +325,12 @@ def test_models_whose_textures_have_one_name_go_to_one_folder(kind, tmp_path):
         smoothed(tmp_path / name / f"{name}.{kind}", alone, *QUICK)
         for path in alone.parent.glob(f"{name}*"):
             assert (out / path.name).read_bytes() == path.read_bytes()
-    assert {path.name for path in out.iterdir()} == {path.name for path in alone.parent.iterdir()} | {
-        "batch.jsonl"
-    }
+    expected = {path.name for path in alone.parent.iterdir()} | {"batch.jsonl"}
+    assert {path.name for path in out.iterdir()} == expected
 
 
 def test_a_dry_run_says_what_would_be_done_and_does_nothing(tmp_path):
-    scans, out = tmp_path / "scans", tmp_path / "out"
-    scans.mkdir()
-    for name in ("a.ply", "b.ply"):
-        shutil.copy(SAMPLES / "nonmanifold-noisy.ply", scans / name)
+    scans, out = copies("nonmanifold-noisy.ply", ("a.ply", "b.ply"), tmp_path / "scans"), tmp_path / "out"
     (tmp_path / "jobs.toml").write_text('[[files]]\ninput = "scans/b.ply"\noutput = "new/b.glb"\nbeta = 8\n')
     run = beltrami("batch", scans / "a.ply", tmp_path / "jobs.toml", "--out-dir", out, "--dry-run", text=True)
     assert run.returncode == 0, run.stderr

@@ -343,10 +343,7 @@ def test_a_name_with_a_line_end_cannot_add_statements(tmp_path):
     model.triangles(place, np.eye(3, 2, dtype="f4"), material)
     model.tree["nodes"][0]["name"] = "x\nmtllib /etc/passwd"
     converted(model.written_to(tmp_path), tmp_path / "out.obj")
-    lines = [
-        *(tmp_path / "out.obj").read_text().splitlines(),
-        *(tmp_path / "out.mtl").read_text().splitlines(),
-    ]
+    lines = ((tmp_path / "out.obj").read_text() + (tmp_path / "out.mtl").read_text()).splitlines()
     assert not any(line.startswith(("map_Ks", "mtllib /")) for line in lines)
     assert {path.name for path in tmp_path.iterdir()} >= {"out.obj", "out.mtl", "out_c.png"}
     assert (tmp_path / "out_c.png").read_bytes() == IMAGES["skin"]

@@ -108,3 +108,11 @@ def smooth_image(surface, image, **parameters):
     new = table.copy()
     new[atlas.owned_texels] = smoothed(flow)
     return new.reshape(image.shape), flow
+
+
+def painting(side, channels=3):
+    """Two regions with a slow gradient, and noise of 20 / 255."""
+    y, x = np.mgrid[0:side, 0:side] / side
+    base = np.where((x + 0.3 * y > 0.6)[..., None], 0.7 - 0.2 * y[..., None], 0.3 + 0.2 * x[..., None])
+    noise = np.random.default_rng(5).normal(0, 20 / 255, (side, side, channels))
+    return base + np.linspace(-0.1, 0.1, channels) + noise

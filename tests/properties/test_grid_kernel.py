@@ -1,0 +1,143 @@
+"""The kernel on one grid of cells: schemes and instruction sets agree, and nothing crosses what is not there."""
+
+from __future__ import annotations
+
+from math import log
+
+import numpy as np
+import pytest
+
+from beltrami_cli._native import local_scale, smooth_grid
+from properties.textured_planes import painting
+
+RANDOM = np.random.default_rng(1)
+
+
+def grid(side):
+    kind = np.ones((side, side), np.uint8)
+    lengths = np.full((4, side, side), np.inf, np.float32)
+    lengths[0, :, :-1] = lengths[1, :-1] = 1
+    lengths[2, :-1, :-1] = lengths[3, :-1, 1:] = 2
+    return kind, lengths
+
+
+@pytest.mark.parametrize("scheme", ["sweep", "triangles", "metric"])
+def test_missing_edges_and_empty_rows_are_not_crossed(scheme):
+    """Whatever the metric: here the plane is sheared, so that supports of split quadrants lie further off."""
+    kind, lengths = grid(24)
+    e1, e2 = np.array([1.0, 0.0]), np.array([1.0, 1.0])
+    for plane, step in zip(lengths, (e1, e2, e1 + e2, e2 - e1), strict=True):
+        plane[np.isfinite(plane)] = step @ step
+    kind[12] = 0
+    colours = np.zeros((1, 24, 24), np.float32)
+    colours[0, 13:] = 1
+    window = 3 if scheme == "sweep" else 0
+    result, _ = smooth_grid(
+        kind, lengths, None, None, colours, colours, 0.0, 2.0, 6.0, window, scheme, 1, None
+    )
+    assert np.array_equal(result, colours)
+
+
+def test_a_slit_does_not_spoil_the_unit_of_length_beside_it():
+    """Texels that are neighbours in the image but far apart on the surface, as on both sides of a closed mouth."""
+    _, lengths = grid(40)
+    lengths[1, 19] = 113.0**2
+    scale = local_scale(lengths[0], lengths[1], 3)
+    # 7 of the window's 98 edges are long: the geometric mean of lengths grows to 113^(1/14) = 1.40, and at the
+    # rim a little more.
+    assert np.sqrt(1 / scale).max() < 1.5
+    assert np.allclose(scale[:10], 1)
+
+
+def test_the_unit_of_length_is_a_geometric_mean():
+    """Over a window of 5 x 5, as NumPy takes it; logarithms of up to 18 are off by 2e-7 of that, twice over."""
+    random = np.random.default_rng(4)
+    right, below = np.exp(random.uniform(-18, 18, (2, 23, 31))).astype(np.float32)
+    for lengths in (right, below):
+        lengths[random.random(lengths.shape) < 0.3] = np.inf
+        lengths[random.random(lengths.shape) < 0.1] = 0
+    right[:8, :9] = below[:8, :9] = np.inf
+    scale = local_scale(right, below, 2)
+    for row, column in np.ndindex(23, 31):
+        window = slice(max(0, row - 2), row + 3), slice(max(0, column - 2), column + 3)
+        around = np.concatenate([right[window].ravel(), below[window].ravel()]).astype(float)
+        around = around[np.isfinite(around) & (around > 0)]
+        expected = np.exp(-np.log(around).mean()) if len(around) else 1.0
+        assert scale[row, column] == pytest.approx(expected, rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("beta", "t", "mean", "largest"), [(5.0, 0.8, 6e-7, 1.2e-3), (13.0, 2.2, 4e-5, 5e-3)]
+)
+@pytest.mark.parametrize("window", [3, 7, 11, 15])
+def test_window_sweeps_agree_with_the_heap_march(beta, t, mean, largest, window):
+    """One outward pass misses paths that bend around colour edges; they are rare, and long, so they weigh little."""
+    kind, lengths = grid(64)
+    noisy = np.ascontiguousarray(painting(64).transpose(2, 0, 1), np.float32)
+    radius = float(np.sqrt(-4 * t * log(0.01)))
+    results = {
+        scheme: smooth_grid(
+            kind, lengths, None, None, noisy, noisy, beta, t, radius, window // 2, scheme, 1, None
+        )[0]
+        for scheme in ("sweep", "triangles")
+    }
+    difference = np.abs(results["sweep"] - results["triangles"])
+    assert difference.mean() < mean
+    assert difference.max() < largest
+
+
+@pytest.mark.parametrize("name", ["x86-64-v4", "x86-64-v3", "baseline"])
+def test_every_instruction_set_gives_the_same_bits(name, monkeypatch):
+    kind, lengths = grid(50)
+    noisy = np.ascontiguousarray(painting(50).transpose(2, 0, 1), np.float32)
+    arguments = (kind, lengths, None, None, noisy, noisy, 8.0, 1.5, 5.0, 3, "sweep", 1, None)
+    best, _ = smooth_grid(*arguments)
+    monkeypatch.setenv("BELTRAMI_SIMD", name)
+    try:
+        other, _ = smooth_grid(*arguments)
+    except ValueError:
+        pytest.skip(f"this machine cannot run {name}")
+    assert np.array_equal(best, other)
+
+
+@pytest.mark.parametrize("scheme", ["triangles", "metric", "sweep"])
+@pytest.mark.parametrize("shear", [0.0, 0.5])
+def test_every_scheme_smooths_by_a_gaussian_on_a_sheared_plane(scheme, shear):
+    """Where the grid is sheared its quadrants are obtuse; the metric splits them."""
+    side, t = 41, 1.5
+    kind, lengths = grid(side)
+    e1, e2 = np.array([1.0, 0.0]), np.array([shear, 1.0])
+    for plane, step in zip(lengths, (e1, e2, e1 + e2, e2 - e1), strict=True):
+        plane[np.isfinite(plane)] = step @ step
+    impulse = np.zeros((1, side, side), np.float32)
+    impulse[0, 20, 20] = 1
+    window = 0 if scheme != "sweep" else 7
+    radius = float(np.sqrt(-4 * t * log(0.001)))
+    ours, _ = smooth_grid(
+        kind, lengths, None, None, impulse, impulse, 0.0, t, radius, window, scheme, 1, None
+    )
+    y, x = np.mgrid[-20:21, -20:21]
+    away = (x[..., None] * e1 + y[..., None] * e2) ** 2 @ [1, 1]
+    truth = np.where(away <= radius**2, np.exp(-away / (4 * t)), 0)
+    truth /= truth.sum()
+    # First-order distances at a point source are too long by up to 10 % a few steps away: d^2 / 4t by 20 %.
+    assert np.abs(ours[0] - truth).max() < 0.2 * truth.max()
+    assert np.abs(ours[0] - truth).sum() < 0.25
+
+
+@pytest.mark.parametrize("scheme", ["triangles", "metric", "sweep"])
+def test_a_cell_that_repeats_a_texel_counts_for_its_share(scheme):
+    """A linear kernel of shares w is that of w I over that of w."""
+    kind, lengths = grid(30)
+    repeats = RANDOM.integers(1, 5, kind.shape).astype(np.uint8)
+    repeats[:, :15] = 1  # of samples: only what lies beyond a seam is repeated
+    kind[:, 15:] = np.where(kind[:, 15:] == 1, 2, kind[:, 15:])
+    colours = np.ascontiguousarray(painting(30).transpose(2, 0, 1), np.float32)
+    shares = (1 / repeats).astype(np.float32)
+    both = np.concatenate([colours * shares, shares[None]])
+    more = (0.0, 1.5, 5.0, 3, scheme, 1, None)
+    result, _ = smooth_grid(kind, lengths, None, repeats, colours, colours, *more)
+    parts, _ = smooth_grid(kind, lengths, None, None, both, both, *more)
+    owned = kind == 1
+    assert np.abs(result - parts[:3] / parts[3])[:, owned].max() < 2e-6  # rounding of sums of 49
+    assert np.abs(result - smooth_grid(kind, lengths, None, None, colours, colours, *more)[0]).max() > 1e-3
