@@ -26,9 +26,10 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.document import Document
     from beltrami_cli.jobs.job import Job
     from beltrami_cli.jobs.settings import NoiseSettings
-    from beltrami_cli.samples.samples import Cells, Grains, Repainted, Samples
+    from beltrami_cli.samples.samples import Grains, Repainted, Samples
     from beltrami_cli.samples.selection import OutputFormat, Selection
     from beltrami_cli.samples.settings import SmoothSettings
+    from beltrami_cli.surface.baking import Cells
 
 _BAYER = np.array([[0, 1], [1, 2]])  # the channel that is measured, by row and column
 _LATTICE = 1 << 16  # random numbers, which points of a lattice share by a hash

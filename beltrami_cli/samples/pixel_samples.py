@@ -26,7 +26,6 @@ from beltrami_cli.samples.image_surface import grid_flow, read_surface
 from beltrami_cli.samples.memory_check import require_memory
 from beltrami_cli.samples.reports import ImageReport, describe_kernel
 from beltrami_cli.samples.samples import (
-    Cells,
     Change,
     Grains,
     Part,
@@ -39,6 +38,7 @@ from beltrami_cli.samples.samples import (
     store,
 )
 from beltrami_cli.samples.settings import DEFAULTS
+from beltrami_cli.surface.baking import Cells
 from beltrami_cli.surface.records import ImageFile
 
 if TYPE_CHECKING:

@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from beltrami_cli.samples.reports import LevelReport, SamplesReport
     from beltrami_cli.samples.settings import LevelSettings, SmoothSettings, TextureSettings
     from beltrami_cli.surface.atlas import Indices
+    from beltrami_cli.surface.baking import Cells
     from beltrami_cli.surface.records import ImageFile, Slot
 
     Progress = Callable[[int, int], None]
@@ -71,22 +72,6 @@ class Grains:
         """Where colours with noise are cut off: at 0 and 1, unless some colours lie beyond."""
         low = 0.0 if self.colours.min(initial=0) >= 0 else -np.inf
         return low, 1.0 if self.colours.max(initial=1) <= 1 else np.inf
-
-
-@dataclass(frozen=True)
-class Cells:
-    """Pixels of pictures: in which picture, in which row and column, and of which chart, each (K,)."""
-
-    sizes: Sequence[tuple[int, int]]  # rows and columns of each picture
-    picture: Int64s
-    row: Int64s
-    column: Int64s
-    chart: Indices
-
-    def of(self, index: int) -> tuple[Bools, tuple[Int64s, Int64s]]:
-        """Return which samples are in a picture, and their rows and columns."""
-        mine = self.picture == index
-        return mine, (self.row[mine], self.column[mine])
 
 
 def as_jpeg(shown: Float32s, quality: int) -> Float32s:

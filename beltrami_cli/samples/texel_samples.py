@@ -20,7 +20,7 @@ from beltrami_cli.formats.image.conversion import noise_losses
 from beltrami_cli.levelling.correction import level_canvas
 from beltrami_cli.samples.levelled_charts import TextureCharts, describe_level, level_report
 from beltrami_cli.samples.reports import SlotReport, atlas_counts, atlas_notices, describe_kernel
-from beltrami_cli.samples.samples import Cells, Change, Grains, Part, Repainted, Samples, as_jpeg, encoded
+from beltrami_cli.samples.samples import Change, Grains, Part, Repainted, Samples, as_jpeg, encoded
 from beltrami_cli.samples.settings import SLOTS, LevelSettings
 from beltrami_cli.samples.texel_colours import (
     COLOUR_SLOTS,
@@ -31,7 +31,7 @@ from beltrami_cli.samples.texel_colours import (
 )
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import build_atlas, texels_by_texture, without_owned
-from beltrami_cli.surface.baking import texel_spacing, texels_in_space
+from beltrami_cli.surface.baking import Cells, places_of_texels
 from beltrami_cli.surface.records import ImageFile
 
 if TYPE_CHECKING:
@@ -269,18 +269,7 @@ class TexelSamples(Samples):
         return Cells(sizes, picture, row, column, atlas.chart_of)
 
     def places(self) -> tuple[Float64s, Float64s]:
-        surface, cells = self.surface, self.cells()
-        places, spacing = np.zeros((len(cells.row), 3)), np.ones(len(cells.row))
-        of_corners = texel_spacing(surface, [(columns, rows) for rows, columns in cells.sizes])
-        for index, (rows, columns) in enumerate(cells.sizes):
-            mine, (row, column) = cells.of(index)
-            faces = surface.texture_of == index
-            texels, found, apart = texels_in_space(
-                surface.positions[surface.faces[faces]], surface.uv[faces], (columns, rows), of_corners[faces]
-            )
-            nearest = np.minimum(np.searchsorted(texels, row * columns + column), len(texels) - 1)
-            places[mine], spacing[mine] = found[nearest], apart[nearest]
-        return places, spacing
+        return places_of_texels(self.surface, self.cells())
 
     def coded_as_jpeg(self, quality: int) -> Float32s:
         coded = np.empty((len(self.atlas.owned_texels), len(self.names)), np.float32)

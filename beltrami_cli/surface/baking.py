@@ -67,7 +67,41 @@ def cover(
             yield Cover(row * size[0] + column, face, weights / area[face][:, None])
 
 
-def texel_spacing(surface: TexturedSurface, sizes: Sequence[tuple[int, int]]) -> Float64s:
+@dataclass(frozen=True)
+class Cells:
+    """Pixels of pictures: in which picture, in which row and column, and of which chart, each (K,)."""
+
+    sizes: Sequence[tuple[int, int]]  # rows and columns of each picture
+    picture: Int64s
+    row: Int64s
+    column: Int64s
+    chart: NDArray[np.signedinteger[Any]]
+
+    def of(self, index: int) -> tuple[Bools, tuple[Int64s, Int64s]]:
+        """Return which samples are in a picture, and their rows and columns."""
+        mine = self.picture == index
+        return mine, (self.row[mine], self.column[mine])
+
+
+def places_of_texels(surface: TexturedSurface, cells: Cells) -> tuple[Float64s, Float64s]:
+    """Return the places of texels in space, (K, 3), and how far they are apart there, (K,)."""
+    places, spacing = np.zeros((len(cells.row), 3)), np.ones(len(cells.row))
+    of_corners = _texel_spacing(surface, [(columns, rows) for rows, columns in cells.sizes])
+    for index, (rows, columns) in enumerate(cells.sizes):
+        mine, (row, column) = cells.of(index)
+        if not len(row):
+            continue
+        faces = surface.texture_of == index
+        uv = surface.uv[faces]
+        uv = uv - np.floor(uv.mean(axis=1, keepdims=True))  # repeated textures
+        corners = surface.positions[surface.faces[faces]]
+        texels, found, apart = _texels_in_space(corners, uv, (columns, rows), of_corners[faces])
+        nearest = np.minimum(np.searchsorted(texels, row * columns + column), len(texels) - 1)
+        places[mine], spacing[mine] = found[nearest], apart[nearest]
+    return places, spacing
+
+
+def _texel_spacing(surface: TexturedSurface, sizes: Sequence[tuple[int, int]]) -> Float64s:
     """Return how far apart texels are in space at each corner, (F, 3): the same wherever triangles meet."""
     place_of, count = group_places(surface.positions, surface.space_of)[0], len(surface.positions)
     shown = surface.texture_of >= 0
@@ -82,7 +116,7 @@ def texel_spacing(surface: TexturedSurface, sizes: Sequence[tuple[int, int]]) ->
     return np.asarray(spacing[place_of[surface.faces]], np.float64)
 
 
-def texels_in_space(
+def _texels_in_space(
     positions: Float64s, uv: Float64s, size: tuple[int, int], spacing: Float64s
 ) -> tuple[Int64s, Float64s, Float64s]:
     """Return texels on triangles, in ascending order, their places, and the spacing, given by corner, at them.

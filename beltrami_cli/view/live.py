@@ -271,16 +271,9 @@ class Live:
         self._rates[with_patches] = 0.5 * self._rates[with_patches] + 0.5 * rate
         self._check(page, request)
         events = [self._layers.patched(page.shown, request.layer, patch) for patch in patches]
-        page.events.put(
-            {
-                "kind": "preview",
-                "number": request.number,
-                "patches": events,
-                "stage": " with patches" if with_patches else "",
-                "seconds": spent,
-                "samples": held,
-            }
-        )
+        stage = " with patches" if with_patches else ""
+        shown = {"patches": events, "stage": stage, "seconds": spent, "samples": held}
+        page.events.put({"kind": "preview", "number": request.number, **shown})
 
     def _at_once(self, settings: SmoothSettings, page: _Page) -> SmoothSettings:
         """Return settings in which nothing is tried: what is free is as it was chosen last, or by the rule."""
