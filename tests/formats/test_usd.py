@@ -304,6 +304,64 @@ def test_layers_outside_are_not_read(tmp_path):
     assert "4 " not in said
 
 
+MTLX = """    def Material "skin"
+    {
+        token outputs:mtlx:surface.connect = </scan/skin/surface.outputs:surface>
+        def Shader "surface"
+        {
+            uniform token info:id = "ND_standard_surface_surfaceshader"
+            color3f inputs:base_color.connect = </scan/skin/images.outputs:colour>
+            token outputs:surface
+        }
+        def NodeGraph "images"
+        {
+            color3f outputs:colour.connect = </scan/skin/images/image.outputs:out>
+            def Shader "image"
+            {
+                uniform token info:id = "ND_tiledimage_color3"
+                asset inputs:file = @a.png@
+                float2 inputs:uvtiling = (2, 1)
+                float2 inputs:uvoffset = (0.25, 0)
+                string inputs:vaddressmode = "mirror"
+                color3f outputs:out
+            }
+        }
+    }
+"""
+
+
+def test_materialx_networks_in_layers_show_their_image(tmp_path):
+    write(tmp_path, {"a.usda": scene(mesh_text(BOUND), MTLX), "a.png": PICTURE})
+    surface = open_document(str(tmp_path / "a.usda")).textured("baseColor")
+    assert surface.textures[0].wrap == ("repeat", "mirror")
+    _, uv, quads = sheet()
+    plain = uv[quads.ravel()] / 2 * [2, 1] - [0.25, 0]
+    assert {*map(tuple, surface.uv.reshape(-1, 2).round(4))} == {
+        *map(tuple, (plain * [1, -1] + [0, 1]).round(4))
+    }
+    smooth_file(tmp_path / "a.usda", tmp_path / "b.usda", GIVEN)
+    text = (tmp_path / "a.usda").read_text()
+    assert (tmp_path / "b.usda").read_text() == text.replace("@a.png@", "@./b.png@")
+    assert check_files(tmp_path / "a.usda", tmp_path / "b.usda").faithful
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (("ND_tiledimage_color3", "ND_multiply_color3"), "no MaterialX surface whose colour is an image"),
+        (('def Material "skin"', 'def Material "skin" ( references = @a.mtlx@ )'), "is no USD layer.*usdcat"),
+        (("@a.png@", "@../a.png@"), "leaves the model's folder.*copy its files into"),
+    ],
+)
+def test_what_is_not_read_of_materials_is_said_with_the_way_out(change, words, tmp_path):
+    text = scene(mesh_text(BOUND), MTLX).replace(*change)
+    if "mtlx" in change[1]:
+        text = text.replace("outputs:mtlx:surface.connect", "outputs:mtlx:other.connect")
+    write(tmp_path / "in", {"a.usda": text, "a.png": PICTURE})
+    with pytest.raises(InputError, match=words):
+        smooth_file(tmp_path / "in" / "a.usda", tmp_path / "b.usda", GIVEN)
+
+
 @pytest.mark.parametrize("image", ["../secret.png", "gone.png"])
 def test_images_that_cannot_be_read_are_named(image, tmp_path):
     write(tmp_path, {"secret.png": PICTURE, "in/a.usda": scene(mesh_text(BOUND), material_text(image))})

@@ -38,6 +38,7 @@ _COUNTS = {
     "flat": "{} mesh(es) have one colour, or one for each face, which is left as it is.",
     "unfit": "{} mesh(es) have colours that do not fit their points; these are left as they are.",
     "animated": "{} mesh(es) have colours that change with time, which are left as they are.",
+    "unread": "{} material(s) are no UsdPreviewSurface, and no MaterialX surface whose colour is an image.",
     "bare": "{} part(s) have no texture coordinates for a texture.",
 }
 
@@ -62,10 +63,10 @@ class UsdDocument(Document):
     def _scene(self) -> tuple[dict[str, Any], dict[str, Array]]:
         words, arrays = self._layers.scene(text=self._compared)
         counts = words["counts"]
-        self.notices += [sentence.format(n) for key, sentence in _COUNTS.items() if (n := counts.get(key))]
         self.notices += [
             f"'{path}' {why}{LEFT_ALONE}" for path, why in dict.fromkeys(self._layers.reasons.items())
         ]
+        self.notices += [sentence.format(n) for key, sentence in _COUNTS.items() if (n := counts.get(key))]
         return words, arrays
 
     @property

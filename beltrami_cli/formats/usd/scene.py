@@ -171,6 +171,7 @@ class Scene:
     def _read_material(self, material: Any) -> dict[str, Any]:
         """Read a material; its uses of textures get numbers."""
         known, uses = read_material(material)
+        self.counts["unread"] += int(known.pop("unread", False))
         known["uses"] = {slot: len(self.uses) + number for number, slot in enumerate(uses)}
         self.uses += [{**use, "material": known["name"]} for use in uses.values()]
         return known

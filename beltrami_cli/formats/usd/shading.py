@@ -1,8 +1,9 @@
-"""The materials of a USD scene: the images that a UsdPreviewSurface shows, and where.
+"""The materials of a USD scene: the images that a UsdPreviewSurface or a surface of MaterialX shows, and where.
 
 References
 ----------
 .. [1] "UsdPreviewSurface specification", version 2.6. https://openusd.org/release/spec_usdpreviewsurface.html
+.. [2] "MaterialX specification", version 1.39, and its nodes `image` and `tiledimage`. https://materialx.org
 """
 
 from __future__ import annotations
@@ -21,6 +22,16 @@ INPUTS = {
     "occlusion": ("occlusion",),
     "metallicRoughness": ("roughness", "metallic"),
 }
+# Colours of MaterialX surfaces that may be an image each.
+_MTLX = {
+    "ND_standard_surface_surfaceshader": {"baseColor": "base_color", "emissive": "emission_color"},
+    "ND_open_pbr_surface_surfaceshader": {"baseColor": "base_color", "emissive": "emission_color"},
+    "ND_gltf_pbr_surfaceshader": {"baseColor": "base_color", "emissive": "emissive"},
+    "ND_UsdPreviewSurface_surfaceshader": {"baseColor": "diffuseColor", "emissive": "emissiveColor"},
+}
+_MTLX_IMAGES = ("ND_image_color3", "ND_image_color4", "ND_tiledimage_color3", "ND_tiledimage_color4")
+_MTLX_READERS = {"ND_geompropvalue_vector2": "geomprop", "ND_UsdPrimvarReader_vector2": "varname"}
+_MTLX_WRAPS = {"periodic": "repeat", "mirror": "mirror"}
 _CHANNELS = {"occlusion": ("r",), "metallicRoughness": ("g", "b")}
 _WRAPS = {"repeat": "repeat", "mirror": "mirror"}  # all else shows nothing, or the border
 _NUMBERS = ("metallic", "roughness", "opacity", "opacityThreshold")
@@ -35,10 +46,12 @@ def placed(layer: str, path: str) -> str:
 
 def read_material(material: Any) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
     """Return the numbers of a material, and by slot the image that it shows."""
-    surface = material.ComputeSurfaceSource()[0]
     known: dict[str, Any] = {"name": material.GetPrim().GetName(), "values": {}, "alpha": False}
     uses: dict[str, dict[str, Any]] = {}
+    surface = material.ComputeSurfaceSource()[0]
     if not surface or surface.GetIdAttr().Get() != "UsdPreviewSurface":
+        uses = _of_materialx(material)
+        known["unread"] = not uses and bool(material.GetPrim().GetChildren())
         return known, uses
     for name in (*_NUMBERS, *_COLOURS):
         sources = _sources(surface, name)
@@ -57,6 +70,14 @@ def read_material(material: Any) -> tuple[dict[str, Any], dict[str, dict[str, An
     return known, uses
 
 
+def _of_materialx(material: Any) -> dict[str, dict[str, Any]]:
+    """Return by slot the image that is the colour of a surface of MaterialX."""
+    surface = material.ComputeSurfaceSource("mtlx")[0]
+    inputs = _MTLX.get(str(surface.GetIdAttr().Get()), {}) if surface else {}
+    found = {slot: _textures(surface, name) for slot, name in inputs.items()}
+    return {slot: uses[0] for slot, uses in found.items() if uses}
+
+
 def _sources(shader: Any, name: str) -> list[Any]:
     """Return the attributes that an input of a shader gets its value from, through node graphs and materials."""
     found = shader.GetInput(name)
@@ -65,7 +86,7 @@ def _sources(shader: Any, name: str) -> list[Any]:
 
 def image_of(shader: Any) -> dict[str, str]:
     """Return the attribute that names the image of a shader, with that image; nothing if it shows none."""
-    files = _sources(shader, "file") if shader.GetIdAttr().Get() == "UsdUVTexture" else []
+    files = _sources(shader, "file") if shader.GetIdAttr().Get() in ("UsdUVTexture", *_MTLX_IMAGES) else []
     authored: Any = files[0].Get() if files else None
     if not getattr(authored, "path", ""):
         return {}
@@ -78,11 +99,11 @@ def _textures(surface: Any, name: str) -> list[dict[str, Any]]:
 
     for attribute in _sources(surface, name)[:1]:
         shader = UsdShade.Shader(attribute.GetPrim())
-        placing, shown = _placing(shader), image_of(shader)
+        is_mtlx = shader.GetIdAttr().Get() in _MTLX_IMAGES
+        placing, shown = _placed_by_materialx(shader) if is_mtlx else _placing(shader), image_of(shader)
         if not attribute.GetName().startswith("outputs:") or placing is None or not shown:
             continue
         ((path, file),) = shown.items()
-        wraps = [_sources(shader, wrap)[:1] for wrap in ("wrapS", "wrapT")]
         return [
             {
                 **placing,
@@ -90,10 +111,52 @@ def _textures(surface: Any, name: str) -> list[dict[str, Any]]:
                 "attribute": path,
                 "file": file,
                 "output": attribute.GetName().removeprefix("outputs:"),
-                "wrap": [_WRAPS.get(str(wrap[0].Get()), "clamp") if wrap else "clamp" for wrap in wraps],
+                "wrap": _wraps(shader, is_mtlx=is_mtlx),
             }
         ]
     return []
+
+
+def _wraps(shader: Any, *, is_mtlx: bool) -> list[str]:
+    """Return what an image shows beyond 0 and 1, along u and along v."""
+    names, known, usual = ("wrapS", "wrapT"), _WRAPS, "clamp"
+    if is_mtlx:
+        names, known, usual = ("uaddressmode", "vaddressmode"), _MTLX_WRAPS, "repeat"
+    sources = [_sources(shader, name)[:1] for name in names]
+    return [known.get(str(each[0].Get()), "clamp") if each else usual for each in sources]
+
+
+def _placed_by_materialx(shader: Any) -> dict[str, Any] | None:
+    """Return which coordinates an image of MaterialX is shown at, and what moves them, as `_placing`."""
+    from pxr import UsdShade
+
+    varname = "st"  # the first coordinates
+    for source in _sources(shader, "texcoord")[:1]:
+        reader = UsdShade.Shader(source.GetPrim())
+        kind = str(reader.GetIdAttr().Get())
+        names = _sources(reader, _MTLX_READERS.get(kind, ""))
+        if kind not in (*_MTLX_READERS, "ND_texcoord_vector2") or any(
+            n.Get() for n in _sources(reader, "index")
+        ):
+            return None
+        varname = str(names[0].Get()) if names else varname
+    tiling, offset, image, tile = (
+        np.array(given[0].Get() if given else (usual, usual), np.float64)
+        for given, usual in (
+            (_sources(shader, "uvtiling"), 1),
+            (_sources(shader, "uvoffset"), 0),
+            (_sources(shader, "realworldimagesize"), 1),
+            (_sources(shader, "realworldtilesize"), 1),
+        )
+    )
+    if (image == 0).any():
+        return None
+    scale = tile / image
+    return {
+        "coordinates": varname,
+        "matrix": np.diag(tiling * scale).tolist(),
+        "offset": (-offset * scale).tolist(),
+    }
 
 
 def _placing(shader: Any) -> dict[str, Any] | None:
