@@ -152,13 +152,13 @@ class TileGroups:
         ]
 
     def _texels(self, group: set[int], near: Sequence[Int64s]) -> int:
-        """Return about how many texels a group has, with the surface around it."""
+        """Return about how many texels a group has, with the surface around it; texels beyond that count half."""
         total = sum(self.sizes[index].texels for index in group)
         faces = np.concatenate([near[index] for index in group])
         texture, uv = self.surface.texture_of[faces], self.surface.uv[faces]
         for index in {*texture.tolist()} - group:
             low, high = (bound(uv[texture == index], axis=(0, 1)) for bound in (np.min, np.max))
-            total += int(self.sizes[index].texels * np.prod(np.clip(high - low, 0, 1)))
+            total += int(self.sizes[index].texels * (1 + np.prod(np.clip(high - low, 0, 1))) / 2)
         return total
 
     def _part(self, group: set[int], near: Sequence[Int64s], label: str, common: CommonChoice) -> TileGroup:
