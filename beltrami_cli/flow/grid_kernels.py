@@ -11,13 +11,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, cast
 
 import numpy as np
 
-from beltrami_cli.flow.canvas import (
-    colours_at,
-    halo_repeats,
-    local_scales,
-    mean_spacing,
-    without_references,
-)
+from beltrami_cli.flow.canvas import colours_at, halo_repeats, local_scales, mean_spacing, without_references
 from beltrami_cli.flow.manifold import Averaged, Manifold, SampledKernel, at_step, kernel_values
 from beltrami_cli.flow.regularisation import GridGaussian, guide_radius
 from beltrami_cli.surface import large_arrays

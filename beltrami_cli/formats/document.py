@@ -6,7 +6,8 @@ A format is a subclass of `Document`, in a folder of its own, and a line of `for
   standard input) and the `Access`. It may parse lazily, and holds every count against the length of the data before it
   allocates.
 - `_painted`, `_patched`, `contents` and `facts` are required; the others have defaults for a format without textures,
-  files beside it, range images, further attributes or movable vertices.
+  files beside it, range images, further attributes or movable vertices. With textures, `slots` and `_gathered` are
+  required, too; `formats/textured_mesh.py` collects their images.
 - `patch` with equal colours returns equal bytes. What changes is rounded once; every other byte stays.
 - Whatever is wrong with the file is an `InputError` with its name, the cause and a remedy.
 """

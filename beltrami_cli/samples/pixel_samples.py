@@ -12,13 +12,7 @@ import numpy as np
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.colour_space import from_space, to_space
 from beltrami_cli.flow.manifold import NewColours
-from beltrami_cli.formats.image import (
-    check_writable,
-    is_exact,
-    is_unchanged,
-    label_of,
-    losses,
-)
+from beltrami_cli.formats.image import check_writable, is_exact, is_unchanged, label_of, losses
 from beltrami_cli.formats.image.conversion import noise_losses
 from beltrami_cli.formats.image.picture import full_scale_one, is_associated, supplies_colour
 from beltrami_cli.samples.guides import read_guide_images
@@ -34,10 +28,9 @@ from beltrami_cli.samples.samples import (
     as_jpeg,
     channel_numbers,
     encoded,
-    options_of_meshes,
+    refuse_options_of_meshes,
     store,
 )
-from beltrami_cli.samples.settings import DEFAULTS
 from beltrami_cli.surface.baking import Cells
 from beltrami_cli.surface.records import ImageFile
 
@@ -230,9 +223,8 @@ class PixelSamples(Samples):
         """Return the samples of a part of the image, with other parameters."""
         part = copy.copy(self)
         part.settings = dataclasses.replace(self.settings, kernel=kernel)
-        part.picture = dataclasses.replace(
-            self.picture, pixels=np.ascontiguousarray(self.picture.pixels[place])
-        )
+        pixels = np.ascontiguousarray(self.picture.pixels[place])
+        part.picture = dataclasses.replace(self.picture, pixels=pixels)
         part.colours = ImageColours(part.picture, self._chosen)
         part.valid, part.surface = self.valid[place], self.surface.window(place)
         part._guides = tuple(dataclasses.replace(each, image=each.image[place]) for each in self._guides)
@@ -340,11 +332,8 @@ class PixelSamples(Samples):
         if suffix is not None:
             notices += losses(picture, suffix)
         file = self._encoded(pixels)
-        return self._repainted(
-            file.data,
-            change,
-            [*notices, *file.notices, *noise_losses(picture, suffix, "an OUTPUT in .png keeps all")],
-        )
+        notices += [*file.notices, *noise_losses(picture, suffix, "an OUTPUT in .png keeps all")]
+        return self._repainted(file.data, change, notices)
 
     def _encoded(self, pixels: Array) -> ImageFile:
         is_data = self.settings.space == "data"
@@ -353,24 +342,3 @@ class PixelSamples(Samples):
     def _repainted(self, data: bytes, change: Change, notices: Sequence[str]) -> Repainted:
         suffix = self._suffix or Path(self.picture.name).suffix
         return Repainted(change, images={("baseColor", ""): ImageFile(data, suffix)}, notices=tuple(notices))
-
-
-def refuse_options_of_meshes(settings: SmoothSettings, name: str) -> None:
-    """Raise UsageError for options that only meshes and their textures have."""
-    textures, usual = settings.textures, DEFAULTS.textures
-    given = {
-        "--on": settings.on != DEFAULTS.on,
-        "--slots": textures.slots != usual.slots,
-        "--material": textures.materials != usual.materials,
-        "--texture": textures.names != usual.names,
-        "--gutter": textures.gutter != usual.gutter,
-        "--texture-format": textures.image_suffix != usual.image_suffix,
-        **options_of_meshes(settings),
-    }
-    wrong = [option for option, is_given in given.items() if is_given]
-    if not wrong:
-        return
-    remedy = (
-        "end the name of OUTPUT in the extension instead" if "--texture-format" in wrong else "leave it out"
-    )
-    raise UsageError(f"{', '.join(wrong)}: for meshes only, but {name} is an image; {remedy}")

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 from abc import ABC, abstractmethod
+from collections import Counter
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
@@ -18,7 +19,7 @@ from beltrami_cli.formats.image import write_image
 from beltrami_cli.formats.image.picture import as_stored, new_picture
 from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.samples.reports import describe_choice
-from beltrami_cli.samples.settings import DEFAULTS
+from beltrami_cli.samples.settings import COLOUR_SLOTS, DEFAULTS
 from beltrami_cli.surface.colour_values import store_integers
 
 if TYPE_CHECKING:
@@ -259,3 +260,61 @@ def options_of_meshes(settings: SmoothSettings) -> dict[str, bool]:
         "--max-samples": kernel.max_samples != usual.max_samples,
         "--smooth-geometry": settings.embedding.smooth_geometry,
     }
+
+
+def refuse_options_of_meshes(settings: SmoothSettings, name: str) -> None:
+    """Raise UsageError for options that only meshes and their textures have."""
+    textures, usual = settings.textures, DEFAULTS.textures
+    given = {
+        "--on": settings.on != DEFAULTS.on,
+        "--slots": textures.slots != usual.slots,
+        "--material": textures.materials != usual.materials,
+        "--texture": textures.names != usual.names,
+        "--gutter": textures.gutter != usual.gutter,
+        "--texture-format": textures.image_suffix != usual.image_suffix,
+        **options_of_meshes(settings),
+    }
+    wrong = [option for option, is_given in given.items() if is_given]
+    if not wrong:
+        return
+    remedy = (
+        "end the name of OUTPUT in the extension instead" if "--texture-format" in wrong else "leave it out"
+    )
+    raise UsageError(f"{', '.join(wrong)}: for meshes only, but {name} is an image; {remedy}")
+
+
+@dataclass
+class _Joined:
+    pixels: Array
+    columns: set[int]
+    slots: tuple[Slot, ...]
+
+
+class SharedImages:
+    """Pixels of images so far, for those that several slots show."""
+
+    # Occlusion is the red channel of an image, roughness and metalness are green and blue, mostly of the same image.
+
+    def __init__(self, keys: Iterable[str] = ()) -> None:
+        self._remaining = Counter(keys)
+        self._joined: dict[str, _Joined] = {}
+
+    def join(
+        self, slot: Slot, key: str, pixels: Array, columns: Sequence[int]
+    ) -> tuple[Array, tuple[Slot, ...]]:
+        """Combine an image's new pixels with the channels that other slots changed; also return these slots."""
+        # Colours and data are encoded differently, so they are not joined.
+        self._remaining[key] -= 1
+        known = self._joined.get(key)
+        slots: tuple[Slot, ...] = (slot,)
+        if known is not None:
+            alike = (slot in COLOUR_SLOTS) == (known.slots[0] in COLOUR_SLOTS)
+            if alike and known.columns.isdisjoint(columns):
+                others = sorted(known.columns)
+                pixels[..., others] = known.pixels[..., others]
+                columns, slots = [*columns, *others], (*known.slots, slot)
+        if self._remaining[key] > 0:
+            self._joined[key] = _Joined(pixels, set(columns), slots)
+        else:
+            self._joined.pop(key, None)
+        return pixels, slots

@@ -52,7 +52,7 @@ class OutputFormat:
 def select(document: Document, settings: SmoothSettings) -> Selection:
     """Choose what is painted, by the settings and the document; errors if there is nothing, or for unfit options."""
     if isinstance(document, ImageDocument):
-        from beltrami_cli.samples.pixel_samples import refuse_options_of_meshes
+        from beltrami_cli.samples.samples import refuse_options_of_meshes
 
         refuse_options_of_meshes(settings, document.name)
         return Selection(image=True)
@@ -103,8 +103,9 @@ def samples_of(
     if selection.vertices:
         yield vertex_samples(document, settings, access)
     if selection.slots:
+        from beltrami_cli.samples.samples import SharedImages
         from beltrami_cli.samples.texel_colours import choose_textures
-        from beltrami_cli.samples.texel_samples import SharedImages, TexelSamples
+        from beltrami_cli.samples.texel_samples import TexelSamples
         from beltrami_cli.samples.tile_groups import CommonChoice, TileGroups
 
         chosen = [choose_textures(document.textured(slot), settings.textures) for slot in selection.slots]

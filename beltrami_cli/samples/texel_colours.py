@@ -14,6 +14,7 @@ from beltrami_cli.flow.canvas import painted_by
 from beltrami_cli.flow.colour_space import from_space, to_space
 from beltrami_cli.formats.image.picture import full_scale_one, is_associated, supplies_colour, without_alpha
 from beltrami_cli.samples.samples import Change, channel_numbers, store
+from beltrami_cli.samples.settings import COLOUR_SLOTS
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import texels_by_texture
 from beltrami_cli.surface.lookup import fill_gutter, within
@@ -28,8 +29,6 @@ if TYPE_CHECKING:
     from beltrami_cli.samples.settings import SmoothSettings, TextureSettings
     from beltrami_cli.surface.atlas import Atlas, Indices
     from beltrami_cli.surface.records import Slot, Texture, TexturedSurface
-
-COLOUR_SLOTS = ("baseColor", "emissive")
 
 
 def choose_textures(surface: TexturedSurface, wanted: TextureSettings) -> TexturedSurface:

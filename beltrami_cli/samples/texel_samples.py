@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from collections import Counter
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -20,10 +18,18 @@ from beltrami_cli.formats.image.conversion import noise_losses
 from beltrami_cli.levelling.correction import level_canvas
 from beltrami_cli.samples.levelled_charts import TextureCharts, describe_level, level_report
 from beltrami_cli.samples.reports import SlotReport, atlas_counts, atlas_notices, describe_kernel
-from beltrami_cli.samples.samples import Change, Grains, Part, Repainted, Samples, as_jpeg, encoded
-from beltrami_cli.samples.settings import SLOTS, LevelSettings
+from beltrami_cli.samples.samples import (
+    Change,
+    Grains,
+    Part,
+    Repainted,
+    Samples,
+    SharedImages,
+    as_jpeg,
+    encoded,
+)
+from beltrami_cli.samples.settings import COLOUR_SLOTS, SLOTS, LevelSettings
 from beltrami_cli.samples.texel_colours import (
-    COLOUR_SLOTS,
     Repainting,
     TexelColours,
     choose_textures,
@@ -35,7 +41,7 @@ from beltrami_cli.surface.baking import Cells, places_of_texels
 from beltrami_cli.surface.records import ImageFile
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Callable, Sequence
 
     from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s
     from beltrami_cli.flow.beltrami_flow import FlowResult
@@ -318,40 +324,3 @@ def atlas_of(surface: TexturedSurface, pictures: Sequence[Picture], kernel: Kern
     """Make the atlas of the texels of pictures, continued beyond seams as far as a kernel reads."""
     sizes = [(picture.pixels.shape[1], picture.pixels.shape[0]) for picture in pictures]
     return build_atlas(surface, sizes, canvas_margin(kernel), kernel.thread_count)
-
-
-@dataclass
-class _Joined:
-    pixels: Array
-    columns: set[int]
-    slots: tuple[Slot, ...]
-
-
-class SharedImages:
-    """Pixels of images so far, for those that several slots show."""
-
-    # Occlusion is the red channel of an image, roughness and metalness are green and blue, mostly of the same image.
-
-    def __init__(self, keys: Iterable[str] = ()) -> None:
-        self._remaining = Counter(keys)
-        self._joined: dict[str, _Joined] = {}
-
-    def join(
-        self, slot: Slot, key: str, pixels: Array, columns: Sequence[int]
-    ) -> tuple[Array, tuple[Slot, ...]]:
-        """Combine an image's new pixels with the channels that other slots changed; also return these slots."""
-        # Colours and data are encoded differently, so they are not joined.
-        self._remaining[key] -= 1
-        known = self._joined.get(key)
-        slots: tuple[Slot, ...] = (slot,)
-        if known is not None:
-            alike = (slot in COLOUR_SLOTS) == (known.slots[0] in COLOUR_SLOTS)
-            if alike and known.columns.isdisjoint(columns):
-                others = sorted(known.columns)
-                pixels[..., others] = known.pixels[..., others]
-                columns, slots = [*columns, *others], (*known.slots, slot)
-        if self._remaining[key] > 0:
-            self._joined[key] = _Joined(pixels, set(columns), slots)
-        else:
-            self._joined.pop(key, None)
-        return pixels, slots

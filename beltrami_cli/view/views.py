@@ -10,8 +10,7 @@ from beltrami_cli.errors import InputError
 from beltrami_cli.formats.image import ImageDocument, Picture, read_image, to_float, without_alpha
 from beltrami_cli.formats.image.picture import full_scale_one, is_associated
 from beltrami_cli.jobs.documents import open_input
-from beltrami_cli.samples.settings import DEFAULTS, SmoothSettings
-from beltrami_cli.samples.texel_colours import COLOUR_SLOTS
+from beltrami_cli.samples.settings import COLOUR_SLOTS, DEFAULTS, SmoothSettings
 from beltrami_cli.surface.colour_values import srgb_to_linear
 from beltrami_cli.surface.geometry import triangle_areas
 from beltrami_cli.view.paint import Pyramid, TexturePaint, VertexPaint

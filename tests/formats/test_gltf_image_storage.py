@@ -8,16 +8,7 @@ import pytest
 from beltrami_cli.formats.document import Naming
 from beltrami_cli.formats.registry import open_document
 from formats.gltf_files import Textured, joined, opened, picture, unpacked
-from formats.gltf_images import (
-    SQUARE,
-    check_rest,
-    copied,
-    image_bytes,
-    new_image,
-    save,
-    shown,
-    with_images,
-)
+from formats.gltf_images import SQUARE, check_rest, copied, image_bytes, new_image, save, shown, with_images
 
 
 @pytest.mark.slow

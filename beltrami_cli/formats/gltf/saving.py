@@ -12,14 +12,7 @@ from beltrami_cli.formats.gltf.compression import MESHOPT
 from beltrami_cli.formats.gltf.container import BIN_CHUNK, JSON_CHUNK, Chunk, encoded, glb_pieces
 from beltrami_cli.formats.gltf.json_text import revised
 from beltrami_cli.formats.gltf.textures import media_type
-from beltrami_cli.formats.gltf.uris import (
-    as_uri,
-    data_uri,
-    is_data,
-    named_files,
-    read,
-    relative_name,
-)
+from beltrami_cli.formats.gltf.uris import as_uri, data_uri, is_data, named_files, read, relative_name
 from beltrami_cli.formats.model_folder import NewNames, UnfitReferenceError, is_outside
 
 if TYPE_CHECKING:

@@ -25,13 +25,7 @@ from beltrami_cli.formats.gltf.textures import texture_uses
 from beltrami_cli.formats.model_folder import UnfitReferenceError
 from beltrami_cli.formats.textured_mesh import MeshImages, shown_materials, usable_coordinates
 from beltrami_cli.surface.colour_values import linear_to_srgb
-from beltrami_cli.surface.records import (
-    Material,
-    MaterialMap,
-    Slot,
-    TexturedMesh,
-    VertexColours,
-)
+from beltrami_cli.surface.records import Material, MaterialMap, Slot, TexturedMesh, VertexColours
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

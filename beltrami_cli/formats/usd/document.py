@@ -25,12 +25,7 @@ if TYPE_CHECKING:
 
     from beltrami_cli.arrays import Array, Float32s, Int32s, Int64s
     from beltrami_cli.formats.document import Bytes, Changes, Naming
-    from beltrami_cli.surface.records import (
-        ImageFile,
-        Slot,
-        TexturedMesh,
-        TexturedSurface,
-    )
+    from beltrami_cli.surface.records import ImageFile, Slot, TexturedMesh, TexturedSurface
 
 _COUNTS = {
     "instanced": "{} mesh(es) are instances of others; each is smoothed once, at its first place.",
