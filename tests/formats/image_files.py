@@ -134,3 +134,11 @@ def icc_profile() -> bytes:
     header[36:40] = b"acsp"
     header[68:80] = bytes.fromhex("0000f6d6000100000000d32d")
     return bytes(header) + bytes(4)
+
+
+def stored(path):
+    """Return the numbers of an image as its file has them."""
+    config = OpenImageIO.ImageSpec()
+    config.attribute("oiio:UnassociatedAlpha", 1)
+    file = OpenImageIO.ImageInput.open(str(path), config)
+    return file.read_image(file.spec().format)

@@ -2,28 +2,22 @@
 
 from __future__ import annotations
 
-import io
 import pathlib
 
 import numpy as np
-import OpenImageIO
-import PIL.Image
 import pytest
-from scipy.ndimage import convolve
 from scipy.stats import kstest
 
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.formats.image import read_image
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.check import check_files
 from beltrami_cli.jobs.noise import add_noise, noise_file
 from beltrami_cli.jobs.settings import NoiseSettings, amount, sure_amount
 from beltrami_cli.samples.samples import Grains
 from beltrami_cli.samples.settings import SmoothSettings, TextureSettings
-from beltrami_cli.surface.colour_values import srgb_to_linear
 from cli.commands import SAMPLES, beltrami
-from formats.image_files import encode
+from formats.image_files import encode, stored
 from formats.volume_files import sphere_file
 from jobs.cut_boards import CHART, FIRST, STRIDE, painted, write_board
 
@@ -35,13 +29,6 @@ ERRORS = 4
 def noisy(level, kind, sigma=SIGMA, count=40_000):
     colours = np.full((count, 3), level, np.float32)
     return add_noise(Grains(colours, np.arange(count)), NoiseSettings(sigma, kind, seed=5)).astype(float)
-
-
-def read(path):
-    config = OpenImageIO.ImageSpec()
-    config.attribute("oiio:UnassociatedAlpha", 1)
-    file = OpenImageIO.ImageInput.open(str(path), config)
-    return file.read_image(file.spec().format)
 
 
 @pytest.mark.parametrize(
@@ -111,7 +98,7 @@ def test_around_a_chart_is_the_noise_that_lies_there_across_the_seam(tmp_path):
     image = painted(grey)
     image[image == 0] = 30000
     noise_file(write_board(tmp_path / "b.obj", image), tmp_path / "n.obj", NoiseSettings(0.1))
-    change = read(tmp_path / "n.png").astype(int) - 30000
+    change = stored(tmp_path / "n.png").astype(int) - 30000
     inside = slice(FIRST, FIRST + CHART)
     left, right = change[inside, :STRIDE], change[inside, STRIDE:]
     assert left[:, inside].std() == pytest.approx(0.1 * 65535, rel=ERRORS / (2 * CHART**2 * 3) ** 0.5)
@@ -127,7 +114,7 @@ def test_the_gutter_can_be_kept(tmp_path):
     image = painted(np.full((32, 32, 3), 128, np.uint8))
     kept = SmoothSettings(textures=TextureSettings(gutter=None))
     noise_file(write_board(tmp_path / "b.obj", image), tmp_path / "n.obj", NoiseSettings(0.1), kept)
-    made = read(tmp_path / "n.png")
+    made = stored(tmp_path / "n.png")
     assert (made[image == 0] == 0).all()
     assert (made[image != 0] != 128).mean() > 0.9
 
@@ -155,7 +142,7 @@ def test_alpha_type_and_what_cannot_be_seen_stay(tmp_path):
     pixels[..., 3] = np.arange(20) * 3000
     (tmp_path / "a.png").write_bytes(encode(pixels, "png"))
     noise_file(tmp_path / "a.png", tmp_path / "b.png", NoiseSettings(0.1))
-    made = read(tmp_path / "b.png")
+    made = stored(tmp_path / "b.png")
     assert made.dtype == np.uint16
     np.testing.assert_array_equal(made[..., 3], pixels[..., 3])
     np.testing.assert_array_equal(made[:, 0], pixels[:, 0])
@@ -165,7 +152,7 @@ def test_alpha_type_and_what_cannot_be_seen_stay(tmp_path):
 def test_grey_stays_one_channel_with_the_whole_deviation(tmp_path):
     (tmp_path / "a.png").write_bytes(encode(np.full((200, 200, 1), 30000, np.uint16), "png"))
     noise_file(tmp_path / "a.png", tmp_path / "b.png", NoiseSettings(0.1))
-    made = read(tmp_path / "b.png")
+    made = stored(tmp_path / "b.png")
     assert made.shape == (200, 200, 1)
     assert made.std() / 65535 == pytest.approx(0.1, rel=ERRORS / (2 * 40_000) ** 0.5)
 
@@ -229,129 +216,6 @@ def test_that_jpeg_takes_noise_away_is_said(tmp_path):
         "--texture-format" in w
         for w in noise_file(SAMPLES / "scan-clean.glb", tmp_path / "a.glb", NoiseSettings(SIGMA)).warnings
     )
-
-
-def flat_image(path, levels, side=96):
-    """Stripes of some levels in sRGB, in 16 bits."""
-    stripes = np.repeat(np.asarray(levels), side)[:, None, None]
-    pixels = np.broadcast_to(np.rint(65535 * stripes), (len(stripes), side, 3)).astype(np.uint16)
-    path.write_bytes(encode(np.ascontiguousarray(pixels), "png"))
-    return path
-
-
-def light_of_file(path):
-    return srgb_to_linear((read(path) / 65535).astype(np.float64))
-
-
-SHOT, READ = 0.004, 0.01
-
-
-def test_the_variance_of_a_camera_grows_with_the_light(tmp_path):
-    camera = NoiseSettings(kind="camera", shot=SHOT, read=READ, seed=3)
-    levels = np.repeat([0.4, 0.6, 0.8], 20_000)
-    colours = np.repeat(levels[:, None], 3, axis=1).astype(np.float32)
-    np.savez(tmp_path / "c.npz", positions=np.random.default_rng(1).random((len(levels), 3)), colours=colours)
-    noise_file(tmp_path / "c.npz", tmp_path / "n.npz", camera)
-    made = srgb_to_linear(np.load(tmp_path / "n.npz")["colours"].astype(np.float64))
-    noise_file(flat_image(tmp_path / "i.png", [0.4, 0.6, 0.8]), tmp_path / "n.png", camera)
-    # Where red was measured, it has the noise of the sensor; elsewhere that of means of two and four.
-    red = light_of_file(tmp_path / "n.png").reshape(3, 96, 96, 3)[:, ::2, ::2, 0]
-    for index, level in enumerate((0.4, 0.6, 0.8)):
-        light = float(srgb_to_linear(np.array(level)))
-        expected = SHOT * light + READ**2
-        for values in (made[levels == level].ravel(), red[index].ravel()):
-            assert values.mean() == pytest.approx(light, abs=ERRORS * (expected / values.size) ** 0.5)
-            assert values.var() == pytest.approx(expected, rel=ERRORS * (2 / values.size) ** 0.5)
-
-
-def test_a_camera_without_noise_demosaics_bilinearly(tmp_path):
-    image = np.random.default_rng(2).integers(9000, 60000, (40, 30, 3)).astype(np.uint16)
-    (tmp_path / "a.png").write_bytes(encode(image, "png"))
-    noise_file(tmp_path / "a.png", tmp_path / "b.png", NoiseSettings(kind="camera", shot=0, read=0))
-    light = srgb_to_linear(image / 65535)
-    masks = np.zeros((3, 40, 30))
-    masks[0, ::2, ::2] = masks[2, 1::2, 1::2] = masks[1, ::2, 1::2] = masks[1, 1::2, ::2] = 1
-    corner, cross = (
-        np.array([[1, 2, 1], [2, 4, 2], [1, 2, 1]]) / 4,
-        np.array([[0, 1, 0], [1, 4, 1], [0, 1, 0]]) / 4,
-    )
-    expected = [convolve(light[..., k] * masks[k], cross if k == 1 else corner) for k in range(3)]
-    inner = np.s_[1:-1, 1:-1]
-    made = light_of_file(tmp_path / "b.png")[inner]
-    np.testing.assert_allclose(made, np.stack(expected, axis=2)[inner], atol=2e-5)
-
-
-def grain_of(path, size, tmp_path):
-    """Return the change of an image by grain, in units of its deviation."""
-    made = tmp_path / f"grain-{size}.png"
-    noise_file(path, made, NoiseSettings(0.05, "grain", seed=4, size=size))
-    return (read(made).astype(np.float64) - read(path)) / (0.05 * 65535)
-
-
-def correlation(change, lag):
-    return float(np.mean(change[:, lag:] * change[:, :-lag]))
-
-
-def test_grain_has_its_deviation_everywhere_and_reaches_as_far_as_its_size(tmp_path):
-    path = flat_image(tmp_path / "a.png", [0.5] * 3, side=150)
-    for size in (2, 3, 6):
-        change = grain_of(path, size, tmp_path)
-        assert change.std() == pytest.approx(1, abs=0.08)
-        assert np.abs(np.square(change).reshape(450, -1, size, 3).mean(axis=(0, 1)) - 1).max() < 0.15
-        assert correlation(change, max(1, size // 2)) > 0.4
-        assert correlation(change, size) < 0.3
-        assert abs(correlation(change, 2 * size)) < 0.12
-        assert abs(np.corrcoef(change.reshape(-1, 3).T)[0, 1]) < 0.1
-
-
-def test_grain_is_of_the_place_on_the_surface_on_both_sides_of_seams(tmp_path):
-    image = np.full((48, 48, 3), 30000, np.uint16)
-    board = write_board(tmp_path / "b.obj", image)
-    noise_file(board, tmp_path / "n.obj", NoiseSettings(0.1, "grain", size=6))
-    change = (read(tmp_path / "n.png").astype(int) - 30000) / 6553.5
-    inside = slice(FIRST, FIRST + CHART)
-    left, right = change[inside, :STRIDE], change[inside, STRIDE:]
-    beside = left[:, FIRST + CHART - 1] - right[:, FIRST]  # a texel apart, across the seam
-    within = left[:, FIRST + CHART - 1] - left[:, FIRST + CHART - 2]
-    assert np.square(beside).mean() < 2 * np.square(within).mean() < 0.5
-    for step in range(3):
-        np.testing.assert_allclose(left[:, FIRST + CHART + step], right[:, FIRST + step], atol=1e-3)
-
-
-def test_grain_on_vertices_counts_in_their_spacing_and_is_one_at_one_place(tmp_path):
-    side = 60
-    places = np.stack(np.meshgrid(np.arange(side), np.arange(side)), axis=2).reshape(-1, 2) * 0.01
-    positions = np.column_stack([places, np.zeros(len(places))])
-    positions = np.concatenate([positions, positions[:50]])  # some twice
-    np.savez(tmp_path / "c.npz", positions=positions, colours=np.full((len(positions), 3), 0.5, np.float32))
-    noise_file(tmp_path / "c.npz", tmp_path / "n.npz", NoiseSettings(0.05, "grain", size=4))
-    change = (np.load(tmp_path / "n.npz")["colours"].astype(np.float64) - 0.5) / 0.05
-    np.testing.assert_array_equal(change[:50], change[-50:])
-    grid = change[:-50].reshape(side, side, 3)
-    assert grid.std() == pytest.approx(1, abs=0.1)
-    assert correlation(grid, 1) > 0.8
-    assert abs(correlation(grid, 8)) < 0.15
-
-
-@pytest.mark.parametrize("quality", [30, 90])
-def test_jpeg_is_what_the_codec_makes_of_the_picture(quality, tmp_path):
-    clean = read_image((SAMPLES / "scan-clean.jpg").read_bytes(), "").pixels[:120, :90]
-    (tmp_path / "a.png").write_bytes(encode(np.ascontiguousarray(clean), "png"))
-    noise_file(tmp_path / "a.png", tmp_path / "b.png", NoiseSettings(kind="jpeg", quality=quality))
-    file = io.BytesIO()
-    PIL.Image.fromarray(clean).save(file, "JPEG", quality=quality, subsampling="4:2:0")
-    expected = np.asarray(PIL.Image.open(file))
-    np.testing.assert_array_equal(read(tmp_path / "b.png"), expected)
-
-
-def test_jpeg_codes_textures_as_they_lie_flat(tmp_path):
-    image = np.random.default_rng(6).integers(60, 200, (48, 48, 3)).astype(np.uint8)
-    noise_file(write_board(tmp_path / "b.obj", image), tmp_path / "n.obj", NoiseSettings(kind="jpeg"))
-    (tmp_path / "flat.png").write_bytes(encode(image, "png"))
-    noise_file(tmp_path / "flat.png", tmp_path / "coded.png", NoiseSettings(kind="jpeg"))
-    inside = slice(FIRST, FIRST + CHART)
-    coded, made = read(tmp_path / "coded.png"), read(tmp_path / "n.png")
-    np.testing.assert_array_equal(made[inside, inside], coded[inside, inside])
 
 
 @pytest.mark.parametrize("kind", ["camera", "grain"])

@@ -1,0 +1,138 @@
+"""Previews of the live view, and the controls and commands that stand for settings."""
+
+from __future__ import annotations
+
+import shlex
+from dataclasses import replace
+
+import click
+import numpy as np
+import pytest
+
+from beltrami_cli.cli import options, smooth
+from beltrami_cli.fields import override
+from beltrami_cli.flow.parameters import KernelParameters
+from beltrami_cli.formats.access import EVERYTHING_INSIDE
+from beltrami_cli.formats.image import read_image
+from beltrami_cli.jobs.documents import open_input
+from beltrami_cli.jobs.job import PLAIN_JOB
+from beltrami_cli.jobs.recolour import recolour_in_memory
+from beltrami_cli.jobs.smoothing import Smoothing
+from beltrami_cli.samples.settings import DEFAULTS
+from beltrami_cli.view.controls import given_values, plain_settings, settings_from
+from beltrami_cli.view.models import displayed_colours, displayed_pixels
+from beltrami_cli.view.preview import Focus, Previewer
+from cli.commands import SAMPLES
+from cli.pictures import encode
+
+NOISY = SAMPLES / "nonmanifold-noisy.ply"
+GUIDED = {"guides": ("{}/guide.png",), "guide_betas": (5.0,)}
+
+
+def parsed(words):
+    """Return the settings that `smooth` makes of options."""
+    with smooth.command.make_context("smooth", ["in", "out", *words]) as context, context:
+        assert click.get_current_context() is context
+        return options.settings_from(context.params)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "",
+        "-n 5 -t 2.4 --beta 7.5",
+        "--preset paper --beta 3",
+        "--preset paper -n 4",
+        "--strength gentle --patches off --window 9",
+        "--noise shot:0.01,read:0.005 --beta 3",
+        "--level-seams -n 3",
+        "--slots baseColor,normal --gutter keep --space linear --fast",
+        "--material 'a b' --material c --metric-channels none --channels r,g",
+        "--guide normal --guide-beta 3.0 --smooth-geometry --texture-format png",
+    ],
+)
+def test_the_command_gives_the_settings_that_it_was_made_of(words):
+    settings, preset = parsed(shlex.split(words)), "paper" if "paper" in words else None
+    assert parsed(options.words_of(settings, preset)) == settings
+    assert settings_from(plain_settings(settings), given_values(settings)) == settings
+
+
+def test_controls_that_are_let_go_are_chosen_again():
+    plain = plain_settings(parsed(["-n", "5", "--beta", "3"]))
+    assert settings_from(plain, {"slots": ["baseColor"]}) == DEFAULTS
+
+
+def middle(kind, document):
+    """Return where somebody looks who looks at the middle from the front, or at the middle of an image."""
+    if kind == "image":
+        return Focus(np.array([0.5, 0.5, 0.0]))
+    positions = document.painted().positions if kind is None else document.textured(kind).positions
+    low, high = positions.min(axis=0), positions.max(axis=0)
+    return Focus((low + high) / 2 + [0, 0, 3 * (high - low).max()], np.array([0.0, 0, -1]))
+
+
+@pytest.fixture
+def beside(tmp_path):
+    """Files that change the surface or the metric: heights and a guide for an image, a guide for a texture, a grid."""
+    shown = read_image((SAMPLES / "scan-noisy.jpg").read_bytes(), "").pixels
+    heights = np.add.outer(np.arange(shown.shape[0]), np.arange(shown.shape[1])) % 97 * 600
+    for name, pixels in (
+        ("heights.png", heights.astype(np.uint16)[..., None]),
+        ("guide.png", shown[::-1].copy()),
+    ):
+        (tmp_path / name).write_bytes(encode(pixels, "png"))
+    rows, columns = np.indices((90, 110))
+    colours = np.random.default_rng(1).integers(80, 120, (90, 110, 3))
+    np.savez(
+        tmp_path / "grid.npz",
+        positions=np.stack([columns, rows, rows * columns / 3e3], axis=2),
+        colours=colours,
+    )
+    return tmp_path
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "slot", "budget", "more"),
+    [
+        ("knot-noisy.ply", None, 2000, {}),
+        ("knot-noisy.ply", None, 2000, {"smooth_geometry": True, "patches": "off"}),
+        ("knot-noisy.ply", None, 2000, {"guides": (str(SAMPLES / "knot-clean.ply"),)}),
+        ("head-tex-noisy.glb", "baseColor", 20_000, {}),
+        ("head-tex-noisy.obj", "baseColor", 20_000, {"guides": (str(SAMPLES / "head-tex-clean.png"),)}),
+        ("torus-two-noisy.gltf", "baseColor", 20_000, {"guides": ("baseColor",)}),
+        ("scan-noisy.jpg", "image", 40_000, {}),
+        ("scan-noisy.jpg", "image", 40_000, GUIDED),
+        ("scan-noisy.jpg", "image", 40_000, {"height": "{}/heights.png"}),
+        ("{}/grid.npz", None, 2000, {}),
+    ],
+)
+def test_most_of_a_preview_is_what_the_whole_becomes(beside, name, slot, budget, more):
+    texts = {
+        key: tuple(each.format(beside) for each in value) for key, value in more.items() if key == "guides"
+    }
+    texts |= {key: value.format(beside) for key, value in more.items() if key == "height"}
+    kernel = KernelParameters(iterations=2, t=1.0, beta=8.0, metric_steps=1)
+    settings = override(replace(DEFAULTS, kernel=kernel), **{**more, **texts})
+    document = open_input(str(SAMPLES / name.format(beside)), settings, EVERYTHING_INSIDE)
+    previewer = Previewer(document, None if slot == "image" else slot)
+    patches = previewer.smooth(settings, middle(slot, document), budget, None)
+    assert budget / 4 < sum(len(patch.rows) for patch in patches) < 2 * budget
+    whole = recolour_in_memory(document, settings, Smoothing(settings), PLAIN_JOB)
+    for patch in patches:
+        if slot is None:
+            expected, one = displayed_colours(whole.painted())[patch.rows], 257
+        else:
+            data = whole.data if slot == "image" else whole.textured(slot).textures[patch.texture].data
+            expected, one = displayed_pixels(read_image(data, name))[patch.rows, patch.columns], 1
+        off = np.abs(patch.colours.astype(int) - expected).max(axis=1) / one
+        # JPEG stores less than what is shown; the outermost samples lack what lies beyond. Where vertices move, the
+        # noise of normals is estimated on the part.
+        assert np.mean(off <= (4 if slot == "image" else 1)) > (
+            0.5 if settings.embedding.smooth_geometry else 0.7
+        )
+        assert (patch.places is not None) == settings.embedding.smooth_geometry
+        if patch.places is not None:
+            before, after = (each.painted().positions[patch.rows] for each in (document, whole))
+            moves = np.linalg.norm(after - before, axis=1)
+            assert np.median(np.linalg.norm(patch.places - after, axis=1)) < 0.4 * np.median(moves)
