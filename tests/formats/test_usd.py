@@ -362,6 +362,25 @@ def test_what_is_not_read_of_materials_is_said_with_the_way_out(change, words, t
         smooth_file(tmp_path / "in" / "a.usda", tmp_path / "b.usda", GIVEN)
 
 
+def test_files_that_nothing_shows_are_copied_beside_the_output(tmp_path):
+    """Such as an image of roughness alone, or the surroundings that light a scene."""
+    rough = """        def Shader "rough"
+        {
+            uniform token info:id = "UsdUVTexture"
+            asset inputs:file = @tex/rough.png@
+            float outputs:r
+        }
+"""
+    light = '    def DomeLight "light"\n    {\n        asset inputs:texture:file = @sky.png@\n    }\n'
+    text = scene(mesh_text(BOUND), material_text("a.png", extra=rough), light)
+    others = {"tex/rough.png": PICTURE, "sky.png": PICTURE + b" "}
+    write(tmp_path / "in", {"a.usda": text, "a.png": PICTURE, **others})
+    (tmp_path / "out").mkdir()
+    smooth_file(tmp_path / "in" / "a.usda", tmp_path / "out" / "b.usda", GIVEN)
+    assert all((tmp_path / "out" / name).read_bytes() == data for name, data in others.items())
+    assert check_files(tmp_path / "in" / "a.usda", tmp_path / "out" / "b.usda").faithful
+
+
 @pytest.mark.parametrize("image", ["../secret.png", "gone.png"])
 def test_images_that_cannot_be_read_are_named(image, tmp_path):
     write(tmp_path, {"secret.png": PICTURE, "in/a.usda": scene(mesh_text(BOUND), material_text(image))})

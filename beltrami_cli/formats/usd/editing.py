@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from pxr import Sdf, Usd, UsdGeom, UsdShade, Vt
+from pxr import Sdf, Usd, UsdGeom, Vt
 
 from beltrami_cli.formats.usd.scene import NeedsLayersError, Scene, opened
-from beltrami_cli.formats.usd.shading import image_of
+from beltrami_cli.formats.usd.shading import files_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -45,9 +45,9 @@ def read(order: dict[str, Any], _: Arrays) -> tuple[dict[str, Any], Arrays]:
     for prim in Usd.PrimRange.Stage(stage, Usd.TraverseInstanceProxies()):
         if prim.IsA(UsdGeom.Mesh):
             scene.take(prim)
-        elif prim.IsA(UsdShade.Shader):
-            images |= image_of(UsdShade.Shader(prim))
-        elif prim.IsA(UsdGeom.Gprim):
+            continue
+        images |= files_of(prim)
+        if prim.IsA(UsdGeom.Gprim):
             others.add(str(prim.GetTypeName()))
     words = {
         "uses": scene.uses,

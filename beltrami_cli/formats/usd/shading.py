@@ -84,6 +84,16 @@ def _sources(shader: Any, name: str) -> list[Any]:
     return list(found.GetValueProducingAttributes()) if found else []
 
 
+def files_of(prim: Any) -> dict[str, str]:
+    """Return the attributes of a prim that name a file, each with that file."""
+    found = {}
+    for attribute in prim.GetAuthoredAttributes():
+        value: Any = attribute.Get() if attribute.GetTypeName() == "asset" else None
+        if getattr(value, "path", ""):
+            found[str(attribute.GetPath())] = placed(_layer_of(attribute), value.path)
+    return found
+
+
 def image_of(shader: Any) -> dict[str, str]:
     """Return the attribute that names the image of a shader, with that image; nothing if it shows none."""
     files = _sources(shader, "file") if shader.GetIdAttr().Get() in ("UsdUVTexture", *_MTLX_IMAGES) else []

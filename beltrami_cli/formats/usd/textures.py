@@ -65,9 +65,10 @@ class Textures:
         return [each["uses"][slot] for each in materials if slot in each["uses"]]
 
     def files(self) -> list[str]:
-        """Return all image files that are shown in a slot, each once."""
+        """Return all image files that are named, in a slot or elsewhere, each once."""
         paths = dict.fromkeys(path for path in self._path_of if path is not None)
-        return list(dict.fromkeys(file for path in paths for file in self._layers.files(path)))
+        shown = [file for path in paths for file in self._layers.files(path)]
+        return list(dict.fromkeys([*shown, *self.labelled().values()]))
 
     def missing(self) -> list[str]:
         """Return the paths of images that are not there."""
@@ -115,8 +116,8 @@ class Textures:
             slots = [slot for (its, _), found in replaced.items() if its == path for slot in found]
             if self.attributes(path, slots) != self.attributes(path):
                 gone.discard(path)
-        paths = dict.fromkeys(path for path in self._path_of if path is not None and path not in gone)
-        return list(dict.fromkeys(file for path in paths for file in self._layers.files(path)))
+        replaced_files = {file for path in gone for file in self._layers.files(path)}
+        return [file for file in self.files() if file not in replaced_files]
 
     def surface(self, slot: Slot) -> TexturedSurface:
         """Return all triangles and the images of a slot."""
