@@ -123,7 +123,11 @@ def test_images_and_points_are_drawn(browser, tmp_path):
     for name, colour in (("a", "255 0 0"), ("b", "0 0 255")):
         clouds.append(tmp_path / f"{name}.xyz")
         clouds[-1].write_text("".join(f"{x} {y} {(x + y) % 2 / 50} {colour}\n" for x, y in grid))
-    assert Viewer(browser, reported(*clouds, tmp_path / "page.html")).halves() == (RED, BLUE)
+    viewer = Viewer(browser, reported(*clouds, tmp_path / "page.html"))
+    assert viewer.halves() == (RED, BLUE)
+    assert not viewer.page.get_by_role(
+        "group", name="Look"
+    ).is_visible()  # points have nothing to choose there
 
 
 @pytest.mark.parametrize("width", WIDTHS)

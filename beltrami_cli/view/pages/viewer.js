@@ -85,6 +85,8 @@ const Viewer = (() => {
       this.offer("wires", this.layer.wires.length > 0);
       this.offer("lit", this.layer.wires.length > 0);
       this.offer("texels", this.layer.flat.children.length > 0);
+      for (const group of this.root.querySelectorAll("fieldset"))
+        group.hidden = [...group.querySelectorAll("label")].every((label) => label.hidden);
       this.look();
       this.reset();
       this.root.dispatchEvent(new Event("layer"));
