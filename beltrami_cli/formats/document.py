@@ -115,6 +115,7 @@ class Fingerprint:
     parts: Mapping[str, bytes]
     colours: Mapping[str, Float32s] = field(default_factory=dict)  # full scale 1, shape (n, C)
     images: Mapping[str, NamedImage] = field(default_factory=dict)  # by where they are used
+    faults: Sequence[str] = ()  # what some readers cannot do with; there may be fewer in the other file
 
 
 class Document(ABC):

@@ -54,6 +54,8 @@ def check_files(
         )
     old, new = (document.fingerprint() for document in documents)
     found = [*_of_colours(old, new), *_of_paintings(old, new, access), *_of_parts(old, new)]
+    faults = [fault for fault in new.faults if fault not in old.faults]
+    found += [Difference("package", fault, of_colour=False) for fault in faults]
     return CheckReport(documents[0].name, documents[1].name, formats[0], found)
 
 

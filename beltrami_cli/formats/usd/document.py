@@ -9,13 +9,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from beltrami_cli.errors import InputError, UnpaintedError
+from beltrami_cli.errors import InputError, UnpaintedError, UsageError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.document import Document, Fingerprint, NamedImage, Written
 from beltrami_cli.formats.image.recognition import format_of, format_of_suffix
 from beltrami_cli.formats.model_folder import LEFT_ALONE, NewNames
 from beltrami_cli.formats.tiles import common_suffix, tile_name
 from beltrami_cli.formats.usd.layers import Layers
+from beltrami_cli.formats.usd.package import IMAGES
 from beltrami_cli.formats.usd.textures import Textures
 from beltrami_cli.surface.polygons import triangulate
 from beltrami_cli.surface.records import MeshContents, PaintedVertices
@@ -201,6 +202,9 @@ class UsdDocument(Document):
         stays = {format_of_suffix(image.suffix) for image in new.values()} == known
         if self._layers.package is not None and is_replaced and stays:
             return path
+        unfit = {image.suffix for image in new.values()} - {*IMAGES}
+        if self._layers.package is not None and unfit and not stays:
+            raise UsageError(f"{self.name}: packages hold no {min(unfit)} images; choose {', '.join(IMAGES)}")
         tiles = self._layers.tiles.get(path, ())
         return names.image(path, None if stays else suffix, is_replaced=is_replaced, tiles=tiles)
 
@@ -257,7 +261,7 @@ class UsdDocument(Document):
             label: NamedImage(posixpath.basename(file), self._layers.image(file))
             for label, file in named.items()
         }
-        return Fingerprint(parts, colours, images)
+        return Fingerprint(parts, colours, images, package.faults() if package is not None else ())
 
     def facts(self) -> dict[str, object]:
         words = self._words

@@ -26,6 +26,10 @@ if TYPE_CHECKING:
 LAYERS = (".usd", ".usda", ".usdc")
 """Suffixes of files that usd-core reads."""
 
+IMAGES = (".png", ".jpg", ".jpeg", ".exr", ".avif")
+"""Suffixes of images that a package may hold [1]_."""
+
+_SOUNDS = (".m4a", ".mp3", ".wav")
 _ALIGNMENT, _PADDING = 64, 0x1986  # the number of extra fields that only fill up
 _LOCAL, _CENTRAL, _END = struct.Struct("<4s5H3L2H"), struct.Struct("<4s6H3L5H2L"), struct.Struct("<4s4H2LH")
 _MOST = (1 << 32) - 1
@@ -37,7 +41,7 @@ class Package:
     """An opened package, whose first file is the root layer."""
 
     def __init__(self, data: bytes, name: str, access: Access) -> None:
-        self._archive = Archive(data, name, access)
+        self._archive, self._data = Archive(data, name, access), data
         self._dates = {entry.filename: entry.date_time for entry in self._archive.entries}
         entries = self._archive.entries
         require_ratio(name, "the package", len(data), sum(entry.file_size for entry in entries))
@@ -52,6 +56,22 @@ class Package:
         self.members = list(self._dates)
         self.root = self.members[0]
         self.layers = [member for member in self.members if member.lower().endswith(LAYERS)]
+
+    def faults(self) -> list[str]:
+        """Return what readers that map packages into memory cannot do with, one sentence each."""
+        found = []
+        for entry in self._archive.entries:
+            sizes = _LOCAL.unpack_from(self._data, entry.header_offset)[
+                -2:
+            ]  # of the name and the extra fields
+            start = entry.header_offset + _LOCAL.size + sum(sizes)
+            if entry.compress_type:
+                found.append(f"{entry.filename} is compressed")
+            elif start % _ALIGNMENT:
+                found.append(f"{entry.filename} does not start at a multiple of {_ALIGNMENT} bytes")
+            if not entry.filename.lower().endswith((*LAYERS, *IMAGES, *_SOUNDS)):
+                found.append(f"{entry.filename} is of a type that no package may hold")
+        return found
 
     def read(self, member: str) -> bytes:
         """Return a file's content; InputError if it is damaged or too large."""
