@@ -1,0 +1,202 @@
+"""USD packages: only images change in them, and what they were converted from comes back; none does harm."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import zipfile
+
+import numpy as np
+import pytest
+
+from beltrami_cli.errors import InputError
+from beltrami_cli.formats.document import Naming
+from beltrami_cli.formats.image import read_image
+from beltrami_cli.formats.registry import open_document
+from beltrami_cli.jobs.check import check_files
+from beltrami_cli.jobs.smooth import smooth_file
+from beltrami_cli.surface.lookup import look_up
+from cli.commands import beltrami
+
+pytest.importorskip("pxr", reason="usd-core is not installed")
+
+from formats.image_files import encode
+from formats.tile_files import TILES, obj_text, painting, sheet
+from formats.usd_files import (
+    BOUND,
+    GIVEN,
+    material_text,
+    members,
+    mesh_text,
+    package,
+    phone_scan,
+    scene,
+)
+
+pytestmark = pytest.mark.slow
+PICTURE = encode(painting(), "png")
+POINTS, _, QUADS = sheet()
+
+
+def pixels(data: bytes):
+    return read_image(data, "image").pixels.astype(np.int64)
+
+
+@pytest.fixture(scope="module")
+def scan(tmp_path_factory):
+    return phone_scan(tmp_path_factory.mktemp("scan"))
+
+
+@pytest.fixture(scope="module")
+def smoothed(scan):
+    smooth_file(scan, scan.with_name("new.usdz"), GIVEN)
+    return scan.with_name("new.usdz")
+
+
+def test_a_scan_keeps_its_layers_and_gets_new_images_in_their_place(scan, smoothed):
+    before, after = members(scan), members(smoothed)
+    assert list(before) == list(after) == ["baked.usdc", "0/baked_tex0.png"]
+    assert before["baked.usdc"] == after["baked.usdc"]
+    assert np.abs(pixels(after["0/baked_tex0.png"]) - painting()).mean() > 3
+    report = check_files(scan, smoothed)
+    assert (report.faithful, len(report.differences)) == (True, 1)
+    from pxr import Usd, UsdGeom
+
+    stage = Usd.Stage.Open(str(smoothed))
+    assert len(UsdGeom.Mesh(stage.GetPrimAtPath("/scan/mesh")).GetPointsAttr().Get()) == len(POINTS)
+
+
+def test_a_scan_is_smoothed_as_the_same_mesh_in_another_format(smoothed, tmp_path):
+    (tmp_path / "a.obj").write_text(obj_text(sheet()[1].round(6) / 2, POINTS.round(6), QUADS))
+    (tmp_path / "model.mtl").write_text("newmtl skin\nmap_Kd skin.png\n")
+    (tmp_path / "skin.png").write_bytes(PICTURE)
+    smooth_file(tmp_path / "a.obj", tmp_path / "b.obj", GIVEN)
+    other = pixels(members(smoothed)["0/baked_tex0.png"])
+    assert np.abs(pixels((tmp_path / "b_skin.png").read_bytes()) - other).max() <= 1
+
+
+def test_a_package_goes_through_a_pipe(scan, tmp_path):
+    done = beltrami("smooth", "-", "-", "-n", "1", "--beta", "20", stdin=scan.read_bytes())
+    assert done.returncode == 0
+    (tmp_path / "piped.usdz").write_bytes(done.stdout)
+    before, after = members(scan), members(tmp_path / "piped.usdz")
+    assert [name for name in before if before[name] != after[name]] == ["0/baked_tex0.png"]
+
+
+def test_nothing_new_is_the_same_file(scan):
+    document = open_document(str(scan))
+    assert b"".join(document.patch(None, Naming("new")).main) == scan.read_bytes()
+    assert document.references() == []
+
+
+def test_tiles_in_a_package_are_one_surface(smoothed, tmp_path):
+    smooth_file(phone_scan(tmp_path / "in", udim=True), tmp_path / "new.usdz", GIVEN)
+    before, after = members(tmp_path / "in" / "scan.usdz"), members(tmp_path / "new.usdz")
+    assert list(before) == list(after)
+    assert before["baked.usdc"] == after["baked.usdc"]
+    whole = pixels(members(smoothed)["0/baked_tex0.png"])
+    side = len(whole) // 2
+    for u, v in TILES:
+        tile = pixels(after[f"0/baked_tex0.{1001 + u + 10 * v}.png"])
+        wanted = whole[(1 - v) * side : (2 - v) * side, u * side : (u + 1) * side]
+        assert np.abs(tile - wanted).max() <= 1
+    assert len(check_files(tmp_path / "in" / "scan.usdz", tmp_path / "new.usdz").differences) == 4
+
+
+@pytest.mark.parametrize("suffix", ["usdz", "usda"])
+def test_glb_and_usd_are_converted_into_each_other(scan, suffix, tmp_path):
+    smooth_file(scan, tmp_path / "by.glb", GIVEN, iterations=0)
+    smooth_file(tmp_path / "by.glb", tmp_path / f"new.{suffix}", GIVEN, iterations=0)
+    old, new = (open_document(str(path)).textured("baseColor") for path in (scan, tmp_path / f"new.{suffix}"))
+    assert old.textures[0].data == new.textures[0].data
+    assert old.textures[0].wrap == new.textures[0].wrap
+    np.testing.assert_allclose(new.positions[new.faces], old.positions[old.faces], atol=1e-6)
+    np.testing.assert_allclose(new.uv, old.uv, atol=1e-6)
+    if suffix == "usdz":
+        assert next(iter(members(tmp_path / "new.usdz"))) == "new.usdc"
+
+
+@pytest.mark.parametrize("suffix", ["usdz"])
+def test_vertex_colours_become_linear_light_and_come_back(suffix, tmp_path):
+    lines = "".join(
+        f"v {x} {y} 0 {r} {g} {b}\n"
+        for x, y, r, g, b in [(0, 0, 1, 0, 0.2), (1, 0, 0, 1, 0), (0, 1, 0.5, 0.5, 1)]
+    )
+    (tmp_path / "a.obj").write_text(lines + "f 1 2 3\n")
+    smooth_file(tmp_path / "a.obj", tmp_path / f"b.{suffix}", GIVEN, iterations=0)
+    smooth_file(tmp_path / f"b.{suffix}", tmp_path / "c.obj", GIVEN, iterations=0)
+    one, other = (open_document(str(tmp_path / name)).painted() for name in ("a.obj", "c.obj"))
+    np.testing.assert_allclose(other.colours, one.colours, atol=1e-5)
+    np.testing.assert_array_equal(other.faces, one.faces)
+
+
+def test_converted_images_lie_where_they_did(scan, tmp_path):
+    smooth_file(scan, tmp_path / "new.obj", GIVEN, iterations=0)
+    surface = open_document(str(tmp_path / "new.obj")).textured("baseColor")
+    picture = read_image(surface.textures[0].data, "a").pixels / 255
+    middles = surface.positions[surface.faces].mean(axis=1)[:, :2] * [0.5, -0.5] + [0, 1]
+    shown = look_up(picture, surface.uv.mean(axis=1), ("repeat", "repeat"))
+    np.testing.assert_allclose(shown, look_up(painting() / 255, middles, ("repeat", "repeat")), atol=1e-3)
+
+
+def damaged(scan, kind):
+    layers = dict(members(scan))
+    root = layers["baked.usdc"]
+    random = np.random.default_rng(1)
+    return {
+        "cut off": [("baked.usdc", root[: len(root) // 2])],
+        "noise": [("a.usdc", root[:100] + random.bytes(len(root) - 100))],
+        "no text": [("a.usda", b"#usda 1.0\ndef Mesh {{{")],
+        "no layer first": [("a.png", PICTURE), ("a.usdc", root)],
+        "way out": [("a.usdc", root), ("../a.png", PICTURE)],
+        "absolute": [("a.usdc", root), ("/a.png", PICTURE)],
+    }[kind]
+
+
+@pytest.mark.parametrize("kind", ["cut off", "noise", "no text", "no layer first", "way out", "absolute"])
+def test_damaged_packages_are_refused_in_one_line(scan, kind, tmp_path):
+    source = package(tmp_path / "a.usdz", damaged(scan, kind))
+    done = beltrami("smooth", source, tmp_path / "b.usdz")
+    assert done.returncode == 3
+    assert done.stderr.decode().count("\n") == 1
+    assert not (tmp_path / "b.usdz").exists()
+
+
+def test_bombs_are_not_unpacked(tmp_path):
+    source = package(tmp_path / "a.usdz", [("a.usda", b"#usda 1.0\n" + bytes(1 << 27))], zipfile.ZIP_DEFLATED)
+    with pytest.raises(InputError, match="more than any model has"):
+        open_document(str(source))
+
+
+def test_without_usd_core_the_way_to_install_it_is_said(scan, tmp_path):
+    (tmp_path / "pxr").mkdir()
+    (tmp_path / "pxr" / "__init__.py").write_text("raise ImportError(name='pxr')\n")
+    path = os.pathsep.join([str(tmp_path), *filter(None, [os.environ.get("PYTHONPATH")])])
+    done = subprocess.run(
+        [sys.executable, "-P", "-m", "beltrami_cli", "info", str(scan)],
+        env={**os.environ, "PYTHONPATH": path}, capture_output=True, check=False, text=True,
+    )  # fmt: skip
+    assert done.returncode == 3
+    assert "pip install 'beltrami-cli[usd]'" in done.stderr
+
+
+def test_an_image_that_is_shown_as_something_else_too_stays_in_the_package(tmp_path):
+    other = """        def Shader "other"
+        {
+            uniform token info:id = "UsdUVTexture"
+            asset inputs:file = @a.png@
+            float2 inputs:st.connect = </scan/skin/st.outputs:result>
+            float outputs:r
+        }
+"""
+    text = scene(mesh_text(BOUND), material_text("a.png", extra=other)).replace(
+        "float inputs:roughness = 1", "float inputs:roughness.connect = </scan/skin/other.outputs:r>"
+    )
+    source = package(tmp_path / "a.usdz", [("a.usda", text.encode()), ("a.png", PICTURE)])
+    smooth_file(source, tmp_path / "b.usdz", GIVEN)
+    after = members(tmp_path / "b.usdz")
+    assert list(after) == ["a.usda", "a.png", "b.png"]
+    assert after["a.png"] == PICTURE
+    assert after["a.usda"].decode().count("@./b.png@") == 1
+    assert check_files(source, tmp_path / "b.usdz").faithful
