@@ -170,6 +170,23 @@ def test_the_noise_that_jpeg_left_is_found(quality, subsampling, sigma, tmp_path
     assert sigma_of_covariances(covariances)[3] == pytest.approx(sigma[3], rel=0.03)  # by other even tiles
 
 
+@pytest.mark.parametrize("quality", [75, 85, 95])
+@pytest.mark.parametrize("black", [0, 120])
+def test_white_noise_that_jpeg_left_in_the_mean_of_channels_is_found(quality, black, tmp_path):
+    """Within 30 % of what is left of it, beside black, too, though differences of channels have next to none."""
+    clean = painting(256)
+    clean[:, :black] = 0
+    image = jpeg(stored(clean, 12), quality, "4:2:0", tmp_path)
+    planes = np.ascontiguousarray(np.moveaxis(image, 2, 0))
+    noise = find_grid_noise(planes, np.ones((256, 256), bool), by_level=False)
+    mean = np.sqrt(noise.covariances[1].sum() / 9)
+    # The mean of 2 x 2 cells has half of independent noise.
+    left = (image - clean).mean(axis=2)[:, black:]
+    details = left.reshape(128, 2, -1, 2).mean(axis=(1, 3))
+    details = details[::2, ::2] + details[1::2, 1::2] - details[1::2, ::2] - details[::2, 1::2]
+    assert mean == pytest.approx(details.std(), rel=0.3)
+
+
 @pytest.mark.parametrize("factor", [1.3, 2.0])
 def test_the_noise_of_an_enlarged_picture_is_found(factor):
     """Within a third, though its finest detail has next to none."""

@@ -73,6 +73,11 @@ _TEXTURE = 2.5
 # JPEG keeps the finest noise of the mean of channels: that of coarse differences is no larger than this factor of it.
 _COLOURLESS = 1.3
 
+# JPEG leaves white noise in the mean of channels. It grows by less than the first of these from single cells to the
+# second scale and less than the second to the third, or less than the third from single cells on, as no texture does.
+# Differences of channels have less of it, at the second scale by more than the last factor.
+_MOST_FROM_FINEST, _EVEN_MEAN, _AS_FINE, _TAKEN = 2.2, 1.35, 1.25, 1.5
+
 # Noise of the mean of channels and of their differences, relative to the smaller one of these at most.
 _MOST_APART = 1.2
 
@@ -163,6 +168,8 @@ def find_grid_noise(planes: Float32s, filled: Bools, *, by_level: bool) -> GridN
 
 def is_shared(sigma: Float64s) -> bool:
     """Whether neighbours share noise, by its standard deviation at each scale, shape (L, K)."""
+    if _level_of_mean(sigma) is not None:
+        return True
     components = sigma[:, 1:] if sigma.shape[1] == 3 else sigma
     if len(sigma) < 3 or np.isnan(components[:3]).any():
         return False
@@ -183,6 +190,18 @@ def is_shared(sigma: Float64s) -> bool:
     taken = sigma.shape[1] == 3 and middle > _MOST_AT_SECOND * fine and middle > _LEAST_MIDDLE
     taken &= bool(is_plain)
     return bool(grows or lost or taken or _levels_off(sigma))
+
+
+def _level_of_mean(sigma: Float64s) -> float | None:
+    """Return the level of white noise in the mean of channels, if differences of channels have less of it."""
+    if sigma.shape[1] != len(OPPONENTS) or len(sigma) < 3 or np.isnan(sigma[:3]).any():
+        return None
+    fine, middle, coarse = sigma[:3, 0]
+    if middle < _LEAST_MIDDLE or middle < _TAKEN * sigma[1, 1:].max():
+        return None
+    if middle < _MOST_FROM_FINEST * fine and coarse < _EVEN_MEAN * middle:
+        return float(max(fine, middle, coarse))
+    return float(max(fine, middle)) if middle < _AS_FINE * fine else None
 
 
 def _levels_off(sigma: Float64s) -> bool:
@@ -216,6 +235,10 @@ def _bounded(sigma: Float64s, diagonal: float) -> Float64s:
                 if known[scale + 1, 0] < _GROWS * known[scale, 0]:
                     bounds[scale:] = np.maximum(bounds[scale:], known[scale, 0] / _MOST_APART)
         known[:, 0] = np.minimum(known[:, 0], _MOST_APART * bounds)
+        level = _level_of_mean(sigma)
+        if level is not None:
+            known = np.minimum(known, level)
+            known[:, 0] = np.minimum(np.maximum.accumulate(sigma[:, 0]), level)
     for scale in reversed(range(SCALES - 1)):
         known[scale] = np.maximum(known[scale], _LEAST_OF_NEXT * known[scale + 1])
     return known
