@@ -69,8 +69,10 @@ def collaborate_on_canvas(
     mixing: Mixing,
     threads: int,
     progress: Callable[[int], None] | None = None,
+    *,
+    relative: Float32s | None = None,
 ) -> Float32s:
-    """Estimate the colours of the owned cells from patches that look alike in the pilot."""
+    """Estimate the colours of the owned cells from patches that look alike in the pilot; `relative`: see `Manifold`."""
     from beltrami_cli._native import collaborate_on_grid
 
     estimates, weights = (large_arrays.zeros(noisy.shape, np.float32) for _ in range(2))
@@ -81,9 +83,10 @@ def collaborate_on_canvas(
             progress(done)
 
     own = mixing.forth, mixing.back, mixing.variances
+    variances = None if relative is None else relative[0]
     collaborate_on_grid(
-        kind, noisy, pilot, own, None, mixing.has_pilot, estimates, weights, threads, report
-    )  # fmt: skip
+        kind, noisy, pilot, own, variances, mixing.has_pilot, estimates, weights, threads, report
+    )
     return estimates
 
 

@@ -65,29 +65,34 @@ class ClippedChannels:
                 mark[channels[k] <= 0] = -1
         return found
 
-    def restore(self, channels: Float32s, marks: Float32s) -> None:
+    def restore(self, channels: Float32s, marks: Float32s, relative: Float32s) -> None:
         """Turn averages of clipped colours, in place, into estimates of the noise-free colours."""
         for share, k in zip(marks, self.clipped, strict=True):
-            sigma = np.float32(_TRUSTED * self.sigma[k])
+            sigma = self._sigma_at(k, relative, share.shape) * np.float32(_TRUSTED)
             high, low = share > 0, share < 0
             mean = channels[k][high]
-            raised = mean + _towards_limit(1 - mean, share[high], sigma)
+            raised = mean + _towards_limit(1 - mean, share[high], sigma[high])
             channels[k][high] = np.minimum(raised, np.maximum(mean, 1))
             mean = channels[k][low]
-            lowered = mean - _towards_limit(mean, -share[low], sigma)
+            lowered = mean - _towards_limit(mean, -share[low], sigma[low])
             channels[k][low] = np.maximum(lowered, np.minimum(mean, 0))
 
-    def impute(self, channels: Float32s, pilot: Float32s) -> None:
+    def _sigma_at(self, k: int, relative: Float32s, shape: tuple[int, ...]) -> Float32s:
+        """Return the noise of a channel at each sample; `relative`: see `Manifold`."""
+        return np.broadcast_to(np.float32(self.sigma[k]) * np.sqrt(relative), shape)
+
+    def impute(self, channels: Float32s, pilot: Float32s, relative: Float32s) -> None:
         """Replace samples at a limit, in place, by what noise beyond it would be on average around the pilot."""
         normal = _normal()
         for k in self.clipped:
-            own, around, sigma = channels[k], pilot[k], np.float32(self.sigma[k])
+            own, around = channels[k], pilot[k]
+            sigma = self._sigma_at(k, relative, own.shape)
             if self.high[k]:
                 at = own >= 1
-                own[at] = around[at] + sigma * normal.beyond((1 - around[at]) / sigma)
+                own[at] = around[at] + sigma[at] * normal.beyond((1 - around[at]) / sigma[at])
             if self.low[k]:
                 at = own <= 0
-                own[at] = around[at] - sigma * normal.beyond(around[at] / sigma)
+                own[at] = around[at] - sigma[at] * normal.beyond(around[at] / sigma[at])
 
     def cut_off(self, channels: Float32s) -> Float32s:
         """Return channels of imputed samples as they were, cut off at the limits."""
@@ -97,20 +102,21 @@ class ClippedChannels:
             np.clip(cut[k], low, high, out=cut[k])
         return cut
 
-    def expected(self, channels: Float32s) -> Float32s:
+    def expected(self, channels: Float32s, relative: Float32s) -> Float32s:
         """Return the mean of samples with noise that is cut off, by the colours without noise."""
         mean, normal = channels.copy(), _normal()
         for k in self.clipped:
-            own, sigma = channels[k], np.float32(self.sigma[k])
+            own, sigma = channels[k], self._sigma_at(k, relative, channels[k].shape)
             if self.high[k]:
                 mean[k] -= sigma * normal.lost((1 - own) / sigma)
             if self.low[k]:
                 mean[k] += sigma * normal.lost(own / sigma)
         return mean
 
-    def share_within(self, channels: Float32s, k: int) -> Float32s:
+    def share_within(self, channels: Float32s, k: int, relative: Float32s) -> Float32s:
         """Return the share of samples of channel `k` that are not cut off, by the colours without noise."""
-        own, sigma, normal = channels[k], np.float32(self.sigma[k]), _normal()
+        own, normal = channels[k], _normal()
+        sigma = self._sigma_at(k, relative, own.shape)
         share: Float32s = np.ones_like(own)
         if self.high[k]:
             share -= normal.share_beyond((1 - own) / sigma)
@@ -170,7 +176,7 @@ def variance_of_clipped(share: Float64s) -> Float64s:
     return variance
 
 
-def _towards_limit(gap: Float32s, share: Float32s, sigma: np.float32) -> Float32s:
+def _towards_limit(gap: Float32s, share: Float32s, sigma: Float32s) -> Float32s:
     """Return how much closer to a limit the true value is than the average."""
     table = _censored_normal()
     # The share of a true colour within the limits is at most one half.

@@ -12,6 +12,7 @@ References
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 
     from beltrami_cli.arrays import Float32s, Float64s, Uint8s
     from beltrami_cli.flow.grid_kernels import GridKernels
+    from beltrami_cli.flow.manifold import Mixing
 
 # Of the noise of a level, what its own details hold; the rest is in its means, which coarser levels estimate: but for
 # the share that they leave, and at the coarsest level all.
@@ -57,7 +59,13 @@ def denoise_means(
     for level in range(coarsest, 0, -1):
         means, kinds = means_of_squares(planes, kind, 2**level)
         noise = noise_of_level(covariances, level, coarsest)
-        after, risk = _estimated(manifold, means, kinds, noise, random, report)
+        relative = manifold.differing
+        if relative is not None:
+            relative = means_of_squares(relative, kind, 2**level)[0]
+        collaborate = partial(
+            collaborate_on_canvas, kinds, threads=manifold.threads, progress=report, relative=relative
+        )
+        after, risk = _estimated(manifold, means, kinds, noise, random, collaborate)
         after -= means
         add_enlarged(planes, kind, after, kinds, 2**level)
         refresh_halo(planes, manifold.atlas)
@@ -81,15 +89,14 @@ def _estimated(
     kinds: Uint8s,
     noise: Float64s,
     random: np.random.Generator,
-    report: Callable[[int], None] | None,
+    collaborate: Callable[[Float32s, Float32s, Mixing], Float32s],
 ) -> tuple[Float32s, float]:
     """Estimate means from patches; return them and their mean square error by SURE, see `tuning.sure`."""
     first = mixing_of(manifold, manifold.colours, noise)
     second = with_pilot(first, manifold)
 
     def estimate(noisy: Float32s) -> Float32s:
-        pilot = collaborate_on_canvas(kinds, noisy, noisy, first, manifold.threads, report)
-        return collaborate_on_canvas(kinds, noisy, pilot, second, manifold.threads, report)
+        return collaborate(noisy, collaborate(noisy, noisy, first), second)
 
     after = estimate(means)
     probe = mixed_signs(noise, means.shape[1:], random)

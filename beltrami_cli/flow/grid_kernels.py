@@ -150,6 +150,7 @@ class GridKernels(Manifold):
         part.size = kind.size
         part.scale = None if self.scale is None else self.pick(self.scale, samples)
         part.repeats = None if self.repeats is None else self.pick(self.repeats, samples)
+        part.differing = None if self.differing is None else self.pick(self.differing, samples)
         part.guides = [(self.pick(planes, samples), beta) for planes, beta in self.guides]
         if isinstance(samples, slice):
             gaussian = cast("GridGaussian | None", self._gaussian)

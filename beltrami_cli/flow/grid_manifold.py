@@ -20,6 +20,7 @@ from beltrami_cli.flow.grid_kernels import GridKernels
 from beltrami_cli.flow.grid_partitions import cut_grid
 from beltrami_cli.flow.kernel_work import KernelWork
 from beltrami_cli.flow.manifold import NewColours, SampleTrial
+from beltrami_cli.flow.noise.by_place import find_relative_noise
 from beltrami_cli.flow.noise.grid import estimate_sigma_on_grid
 from beltrami_cli.flow.noise.grid_scales import find_grid_noise
 from beltrami_cli.flow.noise.haar_noise import covariance_of_cells, sigma_of_covariances
@@ -89,8 +90,11 @@ class GridManifold(GridKernels):
         """Estimate the noise, and make it even at all levels if it is not."""
         planes, given = self.colours, parameters.given_noise
         self.noise_covariances: Float64s | None = None
+        differs = find_relative_noise(planes, filled) if given is None and parameters.evens_noise else None
+        if differs is not None:
+            self.differing = differs[0][None]
         if given is None:
-            noise = find_grid_noise(planes, filled, by_level=parameters.evens_noise)
+            noise = find_grid_noise(planes, filled, by_level=parameters.evens_noise, relative=self.differing)
             self.stabiliser, self.noise_covariances = noise.stabiliser, noise.covariances
         elif given.is_by_level:
             self.stabiliser = given.stabiliser()
@@ -98,6 +102,8 @@ class GridManifold(GridKernels):
             for rows in large_arrays.blocks(planes.shape[1], _ROWS):
                 self.stabiliser.stabilise(planes[:, rows])
         self.sigma = estimate_sigma_on_grid(planes, filled)
+        if differs is not None:  # of quiet places
+            self.sigma = self.sigma * differs[1]
         self.take_given(given)
         if self.noise_covariances is not None:
             self.sigma = sigma_of_covariances(self.noise_covariances)
@@ -197,7 +203,7 @@ class GridManifold(GridKernels):
     def restore(self, clipped: ClippedChannels, colours: Float32s, marks: Float32s) -> None:
         """Turn averages of clipped colours into estimates of the colours without noise."""
         for rows in large_arrays.blocks(len(self.atlas.kind), _ROWS):
-            clipped.restore(colours[:, rows], marks[:, rows])
+            clipped.restore(colours[:, rows], marks[:, rows], self.relative[0, rows])
 
     @property
     def shares_noise(self) -> bool:
@@ -208,7 +214,9 @@ class GridManifold(GridKernels):
         self, noisy: Stack, pilot: Stack, mixing: Mixing, progress: Callable[[int], None] | None
     ) -> Stack:
         """Estimate the colours of the owned cells from patches, and show them in the halo."""
-        estimates = collaborate_on_canvas(self.atlas.kind, noisy, pilot, mixing, self.threads, progress)
+        estimates = collaborate_on_canvas(
+            self.atlas.kind, noisy, pilot, mixing, self.threads, progress, relative=self.differing
+        )
         refresh_halo(estimates, self.atlas)
         return estimates
 

@@ -145,6 +145,9 @@ class Manifold(ABC):
     moving: MovingPositions | None = None
     """The positions, if they are smoothed along with the colours."""
 
+    differing: Float32s | None = None
+    """The variance of the noise relative to its mean, a stack of one channel; None if it is the same everywhere."""
+
     stabiliser: VarianceStabiliser | None = None
     """What made the noise of the colours the same at all levels."""
 
@@ -157,6 +160,15 @@ class Manifold(ABC):
     def noise_covariance(self) -> Float64s:
         """Covariance of the noise of channels, shape (N, N)."""
         return np.diag(np.square(self.sigma))
+
+    @property
+    def relative(self) -> Float32s:
+        """The variance of the noise relative to its mean, a stack of one channel like that of the colours."""
+        if self.differing is not None:
+            return self.differing
+        shape = list(self.colours.shape)
+        shape[self.axis] = 1
+        return np.broadcast_to(np.float32(1), shape)
 
     @property
     def noise(self) -> Float64s:
@@ -217,6 +229,8 @@ class Manifold(ABC):
         beta = step.beta
         if self.chosen is not None:
             colours = np.ascontiguousarray(np.take(colours, self.chosen, axis=self.axis))
+        if self.differing is not None:  # differences count by the noise where they are
+            colours = np.divide(colours, np.sqrt(self.differing), dtype=np.float32)
         own = self.regularised(colours, beta) if step.regularised else (colours, beta)
         return join_channels([own, *self.guides, *self._features(step)], self.axis)
 
@@ -376,6 +390,11 @@ class SampleTrial:
     def samples(self) -> int:
         """How many samples count."""
         return len(self.scored(self.start))
+
+    @property
+    def relative(self) -> Float32s | float:
+        """The variance of the noise relative to its mean."""
+        return 1.0 if self.part.differing is None else self.scored(self.part.differing)
 
     def step(self, state: Float32s, step: Step) -> Float32s:
         """Return the colours after an iteration."""

@@ -140,7 +140,7 @@ class MeshManifold(MeshKernels):
 
     def restore(self, clipped: ClippedChannels, colours: Float32s, marks: Float32s) -> None:
         """Turn averages of clipped colours into estimates of the colours without noise."""
-        clipped.restore(colours.T, marks.T)
+        clipped.restore(colours.T, marks.T, self.relative[:, 0])
 
     def collaborate(
         self, noisy: Stack, pilot: Stack, mixing: Mixing, progress: Callable[[int], None] | None

@@ -24,6 +24,7 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -96,8 +97,8 @@ def blend_with_patches(
     _add(axis, disturbed, signs, size)
     disturbed = kernel(disturbed)
     if clipped is not None:
-        for own, pilot in _blocks(axis, noisy, before):
-            clipped.impute(own, pilot)
+        for own, pilot, relative in _blocks(axis, noisy, before, manifold.relative):
+            clipped.impute(own, pilot, relative[0])
     mixing = mixing_of(manifold, before, manifold.noise_covariance)
     second = with_pilot(mixing, manifold)
 
@@ -113,9 +114,9 @@ def blend_with_patches(
     response = estimate(noisy, disturbed)
     _add(axis, noisy, signs, -size)
     sums, model = manifold.planes(2), _Model(sigma, clipped)
-    stacks = _blocks(axis, noisy, signs, before, after, disturbed, response)
-    for (z, b, p, q, near_p, near_q), (own,) in zip(stacks, _blocks(0, sums), strict=True):
-        own[:] = model.parabola(z, b / size, (p, q), (near_p, near_q))
+    stacks = _blocks(axis, noisy, signs, before, after, disturbed, response, manifold.relative)
+    for (z, b, p, q, near_p, near_q, relative), (own,) in zip(stacks, _blocks(0, sums), strict=True):
+        own[:] = model.parabola(z, b / size, (p, q), (near_p, near_q), relative[0])
     del noisy, disturbed, response, signs
     return _mix(manifold, before, after, sums)
 
@@ -132,19 +133,21 @@ class _Model:
         probe: Array,
         results: tuple[Float32s, Float32s],
         responses: tuple[Float32s, Float32s],
+        relative: Float32s,
     ) -> Float32s:
         """Return the terms of the numerator and of the denominator of w, summed over channels."""
         middle = (results[0] + results[1]) * np.float32(0.5)
         if self._clipped is not None:
             noisy = self._clipped.cut_off(noisy)
-            results = self._clipped.expected(results[0]), self._clipped.expected(results[1])
-            responses = self._clipped.expected(responses[0]), self._clipped.expected(responses[1])
+            expected = partial(self._clipped.expected, relative=relative)
+            results = expected(results[0]), expected(results[1])
+            responses = expected(responses[0]), expected(responses[1])
         difference = results[1] - results[0]
         divergence = probe * (responses[1] - responses[0] - difference)
         slope = (noisy - results[0]) * difference
         for k, sigma in enumerate(self._sigma):
-            within = 1 if self._clipped is None else self._clipped.share_within(middle, k)
-            slope[k] -= np.float32(sigma**2) * within * divergence[k]
+            within = 1 if self._clipped is None else self._clipped.share_within(middle, k, relative)
+            slope[k] -= np.float32(sigma**2) * relative * within * divergence[k]
         return np.stack([slope.sum(axis=0), np.square(difference).sum(axis=0)])
 
 

@@ -47,6 +47,8 @@ def edges_of(faces):
 class Blur:
     """A trial whose iterations average over the four neighbours on a torus, weighed by likeness: smooth, not linear."""
 
+    relative = 1.0
+
     def __init__(self, colours, seed, probes=1):
         self.start = colours
         self.signs = np.random.default_rng(seed).choice(np.float32([-1, 1]), (probes, *colours.shape))

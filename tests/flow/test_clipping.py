@@ -64,7 +64,7 @@ def test_the_true_value_follows_from_mean_and_share_of_a_censored_normal():
         clipped = find_clipped(samples, np.array([SIGMA]))
         mean = samples.mean(axis=0, keepdims=True, dtype=np.float64).T.astype(np.float32)
         marks = clipped.marks(samples.T).mean(axis=1, keepdims=True, dtype=np.float64).astype(np.float32)
-        clipped.restore(mean, marks)
+        clipped.restore(mean, marks, np.float32(1))
         # The mean of 400,000 draws has a standard error of 0.002 sigma; near the limit it is up to tripled.
         assert abs(mean[0, 0] - level) < 0.01 * SIGMA
 

@@ -94,6 +94,8 @@ def test_equal_covariances_are_independent_noise():
 class Blur:
     """A trial whose iterations average over the four neighbours on a torus, weighed by likeness in all channels."""
 
+    relative = 1.0
+
     def __init__(self, colours, signs):
         self.start, self.signs = colours, signs
 

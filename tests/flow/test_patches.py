@@ -28,6 +28,9 @@ from oracles import surfaces
 from oracles.paintings import flat_paint, line_art, photograph, psnr, with_noise
 
 SIGMA = 0.08
+# Noise that is the same everywhere.
+ONE = np.float32(1)
+
 BOTH = ClippedChannels((True,), (True,), np.array([SIGMA]))
 LEVELS = [0.0, 0.02, 0.1, 0.5, 0.93, 1.0]
 ON = {**FIXED, "patches": "on"}
@@ -43,7 +46,7 @@ def cut_off_samples(level, count=200_000):
 def test_imputed_samples_have_the_true_mean_and_are_cut_off_as_they_were(level):
     samples = cut_off_samples(level)
     imputed = samples.copy()
-    BOTH.impute(imputed, np.full_like(samples, level))
+    BOTH.impute(imputed, np.full_like(samples, level), ONE)
     # Less scattered than the noise itself, since all at the limit become one value.
     assert abs(imputed.mean(dtype=np.float64) - level) < 4 * SIGMA / np.sqrt(samples.size)
     inside = (samples > 0) & (samples < 1)
@@ -54,21 +57,23 @@ def test_imputed_samples_have_the_true_mean_and_are_cut_off_as_they_were(level):
 @pytest.mark.parametrize("level", LEVELS)
 def test_expected_is_the_mean_of_cut_off_noise(level):
     samples, true = cut_off_samples(level), np.full((1, 1), level, np.float32)
-    assert abs(BOTH.expected(true)[0, 0] - samples.mean(dtype=np.float64)) < 4 * SIGMA / np.sqrt(samples.size)
+    assert abs(BOTH.expected(true, ONE)[0, 0] - samples.mean(dtype=np.float64)) < 4 * SIGMA / np.sqrt(
+        samples.size
+    )
     within = np.mean((samples > 0) & (samples < 1))
-    assert abs(BOTH.share_within(true, 0)[0] - within) < 4 * 0.5 / np.sqrt(samples.size)
+    assert abs(BOTH.share_within(true, 0, ONE)[0] - within) < 4 * 0.5 / np.sqrt(samples.size)
 
 
 def test_only_limits_at_which_noise_was_cut_off_count():
     high = ClippedChannels((False, False), (False, True), np.array([SIGMA, SIGMA]))
     colours = np.array([[0.0, 0.5, 1.0]] * 2, np.float32)
     imputed = colours.copy()
-    high.impute(imputed, colours)
+    high.impute(imputed, colours, ONE)
     assert np.array_equal(imputed[0], colours[0])
     assert np.array_equal(imputed[1, :2], colours[1, :2])
     assert imputed[1, 2] > 1
-    np.testing.assert_allclose(high.expected(colours)[:, :2], colours[:, :2], atol=1e-9)
-    assert high.expected(colours)[1, 2] < 1
+    np.testing.assert_allclose(high.expected(colours, ONE)[:, :2], colours[:, :2], atol=1e-9)
+    assert high.expected(colours, ONE)[1, 2] < 1
 
 
 def pixel_flow(image, **parameters):

@@ -75,7 +75,7 @@ _COLOURLESS = 1.3
 
 # JPEG leaves white noise in the mean of channels. It grows by less than the first of these from single cells to the
 # second scale and less than the second to the third, or less than the third from single cells on, as no texture does.
-# Differences of channels have less of it, at the second scale by more than the last factor.
+# Differences of channels have less of it, at the second scale by more than the last factor, and least in the finest.
 _MOST_FROM_FINEST, _EVEN_MEAN, _AS_FINE, _TAKEN = 2.2, 1.35, 1.25, 1.5
 
 # Noise of the mean of channels and of their differences, relative to the smaller one of these at most.
@@ -99,32 +99,38 @@ class GridNoise:
     covariances: Float64s | None  # of stabilised colours, shape (L, N, N), see `haar_noise`
 
 
-def measure_by_scale(planes: Float32s, filled: Bools) -> tuple[list[Neighbourhoods], Float64s]:
+def measure_by_scale(
+    planes: Float32s, filled: Bools, relative: Float32s | None = None
+) -> tuple[list[Neighbourhoods], Float64s]:
     """Measure the tiles of each scale; return them, and the mixing of channels into components, shape (K, K)."""
     colours = planes[:3] if len(planes) >= 3 else planes
     mixing = mixing_for(len(colours))
     rows = _some_rows(*filled.shape)
     colours, filled = colours[:, rows], filled[rows]
+    louder = None if relative is None else relative[0, rows]
     cut = ((colours <= 0) | (colours >= 1)).mean(axis=0, dtype=np.float32)
     # Not by BLAS: its threads would spin for as long as an iteration takes.
     means = np.einsum("ij,jrc->irc", mixing.astype(np.float32), colours)
     scales = []
     for scale, side in enumerate(_TILES):
-        corners = _corners(means)
+        corners = corners_of(means)
         means = corners.mean(axis=0)
         details = np.square(corners - means).sum(axis=0) / 3
-        cut, filled = _corners(cut[None]).mean(axis=0)[0], _all_filled(filled)
-        whole = _tiles(filled, side) == side**2
+        cut, filled = corners_of(cut[None]).mean(axis=0)[0], _all_filled(filled)
+        whole = sums_of_tiles(filled, side) == side**2
         if not whole.any():
             break
-        share = np.where(whole, _tiles(cut, side) / side**2, 1)
+        share = np.where(whole, sums_of_tiles(cut, side) / side**2, 1)
         lit = np.count_nonzero(share < _MOST_CUT_OFF) >= _ENOUGH_LIT * np.count_nonzero(share < 1)
         tiles = share < (_MOST_CUT_OFF if lit else _DARK)
         energy, square, level = (
-            np.stack([_tiles(plane, side)[tiles] for plane in of]) / side**2
+            np.stack([sums_of_tiles(plane, side)[tiles] for plane in of]) / side**2
             for of in (details, np.square(means), means)
         )
         remaining = variance_of_clipped(share[tiles])
+        if louder is not None:
+            louder = corners_of(louder[None]).mean(axis=0)[0]
+            remaining = remaining * sums_of_tiles(louder, side)[tiles] / side**2
         plain = energy.min(axis=0, initial=np.inf) <= _PLAIN
         if scale == 0 and np.count_nonzero(plain) > _MOST_PLAIN * len(plain):
             break
@@ -139,11 +145,13 @@ def measure_by_scale(planes: Float32s, filled: Bools) -> tuple[list[Neighbourhoo
     return scales, mixing
 
 
-def find_grid_noise(planes: Float32s, filled: Bools, *, by_level: bool) -> GridNoise:
-    """Find how noise depends on the level, if it may, and what neighbouring cells share of it."""
+def find_grid_noise(
+    planes: Float32s, filled: Bools, *, by_level: bool, relative: Float32s | None = None
+) -> GridNoise:
+    """Find how noise depends on the level, if it may, and what neighbouring cells share; `relative`: see `Manifold`."""
     if np.count_nonzero(filled) < _MIN_CELLS or min(filled.shape) < _MIN_SIDE:
         return GridNoise(None, None)
-    scales, mixing = measure_by_scale(planes, filled)
+    scales, mixing = measure_by_scale(planes, filled, relative)
     if not scales or len(scales[0].level) < _MIN_TILES:
         return GridNoise(None, None)
     found = fit_by_level(scales)
@@ -197,7 +205,8 @@ def _level_of_mean(sigma: Float64s) -> float | None:
     if sigma.shape[1] != len(OPPONENTS) or len(sigma) < 3 or np.isnan(sigma[:3]).any():
         return None
     fine, middle, coarse = sigma[:3, 0]
-    if middle < _LEAST_MIDDLE or middle < _TAKEN * sigma[1, 1:].max():
+    differences = sigma[:3, 1:].max(axis=1)
+    if middle < max(_LEAST_MIDDLE, _TAKEN * differences[1]) or differences[2] < _GROWS_TWICE * differences[0]:
         return None
     if middle < _MOST_FROM_FINEST * fine and coarse < _EVEN_MEAN * middle:
         return float(max(fine, middle, coarse))
@@ -244,7 +253,7 @@ def _bounded(sigma: Float64s, diagonal: float) -> Float64s:
     return known
 
 
-def _corners(planes: Float32s) -> Float32s:
+def corners_of(planes: Float32s) -> Float32s:
     """Return the four corners of squares of 2 x 2 cells, side by side, shape (4, N, R // 2, C // 2)."""
     rows, columns = (size // 2 * 2 for size in planes.shape[1:])
     return np.stack([planes[:, i:rows:2, j:columns:2] for i in (0, 1) for j in (0, 1)])
@@ -258,7 +267,7 @@ def _all_filled(filled: Bools) -> Bools:
     return np.asarray(both[:, ::2] & both[:, 1::2])
 
 
-def _tiles(values: Float32s | Bools, side: int) -> Float64s:
+def sums_of_tiles(values: Float32s | Bools, side: int) -> Float64s:
     """Sum over tiles; incomplete tiles at the borders are left out."""
     rows, columns = (size // side for size in values.shape)
     whole = values[: rows * side, : columns * side].reshape(rows, side, columns, side)

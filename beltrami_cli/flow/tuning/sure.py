@@ -58,6 +58,10 @@ class Trial(Protocol):
     def signs(self) -> Float32s:
         """Perturbations: independent signs, 1 or -1, or correlated noise with a mean square of 1."""
 
+    @property
+    def relative(self) -> Float32s | float:
+        """The variance of the noise of the samples that are scored relative to its mean, shape (S, 1), or 1."""
+
     def step(self, state: Float32s, step: Step) -> Float32s:
         """Return the state after an iteration."""
 
@@ -98,7 +102,7 @@ class RiskEstimate:
         self._trial = trial
         self._epsilon = PERTURBATION * float(np.sqrt(np.square(sigma).mean()))
         self._noisy = trial.scored(trial.start)
-        self._variance = np.square(sigma) * self._unclipped_variance()
+        self._variance = np.square(sigma) * self._unclipped_variance() * trial.relative
         # Errors count as they are in the colours as given.
         self._counts: Float32s | float = 1.0
         if stabiliser is not None:

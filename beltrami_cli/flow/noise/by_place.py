@@ -1,0 +1,152 @@
+"""Noise that differs from place to place on a grid: of photographs that were taken or developed differently.
+
+In each square block of cells, noise is the least that the mean of channels and their differences show in the even
+tiles, since textures hardly reach all three. Where that is much more than in the quietest blocks, and no
+more so in details of 2 x 2 means than in those of single cells, unlike texture, there is more noise.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from beltrami_cli.flow.noise.by_level import OPPONENTS
+from beltrami_cli.flow.noise.grid_scales import corners_of, sums_of_tiles
+from beltrami_cli.surface import large_arrays
+
+if TYPE_CHECKING:
+    from beltrami_cli.arrays import Bools, Float32s
+
+# Cells a side of a tile, tiles a side of a block, and tiles that a block needs.
+_TILE, _BLOCK, _FEWEST_TILES = 8, 4, 6
+
+# The quantile of the energies of tiles that are even; and that of the blocks that are quiet.
+_EVEN, _QUIET = 0.3, 0.1
+
+# Noise differs if it is stronger by this factor than in quiet blocks, in at least this share of the blocks, and has
+# this standard deviation; of texture, the next scale has even more, by this factor.
+_LOUDER, _COUNTED, _LEAST_SIGMA, _MOST_GROWTH = 1.7, 0.1, 2.5 / 255, 1.6
+
+# Where groups of blocks of like levels explain this share of the differences, and places less, noise depends on levels.
+_GROUPS, _BY_LEVEL = 6, 0.5
+
+# Less variance than any stored colour can show.
+_NOTHING = 1e-12
+
+# The least relative standard deviation.
+_LEAST = 0.2
+
+# Share of the cells of a tile at 0 or full scale beyond which noise was cut off.
+_MOST_CUT_OFF = 0.3
+
+
+def find_relative_noise(planes: Float32s, filled: Bools) -> tuple[Float32s, float] | None:
+    """Find the variance of noise relative to its mean, shape (R, C), and how much larger sigma is than in quiet places.
+
+    None if it is the same everywhere.
+    """
+    if len(planes) < len(OPPONENTS) or min(filled.shape) < 2 * _TILE * _BLOCK:
+        return None
+    tiles, levels = _measure_tiles(planes[: len(OPPONENTS)], filled)
+    blocks = _even_energies(tiles).min(axis=1)
+    known = ~np.isnan(blocks).any(axis=0)
+    if np.count_nonzero(known) < 1 / _QUIET:
+        return None
+    quiet = np.maximum(np.quantile(blocks[:, known], _QUIET, axis=1), _NOTHING).astype(np.float32)
+    fine, coarse = blocks / quiet[:, None, None]
+    louder = known & (fine > max(_LOUDER**2, _LEAST_SIGMA**2 / quiet[0]))
+    if np.count_nonzero(louder) < max(1, _COUNTED * np.count_nonzero(known)):
+        return None
+    if np.median(coarse[louder] / fine[louder]) > _MOST_GROWTH:
+        return None
+    logs = np.log(np.maximum(fine, _NOTHING))
+    by_level = _explained_by_level(logs[known], levels[known])
+    if by_level > _BY_LEVEL and by_level > _explained_by_place(logs):
+        return None
+    return _over_cells(np.where(known, fine, np.nan), tiles[0].min(axis=0) / quiet[0], filled)
+
+
+def _explained_by_level(values: Float32s, levels: Float32s) -> float:
+    """Return which share of the variance of values is that between groups of like levels."""
+    groups = np.array_split(values[np.argsort(levels, kind="stable")], _GROUPS)
+    within = sum(float(np.square(group - group.mean()).sum()) for group in groups)
+    return 1 - within / max(float(np.square(values - values.mean()).sum()), _NOTHING)
+
+
+def _explained_by_place(values: Float32s) -> float:
+    """Return which share of the variance of values blocks share with those beside them."""
+    steps = np.concatenate([np.diff(values, axis=axis).ravel() for axis in (0, 1)])
+    # Between independent values, the variance of steps is twice theirs.
+    return 1 - float(np.nanmean(np.square(steps))) / max(2 * float(np.nanvar(values)), _NOTHING)
+
+
+def _measure_tiles(planes: Float32s, filled: Bools) -> tuple[Float32s, Float32s]:
+    """Return the energies of tiles by scale and component, shape (2, K, T, U), and of blocks the levels."""
+    side = _TILE * _BLOCK
+    rows, columns = (-(-size // side) for size in filled.shape)
+    energies = np.full((2, len(planes), rows * _BLOCK, columns * _BLOCK), np.nan, np.float32)
+    levels = np.zeros((rows, columns), np.float32)
+    for band in large_arrays.blocks(filled.shape[0], side):
+        whole = np.zeros((len(planes), side, columns * side), np.float32)
+        there = np.zeros(whole.shape[1:], bool)
+        whole[:, : len(filled[band]), : filled.shape[1]] = planes[:, band]
+        there[: len(filled[band]), : filled.shape[1]] = filled[band]
+        cut = ((whole <= 0) | (whole >= 1)).mean(axis=0, dtype=np.float32)
+        usable = sums_of_tiles(there, _TILE) == _TILE**2
+        usable &= sums_of_tiles(cut, _TILE) < _MOST_CUT_OFF * _TILE**2
+        first = band.start // _TILE
+        means = np.einsum("ij,jrc->irc", OPPONENTS.astype(np.float32), whole)
+        levels[band.start // side] = sums_of_tiles(means[0], side) / np.maximum(sums_of_tiles(there, side), 1)
+        for scale, own in enumerate(energies[:, :, first : first + _BLOCK]):
+            four = corners_of(means)
+            means = four.mean(axis=0)
+            details = 4**scale * np.square(four - means).sum(axis=0) / 3
+            squares = _TILE >> (scale + 1)
+            for energy, plane in zip(own, details, strict=True):
+                energy[usable] = sums_of_tiles(plane, squares)[usable] / squares**2
+    return energies, levels
+
+
+def _even_energies(tiles: Float32s) -> Float32s:
+    """Return a low quantile of the energies of the tiles of each block; NaN with too few of them."""
+    *shape, rows, columns = tiles.shape
+    grouped = tiles.reshape(*shape, rows // _BLOCK, _BLOCK, columns // _BLOCK, _BLOCK).swapaxes(-3, -2)
+    grouped = grouped.reshape(*shape, rows // _BLOCK, columns // _BLOCK, _BLOCK**2)
+    ordered = np.sort(grouped, axis=-1)  # NaN last
+    usable = np.count_nonzero(~np.isnan(ordered), axis=-1, keepdims=True)
+    at = (_EVEN * (usable - 1)).clip(0).astype(np.intp)
+    found: Float32s = np.take_along_axis(ordered, at, axis=-1)[..., 0]
+    found[usable[..., 0] < _FEWEST_TILES] = np.nan
+    return found
+
+
+def _over_cells(blocks: Float32s, tiles: Float32s, filled: Bools) -> tuple[Float32s, float]:
+    """Spread variances over cells: within those of the blocks around, tiles say where they change."""
+    from scipy.ndimage import maximum_filter, median_filter, minimum_filter  # which take long to be imported
+
+    blocks = _filled_up(blocks)
+    least, most = (
+        np.repeat(np.repeat(of(blocks, 3, mode="nearest"), _BLOCK, 0), _BLOCK, 1)
+        for of in (minimum_filter, maximum_filter)
+    )
+    variances = median_filter(np.clip(_filled_up(tiles), least, most), 3, mode="nearest")
+    result: Float32s = large_arrays.empty(filled.shape, np.float32)
+    total, along = 0.0, np.arange(filled.shape[1]) // _TILE
+    for rows in large_arrays.blocks(len(filled), _TILE * _BLOCK):
+        down = np.arange(*rows.indices(len(filled))) // _TILE
+        result[rows] = variances[down[:, None], along]
+        total += float(result[rows].sum(where=filled[rows], dtype=np.float64))
+    mean = total / np.count_nonzero(filled)
+    result /= np.float32(mean)
+    np.maximum(result, np.float32(_LEAST**2), out=result)
+    return result, mean**0.5
+
+
+def _filled_up(values: Float32s) -> Float32s:
+    """Return values, those that are NaN replaced by the nearest."""
+    from scipy.ndimage import distance_transform_edt
+
+    nearest = distance_transform_edt(np.isnan(values), return_distances=False, return_indices=True)
+    nearby: Float32s = values[tuple(nearest)]
+    return nearby

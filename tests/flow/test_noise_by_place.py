@@ -1,0 +1,66 @@
+"""Noise that differs from place to place, as of two photographs in one image."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import beltrami_cli
+from beltrami_cli.flow import grid_kernels
+from beltrami_cli.flow.noise.by_place import find_relative_noise
+from oracles.paintings import photograph, psnr
+
+SIZE, QUIET, LOUD = 256, 5 / 255, 20 / 255
+
+
+def sigma_at_rows():
+    """Return the standard deviation of rows: the lower half is louder."""
+    return np.where(np.arange(SIZE) < SIZE // 2, QUIET, LOUD)[:, None, None]
+
+
+def of_two_photographs(seed=0):
+    """Return a picture, and the same with noise."""
+    clean = photograph(SIZE)
+    noise = sigma_at_rows() * np.random.default_rng(seed).standard_normal(clean.shape)
+    return clean, np.clip(clean + noise, 0, 1).astype(np.float32)
+
+
+def relative(image):
+    planes = np.ascontiguousarray(np.moveaxis(image, 2, 0), np.float32)
+    return find_relative_noise(planes, np.ones(planes.shape[1:], bool))
+
+
+def test_the_noise_of_both_halves_is_found():
+    """Within 20 % of its standard deviation, but for a tile on both sides of where it changes."""
+    found, growth = relative(of_two_photographs()[1])
+    true = sigma_at_rows()[:, 0] / np.sqrt(np.mean(sigma_at_rows() ** 2))
+    away = np.abs(np.arange(SIZE) - SIZE / 2) > 8
+    ratio = np.median(np.sqrt(found), axis=1, keepdims=True) / true
+    assert ratio[away] == pytest.approx(1, rel=0.2)
+    assert growth == pytest.approx(np.sqrt(np.mean(sigma_at_rows() ** 2)) / QUIET, rel=0.2)
+    assert found.mean() == pytest.approx(1, rel=1e-3)
+
+
+@pytest.mark.parametrize("sigma", [0, 5, 20])
+def test_textures_and_even_noise_are_the_same_everywhere(sigma):
+    clean = photograph(SIZE)
+    noisy = clean + sigma / 255 * np.random.default_rng(1).standard_normal(clean.shape)
+    assert relative(np.clip(noisy, 0, 1).astype(np.float32)) is None
+
+
+def test_both_halves_are_smoothed_as_their_noise_asks():
+    """Almost as well as each half by itself; by one noise for both, most of the noise of the louder half stays."""
+    clean, noisy = of_two_photographs()
+    half = SIZE // 2
+    alone = [beltrami_cli.smooth_image(part).colours for part in (noisy[:half], noisy[half:])]
+    together = beltrami_cli.smooth_image(noisy).colours
+    assert psnr(together, clean) > psnr(np.concatenate(alone), clean) - 2
+    assert psnr(together, clean) > psnr(noisy, clean) + 5
+
+
+def test_blocks_of_rows_give_the_same(monkeypatch):
+    noisy = of_two_photographs()[1]
+    whole = beltrami_cli.smooth_image(noisy).colours
+    monkeypatch.setattr(grid_kernels, "ROW_BLOCK_CELLS", 1)
+    monkeypatch.setattr(grid_kernels, "CELLS_PER_THREAD", 1)
+    assert np.array_equal(beltrami_cli.smooth_image(noisy).colours, whole)
