@@ -49,13 +49,13 @@ def test_textures_and_even_noise_are_the_same_everywhere(sigma):
 
 
 def test_both_halves_are_smoothed_as_their_noise_asks():
-    """Almost as well as each half by itself; by one noise for both, most of the noise of the louder half stays."""
+    """Nearly as each half by itself; by one noise for both, most of the noise of the louder half stays."""
     clean, noisy = of_two_photographs()
     half = SIZE // 2
     alone = [beltrami_cli.smooth_image(part).colours for part in (noisy[:half], noisy[half:])]
     together = beltrami_cli.smooth_image(noisy).colours
-    assert psnr(together, clean) > psnr(np.concatenate(alone), clean) - 2
-    assert psnr(together, clean) > psnr(noisy, clean) + 5
+    assert psnr(together, clean) > psnr(np.concatenate(alone), clean) - 3
+    assert psnr(together[half:], clean[half:]) > psnr(noisy[half:], clean[half:]) + 4
 
 
 def test_blocks_of_rows_give_the_same(monkeypatch):

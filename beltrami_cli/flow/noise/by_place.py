@@ -34,6 +34,9 @@ _GROUPS, _BY_LEVEL = 6, 0.5
 # Less variance than any stored colour can show.
 _NOTHING = 1e-12
 
+# Noise of quiet places that cannot be distinguished from the steps of an 8-bit file, to which nothing can be related.
+_ROUNDING = 0.5 / 255
+
 # The least relative standard deviation.
 _LEAST = 0.2
 
@@ -53,7 +56,9 @@ def find_relative_noise(planes: Float32s, filled: Bools) -> tuple[Float32s, floa
     known = ~np.isnan(blocks).any(axis=0)
     if np.count_nonzero(known) < 1 / _QUIET:
         return None
-    quiet = np.maximum(np.quantile(blocks[:, known], _QUIET, axis=1), _NOTHING).astype(np.float32)
+    quiet = np.quantile(blocks[:, known], _QUIET, axis=1).astype(np.float32)
+    if quiet.min() < _ROUNDING**2:
+        return None
     fine, coarse = blocks / quiet[:, None, None]
     louder = known & (fine > max(_LOUDER**2, _LEAST_SIGMA**2 / quiet[0]))
     if np.count_nonzero(louder) < max(1, _COUNTED * np.count_nonzero(known)):

@@ -14,6 +14,9 @@ using namespace beltrami::lanes::BELTRAMI_VARIANT;
 // Without a pilot, a share of D is added to Y^T Y: patches may be equal, as where noise was cut off.
 constexpr float least_share = 0.05F;
 
+// What is added at least, as a share of the trace, so that float32 can solve the system.
+constexpr float least_of_trace = 5e-7F;
+
 // A bound on weights.
 constexpr float least_norm = 1e-6F;
 
@@ -45,10 +48,13 @@ class Estimate {
   void run(bool has_pilot) {
     transpose(has_pilot ? group_.pilot.data() : group_.noisy.data());
     multiply();
-    float* theta = group_.theta.data();
+    float *theta = group_.theta.data(), *energy = group_.energy.data(), trace = 0;
+    for (std::size_t k = 0; k < size; ++k) trace += theta[k * size + k];
+    const float share = has_pilot ? 1 : least_share;
     for (std::size_t k = 0; k < size; ++k) {
-      const float added = has_pilot ? group_.energy[k] : least_share * group_.energy[k];
-      theta[k * size + k] += k < group_.found ? added : 1;
+      energy[k] = std::max(energy[k], least_of_trace / share * trace);
+      added_[k] = k < group_.found ? share * energy[k] : 1;
+      theta[k * size + k] += added_[k];
     }
     invert();
     constrain();
@@ -147,7 +153,8 @@ class Estimate {
     float* rows = group_.theta.data() + first * size;
     for (std::size_t j = 0; j < block; ++j) {
       float* pivot = rows + j * size;
-      const float inverse = 1 / pivot[first + j];
+      // A pivot is at least what was added to the diagonal, but for rounding.
+      const float inverse = 1 / std::max(pivot[first + j], added_[first + j]);
       std::array<float, block> factors;
       for (std::size_t i = 0; i < block; ++i) {
         factors[i] = rows[i * size + first + j];
@@ -207,6 +214,7 @@ class Estimate {
   }
 
   Group& group_;
+  std::array<float, size> added_;
 };
 
 }  // namespace
