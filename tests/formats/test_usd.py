@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import zipfile
-
 import numpy as np
 import pytest
 
 from beltrami_cli.errors import InputError, UnpaintedError, UsageError
-from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.registry import open_document
-from beltrami_cli.formats.usd.package import Package
 from beltrami_cli.jobs.check import check_files
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.smooth import smooth_file
@@ -25,9 +21,7 @@ from formats.usd_files import (
     GIVEN,
     coloured,
     material_text,
-    members,
     mesh_text,
-    package,
     rows,
     scene,
     write,
@@ -316,28 +310,6 @@ def test_images_that_cannot_be_read_are_named(image, tmp_path):
     with pytest.raises(InputError) as caught:
         smooth_file(tmp_path / "in" / "a.usda", tmp_path / "b.usda", GIVEN)
     assert image.rpartition("/")[2] in str(caught.value)
-
-
-def test_packages_that_readers_cannot_map_are_found_by_check_and_written_right(scan, tmp_path):
-    files = [*members(scan).items()]
-    bad = package(tmp_path / "bad.usdz", files, zipfile.ZIP_DEFLATED)
-    shifted = package(tmp_path / "shifted.usdz", [*files, ("notes.txt", b"x")])
-    compressed, moved = (Package(path.read_bytes(), "a", Access()).faults() for path in (bad, shifted))
-    assert compressed == [f"{name} is compressed" for name, _ in files]
-    assert "notes.txt is of a type that no package may hold" in moved
-    report = check_files(scan, shifted)
-    assert not report.faithful
-    assert any("64 bytes" in each.detail for each in report.differences)
-    smooth_file(bad, tmp_path / "good.usdz", GIVEN)
-    assert not Package((tmp_path / "good.usdz").read_bytes(), "a", Access()).faults()
-    from pxr import Sdf, Usd, UsdUtils
-
-    archive = (Sdf if hasattr(Sdf, "ZipFile") else Usd).ZipFile.Open(str(tmp_path / "good.usdz"))
-    assert archive.GetFileNames() == list(dict(files))
-    for each in map(archive.GetFileInfo, archive.GetFileNames()):
-        assert (each.dataOffset % 64, each.compressionMethod, each.encrypted) == (0, 0, False)
-    unresolved = UsdUtils.ComputeAllDependencies(Sdf.AssetPath(str(tmp_path / "good.usdz")))[2]
-    assert not unresolved
 
 
 def test_packages_get_no_images_that_they_may_not_hold(scan, tmp_path):

@@ -11,9 +11,11 @@ import numpy as np
 import pytest
 
 from beltrami_cli.errors import InputError
+from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.document import Naming
 from beltrami_cli.formats.image import read_image
 from beltrami_cli.formats.registry import open_document
+from beltrami_cli.formats.usd.package import Package
 from beltrami_cli.jobs.check import check_files
 from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.surface.lookup import look_up
@@ -200,3 +202,25 @@ def test_an_image_that_is_shown_as_something_else_too_stays_in_the_package(tmp_p
     assert after["a.png"] == PICTURE
     assert after["a.usda"].decode().count("@./b.png@") == 1
     assert check_files(source, tmp_path / "b.usdz").faithful
+
+
+def test_packages_that_readers_cannot_map_are_found_by_check_and_written_right(scan, tmp_path):
+    files = [*members(scan).items()]
+    bad = package(tmp_path / "bad.usdz", files, zipfile.ZIP_DEFLATED)
+    shifted = package(tmp_path / "shifted.usdz", [*files, ("notes.txt", b"x")])
+    compressed, moved = (Package(path.read_bytes(), "a", Access()).faults() for path in (bad, shifted))
+    assert compressed == [f"{name} is compressed" for name, _ in files]
+    assert "notes.txt is of a type that no package may hold" in moved
+    report = check_files(scan, shifted)
+    assert not report.faithful
+    assert any("64 bytes" in each.detail for each in report.differences)
+    smooth_file(bad, tmp_path / "good.usdz", GIVEN)
+    assert not Package((tmp_path / "good.usdz").read_bytes(), "a", Access()).faults()
+    from pxr import Sdf, Usd, UsdUtils
+
+    archive = (Sdf if hasattr(Sdf, "ZipFile") else Usd).ZipFile.Open(str(tmp_path / "good.usdz"))
+    assert archive.GetFileNames() == list(dict(files))
+    for each in map(archive.GetFileInfo, archive.GetFileNames()):
+        assert (each.dataOffset % 64, each.compressionMethod, each.encrypted) == (0, 0, False)
+    unresolved = UsdUtils.ComputeAllDependencies(Sdf.AssetPath(str(tmp_path / "good.usdz")))[2]
+    assert not unresolved
