@@ -15,7 +15,7 @@ using namespace beltrami::lanes::BELTRAMI_VARIANT;
 constexpr float least_share = 0.05F;
 
 // What is added at least, as a share of the trace, so that float32 can solve the system.
-constexpr float least_of_trace = 5e-7F;
+constexpr float least_of_trace = 1e-7F;
 
 // A bound on weights.
 constexpr float least_norm = 1e-6F;
