@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.errors import InputError
+from beltrami_cli.formats.access import LARGE
 from beltrami_cli.formats.model_folder import remedy_for
 from beltrami_cli.formats.textured_mesh import SlotImages
 from beltrami_cli.surface.polygons import triangulate_corners
@@ -137,7 +138,7 @@ class _Palette:
                 data = self._folder.read(path)
             except OSError:
                 return False
-            content = partial(self._materials.read, path) if in_tiles else data
+            content = partial(self._materials.read, path) if in_tiles or len(data) >= LARGE else data
             self.shown.take(path, path.rpartition("/")[2], content)
         return True
 
