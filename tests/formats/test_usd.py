@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from beltrami_cli.errors import InputError, UnpaintedError, UsageError
+from beltrami_cli.errors import InputError, UnpaintedError
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.check import check_files
 from beltrami_cli.jobs.job import Job
@@ -310,11 +310,6 @@ def test_images_that_cannot_be_read_are_named(image, tmp_path):
     with pytest.raises(InputError) as caught:
         smooth_file(tmp_path / "in" / "a.usda", tmp_path / "b.usda", GIVEN)
     assert image.rpartition("/")[2] in str(caught.value)
-
-
-def test_packages_get_no_images_that_they_may_not_hold(scan, tmp_path):
-    with pytest.raises(UsageError, match=r"packages hold no \.webp images"):
-        smooth_file(scan, tmp_path / "a.usdz", GIVEN, image_suffix=".webp")
 
 
 def test_an_image_that_is_shown_twice_is_named_once_in_the_root(tmp_path):

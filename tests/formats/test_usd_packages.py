@@ -10,7 +10,7 @@ import zipfile
 import numpy as np
 import pytest
 
-from beltrami_cli.errors import InputError
+from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.document import Naming
 from beltrami_cli.formats.image import read_image
@@ -224,3 +224,8 @@ def test_packages_that_readers_cannot_map_are_found_by_check_and_written_right(s
         assert (each.dataOffset % 64, each.compressionMethod, each.encrypted) == (0, 0, False)
     unresolved = UsdUtils.ComputeAllDependencies(Sdf.AssetPath(str(tmp_path / "good.usdz")))[2]
     assert not unresolved
+
+
+def test_packages_get_no_images_that_they_may_not_hold(scan, tmp_path):
+    with pytest.raises(UsageError, match=r"packages hold no \.webp images"):
+        smooth_file(scan, tmp_path / "a.usdz", GIVEN, image_suffix=".webp")
