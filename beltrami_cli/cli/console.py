@@ -20,7 +20,7 @@ printable = one_line
 """Text that moves no cursor and fits any terminal."""
 
 NO_NOISE = "no more than rounding makes"
-ALL_THE_SAME = "to smooth all the same, give -n 3 --beta 10"
+ALL_THE_SAME = "to smooth all the same, give --strength strong, or the noise, as in --noise 5"
 
 
 def counted(number: int, noun: str) -> str:

@@ -157,7 +157,7 @@ def _show_costs(messages: Messages, report: SmoothReport, *, dry_run: bool) -> N
 def _show_done(messages: Messages, what: str, done: Done, samples: float) -> None:
     noise = f"{what}, noise {255 * max(done.noise.values(), default=0):.1f}/255"
     if not done.iterations:
-        messages.say(f"{noise}, {NO_NOISE}, so the colours are left as they are; {ALL_THE_SAME}")
+        messages.say(f"{noise}, {NO_NOISE} (0.5), so the colours are left as they are; {ALL_THE_SAME}")
         return
     iterations = f" on average over {done.iterations} iterations" if done.iterations > 1 else ""
     messages.say(

@@ -104,7 +104,7 @@ class GridManifold(GridKernels):
         self.sigma = estimate_sigma_on_grid(planes, filled)
         if differs is not None:  # of quiet places
             self.sigma = self.sigma * differs[1]
-        self.take_given(given)
+        self.settle_noise(parameters)
         if self.noise_covariances is not None:
             self.sigma = sigma_of_covariances(self.noise_covariances)
 

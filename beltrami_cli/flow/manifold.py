@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from beltrami_cli.flow.embedding import Guide
     from beltrami_cli.flow.geometry import MovingPositions
     from beltrami_cli.flow.kernel_work import KernelWork
-    from beltrami_cli.flow.noise.given import GivenNoise
     from beltrami_cli.flow.noise.stabilising import VarianceStabiliser
     from beltrami_cli.flow.parameters import KernelParameters
     from beltrami_cli.flow.partitions import Partition
@@ -37,6 +36,10 @@ if TYPE_CHECKING:
     from beltrami_cli.surface.atlas import Indices
 
     Stack = Float32s
+
+
+# Noise that is reckoned with at least where colours are to be smoothed strongly: a step of an 8-bit file.
+LEAST_STRONG = 1 / 255
 
 
 @dataclass(frozen=True)
@@ -183,11 +186,13 @@ class Manifold(ABC):
             growth[:COLOURS] = self.stabiliser.growth
         return growth
 
-    def take_given(self, noise: GivenNoise | None) -> None:
-        """Set the standard deviation of the colours to what is given; other channels keep what was estimated."""
-        if noise is not None:
-            colours = min(COLOURS, len(self.sigma))
-            self.sigma[:colours] = noise.sigma if self.stabiliser is None else self.stabiliser.scale
+    def settle_noise(self, parameters: KernelParameters) -> None:
+        """Set the noise of the colours to what is given; to smooth strongly, to at least what rounding hides."""
+        given, colours = parameters.given_noise, min(COLOURS, len(self.sigma))
+        if given is not None:
+            self.sigma[:colours] = given.sigma if self.stabiliser is None else self.stabiliser.scale
+        elif parameters.strength == "strong":
+            self.sigma[:colours] = np.maximum(self.sigma[:colours], LEAST_STRONG)
 
     def given_beta(self, beta: float) -> float:
         """Return beta in units of length per unit of the colours as they were given."""

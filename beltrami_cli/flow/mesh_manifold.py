@@ -62,7 +62,7 @@ class MeshManifold(MeshKernels):
         if self.stabiliser is not None:
             self.stabiliser.stabilise(self.colours.T)
         self.sigma = estimate_sigma(self.colours, self.edges)
-        self.take_given(given)
+        self.settle_noise(parameters)
         self.embed([dataclasses.replace(guide, values=guide.values[self.order]) for guide in guides])
         if geometry is not None:
             places = GeometryParameters(geometry.places[self.order], geometry.normal_beta)
