@@ -34,9 +34,13 @@ def choice_in_words(choice: dict[str, Any]) -> str:
     chosen = ", ".join(f"{name} {value:.3g}" for name, value in choice["chosen"].items())
     if choice["psnr"] is None:
         return f"{chosen}; by the fixed rule of --fast"
-    shared = "; neighbours share noise, as in JPEG pictures" if choice["correlated"] else ""
+    least, most = choice["interval"]
+    within = f"at least {least:.1f}" if most is None else f"{least:.1f} to {most:.1f}"
+    shared = ""
+    if choice["correlated"]:
+        shared = "; neighbours share noise, as in JPEG pictures, so it is known less well: give --noise if you know it"
     return (
-        f"{chosen}; estimated PSNR {choice['psnr']:.1f} +- {choice['error']:.1f} dB, {choice['gain']:+.1f} dB "
+        f"{chosen}; estimated PSNR {choice['psnr']:.1f} dB (90 %: {within}), {choice['gain']:+.1f} dB "
         f"against the input; the best of {choice['candidates']} on {choice['samples']} samples{shared}"
     )
 

@@ -8,6 +8,8 @@ from contextvars import ContextVar
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Generic, TypeVar
 
+import numpy as np
+
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.manifold import Averaged, Manifold, Step
 from beltrami_cli.flow.partitions import TooNarrowError
@@ -107,7 +109,7 @@ class BeltramiFlow(Generic[AnyManifold]):
         if corrects and "iterations" in parameters.free:
             chosen = dataclasses.replace(chosen, iterations=max(1, chosen.iterations))
         if self.choice is not None:
-            self.choice = self.choice.improved(-self._error)
+            self.choice = self.choice.improved(-self._error).doubted(float(np.mean(np.square(self._sigma))))
         work = manifold.work
         self.parameters = work.bounded(chosen)
         work.announce(self.parameters)

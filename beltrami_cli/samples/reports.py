@@ -229,7 +229,10 @@ def describe_kernel(settings: SmoothSettings, flow: BeltramiFlow[Any]) -> dict[s
 
 def describe_choice(choice: Choice | None) -> dict[str, object] | None:
     """Return what was chosen, and by what estimate."""
-    return None if choice is None else dataclasses.asdict(choice)
+    if choice is None:
+        return None
+    interval = None if choice.interval is None else list(choice.interval)
+    return {**dataclasses.asdict(choice), "doubt": list(choice.doubt), "interval": interval}
 
 
 def atlas_counts(atlas: Atlas) -> dict[str, int]:

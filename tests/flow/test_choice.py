@@ -13,7 +13,7 @@ from beltrami_cli.flow.manifold import Step
 from beltrami_cli.flow.mesh_manifold import MeshManifold
 from beltrami_cli.flow.parameters import TUNABLE, KernelParameters
 from beltrami_cli.flow.tuning import mesh_trial, sure
-from beltrami_cli.flow.tuning.choice import Grid, Search
+from beltrami_cli.flow.tuning.choice import Choice, Grid, Search
 from beltrami_cli.flow.tuning.sure import Risk, RiskEstimate
 from beltrami_cli.surface.records import SampledSurface
 from oracles import surfaces
@@ -328,3 +328,18 @@ def test_parameters_know_what_is_open():
     assert CHOSEN.is_open
     assert not KernelParameters().is_open
     assert not dataclasses.replace(CHOSEN, beta=0.0).is_open
+
+
+def test_the_interval_holds_the_estimate_and_widens_with_the_doubt_of_the_noise():
+    """Noise that neighbours share is doubted more, and towards larger errors."""
+    sure = Choice({}, 35.0, 0.2, 10.0, correlated=False)
+    shared = dataclasses.replace(sure, correlated=True)
+    noise = 10**-2.5  # 15 % of which is more than the error that was estimated
+    intervals = [choice.interval for choice in (sure, sure.doubted(noise), shared.doubted(noise))]
+    for least, most in intervals:
+        assert least < 35
+        assert most is None or most > 35
+    assert [least for least, _ in intervals] == sorted((least for least, _ in intervals), reverse=True)
+    assert intervals[0][1] is not None  # and where the doubt is as large as the error, there is no limit
+    assert intervals[1][1] is None
+    assert Choice({}).interval is None

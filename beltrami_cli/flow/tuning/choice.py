@@ -180,6 +180,14 @@ _LEAST_NOISE = 0.5 / 255
 _SHARED_BY_NEIGHBOURS = 1.5
 
 
+# Standard deviations of a normal distribution on both sides within which 90 % are.
+_NINETY = 1.645
+
+# Of the variance of the noise, what may be missing in the estimated error, and what too much, so that nine of ten
+# results of tests/benchmarks/bench_honesty.py are within: what neighbours share is rather found too small.
+_DOUBT, _DOUBT_IF_SHARED = (0.15, 0.15), (0.6, 0.15)
+
+
 @dataclass(frozen=True)
 class Choice:
     """What was chosen, and by what estimate."""
@@ -193,6 +201,25 @@ class Choice:
     candidates: int = 0  # schedules that were compared
     samples: int = 0  # of the surface that they were compared on
     correlated: bool = False  # whether neighbouring samples share noise, which was allowed for
+    doubt: tuple[float, float] = (
+        0.0,
+        0.0,
+    )  # mean square errors that may be missing, and too much, if the noise is wrong
+
+    @property
+    def interval(self) -> tuple[float, float | None] | None:
+        """Where `psnr` is with a certainty of 90 %; None as its end: not limited; None: nothing was estimated."""
+        if self.psnr is None or self.error is None:
+            return None
+        found = 10 ** (-self.psnr / 10)
+        chance = _NINETY * self.error * found / _IN_DECIBELS
+        most, least = found + math.hypot(chance, self.doubt[0]), found - math.hypot(chance, self.doubt[1])
+        return -10 * math.log10(most), -10 * math.log10(least) if least > 0 else None
+
+    def doubted(self, noise: float) -> Choice:
+        """Return the same with the doubt that is due to noise of this variance."""
+        shares = _DOUBT_IF_SHARED if self.correlated else _DOUBT
+        return dataclasses.replace(self, doubt=(shares[0] * noise, shares[1] * noise))
 
     def improved(self, gain: float) -> Choice:
         """Return the same with less mean square error, where it was estimated."""

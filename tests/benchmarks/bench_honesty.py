@@ -1,0 +1,75 @@
+"""Whether the interval in which the PSNR is said to be holds it, over noise of many kinds; no parameter is given.
+
+``python tests/benchmarks/bench_honesty.py [IMAGE...]`` judges four photographs of scikit-image, and the middle of
+named images, in windows of 224 x 224, with noise of some thirty kinds: white, by level, correlated, coarse, left by
+JPEG at qualities of 75 to 98, enlarged, of two photographs in one, of dark and bright ones, and of cameras.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+from bench_camera_noise import SIDE, as_jpeg, cases, images, psnr, stored
+from scipy.ndimage import gaussian_filter, zoom
+
+import beltrami_cli
+from beltrami_cli.surface.colour_values import linear_to_srgb, srgb_to_linear
+
+
+def main():
+    """Judge all images; print a line for each kind, and the share of intervals that hold the truth."""
+    parser = argparse.ArgumentParser(description="Judge the interval of the estimated PSNR.")
+    parser.add_argument("images", nargs="*", type=Path)
+    options = parser.parse_args()
+    held = []
+    for name, clean in images(options.images):
+        for kind, noisy, truth in [*kinds(stored(clean)), *cases(stored(clean))]:
+            result = beltrami_cli.smooth_image(noisy)
+            true = psnr(result.colours, truth)
+            if result.choice is None:
+                print(f"{name}, {kind}: left as it is, {true:.1f} dB")
+                continue
+            least, most = result.choice.interval
+            held.append(least <= true and (most is None or true <= most))
+            end = "" if most is None else f" to {most:.1f}"
+            verdict = "" if held[-1] else "  MISSED"
+            print(f"{name}, {kind}: {true:.1f} dB, said {least:.1f}{end}{verdict}", flush=True)
+    print(f"{100 * np.mean(held):.0f} % of {len(held)} intervals hold the truth")
+
+
+def kinds(clean):
+    """Yield the name of each kind of noise, the noisy image and the truth."""
+    random = np.random.default_rng(2)
+
+    def white(sigma, like=clean):
+        return like + sigma / 255 * random.standard_normal(like.shape)
+
+    for sigma in (3, 5, 10, 20, 40):
+        yield f"white {sigma}", stored(white(sigma)), clean
+    light = srgb_to_linear(clean).astype(float)
+    shot = light + random.standard_normal(light.shape) * np.sqrt(0.01 * light + 1e-4)
+    yield "shot 0.01", stored(linear_to_srgb(np.clip(shot, 0, 1))), clean
+    for sigma, width in ((10, 0.7), (20, 0.7), (10, 1.2)):
+        noise = gaussian_filter(random.standard_normal(clean.shape), (width, width, 0))
+        yield f"blurred by {width}, {sigma}", stored(clean + sigma / 255 / noise.std() * noise), clean
+    for quality in (75, 85, 92, 98):
+        yield f"JPEG {quality}", as_jpeg(white(10), quality), clean
+    small = stored(zoom(clean, (0.5, 0.5, 1), order=1))
+    large = zoom(small, (2, 2, 1), order=1)
+    for sigma in (10, 20):
+        yield (
+            f"enlarged, {sigma}",
+            stored(zoom(stored(white(sigma, small)), (2, 2, 1), order=1)),
+            stored(large),
+        )
+    halves = np.where(np.arange(SIDE) < SIDE // 2, 5, 20)[:, None, None]
+    yield "5 and 20", stored(white(halves)), clean
+    dark, bright = stored(0.3 * clean), stored(0.7 + 0.3 * clean)
+    yield "dark, 10", stored(white(10, dark)), dark
+    yield "bright, 10", stored(white(10, bright)), bright
+
+
+if __name__ == "__main__":
+    main()
