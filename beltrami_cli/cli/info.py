@@ -141,11 +141,18 @@ def _print(section: str, part: Any) -> None:
 def _lines(content: Any, section: str) -> list[str]:
     if not isinstance(content, dict):
         return [f"  {_show(entry)}" for entry in content]
-    if section == "noise":
-        content = {channel: _noise(value) for channel, value in content.items()}
+    if section in ("noise", "noise_model"):
+        content = _noise_of(content)
     rows = [row for key, value in content.items() if value not in (None, []) for row in _rows(key, value)]
     width = max((len(label) for label, _ in rows), default=0)
     return [f"  {label:<{width}}  {text}" for label, text in rows]
+
+
+def _noise_of(values: dict[str, float]) -> dict[str, str]:
+    """Show standard deviations, and the width of the grain."""
+    return {
+        name: f"{value:.1f} samples" if name == "grain" else _noise(value) for name, value in values.items()
+    }
 
 
 def _choice(smooth: dict[str, Any]) -> str | None:
@@ -167,8 +174,8 @@ def _rows(key: str, value: Any) -> list[tuple[str, str]]:
     if isinstance(value, list) and value and all(isinstance(entry, dict) for entry in value):
         shown = [_image(entry) if key == "images" else _show(entry) for entry in value]
         return [(label if number == 0 else "", text) for number, text in enumerate(shown)]
-    if key == "noise" and isinstance(value, dict):
-        value = {channel: _noise(share) for channel, share in value.items()}
+    if key in ("noise", "noise_model") and isinstance(value, dict):
+        value = _noise_of(value)
     return [(label, _show(value))]
 
 

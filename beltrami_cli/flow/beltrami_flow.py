@@ -12,6 +12,7 @@ import numpy as np
 
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.manifold import Averaged, Manifold, Step
+from beltrami_cli.flow.noise.model import describe_noise
 from beltrami_cli.flow.partitions import TooNarrowError
 from beltrami_cli.flow.patches import PASSES, blend_with_patches
 from beltrami_cli.flow.tuning.choice import is_noisy, tune
@@ -102,7 +103,7 @@ class BeltramiFlow(Generic[AnyManifold]):
             parameters = dataclasses.replace(parameters, free=())
         noisy, self._error = is_noisy(manifold.noise), 0.0
         corrects = noisy and manifold.shares_noise and parameters.takes_patches and not moves
-        self._sigma = manifold.noise
+        self._sigma, self.noise_model = manifold.noise, describe_noise(manifold)
         if corrects:
             self._error = manifold.denoise_means(tick)
         chosen, self.choice = tune(manifold, parameters, noisy=noisy, tick=tick)

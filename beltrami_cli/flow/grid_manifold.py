@@ -108,6 +108,14 @@ class GridManifold(GridKernels):
         if self.noise_covariances is not None:
             self.sigma = sigma_of_covariances(self.noise_covariances)
 
+    @property
+    def grain(self) -> float:
+        """The width in cells: noise of a filter has its power at the coarsest scale divided by the filter's area."""
+        if self.noise_covariances is None:
+            return 1.0
+        cells = np.trace(covariance_of_cells(self.noise_covariances))
+        return float(np.sqrt(max(1.0, np.trace(self.noise_covariances[-1]) / max(cells, 1e-12))))
+
     def denoise_means(self, tick: Callable[[], None] | None = None) -> float:
         """Remove the noise that neighbouring cells share, but for their own details."""
         if self.noise_covariances is None:

@@ -160,6 +160,11 @@ class Manifold(ABC):
         return False
 
     @property
+    def grain(self) -> float:
+        """The width, in samples, of the area that samples share noise over; 1: each has its own."""
+        return 1.0
+
+    @property
     def noise_covariance(self) -> Float64s:
         """Covariance of the noise of channels, shape (N, N)."""
         return np.diag(np.square(self.sigma))

@@ -253,6 +253,7 @@ class PixelSamples(Samples):
         return {
             "image": {**facts, "pitch": flow.manifold.spacing},
             "noise": self.named(flow.manifold.noise),
+            "noise_model": flow.noise_model,
             "smooth": describe_kernel(self.settings, flow),
         }
 

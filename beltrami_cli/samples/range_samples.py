@@ -80,6 +80,7 @@ class RangeSamples(PaintedSamples):
                 "mean_edge_length": flow.manifold.spacing,
             },
             "noise": self.named(flow.manifold.noise),
+            "noise_model": flow.noise_model,
             "smooth": describe_kernel(self.settings, flow),
         }
 

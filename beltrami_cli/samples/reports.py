@@ -37,6 +37,9 @@ class VertexReport:
         How many were run: none if there is no noise, and no number was asked for.
     noise : dict of str to float
         Estimated standard deviation per channel, full scale 1, in the working space.
+    noise_model : dict of str to float
+        What was found of it: standard deviations at "dark", "middle" and "bright" levels (0.1, 0.5, 0.9), if they
+        differ; of "quiet" and "loud" places, if they do; and "grain", the width in samples of what samples share of it.
     change : dict of str to float
         Mean, root mean square and largest change of a colour value, full scale 1, as stored.
     guides : dict of str to float
@@ -57,6 +60,7 @@ class VertexReport:
     beta: float
     iterations: int
     noise: dict[str, float]
+    noise_model: dict[str, float]
     change: dict[str, float]
     guides: dict[str, float]
     geometry: dict[str, float] | None
@@ -85,6 +89,9 @@ class SlotReport:
         As for `VertexReport`.
     noise : dict of str to float
         Estimated standard deviation per channel, full scale 1, in the working space.
+    noise_model : dict of str to float
+        What was found of it: standard deviations at "dark", "middle" and "bright" levels (0.1, 0.5, 0.9), if they
+        differ; of "quiet" and "loud" places, if they do; and "grain", the width in samples of what samples share of it.
     samples_per_kernel : float
         Mean number of samples that a kernel held.
     guides : dict of str to float
@@ -103,6 +110,7 @@ class SlotReport:
     beta: float
     iterations: int
     noise: dict[str, float]
+    noise_model: dict[str, float]
     samples_per_kernel: float
     guides: dict[str, float] = field(default_factory=dict)
     change: dict[str, float] = field(default_factory=dict)
@@ -127,6 +135,9 @@ class ImageReport:
         How many were run: none if there is no noise, and no number was asked for.
     noise : dict of str to float
         Estimated standard deviation per channel, full scale 1, in the working space.
+    noise_model : dict of str to float
+        What was found of it: standard deviations at "dark", "middle" and "bright" levels (0.1, 0.5, 0.9), if they
+        differ; of "quiet" and "loud" places, if they do; and "grain", the width in samples of what samples share of it.
     samples_per_kernel : float
         Mean number of pixels that a kernel held.
     guides : dict of str to float
@@ -142,6 +153,7 @@ class ImageReport:
     beta: float
     iterations: int
     noise: dict[str, float]
+    noise_model: dict[str, float]
     samples_per_kernel: float
     guides: dict[str, float]
     change: dict[str, float]

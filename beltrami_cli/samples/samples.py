@@ -186,6 +186,7 @@ class Samples(ABC):
             "beta": result.beta,
             "iterations": flow.parameters.iterations,
             "noise": self.named(result.sigma),
+            "noise_model": flow.noise_model,
             "guides": flow.manifold.guide_betas,
             "choice": describe_choice(result.choice),
             "patches": result.patches,

@@ -204,6 +204,7 @@ class TexelSamples(Samples):
             "colour_jumps": flow.manifold.jumps,
             "pitch": flow.manifold.spacing,
             "noise": self.named(flow.manifold.noise),
+            "noise_model": flow.noise_model,
             "exposure": exposure,
             "smooth": describe_kernel(self.settings, flow),
         }

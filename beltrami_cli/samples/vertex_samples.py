@@ -152,6 +152,7 @@ class VertexSamples(PaintedSamples):
                 "bounds": bounds(painted.positions),
             },
             "noise": self.named(manifold.noise),
+            "noise_model": flow.noise_model,
             "smooth": describe_kernel(self.settings, flow) | moving | {"samples_per_kernel": held},
         }
 

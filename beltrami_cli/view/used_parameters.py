@@ -76,9 +76,11 @@ def _measured(given: str | None, done: dict[str, Any]) -> Iterator[list[str]]:
     """Give what was measured of a part, and the estimate that its parameters were chosen by."""
     noise = ", ".join(f"{channel} {255 * share:.1f}/255" for channel, share in done["noise"].items())
     yield ["noise", noise, "measured" if given is None else f"given as {given}"]
-    if done["choice"] and done["choice"]["psnr"] is not None:
-        alike = "shared by neighbours" if done["choice"]["correlated"] else "of each sample by itself"
-        yield ["noise model", alike, "measured"]
+    model = dict(done["noise_model"])
+    grain = model.pop("grain", 1.0)
+    alike = f"shared over {grain:.1f} samples" if grain > 1 else "of each sample by itself"
+    levels = [f"{name} {255 * sigma:.1f}/255" for name, sigma in model.items()]
+    yield ["noise model", ", ".join([*levels, alike]), "measured" if given is None else f"given as {given}"]
     if done["change"]:
         yield ["mean change", f"{255 * done['change']['mean']:.1f}/255", "measured"]
     choice = done["choice"]

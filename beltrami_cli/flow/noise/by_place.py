@@ -28,8 +28,9 @@ _EVEN, _QUIET = 0.3, 0.1
 # this standard deviation; of texture, the next scale has even more, by this factor.
 _LOUDER, _COUNTED, _LEAST_SIGMA, _MOST_GROWTH = 1.7, 0.1, 2.5 / 255, 1.6
 
-# Where groups of blocks of like levels explain this share of the differences, and places less, noise depends on levels.
-_GROUPS, _BY_LEVEL = 6, 0.5
+# Where groups of blocks of like levels explain the first share of differences, and places less, or the second, noise
+# depends on levels.
+_GROUPS, _BY_LEVEL, _ALL_BY_LEVEL = 6, 0.5, 0.85
 
 # Less variance than any stored colour can show.
 _NOTHING = 1e-12
@@ -67,7 +68,7 @@ def find_relative_noise(planes: Float32s, filled: Bools) -> tuple[Float32s, floa
         return None
     logs = np.log(np.maximum(fine, _NOTHING))
     by_level = _explained_by_level(logs[known], levels[known])
-    if by_level > _BY_LEVEL and by_level > _explained_by_place(logs):
+    if by_level > _BY_LEVEL and by_level > min(_ALL_BY_LEVEL, _explained_by_place(logs)):
         return None
     return _over_cells(np.where(known, fine, np.nan), tiles[0].min(axis=0) / quiet[0], filled)
 
