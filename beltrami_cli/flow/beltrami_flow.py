@@ -12,7 +12,7 @@ import numpy as np
 
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.manifold import Averaged, Manifold, Step
-from beltrami_cli.flow.noise.model import describe_noise
+from beltrami_cli.flow.noise_model import describe_noise
 from beltrami_cli.flow.partitions import TooNarrowError
 from beltrami_cli.flow.patches import PASSES, blend_with_patches
 from beltrami_cli.flow.tuning.choice import is_noisy, tune
