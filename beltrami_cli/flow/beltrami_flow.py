@@ -11,19 +11,20 @@ from typing import TYPE_CHECKING, Generic, TypeVar
 import numpy as np
 
 from beltrami_cli.errors import UsageError
-from beltrami_cli.flow.manifold import Averaged, Manifold, Step
+from beltrami_cli.flow.manifold import Manifold
 from beltrami_cli.flow.noise_model import describe_noise
 from beltrami_cli.flow.partitions import TooNarrowError
 from beltrami_cli.flow.patches import PASSES, blend_with_patches
+from beltrami_cli.flow.records import Averaged, Step
 from beltrami_cli.flow.tuning.choice import is_noisy, tune
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
     from beltrami_cli.arrays import Float32s, Float64s
-    from beltrami_cli.flow.manifold import SampledKernel
     from beltrami_cli.flow.parameters import KernelParameters
     from beltrami_cli.flow.partitions import Joined, Partition, Runner
+    from beltrami_cli.flow.records import SampledKernel
     from beltrami_cli.flow.tuning.choice import Choice
 
 

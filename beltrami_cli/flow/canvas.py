@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s, Uint8s
-    from beltrami_cli.flow.manifold import Mixing
     from beltrami_cli.flow.parameters import KernelParameters
+    from beltrami_cli.flow.records import Mixing
     from beltrami_cli.surface.atlas import Atlas, Indices
 
 # Rows and columns around a halo cell that are searched for other cells with the same texel: enough for a chart up to

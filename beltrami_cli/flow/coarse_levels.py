@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from beltrami_cli.arrays import Float32s, Float64s, Uint8s
     from beltrami_cli.flow.grid_kernels import GridKernels
-    from beltrami_cli.flow.manifold import Mixing
+    from beltrami_cli.flow.records import Mixing
 
 # Of the noise of a level, what its own details hold; the rest is in its means, which coarser levels estimate: but for
 # the share that they leave, and at the coarsest level all.

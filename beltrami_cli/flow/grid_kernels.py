@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, cast
 import numpy as np
 
 from beltrami_cli.flow.canvas import colours_at, halo_repeats, local_scales, mean_spacing, without_references
-from beltrami_cli.flow.manifold import Averaged, Manifold, SampledKernel, at_step, kernel_values
+from beltrami_cli.flow.manifold import Manifold
+from beltrami_cli.flow.records import Averaged, SampledKernel, at_step, kernel_values
 from beltrami_cli.flow.regularisation import GridGaussian, guide_radius
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import EMPTY, HALO, OWNED, refresh_halo
@@ -22,8 +23,8 @@ if TYPE_CHECKING:
     from typing import Self
 
     from beltrami_cli.arrays import Array, Float32s, Int64s
-    from beltrami_cli.flow.manifold import Step
     from beltrami_cli.flow.parameters import KernelParameters
+    from beltrami_cli.flow.records import Step
     from beltrami_cli.surface.atlas import Atlas
 
 # Cells of a row block, some 90 bytes each; more where many threads share them.

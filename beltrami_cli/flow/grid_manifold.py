@@ -19,11 +19,12 @@ from beltrami_cli.flow.coarse_levels import denoise_means, left_for_cells
 from beltrami_cli.flow.grid_kernels import GridKernels
 from beltrami_cli.flow.grid_partitions import cut_grid
 from beltrami_cli.flow.kernel_work import KernelWork
-from beltrami_cli.flow.manifold import NewColours, SampleTrial
+from beltrami_cli.flow.manifold import SampleTrial
 from beltrami_cli.flow.noise.by_place import find_relative_noise
 from beltrami_cli.flow.noise.grid import estimate_sigma_on_grid
 from beltrami_cli.flow.noise.grid_scales import find_grid_noise
 from beltrami_cli.flow.noise.haar_noise import covariance_of_cells, sigma_of_covariances
+from beltrami_cli.flow.records import NewColours
 from beltrami_cli.flow.regularisation import gaussian_taps, guide_radius
 from beltrami_cli.flow.search_range import ON_GRIDS, RULE_ON_GRIDS
 from beltrami_cli.flow.tuning.grid_trial import choose_blocks, perturbations, tried_cells, with_halo
@@ -38,8 +39,9 @@ if TYPE_CHECKING:
     from beltrami_cli.flow.clipping import ClippedChannels
     from beltrami_cli.flow.embedding import Guide
     from beltrami_cli.flow.grid_partitions import GridPartition
-    from beltrami_cli.flow.manifold import Mixing, Stack, Step
+    from beltrami_cli.flow.manifold import Stack
     from beltrami_cli.flow.parameters import KernelParameters
+    from beltrami_cli.flow.records import Mixing, Step
     from beltrami_cli.surface.atlas import Atlas
 
 # Rows of a canvas that are processed together, where each needs memory.

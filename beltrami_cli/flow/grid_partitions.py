@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from beltrami_cli.arrays import Bools, Float32s, Float64s, Int64s
     from beltrami_cli.flow.grid_kernels import GridKernels
-    from beltrami_cli.flow.manifold import Step
+    from beltrami_cli.flow.records import Step
     from beltrami_cli.surface.atlas import Atlas
 
 

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from beltrami_cli.flow.manifold import Averaged, Manifold, SampledKernel, at_step, kernel_values
+from beltrami_cli.flow.manifold import Manifold
+from beltrami_cli.flow.records import Averaged, SampledKernel, at_step, kernel_values
 from beltrami_cli.flow.regularisation import MeshGaussian
 from beltrami_cli.surface.geometry import edges_in_space, local_spacing, mean_side, vertex_areas
 
@@ -20,8 +21,8 @@ if TYPE_CHECKING:
 
     from beltrami_cli._native import SegmentManifold, SurfacePatches, TriangulatedManifold
     from beltrami_cli.arrays import Array, Bools, Float32s, Int32s, Int64s
-    from beltrami_cli.flow.manifold import Step
     from beltrami_cli.flow.parameters import KernelParameters
+    from beltrami_cli.flow.records import Step
     from beltrami_cli.surface.records import SampledSurface
 
 

@@ -10,10 +10,11 @@ import numpy as np
 from beltrami_cli.flow.clipping import find_clipped
 from beltrami_cli.flow.geometry import GeometryParameters, MovingPositions
 from beltrami_cli.flow.kernel_work import MeshWork, without_hubs
-from beltrami_cli.flow.manifold import NewColours, SampleTrial
+from beltrami_cli.flow.manifold import SampleTrial
 from beltrami_cli.flow.mesh_kernels import MeshKernels, rank_in
 from beltrami_cli.flow.mesh_partitions import cut_mesh, first_reach
 from beltrami_cli.flow.noise.mesh import estimate_sigma, find_stabiliser
+from beltrami_cli.flow.records import NewColours
 from beltrami_cli.flow.regularisation import MeshGaussian
 from beltrami_cli.flow.search_range import ON_MESHES, RULE_ON_MESHES
 from beltrami_cli.flow.tuning.mesh_trial import choose_patches, fingerprints, random_signs
@@ -25,9 +26,10 @@ if TYPE_CHECKING:
     from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s
     from beltrami_cli.flow.clipping import ClippedChannels
     from beltrami_cli.flow.embedding import Guide
-    from beltrami_cli.flow.manifold import Mixing, Stack, Step
+    from beltrami_cli.flow.manifold import Stack
     from beltrami_cli.flow.mesh_partitions import MeshPartition
     from beltrami_cli.flow.parameters import KernelParameters
+    from beltrami_cli.flow.records import Mixing, Step
     from beltrami_cli.surface.records import SampledSurface
 
 # Steps of colours, far above their rounding, by which signs and the patches that start groups are chosen.

@@ -29,8 +29,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli.flow.manifold import Mixing
 from beltrami_cli.flow.parameters import SMOOTHNESS
+from beltrami_cli.flow.records import Mixing
 from beltrami_cli.surface import large_arrays
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ import numpy as np
 
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.colour_space import from_space, to_space
-from beltrami_cli.flow.manifold import NewColours
+from beltrami_cli.flow.records import NewColours
 from beltrami_cli.formats.image import check_writable, is_exact, is_unchanged, label_of, losses
 from beltrami_cli.formats.image.conversion import noise_losses
 from beltrami_cli.formats.image.picture import full_scale_one, is_associated, supplies_colour

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from beltrami_cli.arrays import Float32s, Int64s
     from beltrami_cli.flow.beltrami_flow import BeltramiFlow, FlowResult
     from beltrami_cli.flow.grid_manifold import GridManifold
-    from beltrami_cli.flow.manifold import NewColours
+    from beltrami_cli.flow.records import NewColours
     from beltrami_cli.formats.document import Document
     from beltrami_cli.samples.probes.probe import Probe
     from beltrami_cli.samples.reports import VertexReport

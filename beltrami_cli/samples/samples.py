@@ -29,8 +29,8 @@ if TYPE_CHECKING:
 
     from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s
     from beltrami_cli.flow.beltrami_flow import BeltramiFlow, FlowResult
-    from beltrami_cli.flow.manifold import NewColours
     from beltrami_cli.flow.parameters import Space
+    from beltrami_cli.flow.records import NewColours
     from beltrami_cli.formats.document import Document
     from beltrami_cli.formats.image import Picture
     from beltrami_cli.samples.probes.probe import Probe

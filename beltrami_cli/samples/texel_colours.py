@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from beltrami_cli.arrays import Array, Bools, Float32s, Int64s
-    from beltrami_cli.flow.manifold import NewColours
     from beltrami_cli.flow.parameters import Space
+    from beltrami_cli.flow.records import NewColours
     from beltrami_cli.formats.image import Picture
     from beltrami_cli.samples.settings import SmoothSettings, TextureSettings
     from beltrami_cli.surface.atlas import Atlas, Indices

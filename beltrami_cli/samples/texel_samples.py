@@ -12,7 +12,7 @@ from beltrami_cli.flow.beltrami_flow import BeltramiFlow
 from beltrami_cli.flow.canvas import canvas_margin, painted
 from beltrami_cli.flow.colour_space import from_space, to_space
 from beltrami_cli.flow.grid_manifold import GridManifold, canvas_colours
-from beltrami_cli.flow.manifold import NewColours
+from beltrami_cli.flow.records import NewColours
 from beltrami_cli.formats.image import check_writable, is_unchanged, losses, read_image
 from beltrami_cli.formats.image.conversion import noise_losses
 from beltrami_cli.levelling.correction import level_canvas

@@ -14,8 +14,8 @@ from beltrami_cli.flow.beltrami_flow import BeltramiFlow
 from beltrami_cli.flow.colour_space import to_space
 from beltrami_cli.flow.embedding import Guide
 from beltrami_cli.flow.geometry import GeometryParameters
-from beltrami_cli.flow.manifold import NewColours
 from beltrami_cli.flow.mesh_manifold import MeshManifold
+from beltrami_cli.flow.records import NewColours
 from beltrami_cli.levelling.correction import level_mesh
 from beltrami_cli.samples.levelled_charts import level_report
 from beltrami_cli.samples.painted_samples import PaintedSamples, coloured_rows, describe_colours

@@ -15,9 +15,9 @@ from scene import ROOT
 from beltrami_cli.flow.beltrami_flow import BeltramiFlow
 from beltrami_cli.flow.canvas import painted
 from beltrami_cli.flow.grid_manifold import GridManifold
-from beltrami_cli.flow.manifold import Step
 from beltrami_cli.flow.mesh_manifold import MeshManifold
 from beltrami_cli.flow.parameters import TUNABLE, KernelParameters
+from beltrami_cli.flow.records import Step
 from beltrami_cli.flow.tuning.grid_trial import choose_blocks
 from beltrami_cli.formats.image import read_image
 from beltrami_cli.formats.registry import open_document

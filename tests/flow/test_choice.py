@@ -9,9 +9,9 @@ import pytest
 
 import beltrami_cli
 from beltrami_cli.flow.beltrami_flow import BeltramiFlow
-from beltrami_cli.flow.manifold import Step
 from beltrami_cli.flow.mesh_manifold import MeshManifold
 from beltrami_cli.flow.parameters import TUNABLE, KernelParameters
+from beltrami_cli.flow.records import Step
 from beltrami_cli.flow.tuning import mesh_trial, sure
 from beltrami_cli.flow.tuning.choice import Choice, Grid, Search
 from beltrami_cli.flow.tuning.sure import Risk, RiskEstimate

@@ -8,11 +8,11 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 import beltrami_cli
-from beltrami_cli.flow.manifold import Step
 from beltrami_cli.flow.noise import grid_scales
 from beltrami_cli.flow.noise.grid import estimate_sigma_on_grid
 from beltrami_cli.flow.noise.grid_scales import find_grid_noise
 from beltrami_cli.flow.noise.haar_noise import draw_haar_noise, sigma_of_covariances
+from beltrami_cli.flow.records import Step
 from beltrami_cli.flow.tuning.sure import RiskEstimate
 from formats.image_files import encode
 

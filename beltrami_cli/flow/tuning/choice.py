@@ -11,8 +11,8 @@ import numpy as np
 
 from beltrami_cli.flow.embedding import choose_beta, overall_noise
 from beltrami_cli.flow.kernel_work import LOG
-from beltrami_cli.flow.manifold import Step
 from beltrami_cli.flow.parameters import MOST_GROWTH, SMOOTHNESS
+from beltrami_cli.flow.records import Step
 from beltrami_cli.flow.tuning.sure import Risk, RiskEstimate
 
 if TYPE_CHECKING:

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 
 from beltrami_cli.flow.clipping import variance_of_clipped
-from beltrami_cli.flow.manifold import Step
+from beltrami_cli.flow.records import Step
 
 if TYPE_CHECKING:
     from beltrami_cli.arrays import Float32s, Float64s

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from beltrami_cli.arrays import Array, Int64s
     from beltrami_cli.flow.beltrami_flow import BeltramiFlow
     from beltrami_cli.flow.grid_manifold import GridManifold
-    from beltrami_cli.flow.manifold import SampledKernel
+    from beltrami_cli.flow.records import SampledKernel
     from beltrami_cli.formats.document import Document
     from beltrami_cli.formats.image import Picture
     from beltrami_cli.samples.probes.probe import Location

@@ -15,8 +15,8 @@ from beltrami_cli.flow.colour_space import from_space
 if TYPE_CHECKING:
     from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s, Int64s
     from beltrami_cli.flow.beltrami_flow import BeltramiFlow
-    from beltrami_cli.flow.manifold import SampledKernel
     from beltrami_cli.flow.parameters import Space
+    from beltrami_cli.flow.records import SampledKernel
 
 _PIXEL = "px"
 _COLOURS = ("red", "green", "blue", "grey")

@@ -13,8 +13,8 @@ from beltrami_cli.samples.probes.probe import MeshView, Probe
 if TYPE_CHECKING:
     from beltrami_cli.arrays import Array, Bools, Int32s, Int64s
     from beltrami_cli.flow.beltrami_flow import BeltramiFlow
-    from beltrami_cli.flow.manifold import SampledKernel
     from beltrami_cli.flow.mesh_manifold import MeshManifold
+    from beltrami_cli.flow.records import SampledKernel
     from beltrami_cli.samples.probes.probe import Location
     from beltrami_cli.surface.records import PaintedVertices
     from beltrami_cli.surface.vertex_sampling import VertexSampling
