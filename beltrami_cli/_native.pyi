@@ -205,6 +205,7 @@ class SurfacePatches:
         noisy: NDArray[np.float32],
         pilot: NDArray[np.float32],
         mixing: tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]],
+        relative: NDArray[np.float32] | None,
         has_pilot: bool,
         estimates: NDArray[np.float32],
         weights: NDArray[np.float32],

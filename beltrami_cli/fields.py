@@ -59,12 +59,14 @@ class Parameter:
     is_daily: bool = False  # shown by --help; all others by --help-all only, under their group
     group: str = ""  # of options in the help: the `group` of the record
     is_file: bool = False  # names files that are read
+    file_in: Callable[[str], str] | None = (
+        None  # returns the file at the end of a value that may name one, or ""
+    )
     lifts_limit: bool = False
 
-    @property
-    def is_deliberate(self) -> bool:
-        """Whether only users may set it, and no configuration file that was merely found."""
-        return self.is_file or self.lifts_limit
+    def is_deliberate(self, value: Any) -> bool:
+        """Whether only users may set it to a value, and no configuration file that was merely found."""
+        return self.is_file or self.lifts_limit or bool(self.files(value))
 
     @property
     def range(self) -> str:
@@ -91,6 +93,21 @@ class Parameter:
         if self.kind is bool or self.default in (None, (), REQUIRED):
             return ""
         return self.show(self.default)
+
+    def files(self, value: Any) -> list[str]:
+        """Return the files that a value names."""
+        if value is None or not (self.is_file or self.file_in):
+            return []
+        texts = list(map(str, value if isinstance(value, tuple) else [value]))
+        return texts if self.file_in is None else list(filter(None, map(self.file_in, texts)))
+
+    def with_files(self, value: Any, renamed: Callable[[str], str]) -> Any:
+        """Return a value that names other files."""
+        if isinstance(value, tuple):
+            return tuple(self.with_files(each, renamed) for each in value)
+        for name in self.files(value):
+            value = str(value).removesuffix(name) + renamed(name)
+        return value
 
     def check(self, value: Any) -> None:
         """Raise UsageError if the parameter cannot have a value."""
@@ -194,17 +211,15 @@ def named_files(record: Any) -> Iterator[str]:
         value = getattr(record, each.name)
         if _PART in each.metadata:
             yield from named_files(value)
-        elif _PARAMETER in each.metadata and each.metadata[_PARAMETER].is_file and value is not None:
-            yield from map(str, value if isinstance(value, tuple) else [value])
+        elif _PARAMETER in each.metadata:
+            yield from each.metadata[_PARAMETER].files(value)
 
 
 def with_files(record: Record, renamed: Callable[[str], str]) -> Record:
     """Return a record in which parameters, and those of records in it, name other files."""
     changed: dict[str, Any] = {name: with_files(getattr(record, name), renamed) for name in parts(record)}
     for each in parameters(record):
-        value = getattr(record, each.name)
-        if each.is_file and value is not None:
-            changed[each.name] = tuple(map(renamed, value)) if isinstance(value, tuple) else renamed(value)
+        changed[each.name] = each.with_files(getattr(record, each.name), renamed)
     changed = {name: value for name, value in changed.items() if value != getattr(record, name)}
     return dataclasses.replace(record, **changed) if changed else record  # type: ignore[type-var]
 

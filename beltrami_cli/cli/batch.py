@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import time
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -57,9 +58,6 @@ options given here, which are for all files.
 # The options that concern a single file: those of `smooth` that change its result.
 _OF_A_FILE = click.command("file")(options.smoothing(options.unwrapping(lambda **_: None)))
 SHARED_WITH_SMOOTH = tuple(option.name for option in _OF_A_FILE.params if option.name)
-
-# Parameters that name a file, which is looked for beside the manifest; a guide may be something else.
-_PATHS = [each.name for each in parameters(SmoothSettings, deep=True) if each.metavar == "FILE"]
 
 
 _CLUSTER = "Many machines"
@@ -219,11 +217,10 @@ def _jobs_for(requests: Iterable[Request], values: dict[str, Any], *, overwrite:
 
 def _settings(request: Request, given: dict[str, Any]) -> tuple[SmoothSettings, BakeSettings | None]:
     own = values_for(options_by_name(_OF_A_FILE), request.options)
-    for name in _PATHS:
-        if name in own:
-            own[name] = str(request.folder / str(own[name]))
-    if "guides" in own:
-        own["guides"] = tuple(_guide(request.folder, str(guide)) for guide in own["guides"])
+    for each in parameters(SmoothSettings, deep=True):
+        if each.name in own:  # a file is looked for beside the manifest
+            beside = partial(_guide if each.repeatable else _beside, request.folder)
+            own[each.name] = each.with_files(own[each.name], beside)
     context = _OF_A_FILE.make_context("file", [], default_map={**given, **own})
     for name in own:  # counts for more than what is for all files, also beside a preset
         context.set_parameter_source(name, ParameterSource.COMMANDLINE)
@@ -231,7 +228,12 @@ def _settings(request: Request, given: dict[str, Any]) -> tuple[SmoothSettings, 
         return options.settings_from(context.params), options.unwrapping_from(context.params)
 
 
+def _beside(folder: Path, name: str) -> str:
+    return str(folder / name)
+
+
 def _guide(folder: Path, guide: str) -> str:
+    """Return the path of a guide; it may be something else than a file."""
     return str(folder / guide) if is_file(folder / guide) else guide
 
 

@@ -70,7 +70,7 @@ class Configuration:
         for option in command.params:
             if option.name not in values:
                 continue
-            if not self.is_named and not may_be_found(option):
+            if not self.is_named and not may_be_found(option, values[option.name]):
                 raise ValueError(
                     f"{long_name(option)} may not be set by a file that was only found, since it is no parameter of "
                     f"the method; give it on the command line, or name the file: --config {self.path}"
@@ -156,10 +156,10 @@ class UntrustedError(Exception):
     """A file that others than the user can have written."""
 
 
-def may_be_found(option: click.Parameter) -> bool:
+def may_be_found(option: click.Parameter, value: object = None) -> bool:
     """Whether a file that was only found may set an option: not one that names a file or lifts a limit."""
     if isinstance(option, ParameterOption):
-        return not option.declared.is_deliberate
+        return not option.declared.is_deliberate(value)
     return option.name in _HARMLESS
 
 

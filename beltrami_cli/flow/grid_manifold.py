@@ -20,7 +20,7 @@ from beltrami_cli.flow.grid_kernels import GridKernels
 from beltrami_cli.flow.grid_partitions import cut_grid
 from beltrami_cli.flow.kernel_work import KernelWork
 from beltrami_cli.flow.manifold import SampleTrial
-from beltrami_cli.flow.noise.by_place import find_relative_noise
+from beltrami_cli.flow.noise.by_place import find_relative_noise, relative_to_mean
 from beltrami_cli.flow.noise.grid import estimate_sigma_on_grid
 from beltrami_cli.flow.noise.grid_scales import find_grid_noise
 from beltrami_cli.flow.noise.haar_noise import covariance_of_cells, sigma_of_covariances
@@ -70,9 +70,15 @@ class GridManifold(GridKernels):
         guides: Sequence[Guide] = (),
         metric_channels: Sequence[int] | None = None,
         unit: float | None = None,
+        deviations: Float32s | None = None,
     ) -> None:
         self.colours = planes
-        self._find_noise(atlas.kind == OWNED, parameters)
+        sigma = None
+        if deviations is not None:
+            relative, sigma = relative_to_mean(deviations)
+            self.differing = painted(atlas, relative, parameters.thread_count)
+            self.differing[self.differing == 0] = 1  # in empty cells
+        self._find_noise(atlas.kind == OWNED, parameters, sigma)
         different = np.zeros(max(1, atlas.seams), bool)
         # Where colours do not count as distance, a jump in colour is not an edge.
         if parameters.beta != 0 and (metric_channels is None or len(metric_channels)):
@@ -88,17 +94,18 @@ class GridManifold(GridKernels):
         self.unit = unit
         self.embed(guides)
 
-    def _find_noise(self, filled: Bools, parameters: KernelParameters) -> None:
+    def _find_noise(self, filled: Bools, parameters: KernelParameters, sigma: Float64s | None) -> None:
         """Estimate the noise, and make it even at all levels if it is not."""
         planes, given = self.colours, parameters.given_noise
+        is_given = given is not None or sigma is not None
         self.noise_covariances: Float64s | None = None
-        differs = find_relative_noise(planes, filled) if given is None and parameters.evens_noise else None
+        differs = None if is_given or not parameters.evens_noise else find_relative_noise(planes, filled)
         if differs is not None:
             self.differing = differs[0][None]
-        if given is None:
+        if not is_given:
             noise = find_grid_noise(planes, filled, by_level=parameters.evens_noise, relative=self.differing)
             self.stabiliser, self.noise_covariances = noise.stabiliser, noise.covariances
-        elif given.is_by_level:
+        elif given is not None and given.is_by_level:
             self.stabiliser = given.stabiliser()
         if self.stabiliser is not None:
             for rows in large_arrays.blocks(planes.shape[1], _ROWS):
@@ -106,7 +113,7 @@ class GridManifold(GridKernels):
         self.sigma = estimate_sigma_on_grid(planes, filled)
         if differs is not None:  # of quiet places
             self.sigma = self.sigma * differs[1]
-        self.settle_noise(parameters)
+        self.settle_noise(parameters, sigma)
         if self.noise_covariances is not None:
             self.sigma = sigma_of_covariances(self.noise_covariances)
 

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
+from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.embedding import beta_of, choose_guide_beta, join_channels
 from beltrami_cli.flow.noise.stabilising import COLOURS
 
@@ -124,10 +125,20 @@ class Manifold(ABC):
             growth[:COLOURS] = self.stabiliser.growth
         return growth
 
-    def settle_noise(self, parameters: KernelParameters) -> None:
+    def settle_noise(self, parameters: KernelParameters, sigma: Float64s | None = None) -> None:
         """Set the noise of the colours to what is given; to smooth strongly, to at least what rounding hides."""
         given, colours = parameters.given_noise, min(COLOURS, len(self.sigma))
-        if given is not None:
+        if sigma is not None:
+            if len(sigma) not in (1, colours):
+                raise UsageError(
+                    f"noise has {len(sigma)} channels, but must have one, or one for each colour"
+                )
+            self.sigma[:colours] = sigma
+        elif given is not None and given.source:
+            raise UsageError(
+                f"noise is {given.source}, but several textures have no such file in common; choose one"
+            )
+        elif given is not None:
             self.sigma[:colours] = given.sigma if self.stabiliser is None else self.stabiliser.scale
         elif parameters.strength == "strong":
             self.sigma[:colours] = np.maximum(self.sigma[:colours], LEAST_STRONG)

@@ -135,6 +135,7 @@ class MeshKernels(Manifold):
         part.order = np.zeros(0, self.order.dtype)
         part._scales = None if self._scales is None else spread(self._scales, 1)
         part._weights = None if self._weights is None else spread(self._weights, 1)
+        part.differing = None if self.differing is None else spread(self.differing, 1)
         part.guides = [(spread(values), beta) for values, beta in self.guides]
         return part
 

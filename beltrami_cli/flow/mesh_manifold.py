@@ -13,6 +13,7 @@ from beltrami_cli.flow.kernel_work import MeshWork, without_hubs
 from beltrami_cli.flow.manifold import SampleTrial
 from beltrami_cli.flow.mesh_kernels import MeshKernels, rank_in
 from beltrami_cli.flow.mesh_partitions import cut_mesh, first_reach
+from beltrami_cli.flow.noise.by_place import relative_to_mean
 from beltrami_cli.flow.noise.mesh import estimate_sigma, find_stabiliser
 from beltrami_cli.flow.records import NewColours
 from beltrami_cli.flow.regularisation import MeshGaussian
@@ -54,17 +55,20 @@ class MeshManifold(MeshKernels):
         guides: Sequence[Guide] = (),
         metric_channels: Sequence[int] | None = None,
         geometry: GeometryParameters | None = None,
+        deviations: Float32s | None = None,
     ) -> None:
         super().__init__(surface, parameters, metric_channels)
-        given = parameters.given_noise
-        if given is not None:
+        given, sigma = parameters.given_noise, None
+        if deviations is not None:
+            self.differing, sigma = relative_to_mean(deviations[self.order])
+        elif given is not None:
             self.stabiliser = given.stabiliser() if given.is_by_level else None
         elif parameters.evens_noise and geometry is None:
             self.stabiliser = find_stabiliser(self.colours, self.edges)
         if self.stabiliser is not None:
             self.stabiliser.stabilise(self.colours.T)
         self.sigma = estimate_sigma(self.colours, self.edges)
-        self.settle_noise(parameters)
+        self.settle_noise(parameters, sigma)
         self.embed([dataclasses.replace(guide, values=guide.values[self.order]) for guide in guides])
         if geometry is not None:
             places = GeometryParameters(geometry.places[self.order], geometry.normal_beta)
@@ -151,8 +155,9 @@ class MeshManifold(MeshKernels):
         assert self._patches is not None
         estimates, weights = np.zeros_like(noisy), np.zeros_like(noisy)
         own = mixing.forth, mixing.back, mixing.variances
+        relative = None if self.differing is None else self.differing[:, 0]
         self._patches.collaborate(
-            noisy, pilot, own, mixing.has_pilot, estimates, weights, self.threads, progress
+            noisy, pilot, own, relative, mixing.has_pilot, estimates, weights, self.threads, progress
         )
         return estimates
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args
 
 from beltrami_cli.errors import UsageError
 from beltrami_cli.fields import check, described, parameter
-from beltrami_cli.flow.noise.given import given_noise
+from beltrami_cli.flow.noise.given import file_of_noise, given_noise
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -169,8 +169,10 @@ class KernelParameters:
 
     noise: str | None = parameter(
         None,
-        "The noise if it is known: 12 (of 255), 4.7%, or a camera's, shot:A,read:B: the variance A L + B^2 of light L.",
-        kind=str, unset="estimated", metavar="S", is_daily=True,
+        "The noise if it is known: 12 (of 255), 4.7%, or a camera's, shot:A,read:B: the variance A L + B^2 of light L. "
+        "Or a file of standard deviations of each sample, of full scale 1: an image of the same size; of vertices an "
+        "array (.npy, .npz) or attribute:NAME. Or frame:FILE, an image of nothing but noise, such as a dark frame.",
+        kind=str, unset="estimated", metavar="S|FILE", is_daily=True, file_in=file_of_noise,
     )  # fmt: skip
 
     patches: Patches = parameter(

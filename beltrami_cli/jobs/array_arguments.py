@@ -10,7 +10,14 @@ from beltrami_cli.errors import UsageError
 from beltrami_cli.fields import override
 from beltrami_cli.samples.image_surface import ImageSurface
 from beltrami_cli.surface.records import Encoding, PaintedVertices
-from beltrami_cli.surface.validation import array_of, check_mesh, colour_table, face_table, position_table
+from beltrami_cli.surface.validation import (
+    array_of,
+    check_mesh,
+    colour_table,
+    face_table,
+    guide_table,
+    position_table,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -34,6 +41,16 @@ def settings_for(
     if settings.space == "oklab" and len(channels) != 3:
         raise UsageError("the space oklab needs three channels")
     return settings
+
+
+def deviations_in(overrides: dict[str, Any], shape: tuple[int, ...]) -> Float32s | None:
+    """Take the noise out of overrides if it is an array of standard deviations, with a row a vertex or pixel."""
+    if overrides.get("noise") is None or isinstance(overrides["noise"], str):
+        return None
+    table = guide_table(overrides.pop("noise"), shape, "noise")
+    if table.min(initial=0) < 0 or table.max(initial=0) > 1:
+        raise UsageError("the noise must be standard deviations from 0 to a full scale of 1")
+    return table.astype(np.float32)
 
 
 def _channel(channel: object, names: Sequence[str]) -> str:

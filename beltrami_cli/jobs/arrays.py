@@ -22,6 +22,7 @@ from beltrami_cli.flow.colour_space import from_space, to_space
 from beltrami_cli.flow.embedding import Guide, centred
 from beltrami_cli.jobs.array_arguments import (
     checked_surface,
+    deviations_in,
     painted_arrays,
     pixel_colours,
     require_encoding,
@@ -172,7 +173,8 @@ def smooth(
         Called with the number of samples done so far and the total; may raise to stop.
     **overrides
         Single parameters by name, such as ``iterations=3, beta=12``, which replace those in `parameters` and are not
-        chosen from the data. Channels in `metric_channels` may be given by number.
+        chosen from the data. Channels in `metric_channels` may be given by number, and `noise` as an array of standard
+        deviations, full scale 1, of shape (V,) or (V, C).
 
     Returns
     -------
@@ -201,8 +203,9 @@ def smooth(
        doi:10.1073/pnas.95.15.8431
     """
     painted = painted_arrays(positions, faces, colours, encoding)
+    noise = deviations_in(overrides, (len(painted.positions),))
     settings = settings_for(parameters, guide, painted.channels, overrides)
-    samples = _vertex_samples(painted, settings, guide, is_cloud=faces is None)
+    samples = _vertex_samples(painted, settings, guide, noise, is_cloud=faces is None)
     flow = samples.flow()
     result = flow.run(progress)
     report, moving = samples.report(flow, result), flow.manifold.moving
@@ -255,7 +258,7 @@ def smooth_image(
     progress : callable, optional
         Called with the work done so far and the total work; may raise to stop.
     **overrides
-        As for `smooth`.
+        As for `smooth`; an array of `noise` is of shape (H, W) or (H, W, C).
 
     Returns
     -------
@@ -282,6 +285,7 @@ def smooth_image(
     """
     table, shape = pixel_colours(colours)
     channels = tuple(map(str, range(table.shape[1])))
+    noise = deviations_in(overrides, shape)
     settings = settings_for(parameters, guide, channels, overrides)
     require_encoding(encoding)
     guides = []
@@ -296,7 +300,8 @@ def smooth_image(
         return to_space(table[pixels], encoding, settings.space)
 
     numbers = None if metric is None else sorted({channels.index(channel) for channel in metric})
-    flow = grid_flow(place, working, settings.kernel, guides, numbers)
+    rows = None if noise is None else noise.__getitem__
+    flow = grid_flow(place, working, settings.kernel, guides, numbers, noise=rows)
     result = flow.run(progress)
     pixels = flow.manifold.atlas.owned_texels
     smoothed = _repainted(table, pixels, (working(pixels), flow.values()), encoding, settings.space)
@@ -313,7 +318,12 @@ def smooth_image(
 
 
 def _vertex_samples(
-    painted: PaintedVertices, settings: SmoothSettings, guide: ArrayLike | None, *, is_cloud: bool
+    painted: PaintedVertices,
+    settings: SmoothSettings,
+    guide: ArrayLike | None,
+    noise: NDArray[np.float32] | None,
+    *,
+    is_cloud: bool,
 ) -> VertexSamples:
     """Return the samples of vertices; UsageError if their positions have too many dimensions."""
     dimensions = painted.positions.shape[1]
@@ -325,7 +335,7 @@ def _vertex_samples(
     if guide is not None:
         (_, beta), *_ = settings.embedding.weighted_guides
         guides = [Guide("guide", centred(guide_table(guide, (len(painted.positions),))), beta)]
-    samples = VertexSamples(painted, settings, guides)
+    samples = VertexSamples(painted, settings, guides, noise)
     samples.is_cloud = is_cloud
     return samples
 

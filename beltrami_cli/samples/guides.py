@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from beltrami_cli.surface.records import Slot, Texture, TexturedSurface
 
 _MOST_NUMBERS = 1 << 31  # of an array, before it is known that it fits
-_ONE_ROW = "a guide needs one row for each coloured vertex, in the order of the file"
+_ONE_ROW = "it needs one row for each coloured vertex, in the order of the file"
 # Values of a material without a texture in a slot: glTF 2.0, section 3.9; a normal is perpendicular to the surface.
 _WITHOUT = {"normal": (0.5, 0.5, 1.0), "emissive": (0.0, 0.0, 0.0)}
 
@@ -64,14 +64,14 @@ def _values(document: Document, name: str, access: Access) -> Float64s:
 
 
 def read_table(path: str, rows: int, model: str, access: Access) -> Float64s:
-    """Read a guide for vertices, shape (V, G), from an array, an archive with one, or the vertex colours of a model."""
+    """Read numbers of vertices, shape (V, G), from an array, an archive with one, or the vertex colours of a model."""
     data = read_source(path, access)
     if data[: len(NPY_MAGIC)] == NPY_MAGIC:
         table = read_npy(data, path)
     elif NpzArchive.recognises(data) and (archive := NpzArchive(data, path)).kind() != "points":
         if len(archive.names) != 1:
             which = ", ".join(archive.names)
-            raise InputError(path, f"which of its arrays {which} guides is not clear", "save it alone")
+            raise InputError(path, f"which of its arrays {which} is meant is not clear", "save it alone")
         table = archive.read(archive.names[0], _MOST_NUMBERS)
     else:
         table = document_of(data, path, access).painted().colours
@@ -86,7 +86,7 @@ def read_table(path: str, rows: int, model: str, access: Access) -> Float64s:
 
 
 def read_map(path: str, access: Access) -> Float32s:
-    """Read a guide for texels or pixels, shape (H, W, G)."""
+    """Read numbers of texels or pixels, shape (H, W, G)."""
     picture = read_image(read_source(path, access), path, finite=False)
     channels = [i for i in range(picture.pixels.shape[2]) if i != picture.alpha]
     return np.asarray(full_scale_one(picture.pixels[..., channels]), np.float32)
@@ -107,7 +107,7 @@ def require_finite(table: NDArray[np.floating[Any]], name: str, what: str) -> No
     """Raise InputError if a number of a table, shape (S, G), is not finite; `what` names a row."""
     finite = np.isfinite(table).all(axis=1)
     if not finite.all():
-        raise InputError(name, f"{what} {int(np.argmin(finite))} of the guide is not finite")
+        raise InputError(name, f"its {what} {int(np.argmin(finite))} is not finite")
 
 
 def exists(path: str) -> bool:

@@ -164,6 +164,7 @@ def grid_flow(
     guides: Sequence[Callable[[Pixels], Guide]] = (),
     metric_channels: Sequence[int] | None = None,
     tick: Callable[[], None] | None = None,
+    noise: Callable[[Pixels], NDArray[np.float32]] | None = None,
 ) -> BeltramiFlow[GridManifold]:
     """Make the flow on an image, whose owned texels are the pixels that are not holes, row by row."""
     # Over heights, as on the plane, the unit of length is the pixel, and not the spacing along the surface: samples on
@@ -184,8 +185,14 @@ def grid_flow(
         guides=[guide(atlas.owned_texels) for guide in guides],
         metric_channels=metric_channels,
         unit=None if surface.heights is None else 1.0,
+        deviations=None if noise is None else noise(atlas.owned_texels),
     )
     return BeltramiFlow(manifold, kernel, tick)
+
+
+def rows_of(image: NDArray[np.float32] | None) -> Callable[[Pixels], NDArray[np.float32]] | None:
+    """Return what gives the rows of pixels of an image."""
+    return None if image is None else image.reshape(-1, image.shape[2]).__getitem__
 
 
 def _over_the_plane(heights: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -63,14 +63,19 @@ def describe_colours(painted: PaintedVertices) -> dict[str, object]:
 
 
 class PaintedSamples(Samples):
-    """The common part of vertices on a mesh and on a grid; `guides` have one row per vertex."""
+    """The common part of vertices on a mesh and on a grid; `guides` and deviations of `noise` have a row a vertex."""
 
     part: ClassVar[Part] = "vertices"
 
     def __init__(
-        self, painted: PaintedVertices, settings: SmoothSettings, guides: Sequence[Guide] = ()
+        self,
+        painted: PaintedVertices,
+        settings: SmoothSettings,
+        guides: Sequence[Guide] = (),
+        noise: Float32s | None = None,
     ) -> None:
         self.painted, self.settings, self.guides = painted, settings, tuple(guides)
+        self._noise = noise
         self.channels = choose_channels(painted, settings)
         self.names = tuple(painted.channels[channel] for channel in self.channels.sampled)
 

@@ -15,8 +15,9 @@ from beltrami_cli.flow.records import NewColours
 from beltrami_cli.formats.image import check_writable, is_exact, is_unchanged, label_of, losses
 from beltrami_cli.formats.image.conversion import noise_losses
 from beltrami_cli.formats.image.picture import full_scale_one, is_associated, supplies_colour
+from beltrami_cli.samples.given_noise import noise_of_pixels
 from beltrami_cli.samples.guides import read_guide_images
-from beltrami_cli.samples.image_surface import grid_flow, read_surface
+from beltrami_cli.samples.image_surface import grid_flow, read_surface, rows_of
 from beltrami_cli.samples.memory_check import require_memory
 from beltrami_cli.samples.reports import ImageReport, describe_kernel
 from beltrami_cli.samples.samples import (
@@ -212,12 +213,15 @@ class PixelSamples(Samples):
         self.surface = dataclasses.replace(surface, valid=self.valid)
         self._unfit = usable.size - int(np.count_nonzero(usable))
         self._guides = read_guide_images(self.picture, self.valid, settings, access)
+        pixels = np.flatnonzero(self.valid)
+        self._noise = noise_of_pixels(settings.kernel, [self.picture], pixels, access)
         self._is_noted = settings.channels is None and not colours_only
 
     def flow(self, tick: Callable[[], None] | None = None) -> BeltramiFlow[GridManifold]:
         colours, guides = self.colours, [guide.at for guide in self._guides]
         kernel = self.settings.kernel
-        return grid_flow(self.surface, colours.samples, kernel, guides, colours.metric_channels, tick)
+        metric, noise = colours.metric_channels, self._noise
+        return grid_flow(self.surface, colours.samples, kernel, guides, metric, tick, rows_of(noise))
 
     def window(self, place: tuple[slice, slice], kernel: KernelParameters) -> PixelSamples:
         """Return the samples of a part of the image, with other parameters."""
@@ -227,6 +231,7 @@ class PixelSamples(Samples):
         part.picture = dataclasses.replace(self.picture, pixels=pixels)
         part.colours = ImageColours(part.picture, self._chosen)
         part.valid, part.surface = self.valid[place], self.surface.window(place)
+        part._noise = None if self._noise is None else self._noise[place]
         part._guides = tuple(dataclasses.replace(each, image=each.image[place]) for each in self._guides)
         return part
 

@@ -36,9 +36,14 @@ class RangeSamples(PaintedSamples):
     label = "range image"
 
     def __init__(
-        self, painted: PaintedVertices, grid: Int64s, settings: SmoothSettings, guides: Sequence[Guide] = ()
+        self,
+        painted: PaintedVertices,
+        grid: Int64s,
+        settings: SmoothSettings,
+        guides: Sequence[Guide] = (),
+        noise: Float32s | None = None,
     ) -> None:
-        super().__init__(painted, settings, guides)
+        super().__init__(painted, settings, guides, noise)
         self.grid = grid
 
     def flow(self, tick: Callable[[], None] | None = None) -> BeltramiFlow[GridManifold]:
@@ -51,8 +56,11 @@ class RangeSamples(PaintedSamples):
         positions = np.full((*self.grid.shape, 3), np.nan)
         positions[measured] = self.painted.positions[self.grid[measured]]
         guides = [partial(self._guide_at, guide) for guide in self.guides]
-        surface = ImageSurface(None, positions, measured)
-        return grid_flow(surface, self._working, self.settings.kernel, guides, self.channels.metric, tick)
+        surface, noise = ImageSurface(None, positions, measured), self._noise
+        return grid_flow(
+            surface, self._working, self.settings.kernel, guides, self.channels.metric, tick,
+            None if noise is None else lambda places: noise[self.grid.reshape(-1)[places]],
+        )  # fmt: skip
 
     def _working(self, places: Int64s) -> Float32s:
         """Return the colours at some places of the grid in the working space, shape (T, N)."""

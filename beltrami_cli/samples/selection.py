@@ -122,6 +122,7 @@ def samples_of(
 
 def vertex_samples(document: Document, settings: SmoothSettings, access: Access) -> PaintedSamples:
     """Take the coloured vertices of a model: on a mesh, on their own, on a grid, or on a level set."""
+    from beltrami_cli.samples.given_noise import noise_of_vertices
     from beltrami_cli.samples.guides import vertex_guides
     from beltrami_cli.samples.range_samples import RangeSamples
     from beltrami_cli.samples.vertex_samples import LevelSetSamples, VertexSamples
@@ -129,10 +130,11 @@ def vertex_samples(document: Document, settings: SmoothSettings, access: Access)
 
     painted, grid = document.painted(), document.grid()
     guides = vertex_guides(document, settings, access)
+    noise = noise_of_vertices(settings.kernel, document, access)
     if grid is not None:
-        return RangeSamples(painted, grid, settings, guides)
+        return RangeSamples(painted, grid, settings, guides, noise)
     kind = LevelSetSamples if isinstance(document, LevelSetDocument) else VertexSamples
-    return kind(painted, settings, guides)
+    return kind(painted, settings, guides, noise)
 
 
 def coloured_vertices(document: Document) -> NDArray[np.intp]:

@@ -86,6 +86,13 @@ class TexelSamples(Samples):
             self.atlas = without_owned(self.atlas, hidden)
         self._shared = shared or SharedImages()
         self._guides: list[Guide] = []
+        self._noise: Float32s | None = None
+        if guided is not None and settings.kernel.noise is not None:
+            from beltrami_cli.samples.given_noise import noise_of_pixels
+
+            texels = self.atlas.owned_texels
+            noise = noise_of_pixels(settings.kernel, self.pictures, texels, guided[1])
+            self._noise = None if noise is None else noise.reshape(-1, noise.shape[2])[texels]
         if guided is not None and settings.embedding.guides:
             from beltrami_cli.samples.guides import GuidedTexels
 
@@ -113,6 +120,7 @@ class TexelSamples(Samples):
             guides=guides,
             metric_channels=self.colours.metric_channels,
             unit=None if self._group is None else self._group.common.unit,
+            deviations=self._noise,
         )
         return BeltramiFlow(manifold, kernel, tick)
 

@@ -51,9 +51,13 @@ class VertexSamples(PaintedSamples):
     label = "vertex colours"
 
     def __init__(
-        self, painted: PaintedVertices, settings: SmoothSettings, guides: Sequence[Guide] = ()
+        self,
+        painted: PaintedVertices,
+        settings: SmoothSettings,
+        guides: Sequence[Guide] = (),
+        noise: Float32s | None = None,
     ) -> None:
-        super().__init__(painted, settings, guides)
+        super().__init__(painted, settings, guides, noise)
         self.is_cloud = not len(painted.faces)
         self._positions: Float64s | None = None
 
@@ -91,8 +95,10 @@ class VertexSamples(PaintedSamples):
         none = np.zeros((0, 3))
         remaining = SampledSurface(none, none.astype(np.int32), none.astype(np.int32), surface.colours)
         self._sampled = remaining, sampling
-        metric = self.channels.metric
-        manifold = MeshManifold(surface, own.kernel, guides=guides, metric_channels=metric, geometry=geometry)
+        manifold = MeshManifold(
+            surface, own.kernel, guides=guides, metric_channels=self.channels.metric, geometry=geometry,
+            deviations=None if self._noise is None else sampling.means(self._noise),
+        )  # fmt: skip
         return BeltramiFlow(manifold, own.kernel, tick)
 
     def level(self, wanted: LevelSettings, photographs: Int64s | None = None) -> LevelReport:

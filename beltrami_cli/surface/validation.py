@@ -74,15 +74,15 @@ def colour_table(colours: ArrayLike) -> Float32s:
     return np.ascontiguousarray(table / np.iinfo(table.dtype).max, np.float32)
 
 
-def guide_table(values: ArrayLike, shape: tuple[int, ...]) -> Float64s:
+def guide_table(values: ArrayLike, shape: tuple[int, ...], name: str = "guide") -> Float64s:
     """Take a guide: any finite numbers of `shape`, or with channels behind it; a row a vertex or pixel."""
-    table = array_of(values, "guide")
+    table = array_of(values, name)
     if table.shape[: len(shape)] != shape or table.ndim > len(shape) + 1 or table.dtype.kind not in "buif":
         wanted = ", ".join(map(str, shape))
-        raise UsageError(f"the guide must be numbers of shape ({wanted}, G), not {_described(table)}")
+        raise UsageError(f"the {name} must be numbers of shape ({wanted}, G), not {_described(table)}")
     rows = table.reshape(int(np.prod(shape)), -1).astype(np.float64)
     if not np.isfinite(rows).all():
-        raise UsageError(f"row {int(np.argmin(np.isfinite(rows).all(axis=1)))} of the guide is not finite")
+        raise UsageError(f"row {int(np.argmin(np.isfinite(rows).all(axis=1)))} of the {name} is not finite")
     return rows
 
 

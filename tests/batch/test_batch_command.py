@@ -9,6 +9,7 @@ import subprocess
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from batch.batches import (
@@ -242,6 +243,18 @@ def test_a_manifest_has_parameters_for_each_file(name, scans, tmp_path):
     assert (out / "first" / "x.obj").read_bytes() == first
     options = [*QUICK, "--beta", 3.5, "--space", "linear", "--channels", "red,green"]
     assert (out / "b.obj").read_bytes() == smoothed(scans / "b.obj", tmp_path / "b.obj", *options)
+
+
+def test_files_in_manifests_lie_beside_them(scans, tmp_path):
+    count = len(open_document(str(scans / "a.ply")).painted().positions)
+    np.save(scans / "sigma.npy", np.full(count, 0.05, np.float32))
+    (scans / "jobs.toml").write_text(
+        '[[files]]\ninput = "a.ply"\nnoise = "sigma.npy"\nn = 1\nt = 0.5\nbeta = 8\n'
+    )
+    batch(scans / "jobs.toml", "--out-dir", tmp_path / "out", cwd=tmp_path)
+    (line,) = lines_of(tmp_path / "out" / "batch.jsonl")
+    assert line["report"]["vertices"]["noise"]["red"] == pytest.approx(0.05)
+    assert str(scans / "sigma.npy") in line["read"]
 
 
 @pytest.mark.parametrize(

@@ -9,16 +9,17 @@ noise. BM3D is told 1, 1.5 and 2.2 times the true root mean square of the noise,
 from __future__ import annotations
 
 import argparse
-import io
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 import texture_peers
-from scipy.ndimage import convolve, zoom
 
 import beltrami_cli
-from beltrami_cli.surface.colour_values import linear_to_srgb, srgb_to_linear
+from beltrami_cli.jobs.noise import add_grain, seen_by_camera
+from beltrami_cli.jobs.settings import NoiseSettings
+from beltrami_cli.samples.samples import Grains, as_jpeg
+from beltrami_cli.surface.baking import Cells
 
 SIDE = 224
 CAMERAS = ((0.002, 0.005), (0.01, 0.01), (0.03, 0.02))
@@ -68,43 +69,33 @@ def images(paths):
 
 def cases(clean):
     """Yield each kind of noise: its name, the noisy image and the truth."""
-    random = np.random.default_rng(1)
-    truth = seen_by_camera(clean, 0, 0, random)
-    for shot, read in CAMERAS:
-        noisy = seen_by_camera(clean, shot, read, random)
+    truth = with_noise(clean, "camera", shot=0.0, read=0.0)
+    for seed, (shot, read) in enumerate(CAMERAS):
+        noisy = with_noise(clean, "camera", shot=shot, read=read, seed=seed)
         yield f"camera {shot}, {read}", stored(noisy), truth
         yield f"camera {shot}, {read}, JPEG 95", as_jpeg(noisy, 95), truth
-    for size, sigma in GRAINS:
-        coarse = random.standard_normal((-(-SIDE // size) + 1, -(-SIDE // size) + 1, 3))
-        grain = zoom(coarse, (size, size, 1), order=1)[1 : SIDE + 1, 1 : SIDE + 1]
-        yield f"grain of {size}, {sigma}", stored(clean + sigma / 255 * grain), clean
+    for seed, (size, sigma) in enumerate(GRAINS):
+        grain = with_noise(clean, "grain", size=float(size), sigma=sigma / 255, seed=seed)
+        yield f"grain of {size}, {sigma}", stored(grain), clean
 
 
-def seen_by_camera(clean, shot, read, random):
-    """Return what a camera with a Bayer mosaic and bilinear demosaicing makes of an image."""
-    light = srgb_to_linear(clean).astype(float)
-    masks = np.zeros((3, *light.shape[:2]))
-    masks[0, ::2, ::2] = masks[2, 1::2, 1::2] = masks[1, ::2, 1::2] = masks[1, 1::2, ::2] = 1
-    mosaic = np.einsum("kij,ijk->ij", masks, light)
-    mosaic += random.standard_normal(mosaic.shape) * np.sqrt(shot * mosaic + read**2)
-    corner = np.array([[1, 2, 1], [2, 4, 2], [1, 2, 1]]) / 4
-    cross = np.array([[0, 1, 0], [1, 4, 1], [0, 1, 0]]) / 4
-    planes = [convolve(mosaic * masks[k], cross if k == 1 else corner, mode="mirror") for k in range(3)]
-    return linear_to_srgb(np.clip(np.stack(planes, axis=2), 0, 1)).astype(np.float32)
+def with_noise(image, kind, **wanted):
+    """Return what `beltrami noise` makes of an image, before it is rounded."""
+    settings, shape = NoiseSettings(kind=kind, **wanted), image.shape[:2]
+    row, column = np.indices(shape).reshape(2, -1)
+    none = np.zeros_like(row)
+    grains = Grains(image.reshape(-1, 3).astype(np.float32), np.arange(row.size))
+    if kind == "camera":
+        noisy = seen_by_camera(grains, Cells([shape], none, row, column, none), settings)
+    else:
+        places = np.column_stack([column, row, none]).astype(float)
+        noisy = add_grain(grains, places, np.ones(row.size), settings)
+    return noisy.reshape(image.shape)
 
 
 def stored(image):
     """Round to 8 bit."""
     return (np.rint(255 * np.clip(image, 0, 1)) / 255).astype(np.float32)
-
-
-def as_jpeg(image, quality):
-    """Return what JPEG of a quality, with colour at half the resolution, makes of an image."""
-    from PIL import Image
-
-    file = io.BytesIO()
-    Image.fromarray(np.uint8(255 * stored(image) + 0.5)).save(file, "JPEG", quality=quality, subsampling=2)
-    return np.asarray(Image.open(file)) / np.float32(255)
 
 
 def best_of_bm3d(noisy, truth):

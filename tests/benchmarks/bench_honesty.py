@@ -11,10 +11,11 @@ import argparse
 from pathlib import Path
 
 import numpy as np
-from bench_camera_noise import SIDE, as_jpeg, cases, images, psnr, stored
+from bench_camera_noise import SIDE, cases, images, psnr, stored
 from scipy.ndimage import gaussian_filter, zoom
 
 import beltrami_cli
+from beltrami_cli.samples.samples import as_jpeg
 from beltrami_cli.surface.colour_values import linear_to_srgb, srgb_to_linear
 
 

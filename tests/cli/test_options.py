@@ -80,7 +80,7 @@ def test_files_that_parameters_name_are_guarded_and_named_by_users_only(declared
     settings = override(DEFAULTS, **{declared.name: (str(path),) if declared.several else str(path)})
     assert settings.files_besides() == [str(path)]
     assert settings.files_besides(str(path)) == []
-    assert declared.is_deliberate
+    assert declared.is_deliberate(str(path))
 
 
 @pytest.mark.parametrize(

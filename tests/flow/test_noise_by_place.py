@@ -8,7 +8,7 @@ import pytest
 import beltrami_cli
 from beltrami_cli.flow import grid_kernels
 from beltrami_cli.flow.noise.by_place import find_relative_noise
-from oracles.paintings import photograph, psnr
+from oracles.paintings import flat_paint, line_art, photograph, psnr
 
 SIZE, QUIET, LOUD = 256, 5 / 255, 20 / 255
 
@@ -39,6 +39,23 @@ def test_the_noise_of_both_halves_is_found():
     assert ratio[away] == pytest.approx(1, rel=0.2)
     assert growth == pytest.approx(np.sqrt(np.mean(sigma_at_rows() ** 2)) / QUIET, rel=0.2)
     assert found.mean() == pytest.approx(1, rel=1e-3)
+
+
+def test_the_noise_of_both_halves_is_found_in_one_channel():
+    """Within 20 % in the loud half; textures of one channel make the quiet one louder."""
+    noise = sigma_at_rows() * np.random.default_rng(0).standard_normal((SIZE, SIZE, 1))
+    found, _ = relative(np.clip(photograph(SIZE, contrast=0.05)[..., :1] + noise, 0, 1))
+    below = np.sqrt(np.median(found[: SIZE // 2 - 8])), np.sqrt(np.median(found[SIZE // 2 + 8 :]))
+    assert below[1] == pytest.approx(LOUD / np.sqrt((QUIET**2 + LOUD**2) / 2), rel=0.2)
+    assert below[0] < 0.6 * below[1]
+
+
+@pytest.mark.parametrize("sigma", [0, 5, 20])
+@pytest.mark.parametrize("scene", [photograph, flat_paint, line_art])
+def test_even_noise_of_one_channel_is_the_same_everywhere(scene, sigma):
+    clean = scene(SIZE)[..., :1]
+    noisy = clean + sigma / 255 * np.random.default_rng(1).standard_normal(clean.shape)
+    assert relative(np.clip(noisy, 0, 1).astype(np.float32)) is None
 
 
 @pytest.mark.parametrize("sigma", [0, 5, 20])

@@ -74,7 +74,18 @@ def test_what_may_be_set_exists_and_is_harmless() -> None:
     assert harmless & set(NEVER) <= {"reference"}  # of `level` it names charts, and of `compare` a file
     # No option of a path can be missing in `NEVER`.
     paths = {option.name for option in options if "FILE" in (option.metavar or "")}
-    assert paths - {"materials"} <= set(NEVER)
+    assert paths - {"materials", "noise"} <= set(NEVER)
+
+
+def test_noise_may_be_a_number_but_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for text in ('"12"', '"attribute:error"'):
+        (tmp_path / "beltrami.toml").write_text(f"noise = {text}\n")
+        assert defaults_from(load(None), "smooth")["noise"] == text.strip('"')
+    for text in ('"sigma.exr"', '"frame:/dev/dark.png"'):
+        (tmp_path / "beltrami.toml").write_text(f"noise = {text}\n")
+        with pytest.raises(UsageError, match="--config"):
+            defaults_from(load(None), "smooth")
 
 
 def test_no_scheduler_is_connected_to(tmp_path: Path) -> None:

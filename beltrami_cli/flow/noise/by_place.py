@@ -2,7 +2,8 @@
 
 In each square block of cells, noise is the least that the mean of channels and their differences show in the even
 tiles, since textures hardly reach all three. Where that is much more than in the quietest blocks, and no
-more so in details of 2 x 2 means than in those of single cells, unlike texture, there is more noise.
+more so in details of 2 x 2 means than in those of single cells, unlike texture, there is more noise. One channel alone
+must show that it is noise: details of 2 x 2 means have the same energy, and so have all tiles of a block.
 """
 
 from __future__ import annotations
@@ -11,12 +12,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli.flow.noise.by_level import OPPONENTS
+from beltrami_cli.flow.noise.by_level import OPPONENTS, mixing_for
 from beltrami_cli.flow.noise.grid_scales import corners_of, sums_of_tiles
 from beltrami_cli.surface import large_arrays
 
 if TYPE_CHECKING:
-    from beltrami_cli.arrays import Bools, Float32s
+    from beltrami_cli.arrays import Bools, Float32s, Float64s
 
 # Cells a side of a tile, tiles a side of a block, and tiles that a block needs.
 _TILE, _BLOCK, _FEWEST_TILES = 8, 4, 6
@@ -28,6 +29,10 @@ _EVEN, _QUIET = 0.3, 0.1
 # this standard deviation; of texture, the next scale has even more, by this factor.
 _LOUDER, _COUNTED, _LEAST_SIGMA, _MOST_GROWTH = 1.7, 0.1, 2.5 / 255, 1.6
 
+# Of one channel: the energy of details of 2 x 2 means relative to that of single cells, and that of tiles which are not
+# even relative to those that are, at most. On 16 photographs with noise in one half, white noise of 5 or 20, and none.
+_MOST_GROWTH_ALONE, _MOST_UNEVEN, _UNEVEN = 1.3, 1.75, 0.75
+
 # Where groups of blocks of like levels explain the first share of differences, and places less, or the second, noise
 # depends on levels.
 _GROUPS, _BY_LEVEL, _ALL_BY_LEVEL = 6, 0.5, 0.85
@@ -38,8 +43,8 @@ _NOTHING = 1e-12
 # Noise of quiet places that cannot be distinguished from the steps of an 8-bit file, to which nothing can be related.
 _ROUNDING = 0.5 / 255
 
-# The least relative standard deviation.
-_LEAST = 0.2
+# The least relative standard deviation: where it is estimated, and where it is given, so that all can be divided by it.
+_LEAST, _LEAST_RELATIVE = 0.2, 0.05
 
 # Share of the cells of a tile at 0 or full scale beyond which noise was cut off.
 _MOST_CUT_OFF = 0.3
@@ -50,10 +55,12 @@ def find_relative_noise(planes: Float32s, filled: Bools) -> tuple[Float32s, floa
 
     None if it is the same everywhere.
     """
-    if len(planes) < len(OPPONENTS) or min(filled.shape) < 2 * _TILE * _BLOCK:
+    if min(filled.shape) < 2 * _TILE * _BLOCK:
         return None
-    tiles, levels = _measure_tiles(planes[: len(OPPONENTS)], filled)
-    blocks = _even_energies(tiles).min(axis=1)
+    tiles, levels = _measure_tiles(
+        planes[: len(OPPONENTS)] if len(planes) >= len(OPPONENTS) else planes[:1], filled
+    )
+    blocks = _energies(tiles, _EVEN).min(axis=1)
     known = ~np.isnan(blocks).any(axis=0)
     if np.count_nonzero(known) < 1 / _QUIET:
         return None
@@ -66,11 +73,31 @@ def find_relative_noise(planes: Float32s, filled: Bools) -> tuple[Float32s, floa
         return None
     if np.median(coarse[louder] / fine[louder]) > _MOST_GROWTH:
         return None
+    if tiles.shape[1] == 1 and not _is_noise_alone(tiles[:, 0], louder):
+        return None
     logs = np.log(np.maximum(fine, _NOTHING))
     by_level = _explained_by_level(logs[known], levels[known])
     if by_level > _BY_LEVEL and by_level > min(_ALL_BY_LEVEL, _explained_by_place(logs)):
         return None
     return _over_cells(np.where(known, fine, np.nan), tiles[0].min(axis=0) / quiet[0], filled)
+
+
+def relative_to_mean(deviations: Float32s) -> tuple[Float32s, Float64s]:
+    """Return variances relative to their mean, shape (S, 1), and sigma by channel, of deviations of shape (S, K)."""
+    variances = np.square(deviations, dtype=np.float64)
+    sigma = np.sqrt(variances.mean(axis=0))
+    mean = np.mean(np.square(sigma))
+    if not mean > 0:
+        return np.ones((len(deviations), 1), np.float32), sigma
+    relative = np.maximum(variances.mean(axis=1, keepdims=True) / mean, _LEAST_RELATIVE**2)
+    return relative.astype(np.float32), sigma
+
+
+def _is_noise_alone(tiles: Float32s, blocks: Bools) -> bool:
+    """Whether one channel shows noise in some blocks, and no texture, by the energies of its tiles by scale."""
+    even, uneven = (_energies(tiles, share)[:, blocks] for share in (_EVEN, _UNEVEN))
+    is_flat = np.median(even[1] / even[0]) < _MOST_GROWTH_ALONE
+    return bool(is_flat and np.median(uneven[0] / even[0]) < _MOST_UNEVEN)
 
 
 def _explained_by_level(values: Float32s, levels: Float32s) -> float:
@@ -102,7 +129,7 @@ def _measure_tiles(planes: Float32s, filled: Bools) -> tuple[Float32s, Float32s]
         usable = sums_of_tiles(there, _TILE) == _TILE**2
         usable &= sums_of_tiles(cut, _TILE) < _MOST_CUT_OFF * _TILE**2
         first = band.start // _TILE
-        means = np.einsum("ij,jrc->irc", OPPONENTS.astype(np.float32), whole)
+        means = np.einsum("ij,jrc->irc", mixing_for(len(whole)).astype(np.float32), whole)
         levels[band.start // side] = sums_of_tiles(means[0], side) / np.maximum(sums_of_tiles(there, side), 1)
         for scale, own in enumerate(energies[:, :, first : first + _BLOCK]):
             four = corners_of(means)
@@ -114,14 +141,14 @@ def _measure_tiles(planes: Float32s, filled: Bools) -> tuple[Float32s, Float32s]
     return energies, levels
 
 
-def _even_energies(tiles: Float32s) -> Float32s:
-    """Return a low quantile of the energies of the tiles of each block; NaN with too few of them."""
+def _energies(tiles: Float32s, share: float) -> Float32s:
+    """Return a quantile of the energies of the tiles of each block; NaN with too few of them."""
     *shape, rows, columns = tiles.shape
     grouped = tiles.reshape(*shape, rows // _BLOCK, _BLOCK, columns // _BLOCK, _BLOCK).swapaxes(-3, -2)
     grouped = grouped.reshape(*shape, rows // _BLOCK, columns // _BLOCK, _BLOCK**2)
     ordered = np.sort(grouped, axis=-1)  # NaN last
     usable = np.count_nonzero(~np.isnan(ordered), axis=-1, keepdims=True)
-    at = (_EVEN * (usable - 1)).clip(0).astype(np.intp)
+    at = (share * (usable - 1)).clip(0).astype(np.intp)
     found: Float32s = np.take_along_axis(ordered, at, axis=-1)[..., 0]
     found[usable[..., 0] < _FEWEST_TILES] = np.nan
     return found

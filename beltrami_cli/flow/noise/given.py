@@ -1,4 +1,4 @@
-"""Noise that is given: of one standard deviation, or that of a camera."""
+"""Noise that is given: of one standard deviation, that of a camera, or by a file for each sample."""
 
 from __future__ import annotations
 
@@ -11,6 +11,9 @@ if TYPE_CHECKING:
 
 _CAMERA = re.compile(r"shot:([^,]+),read:([^,]+)")
 
+# A file of standard deviations is known by its extension.
+_SOURCE = re.compile(r"(frame|attribute):(.+)|()(.+\.[A-Za-z]\w*)")
+
 # Levels at which the noise of a camera is tabulated.
 _LEVELS = 65
 
@@ -22,6 +25,8 @@ class GivenNoise:
     sigma: float = 0.0
     shot: float = 0.0
     read: float = 0.0
+    source: str = ""  # the file, or the attribute of vertices, that has it for each sample
+    kind: str = ""  # of the source: "frame", "attribute", or else standard deviations
 
     @property
     def is_by_level(self) -> bool:
@@ -43,21 +48,30 @@ class GivenNoise:
 
 
 def given_noise(text: str) -> GivenNoise:
-    """Read "12" or "12/255" of 255, "0.047" or "4.7%" of full scale, or "shot:A,read:B"; ValueError if it is none."""
-    camera = _CAMERA.fullmatch(text.strip())
+    """Read "12" or "12/255" of 255, "0.047" or "4.7%" of full scale, "shot:A,read:B", or a source; or ValueError."""
+    camera, source = _CAMERA.fullmatch(text.strip()), _SOURCE.fullmatch(text)
     try:
         if camera:
             found = GivenNoise(shot=float(camera[1]), read=float(camera[2]))
+        elif source:
+            found = GivenNoise(source=source[2] or source[4], kind=source[1] or "")
         else:
             found = GivenNoise(_number(text.strip()))
     except (ValueError, ZeroDivisionError):
         raise ValueError(
-            f"is {text!r}, but must be a number of 255 such as 12, a share of full scale such as 0.047 or 4.7%, or "
-            "shot:A,read:B such as shot:0.01,read:0.005"
+            f"is {text!r}, but must be a number of 255 such as 12, a share of full scale such as 0.047 or 4.7%, "
+            "shot:A,read:B such as shot:0.01,read:0.005, or a file of standard deviations such as sigma.exr, "
+            "frame:FILE or attribute:NAME"
         ) from None
     if not (0 <= found.sigma <= 1 and 0 <= found.shot <= 1 and 0 <= found.read <= 1):
         raise ValueError(f"is {text!r}, but noise is at least 0, and at most 255 or a full scale of 1")
     return found
+
+
+def file_of_noise(text: str) -> str:
+    """Return the file that a value of `noise` names; empty: none."""
+    source = _SOURCE.fullmatch(text)
+    return "" if source is None or source[1] == "attribute" else source[2] or source[4]
 
 
 def _number(text: str) -> float:

@@ -80,17 +80,19 @@ SurfacePatches* make_surface_patches(const Matrix<double>& positions, const Matr
 
 // See SurfacePatches::collaborate; a row a vertex.
 void collaborate_on_surface(const SurfacePatches& surface, const Matrix<float>& noisy, const Matrix<float>& pilot,
-                            const nb::tuple& mixing, bool has_pilot, Rows& estimates, Rows& weights, unsigned threads,
-                            const nb::object& progress) {
+                            const nb::tuple& mixing, const std::optional<Vector<float>>& relative, bool has_pilot,
+                            Rows& estimates, Rows& weights, unsigned threads, const nb::object& progress) {
   const std::size_t channels = noisy.shape(1);
   const Mixing own = mixing_of(mixing, channels);
+  if (relative && relative->size() != surface.size()) throw nb::value_error("one relative variance a vertex is needed");
   if (noisy.shape(0) != surface.size()) throw nb::value_error("one row a vertex is needed");
   for (std::size_t axis = 0; axis < 2; ++axis)
     if (pilot.shape(axis) != noisy.shape(axis) || estimates.shape(axis) != noisy.shape(axis) ||
         weights.shape(axis) != noisy.shape(axis))
       throw nb::value_error("all stacks must have one shape");
   const SurfacePatches::Colours colours{noisy.data(),     pilot.data(),    channels,
-                                        own.forth.data(), own.back.data(), own.variances.data()};
+                                        own.forth.data(), own.back.data(), own.variances.data(),
+                                        relative ? relative->data() : nullptr};
   run_polled(progress, [&](const Poll& poll) {
     surface.collaborate(colours, has_pilot, {estimates.data(), weights.data()}, threads, poll);
   });
@@ -111,8 +113,8 @@ void bind_patches(nb::module_& module) {
              new (self) SurfacePatches(std::move(*made));
            },
            "positions"_a, "edges"_a, "axes"_a, "priorities"_a, "threads"_a)
-      .def("collaborate", &collaborate_on_surface, "noisy"_a, "pilot"_a, "mixing"_a, "has_pilot"_a, "estimates"_a,
-           "weights"_a, "threads"_a, "progress"_a.none());
+      .def("collaborate", &collaborate_on_surface, "noisy"_a, "pilot"_a, "mixing"_a,
+           "relative"_a.none(), "has_pilot"_a, "estimates"_a, "weights"_a, "threads"_a, "progress"_a.none());
 }
 
 }  // namespace beltrami::bindings

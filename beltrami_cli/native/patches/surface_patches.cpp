@@ -223,7 +223,8 @@ class SurfacePatches::Worker {
            const Variant& variant, Part& part) {
     collect(surface, starts, part.members);
     mix(colours, part.members);
-    const Channels channels{noisy_.data(), pilot_.data(), colours.variances, nullptr, colours.channels, part.members.size()};
+    const float* relative = colours.relative != nullptr ? relative_.data() : nullptr;
+    const Channels channels{noisy_.data(),     pilot_.data(), colours.variances, relative, colours.channels, part.members.size()};
     describe(surface, channels);
     part.estimates.assign(noisy_.size(), 0);
     part.weights.assign(noisy_.size(), 0);
@@ -271,6 +272,8 @@ class SurfacePatches::Worker {
     const std::size_t n = colours.channels, count = members.size();
     noisy_.resize(n * count);
     pilot_.resize(n * count);
+    relative_.resize(colours.relative != nullptr ? count : 0);
+    for (std::size_t i = 0; i < relative_.size(); ++i) relative_[i] = colours.relative[members[i]];
     for (std::size_t i = 0; i < count; ++i) {
       const std::size_t row = static_cast<std::size_t>(members[i]) * n;
       for (std::size_t to = 0; to < n; ++to) {
@@ -355,6 +358,11 @@ class SurfacePatches::Worker {
       for (std::size_t p = 0; p < group_.count; ++p) mean += pilot[places_[p]];
       mean /= count;
       std::fill(group_.energy.begin(), group_.energy.end(), count * channels.variances[channel]);
+      for (std::size_t k = 0; channels.relative != nullptr && k < group_.found; ++k) {
+        float total = 0;
+        for (std::size_t p = 0; p < group_.count; ++p) total += channels.relative[places_[k * nodes + p]];
+        group_.energy[k] = total * channels.variances[channel];
+      }
       each_value([&](std::size_t place, std::size_t at, std::size_t) {
         group_.noisy[at] = noisy[place] - mean;
         group_.pilot[at] = pilot[place] - mean;
@@ -378,7 +386,7 @@ class SurfacePatches::Worker {
   VertexRings rings_;
   std::vector<std::int32_t> number_, rank_, candidates_, around_, places_;
   std::vector<std::size_t> first_;
-  std::vector<float> noisy_, pilot_, features_, mask_, distances_;
+  std::vector<float> noisy_, pilot_, relative_, features_, mask_, distances_;
   std::vector<std::pair<float, std::int32_t>> keys_;
   Group group_{};
 };

@@ -37,6 +37,7 @@ class SurfacePatches {
     std::size_t channels;
     const float *mixing, *unmixing;  // see Canvas
     const float* variances;
+    const float* relative = nullptr;  // what a vertex's variance is multiplied by; nullptr: 1
   };
 
   // Writes estimates of all vertices, of isolated ones the pilot; both of `sums` have a row of `channels` zeros a vertex,

@@ -1,0 +1,72 @@
+"""Whether --strength gentle, normal and strong differ as they say, over noise of many kinds; nothing else is given.
+
+``python tests/benchmarks/bench_strengths.py [IMAGE...]`` judges four photographs of scikit-image, and the middle of
+named images, in windows of 224 x 224: the root mean square change, which must grow with the strength on every one, and
+the PSNR against the truth, of which gentle may cost 1.5 dB and strong 1 dB on average.
+"""
+
+from __future__ import annotations
+
+import argparse
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from bench_camera_noise import images, psnr, stored, with_noise
+
+import beltrami_cli
+from beltrami_cli.samples.samples import as_jpeg
+
+BEST = 60.0  # dB; beyond it nobody sees a difference
+STRENGTHS = ("gentle", "normal", "strong")
+
+
+def main():
+    """Judge all images; print a line for each kind of noise, and the mean costs."""
+    parser = argparse.ArgumentParser(description="Judge the strengths.")
+    parser.add_argument("images", nargs="*", type=Path)
+    options = parser.parse_args()
+    costs, wrong = [], 0
+    print("| image, noise | change: gentle | normal | strong | PSNR: normal | cost of gentle | of strong |")
+    print("|---|---|---|---|---|---|---|")
+    for name, clean in images(options.images):
+        for kind, noisy, truth in kinds(stored(clean)):
+            smoothed = [beltrami_cli.smooth_image(noisy, strength=each).colours for each in STRENGTHS]
+            changes = [255 * float(np.sqrt(np.mean((each - noisy) ** 2))) for each in smoothed]
+            gentle, normal, strong = (min(BEST, psnr(each, truth)) for each in smoothed)
+            costs.append((normal - gentle, normal - strong))
+            is_wrong = any(a >= b > 0 or a > b for a, b in pairwise(changes))  # clean ones may stay
+            wrong += is_wrong
+            row = *changes, normal, *costs[-1]
+            marked = " NOT IN ORDER" if is_wrong else ""
+            print(
+                f"| {name}, {kind} |", " | ".join(f"{value:.2f}" for value in row), f"|{marked}", flush=True
+            )
+    gentle, strong = np.mean(costs, axis=0)
+    print(f"{wrong} of {len(costs)} not in order; gentle costs {gentle:.2f} dB, strong {strong:.2f} dB")
+
+
+def kinds(clean):
+    """Yield the name of each kind of noise, the noisy image and the truth."""
+    random = np.random.default_rng(3)
+    yield "clean", clean, clean
+    for sigma in (5, 12, 25):
+        yield f"white {sigma}", stored(clean + sigma / 255 * random.standard_normal(clean.shape)), clean
+    seen = with_noise(clean, "camera", shot=0.0, read=0.0)
+    for shot, read in ((0.002, 0.005), (0.02, 0.015)):
+        noisy = with_noise(clean, "camera", shot=shot, read=read)
+        yield f"camera {shot}, {read}", stored(noisy), seen
+        yield f"camera {shot}, {read}, JPEG 95", as_jpeg(noisy, 95), seen
+    for size, sigma in ((2, 12), (3, 6), (4, 12)):
+        yield (
+            f"grain of {size}, {sigma}",
+            stored(with_noise(clean, "grain", size=float(size), sigma=sigma / 255)),
+            clean,
+        )
+    for quality in (80, 92):
+        white = clean + 10 / 255 * random.standard_normal(clean.shape)
+        yield f"white 10, JPEG {quality}", as_jpeg(white, quality), clean
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,171 @@
+"""Noise that is given for each sample, by an array, an image, a table or an attribute."""
+
+from __future__ import annotations
+
+import numpy as np
+import OpenImageIO
+import pytest
+
+import beltrami_cli
+from beltrami_cli.errors import InputError, UsageError
+from beltrami_cli.flow.noise.by_place import relative_to_mean
+from beltrami_cli.flow.noise.given import GivenNoise, file_of_noise, given_noise
+from beltrami_cli.samples.given_noise import deviation_in_frame
+from oracles.paintings import photograph, psnr
+from oracles.surfaces import icosphere
+
+SIZE = 128
+QUIET, LOUD = 4 / 255, 24 / 255
+
+
+def halves(shape):
+    """Return standard deviations that differ between the first and the second half of rows."""
+    return np.where(np.arange(shape[0]) < shape[0] // 2, QUIET, LOUD)
+
+
+def write(path, image, stored="uint8"):
+    buffer = OpenImageIO.ImageBuf(np.ascontiguousarray(image, np.float32))
+    assert buffer.write(str(path), stored)
+    return path
+
+
+def grey(seed=0):
+    """Return a grey picture without noise, and one of which the lower half has more."""
+    clean = photograph(SIZE, contrast=0.05)[..., 0]
+    noise = halves(clean.shape)[:, None] * np.random.default_rng(seed).standard_normal(clean.shape)
+    return clean.astype(np.float32), np.clip(clean + noise, 0, 1).astype(np.float32)
+
+
+@pytest.mark.parametrize(
+    ("text", "found", "file"),
+    [
+        ("sigma.png", GivenNoise(source="sigma.png"), "sigma.png"),
+        ("a 1/b.exr", GivenNoise(source="a 1/b.exr"), "a 1/b.exr"),
+        ("frame:dark.tif", GivenNoise(source="dark.tif", kind="frame"), "dark.tif"),
+        ("attribute:error", GivenNoise(source="error", kind="attribute"), ""),
+        ("0.05", GivenNoise(0.05), ""),
+    ],
+)
+def test_a_file_is_known_by_its_extension(text, found, file):
+    assert given_noise(text) == found
+    assert file_of_noise(text) == file
+
+
+def test_variances_are_relative_to_their_mean_and_never_nothing():
+    relative, sigma = relative_to_mean(np.array([[0.0, 0.0], [0.3, 0.1]], np.float32))
+    assert sigma == pytest.approx([0.3 / np.sqrt(2), 0.1 / np.sqrt(2)])
+    assert relative[1, 0] == pytest.approx(2)
+    assert 0 < relative[0, 0] < 0.01
+    assert (relative_to_mean(np.zeros((3, 1), np.float32))[0] == 1).all()
+
+
+def test_the_same_number_everywhere_is_that_number():
+    """To the rounding of float32, in which deviations are stored."""
+    noisy = grey()[1]
+    one = beltrami_cli.smooth_image(noisy, noise="12")
+    all_alike = beltrami_cli.smooth_image(noisy, noise=np.full(noisy.shape, 12 / 255))
+    assert all_alike.colours == pytest.approx(one.colours, abs=1e-5)
+    assert all_alike.noise == pytest.approx(one.noise)
+
+
+def test_pixels_are_smoothed_by_their_own_noise():
+    """One number for all is too much here and too little there."""
+    clean, noisy = grey()
+    mean = f"{100 * np.sqrt((QUIET**2 + LOUD**2) / 2)}%"
+    one, own = (
+        beltrami_cli.smooth_image(noisy, noise=noise).colours[..., 0]
+        for noise in (mean, np.broadcast_to(halves(clean.shape)[:, None], clean.shape))
+    )
+    half = SIZE // 2
+    assert psnr(own, clean) > psnr(one, clean) + 0.5
+    assert psnr(own[:half], clean[:half]) > psnr(noisy[:half], clean[:half])
+
+
+def test_vertices_are_smoothed_by_their_own_noise():
+    positions, faces = icosphere(5)
+    clean = np.stack([0.5 + 0.3 * np.sin(5 * positions @ axis) for axis in np.eye(3)], axis=1)
+    sigma = np.where(positions[:, 2] < 0, QUIET, LOUD)
+    noisy = clean + sigma[:, None] * np.random.default_rng(0).standard_normal(clean.shape)
+    mean = f"{100 * np.sqrt(np.mean(sigma**2))}%"
+    one, own = (beltrami_cli.smooth(positions, faces, noisy, noise=noise).colours for noise in (mean, sigma))
+    assert psnr(own, clean) > psnr(one, clean) + 0.5
+
+
+@pytest.mark.parametrize(("name", "stored"), [("a.png", "uint8"), ("a.png", "uint16"), ("a.exr", "float")])
+def test_images_of_deviations_have_the_full_scale_one(name, stored, tmp_path):
+    source = write(tmp_path / "in.png", grey()[1][..., None])
+    sigma = write(tmp_path / name, np.full((SIZE, SIZE, 1), 12 / 255), stored)
+    report = beltrami_cli.smooth_file(source, tmp_path / "out.png", noise=str(sigma))
+    assert report.image.noise["grey"] == pytest.approx(12 / 255, rel=1e-3)
+
+
+def test_a_frame_shows_the_deviation_at_each_place(tmp_path):
+    """Within three times what 289 values leave, 4 per cent, and the median within one; falling light is no noise."""
+    sigma = halves((SIZE, 1))[:, None]
+    noise = sigma * np.random.default_rng(0).standard_normal((SIZE, SIZE))
+    frame = (0.5 + 0.2 * np.arange(SIZE) / SIZE + noise)[..., None].astype(np.float32)
+    away = (deviation_in_frame(frame)[..., 0] / sigma)[np.abs(np.arange(SIZE) - SIZE / 2) > 9]
+    assert np.median(away) == pytest.approx(1, rel=0.04)
+    assert np.quantile(np.abs(away - 1), 0.99) < 0.13
+    source, given = write(tmp_path / "in.png", grey()[1][..., None]), write(tmp_path / "flat.png", frame)
+    report = beltrami_cli.smooth_file(source, tmp_path / "out.png", noise=f"frame:{given}")
+    assert report.image.noise_model["quiet"] == pytest.approx(QUIET, rel=0.15)
+    assert report.image.noise_model["loud"] == pytest.approx(LOUD, rel=0.15)
+
+
+PLY = """ply
+format ascii 1.0
+element vertex {}
+property float x
+property float y
+property float z
+property uchar red
+property uchar green
+property uchar blue
+property float error
+element face {}
+property list uchar int vertex_indices
+end_header
+"""
+
+
+def test_an_attribute_of_vertices_is_their_noise(tmp_path):
+    positions, faces = icosphere(3)
+    colours = np.random.default_rng(0).integers(90, 160, (len(positions), 3))
+    sigma = np.where(positions[:, 2] < 0, QUIET, LOUD).astype(np.float32)
+    rows = [" ".join(map(str, (*p, *c, s))) for p, c, s in zip(positions, colours, sigma, strict=True)]
+    rows += [f"3 {a} {b} {c}" for a, b, c in faces]
+    source, target = tmp_path / "in.ply", tmp_path / "out.ply"
+    source.write_text(PLY.format(len(positions), len(faces)) + "\n".join(rows) + "\n")
+    np.save(tmp_path / "sigma.npy", sigma)
+    results = []
+    for noise in ("attribute:error", str(tmp_path / "sigma.npy")):
+        job = beltrami_cli.Job(overwrite=True)
+        report = beltrami_cli.smooth_file(source, target, noise=noise, job=job)
+        assert report.vertices.noise["red"] == pytest.approx(np.sqrt(np.mean(sigma**2)), rel=1e-3)
+        results.append(target.read_bytes())
+    assert results[0] == results[1]
+
+
+@pytest.mark.parametrize(
+    ("shape", "value", "noise", "words"),
+    [
+        ((SIZE, SIZE, 1), 12, "{}", "up to 12"),
+        ((SIZE, SIZE, 1), -1, "{}", "down to -1"),
+        ((SIZE, SIZE, 1), np.nan, "{}", "not finite"),
+        ((SIZE, 8, 1), 0.1, "{}", "8 x 128 pixels do not fit"),
+        ((SIZE, SIZE, 3), 0.1, "{}", "3 channels"),
+        ((1, 1, 1), 0.1, "attribute:sigma", "only vertices"),
+    ],
+)
+def test_what_is_no_noise_of_the_image_is_refused_in_a_line(shape, value, noise, words, tmp_path):
+    source = write(tmp_path / "in.png", grey()[1][..., None])
+    given = write(tmp_path / "sigma.exr", np.full(shape, value), "float")
+    with pytest.raises((InputError, UsageError), match=words):
+        beltrami_cli.smooth_file(source, tmp_path / "out.png", noise=noise.format(given))
+    assert not (tmp_path / "out.png").exists()
+
+
+def test_files_are_not_read_for_arrays():
+    with pytest.raises(UsageError, match=r"sigma\.png"):
+        beltrami_cli.smooth_image(grey()[1], noise="sigma.png")
