@@ -189,6 +189,21 @@ def test_white_noise_that_jpeg_left_in_the_mean_of_channels_is_found(quality, bl
     assert mean == pytest.approx(details.std(), rel=0.3)
 
 
+@pytest.mark.parametrize("side", [64, 80, 128, 144])
+def test_the_noise_that_jpeg_left_is_found_in_small_pictures(side, tmp_path):
+    """Within 30 %, also where the coarsest scale has too few tiles to show any."""
+    clean = painting(side)
+    image = jpeg(stored(clean, 20), 85, "4:2:0", tmp_path)
+    sigma = sigma_of_covariances(found(image)[0])
+    assert np.sqrt(np.mean(sigma**2)) == pytest.approx(np.sqrt(np.mean((image - clean) ** 2)), rel=0.3)
+
+
+def test_noise_is_a_number_where_the_coarsest_scale_shows_none():
+    sigma = np.array([[10, 3, 3], [10, 6, 6], [10.5, 9, 9], [np.nan] * 3]) / 255
+    assert grid_scales.is_shared(sigma)
+    assert np.isfinite(grid_scales._bounded(sigma, 10 / 255)).all()
+
+
 @pytest.mark.parametrize("factor", [1.3, 2.0])
 def test_the_noise_of_an_enlarged_picture_is_found(factor):
     """Within a third, though its finest detail has next to none."""

@@ -43,8 +43,8 @@ _MOST_CUT_OFF, _DARK, _ENOUGH_LIT, _PLAIN = 0.3, 0.6, 0.1, 1e-9
 # If this share of the tiles is plain, there is no noise, and the others show paint.
 _MOST_PLAIN = 0.5
 
-# With fewer cells, in all or per side, or fewer tiles, coarse scales are no estimate.
-_MIN_CELLS, _MIN_SIDE, _MIN_TILES = 10_000, 64, 100
+# With fewer cells, in all or per side, or fewer tiles, coarse scales are no estimate; with fewer cells, no level is.
+_MIN_CELLS, _MIN_SIDE, _MIN_TILES, _MIN_BY_LEVEL = 4_000, 56, 49, 10_000
 
 # Rows of a band, a multiple of the cells that the coarsest tiles span; and cells in all bands.
 _BAND, MOST_CELLS = 128, 400_000
@@ -149,7 +149,8 @@ def find_grid_noise(
     planes: Float32s, filled: Bools, *, by_level: bool, relative: Float32s | None = None
 ) -> GridNoise:
     """Find how noise depends on the level, if it may, and what neighbouring cells share; `relative`: see `Manifold`."""
-    if np.count_nonzero(filled) < _MIN_CELLS or min(filled.shape) < _MIN_SIDE:
+    cells = np.count_nonzero(filled)
+    if cells < _MIN_CELLS or min(filled.shape) < _MIN_SIDE:
         return GridNoise(None, None)
     scales, mixing = measure_by_scale(planes, filled, relative)
     if not scales or len(scales[0].level) < _MIN_TILES:
@@ -157,6 +158,7 @@ def find_grid_noise(
     found = fit_by_level(scales)
     if found is None:
         return GridNoise(None, None)
+    by_level &= cells >= _MIN_BY_LEVEL
     by_level &= all(float(plane.min()) >= 0 for plane in planes[:3])  # other numbers are no levels
     stabiliser = stabiliser_of(found) if by_level else None
     if not is_shared(found.sigma):
@@ -229,6 +231,7 @@ def _bounded(sigma: Float64s, diagonal: float) -> Float64s:
     known[: len(sigma)] = sigma
     for scale in range(1, SCALES):
         known[scale] = np.where(np.isnan(known[scale]), known[scale - 1], known[scale])
+    of_mean = np.maximum.accumulate(known[:, 0])
     if not _levels_off(sigma):
         known[2] = np.minimum(known[2], _MOST_GROWTH * known[1])
     known[-1] = np.minimum(known[-1], _MOST_AT_LAST * known[-2])
@@ -247,7 +250,7 @@ def _bounded(sigma: Float64s, diagonal: float) -> Float64s:
         level = _level_of_mean(sigma)
         if level is not None:
             known = np.minimum(known, level)
-            known[:, 0] = np.minimum(np.maximum.accumulate(sigma[:, 0]), level)
+            known[:, 0] = np.minimum(of_mean, level)
     for scale in reversed(range(SCALES - 1)):
         known[scale] = np.maximum(known[scale], _LEAST_OF_NEXT * known[scale + 1])
     return known
