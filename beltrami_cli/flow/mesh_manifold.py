@@ -14,7 +14,7 @@ from beltrami_cli.flow.manifold import SampleTrial
 from beltrami_cli.flow.mesh_kernels import MeshKernels, rank_in
 from beltrami_cli.flow.mesh_partitions import cut_mesh, first_reach
 from beltrami_cli.flow.noise.by_place import relative_to_mean
-from beltrami_cli.flow.noise.mesh import estimate_sigma, find_stabiliser
+from beltrami_cli.flow.noise.mesh import estimate_sigma, find_relative, find_stabiliser
 from beltrami_cli.flow.records import NewColours
 from beltrami_cli.flow.regularisation import MeshGaussian
 from beltrami_cli.flow.search_range import ON_MESHES, RULE_ON_MESHES
@@ -64,10 +64,11 @@ class MeshManifold(MeshKernels):
         elif given is not None:
             self.stabiliser = given.stabiliser() if given.is_by_level else None
         elif parameters.evens_noise and geometry is None:
-            self.stabiliser = find_stabiliser(self.colours, self.edges)
+            self.differing = find_relative(self.colours, self.edges)
+            self.stabiliser = find_stabiliser(self.colours, self.edges, self.differing)
         if self.stabiliser is not None:
             self.stabiliser.stabilise(self.colours.T)
-        self.sigma = estimate_sigma(self.colours, self.edges)
+        self.sigma = estimate_sigma(self.colours, self.edges, self.differing)
         self.settle_noise(parameters, sigma)
         self.embed([dataclasses.replace(guide, values=guide.values[self.order]) for guide in guides])
         if geometry is not None:

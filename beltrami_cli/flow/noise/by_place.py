@@ -1,9 +1,10 @@
-"""Noise that differs from place to place on a grid: of photographs that were taken or developed differently.
+"""Noise that differs from place to place: of photographs that were taken or developed differently.
 
-In each square block of cells, noise is the least that the mean of channels and their differences show in the even
-tiles, since textures hardly reach all three. Where that is much more than in the quietest blocks, and no
-more so in details of 2 x 2 means than in those of single cells, unlike texture, there is more noise. One channel alone
-must show that it is noise: details of 2 x 2 means have the same energy, and so have all tiles of a block.
+In each square block of cells, or of samples of a surface that lie together, noise is the least that the mean of
+channels and their differences show in the even tiles, since textures hardly reach all three. Where that is much more
+than in the quietest blocks, and no more so in details of 2 x 2 means than in those of single cells, unlike texture,
+there is more noise. One channel alone must show that it is noise: details of 2 x 2 means have the same energy, and so
+have all tiles of a block.
 """
 
 from __future__ import annotations
@@ -46,8 +47,8 @@ _ROUNDING = 0.5 / 255
 # The least relative standard deviation: where it is estimated, and where it is given, so that all can be divided by it.
 _LEAST, _LEAST_RELATIVE = 0.2, 0.05
 
-# Share of the cells of a tile at 0 or full scale beyond which noise was cut off.
-_MOST_CUT_OFF = 0.3
+# Share of the samples of a tile at 0 or full scale beyond which noise was cut off.
+MOST_CUT_OFF = 0.3
 
 
 def find_relative_noise(planes: Float32s, filled: Bools) -> tuple[Float32s, float] | None:
@@ -60,26 +61,49 @@ def find_relative_noise(planes: Float32s, filled: Bools) -> tuple[Float32s, floa
     tiles, levels = _measure_tiles(
         planes[: len(OPPONENTS)] if len(planes) >= len(OPPONENTS) else planes[:1], filled
     )
-    blocks = _energies(tiles, _EVEN).min(axis=1)
+    found = louder_blocks(_grouped(tiles), levels)
+    if found is None:
+        return None
+    fine, quiet = found
+    return _over_cells(fine, tiles[0].min(axis=0) / quiet, filled)
+
+
+def louder_blocks(tiles: Float32s, levels: Float32s) -> tuple[Float32s, float] | None:
+    """Find the variance of noise in blocks relative to quiet ones, NaN: not known, and that in these; or None.
+
+    `tiles`: their energies by scale, component, block and tile, NaN where they are not known; `levels`: of blocks.
+    """
+    blocks = _quantiles(tiles, _EVEN).min(axis=1)
     known = ~np.isnan(blocks).any(axis=0)
     if np.count_nonzero(known) < 1 / _QUIET:
         return None
     quiet = np.quantile(blocks[:, known], _QUIET, axis=1).astype(np.float32)
     if quiet.min() < _ROUNDING**2:
         return None
-    fine, coarse = blocks / quiet[:, None, None]
+    fine, coarse = (own / least for own, least in zip(blocks, quiet, strict=True))
     louder = known & (fine > max(_LOUDER**2, _LEAST_SIGMA**2 / quiet[0]))
     if np.count_nonzero(louder) < max(1, _COUNTED * np.count_nonzero(known)):
         return None
     if np.median(coarse[louder] / fine[louder]) > _MOST_GROWTH:
         return None
-    if tiles.shape[1] == 1 and not _is_noise_alone(tiles[:, 0], louder):
+    if tiles.shape[1] == 1 and not _is_noise_alone(tiles[:, 0, louder]):
         return None
     logs = np.log(np.maximum(fine, _NOTHING))
     by_level = _explained_by_level(logs[known], levels[known])
     if by_level > _BY_LEVEL and by_level > min(_ALL_BY_LEVEL, _explained_by_place(logs)):
         return None
-    return _over_cells(np.where(known, fine, np.nan), tiles[0].min(axis=0) / quiet[0], filled)
+    return np.where(known, fine, np.float32(np.nan)), float(quiet[0])
+
+
+def over_samples(blocks: Float32s, tiles: Float32s) -> Float32s:
+    """Return the variances of tiles in their order, shape (B * T,), within those of the blocks beside theirs."""
+    known = np.flatnonzero(~np.isnan(blocks))
+    padded = np.pad(np.interp(np.arange(len(blocks)), known, blocks[known]), 1, mode="edge")
+    beside = np.stack([padded[:-2], padded[1:-1], padded[2:]])
+    values = np.where(np.isnan(tiles), beside[1][:, None], tiles)
+    return (
+        np.clip(values, beside.min(axis=0)[:, None], beside.max(axis=0)[:, None]).astype(np.float32).ravel()
+    )
 
 
 def relative_to_mean(deviations: Float32s) -> tuple[Float32s, Float64s]:
@@ -93,9 +117,9 @@ def relative_to_mean(deviations: Float32s) -> tuple[Float32s, Float64s]:
     return relative.astype(np.float32), sigma
 
 
-def _is_noise_alone(tiles: Float32s, blocks: Bools) -> bool:
-    """Whether one channel shows noise in some blocks, and no texture, by the energies of its tiles by scale."""
-    even, uneven = (_energies(tiles, share)[:, blocks] for share in (_EVEN, _UNEVEN))
+def _is_noise_alone(tiles: Float32s) -> bool:
+    """Whether one channel shows noise and no texture, by the energies of its tiles by scale and block."""
+    even, uneven = (_quantiles(tiles, share) for share in (_EVEN, _UNEVEN))
     is_flat = np.median(even[1] / even[0]) < _MOST_GROWTH_ALONE
     return bool(is_flat and np.median(uneven[0] / even[0]) < _MOST_UNEVEN)
 
@@ -109,7 +133,7 @@ def _explained_by_level(values: Float32s, levels: Float32s) -> float:
 
 def _explained_by_place(values: Float32s) -> float:
     """Return which share of the variance of values blocks share with those beside them."""
-    steps = np.concatenate([np.diff(values, axis=axis).ravel() for axis in (0, 1)])
+    steps = np.concatenate([np.diff(values, axis=axis).ravel() for axis in range(values.ndim)])
     # Between independent values, the variance of steps is twice theirs.
     return 1 - float(np.nanmean(np.square(steps))) / max(2 * float(np.nanvar(values)), _NOTHING)
 
@@ -127,7 +151,7 @@ def _measure_tiles(planes: Float32s, filled: Bools) -> tuple[Float32s, Float32s]
         there[: len(filled[band]), : filled.shape[1]] = filled[band]
         cut = ((whole <= 0) | (whole >= 1)).mean(axis=0, dtype=np.float32)
         usable = sums_of_tiles(there, _TILE) == _TILE**2
-        usable &= sums_of_tiles(cut, _TILE) < _MOST_CUT_OFF * _TILE**2
+        usable &= sums_of_tiles(cut, _TILE) < MOST_CUT_OFF * _TILE**2
         first = band.start // _TILE
         means = np.einsum("ij,jrc->irc", mixing_for(len(whole)).astype(np.float32), whole)
         levels[band.start // side] = sums_of_tiles(means[0], side) / np.maximum(sums_of_tiles(there, side), 1)
@@ -141,12 +165,16 @@ def _measure_tiles(planes: Float32s, filled: Bools) -> tuple[Float32s, Float32s]
     return energies, levels
 
 
-def _energies(tiles: Float32s, share: float) -> Float32s:
-    """Return a quantile of the energies of the tiles of each block; NaN with too few of them."""
+def _grouped(tiles: Float32s) -> Float32s:
+    """Return tiles of a grid by their blocks."""
     *shape, rows, columns = tiles.shape
     grouped = tiles.reshape(*shape, rows // _BLOCK, _BLOCK, columns // _BLOCK, _BLOCK).swapaxes(-3, -2)
-    grouped = grouped.reshape(*shape, rows // _BLOCK, columns // _BLOCK, _BLOCK**2)
-    ordered = np.sort(grouped, axis=-1)  # NaN last
+    return grouped.reshape(*shape, rows // _BLOCK, columns // _BLOCK, _BLOCK**2)
+
+
+def _quantiles(tiles: Float32s, share: float) -> Float32s:
+    """Return a quantile of the energies of the tiles of each block; NaN with too few of them."""
+    ordered = np.sort(tiles, axis=-1)  # NaN last
     usable = np.count_nonzero(~np.isnan(ordered), axis=-1, keepdims=True)
     at = (share * (usable - 1)).clip(0).astype(np.intp)
     found: Float32s = np.take_along_axis(ordered, at, axis=-1)[..., 0]
@@ -170,10 +198,14 @@ def _over_cells(blocks: Float32s, tiles: Float32s, filled: Bools) -> tuple[Float
         down = np.arange(*rows.indices(len(filled))) // _TILE
         result[rows] = variances[down[:, None], along]
         total += float(result[rows].sum(where=filled[rows], dtype=np.float64))
-    mean = total / np.count_nonzero(filled)
-    result /= np.float32(mean)
-    np.maximum(result, np.float32(_LEAST**2), out=result)
-    return result, mean**0.5
+    return by_mean(result, total / np.count_nonzero(filled))
+
+
+def by_mean(variances: Float32s, mean: float) -> tuple[Float32s, float]:
+    """Return variances relative to their mean, in place, and the root of this."""
+    variances /= np.float32(mean)
+    np.maximum(variances, np.float32(_LEAST**2), out=variances)
+    return variances, mean**0.5
 
 
 def _filled_up(values: Float32s) -> Float32s:

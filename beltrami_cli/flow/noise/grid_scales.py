@@ -149,7 +149,7 @@ def find_grid_noise(
     planes: Float32s, filled: Bools, *, by_level: bool, relative: Float32s | None = None
 ) -> GridNoise:
     """Find how noise depends on the level, if it may, and what neighbouring cells share; `relative`: see `Manifold`."""
-    cells = np.count_nonzero(filled)
+    cells = int(np.count_nonzero(filled))
     if cells < _MIN_CELLS or min(filled.shape) < _MIN_SIDE:
         return GridNoise(None, None)
     scales, mixing = measure_by_scale(planes, filled, relative)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.flow.noise.by_level import Neighbourhoods, fit_by_level, mixing_for, stabiliser_of
+from beltrami_cli.flow.noise.by_place import MOST_CUT_OFF, by_mean, louder_blocks, over_samples
 from beltrami_cli.flow.noise.flat_patch_noise import Patches, WhiteNoise, flat_patch_sigma
 
 if TYPE_CHECKING:
@@ -41,12 +42,21 @@ _RINGS_OF_DETAIL = 5
 # noise, are left out.
 _FEWEST_BY_LEVEL, _MOST_CUT_OFF, _PLAIN = 2_000, 0.1, 1e-9
 
+# Samples of a tile and tiles of a block, for noise by place; and passes over neighbours that even out those of tiles.
+_TILE, _TILES, _SPREAD = 64, 16, 8
+
+# Of the white noise that shows how strong such is at both scales: any is as good.
+_SEED = 22
+
 _NEIGHBOURS = 3  # fewer: a border or a stray edge, whose mean leans to one side
 
 
-def estimate_sigma(colours: Float32s, edges: Int32s) -> Float64s:
-    """Estimate sigma of independent noise, per channel of colours, shape (S, N); 0 without neighbours."""
-    colours, edges = _some_samples(colours, edges)
+def estimate_sigma(colours: Float32s, edges: Int32s, relative: Float32s | None = None) -> Float64s:
+    """Estimate sigma of independent noise, per channel of colours, shape (S, N); 0 without neighbours.
+
+    `relative`: see `Manifold.differing`; sigma is then the root of the mean variance.
+    """
+    colours, relative, edges = _some_samples(colours, relative, edges)
     count = len(colours)
     degree = np.bincount(edges.ravel(), minlength=count)
     inside = degree >= _NEIGHBOURS
@@ -54,6 +64,7 @@ def estimate_sigma(colours: Float32s, edges: Int32s) -> Float64s:
         return np.zeros(colours.shape[1])
     inner_count = _around(inside.astype(np.float64), edges)[inside]
     size = _around(np.ones(count), edges)[inside]
+    louder = _around(relative, edges)[inside] / size
     found = []
     for values, residual in zip(colours.T.astype(np.float64), residuals(colours, edges), strict=True):
         squares = np.zeros(count)
@@ -63,22 +74,25 @@ def estimate_sigma(colours: Float32s, edges: Int32s) -> Float64s:
             means = _and_beside(means, edges) / (degree + 1)
         even, level = (_around(part, edges)[inside] / size for part in (means**2, means))
         low, high, mean = (_around(part, edges)[inside] / size for part in (values <= 0, values >= 1, values))
-        energy = _around(squares, edges)[inside] / inner_count
-        found.append((energy, np.maximum(even - level**2, 0), low, high, mean))
+        energy = _around(squares, edges)[inside] / (inner_count * louder)
+        found.append((energy, np.maximum(even - level**2, 0) / louder, low, high, mean))
     white = WhiteNoise(_FREEDOM_AROUND, _UNEVEN_AROUND, _SPREAD_AROUND, _AROUND_SHARE, _AROUND_LEAST)
     return flat_patch_sigma(Patches(*np.array(found).swapaxes(0, 1)), white)
 
 
-def _some_samples(colours: Float32s, edges: Int32s) -> tuple[Float32s, Int32s]:
+def _some_samples(
+    colours: Float32s, relative: Float32s | None, edges: Int32s
+) -> tuple[Float32s, Float32s, Int32s]:
     """Choose blocks of samples, evenly spread, with the edges between them; all samples if there are no more."""
+    relative = np.ones(len(colours), np.float32) if relative is None else relative[:, 0]
     if len(colours) <= _BLOCK * _BLOCKS:
-        return colours, edges
+        return colours, relative, edges
     first = np.linspace(0, len(colours) - _BLOCK, _BLOCKS).astype(np.intp)
     chosen = (first[:, None] + np.arange(_BLOCK)).ravel()
     is_chosen = np.zeros(len(colours), bool)
     is_chosen[chosen] = True
     rank = np.cumsum(is_chosen, dtype=np.int32) - 1
-    return colours[chosen], rank[edges[is_chosen[edges[:, 0]] & is_chosen[edges[:, 1]]]]
+    return colours[chosen], relative[chosen], rank[edges[is_chosen[edges[:, 0]] & is_chosen[edges[:, 1]]]]
 
 
 def _around(values: Array, edges: Int32s) -> Float64s:
@@ -127,9 +141,54 @@ def detail_around(colours: Float32s, edges: Int32s) -> Float64s:
     return detail
 
 
-def find_stabiliser(colours: Float32s, edges: Int32s) -> VarianceStabiliser | None:
+def find_relative(colours: Float32s, edges: Int32s) -> Float32s | None:
+    """Find the variance of noise relative to its mean, shape (S, 1); None if it is the same everywhere.
+
+    Samples that follow each other must lie together.
+    """
+    count = len(colours) // (_TILE * _TILES)
+    if not count:
+        return None
+    colours = colours[:, : 3 if colours.shape[1] >= 3 else 1]
+    mixed = np.einsum("ki,si->sk", mixing_for(colours.shape[1]), colours)
+    size = np.bincount(edges.ravel(), minlength=len(colours)) + 1
+    tile = np.minimum(np.arange(len(colours)) // _TILE, count * _TILES - 1)
+    tiles = _energies_by_scale(mixed, edges, size, tile)
+    cut = ((colours <= 0) | (colours >= 1)).mean(axis=1)
+    tiles[:, :, _means(cut, tile) >= MOST_CUT_OFF] = np.nan
+    found = louder_blocks(tiles, _means(mixed[:, 0], tile).mean(axis=1))
+    if found is None:
+        return None
+    variances = over_samples(found[0], tiles[0].min(axis=0) / found[1])[tile].astype(np.float64)
+    for _ in range(_SPREAD):
+        variances = _and_beside(variances, edges) / size
+    return by_mean(variances.astype(np.float32), float(variances.mean()))[0][:, None]
+
+
+def _energies_by_scale(mixed: Float64s, edges: Int32s, size: Array, tile: Array) -> Float32s:
+    """Return the energies of residuals of samples and of means of neighbours, shape (2, K, blocks, tiles)."""
+    white = np.random.default_rng(_SEED).standard_normal(len(mixed))
+    columns, inside, energies = np.column_stack([mixed, white]), size > _NEIGHBOURS, []
+    for _ in range(2):
+        squares = np.array([own**2 for own in residuals(columns.astype(np.float32), edges)])
+        energies.append([_means(own, tile[inside], tile[-1] + 1) for own in squares / squares[-1].mean()])
+        columns = np.stack([_and_beside(own, edges) / size for own in columns.T], axis=1)
+    return np.array(energies, np.float32)[:, :-1]
+
+
+def _means(values: Array, tile: Array, count: int | None = None) -> Float64s:
+    """Return means over tiles by their blocks; NaN where a tile holds too few samples."""
+    held = np.bincount(tile, minlength=count or 0)
+    means = np.bincount(tile, values, len(held)) / np.maximum(held, 1)
+    return np.where(held >= _TILE // 2, means, np.nan).reshape(-1, _TILES)
+
+
+def find_stabiliser(
+    colours: Float32s, edges: Int32s, relative: Float32s | None = None
+) -> VarianceStabiliser | None:
     """Find what makes noise the same at all levels; None if it is, or if numbers below 0 are no levels."""
-    colours, edges = _some_samples(colours[:, :3] if colours.shape[1] >= 3 else colours, edges)
+    colours = colours[:, :3] if colours.shape[1] >= 3 else colours
+    colours, relative, edges = _some_samples(colours, relative, edges)
     degree = np.bincount(edges.ravel(), minlength=len(colours))
     inside = degree >= _NEIGHBOURS
     if np.count_nonzero(inside) < _FEWEST_BY_LEVEL or colours.min() < 0:
@@ -141,7 +200,8 @@ def find_stabiliser(colours: Float32s, edges: Int32s) -> VarianceStabiliser | No
     for squares, own in zip(residual.T, residuals(mixed.astype(np.float32), edges), strict=True):
         squares[inside] = own**2
     count = _around(inside.astype(np.float64), edges)[inside]
-    energy = np.stack([_around(squares, edges)[inside] / count for squares in residual.T])
+    louder = _around(relative, edges)[inside] / size
+    energy = np.stack([_around(squares, edges)[inside] / (count * louder) for squares in residual.T])
     means = mixed.astype(np.float64)
     for _ in range(2):
         means = np.stack([_and_beside(own, edges) for own in means.T], axis=1) / (degree + 1)[:, None]

@@ -1,0 +1,74 @@
+"""Noise that differs from place to place on vertices and points, as of two photographs."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.ndimage import map_coordinates
+
+import beltrami_cli
+from beltrami_cli.flow.mesh_manifold import MeshManifold
+from beltrami_cli.flow.parameters import TUNABLE, KernelParameters
+from beltrami_cli.surface.colour_values import linear_to_srgb, srgb_to_linear
+from beltrami_cli.surface.records import SampledSurface
+from oracles.paintings import photograph, psnr
+from oracles.surfaces import icosphere
+
+QUIET, LOUD = 5 / 255, 20 / 255
+CHOSEN = KernelParameters(free=TUNABLE)
+
+
+def scene(channels=3, contrast=0.12):
+    """Return vertices and triangles of a sphere with a photograph around it, and their standard deviations of noise."""
+    positions, faces = icosphere(6)
+    picture = photograph(256, contrast=contrast)
+    place = 255 * (positions[:, 1:].T / 2 + 0.5)
+    clean = np.stack([map_coordinates(picture[..., k], place, order=1) for k in range(channels)], axis=1)
+    return positions, faces, clean, np.where(positions[:, :1] < 0, QUIET, LOUD)
+
+
+def noisy(clean, sigma, seed=0):
+    return np.clip(clean + sigma * np.random.default_rng(seed).standard_normal(clean.shape), 0, 1).astype(
+        np.float32
+    )
+
+
+def manifold(positions, faces, colours):
+    return MeshManifold(SampledSurface(positions, faces, faces, colours), CHOSEN)
+
+
+@pytest.mark.parametrize(("channels", "contrast"), [(3, 0.12), (1, 0.05)])
+def test_the_noise_of_both_halves_is_found(channels, contrast):
+    """Within 20 % of its standard deviation, away from where it changes; to the quiet half, textures add."""
+    positions, faces, clean, sigma = scene(channels, contrast)
+    found = manifold(positions, faces, noisy(clean, sigma))
+    local = found.in_order(np.sqrt(found.differing))[:, 0] * np.sqrt(np.mean(found.noise**2))
+    assert np.median(local[positions[:, 0] > 0.2]) == pytest.approx(LOUD, rel=0.2)
+    quiet = np.median(local[positions[:, 0] < -0.2])
+    assert QUIET * 0.8 < quiet < QUIET * (1.3 if channels == 3 else 2)
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+@pytest.mark.parametrize("sigma", [0, 5, 20])
+def test_textures_and_even_noise_are_the_same_everywhere(channels, sigma):
+    positions, faces, clean, _ = scene(channels)
+    assert manifold(positions, faces, noisy(clean, sigma / 255)).differing is None
+
+
+def test_noise_by_level_is_no_noise_by_place():
+    positions, faces, _, _ = scene()
+    levels = np.repeat(0.5 + 0.4 * np.sin(9 * positions[:, :1]), 3, axis=1)
+    light = srgb_to_linear(levels).astype(float)
+    seen = light + np.sqrt(0.004 * light + 0.005**2) * np.random.default_rng(0).standard_normal(light.shape)
+    found = manifold(positions, faces, linear_to_srgb(np.clip(seen, 0, 1)).astype(np.float32))
+    assert found.differing is None
+    assert found.stabiliser is not None
+
+
+@pytest.mark.slow
+def test_both_halves_are_smoothed_as_their_noise_asks():
+    """Better than by one number for both, though that is the truth for them together."""
+    positions, faces, clean, sigma = scene(contrast=0.08)
+    start, mean = noisy(clean, sigma), f"{100 * np.sqrt((QUIET**2 + LOUD**2) / 2)}%"
+    found, one = (beltrami_cli.smooth(positions, faces, start, noise=each).colours for each in (None, mean))
+    assert psnr(found, clean) > psnr(one, clean) + 0.3
