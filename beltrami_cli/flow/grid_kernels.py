@@ -31,6 +31,9 @@ if TYPE_CHECKING:
 ROW_BLOCK_CELLS = 1 << 18
 CELLS_PER_THREAD = 1 << 16
 
+# Rows of cut out blocks, which lie all over a canvas, that are picked at a time.
+_PICKED_ROWS = 256
+
 # Row blocks end where the tiles of the core end, so that no tile is cut.
 TILE_ROWS = 32
 
@@ -165,7 +168,11 @@ class GridKernels(Manifold):
         """Return rows, or cells, of an array whose last axes are those of the canvas."""
         if isinstance(samples, slice):
             return planes[..., samples, :]
-        return np.ascontiguousarray(planes.reshape(*planes.shape[:-2], -1)[..., samples])
+        flat = planes.reshape(*planes.shape[:-2], -1)
+        picked = np.empty((*flat.shape[:-1], *samples.shape), planes.dtype)
+        for rows in large_arrays.blocks(len(samples), _PICKED_ROWS):
+            picked[..., rows, :] = flat[..., samples[rows]]
+        return picked
 
     def rows(self, stacks: Sequence[Float32s]) -> Float32s:
         """Return the channels of all stacks at the owned cells."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -22,7 +23,7 @@ from beltrami_cli.flow.kernel_work import KernelWork
 from beltrami_cli.flow.manifold import SampleTrial
 from beltrami_cli.flow.noise.by_place import find_relative_noise, relative_to_mean
 from beltrami_cli.flow.noise.grid import estimate_sigma_on_grid
-from beltrami_cli.flow.noise.grid_scales import find_grid_noise
+from beltrami_cli.flow.noise.grid_scales import GridNoise, find_grid_noise
 from beltrami_cli.flow.noise.haar_noise import covariance_of_cells, sigma_of_covariances
 from beltrami_cli.flow.records import NewColours
 from beltrami_cli.flow.regularisation import gaussian_taps, guide_radius
@@ -54,6 +55,14 @@ _SPREAD = 1.6
 _ENOUGH_STEPS = 200_000
 
 
+@dataclass(frozen=True)
+class Whole:
+    """What a part of a surface takes from the whole; noise that is None is found on the part."""
+
+    unit: float
+    noise: GridNoise | None = None
+
+
 class GridManifold(GridKernels):
     """The image manifold of an atlas, with colours on its canvas that iterations change in place."""
 
@@ -71,14 +80,23 @@ class GridManifold(GridKernels):
         metric_channels: Sequence[int] | None = None,
         unit: float | None = None,
         deviations: Float32s | None = None,
+        whole: Whole | None = None,
     ) -> None:
         self.colours = planes
+        self.noise_covariances: Float64s | None = None
         sigma = None
         if deviations is not None:
             relative, sigma = relative_to_mean(deviations)
             self.differing = painted(atlas, relative, parameters.thread_count)
             self.differing[self.differing == 0] = 1  # in empty cells
-        self._find_noise(atlas.kind == OWNED, parameters, sigma)
+        noise = None if whole is None else whole.noise
+        if noise is None:
+            self._find_noise(atlas.kind == OWNED, parameters, sigma)
+        else:
+            self.stabiliser, self.noise_covariances = noise.stabiliser, noise.covariances
+            self._stabilise()
+            known = noise.sigma
+            self.sigma = estimate_sigma_on_grid(planes, atlas.kind == OWNED) if known is None else known
         different = np.zeros(max(1, atlas.seams), bool)
         # Where colours do not count as distance, a jump in colour is not an edge.
         if parameters.beta != 0 and (metric_channels is None or len(metric_channels)):
@@ -89,16 +107,15 @@ class GridManifold(GridKernels):
             for rows in large_arrays.blocks(len(atlas.kind), _ROWS):
                 planes[:, rows][:, atlas.kind[rows] == EMPTY] = 0
         super().__init__(atlas, parameters, metric_channels, stop_at_holes=stop_at_holes)
-        if unit is None:
-            unit = self.spacing if parameters.units == "world" else 1.0
-        self.unit = unit
+        self.unit = self.spacing if parameters.units == "world" else 1.0
+        if whole is not None:
+            self.unit = whole.unit
         self.embed(guides)
 
     def _find_noise(self, filled: Bools, parameters: KernelParameters, sigma: Float64s | None) -> None:
         """Estimate the noise, and make it even at all levels if it is not."""
         planes, given = self.colours, parameters.given_noise
         is_given = given is not None or sigma is not None
-        self.noise_covariances: Float64s | None = None
         differs = None if is_given or not parameters.evens_noise else find_relative_noise(planes, filled)
         if differs is not None:
             self.differing = differs[0][None]
@@ -107,15 +124,24 @@ class GridManifold(GridKernels):
             self.stabiliser, self.noise_covariances = noise.stabiliser, noise.covariances
         elif given is not None and given.is_by_level:
             self.stabiliser = given.stabiliser()
-        if self.stabiliser is not None:
-            for rows in large_arrays.blocks(planes.shape[1], _ROWS):
-                self.stabiliser.stabilise(planes[:, rows])
+        self._stabilise()
         self.sigma = estimate_sigma_on_grid(planes, filled)
         if differs is not None:  # of quiet places
             self.sigma = self.sigma * differs[1]
         self.settle_noise(parameters, sigma)
         if self.noise_covariances is not None:
             self.sigma = sigma_of_covariances(self.noise_covariances)
+
+    def _stabilise(self) -> None:
+        if self.stabiliser is not None:
+            for rows in large_arrays.blocks(self.colours.shape[1], _ROWS):
+                self.stabiliser.stabilise(self.colours[:, rows])
+
+    @property
+    def common_noise(self) -> GridNoise:
+        """The noise as found, for other parts of the surface: not its size where that differs from place to place."""
+        differs = self.differing is not None and self.noise_covariances is None
+        return GridNoise(self.stabiliser, self.noise_covariances, None if differs else self.sigma)
 
     @property
     def grain(self) -> float:

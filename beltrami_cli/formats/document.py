@@ -103,7 +103,12 @@ class NamedImage:
     """An image file, by the name that users know it by."""
 
     name: str
-    data: bytes
+    content: bytes | Callable[[], bytes]  # or what reads it, of a file that lies beside the model
+
+    @property
+    def data(self) -> bytes:
+        """The image file as it is stored."""
+        return self.content if isinstance(self.content, bytes) else self.content()
 
 
 @dataclass(frozen=True)

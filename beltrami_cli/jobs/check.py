@@ -10,12 +10,14 @@ import numpy as np
 
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
-from beltrami_cli.formats.image import read_image, to_float
+from beltrami_cli.formats.image import read_image
+from beltrami_cli.formats.image.picture import full_scale_one
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.samples.memory_check import require_memory
+from beltrami_cli.surface import large_arrays
 
 if TYPE_CHECKING:
-    from beltrami_cli.arrays import Float32s
+    from beltrami_cli.arrays import Array
     from beltrami_cli.formats.document import Fingerprint, NamedImage
 
 
@@ -74,12 +76,15 @@ def _of_colours(old: Fingerprint, new: Fingerprint) -> list[Difference]:
     return found
 
 
-def _amount(before: Float32s, after: Float32s) -> str:
-    """Say how many rows of colours differ, and by how much."""
-    change = np.abs(after.astype(np.float64) - before)
-    rows = np.count_nonzero(change.any(axis=1))
-    mean, largest = 255 * change.mean(), 255 * change.max()
-    return f"{rows} of {len(before)} differ, by {mean:.2f}/255 on average and {largest:.1f}/255 at most"
+def _amount(before: Array, after: Array) -> str:
+    """Say how many rows of colours differ, and by how much; integers are shares of the largest of their type."""
+    rows, total, largest = 0, 0.0, 0.0
+    for block in large_arrays.blocks(len(before)):
+        change = np.abs(full_scale_one(after[block]).astype(np.float64) - full_scale_one(before[block]))
+        rows += int(np.count_nonzero(change.any(axis=1)))
+        total, largest = total + float(change.sum()), max(largest, float(change.max()))
+    mean = 255 * total / before.size
+    return f"{rows} of {len(before)} differ, by {mean:.2f}/255 on average and {255 * largest:.1f}/255 at most"
 
 
 def _of_paintings(old: Fingerprint, new: Fingerprint, access: Access) -> list[Difference]:
@@ -106,7 +111,7 @@ def _of_pixels(what: str, old: NamedImage, new: NamedImage, access: Access) -> D
     kinds = [f"{p.stored} {'/'.join(p.channels)} in {p.format}" for p in (before, after)]
     if kinds[0] != kinds[1]:
         return Difference(what, f"{names}: {kinds[0]} became {kinds[1]}", of_colour=True)
-    amount = _amount(*(to_float(p).reshape(-1, len(p.channels)) for p in (before, after)))
+    amount = _amount(*(p.pixels.reshape(-1, len(p.channels)) for p in (before, after)))
     return Difference(what, f"{names}: pixels, {amount}", of_colour=True)
 
 

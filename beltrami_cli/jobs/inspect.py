@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from typing import TYPE_CHECKING
+from collections import Counter
+from typing import TYPE_CHECKING, cast
 
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.jobs.documents import open_input
-from beltrami_cli.samples.memory_check import require_memory_for_textures
+from beltrami_cli.samples.memory_check import checked_memory
+from beltrami_cli.samples.reports import atlas_counts
 from beltrami_cli.samples.selection import require_scale, samples_of, select, vertex_samples
 from beltrami_cli.samples.settings import DEFAULTS, SmoothSettings
 
 if TYPE_CHECKING:
     from beltrami_cli.formats.document import Document
+    from beltrami_cli.samples.selection import Selection
+    from beltrami_cli.samples.tile_groups import TileGroups
     from beltrami_cli.surface.records import Slot, TexturedSurface
 
 
@@ -51,17 +55,24 @@ def inspect_file(
     document = open_input(os.fspath(source), settings, access)
     selection = select(document, settings)
     require_scale(document, selection)
-    require_memory_for_textures(document, selection.slots, settings.textures, access)
     facts = dict[str, object]()
     if selection.slots and not selection.vertices:
         facts |= _describe_under_textures(document, selection.slots[0], settings, access)
     notices, textures = [*document.notices, *selection.notices], list[dict[str, object]]()
-    for samples in samples_of(document, selection, settings, access):
-        if samples.part == "textures":
-            textures.append(samples.describe())
-        else:
-            facts |= samples.describe()
-        notices += samples.notices()
+    with checked_memory(document, selection.slots, settings.textures, access, None, _Looking(settings)):
+        many = _too_many_together(document, selection, settings, access)
+        for slot, groups in many.items():
+            textures.append(_describe_one_by_one(groups, slot, settings))
+            notices.append(
+                f"{slot}: noise and parameters are those of some textures, as memory is small for all."
+            )
+        rest = tuple(slot for slot in selection.slots if slot not in many)
+        for samples in samples_of(document, dataclasses.replace(selection, slots=rest), settings, access):
+            if samples.part == "textures":
+                textures.append(samples.describe())
+            else:
+                facts |= samples.describe()
+            notices += samples.notices()
     if textures:
         facts["textures"] = textures
         others = [slot for slot in document.slots() if slot not in settings.textures.slots]
@@ -70,6 +81,45 @@ def inspect_file(
     # Of images they are known once there is enough memory to decode them.
     file = {"name": document.name, "format": document.format, **document.facts()}
     return {"file": file, **facts, "notices": notices}
+
+
+class _Looking:
+    """What may be done where textures do not fit into memory, see `DiskUse`."""
+
+    works_on_disk = True
+
+    def __init__(self, settings: SmoothSettings) -> None:
+        self.works_in_groups = settings.fits_parts
+
+
+def _too_many_together(
+    document: Document, selection: Selection, settings: SmoothSettings, access: Access
+) -> dict[Slot, TileGroups]:
+    """Return the slots whose textures do not fit into memory together, not even in files."""
+    if not selection.slots or not settings.fits_parts:
+        return {}
+    from beltrami_cli.samples.texel_colours import choose_textures
+    from beltrami_cli.samples.tile_groups import TileGroups
+
+    chosen = {slot: choose_textures(document.textured(slot), settings.textures) for slot in selection.slots}
+    groups = {slot: TileGroups.of(surface, access.memory) for slot, surface in chosen.items()}
+    return {slot: each for slot, each in groups.items() if each is not None}
+
+
+def _describe_one_by_one(groups: TileGroups, slot: Slot, settings: SmoothSettings) -> dict[str, object]:
+    """Describe the textures of a slot one by one, and noise and parameters by some of them."""
+    from beltrami_cli.samples.texel_colours import only_textures
+    from beltrami_cli.samples.texel_samples import TexelSamples
+
+    facts = TexelSamples(groups.evenly_chosen(), slot, settings).describe()
+    del facts["seams_between_textures"], facts["exposure"]
+    plain = dataclasses.replace(settings, kernel=dataclasses.replace(settings.kernel, free=()))
+    images, counts = list[object](), Counter[str]()
+    for index in range(len(groups.surface.textures)):
+        samples = TexelSamples(only_textures(groups.surface, [index]), slot, plain)
+        images += cast("list[object]", samples.describe()["images"])
+        counts.update(atlas_counts(samples.atlas))
+    return {**facts, "images": images, **counts}
 
 
 def _describe_under_textures(

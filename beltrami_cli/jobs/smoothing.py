@@ -76,7 +76,7 @@ class Smoothing:
     def __init__(self, settings: SmoothSettings) -> None:
         self._settings = settings
         self._levelling = Levelling(LevelSettings()) if settings.level_seams else None
-        self.works_in_groups = self._levelling is None and not settings.embedding.guides
+        self.works_in_groups = self._levelling is None and settings.fits_parts
         self.changes = settings.kernel.iterations != 0 or settings.level_seams
         self.done: list[Smoothed] = []
 

@@ -11,7 +11,7 @@ import numpy as np
 from beltrami_cli.errors import InputError
 from beltrami_cli.flow.beltrami_flow import BeltramiFlow
 from beltrami_cli.flow.canvas import canvas_margin, painted
-from beltrami_cli.flow.grid_manifold import GridManifold
+from beltrami_cli.flow.grid_manifold import GridManifold, Whole
 from beltrami_cli.formats.access import Access, read_source
 from beltrami_cli.formats.image import read_image
 from beltrami_cli.formats.image.picture import full_scale_one
@@ -184,7 +184,7 @@ def grid_flow(
         stop_at_holes=atlas.covered < valid.size,
         guides=[guide(atlas.owned_texels) for guide in guides],
         metric_channels=metric_channels,
-        unit=None if surface.heights is None else 1.0,
+        whole=None if surface.heights is None else Whole(unit=1.0),
         deviations=None if noise is None else noise(atlas.owned_texels),
     )
     return BeltramiFlow(manifold, kernel, tick)

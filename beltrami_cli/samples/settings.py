@@ -340,5 +340,10 @@ class SmoothSettings:
         paths = map(Path, named_files(self))
         return [str(path) for path in paths if is_file(path) and path.resolve() != own]
 
+    @property
+    def fits_parts(self) -> bool:
+        """Whether some textures can be smoothed without the others: no map lies over all."""
+        return not self.embedding.guides and not self.files_besides()
+
 
 DEFAULTS = SmoothSettings()

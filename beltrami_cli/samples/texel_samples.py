@@ -9,7 +9,7 @@ import numpy as np
 
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.beltrami_flow import BeltramiFlow
-from beltrami_cli.flow.canvas import canvas_margin, painted
+from beltrami_cli.flow.canvas import canvas_margin, painted, painted_by
 from beltrami_cli.flow.colour_space import from_space, to_space
 from beltrami_cli.flow.grid_manifold import GridManifold, canvas_colours
 from beltrami_cli.flow.records import NewColours
@@ -111,18 +111,20 @@ class TexelSamples(Samples):
         return dataclasses.replace(picture, source=b"")
 
     def flow(self, tick: Callable[[], None] | None = None) -> BeltramiFlow[GridManifold]:
-        kernel, guides = self.settings.kernel, self._guides
-        self._guides = []
-        manifold = GridManifold(
+        return BeltramiFlow(self.manifold(), self.settings.kernel, tick)
+
+    def manifold(self) -> GridManifold:
+        """Return the manifold of the texels, with the noise of their colours."""
+        guides, self._guides = self._guides, []
+        return GridManifold(
             self.atlas,
             self._on_canvas(),
-            kernel,
+            self.settings.kernel,
             guides=guides,
             metric_channels=self.colours.metric_channels,
-            unit=None if self._group is None else self._group.common.unit,
             deviations=self._noise,
+            whole=None if self._group is None else self._group.common.whole(self.names),
         )
-        return BeltramiFlow(manifold, kernel, tick)
 
     def _on_canvas(self) -> Float32s:
         """Return the colours on the canvas, levelled if they were; these are given away."""
@@ -181,7 +183,7 @@ class TexelSamples(Samples):
         self._is_smoothed = flow.parameters.iterations > 0
         used, counts = self._used(flow, result), atlas_counts(self.atlas)
         if self._group is not None:
-            used |= self._group.common.described()
+            used |= self._group.common.described
             counts |= self._group.counts(self.atlas, self._written())
         return SlotReport(
             slot=self.slot,
@@ -197,18 +199,18 @@ class TexelSamples(Samples):
         if self.slot in COLOUR_SLOTS:
             exposure = describe_level(self.level(LevelSettings(strength=0.0)))
         flow, described = self.flow(), self.facts()
-        count = len(described)
-        flows = [flow] if count == 1 else [self._alone(index) for index in range(count)]
-        atlases = [self.atlas] if count == 1 else [own.manifold.atlas for own in flows]
-        for facts, atlas, own in zip(described, atlases, flows, strict=True):
+        flows = [flow] if len(described) == 1 else map(self._alone, range(len(described)))
+        seams = 0
+        for facts, own in zip(described, flows, strict=True):
+            atlas = own.manifold.atlas
             facts |= {"charts": atlas.charts, "seams": atlas.seams, "overlapped": atlas.overlapped}
             facts |= {"pitch": own.manifold.spacing, "noise": self.named(own.manifold.noise)}
-        between = self.atlas.seams - sum(atlas.seams for atlas in atlases)
+            seams += atlas.seams
         return {
             "slot": self.slot,
             "images": described,
             **atlas_counts(self.atlas),
-            "seams_between_textures": max(0, between),
+            "seams_between_textures": max(0, self.atlas.seams - seams),
             "colour_jumps": flow.manifold.jumps,
             "pitch": flow.manifold.spacing,
             "noise": self.named(flow.manifold.noise),
@@ -225,7 +227,11 @@ class TexelSamples(Samples):
         hidden = self.colours.hidden(index, surface.textures[0], atlas.owned_texels)
         if hidden.any():
             atlas = without_owned(atlas, hidden)
-        planes = painted(atlas, self.colours.working(picture, atlas.owned_texels), kernel.thread_count)
+
+        def working(block: slice) -> Float32s:
+            return self.colours.working(picture, atlas.owned_texels[block])
+
+        planes = painted_by(atlas, len(self.names), working, kernel.thread_count)
         return BeltramiFlow(GridManifold(atlas, planes, kernel), kernel)
 
     def probe(self, document: Document, *, whole: bool) -> Probe:

@@ -10,11 +10,13 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
+from beltrami_cli.flow.beltrami_flow import BeltramiFlow
 from beltrami_cli.flow.canvas import canvas_margin
+from beltrami_cli.flow.grid_manifold import GridManifold, Whole
 from beltrami_cli.formats.image.reading import measure_image
 from beltrami_cli.samples.memory_check import TEXEL_BYTES, TEXEL_BYTES_ON_DISK, fit_in_files, too_large
 from beltrami_cli.samples.reports import describe_choice
@@ -27,10 +29,9 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from beltrami_cli.arrays import Bools, Float64s, Int64s
-    from beltrami_cli.flow.beltrami_flow import BeltramiFlow
+    from beltrami_cli.flow.noise.grid_scales import GridNoise
     from beltrami_cli.flow.parameters import KernelParameters
     from beltrami_cli.formats.image.reading import ImageSize
-    from beltrami_cli.samples.samples import Samples
     from beltrami_cli.samples.settings import SmoothSettings
     from beltrami_cli.surface.atlas import Atlas
     from beltrami_cli.surface.records import TexturedSurface
@@ -64,38 +65,48 @@ class TileGroup:
         return {"charts": len(charts), "covered": covered}
 
 
+class Sampled(Protocol):
+    """Samples of textures, by their manifold."""
+
+    names: tuple[str, ...]
+
+    def manifold(self) -> GridManifold:
+        """Return the manifold, with the noise of the colours."""
+
+    def named(self, values: Float64s) -> dict[str, float]:
+        """Pair a value per channel with the channels' names."""
+
+
 @dataclass(frozen=True)
 class CommonChoice:
-    """What is the same for all groups: the parameters, with nothing left to choose, and how they were chosen."""
+    """What is the same for all groups: the parameters, with nothing left to choose, how they were chosen, and noise."""
 
     settings: SmoothSettings
     unit: float
-    noise: dict[str, float]
-    choice: dict[str, object] | None
+    noise: GridNoise
+    names: tuple[str, ...]  # the channels that it is the noise of
+    described: dict[str, Any]  # by the names of the fields of reports
 
-    def described(self) -> dict[str, Any]:
-        """Return it by the names of the fields of reports."""
-        return {"noise": self.noise, "choice": self.choice}
+    def whole(self, names: tuple[str, ...]) -> Whole:
+        """Return what a group of these channels takes: not the noise, if it is grey alone and others are not."""
+        return Whole(self.unit, self.noise if names == self.names else None)
 
     @classmethod
-    def of(cls, samples: Samples, settings: SmoothSettings) -> CommonChoice:
+    def of(cls, samples: Sampled, settings: SmoothSettings) -> CommonChoice:
         """Choose on samples of some of the textures."""
-        flow: BeltramiFlow[Any] = samples.flow()
-        noise, manifold = flow.manifold.noise, flow.manifold
+        manifold = samples.manifold()
+        noise, sigma = manifold.common_noise, samples.named(manifold.noise)
+        flow = BeltramiFlow(manifold, settings.kernel)
         kernel = dataclasses.replace(
             flow.parameters,
             free=(),
-            beta=flow.beta,
+            beta=flow.step(0).beta,
             patches="on" if flow.takes_patches else "off",
         )
-        if kernel.noise is None and not manifold.shares_noise:
-            rms = min(1.0, float(np.sqrt(np.mean(np.square(noise)))))
-            kernel = dataclasses.replace(kernel, noise=f"{100 * rms!r}%")
+        choice = describe_choice(flow.choice)
+        described = {"noise": sigma, "noise_model": flow.noise_model, "choice": choice}
         return cls(
-            dataclasses.replace(settings, kernel=kernel),
-            manifold.unit,
-            samples.named(noise),
-            describe_choice(flow.choice),
+            dataclasses.replace(settings, kernel=kernel), manifold.unit, noise, samples.names, described
         )
 
 

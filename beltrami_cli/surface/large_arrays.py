@@ -31,8 +31,8 @@ if TYPE_CHECKING:
 BLOCK = 1 << 20
 """Samples that passes over all of them take at a time."""
 
-SCATTERED = 1 << 16
-"""The same of samples that lie all over the arrays, each on a page of its own."""
+SCATTERED = 1 << 14
+"""The same of samples that lie all over the arrays, each on a page of its own, or 64 KB that are read with it."""
 
 SMALLEST_FILE = 1 << 24
 """Bytes; smaller arrays stay in memory."""

@@ -56,8 +56,28 @@ def issues_before_and_after(source, folder):
     ids=lambda file: file.name,
 )
 def test_the_asset_auditor_finds_nothing_new(tmp_path, file):
-    before, after = unfit(file, smoothed(file, tmp_path))
+    before, after = unfit(file, smoothed(file, tmp_path), tmp_path)
     assert after <= before
+
+
+@needs_auditor
+@pytest.mark.slow
+def test_the_auditor_sees_unfit_images_on_meshes_that_it_does_not_read(tmp_path):
+    files = []
+    for side in (512, 300):
+        model, pixels = Textured(), noise("uint8", 3, side, side)
+        image = model.image(write_image(new_picture(pixels, "x"), pixels, suffix=".png").data)
+        material = model.material(baseColor=model.texture(image))
+        model.triangles(np.eye(3), None, material)  # without texture coordinates
+        model.tree = {key: value for key, value in model.tree.items() if value != []}
+        (tmp_path / str(side)).mkdir()
+        files.append(model.written_to(tmp_path / str(side)))
+    before, after = unfit(*files, tmp_path)
+    assert after - before == {
+        "Texture Height >= Min",
+        "Texture Width >= Min",
+        "Texture Dimensions are Powers of 2",
+    }
 
 
 @needs_validator

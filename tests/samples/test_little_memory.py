@@ -13,12 +13,17 @@ from beltrami_cli.errors import InputError, ProcessingError
 from beltrami_cli.flow.parameters import parameters_with
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.image import read_image
+from beltrami_cli.formats.tiles import tile_name
 from beltrami_cli.jobs.check import check_files
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.samples import memory_check, tile_groups
 from beltrami_cli.samples.settings import SmoothSettings
+from beltrami_cli.samples.texel_samples import TexelSamples
 from beltrami_cli.surface import large_arrays
+from beltrami_cli.surface.atlas import build_atlas
+from beltrami_cli.surface.records import Texture, TexturedSurface
+from formats.image_files import encode
 from formats.tile_files import GIVEN, tiled_model
 
 SAMPLES = Path(__file__).parents[2] / "sample_data"
@@ -116,6 +121,33 @@ def test_parameters_are_chosen_once_for_all_groups(tmp_path, monkeypatch):
     assert np.abs(np.array(groups) - np.array(whole)).mean() < 0.5  # of 255
 
 
+def test_noise_of_each_level_is_known_to_all_groups(tmp_path, monkeypatch):
+    """Noise that grows with the level is made even, as on the whole, although no group alone shows all levels."""
+    side = 96
+    model, random = tiled_model(tmp_path / "in", size=SIDE), np.random.default_rng(4)
+    level = np.linspace(0.1, 0.9, SIDE * side)
+    for v in range(SIDE):
+        for u in range(SIDE):
+            clean = np.broadcast_to(level[u * side :][:side, None], (side, side, 3))
+            noisy = clean + (0.01 + 0.08 * clean) * random.normal(size=clean.shape)
+            file = model.with_name(tile_name("skin.<UDIM>.png", (u, v)))
+            file.write_bytes(encode(np.rint(noisy.clip(0, 1) * 255).astype(np.uint8), "png"))
+    made = []
+    take = TexelSamples.manifold
+    monkeypatch.setattr(TexelSamples, "manifold", lambda self: made.append(take(self)) or made[-1])
+    monkeypatch.setattr(large_arrays, "SMALLEST_FILE", 1 << 16)
+    memory = 1_100_000  # bytes; all tiles take 1,207,000 with their arrays in files
+    settings = SmoothSettings(parameters_with({}, fast=True))
+    _, labels, _ = tiles_of(model, tmp_path / "groups", memory, settings)
+    assert len(made) == len(labels) + 1  # also of the textures on which parameters were chosen
+    assert len(labels) > 4
+    first, *others = made
+    assert first.stabiliser is not None
+    for other in others:
+        assert other.stabiliser is first.stabiliser
+        assert np.array_equal(other.sigma, first.sigma)
+
+
 def test_a_tile_that_does_not_fit_with_those_around_it_is_refused(tmp_path, monkeypatch):
     model = tiled_model(tmp_path / "in", size=3)
     monkeypatch.setattr(tile_groups, "TEXEL_BYTES_ON_DISK", 20)
@@ -135,6 +167,33 @@ def test_a_full_disk_is_reported_and_leaves_nothing(tmp_path, monkeypatch, on_di
     ):
         smoothed("head-tex-noisy.obj", tmp_path / "out", 1 << 30)
     assert not list((tmp_path / "out").iterdir())
+
+
+@pytest.mark.skipif(
+    not Path("/proc/self/status").exists(), reason="only Linux says how much of files is in memory"
+)
+def test_an_atlas_leaves_memory_as_it_is_made(tmp_path, monkeypatch):
+    """What it holds of its files at a time does not grow with the textures, of which most may only lie around."""
+    count, side = 8, 2048
+    triangle = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], float)
+    positions = np.concatenate([triangle + np.array([2 * number, 0, 0]) for number in range(count)])
+    faces = np.arange(3 * count, dtype=np.int32).reshape(-1, 3)
+    uv = np.tile(triangle[:, :2] / 100, (count, 1, 1))
+    textures = tuple(Texture(str(number), "x.png", b"") for number in range(count))
+    surface = TexturedSurface(positions, faces, uv, np.arange(count, dtype=np.int32), textures)
+    held, leave = [], large_arrays.leave_memory
+
+    def measured():
+        status = Path("/proc/self/status").read_text().split("RssFile:")[1]
+        held.append(int(status.split()[0]) << 10)
+        leave()
+
+    monkeypatch.setattr(large_arrays, "leave_memory", measured)
+    with large_arrays.kept_on_disk(tmp_path):
+        measured()
+        build_atlas(surface, [(side, side)] * count, 3)
+    # Two numbers of 4 bytes a texel would be 268 MB; every 4 million texels they leave.
+    assert max(held) - held[0] < 64 << 20
 
 
 def test_arrays_in_files_are_like_others(tmp_path, on_disk):

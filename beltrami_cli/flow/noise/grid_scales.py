@@ -22,6 +22,7 @@ from beltrami_cli.flow.noise.by_level import (
     stabiliser_of,
 )
 from beltrami_cli.flow.noise.grid import estimate_sigma_on_grid
+from beltrami_cli.surface import large_arrays
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -97,6 +98,7 @@ class GridNoise:
 
     stabiliser: VarianceStabiliser | None
     covariances: Float64s | None  # of stabilised colours, shape (L, N, N), see `haar_noise`
+    sigma: Float64s | None = None  # of stabilised colours, by channel, once that is known
 
 
 def measure_by_scale(
@@ -159,7 +161,8 @@ def find_grid_noise(
     if found is None:
         return GridNoise(None, None)
     by_level &= cells >= _MIN_BY_LEVEL
-    by_level &= all(float(plane.min()) >= 0 for plane in planes[:3])  # other numbers are no levels
+    bands = large_arrays.blocks(planes.shape[1], _BAND)
+    by_level &= all(float(planes[:3, rows].min()) >= 0 for rows in bands)  # other numbers are no levels
     stabiliser = stabiliser_of(found) if by_level else None
     if not is_shared(found.sigma):
         return GridNoise(stabiliser, None)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import codecs
 import dataclasses
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
@@ -250,9 +250,9 @@ def _take_apart(data: bytes, scan: Scan, colours: Float32s | None, materials: Ma
             tiles = materials.tiles.get(path or "", {})
             for tile, file in tiles.items():
                 name = file.rpartition("/")[2]
-                paintings[f"{label}, tile {tile}"] = NamedImage(name, materials.read(file))
+                paintings[f"{label}, tile {tile}"] = NamedImage(name, partial(materials.read, file))
             if path is not None and not tiles:
-                paintings[label] = NamedImage(found.name, materials.read(path))
+                paintings[label] = NamedImage(found.name, partial(materials.read, path))
     return Fingerprint(parts, {} if colours is None else {"vertex colours": colours}, paintings)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import posixpath
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any
 
@@ -258,7 +258,7 @@ class UsdDocument(Document):
             parts |= {f"file {name}": package.read(name) for name in others}
         colours = {"vertex colours": self._painted.colours} if self.has_vertex_colours() else {}
         images = {
-            label: NamedImage(posixpath.basename(file), self._layers.image(file))
+            label: NamedImage(posixpath.basename(file), partial(self._layers.image, file))
             for label, file in named.items()
         }
         return Fingerprint(parts, colours, images, package.faults() if package is not None else ())

@@ -228,7 +228,7 @@ Atlas make_atlas(const Surface& surface, std::int64_t margin, unsigned threads, 
   const Charts charts = make_charts(mesh);
   const Windows windows = make_windows(mesh, charts);
   const Ownership ownership = make_ownership(mesh, charts, windows, allocate, poll);
-  const Layout layout = make_layout(mesh, windows, ownership, margin);
+  const Layout layout = make_layout(mesh, windows, ownership, margin, poll);
   const NearBorders near_borders(mesh, charts);
   return Builder({mesh, charts, windows, ownership, layout, near_borders, margin}, threads, allocate, poll).build();
 }

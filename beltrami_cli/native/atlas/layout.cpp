@@ -12,6 +12,7 @@ namespace {
 
 constexpr std::int64_t most_cells = std::int64_t{1} << 31;
 constexpr double blocks_a_side = 256;
+constexpr std::int64_t cells_per_poll = 1 << 22;
 
 struct Place {
   std::int64_t x, y;
@@ -48,13 +49,17 @@ void set(std::uint64_t* row, std::int64_t first, std::int64_t last) {
 
 // The blocks of the rectangle, `block` cells a side, that hold a cell within `margin` rows and columns of an owned one.
 Bits make_footprint(const Mesh& mesh, const Windows& windows, const Ownership& ownership, const Rectangle& rectangle,
-                    std::int64_t margin, std::int64_t block) {
+                    std::int64_t margin, std::int64_t block, const Poll& poll) {
   Bits footprint((rectangle.height + block - 1) / block, (rectangle.width + block - 1) / block);
   const Window& window = windows.windows[static_cast<std::size_t>(rectangle.window)];
   const Texture& grid = mesh.surface->textures[static_cast<std::size_t>(window.texture)];
   const std::int64_t left = rectangle.x + margin, width = rectangle.width - 2 * margin;
   const bool wraps = left < 0 || left + width > grid.width;
-  for (std::int64_t y = margin; y < rectangle.height - margin; ++y) {
+  for (std::int64_t y = margin, looked_at = 0; y < rectangle.height - margin; ++y, looked_at += width) {
+    if (looked_at >= cells_per_poll) {
+      looked_at = 0;
+      if (poll && !poll(0)) throw Cancelled();
+    }
     const Index* texels = ownership.window.data() + grid.texel(0, wrapped(rectangle.y + y, grid.height, grid.wrap_y));
     const auto mark = [&](std::int64_t begin, std::int64_t end) {  // owned columns, from the margin on
       for (std::int64_t row = (y - margin) / block; row <= (y + margin) / block; ++row)
@@ -109,7 +114,8 @@ void list_by_band(std::size_t bands, const Visitor& visit, std::vector<std::size
 
 }  // namespace
 
-Layout make_layout(const Mesh& mesh, const Windows& windows, const Ownership& ownership, std::int64_t margin) {
+Layout make_layout(const Mesh& mesh, const Windows& windows, const Ownership& ownership, std::int64_t margin,
+                   const Poll& poll) {
   Layout layout;
   layout.rectangle_of.assign(ownership.extents.size(), none);
   for (std::size_t window = 0; window < ownership.extents.size(); ++window) {
@@ -124,7 +130,7 @@ Layout make_layout(const Mesh& mesh, const Windows& windows, const Ownership& ow
   const std::int64_t block = block_side(layout.rectangles);
   std::vector<Bits> footprints;
   for (const Rectangle& rectangle : layout.rectangles)
-    footprints.push_back(make_footprint(mesh, windows, ownership, rectangle, margin, block));
+    footprints.push_back(make_footprint(mesh, windows, ownership, rectangle, margin, block, poll));
   const Packing packing = pack(footprints);
   // Without any rectangle there is a canvas still: all margin.
   layout.rows = layout.columns = 2 * margin;

@@ -9,6 +9,7 @@
 #include "atlas/mesh.hpp"
 #include "atlas/ownership.hpp"
 #include "atlas/windows.hpp"
+#include "parallel.hpp"
 
 namespace beltrami::atlas {
 
@@ -28,7 +29,8 @@ struct Layout {
 };
 
 // Throws std::length_error if the canvas would have more than 2^31 cells.
-Layout make_layout(const Mesh& mesh, const Windows& windows, const Ownership& ownership, std::int64_t margin);
+Layout make_layout(const Mesh& mesh, const Windows& windows, const Ownership& ownership, std::int64_t margin,
+                   const Poll& poll);
 
 // All that is known of a surface before cells are made.
 struct Plan {

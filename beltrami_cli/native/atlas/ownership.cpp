@@ -20,7 +20,11 @@ class Painter {
     const auto texels = static_cast<std::size_t>(mesh.surface->texel_count());
     for (Array<Index>* array : {&result_.window, &result_.face}) {
       *array = Array<Index>(texels, allocate);
-      std::fill(array->data(), array->data() + texels, none);
+      constexpr std::size_t step = texels_per_poll;
+      for (std::size_t begin = 0; begin < texels; begin += step) {
+        std::fill(array->data() + begin, array->data() + std::min(texels, begin + step), none);
+        poll_after(texels_per_poll);
+      }
     }
     result_.extents.resize(windows.windows.size());
     result_.loser.assign(charts.size(), 0);
