@@ -21,7 +21,7 @@ _OPENING = (
     os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0) | getattr(os, "O_NOCTTY", 0)
 )
 _LEAST_UNPACKED, _MOST_RATIO = 1 << 26, 100  # up to this many bytes any ratio is accepted
-LARGE = 1 << 24
+LARGE = 1 << 20
 """Bytes; images of at least so many are read whenever they are needed, since all of a model may not fit into memory."""
 
 _BLOCK = 1 << 24  # bytes of standard input read at a time: a larger request is allocated at once

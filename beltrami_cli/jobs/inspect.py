@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, cast
 
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.jobs.documents import open_input
-from beltrami_cli.samples.memory_check import checked_memory
+from beltrami_cli.samples.memory_check import checked_memory, memory_beside
 from beltrami_cli.samples.reports import atlas_counts
 from beltrami_cli.samples.selection import require_scale, samples_of, select, vertex_samples
 from beltrami_cli.samples.settings import DEFAULTS, SmoothSettings
@@ -102,7 +102,8 @@ def _too_many_together(
     from beltrami_cli.samples.tile_groups import TileGroups
 
     chosen = {slot: choose_textures(document.textured(slot), settings.textures) for slot in selection.slots}
-    groups = {slot: TileGroups.of(surface, access.memory) for slot, surface in chosen.items()}
+    memory = memory_beside(document, access)
+    groups = {slot: TileGroups.of(surface, memory) for slot, surface in chosen.items()}
     return {slot: each for slot, each in groups.items() if each is not None}
 
 

@@ -17,9 +17,12 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.document import Document
     from beltrami_cli.formats.image.reading import ImageSize
     from beltrami_cli.samples.settings import TextureSettings
-    from beltrami_cli.surface.records import Slot
+    from beltrami_cli.surface.records import Slot, Texture
 
 _FLOATS = 2 * 4  # the old and the new colours of one image at a time, in single precision
+
+# Image files that are not read anew stay in memory as they are, and as they are written.
+_FILES = 2
 
 # Bytes per texel of all textures that smoothing needs besides the images, at most: with large arrays in memory, and in
 # files.
@@ -53,7 +56,8 @@ def require_memory_for_textures(
 ) -> None:
     """Raise InputError if the chosen textures of a document cannot fit into memory, slot by slot."""
     for slot in slots:
-        require_memory(_chosen(document, slot, wanted), access)
+        textures = _chosen(document, slot, wanted)
+        require_memory(((texture.name, texture.data) for texture in textures), access)
 
 
 @contextlib.contextmanager
@@ -72,10 +76,13 @@ def checked_memory(
         return
     # The files have no name, and lie beside `target`, or in the folder for temporary files.
     on_disk = False
-    if access.memory is not None:
+    memory = memory_beside(document, access)
+    if memory is not None:
         for slot in slots:
-            sizes = list(_measured(_chosen(document, slot, wanted)))
-            on_disk |= _is_too_much(sizes, access.memory, in_groups=painter.works_in_groups)
+            textures = _chosen(document, slot, wanted)
+            sizes = list(_measured((texture.name, texture.data) for texture in textures))
+            left = memory - held_by_files(textures)
+            on_disk |= _is_too_much(sizes, left, in_groups=painter.works_in_groups)
     with kept_on_disk(_folder_beside(target)) if on_disk else contextlib.nullcontext():
         yield
 
@@ -105,11 +112,20 @@ def fit_in_files(sizes: Iterable[ImageSize], memory: int) -> bool:
     return largest + TEXEL_BYTES_ON_DISK * texels <= memory
 
 
-def _chosen(document: Document, slot: Slot, wanted: TextureSettings) -> Iterator[tuple[str, bytes]]:
+def memory_beside(document: Document, access: Access) -> int | None:
+    """Return the bytes that are left beside a file; None: there is no limit."""
+    return None if access.memory is None else access.memory - len(document.data)
+
+
+def held_by_files(textures: Iterable[Texture]) -> int:
+    """Return how many bytes image files take in memory all the time."""
+    return sum(_FILES * len(texture.data) for texture in textures if not texture.is_read_anew)
+
+
+def _chosen(document: Document, slot: Slot, wanted: TextureSettings) -> Sequence[Texture]:
     from beltrami_cli.samples.texel_colours import choose_textures
 
-    for texture in choose_textures(document.textured(slot), wanted).textures:
-        yield texture.name, texture.data
+    return choose_textures(document.textured(slot), wanted).textures
 
 
 def _measured(images: Iterable[tuple[str, bytes]]) -> Iterator[tuple[str, ImageSize]]:

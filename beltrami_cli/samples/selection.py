@@ -103,6 +103,7 @@ def samples_of(
     if selection.vertices:
         yield vertex_samples(document, settings, access)
     if selection.slots:
+        from beltrami_cli.samples.memory_check import memory_beside
         from beltrami_cli.samples.samples import SharedImages
         from beltrami_cli.samples.texel_colours import choose_textures
         from beltrami_cli.samples.texel_samples import TexelSamples
@@ -111,7 +112,7 @@ def samples_of(
         chosen = [choose_textures(document.textured(slot), settings.textures) for slot in selection.slots]
         shared = SharedImages(texture.key for surface in chosen for texture in surface.textures)
         for slot, surface in zip(selection.slots, chosen, strict=True):
-            groups = TileGroups.of(surface, access.memory) if in_groups else None
+            groups = TileGroups.of(surface, memory_beside(document, access)) if in_groups else None
             if groups is None:
                 yield TexelSamples(document.textured(slot), slot, settings, (document, access), shared)
                 continue

@@ -18,7 +18,13 @@ from beltrami_cli.flow.beltrami_flow import BeltramiFlow
 from beltrami_cli.flow.canvas import canvas_margin
 from beltrami_cli.flow.grid_manifold import GridManifold, Whole
 from beltrami_cli.formats.image.reading import measure_image
-from beltrami_cli.samples.memory_check import TEXEL_BYTES, TEXEL_BYTES_ON_DISK, fit_in_files, too_large
+from beltrami_cli.samples.memory_check import (
+    TEXEL_BYTES,
+    TEXEL_BYTES_ON_DISK,
+    fit_in_files,
+    held_by_files,
+    too_large,
+)
 from beltrami_cli.samples.reports import describe_choice
 from beltrami_cli.samples.texel_colours import only_textures
 from beltrami_cli.surface import large_arrays
@@ -125,6 +131,7 @@ class TileGroups:
             return None
         sizes = [measure_image(texture.data, texture.name) for texture in surface.textures]
         known = [size for size in sizes if size is not None]  # of others the decoder says what is wrong
+        memory -= held_by_files(surface.textures)
         if len(known) < len(sizes) or fit_in_files(known, memory):
             return None
         return cls(surface, known, memory)

@@ -13,6 +13,7 @@ from beltrami_cli.errors import InputError, ProcessingError
 from beltrami_cli.flow.parameters import parameters_with
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.image import read_image
+from beltrami_cli.formats.registry import open_document
 from beltrami_cli.formats.tiles import tile_name
 from beltrami_cli.jobs.check import check_files
 from beltrami_cli.jobs.job import Job
@@ -146,6 +147,23 @@ def test_noise_of_each_level_is_known_to_all_groups(tmp_path, monkeypatch):
     for other in others:
         assert other.stabiliser is first.stabiliser
         assert np.array_equal(other.sigma, first.sigma)
+
+
+def test_images_inside_a_file_count_as_memory(tmp_path, on_disk):
+    """Those of a GLB stay in memory, as they are and as they are written; so there is a group more for a byte less."""
+    smooth_file(tiled_model(tmp_path / "in", size=SIDE), tmp_path / "model.glb", GIVEN, iterations=0)
+    document = open_document(str(tmp_path / "model.glb"))
+    files = [texture.data for texture in document.textured("baseColor").textures]
+    texels = 48 * 48
+    needed = 8 * len(files) * texels + 3 * texels + len(document.data) + 2 * sum(map(len, files))
+    for memory, parts in ((needed, 1), (needed - 1, 2)):
+        labels = {}
+        job = Job(
+            access=Access(memory=memory), progress=lambda label, *_, seen=labels: seen.setdefault(label)
+        )
+        smooth_file(tmp_path / "model.glb", tmp_path / f"new{memory}.glb", GIVEN, job)
+        assert len(labels) >= parts
+        assert ("group" in "".join(labels)) == (parts > 1)
 
 
 def test_a_tile_that_does_not_fit_with_those_around_it_is_refused(tmp_path, monkeypatch):

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, get_args
 import numpy as np
 
 from beltrami_cli.errors import InputError
+from beltrami_cli.formats.access import LARGE
 from beltrami_cli.formats.model_folder import LEFT_ALONE, UnfitReferenceError, remedy_for
 from beltrami_cli.formats.textured_mesh import (
     POLYGONS_CUT,
@@ -157,7 +158,8 @@ class Textures:
         for file in self._layers.files(path):
             if file not in shown:
                 is_tile = any(file in files.values() for files in self._layers.tiles.values())
-                content = partial(self._layers.image, file) if is_tile else self._layers.image(file)
+                data = self._layers.image(file)
+                content = partial(self._layers.image, file) if is_tile or len(data) >= LARGE else data
                 shown.take(file, posixpath.basename(file), content)
             wrap = ("clamp", "clamp") if tiles else tuple(use["wrap"])
             number_of[file] = shown.show(file, use["material"], wrap)
