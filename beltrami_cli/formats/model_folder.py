@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access, read_regular
 from beltrami_cli.formats.image.recognition import format_of_suffix
-from beltrami_cli.formats.tiles import found_tiles, has_token, tile_name, token_in, usual_tiles
+from beltrami_cli.surface.tiling import found_tiles, has_token, tile_name, token_in, usual_tiles
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

@@ -12,9 +12,8 @@ import numpy as np
 from beltrami_cli.formats.document import Naming
 from beltrami_cli.formats.image.recognition import suffix_for
 from beltrami_cli.formats.model_folder import NewNames
-from beltrami_cli.formats.tiles import tile_name
 from beltrami_cli.surface.records import ImageFile, Material, MaterialMap, MeshImage, Texture
-from beltrami_cli.surface.tiling import tiles_under
+from beltrami_cli.surface.tiling import tile_name, tiles_under
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Mapping, Sequence

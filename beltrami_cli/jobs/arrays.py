@@ -18,8 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from beltrami_cli.errors import UsageError
-from beltrami_cli.flow.colour_space import from_space, to_space
-from beltrami_cli.flow.embedding import Guide, centred
+from beltrami_cli.flow.embedding import Guide, centred, from_space, to_space
 from beltrami_cli.jobs.array_arguments import (
     checked_surface,
     deviations_in,

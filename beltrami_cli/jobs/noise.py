@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli.flow.colour_space import from_space, to_space
+from beltrami_cli.flow.embedding import from_space, to_space
 from beltrami_cli.jobs.job import PLAIN_JOB
 from beltrami_cli.jobs.recolour import recolour
 from beltrami_cli.samples.settings import DEFAULTS

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from beltrami_cli.flow.colour_space import from_space, to_space
+from beltrami_cli.flow.embedding import from_space, to_space
 from beltrami_cli.samples.reports import VertexReport
 from beltrami_cli.samples.samples import Change, Grains, Part, Repainted, Samples, channel_numbers
 from beltrami_cli.surface.grouping import group_equal_rows

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from beltrami_cli.errors import UsageError
-from beltrami_cli.flow.colour_space import from_space, to_space
+from beltrami_cli.flow.embedding import from_space, to_space
 from beltrami_cli.flow.records import NewColours
 from beltrami_cli.formats.image import check_writable, is_exact, is_unchanged, label_of, losses
 from beltrami_cli.formats.image.conversion import noise_losses

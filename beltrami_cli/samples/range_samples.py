@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.errors import UsageError
-from beltrami_cli.flow.colour_space import to_space
-from beltrami_cli.flow.embedding import Guide
+from beltrami_cli.flow.embedding import Guide, to_space
 from beltrami_cli.samples.image_surface import ImageSurface, grid_flow
 from beltrami_cli.samples.painted_samples import PaintedSamples, describe_colours
 from beltrami_cli.samples.reports import describe_kernel

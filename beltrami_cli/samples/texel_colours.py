@@ -11,7 +11,7 @@ import numpy as np
 
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.canvas import painted_by
-from beltrami_cli.flow.colour_space import from_space, to_space
+from beltrami_cli.flow.embedding import from_space, to_space
 from beltrami_cli.formats.image.picture import full_scale_one, is_associated, supplies_colour, without_alpha
 from beltrami_cli.samples.samples import Change, channel_numbers, store
 from beltrami_cli.samples.settings import COLOUR_SLOTS

@@ -10,7 +10,7 @@ import numpy as np
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.beltrami_flow import BeltramiFlow
 from beltrami_cli.flow.canvas import canvas_margin, painted, painted_by
-from beltrami_cli.flow.colour_space import from_space, to_space
+from beltrami_cli.flow.embedding import from_space, to_space
 from beltrami_cli.flow.grid_manifold import GridManifold, canvas_colours
 from beltrami_cli.flow.records import NewColours
 from beltrami_cli.formats.image import check_writable, is_unchanged, losses, read_image

@@ -11,8 +11,7 @@ import numpy as np
 
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.flow.beltrami_flow import BeltramiFlow
-from beltrami_cli.flow.colour_space import to_space
-from beltrami_cli.flow.embedding import Guide
+from beltrami_cli.flow.embedding import Guide, to_space
 from beltrami_cli.flow.geometry import GeometryParameters
 from beltrami_cli.flow.mesh_manifold import MeshManifold
 from beltrami_cli.flow.records import NewColours
@@ -21,9 +20,9 @@ from beltrami_cli.samples.levelled_charts import level_report
 from beltrami_cli.samples.painted_samples import PaintedSamples, coloured_rows, describe_colours
 from beltrami_cli.samples.reports import describe_kernel
 from beltrami_cli.surface.geometry import bounds
+from beltrami_cli.surface.grouping import sample_vertices
 from beltrami_cli.surface.point_triangulation import faces_of_points
 from beltrami_cli.surface.records import SampledSurface
-from beltrami_cli.surface.vertex_sampling import sample_vertices
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -37,8 +36,8 @@ if TYPE_CHECKING:
     from beltrami_cli.samples.reports import LevelReport, VertexReport
     from beltrami_cli.samples.samples import Repainted
     from beltrami_cli.samples.settings import LevelSettings, SmoothSettings
+    from beltrami_cli.surface.grouping import VertexSampling
     from beltrami_cli.surface.records import PaintedVertices
-    from beltrami_cli.surface.vertex_sampling import VertexSampling
 
 
 # Kernels from which the mean number of samples is estimated, within a few per cent, in milliseconds.

@@ -1,15 +1,27 @@
-"""Equal rows found by hashing: what is at one place, what is one sample."""
+"""Equal rows found by hashing: what is at one place, and vertex colours as samples.
+
+Vertices that a format splits (for normals, texture coordinates, primitives) but that stand at exactly one place with
+one colour become one sample. Where coincident vertices differ in colour, each colour is a sample of its own, and
+bridges join them: on the image manifold (X, beta I) a colour jump along an edge is an upright strip between the edge's
+two copies, with no extent in X and the jump in I. Both of its diagonals are laid, so that the result does not depend on
+the order of vertices. More than two copies of one edge (non-manifold edges) are joined in a chain, by the order of
+their colours.
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from beltrami_cli.surface.records import SampledSurface
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from beltrami_cli.arrays import Array, Bools, Float64s, Int32s
+    from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s
+    from beltrami_cli.surface.records import PaintedVertices
 
 # Odd constants of the splitmix64 generator (Steele, Lea, Flood 2014): each step is a bijection of 64-bit
 # words.
@@ -84,3 +96,79 @@ def mix_bits(word: NDArray[np.uint64]) -> NDArray[np.uint64]:
     word = (word ^ (word >> np.uint64(30))) * _MIX_1
     word = (word ^ (word >> np.uint64(27))) * _MIX_2
     return word ^ (word >> np.uint64(31))
+
+
+@dataclass(frozen=True)
+class VertexSampling:
+    """Which sample each vertex is; ``smoothed[sample_of]`` are vertex colours."""
+
+    # Shape (V,): sample of each vertex. Vertices at one place with one colour are one sample.
+    sample_of: Int32s
+    first_vertex: Int32s  # (S,): A vertex of each sample
+    # Shape (S,): place of each sample; coincident vertices that differ in colour are samples of one place.
+    place_of: Int32s
+    places: int  # distinct places, at most S
+
+    def means(self, values: Float32s) -> Float32s:
+        """Give each sample the mean of what its vertices have, shape (V, G) to (S, G)."""
+        if len(self.first_vertex) == len(self.sample_of):  # each sample is one vertex
+            return values[self.first_vertex]
+        samples = len(self.first_vertex)
+        count = np.bincount(self.sample_of, minlength=samples)
+        sums = [np.bincount(self.sample_of, column, samples) for column in values.T.astype(np.float64)]
+        return np.ascontiguousarray((np.array(sums) / count).T, np.float32)
+
+
+def sample_vertices(painted: PaintedVertices, colours: Float32s) -> tuple[SampledSurface, VertexSampling]:
+    """Make samples of painted vertices whose colours in the working space are given."""
+    place_of, first_of_place = group_places(painted.positions, painted.space_of)
+    if len(first_of_place) == len(place_of):  # nothing is split: the vertices are the samples
+        every = np.arange(len(place_of), dtype=np.int32)
+        no_bridges = np.empty((0, 3), np.int32)
+        surface = SampledSurface(painted.positions, painted.faces, no_bridges, np.ascontiguousarray(colours))
+        return surface, VertexSampling(every, every, every, len(every))
+    sample_of, first_vertex = group_equal_rows(place_of, *painted.colours.T)
+    faces = sample_of[painted.faces]
+    sample_colours = np.ascontiguousarray(colours[first_vertex])
+    bridges = build_bridges(faces, place_of[first_vertex], sample_colours)
+    positions = np.ascontiguousarray(painted.positions[first_vertex])
+    surface = SampledSurface(positions, faces, bridges, sample_colours)
+    return surface, VertexSampling(sample_of, first_vertex, place_of[first_vertex], len(first_of_place))
+
+
+def build_bridges(faces: Int32s, place_of: Int32s, colours: Float32s) -> Int32s:
+    """Join the two sides of hard colour edges between samples by triangles, shape (W, 3)."""
+    shared = np.bincount(place_of) > 1
+    if not shared.any():
+        return np.empty((0, 3), np.int32)
+    copies = _edge_copies(faces, place_of, shared)
+    if len(copies) < 2:
+        return np.empty((0, 3), np.int32)
+    places = place_of[copies]
+    by_colour = [*colours[copies[:, 1]].T, *colours[copies[:, 0]].T]
+    order = np.lexsort([*by_colour, places[:, 1], places[:, 0]])
+    copies, places = copies[order], places[order]
+    joined = np.all(places[1:] == places[:-1], axis=1)
+    return _wall_triangles(copies[:-1][joined], copies[1:][joined])
+
+
+def _edge_copies(faces: Int32s, place_of: Int32s, shared: Bools) -> Int32s:
+    """Find the distinct edges of samples, shape (E, 2), that may have a copy; both ends in order of place."""
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    edges = edges[shared[place_of[edges]].any(axis=1)]
+    places = place_of[edges]
+    edges = np.where((places[:, 0] > places[:, 1])[:, None], edges[:, ::-1], edges)
+    edges = edges[places[:, 0] != places[:, 1]]
+    return np.unique(edges, axis=0)
+
+
+def _wall_triangles(one: Int32s, other: Int32s) -> Int32s:
+    """Make the triangles between copies one = (a, b) and other = (c, d) of edges, both diagonals laid."""
+    a, b, c, d = one[:, 0], one[:, 1], other[:, 0], other[:, 1]
+    triangles = np.concatenate(
+        [np.stack(corners, axis=1) for corners in ((a, b, c), (a, b, d), (c, d, a), (c, d, b))]
+    )
+    # Where the copies share an end, two of the four repeat a corner; the others are equal and count once.
+    distinct = (triangles[:, 0] != triangles[:, 2]) & (triangles[:, 1] != triangles[:, 2])
+    bridges: Int32s = triangles[distinct].astype(np.int32)
+    return bridges

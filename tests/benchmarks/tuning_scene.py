@@ -22,7 +22,7 @@ from beltrami_cli.flow.tuning.grid_trial import choose_blocks
 from beltrami_cli.formats.image import read_image
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.surface.atlas import HALO, OWNED, build_atlas
-from beltrami_cli.surface.vertex_sampling import sample_vertices
+from beltrami_cli.surface.grouping import sample_vertices
 
 MARGIN = 6  # cells: half the window, and the reach of the regularised metric
 REACH = 5

@@ -11,9 +11,9 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import Delaunay
 from scipy.spatial.transform import Rotation
 
+from beltrami_cli.surface.grouping import sample_vertices
 from beltrami_cli.surface.point_triangulation import faces_of_points, triangulate_points
 from beltrami_cli.surface.records import PaintedVertices
-from beltrami_cli.surface.vertex_sampling import sample_vertices
 from oracles import surfaces
 
 

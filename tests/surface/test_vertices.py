@@ -9,9 +9,8 @@ from hypothesis import strategies as st
 
 import beltrami_cli
 from beltrami_cli.surface import grouping
-from beltrami_cli.surface.grouping import group_equal_rows
+from beltrami_cli.surface.grouping import group_equal_rows, sample_vertices
 from beltrami_cli.surface.records import PaintedVertices
-from beltrami_cli.surface.vertex_sampling import sample_vertices
 from oracles import surfaces
 
 

@@ -17,12 +17,12 @@ from beltrami_cli.formats.image.extra_codecs import (
 )
 from beltrami_cli.formats.image.metadata import (
     carry_over,
+    encode_with_palette,
     has_palette,
     is_lossless_webp,
     is_progressive_jpeg,
     without_additions,
 )
-from beltrami_cli.formats.image.palette import encode_with_palette
 from beltrami_cli.formats.image.reading import TYPES, scratch_file
 from beltrami_cli.formats.image.recognition import FORMATS, WRITABLE, format_of_suffix, label_of
 from beltrami_cli.surface.records import ImageFile

@@ -21,7 +21,7 @@ from beltrami_cli.formats.model_folder import (
     UnfitReferenceError,
     is_outside,
 )
-from beltrami_cli.formats.tiles import has_token
+from beltrami_cli.surface.tiling import has_token
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

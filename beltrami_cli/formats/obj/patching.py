@@ -11,8 +11,8 @@ import numpy as np
 
 from beltrami_cli.formats.document import Written
 from beltrami_cli.formats.model_folder import NewNames, is_outside, new_reference, path_inside
-from beltrami_cli.formats.tiles import common_suffix, tile_name
 from beltrami_cli.formats.tokens import Spans, exchange_spans, exchange_tokens
+from beltrami_cli.surface.tiling import common_suffix, tile_name
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -14,12 +14,12 @@ from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.document import Document, Fingerprint, NamedImage, Written
 from beltrami_cli.formats.image.recognition import format_of, format_of_suffix
 from beltrami_cli.formats.model_folder import LEFT_ALONE, NewNames
-from beltrami_cli.formats.tiles import common_suffix, tile_name
 from beltrami_cli.formats.usd.layers import Layers
 from beltrami_cli.formats.usd.package import IMAGES
 from beltrami_cli.formats.usd.textures import Textures
 from beltrami_cli.surface.polygons import triangulate
 from beltrami_cli.surface.records import MeshContents, PaintedVertices
+from beltrami_cli.surface.tiling import common_suffix, tile_name
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -15,8 +15,8 @@ import numpy as np
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.foreign_library import ForeignLibrary, serve
 from beltrami_cli.formats.model_folder import ModelFolder, UnfitReferenceError, is_outside
-from beltrami_cli.formats.tiles import found_tiles, has_token
 from beltrami_cli.formats.usd.package import LAYERS, Package
+from beltrami_cli.surface.tiling import found_tiles, has_token
 
 if TYPE_CHECKING:
     from beltrami_cli.arrays import Array

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.flow.colour_space import to_space
+from beltrami_cli.flow.embedding import to_space
 from beltrami_cli.formats.image import read_image
 from beltrami_cli.jobs.compare.figures import ComparedColours, SeamJumps
 from beltrami_cli.jobs.compare.measures import cie_lab, delta_e_2000, structural_similarity

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from beltrami_cli.errors import UsageError
-from beltrami_cli.flow.colour_space import from_space
+from beltrami_cli.flow.embedding import from_space
 
 if TYPE_CHECKING:
     from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s, Int64s

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from beltrami_cli.flow.mesh_manifold import MeshManifold
     from beltrami_cli.flow.records import SampledKernel
     from beltrami_cli.samples.probes.probe import Location
+    from beltrami_cli.surface.grouping import VertexSampling
     from beltrami_cli.surface.records import PaintedVertices
-    from beltrami_cli.surface.vertex_sampling import VertexSampling
 
 
 @dataclass
