@@ -178,6 +178,24 @@ def names_in(text: str) -> tuple[str, ...]:
     return names
 
 
+def number_in(text: str) -> tuple[float, bool]:
+    """Read 0.08, 8% or 20/255; return the value and whether the number is plain; ValueError if it is none of these."""
+    part, slash, whole = text.strip().partition("/")
+    if slash:
+        if not float(whole):
+            raise ValueError(text)
+        return float(part) / float(whole), False
+    return (float(part[:-1]) / 100, False) if part.endswith("%") else (float(part), True)
+
+
+def share_in(text: str) -> float:
+    """Read a part of something, such as 0.001 or 0.1%; ValueError says what is wrong."""
+    try:
+        return number_in(text)[0]
+    except ValueError:
+        raise ValueError(f"is {text!r}, but must be a share such as 0.001 or 0.1%") from None
+
+
 def part(record: type[Record], make: Callable[[], Record] | None = None) -> Any:
     """Declare a field of a record as a record with parameters of its own."""
     return dataclasses.field(default_factory=make or record, metadata={_PART: record})

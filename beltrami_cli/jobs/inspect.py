@@ -138,10 +138,9 @@ def _describe_under_textures(
 def _describe_surface(surface: TexturedSurface) -> dict[str, object]:
     """Count the triangles under textures."""
     from beltrami_cli.surface.geometry import bounds, count_topology
-    from beltrami_cli.surface.grouping import group_equal_rows
+    from beltrami_cli.surface.grouping import group_places
 
-    columns = [*surface.positions.T, *([] if surface.space_of is None else [surface.space_of])]
-    place_of, first = group_equal_rows(*columns)
+    place_of, first = group_places(surface.positions, surface.space_of)
     positions = surface.positions[first]
     return {
         "vertices": len(surface.positions),

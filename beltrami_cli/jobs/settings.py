@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import ClassVar, Literal, get_args
 
 from beltrami_cli.errors import UsageError
-from beltrami_cli.fields import Checked, check, described, parameter
+from beltrami_cli.fields import Checked, check, described, number_in, parameter, share_in
 
 _SMALLEST_SIDE, _LARGEST_SIDE = 16, 16384  # of a texture: less is of no use, graphics cards take no more
 
@@ -18,12 +18,12 @@ _WITHOUT_SIGMA = ("camera", "jpeg")
 def amount(text: str) -> float:
     """Read a part of full scale: 20 is 20/255, and 20/255, 1310/65535 and 8% are what they say; or ValueError."""
     try:
-        value = _parsed(text.strip())
-    except (ValueError, ZeroDivisionError):
+        value, is_plain = number_in(text)
+    except ValueError:
         raise ValueError(f"is {text!r}, but must be an amount such as 20 (of 255), 20/255 or 8%") from None
     if not (math.isfinite(value) and value >= 0):
         raise ValueError(f"is {text!r}, but must be a number from 0 on")
-    return value
+    return value / 255 if is_plain else value
 
 
 def sure_amount(text: str) -> float:
@@ -35,23 +35,6 @@ def sure_amount(text: str) -> float:
             f"is {number}, which may be of 255 or of full scale; write {number}/255 or {100 * float(number):g}%"
         )
     return value
-
-
-def _parsed(text: str) -> float:
-    if text.endswith("%"):
-        return float(text[:-1]) / 100
-    if "/" in text:
-        part, whole = text.split("/")
-        return float(part) / float(whole)
-    return float(text) / 255
-
-
-def share(text: str) -> float:
-    """Read a part of something: 0.001, or 0.1%; or ValueError."""
-    try:
-        return float(text[:-1]) / 100 if text.endswith("%") else float(text)
-    except ValueError:
-        raise ValueError(f"is {text!r}, but must be a share such as 0.001 or 0.1%") from None
 
 
 @dataclass(frozen=True)
@@ -172,5 +155,5 @@ class Limits(Checked):
         None,
         "How far a vertex may be from its place in REFERENCE, such as 0.1%. With other limits alone, it may "
         "not move by more than rounding.",
-        kind=float, low=0, unit="longest sides of the model", metavar="SHARE", parse=share,
+        kind=float, low=0, unit="longest sides of the model", metavar="SHARE", parse=share_in,
     )  # fmt: skip

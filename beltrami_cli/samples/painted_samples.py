@@ -10,7 +10,7 @@ import numpy as np
 from beltrami_cli.flow.embedding import from_space, to_space
 from beltrami_cli.samples.reports import VertexReport
 from beltrami_cli.samples.samples import Change, Grains, Part, Repainted, Samples, channel_numbers
-from beltrami_cli.surface.grouping import group_equal_rows
+from beltrami_cli.surface.grouping import group_places
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -170,7 +170,6 @@ def spacing_of(painted: PaintedVertices, rows: NDArray[np.intp], place_of: Int32
 
 def places_of(painted: PaintedVertices, rows: NDArray[np.intp]) -> Int32s:
     """Return the number of each vertex's place, shape (S,)."""
-    columns = list(painted.positions[rows].T)
-    if painted.space_of is not None:
-        columns.append(painted.space_of[rows])
-    return group_equal_rows(*columns)[0]
+    return group_places(
+        painted.positions[rows], None if painted.space_of is None else painted.space_of[rows]
+    )[0]

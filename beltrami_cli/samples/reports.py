@@ -83,23 +83,12 @@ class SlotReport:
         sides really differ, which nothing was smoothed over.
     pitch : float
         Mean distance of neighbouring texels on the surface, in the model's own unit of length.
-    beta : float
-        As used.
-    iterations : int
-        As for `VertexReport`.
-    noise : dict of str to float
-        Estimated standard deviation per channel, full scale 1, in the working space.
-    noise_model : dict of str to float
-        What was found of it: standard deviations at "dark", "middle" and "bright" levels (0.1, 0.5, 0.9), if they
-        differ; of "quiet" and "loud" places, if they do; and "grain", the width in samples of what samples share of it.
     samples_per_kernel : float
         Mean number of samples that a kernel held.
-    guides : dict of str to float
-        The beta used for each guide, by its name.
     change : dict of str to float
         Mean, root mean square and largest change of a covered texel's value, in the channels that change, full scale 1,
         as stored.
-    choice, patches
+    beta, iterations, noise, noise_model, guides, choice, patches
         As for `VertexReport`.
     """
 
@@ -129,22 +118,11 @@ class ImageReport:
         and how many of its pixels are holes.
     pitch : float
         Mean distance of neighbouring pixels on the surface, in its own unit of length.
-    beta : float
-        As used.
-    iterations : int
-        How many were run: none if there is no noise, and no number was asked for.
-    noise : dict of str to float
-        Estimated standard deviation per channel, full scale 1, in the working space.
-    noise_model : dict of str to float
-        What was found of it: standard deviations at "dark", "middle" and "bright" levels (0.1, 0.5, 0.9), if they
-        differ; of "quiet" and "loud" places, if they do; and "grain", the width in samples of what samples share of it.
     samples_per_kernel : float
         Mean number of pixels that a kernel held.
-    guides : dict of str to float
-        The beta used for each guide, by its name.
     change : dict of str to float
         Mean, root mean square and largest change of a smoothed value, full scale 1, as stored.
-    choice, patches
+    beta, iterations, noise, noise_model, guides, choice, patches
         As for `VertexReport`.
     """
 

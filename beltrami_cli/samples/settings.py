@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import ClassVar, Literal, get_args
 
 from beltrami_cli.errors import UsageError
-from beltrami_cli.fields import Checked, check, described, named_files, names_in, parameter, part
+from beltrami_cli.fields import Checked, check, described, named_files, names_in, parameter, part, share_in
 from beltrami_cli.flow.parameters import TUNABLE, KernelParameters, Space
 from beltrami_cli.formats.access import is_file
 
@@ -103,14 +103,6 @@ class TextureSettings(Checked):
     small: bool = parameter(False, "Compress PNG files well, which takes longer.")
 
 
-def _strength(text: str) -> float:
-    try:
-        value = float(text[:-1]) / 100 if text.endswith("%") else float(text)
-    except ValueError:
-        raise ValueError(f"is {text!r}, but must be a number from 0 to 1, or such as 50%") from None
-    return value
-
-
 @described
 @dataclass(frozen=True)
 class LevelSettings(Checked):
@@ -121,7 +113,7 @@ class LevelSettings(Checked):
     strength: float = parameter(
         1.0,
         "How much of the exposures to take out: 1 levels the seams, 0.5 halves their steps.",
-        low=0, high=1, metavar="S", parse=_strength, show=lambda value: f"{value:g}", is_daily=True,
+        low=0, high=1, metavar="S", parse=share_in, show=lambda value: f"{value:g}", is_daily=True,
     )  # fmt: skip
     reference: tuple[str, ...] = parameter(
         (),

@@ -13,12 +13,14 @@ from beltrami_cli.jobs.smooth import smooth_file
 
 pytest.importorskip("pxr", reason="usd-core is not installed")
 
-from formats.image_files import encode
-from formats.tile_files import painting, sheet
+from formats.tile_files import sheet
 from formats.usd_files import (
     BOUND,
     COLOURS,
     GIVEN,
+    PICTURE,
+    POINTS,
+    QUADS,
     coloured,
     material_text,
     mesh_text,
@@ -28,8 +30,6 @@ from formats.usd_files import (
 )
 
 pytestmark = pytest.mark.slow
-PICTURE = encode(painting(), "png")
-POINTS, _, QUADS = sheet()
 
 
 @pytest.mark.parametrize(("on", "kind"), [("vertex", "color3h"), ("faceVarying", "color3f")])

@@ -23,11 +23,13 @@ from cli.commands import beltrami
 
 pytest.importorskip("pxr", reason="usd-core is not installed")
 
-from formats.image_files import encode
 from formats.tile_files import TILES, obj_text, painting, sheet
 from formats.usd_files import (
     BOUND,
     GIVEN,
+    PICTURE,
+    POINTS,
+    QUADS,
     material_text,
     members,
     mesh_text,
@@ -37,8 +39,6 @@ from formats.usd_files import (
 )
 
 pytestmark = pytest.mark.slow
-PICTURE = encode(painting(), "png")
-POINTS, _, QUADS = sheet()
 
 
 def pixels(data: bytes):

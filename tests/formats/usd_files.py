@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
 GIVEN = SmoothSettings(KernelParameters(iterations=1, beta=20))
 HEADER = '#usda 1.0\n(\n    defaultPrim = "scan"\n    metersPerUnit = 1\n    upAxis = "Y"\n)\n'
+PICTURE = encode(painting(), "png")
+POINTS, _, QUADS = sheet()
 COLOURS = np.random.default_rng(5).random((64, 3)).astype(np.float32).round(3)
 
 

@@ -6,6 +6,8 @@ import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from beltrami_cli.fields import number_in
+
 if TYPE_CHECKING:
     from beltrami_cli.flow.noise.stabilising import VarianceStabiliser
 
@@ -56,8 +58,9 @@ def given_noise(text: str) -> GivenNoise:
         elif source:
             found = GivenNoise(source=source[2] or source[4], kind=source[1] or "")
         else:
-            found = GivenNoise(_number(text.strip()))
-    except (ValueError, ZeroDivisionError):
+            value, is_plain = number_in(text)
+            found = GivenNoise(value / 255 if is_plain and value >= 1 else value)
+    except ValueError:
         raise ValueError(
             f"is {text!r}, but must be a number of 255 such as 12, a share of full scale such as 0.047 or 4.7%, "
             "shot:A,read:B such as shot:0.01,read:0.005, or a file of standard deviations such as sigma.exr, "
@@ -72,12 +75,3 @@ def file_of_noise(text: str) -> str:
     """Return the file that a value of `noise` names; empty: none."""
     source = _SOURCE.fullmatch(text)
     return "" if source is None or source[1] == "attribute" else source[2] or source[4]
-
-
-def _number(text: str) -> float:
-    if text.endswith("%"):
-        return float(text[:-1]) / 100
-    if "/" in text:
-        part, whole = text.split("/")
-        return float(part) / float(whole)
-    return float(text) / (255 if float(text) >= 1 else 1)
