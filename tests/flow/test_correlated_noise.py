@@ -242,7 +242,7 @@ def test_the_choice_is_not_far_from_the_best_on_what_jpeg_left(quality, subsampl
 
     Where noise was left as a few large details the estimate of the error alone loses 4 dB.
     """
-    clean = painting(512)
+    clean = painting(320)
     image = jpeg(stored(clean, sigma), quality, subsampling, tmp_path)
     result = beltrami_cli.smooth_image(image, space="data")
     assert result.choice.correlated

@@ -105,10 +105,13 @@ def test_partitions_that_are_too_narrow_are_found_out_and_cut_anew(name, monkeyp
 
 @pytest.mark.slow
 def test_parameters_are_chosen_on_the_whole():
-    parameters = KernelParameters(free=("iterations", "t", "beta", "beta_growth", "metric_steps"), threads=2)
-    whole = smooth_mesh(SURFACE, parameters)
-    with in_partitions(4, InTurn(2)):
-        parts = smooth_mesh(SURFACE, parameters)
+    parameters = KernelParameters(free=("iterations", "beta"), threads=2)
+    surface = wavy_surface(65)  # two blocks
+    whole = smooth_mesh(surface, parameters)
+    runner = Sent()
+    with in_partitions(2, runner):
+        parts = smooth_mesh(surface, parameters)
+    assert runner.counts[-1] == 2
     assert parts.choice == whole.choice
     assert np.array_equal(parts.colours, whole.colours)
 
