@@ -113,7 +113,9 @@ def blend_with_patches(
     _add(axis, noisy, signs, size)
     response = estimate(noisy, disturbed)
     _add(axis, noisy, signs, -size)
-    sums, model = manifold.planes(2), _Model(sigma, clipped)
+    # What is smoother counts less or more, as in the choice of parameters.
+    counted = np.sqrt(SMOOTHNESS[manifold.parameters.strength])
+    sums, model = manifold.planes(2), _Model(sigma * np.sqrt(counted), clipped)
     stacks = _blocks(axis, noisy, signs, before, after, disturbed, response, manifold.relative)
     for (z, b, p, q, near_p, near_q, relative), (own,) in zip(stacks, _blocks(0, sums), strict=True):
         own[:] = model.parabola(z, b / size, (p, q), (near_p, near_q), relative[0])

@@ -159,21 +159,33 @@ def find_relative(colours: Float32s, edges: Int32s) -> Float32s | None:
     found = louder_blocks(tiles, _means(mixed[:, 0], tile).mean(axis=1))
     if found is None:
         return None
-    variances = over_samples(found[0], tiles[0].min(axis=0) / found[1])[tile].astype(np.float64)
+    variances = over_samples(found[0], tiles[0].min(axis=0) / found[1])[tile][:, None]
     for _ in range(_SPREAD):
-        variances = _and_beside(variances, edges) / size
-    return by_mean(variances.astype(np.float32), float(variances.mean()))[0][:, None]
+        variances = _means_around(variances, edges, size)
+    return by_mean(variances, float(variances.mean(dtype=np.float64)))[0]
 
 
 def _energies_by_scale(mixed: Float64s, edges: Int32s, size: Array, tile: Array) -> Float32s:
     """Return the energies of residuals of samples and of means of neighbours, shape (2, K, blocks, tiles)."""
-    white = np.random.default_rng(_SEED).standard_normal(len(mixed))
-    columns, inside, energies = np.column_stack([mixed, white]), size > _NEIGHBOURS, []
+    white = np.random.default_rng(_SEED).standard_normal(len(mixed), np.float32)
+    columns = np.column_stack([mixed, white]).astype(np.float32)
+    inside, energies = size > _NEIGHBOURS, []
     for _ in range(2):
-        squares = np.array([own**2 for own in residuals(columns.astype(np.float32), edges)])
-        energies.append([_means(own, tile[inside], tile[-1] + 1) for own in squares / squares[-1].mean()])
-        columns = np.stack([_and_beside(own, edges) / size for own in columns.T], axis=1)
+        means = _means_around(columns, edges, size)
+        # By the mean with the sample itself, residuals are smaller by k / (k + 1), and white noise shows by how much.
+        squares = np.square(columns[inside] - means[inside]) * (size / (size - 1.0))[inside, None]
+        energies.append(
+            [_means(own, tile[inside], tile[-1] + 1) for own in squares.T / squares[:, -1].mean()]
+        )
+        columns = means
     return np.array(energies, np.float32)[:, :-1]
+
+
+def _means_around(columns: Float32s, edges: Int32s, size: Array) -> Float32s:
+    """Return means over each sample and its neighbours, shape (S, K)."""
+    from beltrami_cli._native import neighbour_means
+
+    return neighbour_means(columns, edges, np.ones(len(edges), np.float32), size.astype(np.float32))
 
 
 def _means(values: Array, tile: Array, count: int | None = None) -> Float64s:
