@@ -19,7 +19,8 @@ if TYPE_CHECKING:
     from beltrami_cli.jobs.inspect import inspect_file
     from beltrami_cli.jobs.job import Job
     from beltrami_cli.jobs.level import LevelFileReport, level_file
-    from beltrami_cli.jobs.settings import BakeSettings
+    from beltrami_cli.jobs.noise import NoiseReport, noise_file
+    from beltrami_cli.jobs.settings import BakeSettings, NoiseSettings
     from beltrami_cli.jobs.smooth import smooth_file
     from beltrami_cli.jobs.smoothing import SmoothReport
     from beltrami_cli.samples.image_surface import ImageSurface
@@ -46,6 +47,8 @@ _HOME_OF = {
     "LevelFileReport": "jobs.level",
     "LevelSetSettings": "samples.settings",
     "LevelSettings": "samples.settings",
+    "NoiseReport": "jobs.noise",
+    "NoiseSettings": "jobs.settings",
     "OutputError": "errors",
     "ProcessingError": "errors",
     "SmoothReport": "jobs.smoothing",
@@ -55,6 +58,7 @@ _HOME_OF = {
     "UsageError": "errors",
     "inspect_file": "jobs.inspect",
     "level_file": "jobs.level",
+    "noise_file": "jobs.noise",
     "smooth": "jobs.arrays",
     "smooth_file": "jobs.smooth",
     "smooth_image": "jobs.arrays",
@@ -74,6 +78,8 @@ __all__ = [
     "LevelFileReport",
     "LevelSetSettings",
     "LevelSettings",
+    "NoiseReport",
+    "NoiseSettings",
     "OutputError",
     "ProcessingError",
     "SmoothReport",
@@ -83,6 +89,7 @@ __all__ = [
     "UsageError",
     "inspect_file",
     "level_file",
+    "noise_file",
     "smooth",
     "smooth_file",
     "smooth_image",

@@ -22,7 +22,8 @@ from beltrami_cli.jobs.output import FileSet
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from beltrami_cli.jobs.settings import BakeSettings
+    from beltrami_cli.jobs.noise import NoiseReport
+    from beltrami_cli.jobs.settings import BakeSettings, NoiseSettings
     from beltrami_cli.jobs.smoothing import SmoothReport
     from beltrami_cli.samples.settings import SmoothSettings
 
@@ -40,6 +41,8 @@ class Item:
     target: str
     settings: SmoothSettings
     unwrap: BakeSettings | None = None
+    noise: NoiseSettings | None = None
+    """Noise that is added to the colours, which are not smoothed then."""
     outside: bool = False
     """Whether files are followed that the model names beyond its own folder."""
     overwrite: bool = False
@@ -53,6 +56,8 @@ class Item:
         del settings["kernel"]["threads"]  # the result is the same for any number
         unwrap = None if self.unwrap is None else dataclasses.asdict(self.unwrap)
         everything = [version("beltrami-cli"), settings, unwrap, self.outside]
+        if self.noise is not None:
+            everything.append(dataclasses.asdict(self.noise))
         return hashlib.sha256(json.dumps(everything, sort_keys=True).encode()).hexdigest()
 
 
@@ -75,7 +80,7 @@ class Outcome:
     """SHA-256 of every file that was read, by its name; likewise `written`."""
     written: dict[str, str] = field(default_factory=dict)
     report: dict[str, object] | None = None
-    """The report of `beltrami smooth`."""
+    """The report of `beltrami smooth`, or of what was added by `beltrami noise`."""
 
 
 @dataclass(frozen=True)
@@ -131,7 +136,7 @@ def _done(item: Item, memory: int | None, progress: Progress | None) -> Outcome:
     def note(path: Path, data: bytes) -> None:
         read[str(path.absolute())] = hashlib.sha256(data).hexdigest()
 
-    report = _smoothed(item, Access(outside=item.outside, memory=memory, note=note), progress)
+    report = _made(item, Access(outside=item.outside, memory=memory, note=note), progress)
     written = _hashes(item.target, report.written[1:])
     return outcome_of(item, "done", read=read, written=written, report=dataclasses.asdict(report))
 
@@ -147,7 +152,7 @@ def _done_at_urls(item: Item, memory: int | None, progress: Progress | None) -> 
             again=item.again and not to_url,
         )
         try:
-            report = _smoothed(copy, stage.access(item.outside, memory), progress)
+            report = _made(copy, stage.access(item.outside, memory), progress)
         except BeltramiError as error:
             error.args = (stage.with_original_names(str(error)),)
             raise
@@ -162,12 +167,17 @@ def _done_at_urls(item: Item, memory: int | None, progress: Progress | None) -> 
         return outcome_of(item, "done", read=stage.read, written=written, report=dataclasses.asdict(report))
 
 
-def _smoothed(item: Item, access: Access, progress: Progress | None) -> SmoothReport:
+def _made(item: Item, access: Access, progress: Progress | None) -> SmoothReport | NoiseReport:
+    from beltrami_cli.jobs.noise import noise_file
     from beltrami_cli.jobs.smooth import smooth_file
 
     with FileSet() as files:
         job = Job(access, progress, item.overwrite or item.again, files=files)
-        report = smooth_file(item.source, item.target, item.settings, job, unwrap=item.unwrap)
+        report: SmoothReport | NoiseReport
+        if item.noise is not None:
+            report = noise_file(item.source, item.target, item.noise, item.settings, job)
+        else:
+            report = smooth_file(item.source, item.target, item.settings, job, unwrap=item.unwrap)
         if item.again and not item.overwrite:
             files.keep_equal()
         files.put_in_place()

@@ -16,10 +16,11 @@ from beltrami_cli.cli.commands import GroupedOption, HelpfulCommand, options_by_
 from beltrami_cli.errors import OutputError, ProcessingError, UsageError
 from beltrami_cli.fields import parameters
 from beltrami_cli.formats.access import is_file
+from beltrami_cli.jobs.settings import NoiseSettings
 from beltrami_cli.samples.settings import SmoothSettings
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Sequence
 
     from beltrami_cli.batch.item import Item, Outcome
     from beltrami_cli.batch.plan import Request
@@ -38,6 +39,7 @@ Examples:
   beltrami batch jobs.toml --out-dir clean              a manifest with parameters for each file
   beltrami batch scans --out-dir clean --dry-run        what would be done
   beltrami batch scans --out-dir clean --resume         go on after a failure, or with new files
+  beltrami batch scans --out-dir noisy --add-noise --kind camera    noise for tests, as beltrami noise adds it
   beltrami batch scans --out-dir clean --scheduler tcp://head:8786     on many machines
 
 \b
@@ -55,9 +57,23 @@ options given here, which are for all files.
 """
 
 
-# The options that concern a single file: those of `smooth` that change its result.
-_OF_A_FILE = click.command("file")(options.smoothing(options.unwrapping(lambda **_: None)))
-SHARED_WITH_SMOOTH = tuple(option.name for option in _OF_A_FILE.params if option.name)
+_OF_NOISE = [each.name for each in parameters(NoiseSettings)]
+
+
+def _adding_noise(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add the options of noise that is added."""
+    wanted = click.option(
+        "--add-noise", is_flag=True, cls=GroupedOption, group=NoiseSettings.group,
+        help="Add noise and smooth nothing: each file comes out as `beltrami noise` makes it.",
+    )  # fmt: skip
+    changed = {name: {"is_daily": False} for name in _OF_NOISE}
+    return wanted(options.options_of(NoiseSettings, changed=changed)(command))
+
+
+# The options that concern a single file: those of `smooth` that change its result, and those of `noise`.
+_LIKE_SMOOTH = click.command("file")(options.smoothing(options.unwrapping(lambda **_: None)))
+_OF_A_FILE = click.command("file")(options.smoothing(options.unwrapping(_adding_noise(lambda **_: None))))
+SHARED_WITH_SMOOTH = tuple(option.name for option in _LIKE_SMOOTH.params if option.name)
 
 
 _CLUSTER = "Many machines"
@@ -101,6 +117,7 @@ _CLUSTER = "Many machines"
 )  # fmt: skip
 @options.smoothing
 @options.unwrapping
+@_adding_noise
 @options.output_format
 @options.reading
 @options.overwrite
@@ -199,23 +216,37 @@ def _jobs_for(requests: Iterable[Request], values: dict[str, Any], *, overwrite:
     """Make the jobs of a batch from the options given here and what the manifests say besides."""
     from beltrami_cli.batch.item import Item
 
-    common = options.settings_from(values), options.unwrapping_from(values)
+    common = _settings_from(values)
     # What a preset takes the place of is not given.
-    given = {name: values[name] for name in SHARED_WITH_SMOOTH if options.is_given(name)}
+    of_a_file = [option.name for option in _OF_A_FILE.params if option.name]
+    given = {name: values[name] for name in of_a_file if options.is_given(name)}
     jobs = []
     for request in requests:
         try:
-            settings, unwrap = _settings(request, given) if request.options else common
+            settings, unwrap, noise = _settings(request, given) if request.options else common
         except (click.UsageError, UsageError, ValueError) as error:
             cause = error.format_message() if isinstance(error, click.UsageError) else str(error)
             raise UsageError(f"{request.origin}: {cause}") from error
         jobs.append(
-            Item(request.source, request.target, settings, unwrap, values["allow_outside"], overwrite)
+            Item(request.source, request.target, settings, unwrap, noise, values["allow_outside"], overwrite)
         )
     return jobs
 
 
-def _settings(request: Request, given: dict[str, Any]) -> tuple[SmoothSettings, BakeSettings | None]:
+def _settings_from(
+    values: dict[str, Any],
+) -> tuple[SmoothSettings, BakeSettings | None, NoiseSettings | None]:
+    noise = None
+    if values["add_noise"]:
+        noise = options.record_from(NoiseSettings, values)
+    elif given := [name for name in _OF_NOISE if options.is_given(name)]:
+        raise UsageError(f"--{given[0]} is of noise; say --add-noise, which is then all that is done")
+    return options.settings_from(values), options.unwrapping_from(values), noise
+
+
+def _settings(
+    request: Request, given: dict[str, Any]
+) -> tuple[SmoothSettings, BakeSettings | None, NoiseSettings | None]:
     own = values_for(options_by_name(_OF_A_FILE), request.options)
     for each in parameters(SmoothSettings, deep=True):
         if each.name in own:  # a file is looked for beside the manifest
@@ -225,7 +256,7 @@ def _settings(request: Request, given: dict[str, Any]) -> tuple[SmoothSettings, 
     for name in own:  # counts for more than what is for all files, also beside a preset
         context.set_parameter_source(name, ParameterSource.COMMANDLINE)
     with context.scope():
-        return options.settings_from(context.params), options.unwrapping_from(context.params)
+        return _settings_from(context.params)
 
 
 def _beside(folder: Path, name: str) -> str:

@@ -169,9 +169,8 @@ class KernelParameters:
 
     noise: str | None = parameter(
         None,
-        "The noise if it is known: 12 (of 255), 4.7%, or a camera's, shot:A,read:B: the variance A L + B^2 of light L. "
-        "Or a file of standard deviations of each sample, of full scale 1: an image of the same size; of vertices an "
-        "array (.npy, .npz) or attribute:NAME. Or frame:FILE, an image of nothing but noise, such as a dark frame.",
+        "The noise if it is known: 12 (of 255), 4.7%, a camera's shot:A,read:B (variance A L + B^2 of light L), or for "
+        "each sample FILE, frame:FILE or attribute:NAME, see docs/tuning.md.",
         kind=str, unset="estimated", metavar="S|FILE", is_daily=True, file_in=file_of_noise,
     )  # fmt: skip
 

@@ -46,10 +46,24 @@ class Added:
 
 @dataclass(frozen=True)
 class NoiseReport:
-    """What was done: to which colours, the files that were written, and what the user should know."""
+    """What was done to a file.
 
+    Attributes
+    ----------
+    input, output : str
+        As given.
+    added : list
+        For each kind of colours "what" they are, how many "samples", and the "rms" change, full scale 1.
+    written : list of str
+        The files that were written, the output first.
+    warnings : list of str
+        What users should know.
+    """
+
+    input: str
+    output: str
     added: list[Added]
-    files: list[str]
+    written: list[str]
     warnings: list[str]
 
 
@@ -84,10 +98,32 @@ def noise_file(
     settings: SmoothSettings = DEFAULTS,
     job: Job = PLAIN_JOB,
 ) -> NoiseReport:
-    """Add noise to the selected colours of a model, points, a level set or an image, and change nothing else."""
-    painter = Noising(noise)
-    made = recolour(os.fspath(source), os.fspath(target), settings, painter, job)
-    return NoiseReport(painter.added, made.written, made.warnings)
+    """Add noise to the selected colours of a model, points, a level set or an image, and change nothing else.
+
+    Parameters
+    ----------
+    source, target : path
+        As for `smooth_file`.
+    noise : NoiseSettings
+        Its kind, how much, and the seed.
+    settings : SmoothSettings
+        Which colours, and how textures are written; the kernel does not matter.
+    job : Job
+        What may be read, and whether files are written and replaced.
+
+    Returns
+    -------
+    NoiseReport
+        What was changed by how much, and the files that were written.
+
+    Raises
+    ------
+    UsageError, InputError, OutputError
+        As for `smooth_file`.
+    """
+    source, target, painter = os.fspath(source), os.fspath(target), Noising(noise)
+    made = recolour(source, target, settings, painter, job)
+    return NoiseReport(source, target, painter.added, made.written, made.warnings)
 
 
 def _noisy(samples: Samples, grains: Grains, settings: NoiseSettings) -> Float32s:

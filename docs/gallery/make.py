@@ -1,10 +1,13 @@
 """Make the pictures of the gallery: ``make gallery``, or ``python docs/gallery/make.py [FOLDER]``.
 
-Every command is read from docs/gallery.md and run as it stands there, so that the page shows what it says.
+Every command is read from docs/gallery.md and run as it stands there, so that the page shows what it says. Models that
+others made are looked for in the folder that the environment variable BELTRAMI_EXTRA_MESHES names; without them their
+pictures stay.
 """
 
 from __future__ import annotations
 
+import os
 import re
 import shlex
 import shutil
@@ -25,6 +28,7 @@ from beltrami_cli.samples.settings import DEFAULTS
 HERE = Path(__file__).resolve().parent
 PAGE = HERE.parent / "gallery.md"
 SAMPLES = HERE.parents[1] / "sample_data"
+EXTRA = ("statue.glb",)  # from the examples of PlayCanvas
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 
 
@@ -37,10 +41,19 @@ def main(arguments: list[str]) -> int:
         for sample in SAMPLES.iterdir():
             if sample.is_file() and sample.suffix not in {".py", ".md"}:
                 shutil.copy(sample, folder)
+        missing = set(EXTRA)
+        for found in Path(os.environ.get("BELTRAMI_EXTRA_MESHES") or folder).rglob("*.glb"):
+            if found.name in missing:
+                missing.remove(found.name)
+                shutil.copyfile(found, Path(folder) / found.name)
         expose(Path(folder) / "scan-clean.glb", Path(folder) / "scan-exposed.glb")
         for command in commands(text):
             words = shlex.split(command, comments=True)
             print(command)
+            if missing & {*words}:
+                print("is left out, since BELTRAMI_EXTRA_MESHES has no such model")
+                missing |= {word for word in words if Path(word).suffix in {".glb", ".png"}}
+                continue
             call = [sys.executable, "-m", "beltrami_cli", *words[1:]]
             if words[1] == "view":
                 take_live(call, folder)
@@ -49,7 +62,7 @@ def main(arguments: list[str]) -> int:
             for page in (Path(folder) / word for word in words if word.endswith(".html")):
                 take(page.as_uri(), page.with_suffix(".png"), "main")
         for name in re.findall(r"\(gallery/([^)]+)\)", text):
-            if (Path(folder) / name).exists() or CHROMIUM:
+            if name not in missing and ((Path(folder) / name).exists() or CHROMIUM):
                 shutil.copy(Path(folder) / name, kept)
     return 0
 

@@ -72,3 +72,11 @@ def test_both_halves_are_smoothed_as_their_noise_asks():
     start, mean = noisy(clean, sigma), f"{100 * np.sqrt((QUIET**2 + LOUD**2) / 2)}%"
     found, one = (beltrami_cli.smooth(positions, faces, start, noise=each).colours for each in (None, mean))
     assert psnr(found, clean) > psnr(one, clean) + 0.3
+
+
+def test_isolated_vertices_do_not_matter():
+    """Warnings are errors here: nothing is divided by their number of neighbours, which is 0."""
+    positions, faces, clean, sigma = scene()
+    alone = np.array([[3.0, 0, 0]]), np.array([[0.5, 0.5, 0.5]])
+    colours = np.concatenate([noisy(clean, sigma), alone[1]]).astype(np.float32)
+    assert manifold(np.concatenate([positions, alone[0]]), faces, colours).differing is not None

@@ -224,7 +224,7 @@ def test_a_seed_gives_its_noise_and_another_seed_another(kind, name, tmp_path):
     made = []
     for folder, seed in (("a", 1), ("b", 1), ("c", 2)):
         (tmp_path / folder).mkdir()
-        files = noise_file(SAMPLES / name, tmp_path / folder / name, NoiseSettings(0.05, kind, seed)).files
+        files = noise_file(SAMPLES / name, tmp_path / folder / name, NoiseSettings(0.05, kind, seed)).written
         made.append([(tmp_path / folder / file).read_bytes() for file in map(pathlib.Path, files)])
     assert made[0] == made[1] != made[2]
 

@@ -173,7 +173,8 @@ def _energies_by_scale(mixed: Float64s, edges: Int32s, size: Array, tile: Array)
     for _ in range(2):
         means = _means_around(columns, edges, size)
         # By the mean with the sample itself, residuals are smaller by k / (k + 1), and white noise shows by how much.
-        squares = np.square(columns[inside] - means[inside]) * (size / (size - 1.0))[inside, None]
+        factor = size[inside] / (size[inside] - 1.0)
+        squares = np.square(columns[inside] - means[inside]) * factor[:, None]
         energies.append(
             [_means(own, tile[inside], tile[-1] + 1) for own in squares.T / squares[:, -1].mean()]
         )
