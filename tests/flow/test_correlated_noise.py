@@ -189,7 +189,7 @@ def test_white_noise_that_jpeg_left_in_the_mean_of_channels_is_found(quality, bl
     assert mean == pytest.approx(details.std(), rel=0.3)
 
 
-@pytest.mark.parametrize("side", [64, 80, 128, 144])
+@pytest.mark.parametrize("side", [72, 80, 128, 144])
 def test_the_noise_that_jpeg_left_is_found_in_small_pictures(side, tmp_path):
     """Within 30 %, also where the coarsest scale has too few tiles to show any."""
     clean = painting(side)

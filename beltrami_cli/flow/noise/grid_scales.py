@@ -45,7 +45,7 @@ _MOST_CUT_OFF, _DARK, _ENOUGH_LIT, _PLAIN = 0.3, 0.6, 0.1, 1e-9
 _MOST_PLAIN = 0.5
 
 # With fewer cells, in all or per side, or fewer tiles, coarse scales are no estimate; with fewer cells, no level is.
-_MIN_CELLS, _MIN_SIDE, _MIN_TILES, _MIN_BY_LEVEL = 4_000, 56, 49, 10_000
+_MIN_CELLS, _MIN_SIDE, _MIN_TILES, _MIN_BY_LEVEL = 5_000, 64, 81, 10_000
 
 # Rows of a band, a multiple of the cells that the coarsest tiles span; and cells in all bands.
 _BAND, MOST_CELLS = 128, 400_000
