@@ -54,9 +54,9 @@ def test_an_existing_file_is_kept_unless_it_may_be_replaced(tmp_path):
 @pytest.mark.parametrize(
     ("name", "at"),
     [
-        ("knot-noisy.ply", "100"),
-        ("torus-two-noisy.gltf", "*icing*:200px,100px"),
-        ("scan-noisy.jpg", "90,170"),
+        ("nonmanifold-noisy.ply", "100"),
+        ("mirrored-noisy.obj", "100px,100px"),
+        ("torus-two-noisy-dough.png", "90,70"),
     ],
 )
 @pytest.mark.slow

@@ -33,7 +33,7 @@ styles = st.sampled_from(
 
 
 @pytest.mark.slow
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(old=trees, new=trees, style=styles, ascii_only=st.booleans(), crlf=st.booleans())
 def test_revised_text_parses_to_the_new_tree(old, new, style, ascii_only, crlf):
     text = json.dumps(old, ensure_ascii=ascii_only, **style)
@@ -43,7 +43,7 @@ def test_revised_text_parses_to_the_new_tree(old, new, style, ascii_only, crlf):
 
 
 @pytest.mark.slow
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(old=trees, key=st.text(max_size=3), value=values, style=styles)
 def test_revision_writes_what_the_style_of_the_source_would(old, key, value, style):
     text = json.dumps(old, ensure_ascii=False, **style)

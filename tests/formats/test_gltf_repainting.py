@@ -46,7 +46,7 @@ def models(draw):
 
 
 @pytest.mark.slow
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(
     model=models(),
     form=st.sampled_from(("glb", "gltf", "data")),

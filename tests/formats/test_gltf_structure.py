@@ -75,7 +75,7 @@ def folder(tmp_path_factory):
 
 @pytest.mark.slow
 @given(data=st.data())
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=150, deadline=None)
 def test_a_member_of_another_kind_is_refused_or_does_no_harm(folder, data):
     tree = copy.deepcopy(data.draw(st.sampled_from(trees(folder))))
     *parents, last = data.draw(st.sampled_from(list(places(tree))))

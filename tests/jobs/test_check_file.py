@@ -71,7 +71,7 @@ def everything(encoding: str) -> bytes:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("encoding", ENCODINGS)
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_every_other_byte_of_a_ply_file_counts(encoding: str, data: st.DataObject, tmp_path: Path) -> None:
     before = tmp_path / "before.ply"
@@ -90,7 +90,7 @@ OBJ = (
 
 @pytest.mark.slow
 @pytest.mark.parametrize("paint", ["", "polypaint"])
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_every_other_byte_of_an_obj_file_counts(paint: str, data: st.DataObject, tmp_path: Path) -> None:
     before = tmp_path / "before.obj"

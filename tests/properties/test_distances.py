@@ -22,7 +22,7 @@ def smooth_image(make, side):
 
 @pytest.mark.slow
 @given(strategies.painted(strategies.meshes(general=True)))
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=75, deadline=None)
 def test_distances_equal_those_of_a_textbook_march_on_any_mesh(painted):
     positions, faces, colours = painted
     manifold = image_manifold(positions, faces, colours, 2.0)
