@@ -16,7 +16,7 @@ from beltrami_cli.flow.canvas import (
     painted,
 )
 from beltrami_cli.flow.clipping import find_clipped_on_canvas
-from beltrami_cli.flow.coarse_levels import denoise_means, left_for_cells
+from beltrami_cli.flow.coarse_levels import denoise_means, left_for_cells, squares_for
 from beltrami_cli.flow.grid_kernels import GridKernels
 from beltrami_cli.flow.grid_partitions import cut_grid
 from beltrami_cli.flow.kernel_work import KernelWork
@@ -34,10 +34,11 @@ from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import EMPTY, OWNED, refresh_halo, without_halo
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from beltrami_cli.arrays import Bools, Float32s, Float64s, Int64s
     from beltrami_cli.flow.clipping import ClippedChannels
+    from beltrami_cli.flow.coarse_levels import Squares
     from beltrami_cli.flow.embedding import Guide
     from beltrami_cli.flow.grid_partitions import GridPartition
     from beltrami_cli.flow.manifold import Stack
@@ -160,6 +161,11 @@ class GridManifold(GridKernels):
         self.sigma = sigma_of_covariances(self.noise_covariances)
         self.embed([])
         return error
+
+    def coarse_levels(self) -> Iterator[Squares]:
+        """Go through squares of cells, unless they have been estimated because cells share noise."""
+        if not self.shares_noise:
+            yield from squares_for(self)
 
     @property
     def noise_covariance(self) -> Float64s:

@@ -19,7 +19,7 @@ from beltrami_cli.flow.embedding import beta_of, choose_guide_beta, join_channel
 from beltrami_cli.flow.noise.stabilising import COLOURS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -42,24 +42,65 @@ if TYPE_CHECKING:
 LEAST_STRONG = 1 / 255
 
 
-class Manifold(ABC):
-    """Samples of an image manifold, or of a part of one, ready to be measured and averaged.
+class Domain(ABC):
+    """Samples that numbers are summed and averaged over.
 
     A *stack* is an array of channels for all samples in the inner layout: rows of samples on a mesh, planes of cells on
-    a grid. The first stack holds the colours; the others are averaged by the same kernels.
+    a grid. *Planes* are numbers that are no colours, along the first axis in both layouts.
     """
 
     axis: ClassVar[int]
     """The axis of the channels in a stack."""
+
+    width: ClassVar[float]
+    """Standard deviation of `spread`, in sample spacings."""
+
+    @abstractmethod
+    def planes(self, count: int) -> Float32s:
+        """Return zeros for numbers of samples."""
+
+    @abstractmethod
+    def total(self, planes: Float32s) -> Float64s:
+        """Sum planes over the samples that have a kernel."""
+
+    @abstractmethod
+    def spread(self, planes: Float32s) -> Float32s:
+        """Average planes over the surface by about a Gaussian of standard deviation `width`."""
+
+
+class CoarseLevel(Domain):
+    """Means of groups of neighbouring samples, as fewer samples of the same surface."""
+
+    noise: float
+    """The variance of the noise of means, by that of samples."""
+
+    relative: Float32s
+    """The variance of the noise of each mean, relative to this."""
+
+    @abstractmethod
+    def means(self, stack: Float32s) -> Float32s:
+        """Return the means of a stack."""
+
+    @abstractmethod
+    def collaborate(self, noisy: Stack, pilot: Stack, mixing: Mixing) -> Stack:
+        """Estimate means from patches that look alike in the pilot."""
+
+    @abstractmethod
+    def add_enlarged(self, stack: Stack, changes: Stack) -> None:
+        """Add changes of means to a stack, in place."""
+
+
+class Manifold(Domain):
+    """Samples of an image manifold, or of a part of one, ready to be measured and averaged.
+
+    The first stack holds the colours; the others are averaged by the same kernels.
+    """
 
     search_range: ClassVar[SearchRange]
     """The parameters that are tried when they are chosen from the data."""
 
     rule: ClassVar[Rule]
     """The parameters for a noise level where nothing is tried."""
-
-    width: ClassVar[float]
-    """Standard deviation of `spread`, in sample spacings."""
 
     size: int
     """Samples that an iteration goes through, for its progress."""
@@ -159,6 +200,10 @@ class Manifold(ABC):
         """Remove noise that neighbours share but for their own details; return the estimated mean square error."""
         del tick
         return 0.0
+
+    def coarse_levels(self) -> Iterator[CoarseLevel]:
+        """Go through levels, coarse to fine, at which plain colours are estimated better than sample by sample."""
+        yield from ()
 
     def __init__(self, parameters: KernelParameters, metric_channels: Sequence[int] | None) -> None:
         self.parameters, self.threads = parameters, parameters.thread_count
@@ -272,18 +317,6 @@ class Manifold(ABC):
     @abstractmethod
     def perturbation(self) -> Float32s | NDArray[np.int8]:
         """Return a stack of random signs, or of noise that neighbours share as they share that of the colours."""
-
-    @abstractmethod
-    def planes(self, count: int) -> Float32s:
-        """Return zeros for numbers of samples that are no colours, with these numbers along the first axis."""
-
-    @abstractmethod
-    def total(self, planes: Float32s) -> Float64s:
-        """Sum planes over the samples that have a kernel."""
-
-    @abstractmethod
-    def spread(self, planes: Float32s) -> Float32s:
-        """Average planes over the surface by about a Gaussian of standard deviation `width`."""
 
     @abstractmethod
     def kernel_at(self, sample: int, step: Step) -> SampledKernel:

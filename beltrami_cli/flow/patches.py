@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
     from beltrami_cli.arrays import Array, Float32s, Float64s
     from beltrami_cli.flow.clipping import ClippedChannels
-    from beltrami_cli.flow.manifold import Manifold
+    from beltrami_cli.flow.manifold import CoarseLevel, Domain, Manifold
 
 
 # The mean of three channels and two differences, orthonormal; differences count half when patches are compared, since
@@ -61,8 +61,17 @@ _NOISELESS = 0.01
 # that patches are trusted too much where noise is underestimated; a larger one sees too much of them.
 _PERTURBATION = 0.2
 
-# Variance of w around the value, by its mean over all, to which it is drawn as far as noise makes it uncertain.
-_SPREAD = 0.03
+
+@dataclass(frozen=True)
+class _Prior:
+    """What weights of regions are drawn to where sums say little: a power of that over all, from 0 to 1."""
+
+    power: float
+    variance: float  # of w around it
+
+
+# Regions of which sums say little are plain. There the kernel is at home, and means of many samples even more.
+_OF_SAMPLES, _OF_MEANS = _Prior(2.0, 0.03), _Prior(0.5, 0.01)
 
 # How many iterations of the kernel both steps of an estimate take as long as.
 _FIRST, _SECOND = 6, 20
@@ -119,8 +128,74 @@ def blend_with_patches(
     stacks = _blocks(axis, noisy, signs, before, after, disturbed, response, manifold.relative)
     for (z, b, p, q, near_p, near_q, relative), (own,) in zip(stacks, _blocks(0, sums), strict=True):
         own[:] = model.parabola(z, b / size, (p, q), (near_p, near_q), relative[0])
-    del noisy, disturbed, response, signs
-    return _mix(manifold, before, after, sums)
+    weights, share, gain = _weigh(manifold, sums, model.variance, _OF_SAMPLES)
+    del sums
+    for (p, q, near_p, near_q), (own,) in zip(
+        _blocks(axis, before, after, disturbed, response), _blocks(0, weights), strict=True
+    ):
+        p += own[0] * (q - p)
+        near_p += own[0] * (near_q - near_p)
+    del response, weights
+    for level in manifold.coarse_levels():
+        means = level.means(noisy)
+        _add(axis, noisy, signs, size)
+        probe = level.means(noisy) - means
+        _add(axis, noisy, signs, -size)
+        for z, p, own, relative in _blocks(axis, noisy, before, after, manifold.relative):
+            own[:] = model.residual(z, p, relative[0])
+        residual = level.means(after)
+        for z, own in _blocks(axis, noisy, after):
+            own[:] = model.is_within(z)
+        given = _NoisyMeans(means, probe, float(size), residual, level.means(after))
+        gain += _improve_means(level, model, (mixing, second), given, (before, disturbed))
+    growth = 1.0 if manifold.stabiliser is None else manifold.stabiliser.growth
+    count = max(1, manifold.kernels)
+    return Blend(before, share / count, growth**2 * gain / count / len(sigma))
+
+
+@dataclass(frozen=True)
+class _NoisyMeans:
+    """Means of noisy colours, of what was added to them as a probe of a size, and of the residual of the estimate.
+
+    `within` is the share of samples that are not cut off.
+    """
+
+    colours: Float32s
+    probe: Float32s
+    size: float
+    residual: Float32s
+    within: Float32s
+
+
+def _improve_means(
+    level: CoarseLevel,
+    model: _Model,
+    mixings: tuple[Mixing, Mixing],
+    noisy: _NoisyMeans,
+    colours: tuple[Float32s, Float32s],
+) -> float:
+    """Blend the means of colours, in place, with what patches estimate of them; return the estimated gain."""
+    first, second = (dataclasses.replace(own, variances=own.variances * level.noise) for own in mixings)
+
+    def estimate(means: Float32s, pilot: Float32s) -> Float32s:
+        before = level.collaborate(means, pilot, first)
+        before += pilot
+        before /= 2
+        return level.collaborate(means, before, second)
+
+    (p, near_p), axis = (level.means(own) for own in colours), level.axis
+    q, near_q = estimate(noisy.colours, p), estimate(noisy.colours + noisy.probe, near_p)
+    # Of colours at a limit, half the noise is cut off, and what is imputed is no better than the estimate of the noise.
+    trusted = np.maximum(0, 4 * noisy.within - 3)
+    q, near_q = p + trusted * (q - p), near_p + trusted * (near_q - near_p)
+    within = noisy.within
+    parts = noisy.residual, noisy.probe / noisy.size**2, within * (q - p), within * (near_q - near_p), within
+    residual, probe, difference, moved, within = (np.moveaxis(own, axis, 0) for own in parts)
+    sums = model.terms(residual, probe, difference, moved, within * level.relative)
+    weights, _, gain = _weigh(level, sums, model.variance * level.noise, _OF_MEANS)
+    for own, before, after in ((colours[0], p, q), (colours[1], near_p, near_q)):
+        level.add_enlarged(own, np.moveaxis(weights, 0, axis) * (after - before))
+    return gain
 
 
 class _Model:
@@ -128,6 +203,13 @@ class _Model:
 
     def __init__(self, sigma: Float64s, clipped: ClippedChannels | None) -> None:
         self._sigma, self._clipped = sigma, clipped
+        self.variance = float(np.mean(np.square(sigma)))
+
+    def residual(self, noisy: Float32s, colours: Float32s, relative: Float32s) -> Float32s:
+        """Return noisy colours, which were imputed, minus what they are on average by the colours without noise."""
+        if self._clipped is None:
+            return noisy - colours
+        return self._clipped.cut_off(noisy) - self._clipped.expected(colours, relative)
 
     def parabola(
         self,
@@ -138,41 +220,54 @@ class _Model:
         relative: Float32s,
     ) -> Float32s:
         """Return the terms of the numerator and of the denominator of w, summed over channels."""
-        middle = (results[0] + results[1]) * np.float32(0.5)
+        residual, middle = (
+            self.residual(noisy, results[0], relative),
+            (results[0] + results[1]) * np.float32(0.5),
+        )
         if self._clipped is not None:
-            noisy = self._clipped.cut_off(noisy)
             expected = partial(self._clipped.expected, relative=relative)
             results = expected(results[0]), expected(results[1])
             responses = expected(responses[0]), expected(responses[1])
-        difference = results[1] - results[0]
-        divergence = probe * (responses[1] - responses[0] - difference)
-        slope = (noisy - results[0]) * difference
-        for k, sigma in enumerate(self._sigma):
-            within = 1 if self._clipped is None else self._clipped.share_within(middle, k, relative)
-            slope[k] -= np.float32(sigma**2) * relative * within * divergence[k]
+        difference, moved = results[1] - results[0], responses[1] - responses[0]
+        within = self._share_within(middle, relative)
+        return self.terms(residual, probe, difference, moved, within * relative)
+
+    def is_within(self, noisy: Float32s) -> Float32s | float:
+        """Return 1 for samples that were not cut off, 0 for others."""
+        return 1 if self._clipped is None else self._clipped.cut_off(noisy) == noisy
+
+    def _share_within(self, channels: Float32s, relative: Float32s) -> Float32s:
+        """Return the shares of samples that are not cut off, by the colours without noise."""
+        if self._clipped is None:
+            return np.ones_like(channels)
+        shares = [self._clipped.share_within(channels, k, relative) for k in range(len(channels))]
+        return np.stack(shares)
+
+    def terms(
+        self, residual: Float32s, probe: Array, difference: Float32s, moved: Float32s, relative: Float32s
+    ) -> Float32s:
+        """Return the same by the difference of both results, before and after the perturbation, and relative noise."""
+        variances = np.square(self._sigma, dtype=np.float32)[:, *[None] * (residual.ndim - 1)]
+        slope = residual * difference - variances * relative * probe * (moved - difference)
         return np.stack([slope.sum(axis=0), np.square(difference).sum(axis=0)])
 
 
-def _mix(manifold: Manifold, before: Float32s, after: Float32s, sums: Float32s) -> Blend:
-    """Find w from its terms, and blend in place."""
-    slope, square = manifold.total(sums)
-    # In between, regions differ, and those of which sums say little are plain: there the kernel is at home.
-    overall = min(1.0, max(0.0, slope / square)) ** 2 if square > 0 else 0.0
+def _weigh(
+    surface: Domain, sums: Float32s, variance: float, expected: _Prior
+) -> tuple[Float32s, float, float]:
+    """Find w from its terms; return it with its sum, and the sum of what it takes off the square error."""
+    slope, square = surface.total(sums)
+    overall = min(1.0, max(0.0, slope / square)) ** expected.power if square > 0 else 0.0
     # The variance of w is sigma^2 over the sum of squares; a mean by a Gaussian stands for this many samples.
-    samples = 4 * np.pi * manifold.width**2
-    prior = np.float32(np.mean(np.square(manifold.sigma)) / samples / _SPREAD)
-    # Of w, and of what it takes off the mean square error.
-    results = manifold.planes(2)
+    prior = np.float32(variance / (4 * np.pi * surface.width**2) / expected.variance)
+    results = surface.planes(2)
     for (own,), (means,), (terms,) in zip(
-        *(_blocks(0, planes) for planes in (results, manifold.spread(sums), sums)), strict=True
+        *(_blocks(0, planes) for planes in (results, surface.spread(sums), sums)), strict=True
     ):
         own[0] = np.clip((means[0] + prior * overall) / (means[1] + prior), 0, 1)
         own[1] = own[0] * (2 * terms[0] - own[0] * terms[1])
-    for (p, q), (own,) in zip(_blocks(manifold.axis, before, after), _blocks(0, results), strict=True):
-        p += own[0] * (q - p)
-    share, gain = manifold.total(results) / max(1, manifold.kernels)
-    growth = 1.0 if manifold.stabiliser is None else manifold.stabiliser.growth
-    return Blend(before, float(share), growth**2 * float(gain) / len(manifold.sigma))
+    share, gain = surface.total(results)
+    return results[:1], float(share), float(gain)
 
 
 def mixing_of(manifold: Manifold, colours: Float32s, noise: Float64s) -> Mixing:

@@ -7,8 +7,8 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 import beltrami_cli
+from beltrami_cli._native import add_enlarged, means_of_squares, sort_squares
 from beltrami_cli.errors import UsageError
-from beltrami_cli.flow.coarse_levels import add_enlarged, means_of_squares
 from beltrami_cli.flow.noise.given import given_noise
 from beltrami_cli.flow.noise.grid_scales import find_grid_noise
 from beltrami_cli.flow.noise.stabilising import VarianceStabiliser
@@ -132,7 +132,8 @@ def test_means_are_of_owned_cells_and_changes_go_to_them():
     random = np.random.default_rng(0)
     kind = random.choice(np.array([EMPTY, OWNED, HALO], np.uint8), (13, 22))
     planes = random.random((2, 13, 22)).astype(np.float32)
-    means, kinds = means_of_squares(planes, kind, 4)
+    kinds, counts = sort_squares(kind, 4)
+    means = means_of_squares(kind, kinds, planes, 4, 2)
     assert means.shape == (2, 4, 6)
     for row, column in np.ndindex(4, 6):
         cells = np.s_[4 * row : 4 * row + 4, 4 * column : 4 * column + 4]
@@ -141,9 +142,10 @@ def test_means_are_of_owned_cells_and_changes_go_to_them():
                 assert kinds[row, column] == wanted
                 mean = planes[:, *cells][:, kind[cells] == wanted].mean(axis=1)
                 assert means[:, row, column] == pytest.approx(mean, rel=1e-5)
+                assert counts[row, column] == np.count_nonzero(kind[cells] == wanted)
                 break
     after = planes.copy()
-    add_enlarged(after, kind, np.full_like(means, 0.25), kinds, 4)
+    add_enlarged(kind, kinds, np.full_like(means, 0.25), after, 4, 2)
     assert (after - planes)[:, kind == OWNED] == pytest.approx(0.25, abs=1e-6)
     assert (after == planes)[:, kind != OWNED].all()
 

@@ -10,6 +10,7 @@
 #include "grid/haar_tiles.hpp"
 #include "grid/local_means.hpp"
 #include "grid/repeats.hpp"
+#include "grid/squares.hpp"
 #include "grid/window_march.hpp"
 #include "grid/window_sweep.hpp"
 #include "instruction_set.hpp"
@@ -144,6 +145,56 @@ auto halo_repeats(std::size_t rows, std::size_t columns, const Vector<std::int64
   return give<std::uint8_t, nb::ndim<2>>(std::move(repeats), {rows, columns});
 }
 
+Squares squares_of(const Cells& kind, std::size_t side) {
+  if (side == 0) throw nb::value_error("squares must have a side");
+  return {kind.shape(0), kind.shape(1), side, kind.data()};
+}
+
+template <class Planes>
+void check_squares(const Squares& squares, const Cells& kinds, const Planes& planes) {
+  if (kinds.shape(0) != squares.down() || kinds.shape(1) != squares.across())
+    throw nb::value_error("one kind a square is needed");
+  if (planes.shape(1) != squares.rows || planes.shape(2) != squares.columns)
+    throw nb::value_error("planes must have the grid's shape");
+}
+
+// See sort_squares; returns kinds and counts.
+auto sort_squares_of(const Cells& kind, std::size_t side) {
+  const Squares squares = squares_of(kind, side);
+  const std::size_t size = squares.down() * squares.across();
+  std::unique_ptr<std::uint8_t[]> kinds(new std::uint8_t[size]);
+  std::unique_ptr<float[]> counts(new float[size]);
+  {
+    const nb::gil_scoped_release unlock;
+    sort_squares(squares, kinds.get(), counts.get());
+  }
+  return std::make_tuple(give<std::uint8_t, nb::ndim<2>>(std::move(kinds), {squares.down(), squares.across()}),
+                         give<float, nb::ndim<2>>(std::move(counts), {squares.down(), squares.across()}));
+}
+
+auto means_of_squares_of(const Cells& kind, const Cells& kinds, const Stack& planes, std::size_t side, unsigned threads) {
+  const Squares squares = squares_of(kind, side);
+  check_squares(squares, kinds, planes);
+  std::unique_ptr<float[]> means(new float[planes.shape(0) * kinds.size()]);
+  {
+    const nb::gil_scoped_release unlock;
+    means_of_squares(squares, kinds.data(), planes.data(), planes.shape(0), means.get(), threads);
+  }
+  return give<float, nb::ndim<3>>(std::move(means), {planes.shape(0), squares.down(), squares.across()});
+}
+
+using OpenStack = nb::ndarray<float, nb::ndim<3>, nb::c_contig, nb::device::cpu>;
+
+void add_enlarged_to(const Cells& kind, const Cells& kinds, const Stack& changes, const OpenStack& planes, std::size_t side,
+                     unsigned threads) {
+  const Squares squares = squares_of(kind, side);
+  check_squares(squares, kinds, planes);
+  if (changes.shape(0) != planes.shape(0) || changes.shape(1) != squares.down() || changes.shape(2) != squares.across())
+    throw nb::value_error("one change a square and plane is needed");
+  const nb::gil_scoped_release unlock;
+  add_enlarged(squares, kinds.data(), changes.data(), changes.shape(0), planes.data(), threads);
+}
+
 }  // namespace
 
 void bind_grid(nb::module_& module) {
@@ -159,6 +210,10 @@ void bind_grid(nb::module_& module) {
   module.def("convolve", &convolve_planes, "planes"_a, "taps"_a, "threads"_a);
   module.attr("HAAR_TILE_SIDE") = tile_side;
   module.def("measure_haar_tiles", &measure_haar_tiles, "planes"_a, "filled"_a, "first_rows"_a);
+  module.def("sort_squares", &sort_squares_of, "kind"_a, "side"_a);
+  module.def("means_of_squares", &means_of_squares_of, "kind"_a, "kinds"_a, "planes"_a, "side"_a, "threads"_a);
+  module.def("add_enlarged", &add_enlarged_to, "kind"_a, "kinds"_a, "changes"_a, "planes"_a.noconvert(), "side"_a,
+             "threads"_a);
   module.def("sweep_instruction_set", [] { return name_of(choose_instruction_set()); });
 }
 

@@ -1,0 +1,102 @@
+#include "grid/squares.hpp"
+
+#include <algorithm>
+#include <vector>
+
+#include "grid/grid.hpp"
+#include "parallel.hpp"
+
+namespace beltrami::grid {
+namespace {
+
+// The squares before and after a cell's middle, and how far it is from the first to the second.
+struct Between {
+  std::size_t low, high;
+  float share;
+
+  Between(std::size_t cell, std::size_t side, std::size_t squares) {
+    const float place = (static_cast<float>(cell) + 0.5F) / static_cast<float>(side) - 0.5F;
+    const float within = std::clamp(place, 0.0F, static_cast<float>(squares - 1));
+    low = static_cast<std::size_t>(within);
+    high = std::min(low + 1, squares - 1);
+    share = within - static_cast<float>(low);
+  }
+};
+
+// Rows of squares that are handled together.
+constexpr std::size_t chunk = 8;
+
+}  // namespace
+
+void sort_squares(const Squares& squares, std::uint8_t* kinds, float* counts) {
+  const std::size_t side = squares.side, across = squares.across();
+  std::fill_n(kinds, squares.down() * across, empty);
+  std::fill_n(counts, squares.down() * across, 0.0F);
+  for (std::size_t row = 0; row < squares.rows; ++row)
+    for (std::size_t column = 0; column < squares.columns; ++column) {
+      const std::uint8_t kind = squares.kind[row * squares.columns + column];
+      const std::size_t square = row / side * across + column / side;
+      if (kind == empty || (kinds[square] == owned && kind == halo)) continue;
+      counts[square] = kind == kinds[square] ? counts[square] + 1 : 1;
+      kinds[square] = kind;
+    }
+}
+
+void means_of_squares(const Squares& squares, const std::uint8_t* kinds, const float* planes, std::size_t count, float* means,
+                      unsigned threads) {
+  const std::size_t side = squares.side, across = squares.across(), down = squares.down();
+  parallel_chunks(count * down, chunk, threads, [&](std::size_t begin, std::size_t end, unsigned) {
+    std::vector<float> sums(across), counts(across);
+    for (std::size_t i = begin; i < end; ++i) {
+      const std::size_t first = i % down * side, last = std::min(first + side, squares.rows);
+      const std::uint8_t* wanted = kinds + i % down * across;
+      std::fill(sums.begin(), sums.end(), 0.0F);
+      std::fill(counts.begin(), counts.end(), 0.0F);
+      for (std::size_t row = first; row < last; ++row) {
+        const float* values = planes + (i / down * squares.rows + row) * squares.columns;
+        const std::uint8_t* kind = squares.kind + row * squares.columns;
+        for (std::size_t column = 0; column < squares.columns; ++column) {
+          const float counted = kind[column] == wanted[column / side] ? 1.0F : 0.0F;
+          sums[column / side] += counted * values[column];
+          counts[column / side] += counted;
+        }
+      }
+      for (std::size_t square = 0; square < across; ++square)
+        means[i * across + square] = wanted[square] == empty ? 0.0F : sums[square] / counts[square];
+    }
+  });
+}
+
+void add_enlarged(const Squares& squares, const std::uint8_t* kinds, const float* changes, std::size_t count, float* planes,
+                  unsigned threads) {
+  const std::size_t side = squares.side, across = squares.across(), down = squares.down();
+  std::vector<Between> columns;
+  for (std::size_t column = 0; column < squares.columns; ++column) columns.emplace_back(column, side, across);
+  parallel_chunks(squares.rows, chunk * side, threads, [&](std::size_t begin, std::size_t end, unsigned) {
+    // Of the squares above and below: the share of those that are owned, and the changes of each plane times it.
+    std::vector<float> shares(across), sums(across);
+    for (std::size_t row = begin; row < end; ++row) {
+      const Between own(row, side, down);
+      const std::uint8_t *above = kinds + own.low * across, *below = kinds + own.high * across;
+      const std::uint8_t* kind = squares.kind + row * squares.columns;
+      for (std::size_t plane = 0; plane < count; ++plane) {
+        const float *high = changes + (plane * down + own.low) * across, *low = changes + (plane * down + own.high) * across;
+        for (std::size_t square = 0; square < across; ++square) {
+          const float upper = above[square] == owned ? 1 - own.share : 0, lower = below[square] == owned ? own.share : 0;
+          shares[square] = upper + lower;
+          sums[square] = upper * high[square] + lower * low[square];
+        }
+        float* values = planes + (plane * squares.rows + row) * squares.columns;
+        for (std::size_t column = 0; column < squares.columns; ++column) {
+          if (kind[column] != owned) continue;
+          const auto& [left, right, share] = columns[column];
+          const float total = (1 - share) * shares[left] + share * shares[right];
+          const float change = (1 - share) * sums[left] + share * sums[right];
+          if (total > 0) values[column] += change / total;
+        }
+      }
+    }
+  });
+}
+
+}  // namespace beltrami::grid

@@ -1,0 +1,29 @@
+// Squares of cells of a grid as cells of a coarser one.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+
+namespace beltrami::grid {
+
+// A grid of rows * columns cells, in squares of `side` cells a side; the last of a row or column may be narrower.
+struct Squares {
+  std::size_t rows, columns, side;
+  const std::uint8_t* kind;
+
+  std::size_t down() const { return (rows + side - 1) / side; }
+  std::size_t across() const { return (columns + side - 1) / side; }
+};
+
+// The kind of each square, owned if a cell is, and how many of its cells are of that kind.
+void sort_squares(const Squares& squares, std::uint8_t* kinds, float* counts);
+
+// Means of planes over the cells of each square that are of its kind; 0 in empty squares.
+void means_of_squares(const Squares& squares, const std::uint8_t* kinds, const float* planes, std::size_t count, float* means,
+                      unsigned threads);
+
+// Adds changes of the owned squares to planes at the owned cells, bilinear between the middles of squares.
+void add_enlarged(const Squares& squares, const std::uint8_t* kinds, const float* changes, std::size_t count, float* planes,
+                  unsigned threads);
+
+}  // namespace beltrami::grid
