@@ -18,7 +18,7 @@ from beltrami_cli.flow.noise.flat_patch_noise import Patches, WhiteNoise, flat_p
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s
+    from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s
     from beltrami_cli.flow.noise.stabilising import VarianceStabiliser
 
 
@@ -57,27 +57,48 @@ def estimate_sigma(colours: Float32s, edges: Int32s, relative: Float32s | None =
     `relative`: see `Manifold.differing`; sigma is then the root of the mean variance.
     """
     colours, relative, edges = _some_samples(colours, relative, edges)
-    count = len(colours)
-    degree = np.bincount(edges.ravel(), minlength=count)
-    inside = degree >= _NEIGHBOURS
+    inside = _inside(colours, edges)
     if not inside.any():
         return np.zeros(colours.shape[1])
-    inner_count = _around(inside.astype(np.float64), edges)[inside]
-    size = _around(np.ones(count), edges)[inside]
-    louder = _around(relative, edges)[inside] / size
-    found = []
-    for values, residual in zip(colours.T.astype(np.float64), residuals(colours, edges), strict=True):
-        squares = np.zeros(count)
-        squares[inside] = residual**2
-        means = values - values.mean()  # small numbers, whose squares lose no digits
-        for _ in range(2):
-            means = _and_beside(means, edges) / (degree + 1)
-        even, level = (_around(part, edges)[inside] / size for part in (means**2, means))
-        low, high, mean = (_around(part, edges)[inside] / size for part in (values <= 0, values >= 1, values))
-        energy = _around(squares, edges)[inside] / (inner_count * louder)
-        found.append((energy, np.maximum(even - level**2, 0) / louder, low, high, mean))
+    others = np.hstack([colours <= 0, colours >= 1, colours])
+    energy, uneven, _, others = _neighbourhoods(colours, others, relative, edges, inside)
     white = WhiteNoise(_FREEDOM_AROUND, _UNEVEN_AROUND, _SPREAD_AROUND, _AROUND_SHARE, _AROUND_LEAST)
-    return flat_patch_sigma(Patches(*np.array(found).swapaxes(0, 1)), white)
+    return flat_patch_sigma(Patches(energy, uneven, *others.reshape(3, *energy.shape)), white)
+
+
+def _inside(colours: Float32s, edges: Int32s) -> Bools:
+    """Return which samples have enough neighbours."""
+    return np.bincount(edges.ravel(), minlength=len(colours)) >= _NEIGHBOURS
+
+
+def _neighbourhoods(
+    colours: Float32s, others: Array, relative: Float32s, edges: Int32s, inside: Bools
+) -> tuple[Float64s, Float64s, Float64s, Float64s]:
+    """Measure samples inside with their neighbours and theirs; each of the results has the shape (channels, M).
+
+    The energy of residuals and the unevenness of coarse means, both by the `relative` variance there; these means, and
+    means of other numbers.
+    """
+    size = np.bincount(edges.ravel(), minlength=len(colours)) + 1
+    squares = np.zeros(colours.shape, np.float32)
+    for own, residual in zip(squares.T, residuals(colours, edges), strict=True):
+        own[inside] = residual**2
+    middle = colours.mean(axis=0, dtype=np.float64)
+    means = (colours - middle).astype(np.float32)  # small numbers, whose squares lose no digits
+    for _ in range(2):
+        means = _means_around(means, edges, size)
+    sums = np.hstack(
+        [np.stack([inside, np.ones(len(inside)), relative], axis=1), squares, means**2, means, others]
+    )
+    sums = sums.astype(np.float32)
+    for _ in range(2):
+        sums = _means_around(sums, edges, np.ones(len(inside)))
+    counted, around, louder = sums[inside, :3].T.astype(np.float64)
+    parts = np.split(sums[inside, 3:].T / around, np.arange(1, 4) * colours.shape[1])
+    energy, even, level = parts[:3]
+    louder = louder / around
+    uneven = np.maximum(even - level**2, 0) / louder
+    return energy * around / (counted * louder), uneven, level + middle[:, None], parts[3]
 
 
 def _some_samples(
@@ -93,13 +114,6 @@ def _some_samples(
     is_chosen[chosen] = True
     rank = np.cumsum(is_chosen, dtype=np.int32) - 1
     return colours[chosen], relative[chosen], rank[edges[is_chosen[edges[:, 0]] & is_chosen[edges[:, 1]]]]
-
-
-def _around(values: Array, edges: Int32s) -> Float64s:
-    """Sum over each sample and its neighbours, and over these and their neighbours again."""
-    if not values.any():
-        return np.zeros(len(values))
-    return _and_beside(_and_beside(values.astype(np.float64), edges), edges)
 
 
 def _and_beside(values: Float64s, edges: Int32s) -> Float64s:
@@ -202,26 +216,15 @@ def find_stabiliser(
     """Find what makes noise the same at all levels; None if it is, or if numbers below 0 are no levels."""
     colours = colours[:, :3] if colours.shape[1] >= 3 else colours
     colours, relative, edges = _some_samples(colours, relative, edges)
-    degree = np.bincount(edges.ravel(), minlength=len(colours))
-    inside = degree >= _NEIGHBOURS
+    inside = _inside(colours, edges)
     if np.count_nonzero(inside) < _FEWEST_BY_LEVEL or colours.min() < 0:
         return None
     mixing = mixing_for(colours.shape[1])
-    mixed = np.einsum("ki,si->sk", mixing, colours)
-    size = _around(np.ones(len(colours)), edges)[inside]
-    residual = np.zeros((len(colours), len(mixing)))
-    for squares, own in zip(residual.T, residuals(mixed.astype(np.float32), edges), strict=True):
-        squares[inside] = own**2
-    count = _around(inside.astype(np.float64), edges)[inside]
-    louder = _around(relative, edges)[inside] / size
-    energy = np.stack([_around(squares, edges)[inside] / (count * louder) for squares in residual.T])
-    means = mixed.astype(np.float64)
-    for _ in range(2):
-        means = np.stack([_and_beside(own, edges) for own in means.T], axis=1) / (degree + 1)[:, None]
-    around = [np.stack([_around(own, edges)[inside] / size for own in of.T]) for of in (means**2, means)]
-    uneven, level = np.sum(around[0] - around[1] ** 2, axis=0), around[1][0] / np.sqrt(len(mixing))
-    cut = _around(((colours <= 0) | (colours >= 1)).mean(axis=1), edges)[inside] / size
-    used = (cut < _MOST_CUT_OFF) & (energy.min(axis=0) > _PLAIN)
-    even = Neighbourhoods(energy[:, used], uneven[used], level[used], round(_FREEDOM_AROUND))
+    mixed = np.einsum("ki,si->sk", mixing, colours).astype(np.float32)
+    at_limit = ((colours <= 0) | (colours >= 1)).mean(axis=1, keepdims=True)
+    energy, uneven, level, cut = _neighbourhoods(mixed, at_limit, relative, edges, inside)
+    used = (cut[0] < _MOST_CUT_OFF) & (energy.min(axis=0) > _PLAIN)
+    levels = level[0, used] / np.sqrt(len(mixing))
+    even = Neighbourhoods(energy[:, used], uneven.sum(axis=0)[used], levels, round(_FREEDOM_AROUND))
     found = fit_by_level([even])
     return None if found is None else stabiliser_of(found)
