@@ -7,6 +7,7 @@ import contextlib
 import json
 import struct
 from pathlib import Path
+from urllib.parse import unquote
 
 import numpy as np
 
@@ -159,7 +160,7 @@ def unpacked(data, files=None):
         elif uri.startswith("data:"):
             octets = base64.b64decode(uri.split(",")[1])
         else:
-            octets = bytes((files or {})[uri])
+            octets = bytes((files or {})[uri if uri in (files or {}) else unquote(uri)])
         assert len(octets) >= buffer["byteLength"]
         buffers.append(octets)
     return tree, buffers

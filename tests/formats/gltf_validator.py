@@ -12,6 +12,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from urllib.parse import unquote
 
 import numpy as np
 import pytest
@@ -88,7 +89,7 @@ def on_squares(path, target):
         elif image["uri"].startswith("data:"):
             data = base64.b64decode(image["uri"].split(",")[1])
         else:
-            data = files[image["uri"]]
+            data = files[unquote(image["uri"])]
         model.image(data, image.get("name", ""), image.get("mimeType", "image/png"))
     model.tree |= {key: tree[key] for key in _KEPT if key in tree}
     for key in _KEPT[-2:]:
