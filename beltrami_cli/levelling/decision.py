@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli.levelling.fit import SHORT, fit_exposures
+from beltrami_cli.levelling.fit import SHORT, fit_exposures, known_channels, may_be_exposure
 from beltrami_cli.levelling.steps import weighted_median
 
 if TYPE_CHECKING:
@@ -28,9 +28,14 @@ _FEWEST_SEAMS = 8  # below, parts of seams are foretold from the others
 _STRETCHES = 4  # whose mean step is foretold: the pattern on it is averaged away
 _SATURATED = 14 / 255  # steps count no more than this
 _SURE = 0.25  # strong steps that are foretold so well are not tried as faint ones
+# What is left must fall to this for another kind than the first: others have more terms, or fainter ones.
+_BETTER = 7 / 8
 # Shares of the energy of steps that must be foretold, and in how many standard errors over the seams: where it is more,
 # one will do, as there may be few seams.
 _ENOUGH = ((0.12, 2.0), (0.2, 0.9))
+# Painted models have faint steps of which some is foretold, by shading that was painted too: unless most is, what is
+# foretold must be larger.
+_LEAST_REMOVED, _MOST = 3.2 / 255, 0.5
 # Seams with a mean weight below this are painted, with a step above the other have one at all.
 _PAINTED, _STEP = 0.3, 2 / 255
 
@@ -42,11 +47,13 @@ class Verdict:
     spread: tuple[float, ...]
     share: float
     errors: float
+    removed: float  # root mean square of what is foretold of the steps
 
     @property
     def is_sure(self) -> bool:
         """Whether there are exposure steps."""
-        return any(self.share >= share and self.errors >= errors for share, errors in _ENOUGH)
+        is_large = self.removed >= _LEAST_REMOVED or self.share >= _MOST
+        return is_large and any(self.share >= share and self.errors >= errors for share, errors in _ENOUGH)
 
 
 def judge(steps: Steps, fixed: Bools | None = None) -> Verdict:
@@ -60,7 +67,11 @@ def judge(steps: Steps, fixed: Bools | None = None) -> Verdict:
     found = tried(STRONG)
     if max(each.share for each in found) < _SURE:
         found += tried(FAINT)
-    return max(found, key=lambda verdict: verdict.share)
+    best = found[0]
+    for other in found[1:]:
+        if other.is_sure > best.is_sure or 1 - other.share < _BETTER * (1 - best.share):
+            best = other
+    return best
 
 
 def _folds(steps: Steps) -> Int64s:
@@ -91,22 +102,26 @@ def _foretold(
         after[held] = others.sides(steps.part(held))
     seam_of = np.zeros(int(groups.max(initial=-1)) + 1, np.int64)
     seam_of[groups] = steps.seams
-    before, left = (_energy(steps, sides, groups) for sides in (steps.colours, after))
+    part = steps.counts * (may_be_exposure(steps) & known_channels(steps).any(axis=1))
+    before, left = (_energy(sides, groups, part) for sides in (steps.colours, after))
     units = seam_of if len(np.unique(seam_of)) >= _FEWEST_SEAMS else np.arange(len(seam_of))
     gained = np.bincount(units, before - left)
     error = float(np.sqrt(np.square(gained).sum()))
     total = float(before.sum())
     if not total or not error:
-        return Verdict(spread, 0.0, 0.0)
-    return Verdict(spread, float(gained.sum()) / total, float(gained.sum()) / error)
+        return Verdict(spread, 0.0, 0.0, 0.0)
+    removed = max(0.0, float(gained.sum()))
+    return Verdict(
+        spread, float(gained.sum()) / total, float(gained.sum()) / error, float(np.sqrt(removed / part.sum()))
+    )
 
 
-def _energy(steps: Steps, sides: Float64s, groups: Int64s) -> Float64s:
+def _energy(sides: Float64s, groups: Int64s, counts: Float64s) -> Float64s:
     """Return the squared mean step of each group, of which paint cannot make much, times its texels."""
-    counts = np.bincount(groups, steps.counts)
+    texels = np.bincount(groups, counts)
     step = sides[:, 1] - sides[:, 0]
-    means = [np.bincount(groups, each * steps.counts) / counts for each in step.T]
-    return np.asarray(counts * np.minimum(np.mean(np.square(means), axis=0), _SATURATED**2))
+    means = [np.bincount(groups, each * counts) / np.maximum(texels, 1) for each in step.T]
+    return np.asarray(texels * np.minimum(np.mean(np.square(means), axis=0), _SATURATED**2))
 
 
 @dataclass(frozen=True)

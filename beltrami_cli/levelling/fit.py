@@ -45,14 +45,14 @@ _WIDEST, _NARROWING = 4.0, 0.7
 _DEVIATIONS = 2.5
 # Then seams are dropped that agree with the others less than this, and the rest is fitted again.
 _STRICTER = (0.3, 0.5)
-# So are all seams of charts of which less than this share agrees, or with a gain or offset beyond what cameras do.
-_LEAST_AGREED, _LARGEST_GAIN, _LARGEST_OFFSETS = 0.25, 0.35, 0.12
+# So are all seams of charts of which less than this share agrees.
+_LEAST_AGREED = 0.25
 # Beside this a colour may have been cut off at 0 or 1.
 _CUT_OFF = 1.5 / 255
-# A larger step is none of exposure: this share of the colour, and this offset.
-_LARGEST_SHARE, _LARGEST_OFFSET = 0.35, 20 / 255
-# Neighbouring stretches of a seam share errors; so many say as much as one.
-_ALIKE = 15.0
+# A step of so many deviations is none of exposure, if gains and offsets of cameras deviate by these.
+_LARGEST, _USUAL = 2.0, (0.1, 0.03)
+# Neighbouring texels of a seam share errors: so many say as much as one, and a whole seam as so many of these.
+_ALIKE, _MOST = 15.0, 8.0
 _GAINS = (-0.45, 0.8)
 
 
@@ -113,11 +113,24 @@ def fit_exposures(
             allowed = scale * (_DEVIATIONS * noise + _ALLOWED)
             weights = 1 / np.square(1 + np.square(residual / allowed))
         weights = np.where(system.used, weights, 0)
-        terms = system.solve(sides.mean(axis=1), weights * steps.counts / (_ALIKE * np.square(noise)))
+        terms = system.solve(sides.mean(axis=1), weights * system.trust / np.square(noise))
         terms = found.terms + _DAMPING * (terms - found.terms)
         terms[..., GAIN] = terms[..., GAIN].clip(*_GAINS)
         found = Exposures(terms, weights)
     return found
+
+
+def known_channels(steps: Steps) -> Bools:
+    """Return where colours on both sides were not cut off, shape (K, N)."""
+    low, high = steps.colours.min(axis=1), steps.colours.max(axis=1)
+    return np.asarray((low > _CUT_OFF) & (high < 1 - _CUT_OFF))
+
+
+def may_be_exposure(steps: Steps) -> Bools:
+    """Return which stretches have steps that cameras could make, shape (K,)."""
+    step = steps.colours[:, 1] - steps.colours[:, 0]
+    expected = 2 * (np.square(_USUAL[0] * steps.colours.max(axis=1)) + _USUAL[1] ** 2)
+    return np.asarray((np.mean(np.square(step) / expected, axis=1) <= _LARGEST**2) & ~steps.is_paint)
 
 
 class _System:
@@ -130,10 +143,10 @@ class _System:
         self._drawn = np.square(np.outer(tied, 1 / np.array(spread))).ravel()
         before, after = steps.colours[:, 0], steps.colours[:, 1]
         self._step = after - before
-        low, high = np.minimum(before, after), np.maximum(before, after)
-        self.known = (low > _CUT_OFF) & (high < 1 - _CUT_OFF)
-        plausible = np.abs(self._step) <= _LARGEST_SHARE * high + _LARGEST_OFFSET
-        self.used = plausible.all(axis=1) & self.known.any(axis=1) & ~steps.is_paint
+        lengths = np.bincount(steps.seams, steps.counts)[steps.seams]
+        self.trust = steps.counts / np.maximum(_ALIKE, lengths / _MOST)
+        self.known = known_channels(steps)
+        self.used = may_be_exposure(steps) & self.known.any(axis=1)
         columns = (steps.ends[:, :, None] * self._terms + np.arange(self._terms)).reshape(len(self._step), -1)
         self._columns = columns.ravel().astype(np.int32)
         self._starts = np.arange(0, self._columns.size + 1, 2 * self._terms, dtype=np.int32)
@@ -150,8 +163,6 @@ class _System:
             lengths += np.bincount(side, counts[between], steps.charts)
             agreed += np.bincount(side, (counts * self.used)[between], steps.charts)
         is_painted = agreed < _LEAST_AGREED * lengths
-        terms = np.abs(found.terms).max(axis=0)
-        is_painted |= (terms[:, GAIN] > _LARGEST_GAIN) | (terms[:, OFFSET] > _LARGEST_OFFSETS)
         self.used &= ~is_painted[steps.ends].any(axis=1)
 
     def solve(self, colours: Float64s, weights: Float64s) -> Float64s:

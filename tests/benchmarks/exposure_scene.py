@@ -78,14 +78,12 @@ class ExposureScene:
 def error(colours, truth, groups=None):
     """Return the root mean square difference up to one gain and offset per channel, for all or for each group."""
     groups = np.zeros(len(truth), int) if groups is None else groups
-    total = 0.0
-    for group in np.unique(groups):
-        inside = groups == group
-        for channel in range(truth.shape[1]):
-            shown = np.column_stack([colours[inside, channel], np.ones(inside.sum())])
-            wanted = truth[inside, channel]
-            fitted = np.linalg.lstsq(shown, wanted, rcond=None)[0]
-            total += np.square(shown @ fitted - wanted).sum()
+    sizes, total = np.maximum(np.bincount(groups), 1), 0.0
+    for shown, wanted in zip(colours.T, truth.T, strict=True):
+        shown, wanted = (each - (np.bincount(groups, each) / sizes)[groups] for each in (shown, wanted))
+        spread = np.bincount(groups, np.square(shown))
+        gain = np.bincount(groups, shown * wanted) / np.maximum(spread, 1e-12)
+        total += np.square(gain[groups] * shown - wanted).sum()
     return (total / truth.size) ** 0.5
 
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from beltrami_cli.flow.canvas import painted
-from beltrami_cli.levelling.decision import STRONG
+from beltrami_cli.levelling.decision import STRONG, judge
 from beltrami_cli.levelling.fit import fit_exposures
 from beltrami_cli.levelling.steps import ChartPlaces, Steps, steps_over_seams, weighted_median
 from benchmarks.exposure_scene import ExposureScene, error, fall
@@ -107,6 +109,27 @@ def test_a_painted_tenth_of_a_seam_does_not_bend_the_rest():
     clean, edged = (fit_exposures(seam(paint), STRONG).sides(seam(0)) for paint in (0, 40))
     assert np.abs(clean[:, 1] - clean[:, 0]).mean() < 1 / 255
     assert np.abs(edged - clean).mean() < 0.5 / 255
+
+
+def test_a_long_seam_of_nearly_one_colour_gives_charts_no_gain():
+    # An error of 0.7/255 that goes with colours of +-1.5/255 is a gain of 0.5, if all texels are taken for independent.
+    random = np.random.default_rng(6)
+    shade = random.choice([-1.0, 1.0], (1000, 1))
+    sides = np.stack([0.17 + 1.5 * shade / 255, 0.17 + 2.5 * shade / 255], axis=1)
+    ends, places = np.tile([0, 1], (1000, 1)), np.zeros((1000, 2, 2))
+    noise, plain = np.full(1000, 1 / 255), np.zeros(1000, bool)
+    steps = Steps(2, ends, sides, places, np.zeros(1000, int), np.full(1000, 4.0), noise, plain)
+    assert np.abs(fit_exposures(steps, STRONG).terms[..., 0]).max() < STRONG[0]  # what is expected of gains
+
+
+def test_painted_steps_beside_a_seam_of_exposure_do_not_hide_it():
+    # Three quarters of the seams are painted, in steps that no camera makes.
+    steps = seam(0)
+    painted = np.arange(400) >= 100
+    sides = steps.colours.copy()
+    sides[painted, 1] = np.where(sides[painted, 0] > 0.5, 0.1, 0.95)
+    mixed = replace(steps, colours=sides, seams=np.arange(400) // 20)
+    assert judge(mixed).is_sure
 
 
 def test_steps_are_measured_at_the_seam_without_the_slope_of_the_colours(head):
