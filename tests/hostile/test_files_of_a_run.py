@@ -40,8 +40,7 @@ def textured(tmp_path: Path) -> Path:
 
 @pytest.mark.slow
 @pytest.mark.skipif(not FULL.exists(), reason="there is no device that is always full")
-@pytest.mark.parametrize("option", ["--report", "--preview"])
-@pytest.mark.parametrize("exists", [False, True])
+@pytest.mark.parametrize(("option", "exists"), [("--report", False), ("--report", True), ("--preview", True)])
 def test_what_cannot_be_written_leaves_output_as_it_was(option: str, exists: bool, tmp_path: Path) -> None:
     if exists:
         (tmp_path / "out.png").write_text("precious")
@@ -132,8 +131,8 @@ def test_a_map_does_not_replace_a_texture_of_what_it_compares(textured: Path) ->
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("target", ["new/mirrored-noisy.obj", "mirrored-noisy.obj"])
-def test_a_preview_is_drawn_of_files_that_are_not_in_place_yet(target: str, textured: Path) -> None:
+def test_a_preview_is_drawn_of_files_that_are_not_in_place_yet(textured: Path) -> None:
+    target = "new/mirrored-noisy.obj"
     (textured / "new").mkdir()
     (textured.parent / "before").mkdir()
     before = shutil.copytree(textured, textured.parent / "before" / "model")

@@ -66,9 +66,10 @@ def test_a_file_of_others_is_replaced_only_if_the_command_line_names_it(kind: st
     # From now on it is one of ours.
     again = run(tmp_path, *arguments, "--overwrite", **{variable: name})
     assert again.returncode == 0, again.stderr
-    file.write_bytes(b"")  # in which nothing can be lost
-    assert run(tmp_path, *arguments, "--overwrite", **{variable: name}).returncode == 0
-    assert file.stat().st_size
+    if kind != "preview":  # which takes seconds to draw
+        file.write_bytes(b"")  # in which nothing can be lost
+        assert run(tmp_path, *arguments, "--overwrite", **{variable: name}).returncode == 0
+        assert file.stat().st_size
     assert (
         run(tmp_path, *arguments, **{variable: name}).returncode == 4
     )  # without --overwrite nothing is replaced
