@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli.flow.noise.grid import estimate_sigma_on_grid
+from beltrami_cli.flow.noise.grid_scales import estimate_sigma_on_grid
 from beltrami_cli.flow.regularisation import guide_radius
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import EMPTY, OWNED, refresh_halo

@@ -22,8 +22,7 @@ from beltrami_cli.flow.grid_partitions import cut_grid
 from beltrami_cli.flow.kernel_work import KernelWork
 from beltrami_cli.flow.manifold import SampleTrial
 from beltrami_cli.flow.noise.by_place import find_relative_noise, relative_to_mean
-from beltrami_cli.flow.noise.grid import estimate_sigma_on_grid
-from beltrami_cli.flow.noise.grid_scales import GridNoise, find_grid_noise
+from beltrami_cli.flow.noise.grid_scales import GridNoise, estimate_sigma_on_grid, find_grid_noise
 from beltrami_cli.flow.noise.haar_noise import covariance_of_cells, sigma_of_covariances
 from beltrami_cli.flow.records import NewColours
 from beltrami_cli.flow.regularisation import gaussian_taps, guide_radius

@@ -9,8 +9,7 @@ from scipy.ndimage import gaussian_filter
 
 import beltrami_cli
 from beltrami_cli.flow.noise import grid_scales
-from beltrami_cli.flow.noise.grid import estimate_sigma_on_grid
-from beltrami_cli.flow.noise.grid_scales import find_grid_noise
+from beltrami_cli.flow.noise.grid_scales import estimate_sigma_on_grid, find_grid_noise
 from beltrami_cli.flow.noise.haar_noise import draw_haar_noise, sigma_of_covariances
 from beltrami_cli.flow.records import Step
 from beltrami_cli.flow.tuning.sure import RiskEstimate

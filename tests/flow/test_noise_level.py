@@ -9,7 +9,7 @@ from scipy.ndimage import gaussian_filter
 import beltrami_cli
 from beltrami_cli._native import measure_haar_tiles
 from beltrami_cli.flow.noise.flat_patch_noise import quantile
-from beltrami_cli.flow.noise.grid import estimate_sigma_on_grid
+from beltrami_cli.flow.noise.grid_scales import estimate_sigma_on_grid
 from beltrami_cli.flow.noise.mesh import estimate_sigma
 from oracles import surfaces
 
