@@ -133,7 +133,8 @@ def test_the_arguments_that_hostile_ones_take_the_place_of_are_sound(name: str, 
 
 
 def test_iterations_at_which_beta_has_grown_beyond_all_numbers(tmp_path: Path) -> None:
-    assert hostile(tmp_path, "smooth", "mesh.ply", "out.ply", "-n", "1100", "-t", ".5", "--beta", "3") == 0
+    growing = ("-n", "170", "-t", ".5", "--beta", "3", "--beta-growth", "100")  # 100^155 is beyond
+    assert hostile(tmp_path, "smooth", "mesh.ply", "out.ply", *growing) == 0
 
 
 def test_a_field_of_view_that_is_nearly_none(tmp_path: Path) -> None:
