@@ -84,19 +84,10 @@ class GridManifold(GridKernels):
     ) -> None:
         self.colours = planes
         self.noise_covariances: Float64s | None = None
-        sigma = None
-        if deviations is not None:
-            relative, sigma = relative_to_mean(deviations)
-            self.differing = painted(atlas, relative, parameters.thread_count)
-            self.differing[self.differing == 0] = 1  # in empty cells
-        noise = None if whole is None else whole.noise
-        if noise is None:
-            self._find_noise(atlas.kind == OWNED, parameters, sigma)
+        if whole is None or whole.noise is None:
+            self._find_noise(atlas, parameters, deviations)
         else:
-            self.stabiliser, self.noise_covariances = noise.stabiliser, noise.covariances
-            self._stabilise()
-            known = noise.sigma
-            self.sigma = estimate_sigma_on_grid(planes, atlas.kind == OWNED) if known is None else known
+            self._take_noise(whole.noise, atlas.kind == OWNED)
         different = np.zeros(max(1, atlas.seams), bool)
         # Where colours do not count as distance, a jump in colour is not an edge.
         if parameters.beta != 0 and (metric_channels is None or len(metric_channels)):
@@ -112,9 +103,13 @@ class GridManifold(GridKernels):
             self.unit = whole.unit
         self.embed(guides)
 
-    def _find_noise(self, filled: Bools, parameters: KernelParameters, sigma: Float64s | None) -> None:
-        """Estimate the noise, and make it even at all levels if it is not."""
-        planes, given = self.colours, parameters.given_noise
+    def _find_noise(self, atlas: Atlas, parameters: KernelParameters, deviations: Float32s | None) -> None:
+        """Estimate the noise where it is not given, and make it even at all levels if it is not."""
+        planes, filled, given, sigma = self.colours, atlas.kind == OWNED, parameters.given_noise, None
+        if deviations is not None:
+            relative, sigma = relative_to_mean(deviations)
+            self.differing = painted(atlas, relative, parameters.thread_count)
+            self.differing[self.differing == 0] = 1  # in empty cells
         is_given = given is not None or sigma is not None
         differs = None if is_given or not parameters.evens_noise else find_relative_noise(planes, filled)
         if differs is not None:
@@ -131,6 +126,12 @@ class GridManifold(GridKernels):
         self.settle_noise(parameters, sigma)
         if self.noise_covariances is not None:
             self.sigma = sigma_of_covariances(self.noise_covariances)
+
+    def _take_noise(self, noise: GridNoise, filled: Bools) -> None:
+        """Take the noise that was found on the whole; what is not known is estimated."""
+        self.stabiliser, self.noise_covariances = noise.stabiliser, noise.covariances
+        self._stabilise()
+        self.sigma = estimate_sigma_on_grid(self.colours, filled) if noise.sigma is None else noise.sigma
 
     def _stabilise(self) -> None:
         if self.stabiliser is not None:

@@ -22,9 +22,9 @@ References
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 from dataclasses import dataclass
-from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -119,38 +119,41 @@ def blend_with_patches(
         return manifold.collaborate(colours, first, second, stage(_SECOND))
 
     after = estimate(noisy, before)
-    _add(axis, noisy, signs, size)
-    response = estimate(noisy, disturbed)
-    _add(axis, noisy, signs, -size)
+    with _added(axis, noisy, signs, size):
+        response = estimate(noisy, disturbed)
     # What is smoother counts less or more, as in the choice of parameters.
     counted = np.sqrt(SMOOTHNESS[manifold.parameters.strength])
-    sums, model = manifold.planes(2), _Model(sigma * np.sqrt(counted), clipped)
-    stacks = _blocks(axis, noisy, signs, before, after, disturbed, response, manifold.relative)
-    for (z, b, p, q, near_p, near_q, relative), (own,) in zip(stacks, _blocks(0, sums), strict=True):
-        own[:] = model.parabola(z, b / size, (p, q), (near_p, near_q), relative[0])
-    weights, share, gain = _weigh(manifold, sums, model.variance, _OF_SAMPLES)
-    del sums
-    for (p, q, near_p, near_q), (own,) in zip(
-        _blocks(axis, before, after, disturbed, response), _blocks(0, weights), strict=True
-    ):
-        p += own[0] * (q - p)
-        near_p += own[0] * (near_q - near_p)
-    del response, weights
+    model = _Model(sigma * np.sqrt(counted), clipped)
+    results, responses = (before, after), (disturbed, response)
+    share, gain = _mix(manifold, model, (noisy, signs, size), results, responses)
+    del response, responses
     for level in manifold.coarse_levels():
-        means = level.means(noisy)
-        _add(axis, noisy, signs, size)
-        probe = level.means(noisy) - means
-        _add(axis, noisy, signs, -size)
-        for z, p, own, relative in _blocks(axis, noisy, before, after, manifold.relative):
-            own[:] = model.residual(z, p, relative[0])
-        residual = level.means(after)
-        for z, own in _blocks(axis, noisy, after):
-            own[:] = model.is_within(z)
-        given = _NoisyMeans(means, probe, float(size), residual, level.means(after))
-        gain += _improve_means(level, model, (mixing, second), given, (before, disturbed))
+        means = _means(level, manifold, model, (noisy, signs, size), results)
+        gain += _improve_means(level, model, (mixing, second), means, (before, disturbed))
     growth = 1.0 if manifold.stabiliser is None else manifold.stabiliser.growth
     count = max(1, manifold.kernels)
     return Blend(before, share / count, growth**2 * gain / count / len(sigma))
+
+
+def _mix(
+    manifold: Manifold,
+    model: _Model,
+    noisy: tuple[Float32s, Array, np.float32],
+    results: tuple[Float32s, Float32s],
+    responses: tuple[Float32s, Float32s],
+) -> tuple[float, float]:
+    """Blend the second of both with the first, in place; return the sum of the weights, and that of the gain."""
+    axis, (colours, signs, size) = manifold.axis, noisy
+    sums = manifold.planes(2)
+    stacks = _blocks(axis, colours, signs, *results, *responses, manifold.relative)
+    for (z, b, p, q, near_p, near_q, relative), (own,) in zip(stacks, _blocks(0, sums), strict=True):
+        own[:] = model.parabola(z, b / size, (p, q), (near_p, near_q), relative[0])
+    weights, share, gain = _weigh(manifold, sums, model.variance, _OF_SAMPLES)
+    stacks = _blocks(axis, *results, *responses)
+    for (p, q, near_p, near_q), (own,) in zip(stacks, _blocks(0, weights), strict=True):
+        p += own[0] * (q - p)
+        near_p += own[0] * (near_q - near_p)
+    return share, gain
 
 
 @dataclass(frozen=True)
@@ -165,6 +168,26 @@ class _NoisyMeans:
     size: float
     residual: Float32s
     within: Float32s
+
+
+def _means(
+    level: CoarseLevel,
+    manifold: Manifold,
+    model: _Model,
+    noisy: tuple[Float32s, Array, np.float32],
+    results: tuple[Float32s, Float32s],
+) -> _NoisyMeans:
+    """Take means of noisy colours, and compare them with the first of both results; the second is lost."""
+    axis, (colours, signs, size), (before, memory) = manifold.axis, noisy, results
+    means = level.means(colours)
+    with _added(axis, colours, signs, size):
+        probe = level.means(colours) - means
+    for z, p, own, relative in _blocks(axis, colours, before, memory, manifold.relative):
+        own[:] = model.observed(z) - model.expected(p, relative[0])
+    residual = level.means(memory)
+    for z, own in _blocks(axis, colours, memory):
+        own[:] = model.observed(z) == z
+    return _NoisyMeans(means, probe, float(size), residual, level.means(memory))
 
 
 def _improve_means(
@@ -205,11 +228,13 @@ class _Model:
         self._sigma, self._clipped = sigma, clipped
         self.variance = float(np.mean(np.square(sigma)))
 
-    def residual(self, noisy: Float32s, colours: Float32s, relative: Float32s) -> Float32s:
-        """Return noisy colours, which were imputed, minus what they are on average by the colours without noise."""
-        if self._clipped is None:
-            return noisy - colours
-        return self._clipped.cut_off(noisy) - self._clipped.expected(colours, relative)
+    def observed(self, noisy: Float32s) -> Float32s:
+        """Return imputed colours as they were, cut off at the limits."""
+        return noisy if self._clipped is None else self._clipped.cut_off(noisy)
+
+    def expected(self, colours: Float32s, relative: Float32s) -> Float32s:
+        """Return what noisy colours are on average, by the colours without noise."""
+        return colours if self._clipped is None else self._clipped.expected(colours, relative)
 
     def parabola(
         self,
@@ -220,21 +245,9 @@ class _Model:
         relative: Float32s,
     ) -> Float32s:
         """Return the terms of the numerator and of the denominator of w, summed over channels."""
-        residual, middle = (
-            self.residual(noisy, results[0], relative),
-            (results[0] + results[1]) * np.float32(0.5),
-        )
-        if self._clipped is not None:
-            expected = partial(self._clipped.expected, relative=relative)
-            results = expected(results[0]), expected(results[1])
-            responses = expected(responses[0]), expected(responses[1])
-        difference, moved = results[1] - results[0], responses[1] - responses[0]
-        within = self._share_within(middle, relative)
-        return self.terms(residual, probe, difference, moved, within * relative)
-
-    def is_within(self, noisy: Float32s) -> Float32s | float:
-        """Return 1 for samples that were not cut off, 0 for others."""
-        return 1 if self._clipped is None else self._clipped.cut_off(noisy) == noisy
+        within = self._share_within((results[0] + results[1]) * np.float32(0.5), relative)
+        p, q, near_p, near_q = (self.expected(own, relative) for own in (*results, *responses))
+        return self.terms(self.observed(noisy) - p, probe, q - p, near_q - near_p, within * relative)
 
     def _share_within(self, channels: Float32s, relative: Float32s) -> Float32s:
         """Return the shares of samples that are not cut off, by the colours without noise."""
@@ -298,6 +311,14 @@ def _is_coloured(manifold: Manifold, colours: Float32s) -> bool:
     steps = manifold.steps(colours)[:, :3].astype(np.float64)
     mixed = np.square(np.einsum("kj,ij->ki", steps, _OPPONENTS)).sum(axis=0)
     return bool(mixed[1:].sum() <= 2 * _COLOURED * mixed[0])
+
+
+@contextlib.contextmanager
+def _added(axis: int, stack: Float32s, signs: Array, size: np.float32) -> Iterator[None]:
+    """Have multiples of the signs in a stack within this context."""
+    _add(axis, stack, signs, size)
+    yield
+    _add(axis, stack, signs, -size)
 
 
 def _add(axis: int, stack: Float32s, signs: Array, size: np.float32) -> None:
