@@ -9,6 +9,7 @@ from scipy.ndimage import gaussian_filter
 import beltrami_cli
 from beltrami_cli._native import add_enlarged, means_of_squares, sort_squares
 from beltrami_cli.errors import UsageError
+from beltrami_cli.flow.noise.by_level import Neighbourhoods, fit_by_level, stabiliser_of
 from beltrami_cli.flow.noise.given import given_noise
 from beltrami_cli.flow.noise.grid_scales import find_grid_noise
 from beltrami_cli.flow.noise.stabilising import VarianceStabiliser
@@ -79,6 +80,20 @@ def test_noise_by_level_is_found_where_there_is_such_and_only_there():
     assert found(white).stabiliser is None
     assert found(shot(clean), by_level=False).stabiliser is None
     assert found(shot(clean) - 0.5).stabiliser is None  # numbers below 0 are no levels
+
+
+def test_texture_of_dark_places_is_no_noise_by_level():
+    """Dark tiles hold texture, most of all in the mean of channels and at coarse scales; noise is 1 everywhere."""
+    level = np.repeat(np.linspace(0.3, 0.9, 8), 200)
+    dark = np.clip((0.9 - level) / 0.3, 0, 1)
+    scales = []
+    for texture in ([0.6, 0.05, 0], [3, 0.3, 0.2], [20, 3, 0.4]):
+        energy = 1 + np.outer(texture, dark)
+        noise = 1 + 0.05 * np.random.default_rng(3).standard_normal(energy.shape)
+        scales.append(Neighbourhoods(energy * noise, dark, level, 48))
+    found_at = fit_by_level(scales)
+    assert stabiliser_of(found_at) is None
+    assert found_at.sigma[0, 1:] == pytest.approx(1, abs=0.05)
 
 
 def test_noise_by_level_is_smoothed_better_than_noise_of_one_size():

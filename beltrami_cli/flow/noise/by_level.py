@@ -35,6 +35,9 @@ OPPONENTS = np.array([[1, 1, 1], [1, 0, -1], [1, -2, 1]]) / np.sqrt([[3], [2], [
 # Levels differ if standard deviations of noise do by more than this factor, between those with a share of the samples.
 _UNEVEN, _COUNTED = 1.3, 0.02
 
+# Standard deviations that differ by less than this factor are those of the same noise.
+_FLAT = 1.1
+
 # Bound on the relative standard deviation, beyond which there is texture.
 _MOST_RELATIVE = 3.0
 
@@ -104,11 +107,29 @@ def fit_by_level(scales: Sequence[Neighbourhoods]) -> NoiseByLevel | None:
         return None
     levels = np.where(seen > 0, total / np.maximum(seen, 1), (edges[1:] + edges[:-1]) / 2)
     shape = len(scales), components
-    fitted, known = _fit(np.array(numbers), np.array(logs), np.array(weights), levels, shape)
+    at, measured = np.array(numbers), np.array(logs)
+    if _is_even(at, measured, shape):
+        at[:, 2], levels, seen = 0, levels.mean(keepdims=True), seen.sum(keepdims=True)
+    fitted, known = _fit(at, measured, np.array(weights), levels, shape)
     relative = fitted[shape[0] * shape[1] :]
     middle = float(np.average(relative, weights=np.maximum(seen, 1e-9)))
     sigma = np.exp((fitted[: shape[0] * shape[1]].reshape(shape) + middle) / 2)
     return NoiseByLevel(np.where(known, sigma, np.nan), levels, np.exp((relative - middle) / 2), seen)
+
+
+def _is_even(numbers: Int64s, logs: Float64s, shape: tuple[int, int]) -> bool:
+    """Whether the noise of all differences of channels is white, and the same at all levels.
+
+    What textures hide in the mean of channels and at coarse scales, they leave in these.
+    """
+    means = np.full((2, shape[1]), np.inf)
+    for component in range(1, shape[1]):
+        for scale in (0, 1):
+            own = logs[(numbers[:, 0] == scale) & (numbers[:, 1] == component)]
+            if not len(own) or (scale == 0 and np.ptp(own) > 2 * np.log(_FLAT)):
+                return False
+            means[scale, component] = np.median(own)
+    return shape[1] > 1 and bool(abs(np.diff(means.min(axis=1))[0]) < 2 * np.log(_FLAT))
 
 
 def stabiliser_of(found: NoiseByLevel) -> VarianceStabiliser | None:
