@@ -1,8 +1,8 @@
 """Gains and offsets of charts, by robust least squares over the steps at their seams.
 
 Where a chart c was exposed by a gain and an offset, it shows (1 + g_c) T + o_c in place of the colour T, channel by
-channel. In a tilted fit g_c changes linearly over the chart, as vignetting does. On the two sides p and q of a seam T
-is the same:
+channel. In a tilted fit (1 + g_c) is multiplied by 1 + h_c . x, linear in the place x in the chart and the same in all
+channels, as vignetting is. On the two sides p and q of a seam T is the same:
 
     v_q - v_p = (g_q - g_p) T + o_q - o_p,
 
@@ -30,7 +30,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from beltrami_cli.arrays import Bools, Float64s
+    from beltrami_cli.arrays import Bools, Float64s, Int64s
     from beltrami_cli.levelling.steps import Steps
     from beltrami_cli.surface.atlas import Indices
 
@@ -60,7 +60,7 @@ _GAINS = (-0.45, 0.8)
 class Exposures:
     """The terms of charts, and how far the stretches of seams agree with them."""
 
-    terms: Float64s  # (N, charts, 2 or 4): gain, offset, tilts of the gain along rows and columns
+    terms: Float64s  # (N, charts, 2 or 4): gain, offset, tilts along rows and columns
     weights: Float64s  # (K,): 1 where the sides agree, towards 0 where they differ by paint
 
     @property
@@ -73,7 +73,7 @@ class Exposures:
         terms = self.terms[:, charts]
         factor = 1 + terms[..., GAIN]
         if self.is_tilted:
-            factor = factor + np.einsum("nkt,kt->nk", terms[..., TILTS], places)
+            factor = factor * (1 + np.einsum("nkt,kt->nk", terms[..., TILTS], places))
         return np.maximum(factor, 0.25), terms[..., OFFSET]
 
     def sides(self, steps: Steps) -> Float64s:
@@ -113,7 +113,7 @@ def fit_exposures(
             allowed = scale * (_DEVIATIONS * noise + _ALLOWED)
             weights = 1 / np.square(1 + np.square(residual / allowed))
         weights = np.where(system.used, weights, 0)
-        terms = system.solve(sides.mean(axis=1), weights * system.trust / np.square(noise))
+        terms = system.solve(found, sides.mean(axis=1), weights * system.trust / np.square(noise))
         terms = found.terms + _DAMPING * (terms - found.terms)
         terms[..., GAIN] = terms[..., GAIN].clip(*_GAINS)
         found = Exposures(terms, weights)
@@ -138,18 +138,14 @@ class _System:
 
     def __init__(self, steps: Steps, spread: tuple[float, ...], fixed: Bools | None) -> None:
         self._steps, self._terms = steps, len(spread)
-        self._unknowns = steps.charts * self._terms
-        tied = np.ones(steps.charts) if fixed is None else np.where(fixed, 1e6, 1.0)
-        self._drawn = np.square(np.outer(tied, 1 / np.array(spread))).ravel()
+        self._spread = np.array(spread)
+        self._tied = np.ones(steps.charts) if fixed is None else np.where(fixed, 1e6, 1.0)
         before, after = steps.colours[:, 0], steps.colours[:, 1]
         self._step = after - before
         lengths = np.bincount(steps.seams, steps.counts)[steps.seams]
         self.trust = steps.counts / np.maximum(_ALIKE, lengths / _MOST)
         self.known = known_channels(steps)
         self.used = may_be_exposure(steps) & self.known.any(axis=1)
-        columns = (steps.ends[:, :, None] * self._terms + np.arange(self._terms)).reshape(len(self._step), -1)
-        self._columns = columns.ravel().astype(np.int32)
-        self._starts = np.arange(0, self._columns.size + 1, 2 * self._terms, dtype=np.int32)
 
     def drop(self, found: Exposures, least: float) -> None:
         """Use no seam any more whose mean weight is below the least, and none of charts that are painted themselves."""
@@ -165,31 +161,51 @@ class _System:
         is_painted = agreed < _LEAST_AGREED * lengths
         self.used &= ~is_painted[steps.ends].any(axis=1)
 
-    def solve(self, colours: Float64s, weights: Float64s) -> Float64s:
-        """Return the terms, shape (N, charts, terms), for the true colours at the steps as known so far."""
-        from scipy.sparse import csr_array, diags_array
+    def solve(self, found: Exposures, colours: Float64s, weights: Float64s) -> Float64s:
+        """Return the terms, shape (N, charts, terms), for the true colours at the steps as known so far.
+
+        Tilts are common to all channels, as vignetting is, so that these are solved for together.
+        """
+        channels = np.arange(colours.shape[1])
+        together = [channels] if found.is_tilted else np.split(channels, len(channels))
+        return np.concatenate([self._solved(each, found, colours, weights) for each in together])
+
+    def _solved(self, channels: Int64s, found: Exposures, colours: Float64s, weights: Float64s) -> Float64s:
+        from scipy.sparse import csr_array, diags_array, vstack
         from scipy.sparse.linalg import splu
 
-        found, shape = [], (len(colours), self._unknowns)
-        for channel in range(colours.shape[1]):
-            rows = csr_array((self._rows(colours[:, channel]), self._columns, self._starts), shape=shape)
-            of_channel = weights * self.known[:, channel]
-            weighted = csr_array(
-                (rows.data * np.repeat(of_channel, 2 * self._terms), self._columns, self._starts), shape
-            )
-            matrix = (rows.T @ weighted + diags_array(self._drawn)).tocsc()
-            factors = splu(
-                matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
-            )
-            found.append(factors.solve(np.asarray(weighted.T @ self._step[:, channel])))
-        return np.asarray(np.stack(found).reshape(colours.shape[1], -1, self._terms))
+        own, ends, count = 2 * len(channels), self._steps.ends, self._terms
+        unknowns = own + count - 2
+        shape = len(colours), unknowns * self._steps.charts
+        starts = np.arange(0, 2 * count * len(colours) + 1, 2 * count, dtype=np.int32)
+        all_rows, all_weighted, steps = [], [], []
+        for number, channel in enumerate(channels):
+            places = np.r_[2 * number, 2 * number + 1, own : own + count - 2]
+            columns = (ends[:, :, None] * unknowns + places).astype(np.int32).ravel()
+            data = self._rows(colours[:, channel], 1 + found.terms[channel, :, GAIN][ends])
+            weighted = data * np.repeat(weights * self.known[:, channel], 2 * count)
+            all_rows.append(csr_array((data, columns, starts), shape))
+            all_weighted.append(csr_array((weighted, columns, starts), shape))
+            steps.append(self._step[:, channel])
+        rows, by_weight = vstack(all_rows, "csr"), vstack(all_weighted, "csr")
+        spread = np.r_[np.tile(self._spread[:2], len(channels)), self._spread[2:]]
+        drawn = np.square(np.outer(self._tied, 1 / spread)).ravel()
+        matrix = (rows.T @ by_weight + diags_array(drawn)).tocsc()
+        factors = splu(
+            matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
+        )
+        solved = factors.solve(np.asarray(by_weight.T @ np.concatenate(steps))).reshape(-1, unknowns)
+        exposed = solved[:, :own].reshape(-1, len(channels), 2).transpose(1, 0, 2)
+        tilts = np.broadcast_to(solved[:, own:], (len(channels), len(solved), count - 2))
+        return np.concatenate([exposed, tilts], axis=2)
 
-    def _rows(self, colours: Float64s) -> Float64s:
+    def _rows(self, colours: Float64s, factors: Float64s) -> Float64s:
+        """Return what the terms of both sides of each step, of which those of the first are negative, add to it."""
         rows = np.empty((len(colours), 2, self._terms))
         rows[:, :, GAIN] = colours[:, None]
         rows[:, :, OFFSET] = 1
         if self._terms > 2:
-            rows[:, :, TILTS] = colours[:, None, None] * self._steps.places
+            rows[:, :, TILTS] = (colours[:, None] * factors)[:, :, None] * self._steps.places
         rows[:, 0] *= -1
         return np.asarray(rows.ravel())
 
