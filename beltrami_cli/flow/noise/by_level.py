@@ -173,12 +173,15 @@ def _fit(
         at = first + k
         penalty = _EVEN / max(float(apart), _LEAST_APART)
         prior[at : at + 2, at : at + 2] += penalty * np.array([[1, -1], [-1, 1]])
-    factors, fitted = np.ones(len(logs)), np.zeros(count)
+    # The first weights are those of noise that is the same at all levels, so that texture of some does not look like it.
+    least = np.full(first, np.inf)
+    np.minimum.at(least, own, logs)
+    residuals, fitted = logs - least[own], np.zeros(count)
     for _ in range(_ROUNDS):
+        factors = np.where(residuals > 0, 1 / (1 + np.square(residuals / _SCATTER)), 1)
         weighted = design * (weights * factors)[:, None]
         fitted = np.linalg.solve(
             np.einsum("ij,ik->jk", weighted, design) + prior, np.einsum("ij,i->j", weighted, logs)
         )
         residuals = logs - np.einsum("ij,j->i", design, fitted)
-        factors = np.where(residuals > 0, 1 / (1 + np.square(residuals / _SCATTER)), 1)
     return fitted, np.bincount(own, minlength=first).reshape(shape) > 0
