@@ -60,13 +60,7 @@ _OF_WRITING = (
 @options.overwrite
 @options.messages
 def command(
-    source: str,
-    target: str,
-    at: str,
-    iteration: int,
-    whole: bool,
-    messages: Messages,
-    **smoothing: Any,
+    source: str, target: str, at: str, iteration: int, whole: bool, messages: Messages, **smoothing: Any
 ) -> None:
     """Write the geodesic distances and the weights of one kernel of FILE, to be looked at.
 

@@ -44,12 +44,7 @@ and stays; if all of them are, OUTPUT is INPUT. See docs/levelling.md.
 @options.overwrite
 @outputs.besides
 @options.messages
-def command(
-    source: str,
-    target: str,
-    messages: Messages,
-    **values: Any,
-) -> None:
+def command(source: str, target: str, messages: Messages, **values: Any) -> None:
     """Take the exposure steps between the charts of INPUT out of its textures, and write OUTPUT.
 
     Charts from photographs of differing exposure meet in steps. Gains and offsets, which may change smoothly over a

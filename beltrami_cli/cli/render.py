@@ -59,11 +59,7 @@ def render_settings_from(values: Mapping[str, Any], **made: Any) -> RenderSettin
 @options.overwrite
 @options.messages
 def command(
-    sources: tuple[str, ...],
-    target: str,
-    no_labels: bool,
-    messages: Messages,
-    **values: Any,
+    sources: tuple[str, ...], target: str, no_labels: bool, messages: Messages, **values: Any
 ) -> None:
     """Draw each FILE, a model, points or an image, and write all as one picture.
 

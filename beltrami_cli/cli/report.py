@@ -38,12 +38,7 @@ network. The models are drawn with WebGL by three.js (MIT licence, in the packag
 @options.overwrite
 @options.messages
 def command(
-    before: str,
-    after: str,
-    target: str,
-    parameters: str | None,
-    messages: Messages,
-    **values: Any,
+    before: str, after: str, target: str, parameters: str | None, messages: Messages, **values: Any
 ) -> None:
     """Write a page that shows what changed from BEFORE to AFTER, two models or two images alike in all but colours.
 

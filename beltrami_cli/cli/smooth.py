@@ -62,12 +62,7 @@ with --beta. If edges soften, raise --beta, or say --strength gentle; if noise s
 @options.overwrite
 @outputs.besides
 @options.messages
-def command(
-    source: str,
-    target: str,
-    messages: Messages,
-    **smoothing: Any,
-) -> None:
+def command(source: str, target: str, messages: Messages, **smoothing: Any) -> None:
     """Smooth the colours of INPUT, in its vertices or textures or pixels, and write OUTPUT with nothing else changed.
 
     INPUT and OUTPUT are PLY, OBJ, glTF or GLB files, points (.xyz, .pts, .npz), images (PNG, JPEG, TIFF, EXR and what

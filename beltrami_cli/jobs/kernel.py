@@ -176,10 +176,7 @@ def _probe_of(source: str, settings: SmoothSettings, access: Access, *, whole: b
 
 
 def _kernel(
-    probe: Probe,
-    location: Location,
-    iteration: int,
-    progress: Callable[[int, int], None] | None,
+    probe: Probe, location: Location, iteration: int, progress: Callable[[int, int], None] | None
 ) -> ProbedKernel:
     """Run the iterations before one, counted from 0, and take the kernel of the sample at a location in that."""
     sample, facts = probe.find(location)

@@ -122,12 +122,7 @@ def _paint(
 
 
 def _files(
-    document: Document,
-    painted: Sequence[Repainted],
-    kind: OutputFormat,
-    naming: Naming,
-    *,
-    in_place: bool,
+    document: Document, painted: Sequence[Repainted], kind: OutputFormat, naming: Naming, *, in_place: bool
 ) -> Written:
     """Return the files of a document with what was painted of it."""
     colours = places = None

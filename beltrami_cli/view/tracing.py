@@ -142,9 +142,7 @@ class SurfaceView:
             # One ray through each pixel at a time, so that sums go over whole blocks.
             rays = [
                 camera.rays(
-                    x[right::SAMPLES],
-                    y[first * SAMPLES + down : last * SAMPLES : SAMPLES, None],
-                    np.float32,
+                    x[right::SAMPLES], y[first * SAMPLES + down : last * SAMPLES : SAMPLES, None], np.float32
                 )
                 for down, right in np.ndindex(SAMPLES, SAMPLES)
             ]
