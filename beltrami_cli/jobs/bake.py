@@ -75,8 +75,9 @@ def bake_file(
         written, counts, texture, notices = _to_texture(document, kind, stem, settings, job.progress)
     else:
         require_memory_for_textures(document, ("baseColor",), DEFAULTS.textures, access)
-        written, counts, notices = _to_vertices(document, kind, stem)
-        texture = ""
+        contents, notices = _colours_from_textures(document)
+        counts = {"coloured vertex": len(contents.positions), "triangle": len(contents.offsets) - 1}
+        written, texture = write_contents(contents, kind, stem), ""
     output.write(written)
     warnings = [*document.notices, *notices, *written.notices]
     return BakeReport(source, target, kind, counts, texture, [target, *written.sidecars], warnings)
@@ -91,12 +92,6 @@ def _to_texture(
     depth = "an 8-bit" if made.pixels.itemsize == 1 else "a 16-bit"
     written = write_textured(made.mesh(made.encoded()), kind, stem)
     return written, counts, f"{depth} texture of {width} x {height}", made.notices
-
-
-def _to_vertices(document: Document, kind: str, stem: str) -> tuple[Written, dict[str, int], tuple[str, ...]]:
-    contents, notices = _colours_from_textures(document)
-    counts = {"coloured vertex": len(contents.positions), "triangle": len(contents.offsets) - 1}
-    return write_contents(contents, kind, stem), counts, notices
 
 
 def _colours_from_textures(document: Document) -> tuple[MeshContents, tuple[str, ...]]:
@@ -124,7 +119,12 @@ def _colours_from_textures(document: Document) -> tuple[MeshContents, tuple[str,
         alpha=colours[:, 3] if any(picture.alpha is not None for picture in pictures) else None,
         left_out=("texture coordinates", "textures", "materials", "normals"),
     )
-    return contents, tuple(_notices(int(split.sum()), textured))
+    notices, bare = [], int((~textured).sum()) // 3
+    if split.any():
+        notices = [f"{int(split.sum())} corners lie at real colour edges, where vertices stay split."]
+    if bare:
+        notices.append(f"{bare} triangles have no texture; their own vertices are white.")
+    return contents, tuple(notices)
 
 
 def _encoding(pictures: Sequence[Picture]) -> Encoding:
@@ -164,9 +164,3 @@ def _mean(values: Float64s, vertex_of: NDArray[np.intp], textured: Bools, count:
     weight = np.bincount(vertex_of[used], minlength=count)
     sums = [np.bincount(vertex_of[used], column, count) for column in values[used].T]
     return (np.stack(sums, axis=1) / weight[:, None]).astype(np.float32)
-
-
-def _notices(split: int, textured: Bools) -> list[str]:
-    notices = [f"{split} corners lie at real colour edges, where vertices stay split."] if split else []
-    bare = int((~textured).sum()) // 3
-    return [*notices, *([f"{bare} triangles have no texture; their own vertices are white."] if bare else [])]

@@ -48,15 +48,14 @@ def declared_parameters() -> Iterator[dict[str, Any]]:
     for each in parameters(SmoothSettings, deep=True):
         if each.flags is None or each.group not in _GROUPS or each.name in _LEFT_OUT:
             continue
-        flag = next(
-            (flag for flag in each.flags if flag.startswith("--")), f"--{each.name.replace('_', '-')}"
-        )
-        flag = flag.partition("/")[0]
+        flags = (*each.flags, f"--{each.name.replace('_', '-')}")
+        flag = next(flag for flag in flags if flag.startswith("--")).partition("/")[0]
+        is_number = each.kind in (bool, int, float) and each.parse is None and not each.several
         yield {
             "name": each.name,
             "flag": flag,
             "label": flag.lstrip("-").replace("-", " ").capitalize(),
-            "kind": _kind(each),
+            "kind": each.kind.__name__ if is_number else "text",
             "default": _default(each),
             "choices": list(each.choices) if each.parse is None else [],
             "low": each.low,
@@ -66,11 +65,6 @@ def declared_parameters() -> Iterator[dict[str, Any]]:
             "daily": each.is_daily,
             "group": each.group,
         }
-
-
-def _kind(declared: Parameter) -> str:
-    is_number = declared.kind in (bool, int, float) and declared.parse is None and not declared.several
-    return declared.kind.__name__ if is_number else "text"
 
 
 def _default(declared: Parameter) -> Any:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
@@ -17,8 +17,12 @@ from beltrami_cli.samples.memory_check import require_memory
 from beltrami_cli.surface import large_arrays
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
     from beltrami_cli.arrays import Array
-    from beltrami_cli.formats.document import Fingerprint, NamedImage
+    from beltrami_cli.formats.document import NamedImage
+
+Held = TypeVar("Held")
 
 
 @dataclass(frozen=True)
@@ -55,25 +59,33 @@ def check_files(
             f"{documents[0].name} is {formats[0]} and {documents[1].name} is {formats[1]}; give two alike"
         )
     old, new = (document.fingerprint() for document in documents)
-    found = [*_of_colours(old, new), *_of_paintings(old, new, access), *_of_parts(old, new)]
+    found = _between(old.colours, new.colours, _of_colours)
+    found += _between(old.images, new.images, lambda one, other: _of_images(one, other, access))
+    found += _between(old.parts, new.parts, _of_parts)
     faults = [fault for fault in new.faults if fault not in old.faults]
     found += [Difference("package", fault, of_colour=False) for fault in faults]
     return CheckReport(documents[0].name, documents[1].name, formats[0], found)
 
 
-def _of_colours(old: Fingerprint, new: Fingerprint) -> list[Difference]:
+def _between(
+    old: Mapping[str, Held], new: Mapping[str, Held], differ: Callable[[Held, Held], tuple[str, bool] | None]
+) -> list[Difference]:
+    """Compare what two files hold by its place; `differ` says how, and whether in colour, or None."""
     found = []
-    for what in {**old.colours, **new.colours}:
-        if what not in old.colours or what not in new.colours:
-            found.append(Difference(what, _missing(what in new.colours), of_colour=False))
-            continue
-        before, after = old.colours[what], new.colours[what]
-        if before.shape != after.shape:
-            cause = f"{before.shape} became {after.shape}"
-            found.append(Difference(what, cause, of_colour=False))
-        elif not np.array_equal(before, after):
-            found.append(Difference(what, _amount(before, after), of_colour=True))
+    for what in {**old, **new}:
+        if what in old and what in new:
+            difference = differ(old[what], new[what])
+        else:
+            difference = "is new" if what in new else "is missing", False
+        if difference is not None:
+            found.append(Difference(what, *difference))
     return found
+
+
+def _of_colours(before: Array, after: Array) -> tuple[str, bool] | None:
+    if before.shape != after.shape:
+        return f"{before.shape} became {after.shape}", False
+    return None if np.array_equal(before, after) else (_amount(before, after), True)
 
 
 def _amount(before: Array, after: Array) -> str:
@@ -87,53 +99,32 @@ def _amount(before: Array, after: Array) -> str:
     return f"{rows} of {len(before)} differ, by {mean:.2f}/255 on average and {255 * largest:.1f}/255 at most"
 
 
-def _of_paintings(old: Fingerprint, new: Fingerprint, access: Access) -> list[Difference]:
-    found = []
-    for what in {**old.images, **new.images}:
-        if what not in old.images or what not in new.images:
-            found.append(Difference(what, _missing(what in new.images), of_colour=False))
-        elif old.images[what].data != new.images[what].data:
-            found.append(_of_pixels(what, old.images[what], new.images[what], access))
-    return found
-
-
-def _of_pixels(what: str, old: NamedImage, new: NamedImage, access: Access) -> Difference:
-    """Compare two image files whose bytes differ."""
+def _of_images(old: NamedImage, new: NamedImage, access: Access) -> tuple[str, bool] | None:
+    if old.data == new.data:
+        return None
     require_memory([(old.name, old.data), (new.name, new.data)], access)
     try:
         before, after = read_image(old.data, old.name), read_image(new.data, new.name)
     except InputError as error:
-        return Difference(what, f"{old.name} and {new.name} differ, and {error}", of_colour=False)
+        return f"{old.name} and {new.name} differ, and {error}", False
     names = old.name if old.name == new.name else f"{old.name}, now {new.name}"
     sizes = [f"{len(p.pixels[0])} x {len(p.pixels)} pixels" for p in (before, after)]
     if sizes[0] != sizes[1]:
-        return Difference(what, f"{names}: {sizes[0]} became {sizes[1]}", of_colour=False)
+        return f"{names}: {sizes[0]} became {sizes[1]}", False
     kinds = [f"{p.stored} {'/'.join(p.channels)} in {p.format}" for p in (before, after)]
     if kinds[0] != kinds[1]:
-        return Difference(what, f"{names}: {kinds[0]} became {kinds[1]}", of_colour=True)
+        return f"{names}: {kinds[0]} became {kinds[1]}", True
     amount = _amount(*(p.pixels.reshape(-1, len(p.channels)) for p in (before, after)))
-    return Difference(what, f"{names}: pixels, {amount}", of_colour=True)
+    return f"{names}: pixels, {amount}", True
 
 
-def _of_parts(old: Fingerprint, new: Fingerprint) -> list[Difference]:
-    found = []
-    for what in {**old.parts, **new.parts}:
-        if what not in old.parts or what not in new.parts:
-            found.append(Difference(what, _missing(what in new.parts), of_colour=False))
-        elif old.parts[what] != new.parts[what]:
-            found.append(Difference(what, _first(old.parts[what], new.parts[what]), of_colour=False))
-    return found
-
-
-def _missing(is_new: bool) -> str:
-    return "is new" if is_new else "is missing"
-
-
-def _first(old: bytes, new: bytes) -> str:
+def _of_parts(old: bytes, new: bytes) -> tuple[str, bool] | None:
     """Say where two parts begin to differ: by the line in text, otherwise by the byte."""
+    if old == new:
+        return None
     length = min(len(old), len(new))
     differing = np.flatnonzero(np.frombuffer(old, np.uint8, length) != np.frombuffer(new, np.uint8, length))
     at = int(differing[0]) if differing.size else length
     if b"\n" in old and old[: at + 80].isascii():
-        return f"differs from its line {old.count(10, 0, at) + 1} on"
-    return f"differs from its byte {at} on, {len(old)} bytes against {len(new)}"
+        return f"differs from its line {old.count(10, 0, at) + 1} on", False
+    return f"differs from its byte {at} on, {len(old)} bytes against {len(new)}", False

@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from beltrami_cli.arrays import Float32s, Float64s, Uint8s
-    from beltrami_cli.flow.parameters import KernelParameters
     from beltrami_cli.formats.access import Access
     from beltrami_cli.samples.probes.probe import Location, Probe
     from beltrami_cli.samples.settings import SmoothSettings
@@ -57,7 +56,11 @@ class ProbedKernel:
 def encode(kernel: ProbedKernel, facts: dict[str, object], suffix: str) -> Written:
     """Encode a kernel, and its facts with the names of input and output, as one of `SUFFIXES` asks."""
     if suffix == ".csv":
-        return Written([_as_csv(kernel.columns).encode()])
+        text = io.StringIO()
+        rows = csv.writer(text, lineterminator="\n")
+        rows.writerow(kernel.columns)
+        rows.writerows(zip(*(values.tolist() for values in kernel.columns.values()), strict=True))
+        return Written([text.getvalue().encode()])
     if suffix == ".json":
         columns = {name: values.tolist() for name, values in kernel.columns.items()}
         return Written([(json.dumps({**facts, "columns": columns}, indent=2) + "\n").encode()])
@@ -78,14 +81,6 @@ def encode(kernel: ProbedKernel, facts: dict[str, object], suffix: str) -> Writt
 
     pixels = _picture(kernel.view, kernel.radius)
     return Written([write_image(new_picture(pixels, str(facts["output"])), pixels, suffix=suffix).data])
-
-
-def _as_csv(columns: dict[str, NDArray[np.generic]]) -> str:
-    text = io.StringIO()
-    rows = csv.writer(text, lineterminator="\n")
-    rows.writerow(columns)
-    rows.writerows(zip(*(values.tolist() for values in columns.values()), strict=True))
-    return text.getvalue()
 
 
 def _mesh(view: MeshView, radius: float, facts: dict[str, object]) -> Written:
@@ -112,16 +107,13 @@ def _picture(view: WindowView, radius: float) -> Uint8s:
         colour_by_value(view.weights / view.weights.max(), view.shades, held),
     )
     zoom = max(1, _PANEL // len(view.filled))
-    drawn = [_enlarged(np.where(view.filled[..., None], panel, _NOTHING), zoom) for panel in panels]
+    shown = [np.where(view.filled[..., None], panel, _NOTHING) for panel in panels]
+    drawn = [panel.repeat(zoom, axis=0).repeat(zoom, axis=1) for panel in shown]
     if zoom > 2:
         for panel in drawn:
             _frame(panel, view.source, zoom)
     gap = np.full((len(drawn[0]), _GAP, 3), _NOTHING)
     return as_bytes(np.hstack([drawn[0], gap, drawn[1], gap, drawn[2]]))
-
-
-def _enlarged(panel: Float64s, zoom: int) -> Float64s:
-    return panel.repeat(zoom, axis=0).repeat(zoom, axis=1)
 
 
 def _frame(panel: Float64s, cell: tuple[int, int], zoom: int) -> None:
@@ -149,9 +141,8 @@ def kernel_file(
         raise UsageError(f"iteration is {iteration}, but must be 1 or more")
     suffix = ".csv" if target == "-" else Path(target).suffix.lower()
     if suffix not in SUFFIXES:
-        raise UsageError(
-            f"{target}: a kernel is written as .ply, .png, .csv, .json or .npz; end the name in one"
-        )
+        message = f"{target}: a kernel is written as .ply, .png, .csv, .json or .npz; end the name in one"
+        raise UsageError(message)
     location = read_location(at)
     output = Output(target, overwrite=job.overwrite, is_text=suffix == ".csv", what="kernel", reads=[source])
     access = output.files.watching(job.access)
@@ -186,6 +177,7 @@ def _kernel(
     parameters = probe.flow.parameters
     probe.flow.run(progress)
     kernel = probe.flow.kernel_at(sample)
+    units = {"spacing": "sample spacing", "world": "that of the file"}
     names = probe.colours.names
     colours = {name: kernel.colours[:, i] for i, name in enumerate(names)}
     facts |= probe.facts(kernel)
@@ -197,7 +189,7 @@ def _kernel(
         "first_beta": probe.flow.beta,
         "beta": probe.flow.beta * parameters.growth(iteration),
         "threshold": parameters.threshold,
-        "unit_of_length": probe.unit or _unit(parameters),
+        "unit_of_length": probe.unit or units[parameters.units],
         "radius": parameters.radius,
         "space": probe.colours.space,
         "samples": len(kernel.samples),
@@ -209,7 +201,3 @@ def _kernel(
     columns = probe.columns(kernel.samples)
     columns |= {"distance": kernel.distances, "weight": kernel.weights, **colours}
     return ProbedKernel(facts, columns, parameters.radius, probe.view(kernel))
-
-
-def _unit(parameters: KernelParameters) -> str:
-    return "sample spacing" if parameters.units == "spacing" else "that of the file"

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from beltrami_cli.jobs.compare.map import is_map
+from beltrami_cli.jobs.compare.files import is_map
 from beltrami_cli.jobs.smoothing import is_report
 from beltrami_cli.view.render import is_preview
 from cli.commands import SAMPLES, beltrami

@@ -5,8 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from beltrami_cli.jobs.compare.figures import ComparedColours, figures
-from beltrami_cli.jobs.compare.measures import cie_lab, delta_e_2000, structural_similarity
+from beltrami_cli.jobs.compare.figures import (
+    ComparedColours,
+    cie_lab,
+    delta_e_2000,
+    figures,
+    structural_similarity,
+)
 from beltrami_cli.jobs.compare.parts import near_seams, seam_steps, texel_areas
 from beltrami_cli.surface.atlas import build_atlas
 from beltrami_cli.surface.geometry import triangle_areas

@@ -1,18 +1,24 @@
-"""Compare the colours of two files, and hold the difference to limits."""
+"""Compare the colours of two files, hold the difference to limits, and draw where it is.
+
+A map is a picture, or a mesh of the vertices, to look at: dark where the files are equal, bright where they differ.
+"""
 
 from __future__ import annotations
 
 import dataclasses
 import os
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
 
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.formats.access import read_source
+from beltrami_cli.formats.document import Written
 from beltrami_cli.formats.image import ImageDocument
 from beltrami_cli.formats.registry import kind_of
 from beltrami_cli.jobs.compare.figures import Verdict, check_limits, check_moves, figures
-from beltrami_cli.jobs.compare.map import draw_map, is_map, require_map
 from beltrami_cli.jobs.compare.models import EVERYTHING, Moves, choose_parts, moves_between
 from beltrami_cli.jobs.compare.parts import compare_images, compare_textures, compare_vertices
 from beltrami_cli.jobs.documents import document_from
@@ -20,9 +26,13 @@ from beltrami_cli.jobs.job import PLAIN_JOB, Job, tracked
 from beltrami_cli.jobs.output import Output, Overwrite
 from beltrami_cli.jobs.settings import Limits
 from beltrami_cli.samples.memory_check import require_memory_for_textures
-from beltrami_cli.samples.settings import DEFAULTS, LevelSetSettings
+from beltrami_cli.samples.settings import DEFAULTS, IMAGE_SUFFIXES, LevelSetSettings
+from beltrami_cli.surface.colour_values import as_bytes, colour_by_value
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from beltrami_cli.arrays import Float64s, Uint8s
     from beltrami_cli.flow.parameters import Weights
     from beltrami_cli.formats.document import Document
     from beltrami_cli.jobs.compare.figures import ComparedColours
@@ -30,6 +40,11 @@ if TYPE_CHECKING:
     from beltrami_cli.surface.records import Slot
 
 _UNLIMITED = Limits()
+# The brightest colour stands for this Delta E 2000 at least: 1 can hardly be seen.
+_LEAST = 1.0
+_GAP = 8  # pixels between images
+_SCALAR = b"\nproperty uchar blue\nproperty float "  # of the header, where the numbers follow the colours
+_SUFFIXES = (".ply", *IMAGE_SUFFIXES)
 
 
 @dataclass(frozen=True)
@@ -99,7 +114,8 @@ def _opened_map(
     target: str, names: tuple[str, str], settings: SmoothSettings, overwrite: Overwrite
 ) -> Output:
     """Check that a map can be written before anything is compared."""
-    require_map(target)
+    if Path(target).suffix.lower() not in _SUFFIXES:
+        raise UsageError(f"{target}: a map is drawn as .png, or of vertices as .ply; end the name in one")
     output = Output(target, overwrite=overwrite, what="map", is_own=is_map, reads=names)
     output.files.guard(settings.files_besides())
     return output
@@ -136,8 +152,10 @@ class Compared:
         """Return what users should know, above all what is not compared."""
         found = [*self.notices]
         if self.moves is not None and not self.moves.is_rounding:
+            largest, mean = (f"{100 * move:.3g} %" for move in (self.moves.largest, self.moves.mean))
             found.append(
-                f"its vertices are not where those of the reference are: {move_in_words(self.moves)}"
+                "its vertices are not where those of the reference are: "
+                f"they moved by up to {largest} of the model's size, {mean} on average"
             )
         for part in self.parts:
             if not len(part.reference) and not part.is_identical:
@@ -146,12 +164,6 @@ class Compared:
             if part.other_opacity:
                 found.append(f"{part.name}: opacity differs, and is not compared")
         return found
-
-
-def move_in_words(moves: Moves) -> str:
-    """Say how far vertices moved."""
-    largest, mean = (f"{100 * move:.3g} %" for move in (moves.largest, moves.mean))
-    return f"they moved by up to {largest} of the model's size, {mean} on average"
 
 
 def compare_documents(
@@ -166,29 +178,25 @@ def compare_documents(
             f"it is {kinds[1]}, but {documents[0].name} is {kinds[0]}",
             "compare two files of one kind",
         )
-    if images:
-        return Compared([compare_images(images, _of_images(settings), job.access)])
+    if images:  # they have no slots, so that all of them are none
+        slots = settings.textures.slots or DEFAULTS.textures.slots
+        textures = dataclasses.replace(settings.textures, slots=slots)
+        return Compared(
+            [compare_images(images, dataclasses.replace(settings, textures=textures), job.access)]
+        )
     selection, notices = choose_parts(documents, settings)
-    reference, test = documents
     parts = []
     # None: the vertices.
     chosen = [*([None] if selection.vertices else []), *selection.slots]
     for slot in tracked(chosen, "comparing", job.progress):
         if slot is None:
-            is_extra = bool(selection.slots)
-            parts.append(compare_vertices(reference, test, settings, weights, is_extra=is_extra))
+            parts.append(compare_vertices(documents, settings, weights, is_extra=bool(selection.slots)))
             continue
         for document in documents:
             require_memory_for_textures(document, selection.slots, settings.textures, job.access)
         is_extra = slot != selection.slots[0]
-        parts += compare_textures(reference, test, slot, settings, weights, job.access, is_extra=is_extra)
+        parts += compare_textures(documents, slot, settings, weights, job.access, is_extra=is_extra)
     return Compared(parts, moves_between(documents, selection), selection.slots, tuple(notices))
-
-
-def _of_images(settings: SmoothSettings) -> SmoothSettings:
-    """Return settings for images, which have no slots, so that all of them are none."""
-    slots = settings.textures.slots or DEFAULTS.textures.slots
-    return dataclasses.replace(settings, textures=dataclasses.replace(settings.textures, slots=slots))
 
 
 def open_both(
@@ -203,3 +211,76 @@ def open_both(
         for each, name, volume in tracked(sources, "reading", job.progress)
     )
     return one, other
+
+
+def is_map(head: bytes) -> bool:
+    """Whether the first bytes of a file are those of a map of vertices; pictures have no mark."""
+    return head.startswith(b"ply\n") and _SCALAR in head.partition(b"end_header\n")[0]
+
+
+def draw_map(parts: Sequence[ComparedColours], model: Document, target: str) -> tuple[Written, float]:
+    """Draw the images and textures among parts, or else the vertices of a model; return also the scale.
+
+    That is the Delta E, or 100 times the error of data, that the brightest colour stands for.
+    """
+    images = [part for part in parts if part.size is not None]
+    if parts[0].kind == "vertices" and (not images or target.lower().endswith(".ply")):
+        return _draw_vertices(parts[0], model, target)
+    return _draw_images(images, target)
+
+
+def _draw_images(parts: Sequence[ComparedColours], target: str) -> tuple[Written, float]:
+    """Draw the differences of images or textures side by side, grey where nothing is compared."""
+    suffix = Path(target).suffix.lower()
+    if suffix == ".ply":
+        raise UsageError(f"{target}: the map of images and textures is drawn as .png; end its name so")
+    from beltrami_cli.formats.image import write_image
+    from beltrami_cli.formats.image.picture import new_picture
+
+    scale = _scale(parts)
+    drawn = [_image_of(part, scale) for part in parts]
+    height = max(len(panel) for panel in drawn)
+    columns = []
+    for panel in drawn:
+        padding = ((0, height - len(panel)), (0, 0), (0, 0))
+        columns += [np.pad(panel, padding, constant_values=255), np.full((height, _GAP, 3), 255, np.uint8)]
+    pixels = np.ascontiguousarray(np.hstack(columns[:-1]))
+    return Written([write_image(new_picture(pixels, target), pixels, suffix=suffix).data]), scale
+
+
+def _draw_vertices(part: ComparedColours, document: Document, target: str) -> tuple[Written, float]:
+    """Draw the differences of vertices as a mesh, with delta_e and error (NaN where nothing is compared)."""
+    if Path(target).suffix.lower() != ".ply":
+        raise UsageError(f"{target}: the map of vertices is drawn as .ply; end its name so")
+    from beltrami_cli.formats.ply.writer import write_scalars_as_ply
+
+    painted, scale = document.painted(), _scale([part])
+    values = np.full(len(painted.positions), np.nan, np.float32)
+    errors = values.copy()
+    values[part.index] = _amount(part)
+    errors[part.index] = np.abs(part.test - part.reference).max(axis=1)
+    grey, held = np.ones((len(values), 3), np.float32), np.isfinite(values)
+    shades = as_bytes(colour_by_value(values / np.float32(scale), grey, held))
+    scalars = {"delta_e": values, "error": errors}
+    if part.delta_e is None:
+        del scalars["delta_e"]
+    return write_scalars_as_ply(np.nan_to_num(painted.positions), painted.faces, shades, scalars), scale
+
+
+def _amount(part: ComparedColours) -> Float64s:
+    if part.delta_e is not None:
+        return part.delta_e
+    return np.asarray(100 * np.abs(part.test - part.reference).max(axis=1), np.float64)
+
+
+def _scale(parts: Sequence[ComparedColours]) -> float:
+    return max(_LEAST, *(float(_amount(part).max(initial=0)) for part in parts))
+
+
+def _image_of(part: ComparedColours, scale: float) -> Uint8s:
+    size = cast("tuple[int, int]", part.size)
+    values, held = np.zeros(size, np.float32), np.zeros(size, bool)
+    columns, rows = part.index.T
+    values[rows, columns] = _amount(part) / scale
+    held[rows, columns] = True
+    return as_bytes(colour_by_value(values, np.ones((*size, 3), np.float32), held))

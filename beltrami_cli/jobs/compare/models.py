@@ -15,8 +15,6 @@ from beltrami_cli.samples.texel_colours import choose_textures
 from beltrami_cli.samples.voxels import LevelSetDocument
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from beltrami_cli.arrays import Float64s, Int32s
     from beltrami_cli.formats.document import Document
     from beltrami_cli.samples.selection import Selection
@@ -111,19 +109,14 @@ class Moves:
 
 def moves_between(documents: Pair, selection: Selection) -> Moves:
     """Measure how far vertices moved, in all that is compared."""
-    found = [_moves(one, other) for one, other in _places(documents, selection)]
-    every = np.concatenate([moves for moves in found if moves.size] or [np.zeros(1)])
-    return Moves(float(every.max()), float(every.mean()))
-
-
-def _places(documents: Pair, selection: Selection) -> Iterator[tuple[Float64s, Float64s]]:
+    found = [np.zeros(0)]
     if selection.vertices:
-        one, other = (document.painted().positions for document in documents)
-        yield one, other
+        found.append(_moves(*(document.painted().positions for document in documents)))
     if selection.slots:
         surfaces = [document.textured(selection.slots[0]) for document in documents]
-        one, other = (surface.positions[surface.faces].reshape(-1, 3) for surface in surfaces)
-        yield one, other
+        found.append(_moves(*(surface.positions[surface.faces].reshape(-1, 3) for surface in surfaces)))
+    every = np.concatenate(found) if any(moves.size for moves in found) else np.zeros(1)
+    return Moves(float(every.max()), float(every.mean()))
 
 
 def _moves(places: Float64s, others: Float64s) -> Float64s:
@@ -144,14 +137,12 @@ def require_one_model(documents: Pair, painted: tuple[PaintedVertices, PaintedVe
     names = documents[0].name, documents[1].name
     counts = len(one.positions), len(other.positions)
     if counts[0] != counts[1]:
-        raise InputError(
-            names[1], f"it has {counts[1]} coloured vertices, but {names[0]} {counts[0]}", _OTHER_MODEL
-        )
+        cause = f"it has {counts[1]} coloured vertices, but {names[0]} {counts[0]}"
+        raise InputError(names[1], cause, _OTHER_MODEL)
     require_same_triangles(_triangles(documents[0]), _triangles(documents[1]), names)
     if one.channels != other.channels:
-        cause = (
-            f"its colours are {', '.join(other.channels)}, but those of {names[0]} {', '.join(one.channels)}"
-        )
+        channels = [", ".join(each.channels) for each in painted]
+        cause = f"its colours are {channels[1]}, but those of {names[0]} {channels[0]}"
         raise InputError(names[1], cause, "compare files with the same channels")
     if not len(one.faces) and _moves(one.positions, other.positions).max(initial=0) > ROUNDED_MOVE:
         raise InputError(names[1], f"its points are not where those of {names[0]} are", _OTHER_MODEL)
@@ -167,9 +158,8 @@ def _triangles(document: Document) -> Int32s:
 def require_same_triangles(faces: Int32s, others: Int32s, names: tuple[str, str]) -> None:
     """Raise InputError if two models have other triangles."""
     if len(faces) != len(others):
-        raise InputError(
-            names[1], f"it has {len(others)} triangles, but {names[0]} {len(faces)}", _OTHER_MODEL
-        )
+        cause = f"it has {len(others)} triangles, but {names[0]} {len(faces)}"
+        raise InputError(names[1], cause, _OTHER_MODEL)
     if not np.array_equal(faces, others):
         first = int((faces != others).any(axis=1).argmax())
         raise InputError(names[1], f"its triangle {first} is another than that of {names[0]}", _OTHER_MODEL)

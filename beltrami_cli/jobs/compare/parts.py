@@ -11,8 +11,13 @@ import numpy as np
 from beltrami_cli.errors import InputError
 from beltrami_cli.flow.embedding import to_space
 from beltrami_cli.formats.image import read_image
-from beltrami_cli.jobs.compare.figures import ComparedColours, SeamJumps
-from beltrami_cli.jobs.compare.measures import cie_lab, delta_e_2000, structural_similarity
+from beltrami_cli.jobs.compare.figures import (
+    ComparedColours,
+    SeamJumps,
+    cie_lab,
+    delta_e_2000,
+    structural_similarity,
+)
 from beltrami_cli.jobs.compare.models import require_one_model, same_textures
 from beltrami_cli.samples.memory_check import require_memory
 from beltrami_cli.samples.painted_samples import choose_channels
@@ -94,38 +99,31 @@ def texel_areas(atlas: Atlas) -> Float64s:
 
 
 def compare_vertices(
-    reference: Document, test: Document, settings: SmoothSettings, weights: Weights, *, is_extra: bool = False
+    documents: tuple[Document, Document], settings: SmoothSettings, weights: Weights, *, is_extra: bool
 ) -> ComparedColours:
     """Bring the vertex colours of two models together; `is_extra`: beside textures."""
-    one, other = reference.painted(), test.painted()
-    require_one_model((reference, test), (one, other))
-    rows = np.intersect1d(coloured_vertices(reference), coloured_vertices(test))
-    channels = choose_channels(one, settings).changing
-    colours = [
-        to_space(painted.colours[rows][:, channels], painted.encoding, settings.space)
-        for painted in (one, other)
-    ]
-    if not np.isfinite(colours[1]).all():
-        raise InputError(test.name, "some of its colours are no finite numbers, which cannot be compared")
+    one, other = (document.painted() for document in documents)
+    require_one_model(documents, (one, other))
+    rows = np.intersect1d(coloured_vertices(documents[0]), coloured_vertices(documents[1]))
+    channels, space = choose_channels(one, settings).changing, settings.space
+    reference, test = (
+        to_space(each.colours[rows][:, channels], each.encoding, space) for each in (one, other)
+    )
+    if not np.isfinite(test).all():
+        cause = "some of its colours are no finite numbers, which cannot be compared"
+        raise InputError(documents[1].name, cause)
     place, _ = group_places(one.positions[rows], None if one.space_of is None else one.space_of[rows])
     split = np.bincount(place)[place] > 1 if len(place) else np.zeros(0, bool)
+    counted = _areas(one, rows, settings) if weights == "area" else np.ones(len(rows))
+    opacities = (None if isinstance(each, LevelSetDocument) else each.contents().alpha for each in documents)
     return ComparedColours(
-        "vertex colours",
-        "vertices",
-        colours[0],
-        colours[1],
-        rows.astype(np.int64),
-        _areas(one, rows, settings) if weights == "area" else np.ones(len(rows)),
-        colour_differences(colours[0], colours[1], settings.space),
+        "vertex colours", "vertices", reference, test, rows.astype(np.int64), counted,
+        colour_differences(reference, test, space),
         near_seams=split if split.any() else None,
-        jumps=_jumps(colours, place) if split.any() else None,
-        is_identical=is_extra and np.array_equal(colours[0], colours[1]),
-        other_opacity=_differ(*(_vertex_opacity(document) for document in (reference, test))),
-    )
-
-
-def _vertex_opacity(document: Document) -> NDArray[np.floating] | None:
-    return None if isinstance(document, LevelSetDocument) else document.contents().alpha
+        jumps=_jumps([reference, test], place) if split.any() else None,
+        is_identical=is_extra and np.array_equal(reference, test),
+        other_opacity=_differ(*opacities),
+    )  # fmt: skip
 
 
 def _opacity(picture: Picture) -> NDArray[np.floating] | None:
@@ -136,10 +134,8 @@ def _opacity(picture: Picture) -> NDArray[np.floating] | None:
 
 
 def _differ(one: NDArray[np.floating] | None, other: NDArray[np.floating] | None) -> bool:
-    """Return whether two opacities differ by more than rounding; None: all is opaque."""
-    if one is None and other is None:
-        return False
-    difference = (1.0 if one is None else one) - (1.0 if other is None else other)
+    """Whether two opacities differ by more than rounding; None: all is opaque."""
+    difference = np.asarray(1.0 if one is None else one) - (1.0 if other is None else other)
     return bool(np.abs(difference).max(initial=0) > _STEP)
 
 
@@ -147,10 +143,10 @@ def _areas(painted: PaintedVertices, rows: NDArray[np.intp], settings: SmoothSet
     """Return the area that each vertex stands for; of points, on the surface that they lie on."""
     if len(painted.faces):
         return vertex_areas(painted.positions, painted.faces)[rows].astype(np.float64)
-    spaces = None if painted.space_of is None else painted.space_of[rows]
     known = dataclasses.replace(
-        painted, positions=painted.positions[rows], colours=painted.colours[rows], space_of=spaces
-    )
+        painted, positions=painted.positions[rows], colours=painted.colours[rows],
+        space_of=None if painted.space_of is None else painted.space_of[rows],
+    )  # fmt: skip
     surface = with_surface(known, settings)
     return vertex_areas(surface.positions, surface.faces).astype(np.float64)
 
@@ -185,8 +181,7 @@ def compare_images(
     pixels = np.flatnonzero(valid)
     colours = one.samples(pixels), other.samples(pixels)
     space = settings.space if set(one.names) <= {"red", "green", "blue", "grey"} else "data"
-    size = (valid.shape[0], valid.shape[1])
-    part = _part_of_image("image", "image", colours, pixels, size, np.ones(len(pixels)), space)
+    part = _part_of_image("image", "image", colours, pixels, valid.shape, np.ones(len(pixels)), space)
     opacity = [None if "alpha" in one.names else _opacity(document.picture()) for document in documents]
     return dataclasses.replace(part, other_opacity=_differ(*opacity))
 
@@ -196,44 +191,40 @@ def _part_of_image(
     kind: Literal["image", "texture"],
     colours: tuple[Float32s, Float32s],
     pixels: Int64s,
-    size: tuple[int, int],
+    size: tuple[int, ...],
     weights: Float64s,
     space: Space,
 ) -> ComparedColours:
-    """Return some pixels (row * width + column) of two images as a part."""
+    """Return some pixels (row * width + column) of two images of `size` = (rows, columns) as a part."""
+    counts = np.zeros((size[0], size[1]), bool)
+    counts.reshape(-1)[pixels] = True
+    images = np.zeros((2, *counts.shape, colours[0].shape[1]), np.float32)
+    images.reshape(2, counts.size, -1)[:, pixels] = colours
     rows, columns = np.divmod(pixels, size[1])
     return ComparedColours(
-        name,
-        kind,
-        colours[0],
-        colours[1],
-        np.stack([columns, rows], axis=1),
-        weights,
-        colour_differences(colours[0], colours[1], space),
-        _similarity(colours[0], colours[1], pixels, size),
-        size=size,
-    )
+        name, kind, *colours, np.stack([columns, rows], axis=1), weights, colour_differences(*colours, space),
+        structural_similarity(images[0], images[1], counts), size=counts.shape,
+    )  # fmt: skip
 
 
 def compare_textures(
-    reference: Document,
-    test: Document,
-    slot: Slot,
-    settings: SmoothSettings,
-    weights: Weights,
-    access: Access,
-    *,
-    is_extra: bool = False,
-) -> list[ComparedColours]:
+    documents: tuple[Document, Document], slot: Slot, settings: SmoothSettings, weights: Weights, access: Access,
+    *, is_extra: bool,
+) -> list[ComparedColours]:  # fmt: skip
     """Bring the textures of a slot together, each a part of its own, texel by texel on the surface.
 
     `is_extra`: beside another part, so that it is enough to say of equal files that they are.
     """
+    reference, test = documents
     surface = reference.textured(slot)
     textures = same_textures(surface, test.textured(slot), settings, (reference.name, test.name))
     olds = choose_textures(surface, settings.textures).textures
     if is_extra and [texture.data for texture in olds] == [texture.data for texture in textures]:
-        return [_identical(name) for name in _names(slot, olds)]
+        nothing = np.zeros((0, 3), np.float32), np.zeros((0, 3), np.float32), np.zeros((0, 2), np.int64)
+        return [
+            ComparedColours(name, "texture", *nothing, np.zeros(0), None, is_identical=True)
+            for name in _names(slot, olds)
+        ]
     require_memory(((texture.name, texture.data) for texture in textures), access)
     prepared = TexelSamples(surface, slot, settings)
     pictures = [read_image(texture.data, texture.name) for texture in textures]
@@ -251,12 +242,6 @@ def compare_textures(
     differ = [hidden and _differ(old, new) for hidden, old, new in zip(hides, *opacities, strict=True)]
     parts = _parts(prepared, both, counted, slot, prepared.colours.space)
     return [dataclasses.replace(part, other_opacity=each) for part, each in zip(parts, differ, strict=True)]
-
-
-def _identical(name: str) -> ComparedColours:
-    none = np.zeros((0, 3), np.float32)
-    rows = np.zeros((0, 2), np.int64)
-    return ComparedColours(name, "texture", none, none, rows, np.zeros(0), None, is_identical=True)
 
 
 def _names(slot: Slot, textures: Sequence[Texture]) -> list[str]:
@@ -279,8 +264,7 @@ def _parts(
     for index, picture in enumerate(prepared.pictures):
         inside, here = texture_of == index, texture_of[cells] == index
         texels = atlas.owned_texels[inside] - atlas.texture_offsets[index]
-        colours = both[0][inside], both[1][inside]
-        size = picture.pixels.shape[:2]
+        colours, size = (both[0][inside], both[1][inside]), picture.pixels.shape[:2]
         part = _part_of_image(names[index], "texture", colours, texels, size, weights[inside], space)
         near_here = near[inside] if near[inside].any() else None
         jumps = SeamJumps(before[here], after[here]) if here.any() else None
@@ -288,25 +272,12 @@ def _parts(
     return parts
 
 
-def _similarity(one: Float32s, other: Float32s, texels: Int64s, size: tuple[int, int]) -> float | None:
-    """Compute the structural similarity of two images of which some texels (row * width + column) count."""
-    counts = np.zeros(size, bool)
-    counts.reshape(-1)[texels] = True
-    images = []
-    for colours in (one, other):
-        image = np.zeros((*size, colours.shape[1]), np.float32)
-        image.reshape(-1, colours.shape[1])[texels] = colours
-        images.append(image)
-    return structural_similarity(images[0], images[1], counts)
-
-
 def _require_same_size(old: Picture, new: Picture, name: str) -> None:
     """Raise InputError if two images have not the same numbers of rows and columns."""
     sizes = [f"{picture.pixels.shape[1]} x {picture.pixels.shape[0]}" for picture in (old, new)]
     if sizes[0] != sizes[1]:
-        raise InputError(
-            name, f"it has {sizes[1]} pixels, but {old.name} {sizes[0]}", "compare images of one size"
-        )
+        cause = f"it has {sizes[1]} pixels, but {old.name} {sizes[0]}"
+        raise InputError(name, cause, "compare images of one size")
 
 
 def colour_differences(reference: Float32s, test: Float32s, space: Space) -> Float64s | None:
@@ -316,10 +287,7 @@ def colour_differences(reference: Float32s, test: Float32s, space: Space) -> Flo
     found = np.empty(len(reference))
     for first in range(0, len(reference), _BLOCK):
         block = slice(first, first + _BLOCK)
-        found[block] = delta_e_2000(*(_lab(colours[block], space) for colours in (reference, test)))
+        pair = (colours[block] for colours in (reference, test))
+        light = (srgb_to_linear(colours) if space == "srgb" else colours for colours in pair)
+        found[block] = delta_e_2000(*(cie_lab(np.broadcast_to(each, (len(each), 3))) for each in light))
     return found
-
-
-def _lab(colours: Float32s, space: Space) -> Float64s:
-    linear = srgb_to_linear(colours) if space == "srgb" else colours
-    return cie_lab(np.broadcast_to(linear, (len(linear), 3)))

@@ -7,7 +7,6 @@
 #include <vector>
 
 #include "atlas/borders.hpp"
-#include "atlas/connections.hpp"
 #include "atlas/layout.hpp"
 #include "atlas/lookup.hpp"
 #include "atlas/unfolding.hpp"

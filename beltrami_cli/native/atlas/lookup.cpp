@@ -1,11 +1,85 @@
 #include "atlas/lookup.hpp"
 
+#include <algorithm>
 #include <cmath>
-
-#include "atlas/connections.hpp"
+#include <span>
 
 namespace beltrami::atlas {
 namespace {
+
+// What touches but for rounding touches: a single-precision coordinate near 1 of a texture of 1,024 texels is no better.
+constexpr double touching = 1e-4;
+// Neighbouring cells of a mesh that is so much finer than the texture count as joined.
+constexpr std::size_t most_faces = 256, most_seams = 16;
+// A way over a seam leads back to the same place if it ends nearer to it than to any other texel.
+constexpr double same_place = 0.5;
+
+// Whether all of the points lie more than `touching` off the line, on one side.
+bool is_clear(Point2 from, Point2 along, double length, Point2 a, Point2 b) {
+  const double slack = touching * length, left = cross(along, a - from), right = cross(along, b - from);
+  return (left > slack && right > slack) || (left < -slack && right < -slack);
+}
+
+bool touch(Point2 from, Point2 to, Point2 a, Point2 b) {
+  if (std::max(a.x, b.x) < std::min(from.x, to.x) - touching || std::min(a.x, b.x) > std::max(from.x, to.x) + touching ||
+      std::max(a.y, b.y) < std::min(from.y, to.y) - touching || std::min(a.y, b.y) > std::max(from.y, to.y) + touching)
+    return false;
+  const Point2 way = to - from, edge = b - a;
+  return !is_clear(from, way, std::sqrt(dot(way, way)), a, b) && !is_clear(a, edge, std::sqrt(dot(edge, edge)), from, to);
+}
+
+// The faces of a chart that a line touches, from a first one on over edges that it touches, too; and the borders it meets.
+class Touched {
+ public:
+  Touched(const Mesh& mesh, Index face, Point2 from, Point2 to) : mesh_(mesh), from_(from), to_(to) {
+    faces_[face_count_++] = face;
+  }
+
+  // Goes on until a face fits, or there is no other.
+  template <class Fits>
+  bool find(const Fits& fits) {
+    for (std::size_t i = 0; i < face_count_; ++i) {
+      if (fits(faces_[i]) || face_count_ == most_faces) return true;
+      for (Edge edge = 3 * faces_[i]; edge < 3 * faces_[i] + 3; ++edge) visit(edge);
+    }
+    return false;
+  }
+
+  bool meets_open() const { return meets_open_; }
+  std::span<const Edge> seams() const { return std::span(seams_).first(seam_count_); }
+
+ private:
+  void visit(Edge edge) {
+    const auto [a, b] = mesh_.ends(edge);
+    if (!touch(from_, to_, a, b)) return;
+    const Edge twin = mesh_.twins[static_cast<std::size_t>(edge)];
+    if (twin == none) {
+      meets_open_ = true;
+    } else if (mesh_.seams[static_cast<std::size_t>(edge)] != 0) {
+      if (seam_count_ < most_seams) seams_[seam_count_++] = edge;
+    } else {
+      const auto end = faces_.begin() + static_cast<std::ptrdiff_t>(face_count_);
+      if (face_count_ < most_faces && std::find(faces_.begin(), end, twin / 3) == end) faces_[face_count_++] = twin / 3;
+    }
+  }
+
+  const Mesh& mesh_;
+  Point2 from_, to_;
+  std::array<Index, most_faces> faces_;
+  std::array<Edge, most_seams> seams_;
+  std::size_t face_count_ = 0, seam_count_ = 0;
+  bool meets_open_ = false;
+};
+
+bool holds(const Mesh& mesh, Index face, Point2 place) {
+  const auto& corners = mesh.texels[static_cast<std::size_t>(face)];
+  const double orientation = doubled_area(corners) < 0 ? -1 : 1;
+  for (std::size_t k = 0; k < 3; ++k) {
+    const Point2 along = corners[next(k)] - corners[k];
+    if (orientation * cross(along, place - corners[k]) < -touching * std::sqrt(dot(along, along))) return false;
+  }
+  return true;
+}
 
 // Rounding in single-precision coordinates and in unfolding is less, and too small to change an interpolated value.
 constexpr double on_centre = 1e-4;
@@ -145,6 +219,29 @@ class Lookup {
 };
 
 }  // namespace
+
+bool Connections::inside(Index face, Point2 from, Index other, Point2 to) const {
+  Touched touched(mesh_, face, from, to);
+  if (touched.find([&](Index found) { return other == none ? holds(mesh_, found, to) : found == other; })) return true;
+  return std::any_of(touched.seams().begin(), touched.seams().end(), [&](Edge seam) {
+    const Way way(mesh_, seam, to);
+    if (way.end() != End::landed) return false;
+    const Landing landing = way.landing();
+    const auto landed = static_cast<std::size_t>(landing.face);
+    if (charts_.chart_of[landed] != charts_.chart_of[static_cast<std::size_t>(face)]) return false;
+    Point2 offset = -1 * to;
+    for (std::size_t k = 0; k < 3; ++k) offset = offset + landing.weights[k] * mesh_.texels[landed][k];
+    return dot(offset, offset) < same_place * same_place;
+  });
+}
+
+bool Connections::outwards(Index face, Point2 from, Point2 to) const {
+  Touched touched(mesh_, face, from, to);
+  if (touched.find([](Index) { return false; })) return true;
+  if (touched.seams().empty()) return !touched.meets_open();
+  return std::any_of(touched.seams().begin(), touched.seams().end(),
+                     [&](Edge seam) { return Way(mesh_, seam, to).end() != End::open; });
+}
 
 Point3 position_of(const Mesh& mesh, const Landing& landing) {
   Point3 position;

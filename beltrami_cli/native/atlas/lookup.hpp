@@ -1,4 +1,4 @@
-// Looking up a texture at a point of the surface: owned cells and their bilinear weights.
+// Looking up a texture at a point of the surface: owned cells and their bilinear weights, and where the surface goes on.
 #pragma once
 
 #include <array>
@@ -9,6 +9,23 @@
 #include "atlas/unfolding.hpp"
 
 namespace beltrami::atlas {
+
+// Whether the surface goes on between cells that are neighbours in the texture's plane, or ends at an edge between them.
+class Connections {
+ public:
+  Connections(const Mesh& mesh, const Charts& charts) : mesh_(mesh), charts_(charts) {}
+
+  // Between two places on faces of one chart: whether the faces along the line between them join one face to the other,
+  // in the chart or over seams that lead back to the same place. Of the second face `none` stands for any face there.
+  bool inside(Index face, Point2 from, Index other, Point2 to) const;
+
+  // From a place on a face to one outside the chart, beyond a seam: whether no open edge lies on the way.
+  bool outwards(Index face, Point2 from, Point2 to) const;
+
+ private:
+  const Mesh& mesh_;
+  const Charts& charts_;
+};
 
 struct Sample {
   std::array<Index, 4> cells;    // owned

@@ -9,7 +9,9 @@
 
 #include "parallel.hpp"
 #include "triangulated/fast_marching.hpp"
-#include "triangulated/segment_lengths.hpp"
+#include "triangulated/length_sweep.hpp"
+#include "triangulated/metric.hpp"
+#include "triangulated/segments.hpp"
 #include "triangulated/short_time_kernel.hpp"
 #include "triangulated/vertex_groups.hpp"
 
@@ -57,6 +59,26 @@ class SegmentMarch {
   std::uint32_t mark_ = 0;
   float radius_ = 0;  // beyond which nothing is looked for
   bool truncated_ = false;
+};
+
+// The lengths of segments in a metric that is given by the lengths of edges.
+class SegmentLengths {
+ public:
+  explicit SegmentLengths(Topology topology);
+
+  const std::vector<std::array<Index, 2>>& edges() const { return tables_.edges; }
+  const Segments& segments() const { return tables_.segments; }
+
+  // Renews the lengths of all segments, from edges by eq. (1) as squared_edge_lengths(), in single precision. Returns
+  // whether positions or scales have changed since the last call.
+  bool update(Rows<double> positions, Rows<float> colours, double beta, const float* scales, unsigned threads);
+
+ private:
+  bool have_changed(Rows<double> positions, const float* scales);
+
+  LengthTables tables_;
+  std::vector<double> positions_;  // as they were at the last call
+  std::vector<float> scales_;
 };
 
 class SegmentKernel {
