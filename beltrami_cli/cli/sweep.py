@@ -99,8 +99,7 @@ def command(
     plain = trials[0][1]
     on = "vertices" if plain.on == "vertices" else "auto"
     settings = render_settings_from(given, on=on, slot=plain.textures.slots[0])
-    from beltrami_cli.view.sweep import sweep_file
-    from beltrami_cli.view.trials import best_of
+    from beltrami_cli.view.sweep import best_of, sweep_file
 
     with options.job_from(given, source, messages) as job:
         done = sweep_file(

@@ -6,26 +6,21 @@ from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
 
-from beltrami_cli.errors import UsageError
+from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.fields import override
 from beltrami_cli.samples.image_surface import ImageSurface
+from beltrami_cli.surface.geometry import check_scale
 from beltrami_cli.surface.records import Encoding, PaintedVertices
-from beltrami_cli.surface.validation import (
-    array_of,
-    check_mesh,
-    colour_table,
-    face_table,
-    guide_table,
-    position_table,
-)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import ArrayLike
 
-    from beltrami_cli.arrays import Array, Float32s
+    from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s
     from beltrami_cli.samples.settings import SmoothSettings
+
+_ARRAYS = "the arrays"  # as messages call them
 
 
 def settings_for(
@@ -77,9 +72,15 @@ def painted_arrays(
     names = ("red", "green", "blue") if shades.shape[1] == 3 else tuple(map(str, range(shades.shape[1])))
     stored = str(np.asarray(colours).dtype)
     triangles = face_table([] if faces is None else faces, len(places))
-    painted = PaintedVertices(places, triangles, shades, names, encoding, stored)
-    check_mesh(painted, "the arrays")
-    return painted
+    if len(places) != len(shades):
+        raise InputError(_ARRAYS, f"there are {len(places)} positions but {len(shades)} colours")
+    for what, table in (("position", places), ("colour", shades)):
+        finite = np.isfinite(table).all(axis=1)
+        if not finite.all():
+            cause = f"the {what} of vertex {int(np.argmin(finite))} is not finite"
+            raise InputError(_ARRAYS, cause, "repair the file")
+    check_scale(places, triangles, _ARRAYS)
+    return PaintedVertices(places, triangles, shades, names, encoding, stored)
 
 
 def checked_surface(surface: ImageSurface | None, table: Float32s, shape: tuple[int, int]) -> ImageSurface:
@@ -116,7 +117,74 @@ def _pixel_array(values: ArrayLike, name: str, shape: tuple[int | None, ...], ki
     )
     if not fits or array.dtype.kind not in kinds or 0 in array.shape:
         wanted = ", ".join("M" if size is None else str(size) for size in shape)
-        raise UsageError(
-            f"{name} must be numbers of shape ({wanted}), not {array.dtype} of shape {array.shape}"
-        )
+        raise UsageError(f"{name} must be numbers of shape ({wanted}), not {_described(array)}")
     return array
+
+
+def position_table(positions: ArrayLike) -> Float64s:
+    """Take positions of any numeric type, shape (V, M); an empty list has M = 3."""
+    table = array_of(positions, "positions")
+    if table.shape == (0,):
+        table = table.reshape(0, 3)
+    if table.ndim != 2 or table.shape[1] == 0 or table.dtype.kind not in "uif":
+        raise UsageError(f"positions must be numbers of shape (V, M), not {_described(table)}")
+    with np.errstate(over="ignore"):  # what is too large becomes infinite, which is refused
+        return np.ascontiguousarray(table, np.float64)
+
+
+def face_table(faces: ArrayLike, count: int) -> Int32s:
+    """Take triangles of any integer type, shape (F, 3), indices in [0, count); nothing wraps or is cut off."""
+    table = array_of(faces, "faces")
+    if table.shape in ((0,), (0, 3)):
+        return np.empty((0, 3), np.int32)
+    if table.ndim != 2 or table.shape[1] != 3:
+        raise UsageError(f"faces must be triangles, of shape (F, 3), not {_described(table)}")
+    if table.dtype.kind not in "ui":
+        raise UsageError(f"faces must be whole numbers, not {_described(table)}")
+    wrong = ((table < 0) | (table >= count)).any(axis=1)
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        raise UsageError(f"face {row} is {table[row].tolist()}, but there are {count} vertices, from 0 on")
+    return np.ascontiguousarray(table, np.int32)
+
+
+def colour_table(colours: ArrayLike) -> Float32s:
+    """Take colours, shape (V, C) or (V,): floats as they are, unsigned integers by their full scale."""
+    table = array_of(colours, "colours")
+    if table.ndim == 1:
+        table = table[:, None] if len(table) else table.reshape(0, 3)
+    if table.ndim != 2 or table.shape[1] == 0 or table.dtype.kind not in "uif":
+        raise UsageError(f"colours must be numbers of shape (V, C), not {_described(table)}")
+    if table.dtype.kind == "f":
+        with np.errstate(over="ignore"):
+            return np.ascontiguousarray(table, np.float32)
+    # Of other integers nobody knows the full scale: a list of 0 to 255 becomes int64.
+    if table.dtype not in (np.uint8, np.uint16, np.uint32):
+        raise UsageError(
+            f"colours of type {table.dtype} have no full scale; give uint8, as 0 to 255, or floats, as 0 to 1"
+        )
+    return np.ascontiguousarray(table / np.iinfo(table.dtype).max, np.float32)
+
+
+def guide_table(values: ArrayLike, shape: tuple[int, ...], name: str = "guide") -> Float64s:
+    """Take a guide: any finite numbers of `shape`, or with channels behind it; a row a vertex or pixel."""
+    table = array_of(values, name)
+    if table.shape[: len(shape)] != shape or table.ndim > len(shape) + 1 or table.dtype.kind not in "buif":
+        wanted = ", ".join(map(str, shape))
+        raise UsageError(f"the {name} must be numbers of shape ({wanted}, G), not {_described(table)}")
+    rows = table.reshape(int(np.prod(shape)), -1).astype(np.float64)
+    if not np.isfinite(rows).all():
+        raise UsageError(f"row {int(np.argmin(np.isfinite(rows).all(axis=1)))} of the {name} is not finite")
+    return rows
+
+
+def array_of(values: ArrayLike, name: str) -> Array:
+    """Make an array of anything like one; UsageError, with the name, if its rows are of several lengths."""
+    try:
+        return np.asarray(values)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise UsageError(f"{name} must be a table whose rows have the same length") from error
+
+
+def _described(table: Array) -> str:
+    return f"{table.dtype} of shape {table.shape}"

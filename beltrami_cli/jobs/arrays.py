@@ -1,14 +1,4 @@
-"""Smooth the colours of triangle meshes, clouds of points and images: arrays in, arrays out.
-
-References
-----------
-.. [1] A. Spira, R. Kimmel, N. Sochen, "A short time Beltrami kernel for smoothing images and manifolds",
-   IEEE Trans. Image Processing 16(6), 2007, doi:10.1109/TIP.2007.894253
-.. [2] R. Kimmel, J. A. Sethian, "Computing geodesic paths on manifolds", PNAS 95(15), 1998,
-   doi:10.1073/pnas.95.15.8431
-.. [3] A. Spira, R. Kimmel, "An efficient solution to the eikonal equation on parametric manifolds", Interfaces and
-   Free Boundaries 6, 2004, doi:10.4171/IFB/102
-"""
+"""Smooth the colours of triangle meshes, clouds of points and images: arrays in, arrays out."""
 
 from __future__ import annotations
 
@@ -22,6 +12,7 @@ from beltrami_cli.flow.embedding import Guide, centred, from_space, to_space
 from beltrami_cli.jobs.array_arguments import (
     checked_surface,
     deviations_in,
+    guide_table,
     painted_arrays,
     pixel_colours,
     require_encoding,
@@ -31,14 +22,12 @@ from beltrami_cli.samples.guides import GuideImage
 from beltrami_cli.samples.image_surface import ImageSurface, grid_flow
 from beltrami_cli.samples.settings import DEFAULTS
 from beltrami_cli.samples.vertex_samples import VertexSamples, count_cloud
-from beltrami_cli.surface.validation import guide_table
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from numpy.typing import ArrayLike, NDArray
 
-    from beltrami_cli.flow.parameters import Space
     from beltrami_cli.flow.tuning.choice import Choice
     from beltrami_cli.samples.settings import SmoothSettings
     from beltrami_cli.samples.vertex_samples import CloudCounts
@@ -208,26 +197,17 @@ def smooth(
     flow = samples.flow()
     result = flow.run(progress)
     report, moving = samples.report(flow, result), flow.manifold.moving
-    repainted = samples.repaint(flow.manifold.new_colours())
+    repainted, counts = samples.repaint(flow.manifold.new_colours()), report.counts
     assert repainted.colours is not None
     return SmoothResult(
-        repainted.colours,
-        result.beta,
-        result.spacing,
-        report.noise,
-        int(report.counts["samples"]),
-        int(report.counts["hard_edge_samples"]),
-        result.samples_per_kernel,
-        result.truncated,
-        report.iterations,
-        report.guides,
-        repainted.positions,
-        None if moving is None else moving.sigma,
-        None if moving is None else moving.beta,
-        count_cloud(samples.joined) if faces is None else None,
-        result.choice,
-        result.patches,
-    )
+        repainted.colours, result.beta, result.spacing, report.noise, int(counts["samples"]),
+        int(counts["hard_edge_samples"]), result.samples_per_kernel, result.truncated, report.iterations,
+        report.guides, repainted.positions,
+        normal_noise=None if moving is None else moving.sigma,
+        normal_beta=None if moving is None else moving.beta,
+        cloud=count_cloud(samples.joined) if faces is None else None,
+        choice=result.choice, patches=result.patches,
+    )  # fmt: skip
 
 
 def smooth_image(
@@ -293,27 +273,25 @@ def smooth_image(
         values = centred(guide_table(guide, shape)).reshape(*shape, -1)
         guides = [GuideImage("guide", values, beta).at]
     metric = settings.embedding.metric_channels
-    place = checked_surface(surface, table, shape)
 
     def working(pixels: NDArray[np.int64]) -> NDArray[np.float32]:
         return to_space(table[pixels], encoding, settings.space)
 
     numbers = None if metric is None else sorted({channels.index(channel) for channel in metric})
-    rows = None if noise is None else noise.__getitem__
+    place, rows = checked_surface(surface, table, shape), None if noise is None else noise.__getitem__
     flow = grid_flow(place, working, settings.kernel, guides, numbers, noise=rows)
     result = flow.run(progress)
     pixels = flow.manifold.atlas.owned_texels
-    smoothed = _repainted(table, pixels, (working(pixels), flow.values()), encoding, settings.space)
+    before, after = working(pixels), flow.values()
+    smoothed, moved, old = table.copy(), np.any(before != after, axis=1), table[pixels]
+    if moved.any():
+        # The way there and back is not exact; what comes of it stays in the range of the colours.
+        back = from_space(after[moved], encoding, settings.space)
+        smoothed[pixels[moved]] = np.clip(back, old.min(axis=0), old.max(axis=0))
     return ImageResult(
-        smoothed.reshape(*shape, -1),
-        result.beta,
-        result.spacing,
-        result.sigma,
-        len(pixels),
-        result.samples_per_kernel,
-        choice=result.choice,
-        patches=result.patches,
-    )
+        smoothed.reshape(*shape, -1), result.beta, result.spacing, result.sigma, len(pixels),
+        result.samples_per_kernel, result.choice, result.patches,
+    )  # fmt: skip
 
 
 def _vertex_samples(
@@ -337,21 +315,3 @@ def _vertex_samples(
     samples = VertexSamples(painted, settings, guides, noise)
     samples.is_cloud = is_cloud
     return samples
-
-
-def _repainted(
-    table: NDArray[np.float32],
-    pixels: NDArray[np.int64],
-    values: tuple[NDArray[np.float32], NDArray[np.float32]],  # working colours of pixels, before and after
-    encoding: Encoding,
-    space: Space,
-) -> NDArray[np.float32]:
-    """Return the colours of all pixels after some of them changed, in the encoding of the input."""
-    before, after = values
-    smoothed, moved = table.copy(), np.any(before != after, axis=1)
-    if moved.any():
-        back = from_space(after[moved], encoding, space)
-        # The way there and back is not exact; what comes of it stays in the range of the colours.
-        old = table[pixels]
-        smoothed[pixels[moved]] = np.clip(back, old.min(axis=0), old.max(axis=0))
-    return smoothed

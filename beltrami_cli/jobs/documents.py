@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 
 from beltrami_cli.errors import BeltramiError, UsageError
-from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access, read_regular, read_source
+from beltrami_cli.formats.access import read_regular, read_source
 from beltrami_cli.formats.document import Naming
 from beltrami_cli.formats.image.recognition import suffix_for
 from beltrami_cli.formats.registry import (
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from beltrami_cli.samples.samples import Repainted
     from beltrami_cli.samples.selection import OutputFormat, Selection
     from beltrami_cli.samples.settings import SmoothSettings
-    from beltrami_cli.surface.records import MeshContents, PaintedVertices, Slot, TexturedSurface
+    from beltrami_cli.surface.records import PaintedVertices, Slot, TexturedSurface
 
 
 def open_input(source: str, settings: SmoothSettings, access: Access) -> Document:
@@ -75,20 +75,20 @@ def with_painted(document: Document, painted: Sequence[Repainted]) -> Document:
     if isinstance(document, ImageDocument):
         data = images.get(("baseColor", ""), document.data)
         return document if data == document.data else ImageDocument(data, document.name)
+
+    def textured(slot: Slot) -> TexturedSurface:
+        surface = document.textured(slot)
+        textures = [
+            dataclasses.replace(each, content=images.get((slot, each.key), each.content))
+            for each in surface.textures
+        ]
+        return dataclasses.replace(surface, textures=tuple(textures))
+
     made = copy(document)
     for each in painted:
         if each.colours is not None:
             made.painted = partial(_with_colours, document, each)  # type: ignore[method-assign]
     if images:
-
-        def textured(slot: Slot) -> TexturedSurface:
-            surface = document.textured(slot)
-            textures = [
-                dataclasses.replace(each, content=images.get((slot, each.key), each.content))
-                for each in surface.textures
-            ]
-            return dataclasses.replace(surface, textures=tuple(textures))
-
         made.textured = textured  # type: ignore[method-assign]
     return made
 
@@ -118,7 +118,16 @@ def make_files(
     if target_format in document.forms:
         return document.repackaged(colours, naming, target_format, images=images, places=places)
     if is_converted_with_textures(document, kind):
-        return _converted(document, colours, images, target_format, naming, moved_too=places is not None)
+        if places is not None:
+            raise UsageError(
+                f"{document.name}: positions that --smooth-geometry moves cannot be converted together with textures; "
+                f"give the output the extension .{document.format}"
+            )
+        mesh = with_images(document.textured_mesh(colours), images)
+        mesh, notices = with_suffixes(mesh, held_images(target_format) or ())
+        stem = naming.free_stem(lambda stem: textured_sidecars(mesh, target_format, stem))
+        written = write_textured(mesh, target_format, stem)
+        return dataclasses.replace(written, notices=(*notices, *written.notices))
     if images or (document.slots() and not document.has_vertex_colours()):
         raise UsageError(
             f"a .{target_format} file has no textures; end the name of the output in .glb, .gltf, .obj or .ply"
@@ -127,45 +136,19 @@ def make_files(
     if colours is not None:
         contents = dataclasses.replace(contents, colours=colours)
     if places is not None:
-        contents = _moved(contents, places)
+        normals = contents.normals
+        if normals is not None and places.normals is not None:
+            normals = np.where(np.isnan(places.normals), normals, places.normals)
+        contents = dataclasses.replace(contents, positions=places.positions, normals=normals)
     stem = naming.free_stem(lambda stem: sidecar_names(target_format, stem, None))
     return write_contents(contents, target_format, stem)
 
 
 def is_converted_with_textures(document: Document, kind: OutputFormat) -> bool:
-    """Return whether a document is written anew, as another format that can hold its textures."""
+    """Whether a document is written anew, as another format that can hold its textures."""
     if kind.is_own or kind.suffix is not None or held_images(kind.name) is None or not document.slots():
         return False
     return kind.name not in document.forms
-
-
-def _converted(
-    document: Document,
-    colours: Float32s | None,
-    images: Mapping[tuple[Slot, str], ImageFile],
-    target_format: str,
-    naming: Naming,
-    *,
-    moved_too: bool,
-) -> Written:
-    """Return the files of a textured document in another format that has textures."""
-    if moved_too:
-        raise UsageError(
-            f"{document.name}: positions that --smooth-geometry moves cannot be converted together with textures; "
-            f"give the output the extension .{document.format}"
-        )
-    mesh = with_images(document.textured_mesh(colours), images)
-    mesh, notices = with_suffixes(mesh, held_images(target_format) or ())
-    stem = naming.free_stem(lambda stem: textured_sidecars(mesh, target_format, stem))
-    written = write_textured(mesh, target_format, stem)
-    return dataclasses.replace(written, notices=(*notices, *written.notices))
-
-
-def _moved(contents: MeshContents, places: MovedVertices) -> MeshContents:
-    normals = contents.normals
-    if normals is not None and places.normals is not None:
-        normals = np.where(np.isnan(places.normals), normals, places.normals)
-    return dataclasses.replace(contents, positions=places.positions, normals=normals)
 
 
 def moved_vertices(document: Document, positions: Float64s) -> MovedVertices:
@@ -173,13 +156,8 @@ def moved_vertices(document: Document, positions: Float64s) -> MovedVertices:
     painted = document.painted()
     if not document.has_normals_by_vertex():
         return MovedVertices(positions)
-    return MovedVertices(positions, _normals(painted, document.attribute("normal"), positions))
-
-
-def _normals(painted: PaintedVertices, old: Float64s, positions: Float64s) -> Float32s:
-    """Return the normals of moved vertices and their neighbours, shape (V, 3), NaN for the others."""
     # Copies of a vertex that share a normal share the new one; others stay separate, so that hard edges stay hard.
-    columns = [*painted.positions.T, *old.T]
+    columns = [*painted.positions.T, *document.attribute("normal").T]
     if painted.space_of is not None:
         columns.append(painted.space_of)
     group_of, _ = group_equal_rows(*columns)
@@ -189,7 +167,7 @@ def _normals(painted: PaintedVertices, old: Float64s, positions: Float64s) -> Fl
     touched[group_of[painted.faces[moved[painted.faces].any(axis=1)]]] = True
     kept = ~touched[group_of] | ~normals.any(axis=1)
     normals[kept] = np.nan
-    return normals
+    return MovedVertices(positions, normals)
 
 
 @dataclass(frozen=True)
@@ -200,7 +178,7 @@ class Sidecars:
     naming: Naming
     notices: tuple[str, ...] = ()
 
-    def complete(self, written: Written, access: Access = EVERYTHING_INSIDE) -> Written:
+    def complete(self, written: Written, access: Access) -> Written:
         """Add the contents of the unchanged files that are copied, and the notices."""
         copied = {new: read_regular(self.folder / old, access) for new, old in written.copies.items()}
         sidecars, notices = {**written.sidecars, **copied}, (*self.notices, *written.notices)
@@ -291,7 +269,7 @@ def _names(
 
 
 def is_moved(source: str, target: str) -> bool:
-    """Return whether the output is in another folder than the source."""
+    """Whether the output is in another folder than the source."""
     if "-" in (source, target):
         return source != "-"
     return Path(source).resolve().parent != Path(os.path.realpath(target)).parent

@@ -13,12 +13,16 @@ from beltrami_cli.samples.memory_check import checked_memory, memory_beside
 from beltrami_cli.samples.reports import atlas_counts
 from beltrami_cli.samples.selection import require_scale, samples_of, select, vertex_samples
 from beltrami_cli.samples.settings import DEFAULTS, SmoothSettings
+from beltrami_cli.samples.texel_colours import choose_textures, only_textures
+from beltrami_cli.samples.texel_samples import TexelSamples
+from beltrami_cli.samples.tile_groups import TileGroups
+from beltrami_cli.surface.geometry import bounds, count_topology
+from beltrami_cli.surface.grouping import group_places
 
 if TYPE_CHECKING:
     from beltrami_cli.formats.document import Document
     from beltrami_cli.samples.selection import Selection
-    from beltrami_cli.samples.tile_groups import TileGroups
-    from beltrami_cli.surface.records import Slot, TexturedSurface
+    from beltrami_cli.surface.records import Slot
 
 
 def inspect_file(
@@ -98,9 +102,6 @@ def _too_many_together(
     """Return the slots whose textures do not fit into memory together, not even in files."""
     if not selection.slots or not settings.fits_parts:
         return {}
-    from beltrami_cli.samples.texel_colours import choose_textures
-    from beltrami_cli.samples.tile_groups import TileGroups
-
     chosen = {slot: choose_textures(document.textured(slot), settings.textures) for slot in selection.slots}
     memory = memory_beside(document, access)
     groups = {slot: TileGroups.of(surface, memory) for slot, surface in chosen.items()}
@@ -109,9 +110,6 @@ def _too_many_together(
 
 def _describe_one_by_one(groups: TileGroups, slot: Slot, settings: SmoothSettings) -> dict[str, object]:
     """Describe the textures of a slot one by one, and noise and parameters by some of them."""
-    from beltrami_cli.samples.texel_colours import only_textures
-    from beltrami_cli.samples.texel_samples import TexelSamples
-
     facts = TexelSamples(groups.evenly_chosen(), slot, settings).describe()
     del facts["seams_between_textures"], facts["exposure"]
     plain = dataclasses.replace(settings, kernel=dataclasses.replace(settings.kernel, free=()))
@@ -132,20 +130,14 @@ def _describe_under_textures(
         plain = dataclasses.replace(DEFAULTS, kernel=dataclasses.replace(settings.kernel, free=()))
         facts = vertex_samples(document, plain, access).describe()
         return {key: facts[key] for key in facts if key != "smooth"}
-    return {"surface": _describe_surface(document.textured(slot))}
-
-
-def _describe_surface(surface: TexturedSurface) -> dict[str, object]:
-    """Count the triangles under textures."""
-    from beltrami_cli.surface.geometry import bounds, count_topology
-    from beltrami_cli.surface.grouping import group_places
-
+    surface = document.textured(slot)
     place_of, first = group_places(surface.positions, surface.space_of)
     positions = surface.positions[first]
-    return {
+    counts = {
         "vertices": len(surface.positions),
         "triangles": len(surface.faces),
         "coincident_vertices": len(surface.positions) - len(first),
         **dataclasses.asdict(count_topology(positions, place_of[surface.faces])),
         "bounds": bounds(positions),
     }
+    return {"surface": counts}

@@ -111,8 +111,7 @@ def show_size(size: int) -> str:
 
 def default_memory() -> int | None:
     """Return half of the bytes that are available to this process now; None if they are unknown."""
-    found = [_available(), *_left_in_cgroups()]
-    known = [size for size in found if size is not None]
+    known = [size for size in (_available(), *_left_in_cgroups()) if size is not None]
     return max(min(known) // 2, _LEAST) if known else None
 
 
@@ -156,7 +155,7 @@ def _cached(folder: Path) -> int:
     return 0
 
 
-@contextlib.contextmanager
+@contextmanager
 def limited_memory(size: int | None, name: str) -> Iterator[None]:
     """Limit the memory of the process in this context; InputError with the name of the file if more is needed."""
     # Windows and macOS have no such limit: there only the checks before a job apply.
@@ -165,21 +164,17 @@ def limited_memory(size: int | None, name: str) -> Iterator[None]:
             yield
     except MemoryError as error:
         limit = "the memory of this machine" if size is None else f"{show_size(size)} of memory"
-        raise InputError(
-            name, f"needs more than {limit}", "raise --max-memory, or give a smaller model"
-        ) from error
+        remedy = "raise --max-memory, or give a smaller model"
+        raise InputError(name, f"needs more than {limit}", remedy) from error
 
 
-@contextlib.contextmanager
+@contextmanager
 def _data_limit(size: int | None) -> Iterator[None]:
-    try:
-        import resource
-    except ImportError:
+    if size is None or sys.platform == "win32":
         yield
         return
-    if size is None:
-        yield
-        return
+    import resource
+
     before, most = resource.getrlimit(resource.RLIMIT_DATA)
     wanted = size + _PROGRAM + _PER_PROCESSOR * (os.cpu_count() or 1)
     known = [limit for limit in (before, most) if limit != resource.RLIM_INFINITY]
@@ -216,9 +211,9 @@ def peak_memory() -> int | None:
         # On Linux ru_maxrss also counts what the process that started this one held at that moment.
         fields = dict(line.split(":", 1) for line in status.read_text().splitlines())
         return int(fields["VmHWM"].split()[0]) * 1024 if "VmHWM" in fields else None
-    try:
-        import resource
-    except ImportError:  # Windows
+    if sys.platform == "win32":
         return None
+    import resource
+
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return peak if sys.platform == "darwin" else peak * 1024

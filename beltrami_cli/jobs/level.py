@@ -11,17 +11,13 @@ from beltrami_cli.errors import UsageError
 from beltrami_cli.fields import override
 from beltrami_cli.jobs.job import PLAIN_JOB, peak_memory
 from beltrami_cli.jobs.recolour import recolour
-from beltrami_cli.samples.levelled_charts import photographs_of
+from beltrami_cli.jobs.smoothing import Levelling
 from beltrami_cli.samples.reports import describe_settings
 from beltrami_cli.samples.settings import DEFAULTS, LevelSettings
 
 if TYPE_CHECKING:
-    from beltrami_cli.arrays import Int64s
-    from beltrami_cli.formats.document import Document
     from beltrami_cli.jobs.job import Job
     from beltrami_cli.samples.reports import LevelReport
-    from beltrami_cli.samples.samples import Repainted, Samples
-    from beltrami_cli.samples.selection import OutputFormat, Selection
     from beltrami_cli.samples.settings import SmoothSettings
 
 
@@ -100,52 +96,9 @@ def level_file(
     source, target = os.fspath(source), os.fspath(target)
     painter = Levelling(wanted)
     made = recolour(source, target, settings, painter, job)
+    described, used = describe_settings(settings), ("threads", "space", "channels", "on", "textures")
+    parameters = {name: value for name, value in described.items() if name in used}
     return LevelFileReport(
-        source,
-        target,
-        made.format,
-        {**_described(settings), **dataclasses.asdict(wanted)},
-        painter.done,
-        made.stages,
-        peak_memory(),
-        made.written,
-        list(dict.fromkeys(made.warnings)),
-    )
-
-
-def _described(settings: SmoothSettings) -> dict[str, object]:
-    """Return which colours were meant, and how they were written."""
-    used = ("threads", "space", "channels", "on", "textures")
-    return {name: value for name, value in describe_settings(settings).items() if name in used}
-
-
-class Levelling:
-    """A painter that takes exposure steps out."""
-
-    changes = True
-    colours_only = True
-    works_on_disk = True
-    works_in_groups = False  # exposures are fitted to all seams together
-
-    def __init__(self, wanted: LevelSettings) -> None:
-        self._wanted = wanted
-        self._photographs: Int64s | None = None
-        self.done: list[LevelReport] = []
-
-    def check(self, document: Document, selection: Selection, target: OutputFormat) -> None:
-        """Raise InputError if vertex colours do not say which photograph they are from."""
-        del target
-        if selection.vertices:
-            self._photographs = photographs_of(document, self._wanted.photographs)
-
-    def level(self, samples: Samples) -> LevelReport:
-        """Level samples, before they are painted otherwise."""
-        return samples.level(self._wanted, self._photographs if samples.part == "vertices" else None)
-
-    def paint(self, samples: Samples, job: Job) -> Repainted:
-        """Level samples, and do nothing else to them."""
-        del job
-        report = self.level(samples)
-        repainted = samples.repaint(samples.levelled())
-        self.done.append(dataclasses.replace(report, change=repainted.change.summary()))
-        return repainted
+        source, target, made.format, {**parameters, **dataclasses.asdict(wanted)}, painter.done, made.stages,
+        peak_memory(), made.written, list(dict.fromkeys(made.warnings)),
+    )  # fmt: skip

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -82,9 +83,8 @@ def texture_from_vertices(
     contents = document.contents()
     faces = triangulate(contents.positions, contents.corners, contents.offsets)
     if not len(faces):
-        raise InputError(
-            document.name, "it has no triangles", "a texture needs a surface; mesh the points first"
-        )
+        remedy = "a texture needs a surface; mesh the points first"
+        raise InputError(document.name, "it has no triangles", remedy)
     space_of = document.painted().space_of
     charts = None
     if wanted.keep_uv:
@@ -128,7 +128,9 @@ def texture_from_textures(
 
     def shade(owners: Int64s, weights: Float64s) -> Array:
         seen = np.ones((len(owners), 4))
-        uv = interpolated(old.uv, owners, _within(weights))
+        # Places beside a triangle are moved into it: what its texture shows there belongs to something else.
+        inside = np.clip(weights, 0, 1)
+        uv = interpolated(old.uv, owners, inside / np.maximum(inside.sum(axis=1, keepdims=True), 1))
         for index, (picture, texture) in enumerate(zip(pictures, old.textures, strict=True)):
             mine = old.texture_of[owners] == index
             values = look_up(images[index], uv[mine], texture.wrap, None if picture.alpha is None else 3)
@@ -141,25 +143,14 @@ def texture_from_textures(
 
 
 def _unwrapped(
-    document: Document,
-    positions: Float64s,
-    faces: Int32s,
-    space_of: Int32s | None,
-    texels: float,
-    wanted: BakeSettings,
-    progress: Progress,
-) -> Unwrapped:
+    document: Document, positions: Float64s, faces: Int32s, space_of: Int32s | None, texels: float,
+    wanted: BakeSettings, progress: Progress,
+) -> Unwrapped:  # fmt: skip
     require_few_faces(len(faces), wanted.max_unwrap_faces, document.name)
     return unwrap(
-        positions,
-        faces,
-        wanted.size,
-        wanted.padding,
-        document.name,
-        space_of=space_of,
-        texels=texels,
-        progress=None if progress is None else lambda done, total: progress("unwrapping", done, total),
-    )
+        positions, faces, wanted.size, wanted.padding, document.name, space_of=space_of, texels=texels,
+        progress=None if progress is None else partial(progress, "unwrapping"),
+    )  # fmt: skip
 
 
 def _kept_uv(document: Document, corners: Float64s, side: int | None) -> tuple[Float64s, tuple[int, int]]:
@@ -209,11 +200,10 @@ def _left_behind(contents: MeshContents) -> list[str]:
 
 
 def _what_textures_lose(document: Document, old: TexturedSurface, pictures: list[Picture]) -> tuple[str, ...]:
-    notices = [
-        f"{document.format.upper()} content other than triangles and the base colour is not in the new file."
-    ]
-    bare = int((old.texture_of < 0).sum())
-    notices += [f"{bare} triangles have no texture, and are white in the new one."] if bare else []
+    what = f"{document.format.upper()} content other than triangles and the base colour"
+    notices = [f"{what} is not in the new file."]
+    if bare := int((old.texture_of < 0).sum()):
+        notices.append(f"{bare} triangles have no texture, and are white in the new one.")
     if any(picture.encoding == "linear" for picture in pictures):
         notices.append("Float textures become 16-bit sRGB, clipped to 0..1.")
     return tuple(notices)
@@ -233,13 +223,6 @@ def as_rgba(picture: Picture) -> Float32s:
     colour = values[..., [*picture.colour] * (3 // len(picture.colour))]
     alpha = np.ones_like(values[..., :1]) if picture.alpha is None else values[..., [picture.alpha]]
     return np.concatenate([colour, alpha], axis=2)
-
-
-def _within(weights: Float64s) -> Float64s:
-    """Move places beside a triangle into it: what its texture shows there belongs to something else."""
-    inside: Float64s = np.clip(weights, 0, 1)
-    inside /= np.maximum(inside.sum(axis=1, keepdims=True), 1)
-    return inside
 
 
 def _as_srgb(values: Float64s, encoding: Encoding) -> Float64s:

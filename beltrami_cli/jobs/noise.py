@@ -174,16 +174,12 @@ def _changed(colours: Float64s, numbers: Float64s, settings: NoiseSettings) -> F
     if settings.kind == "speckle":
         return np.asarray(colours * (1 + sigma * ndtri(numbers)), np.float64)
     if settings.kind == "poisson":
-        return _counted(colours, numbers, sigma)
+        from scipy.stats import poisson
+
+        # Photons are counted: full scale is 1 / sigma^2 of them, so that their deviation is sigma of it there.
+        counts = poisson.ppf(numbers, np.maximum(colours, 0) / sigma**2)
+        return np.where(colours < 0, colours, counts * sigma**2)
     return np.where(numbers < sigma / 2, 0.0, np.where(numbers > 1 - sigma / 2, 1.0, colours))
-
-
-def _counted(colours: Float64s, numbers: Float64s, sigma: float) -> Float64s:
-    """Count photons: full scale is 1 / sigma^2 of them, so that their deviation is sigma of full scale there."""
-    from scipy.stats import poisson
-
-    counts = poisson.ppf(numbers, np.maximum(colours, 0) / sigma**2)
-    return np.where(colours < 0, colours, counts * sigma**2)
 
 
 def seen_by_camera(grains: Grains, cells: Cells | None, settings: NoiseSettings) -> Float32s:

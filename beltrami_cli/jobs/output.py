@@ -75,9 +75,8 @@ class Output:
         self.files.add(self)
         if self.is_stdout:
             if sys.stdout.isatty() and not is_text:
-                raise OutputError(
-                    "<stdout>", "a model is not written to a terminal", "redirect it to a file or pipe"
-                )
+                cause = "a model is not written to a terminal"
+                raise OutputError("<stdout>", cause, "redirect it to a file or pipe")
         elif not self.is_device:
             self._check_file(self.path)
             if overwrite == "own":
@@ -101,15 +100,12 @@ class Output:
         names = self._sidecars = tuple(names)
         for name in names:
             if self.folder is None:
-                raise OutputError(
-                    "<stdout>" if self.is_stdout else self.target,
-                    "there is no folder for the files that belong beside it",
-                    "choose a file as OUTPUT, or --format glb (of OBJ and PLY with --unwrap)",
-                )
+                cause = "there is no folder for the files that belong beside it"
+                remedy = "choose a file as OUTPUT, or --format glb (of OBJ and PLY with --unwrap)"
+                raise OutputError("<stdout>" if self.is_stdout else self.target, cause, remedy)
             path = PurePosixPath(name)
-            if (
-                path.is_absolute() or ".." in path.parts
-            ):  # no reader gives such a name; this is the last check
+            # No reader gives such a name; this is the last check.
+            if path.is_absolute() or ".." in path.parts:
                 raise OutputError(name, "would be written outside the output's folder")
             self._check_file(self.folder / name)
             remove_leftovers(self.folder / name)
@@ -159,9 +155,8 @@ class Output:
         try:
             is_folder, exists = path.is_dir(), path.exists()
         except OSError as error:
-            raise OutputError(
-                name, f"no file can be called so ({error.strerror})", "choose another name"
-            ) from error
+            cause = f"no file can be called so ({error.strerror})"
+            raise OutputError(name, cause, "choose another name") from error
         if is_folder:
             raise OutputError(name, "is a folder", "name a file")
         if exists and not self.overwrite:
@@ -214,13 +209,12 @@ class _Staged:
 class FileSet:
     """The files that one run writes; as a context, it removes those that were not put in place."""
 
-    # `reads` are files that only a result of them may replace: OUTPUT may be INPUT, but a report may not. `guarded`
-    # are files that nothing may replace, such as guides.
+    # `reads` are files that only a result of them may replace: OUTPUT may be INPUT, but a report may not.
 
-    def __init__(self, reads: Iterable[str] = (), guarded: Iterable[str] = ()) -> None:
+    def __init__(self, reads: Iterable[str] = ()) -> None:
         self._outputs: list[Output] = []
         self._reads = {place_of(Path(name)) for name in reads if name != "-"}
-        self._guarded = {place_of(Path(name)) for name in guarded}
+        self._guarded: set[str] = set()
         self._staged: dict[Path, _Staged] = {}
         self._streams: list[Callable[[], None]] = []
         self._cleaning = contextlib.ExitStack()
@@ -240,7 +234,7 @@ class FileSet:
         self.check()
 
     def guard(self, names: Iterable[str]) -> None:
-        """Let nothing replace these files."""
+        """Let nothing replace these files, such as guides."""
         self._guarded |= {place_of(Path(name)) for name in names}
         self.check()
 

@@ -98,23 +98,12 @@ def recolour_in_memory(document: Document, settings: SmoothSettings, painter: Pa
 
 
 def _paint(
-    document: Document,
-    selection: Selection,
-    settings: SmoothSettings,
-    painter: Painter,
-    job: Job,
+    document: Document, selection: Selection, settings: SmoothSettings, painter: Painter, job: Job,
     suffix: str | None,
-) -> list[Repainted]:
+) -> list[Repainted]:  # fmt: skip
     painted = []
-    for samples in samples_of(
-        document,
-        selection,
-        settings,
-        job.access,
-        suffix,
-        colours_only=painter.colours_only,
-        in_groups=painter.works_in_groups,
-    ):
+    options = {"colours_only": painter.colours_only, "in_groups": painter.works_in_groups}
+    for samples in samples_of(document, selection, settings, job.access, suffix, **options):
         samples.require_writable()
         painted.append(painter.paint(samples, job))
         del samples
@@ -139,7 +128,7 @@ def _files(
 
 
 def _is_new(document: Document, slot: Slot, key: str, image: ImageFile) -> bool:
-    """Return whether an image changed: beside the source, the output names the others as the source does."""
+    """Whether an image changed: beside the source, the output names the others as the source does."""
     if slot not in document.slots():
         return True
     return all(image.data != each.data for each in document.textured(slot).textures if each.key == key)

@@ -1,4 +1,4 @@
-"""Writing files aside and putting them in place: the steps that `files.FileSet` is made of.
+"""Writing files aside and putting them in place: the steps that `output.FileSet` is made of.
 
 Putting written files in place needs no further disk space. If it fails for one, those before it are undone. Signals
 that would end the process wait until nothing is half done.
@@ -51,18 +51,13 @@ def remove_leftovers(path: Path) -> None:
     with contextlib.suppress(OSError), os.scandir(path.parent) as entries:
         for entry in entries:
             owner = _NAME.fullmatch(entry.name[len(start) :]) if entry.name.startswith(start) else None
-            if owner is not None and _is_gone(*owner.groups()):
+            if owner is not None and owner[1] == _machine() and _life(int(owner[2])) != owner[3]:
                 with contextlib.suppress(OSError):
                     Path(entry.path).unlink()
 
 
 def _start(path: Path) -> str:
-    name = os.fsencode(path.name)[:_LONGEST].decode(errors="ignore")
-    return f".{name}."
-
-
-def _is_gone(machine: str, process: str, life: str) -> bool:
-    return machine == _machine() and _life(int(process)) != life
+    return f".{os.fsencode(path.name)[:_LONGEST].decode(errors='ignore')}."
 
 
 @cache
@@ -156,19 +151,13 @@ def folders_locked(folders: Iterable[Path], deliver: Callable[[], None]) -> Iter
     # In one order for all, so that two runs do not wait for each other. `deliver` lets signals through while it waits.
     with contextlib.ExitStack() as locks:
         for folder in sorted(set(folders)):
-            descriptor = _opened_folder(folder)
-            if descriptor is not None:
-                locks.callback(os.close, descriptor)  # which unlocks it
-                _lock(descriptor, folder, deliver)
+            try:
+                descriptor = os.open(folder, os.O_RDONLY | getattr(os, "O_DIRECTORY", 0))
+            except OSError:  # as on Windows, or without the right to list it
+                continue
+            locks.callback(os.close, descriptor)  # which unlocks it
+            _lock(descriptor, folder, deliver)
         yield
-
-
-def _opened_folder(folder: Path) -> int | None:
-    """Open a folder; None where it cannot be, as on Windows, or without the right to list it."""
-    try:
-        return os.open(folder, os.O_RDONLY | getattr(os, "O_DIRECTORY", 0))
-    except OSError:
-        return None
 
 
 def _lock(descriptor: int, folder: Path, deliver: Callable[[], None]) -> None:
@@ -239,11 +228,8 @@ def make_folder(folder: Path, cleaning: contextlib.ExitStack) -> None:
 def write_aside(file: Aside, pieces: Iterable[Bytes], deliver: Callable[[], None]) -> None:
     """Write a file under its temporary name, with the mode that a new file gets, or that of the file it replaces."""
     mode = stat.S_IMODE(file.path.stat().st_mode) if file.overwrite and file.path.exists() else None
-    descriptor = os.open(
-        file.temporary,
-        os.O_CREAT | os.O_EXCL | os.O_WRONLY | getattr(os, "O_BINARY", 0),
-        0o666 if mode is None else mode,
-    )
+    flags = os.O_CREAT | os.O_EXCL | os.O_WRONLY | getattr(os, "O_BINARY", 0)
+    descriptor = os.open(file.temporary, flags, 0o666 if mode is None else mode)
     with os.fdopen(descriptor, "wb") as opened:
         for piece in pieces:
             deliver()
@@ -268,7 +254,10 @@ def _put(file: Aside, tidying: contextlib.ExitStack, undoing: contextlib.ExitSta
     elif path.exists():
         kept = temporary_beside(path)
         tidying.callback(kept.unlink, missing_ok=True)
-        _keep(path, kept)
+        try:
+            os.link(path, kept)
+        except OSError:  # where files cannot have two names
+            shutil.copy2(path, kept)
         file.temporary.replace(path)
         undoing.callback(kept.replace, path)
     else:
@@ -301,11 +290,3 @@ def _is_same(one: Path, other: Path) -> bool:
         return one.samefile(other)
     except OSError:
         return False
-
-
-def _keep(path: Path, kept: Path) -> None:
-    """Give a file a second name; where files cannot have two, a copy."""
-    try:
-        os.link(path, kept)
-    except OSError:
-        shutil.copy2(path, kept)

@@ -47,8 +47,7 @@ class NoiseSettings(Checked):
         None,
         "How much, of full scale: 20 is 20/255, as `beltrami info` shows noise; or as 20/255, 1310/65535 or "
         "8%. Needed by all kinds but camera and jpeg.",
-        kind=float, low=0, high=1, metavar="S", parse=sure_amount,
-        is_daily=True,
+        kind=float, low=0, high=1, metavar="S", parse=sure_amount, is_daily=True,
     )  # fmt: skip
     kind: Kind = parameter(
         "gaussian",
@@ -57,28 +56,22 @@ class NoiseSettings(Checked):
         choices=get_args(Kind), is_daily=True,
     )  # fmt: skip
     seed: int = parameter(
-        0,
-        "The same seed gives the same noise, for any number of threads.",
-        low=0, metavar="K", is_daily=True,
-    )  # fmt: skip
+        0, "The same seed gives the same noise, for any number of threads.", low=0, metavar="K", is_daily=True
+    )
     shot: float = parameter(
-        0.01,
-        "Of a camera: A of the variance A L + B^2 of the light L, which is linear, 0 to 1.",
+        0.01, "Of a camera: A of the variance A L + B^2 of the light L, which is linear, 0 to 1.",
         low=0, high=1, metavar="A", is_daily=True,
     )  # fmt: skip
     read: float = parameter(
-        0.005,
-        "Of a camera: B of that variance, the deviation in the dark.",
+        0.005, "Of a camera: B of that variance, the deviation in the dark.",
         low=0, high=1, metavar="B", is_daily=True,
     )  # fmt: skip
     size: float = parameter(
-        2.0,
-        "Of grain: how far neighbours share it; from this distance on they hardly do.",
+        2.0, "Of grain: how far neighbours share it; from this distance on they hardly do.",
         low=1, high=64, unit="distances of samples", metavar="N", is_daily=True,
     )  # fmt: skip
     quality: int = parameter(
-        85,
-        "Of jpeg: the quality at which each picture is coded, with colour at half the resolution (4:2:0).",
+        85, "Of jpeg: the quality at which each picture is coded, with colour at half the resolution (4:2:0).",
         low=1, high=100, metavar="Q", is_daily=True,
     )  # fmt: skip
 
@@ -101,16 +94,12 @@ class BakeSettings:
     group: ClassVar[str] = "New textures"
 
     size: int | None = parameter(
-        None,
-        "Longest side of the new texture.",
-        kind=int, low=_SMALLEST_SIDE, high=_LARGEST_SIDE, unit="texels",
+        None, "Longest side of the new texture.", kind=int, low=_SMALLEST_SIDE, high=_LARGEST_SIDE, unit="texels",
         unset="two texels along an edge, 256 to 8192; or as in the old texture", metavar="N",
     )  # fmt: skip
     padding: int = parameter(
-        4,
-        "Distance between the charts of a new texture.",
-        low=0, high=64, unit="texels", metavar="N",
-    )  # fmt: skip
+        4, "Distance between the charts of a new texture.", low=0, high=64, unit="texels", metavar="N"
+    )
     keep_uv: bool = parameter(False, "Use the texture coordinates of INPUT rather than make new ones.")
     max_unwrap_faces: int = parameter(
         100_000,
@@ -135,22 +124,18 @@ class Limits(Checked):
         None, "Lowest PSNR allowed.", kind=float, unit="dB", metavar="DB", is_daily=True
     )
     min_ssim: float | None = parameter(
-        None,
-        "Lowest structural similarity allowed; 1 is equal.",
+        None, "Lowest structural similarity allowed; 1 is equal.",
         kind=float, high=1, metavar="S", is_daily=True,
     )  # fmt: skip
     max_delta_e: float | None = parameter(
-        None,
-        "Largest mean Delta E 2000 allowed.",
-        kind=float, low=0, metavar="E", is_daily=True,
-    )  # fmt: skip
+        None, "Largest mean Delta E 2000 allowed.", kind=float, low=0, metavar="E", is_daily=True
+    )
     max_seam_jump: float | None = parameter(
         None,
         "How much larger the mean colour step over seams may be than in REFERENCE: 1 is 1/255; or as 1/255 "
         "or 0.4%.",
         kind=float, metavar="X", parse=amount, is_daily=True,
     )  # fmt: skip
-
     max_move: float | None = parameter(
         None,
         "How far a vertex may be from its place in REFERENCE, such as 0.1%. With other limits alone, it may "

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -80,13 +80,10 @@ def smooth_file(
     painter = Smoothing(settings)
     made = recolour(source, target, settings, painter, job)
     # Several slots say the same of one surface.
-    warnings = [
-        *dict.fromkeys(made.warnings),
-        *(warning for each in painter.done for warning in each.warnings),
-    ]
-    return make_report(
-        (source, target), made.format, settings, painter.done, made.stages, made.written, warnings
-    )
+    warnings = list(dict.fromkeys(made.warnings))
+    warnings += [warning for each in painter.done for warning in each.warnings]
+    ends = source, target
+    return make_report(ends, made.format, settings, painter.done, made.stages, made.written, warnings)
 
 
 @dataclass(frozen=True)
@@ -96,7 +93,7 @@ class _Done:
     made: NewTexture
     image: ImageFile
     notices: list[str]
-    smoothed: list[Smoothed] = field(default_factory=list)
+    smoothed: list[Smoothed]
 
 
 def _smooth_unwrapped(
@@ -108,7 +105,8 @@ def _smooth_unwrapped(
     access = job.access_besides(output, settings.files_besides(source))
     with watch.stage("read"):
         document = open_input(source, settings, access)
-        textured = _is_textured(document, settings)
+        has_texture = settings.on == "texture" or "baseColor" in document.slots()
+        textured = settings.on != "vertices" and has_texture
         if not textured:
             document.painted()  # raises if there are no colours at all
         kind = choose_format(document, target, job.format).name
@@ -138,23 +136,17 @@ def _smooth_unwrapped(
 
 def _check(settings: SmoothSettings) -> None:
     """Refuse what has no meaning for one new texture."""
-    textures = settings.textures
+    textures, cause = settings.textures, ""
     if settings.level_seams:
-        raise UsageError("--unwrap makes new charts; take exposure steps out with `beltrami level` before")
-    if settings.on == "both":
-        raise UsageError("--unwrap smooths one new texture, so --on cannot be both")
-    if textures.materials or textures.names or textures.slots != ("baseColor",):
-        raise UsageError(
-            "--unwrap makes one new base colour texture, so --material, --texture and --slots cannot choose"
-        )
-    if settings.embedding.smooth_geometry:
-        raise UsageError(
-            "--unwrap writes a new file, in which --smooth-geometry cannot move vertices; use both in turn"
-        )
-
-
-def _is_textured(document: Document, settings: SmoothSettings) -> bool:
-    return settings.on != "vertices" and (settings.on == "texture" or "baseColor" in document.slots())
+        cause = "makes new charts; take exposure steps out with `beltrami level` before"
+    elif settings.on == "both":
+        cause = "smooths one new texture, so --on cannot be both"
+    elif textures.materials or textures.names or textures.slots != ("baseColor",):
+        cause = "makes one new base colour texture, so --material, --texture and --slots cannot choose"
+    elif settings.embedding.smooth_geometry:
+        cause = "writes a new file, in which --smooth-geometry cannot move vertices; use both in turn"
+    if cause:
+        raise UsageError(f"--unwrap {cause}")
 
 
 def _smooth_in_texture(
@@ -170,7 +162,10 @@ def _smooth_in_texture(
     old_surface = document.textured("baseColor")
     if iterations and _are_large_enough(old_surface):
         with watch.stage("smooth"):
-            samples = TexelSamples(old_surface, "baseColor", _in_passing(settings))
+            # They are written for the way only, so in a format that loses nothing.
+            textures = dataclasses.replace(settings.textures, image_suffix=".tif", small=False)
+            in_passing = dataclasses.replace(settings, textures=textures)
+            samples = TexelSamples(old_surface, "baseColor", in_passing)
             samples.require_writable()
             first = smooth_samples(samples, job)
     old = {} if first is None else {key: image for (_, key), image in first.repainted.images.items()}
@@ -179,10 +174,10 @@ def _smooth_in_texture(
     notices = list(made.notices)
     if document.has_vertex_colours():
         notices.append("Vertex colours are not in the new file; --on vertices takes them, not the texture.")
-    if first is not None:
-        return _Done(made, _encoded(made, settings), [*notices, *first.repainted.notices], [first])
-    if not iterations:
-        return _Done(made, _encoded(made, settings), notices)
+    if first is not None or not iterations:
+        done = [] if first is None else [first]
+        notices += [notice for each in done for notice in each.repainted.notices]
+        return _Done(made, _encoded(made, settings), notices, done)
     with watch.stage("smooth"):
         samples = TexelSamples(made.surface(), "baseColor", settings)
         samples.require_writable()
@@ -192,13 +187,8 @@ def _smooth_in_texture(
 
 
 def _smooth_on_vertices(
-    document: Document,
-    settings: SmoothSettings,
-    wanted: BakeSettings,
-    watch: Stopwatch,
-    job: Job,
-    access: Access,
-) -> _Done:
+    document: Document, settings: SmoothSettings, wanted: BakeSettings, watch: Stopwatch, job: Job, access: Access
+) -> _Done:  # fmt: skip
     """Smooth the vertex colours, then make the texture."""
     from beltrami_cli.jobs.new_texture import texture_from_vertices
     from beltrami_cli.samples.vertex_samples import require_surface
@@ -217,20 +207,13 @@ def _smooth_on_vertices(
 
 
 def _are_large_enough(surface: TexturedSurface) -> bool:
-    """Return whether textures have a texel for each triangle, unlike palettes."""
+    """Whether textures have a texel for each triangle, unlike palettes."""
     from beltrami_cli.formats.image.reading import measure_image
     from beltrami_cli.jobs.new_texture import texels_of
 
     sizes = [measure_image(texture.data) for texture in surface.textures]
     sides = np.array([(0, 0) if size is None else (size.width, size.height) for size in sizes], np.int64)
     return texels_of(surface, sides.reshape(-1, 2)) >= int(np.count_nonzero(surface.texture_of >= 0))
-
-
-def _in_passing(settings: SmoothSettings) -> SmoothSettings:
-    """Return settings for textures that are written for the way only: in a format that loses nothing."""
-    return dataclasses.replace(
-        settings, textures=dataclasses.replace(settings.textures, image_suffix=".tif", small=False)
-    )
 
 
 def _encoded(made: NewTexture, settings: SmoothSettings) -> ImageFile:

@@ -1,4 +1,4 @@
-"""Smoothing as a painter, and the record of what was done to a file, which can be written as JSON."""
+"""The painters that smooth and level, and the record of what was done to a file, which can be written as JSON."""
 
 from __future__ import annotations
 
@@ -9,15 +9,16 @@ from itertools import count
 from typing import TYPE_CHECKING, Any
 
 from beltrami_cli.jobs.job import peak_memory
-from beltrami_cli.jobs.level import Levelling
+from beltrami_cli.samples.levelled_charts import photographs_of
 from beltrami_cli.samples.reports import SlotReport, describe_settings
 from beltrami_cli.samples.samples import Change
 from beltrami_cli.samples.selection import require_geometry, require_scale
 from beltrami_cli.samples.settings import LevelSettings
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
+    from beltrami_cli.arrays import Int64s
     from beltrami_cli.flow.beltrami_flow import FlowResult
     from beltrami_cli.formats.document import Document
     from beltrami_cli.jobs.job import Job
@@ -45,7 +46,14 @@ class Smoothed:
 def smooth_samples(samples: Samples, job: Job, label: str | None = None) -> Smoothed:
     """Run the flow on samples, and put the colours back; `label`: their name in progress, if not their own."""
     label = label or samples.label
-    flow = samples.flow(_ticks(job.progress_of(f"{label}: choosing parameters")))
+    choosing, steps = job.progress_of(f"{label}: choosing parameters"), count()
+
+    def tick() -> None:
+        # The number of steps is not known before: shown is their share of it and of a usual number more.
+        assert choosing is not None
+        choosing(number := next(steps), number + _USUAL_TICKS)
+
+    flow = samples.flow(None if choosing is None else tick)
     result = flow.run(job.progress_of(label))
     report, warnings = samples.report(flow, result), samples.warnings(result)
     new = flow.manifold.new_colours()
@@ -55,16 +63,36 @@ def smooth_samples(samples: Samples, job: Job, label: str | None = None) -> Smoo
     return Smoothed(samples.part, repainted, report, result, warnings)
 
 
-def _ticks(progress: Callable[[int, int], None] | None) -> Callable[[], None] | None:
-    """Return what reports steps whose number is not known before: their share of it and of a usual number more."""
-    if progress is None:
-        return None
-    done = count()
+class Levelling:
+    """A painter that takes exposure steps out."""
 
-    def tick() -> None:
-        progress(number := next(done), number + _USUAL_TICKS)
+    changes = True
+    colours_only = True
+    works_on_disk = True
+    works_in_groups = False  # exposures are fitted to all seams together
 
-    return tick
+    def __init__(self, wanted: LevelSettings) -> None:
+        self._wanted = wanted
+        self._photographs: Int64s | None = None
+        self.done: list[LevelReport] = []
+
+    def check(self, document: Document, selection: Selection, target: OutputFormat) -> None:
+        """Raise InputError if vertex colours do not say which photograph they are from."""
+        del target
+        if selection.vertices:
+            self._photographs = photographs_of(document, self._wanted.photographs)
+
+    def level(self, samples: Samples) -> LevelReport:
+        """Level samples, before they are painted otherwise."""
+        return samples.level(self._wanted, self._photographs if samples.part == "vertices" else None)
+
+    def paint(self, samples: Samples, job: Job) -> Repainted:
+        """Level samples, and do nothing else to them."""
+        del job
+        report = self.level(samples)
+        repainted = samples.repaint(samples.levelled())
+        self.done.append(dataclasses.replace(report, change=repainted.change.summary()))
+        return repainted
 
 
 class Smoothing:
@@ -127,9 +155,8 @@ def _joined(done: Sequence[Smoothed]) -> list[Smoothed]:
     """Put together the reports of the groups that textures of one slot were smoothed in."""
     groups: dict[object, list[Smoothed]] = {}
     for number, each in enumerate(done):
-        groups.setdefault(each.report.slot if isinstance(each.report, SlotReport) else number, []).append(
-            each
-        )
+        slot = each.report.slot if isinstance(each.report, SlotReport) else number
+        groups.setdefault(slot, []).append(each)
     return [dataclasses.replace(each[0], report=_one_report(each)) for each in groups.values()]
 
 
@@ -201,5 +228,5 @@ class SmoothReport:
 
 
 def is_report(head: bytes) -> bool:
-    """Return whether a file is a `SmoothReport` as JSON, by its first bytes."""
+    """Whether a file is a `SmoothReport` as JSON, by its first bytes."""
     return _HEAD.match(head) is not None

@@ -1,4 +1,4 @@
-"""Areas, normals, boundary and counts of triangle meshes.
+"""Areas, normals, boundary and counts of triangle meshes, and whether they are too small or large to be computed on.
 
 References
 ----------
@@ -15,6 +15,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+
+from beltrami_cli.errors import InputError
 
 if TYPE_CHECKING:
     from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s
@@ -213,3 +215,44 @@ def local_spacing(count: int, edges: Int32s, lengths: Float64s) -> Float64s:
         around = around + np.bincount(edges[:, 1], spacing[edges[:, 0]], count)
         spacing = np.asarray((spacing + around) / (degree + 1), np.float64)
     return spacing
+
+
+# Squares of lengths are kept in single precision, which ends at 1.2e-38 and 3.4e38: lengths at 1e-19 and
+# 2e19. Texels and the edges of a mesh vary, and kernels reach further; five decades of margin are enough for
+# all of them.
+_LEAST, _MOST = 1e-14, 1e14
+_ENOUGH_FACES = 100_000  # for a median that is off by a per cent or so
+
+
+def check_scale(positions: Float64s, faces: Int32s, name: str) -> None:
+    """Refuse a surface whose median edge is too small or too large to be squared in single precision."""
+    # Without faces, points count as if they were spread evenly.
+    with np.errstate(over="ignore", invalid="ignore"):
+        steps = _edges(positions, faces) if len(faces) else _spread(positions)
+    steps = steps[steps > 0]
+    if not len(steps):
+        return
+    # The upper median: numpy.median imports more of NumPy than a small mesh takes to be smoothed.
+    typical = float(np.partition(steps, len(steps) // 2)[len(steps) // 2])
+    if _LEAST <= typical <= _MOST:
+        return
+    shown = f"{typical:.0e}" if np.isfinite(typical) else "more than 1e+308"
+    what = "edges are" if len(faces) else "points are apart"
+    kind = "small" if typical < _LEAST else "large"
+    cause = f"its {what} {shown} units, which is too {kind} to be squared in single precision"
+    raise InputError(name, cause, "scale it, for example to metres")
+
+
+def _edges(positions: Float64s, faces: Int32s) -> Float64s:
+    """Return the longest coordinate of the edges of some faces: squares could overflow here already."""
+    corners = positions[faces[:: 1 + len(faces) // _ENOUGH_FACES]]
+    steps: Float64s = np.abs(corners - np.roll(corners, 1, axis=1)).max(axis=2)
+    return steps[np.isfinite(corners).all(axis=(1, 2))]
+
+
+def _spread(positions: Float64s) -> Float64s:
+    """Return how far points are apart if they are spread evenly over a surface as wide as they are."""
+    there = positions[np.isfinite(positions).all(axis=1)]
+    if not len(there):
+        return np.empty(0)
+    return np.array([(there.max(axis=0) - there.min(axis=0)).max() / np.sqrt(len(there))])

@@ -28,12 +28,6 @@ Window = tuple[float, float, float, float]
 """Part of a view: left, upper, right and lower border, as fractions of its width and height."""
 
 
-def centred_window(zoom: float) -> Window:
-    """Return the middle of a view, which is enlarged by `zoom`."""
-    half = 0.5 / zoom
-    return 0.5 - half, 0.5 - half, 0.5 + half, 0.5 + half
-
-
 def part_of(window: Window, part: Window) -> Window:
     """Return a part of a window as a window of the whole view."""
     width, height = window[2] - window[0], window[3] - window[1]
@@ -62,10 +56,8 @@ class Camera:
     ) -> tuple[Array, Array]:
         """Return origins and unit directions of rays, (K, 3) each, through places in fractions of the view."""
         # Columns (C,) with rows (R, 1) make a grid, by the rules of broadcasting.
-        across, up = (
-            ((2 * columns - 1) * self.reach[0])[..., None],
-            ((1 - 2 * rows) * self.reach[1])[..., None],
-        )
+        across = ((2 * columns - 1) * self.reach[0])[..., None]
+        up = ((1 - 2 * rows) * self.reach[1])[..., None]
         right, above, back = self.rotation
         eye = self.place @ self.rotation
         if self.is_orthographic:

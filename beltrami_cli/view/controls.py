@@ -30,9 +30,8 @@ def plain_settings(settings: SmoothSettings) -> SmoothSettings:
     given = [name for name in TUNABLE if name in _SLIDERS and getattr(kernel, name) is not None]
     free = tuple(name for name in TUNABLE if name in kernel.free or name in given)
     textures = dataclasses.replace(settings.textures, slots=DEFAULTS.textures.slots)
-    return dataclasses.replace(
-        settings, kernel=dataclasses.replace(kernel, **reset, free=free), textures=textures
-    )
+    kernel = dataclasses.replace(kernel, **reset, free=free)
+    return dataclasses.replace(settings, kernel=kernel, textures=textures)
 
 
 def given_values(settings: SmoothSettings) -> dict[str, Any]:
@@ -70,18 +69,15 @@ def controls(layers: Sequence[Slot | None]) -> str:
     rows += [_slider(_DECLARED[name], *bounds) for name, bounds in _SLIDERS.items()]
     slots = [slot for slot in layers if slot is not None]
     if len(slots) > 1:
-        boxes = "".join(
-            f'<label><input type="checkbox" name="slots" value="{slot}">{slot}</label>' for slot in slots
-        )
+        box = '<label><input type="checkbox" name="slots" value="{0}">{0}</label>'
+        boxes = "".join(map(box.format, slots))
         rows.append(f"<fieldset><legend>textures</legend>{boxes}</fieldset>")
     return "\n".join(rows)
 
 
 def _choice(declared: Parameter) -> str:
-    options = "".join(
-        f"<option{' selected' if choice == declared.default else ''}>{choice}</option>"
-        for choice in declared.choices
-    )
+    chosen = {declared.default: " selected"}
+    options = "".join(f"<option{chosen.get(each, '')}>{each}</option>" for each in declared.choices)
     return (
         f'<div class="control"><label for="{declared.name}">{declared.name}</label>'
         f'<select id="{declared.name}" name="{declared.name}" aria-describedby="about-{declared.name}">'
@@ -99,13 +95,11 @@ def _text(declared: Parameter) -> str:
 
 def _slider(declared: Parameter, low: float, high: float, step: float) -> str:
     name, label = declared.name, {"t": "time step"}.get(declared.name, declared.name)
-    is_open = name in TUNABLE
     auto = (
         f'<label class="auto"><input type="checkbox" data-auto="{name}" checked>'
         f'<span>chosen</span><span class="hidden">: {label}</span></label>'
-        if is_open
-        else ""
     )
+    auto = auto if name in TUNABLE else ""
     value = declared.default if declared.default is not None else (low + high) / 4
     return (
         f'<div class="control"><label for="{name}">{label}</label><output id="{name}-value"></output>{auto}'

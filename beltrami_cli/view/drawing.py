@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.surface.colour_values import linear_to_srgb
-from beltrami_cli.view.camera import centred_window, fitted, orientation, part_of
+from beltrami_cli.view.camera import fitted, orientation, part_of
 from beltrami_cli.view.sheet import Background, Panel, arranged, detail_size, is_lost_on_white
 from beltrami_cli.view.views import ImageView
 
@@ -32,11 +32,8 @@ _STEPS = 8  # places tried along each side of a detail
 
 
 def draw_views(
-    views: Sequence[Drawable],
-    labels: Sequence[str],
-    settings: RenderSettings,
-    progress: Progress | None = None,
-) -> Uint8s:
+    views: Sequence[Drawable], labels: Sequence[str], settings: RenderSettings, progress: Progress | None = None
+) -> Uint8s:  # fmt: skip
     """Draw all views, each with a label that may be empty, and arrange them: sRGB, with opacity on no background."""
     panels = draw_panels(views, labels, settings, progress)
     turns = max(1, settings.turntable)
@@ -47,10 +44,7 @@ def draw_views(
 
 
 def draw_turns(
-    views: Sequence[Drawable],
-    labels: Sequence[str],
-    settings: RenderSettings,
-    progress: Progress | None = None,
+    views: Sequence[Drawable], labels: Sequence[str], settings: RenderSettings, progress: Progress | None
 ) -> list[Uint8s]:
     """Draw all views at each turn of a turntable, as pictures of one size."""
     panels = draw_panels(views, labels, settings, progress)
@@ -62,18 +56,16 @@ def draw_turns(
 
 
 def draw_panels(
-    views: Sequence[Drawable],
-    labels: Sequence[str],
-    settings: RenderSettings,
-    progress: Progress | None = None,
-) -> list[Panel]:
+    views: Sequence[Drawable], labels: Sequence[str], settings: RenderSettings, progress: Progress | None = None
+) -> list[Panel]:  # fmt: skip
     """Draw all views with their details: of every model one after the other all its turns."""
     turns = max(1, settings.turntable)
     drawers: list[Draw] = []
     for turn in range(turns):
         azimuth = settings.azimuth + 360 * turn / turns
         drawers += _drawers(views, dataclasses.replace(settings, azimuth=azimuth))
-    whole = centred_window(settings.zoom)
+    half = 0.5 / settings.zoom
+    whole = 0.5 - half, 0.5 - half, 0.5 + half, 0.5 + half
     drawn = []
     for done, draw in enumerate(drawers):
         drawn.append(draw(settings.size, whole, progress=_share_of(progress, done, len(drawers))))
@@ -105,9 +97,9 @@ def with_fixed_crops(view: Drawable, settings: RenderSettings) -> RenderSettings
     plain = dataclasses.replace(settings, crops=())
     drawn = draw_panels([view], [""], plain)[0].view
     windows = _detail_windows(drawn, settings)
+    centres = [((left + right) / 2, (upper + lower) / 2) for left, upper, right, lower in windows]
     crops = [
-        dataclasses.replace(crop, centre=((window[0] + window[2]) / 2, (window[1] + window[3]) / 2))
-        for crop, window in zip(settings.crops, windows, strict=True)
+        dataclasses.replace(crop, centre=centre) for crop, centre in zip(settings.crops, centres, strict=True)
     ]
     return dataclasses.replace(settings, crops=tuple(crops))
 
@@ -156,17 +148,13 @@ def _drawers(views: Sequence[Drawable], settings: RenderSettings) -> list[Draw]:
             drawers.append(view.draw)
             continue
         box = np.stack([view.positions.min(axis=0), view.positions.max(axis=0)])
-        if shared is None or not _is_alike(box, shared[1]):
+        if shared is None or np.abs(box - shared[1]).max() > _ALIKE * np.ptp(shared[1], axis=0).max():
             camera = fitted(view.positions, rotation, settings.fov, aspect)
             shared = shared or (camera, box)
         else:
             camera = shared[0]
         drawers.append(partial(view.draw, camera, lit=settings.lit))
     return drawers
-
-
-def _is_alike(box: Float64s, other: Float64s) -> bool:
-    return bool(np.abs(box - other).max() <= _ALIKE * np.ptp(other, axis=0).max())
 
 
 def _detail_windows(view: Float32s, settings: RenderSettings) -> list[Window]:

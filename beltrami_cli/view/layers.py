@@ -35,9 +35,9 @@ class Layers:
 
     def __init__(self, document: Document) -> None:
         self.document = document
-        is_image = isinstance(document, ImageDocument)
-        slots: list[Slot | None] = [] if is_image else [*document.slots()]
-        self.slots = [*slots, None] if is_image or document.has_vertex_colours() else slots
+        self._is_image = isinstance(document, ImageDocument)
+        slots: list[Slot | None] = [] if self._is_image else [*document.slots()]
+        self.slots = [*slots, None] if self._is_image or document.has_vertex_colours() else slots
         self._row_of: Int64s | None = None
         self._has_moved = False  # vertices, on the page
         self._boxes: dict[int, Box] = {}
@@ -89,10 +89,8 @@ class Layers:
     def _pixels(self, shown: Shown, layer: int, texture: int) -> Uint8s:
         key = layer, texture
         if key not in shown:
-            data, name = _images_of(self.document, self.slots[layer])[texture]
-            shown[key] = displayed_pixels(
-                read_image(data, name, finite=not isinstance(self.document, ImageDocument))
-            )
+            file, is_image = _textures_of(self.document, self.slots[layer])[texture], self._is_image
+            shown[key] = displayed_pixels(read_image(file.data, file.name, finite=not is_image))
         return shown[key]
 
     def whole(self, shown: Shown, result: Document) -> list[dict[str, Any]]:
@@ -102,36 +100,28 @@ class Layers:
 
     def _smoothed(self, shown: Shown, result: Document, layer: int) -> list[dict[str, Any]]:
         slot = self.slots[layer]
-        if slot is None and not isinstance(result, ImageDocument):
+        if slot is None and not self._is_image:
             painted = result.painted()
             rows = np.arange(len(painted.positions))
-            is_moved = not np.array_equal(
-                painted.positions, self.document.painted().positions, equal_nan=True
-            )
+            unmoved = self.document.painted().positions
+            is_moved = not np.array_equal(painted.positions, unmoved, equal_nan=True)
             places = painted.positions if is_moved or self._has_moved else None
             self._has_moved = is_moved
             return [self.patched(shown, layer, Patch(-1, rows, rows, displayed_colours(painted), places))]
-        old, new = _images_of(self.document, slot), _images_of(result, slot)
+        old, new = _textures_of(self.document, slot), _textures_of(result, slot)
         found = []
-        for index, ((before, _), (after, name)) in enumerate(zip(old, new, strict=True)):
-            if after != before:
-                picture = read_image(after, name, finite=not isinstance(result, ImageDocument))
+        for index, (before, after) in enumerate(zip(old, new, strict=True)):
+            if after.data != before.data:
+                picture = read_image(after.data, after.name, finite=not self._is_image)
                 shown[layer, index] = displayed_pixels(picture)
-            source = source_of(_texture(result, slot, index), slot or "baseColor")
+            source = source_of(after, slot or "baseColor")
             found.append({"layer": layer, "texture": index, "source": source})
         return found
 
 
-def _images_of(document: Document, slot: Slot | None) -> list[tuple[bytes, str]]:
-    """Return the image files of a layer with their names."""
+def _textures_of(document: Document, slot: Slot | None) -> tuple[Texture, ...]:
+    """Return the textures of a layer; an image is one."""
     if isinstance(document, ImageDocument):
-        return [(document.data, document.name)]
+        return (Texture("", document.name, document.data),)
     assert slot is not None
-    return [(texture.data, texture.name) for texture in document.textured(slot).textures]
-
-
-def _texture(document: Document, slot: Slot | None, index: int) -> Texture:
-    if isinstance(document, ImageDocument):
-        return Texture("", document.name, document.data)
-    assert slot is not None
-    return document.textured(slot).textures[index]
+    return document.textured(slot).textures

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from beltrami_cli.formats.access import EVERYTHING_INSIDE
 from beltrami_cli.formats.image import ImageDocument
 from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.samples.guides import vertex_guides
@@ -89,7 +88,7 @@ class _PartDocument:
 class Previewer:
     """Smooths parts of one layer of a document; `slot`: of its textures, None: its vertices or its pixels."""
 
-    def __init__(self, document: Document, slot: Slot | None, access: Access = EVERYTHING_INSIDE) -> None:
+    def __init__(self, document: Document, slot: Slot | None, access: Access) -> None:
         self._document, self._slot, self._access = document, slot, access
         self._painted: PaintedVertices | None = None
         self._surface: TexturedSurface | None = None
@@ -123,25 +122,20 @@ class Previewer:
         if settings.level_seams:
             raise NoPreviewError("exposure steps are levelled over the whole model")
         if isinstance(self._document, ImageDocument):
-            return self._of_image(self._document, settings, focus, budget, progress)
+            return self._of_image(settings, focus, budget, progress)
         if self._painted is None:
             return self._of_textures(settings, focus, budget, progress)
-        grid = self._document.grid()
-        if grid is not None:
-            return self._of_grid(self._painted, grid, settings, focus, budget, progress)
-        return self._of_vertices(self._painted, settings, focus, budget, progress)
+        if self._document.grid() is not None:
+            return self._of_grid(settings, focus, budget, progress)
+        return self._of_vertices(settings, focus, budget, progress)
 
     def _of_image(
-        self,
-        document: ImageDocument,
-        settings: SmoothSettings,
-        focus: Focus,
-        budget: int,
-        progress: Progress | None,
+        self, settings: SmoothSettings, focus: Focus, budget: int, progress: Progress | None
     ) -> list[Patch]:
         kernel = settings.kernel
         if self._pixels is None or dataclasses.replace(self._pixels.settings, kernel=kernel) != settings:
-            self._pixels = PixelSamples(document, settings, self._access)
+            assert isinstance(self._document, ImageDocument)
+            self._pixels = PixelSamples(self._document, settings, self._access)
         rows, columns = self._pixels.valid.shape
         place = _window((rows, columns), focus.origin[1::-1] * (rows, columns), budget)
         samples = self._pixels.window(place, kernel)
@@ -153,14 +147,11 @@ class Previewer:
         return [Patch(0, row + place[0].start, column + place[1].start, shown.reshape(-1, 4))]
 
     def _of_grid(
-        self,
-        painted: PaintedVertices,
-        grid: Int64s,
-        settings: SmoothSettings,
-        focus: Focus,
-        budget: int,
-        progress: Progress | None,
+        self, settings: SmoothSettings, focus: Focus, budget: int, progress: Progress | None
     ) -> list[Patch]:
+        painted, grid = self._painted, self._document.grid()
+        assert painted is not None
+        assert grid is not None
         nearest = self._around(focus)[0]
         vertex = painted.faces[nearest, 0] if len(painted.faces) else nearest
         middle = np.array(np.unravel_index(int(np.argmax(grid == vertex)), grid.shape), np.float64)
@@ -170,27 +161,20 @@ class Previewer:
         return [_smoothed(samples, painted, rows, rows, progress)]
 
     def _of_vertices(
-        self,
-        painted: PaintedVertices,
-        settings: SmoothSettings,
-        focus: Focus,
-        budget: int,
-        progress: Progress | None,
+        self, settings: SmoothSettings, focus: Focus, budget: int, progress: Progress | None
     ) -> list[Patch]:
+        painted = self._painted
+        assert painted is not None
         is_mesh = len(painted.faces) > 0
         order = self._around(focus)[: budget * (2 if is_mesh else 1)]
         rows = np.unique(painted.faces[order]).astype(np.int64) if is_mesh else np.sort(order)
         faces = np.searchsorted(rows, painted.faces[order] if is_mesh else painted.faces)
         part = dataclasses.replace(
-            painted,
-            positions=painted.positions[rows],
-            faces=faces.astype(np.int32),
-            colours=painted.colours[rows],
-            space_of=None if painted.space_of is None else painted.space_of[rows],
-        )
-        guides = [
-            dataclasses.replace(guide, values=guide.values[rows]) for guide in self._vertex_guides(settings)
-        ]
+            painted, positions=painted.positions[rows], faces=faces.astype(np.int32),
+            colours=painted.colours[rows], space_of=None if painted.space_of is None else painted.space_of[rows],
+        )  # fmt: skip
+        known = self._vertex_guides(settings)
+        guides = [dataclasses.replace(guide, values=guide.values[rows]) for guide in known]
         return [_smoothed(VertexSamples(part, settings, guides), part, rows, np.arange(len(rows)), progress)]
 
     def _vertex_guides(self, settings: SmoothSettings) -> list[Guide]:
@@ -230,11 +214,9 @@ class Previewer:
         """Return triangles or points in the order in which they are nearest; it is kept until the camera moves."""
         key = focus.origin.tobytes() + (b"" if focus.direction is None else focus.direction.tobytes())
         if self._order is None or self._order[0] != key:
-            if focus.direction is None and self._surface is not None:
-                order = _nearest(self._flat, Focus(focus.origin * (1, 1, 1e3)))
-            else:
-                order = _nearest(self._centres, focus)
-            self._order = key, order
+            is_flat = focus.direction is None and self._surface is not None
+            centres = self._flat if is_flat else self._centres
+            self._order = key, _nearest(centres, Focus(focus.origin * (1, 1, 1e3)) if is_flat else focus)
         return self._order[1]
 
 
@@ -255,10 +237,8 @@ def _smoothed(
 def _window(shape: tuple[int, ...], middle: Float64s, budget: int) -> tuple[slice, slice]:
     """Return a square of a grid with about so many cells, around a place in it."""
     side = int(np.sqrt(budget))
-    first = [
-        int(np.clip(at - side / 2, 0, max(0, size - side))) for at, size in zip(middle, shape, strict=True)
-    ]
-    return slice(first[0], first[0] + side), slice(first[1], first[1] + side)
+    row, column = np.clip(middle - side / 2, 0, np.maximum(0, np.array(shape) - side)).astype(int).tolist()
+    return slice(row, row + side), slice(column, column + side)
 
 
 def _nearest(centres: Float64s, focus: Focus) -> Int64s:
@@ -284,13 +264,10 @@ def _used(surface: TexturedSurface, chosen: Int64s) -> TexturedSurface:
     """Return some triangles of a surface, with their vertices."""
     rows, corners = np.unique(surface.faces[chosen], return_inverse=True)
     return dataclasses.replace(
-        surface,
-        positions=surface.positions[rows],
-        faces=corners.reshape(-1, 3).astype(np.int32),
-        uv=surface.uv[chosen],
-        texture_of=surface.texture_of[chosen],
+        surface, positions=surface.positions[rows], faces=corners.reshape(-1, 3).astype(np.int32),
+        uv=surface.uv[chosen], texture_of=surface.texture_of[chosen],
         space_of=None if surface.space_of is None else surface.space_of[rows],
-    )
+    )  # fmt: skip
 
 
 def _split(surface: TexturedSurface, texels: Float64s, most: float) -> tuple[TexturedSurface, Int64s]:
@@ -301,7 +278,10 @@ def _split(surface: TexturedSurface, texels: Float64s, most: float) -> tuple[Tex
         if not large.any():
             break
         corners, uv = surface.positions[surface.faces[large]], surface.uv[large]
-        spaces = None if surface.space_of is None else surface.space_of[surface.faces[large]]
+        spaces = surface.space_of
+        if spaces is not None:
+            added = np.repeat(spaces[surface.faces[large]], 4, axis=0)
+            spaces = np.concatenate([spaces, added.ravel()])
         first, small = len(surface.positions), np.flatnonzero(~large)
         faces = np.concatenate([faces[small], np.repeat(faces[large], 4)])
         count = 4 * len(uv)
@@ -312,9 +292,7 @@ def _split(surface: TexturedSurface, texels: Float64s, most: float) -> tuple[Tex
             faces=np.concatenate([surface.faces[small], new]),
             uv=np.concatenate([surface.uv[small], _quarters(uv)]),
             texture_of=np.concatenate([surface.texture_of[small], np.repeat(surface.texture_of[large], 4)]),
-            space_of=None
-            if spaces is None
-            else np.concatenate([surface.space_of, np.repeat(spaces, 4, axis=0).ravel()]),
+            space_of=spaces,
         )
     return surface, faces
 

@@ -5,12 +5,13 @@ Turntables are GIF by OpenImageIO, WebP by Pillow, or MP4 by PyAV.
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import io
 import struct
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -44,6 +45,7 @@ _SIZE = (1288, 1013)
 _PNG = struct.pack(">8sI4sIIBBBBB", b"\x89PNG\r\n\x1a\n", 13, b"IHDR", *_SIZE, 8, 2, 0, 0, 0)
 _KIND = slice(37, 41)  # of the second block of a PNG file
 _HEAD = 1 << 16  # bytes that distinguish images from other files
+_PACKAGES = {".webp": ("PIL.Image", "Pillow"), ".mp4": ("av", "PyAV")}  # modules that write animations
 _WEBP_QUALITY = 90
 _MP4_QUALITY = "16"  # constant rate factor of H.264: what cannot be distinguished from the original
 
@@ -66,7 +68,7 @@ def render_file(
     views = [open_view(source, settings, access) for source in tracked(sources, "reading", progress)]
     if settings.turntable > 1 and suffix in ANIMATIONS:
         frames = draw_turns(views, labels, settings, progress)
-        output.write(Written(main=[encoded_animation(frames, suffix, settings.fps)]))
+        output.write(Written(main=[_ENCODERS[suffix](frames, settings.fps)]))
         return frames[0].shape[1], frames[0].shape[0]
     picture = draw_views(views, labels, settings, progress)
     output.write(encoded(picture, target, suffix))
@@ -79,7 +81,8 @@ def _suffix_of(target: str, settings: RenderSettings) -> str:
     if suffix not in ANIMATIONS:
         return picture_suffix(target)
     if settings.turntable > 1:
-        require_encoder(suffix)
+        if suffix in _PACKAGES:
+            _imported(suffix)
         if suffix == ".mp4" and settings.background == "transparent":
             raise UsageError("an .mp4 file has no transparent background; choose .webp or .gif, or a colour")
     elif suffix != ".webp":
@@ -93,28 +96,21 @@ class Preview:
     """Draws INPUT and OUTPUT of a smoothing, with the richest detail; it fails before anything is computed."""
 
     def __init__(
-        self,
-        path: str,
-        source: str,
-        target: str,
-        settings: SmoothSettings,
-        access: Access,
-        *,
-        overwrite: Overwrite,
-        files: FileSet,
-    ) -> None:
+        self, path: str, source: str, target: str, settings: SmoothSettings, access: Access, *,
+        overwrite: Overwrite, files: FileSet,
+    ) -> None:  # fmt: skip
         if "-" in (source, target):
             raise UsageError("--preview draws INPUT and OUTPUT, which must be files and not pipes")
         self._output = Output(path, overwrite=overwrite, what="preview", is_own=is_preview, files=files)
         self._suffix = picture_suffix(path)
         self._source, self._target = source, target
         self._reading, self._access = settings, access
-        self._looks = RenderSettings(
-            on="vertices" if settings.on == "vertices" else "auto",
-            slot=settings.textures.slots[0],
-            crops=(Crop(),),
-        )
-        if not is_image(_head(source, access), source):
+        on: Literal["vertices", "auto"] = "vertices" if settings.on == "vertices" else "auto"
+        self._looks = RenderSettings(on=on, slot=settings.textures.slots[0], crops=(Crop(),))
+        head = b""
+        with contextlib.suppress(OSError):  # which is reported when it is smoothed
+            head = read_regular(Path(source), access, _HEAD)
+        if not is_image(head, source):
             require_embree()
 
     def draw(self) -> None:
@@ -126,7 +122,7 @@ class Preview:
 
 
 def is_preview(head: bytes) -> bool:
-    """Return whether the first bytes of a file are those of a PNG, as previews have."""
+    """Whether the first bytes of a file are those of a PNG, as previews have."""
     return head.startswith(_PNG) and head[_KIND] == b"IDAT"
 
 
@@ -161,32 +157,12 @@ def _check_size(files: int, settings: RenderSettings) -> None:
         )
 
 
-def _head(source: str, access: Access) -> bytes:
-    """Return the first bytes of a file, or none if it cannot be read, which is reported when it is smoothed."""
-    try:
-        return read_regular(Path(source), access, _HEAD)
-    except OSError:
-        return b""
-
-
-def encoded_animation(frames: Frames, suffix: str, rate: int) -> bytes:
-    """Return frames as a file that plays them over and over, `rate` a second."""
-    return _ENCODERS[suffix](frames, rate)
-
-
-def require_encoder(suffix: str) -> None:
-    """Raise ProcessingError, which says what to install, if a kind of animation cannot be written."""
-    if suffix == ".webp":
-        _imported("PIL.Image", suffix)
-    elif suffix == ".mp4":
-        _imported("av", suffix)
-
-
-def _imported(module: str, suffix: str) -> Any:
+def _imported(suffix: str) -> Any:
+    """Return the module that writes a kind of animation; ProcessingError says what to install if it is missing."""
+    module, package = _PACKAGES[suffix]
     try:
         return importlib.import_module(module)
     except ImportError as error:
-        package = {"PIL.Image": "Pillow", "av": "PyAV"}[module]
         raise ProcessingError(
             f"to write turntables as {suffix}, the package {package} is needed; "
             "install it with: pip install 'beltrami-cli[animation]'"
@@ -212,7 +188,7 @@ def _gif(frames: Frames, rate: int) -> bytes:
 
 
 def _webp(frames: Frames, rate: int) -> bytes:
-    image = _imported("PIL.Image", ".webp")
+    image = _imported(".webp")
     first, *others = [image.fromarray(frame) for frame in frames]
     data = io.BytesIO()
     first.save(
@@ -223,7 +199,7 @@ def _webp(frames: Frames, rate: int) -> bytes:
 
 
 def _mp4(frames: Frames, rate: int) -> bytes:
-    av = _imported("av", ".mp4")
+    av = _imported(".mp4")
     height, width = frames[0].shape[:2]
     data = io.BytesIO()
     with av.open(data, "w", format="mp4") as container:
@@ -238,9 +214,5 @@ def _mp4(frames: Frames, rate: int) -> bytes:
 
 
 _ENCODERS: dict[str, Callable[[Frames, int], bytes]] = {".gif": _gif, ".webp": _webp, ".mp4": _mp4}
-
-
 ANIMATIONS = tuple(_ENCODERS)
-
-
 """Suffixes of turntables that move."""

@@ -53,21 +53,11 @@ _COLUMNS = [
 _LONGEST = 768  # pixels, of a seam map
 _WIDTH, _HEIGHT = 720, 220
 # Colours and dashes of the lines of channels: the dashes are for those who cannot distinguish the colours.
-_INK = {3: ("var(--red)", "var(--green)", "var(--blue)")}
-_DASHES = ("none", "8 4", "2 3")
 _NAMES = {3: ("red", "green", "blue")}
+_DASHES = ("none", "8 4", "2 3")
 _STEPS = 64
 _FEW = 4.0  # 255ths; larger changes are counted in bins of whole numbers
 _WHITE = 1.0
-
-
-@dataclasses.dataclass
-class _Found:
-    """What two files have in common, and the parts of the page that show it."""
-
-    compared: Compared
-    models: dict[str, Any]
-    seams: list[str]
 
 
 def report_file(
@@ -95,9 +85,9 @@ def report_file(
     compared = compare_documents(documents, settings, "uniform", job)
     parts = tracked(compared.parts, "drawing seams", job.progress)
     seams = [drawn for part in parts if (drawn := seam_map(part))]
-    found = _Found(compared, _models(compared, documents, job.progress), seams)
-    output.write(Written(main=[_page(names, found, shown)]))
-    return {**figures(found.compared.measured()), "notices": found.compared.all_notices()}
+    models = _models(compared, documents, job.progress)
+    output.write(Written(main=[_page(names, compared, models, seams, shown)]))
+    return {**figures(compared.measured()), "notices": compared.all_notices()}
 
 
 def _models(
@@ -127,59 +117,47 @@ def _parameters(path: str, access: Access) -> str:
         raise InputError(path, "it is no report of beltrami smooth", remedy) from error
 
 
-def _page(names: list[str], found: _Found, parameters: str) -> bytes:
-    short = distinct_labels(names)
+def _page(
+    names: list[str], compared: Compared, models: dict[str, Any], seams: list[str], parameters: str
+) -> bytes:
+    short, notices = distinct_labels(names), compared.all_notices()
+    listed = "".join(f"<li>{html.escape(sentence)}</li>" for sentence in notices)
+    maps = "\n".join(seams)
     return page_from(
         "report.html",
         [*VIEWER_SCRIPTS, "report.js"],
-        {"models": found.models, "three": packed_text(LIBRARY)},
+        {"models": models, "three": packed_text(LIBRARY)},
         library=LIBRARY,
         licence=asset("three.LICENSE"),
         title=html.escape(f"{short[0]} and {short[1]}"),
         summary=html.escape(f"Before: {names[0]}. After: {names[1]}."),
         viewer=viewer("Before and after"),
-        figures=table(_rows(found.compared.parts), "figures") + _listed(found.compared.all_notices()),
-        histogram=histogram(found.compared.measured()),
-        seams=_section("Seams, by how much they changed", found.seams),
+        figures=table(_rows(compared), "figures") + (f"\n<ul>{listed}</ul>" if listed else ""),
+        histogram=histogram(compared.measured()),
+        seams=f"<h2>Seams, by how much they changed</h2>\n{maps}" if maps else "",
         parameters=parameters,
     )
 
 
-def _listed(sentences: list[str]) -> str:
-    """Return a list of what is to be known, or nothing."""
-    items = "".join(f"<li>{html.escape(sentence)}</li>" for sentence in sentences)
-    return f"\n<ul>{items}</ul>" if items else ""
-
-
-def _section(title: str, parts: list[str]) -> str:
-    """Return parts of a page under a heading, or nothing without parts."""
-    body = "\n".join(parts)
-    return f"<h2>{title}</h2>\n{body}" if body else ""
-
-
-def _rows(pairs: list[ComparedColours]) -> list[list[str]]:
+def _rows(compared: Compared) -> list[list[str]]:
     """Return the figures of each part, and of all together."""
-    rows = [_COLUMNS]
-    measured = [pair for pair in pairs if not pair.is_identical]
+    rows, measured = [_COLUMNS], compared.measured()
     parts = [(pair.name, [pair]) for pair in measured]
     for name, chosen in [*parts, *([("all", measured)] if len(measured) > 1 else [])]:
         found: dict[str, Any] = figures(chosen)
         delta_e, jump = found["delta_e"] or {}, found["seam_jump"] or {}
         change = np.concatenate([np.abs(pair.test - pair.reference).ravel() for pair in chosen])
+        psnr = "equal" if found["samples"] and found["psnr"] is None else _number(found["psnr"], 2)
         rows.append(
             [
-                name, str(found["samples"]), _psnr(found), _number(found["ssim"], 3),
+                name, str(found["samples"]), psnr, _number(found["ssim"], 3),
                 _number(delta_e.get("mean"), 2), _number(delta_e.get("worst"), 1),
                 _number(255 * float(change.mean()) if change.size else None, 2),
                 f"{255 * jump['reference']:.2f} to {255 * jump['test']:.2f}" if jump else "",
             ]
         )  # fmt: skip
-    alike = [pair.name for pair in pairs if pair.is_identical]
+    alike = [pair.name for pair in compared.parts if pair.is_identical]
     return rows + [[name, "", "identical", *[""] * (len(_COLUMNS) - 3)] for name in alike]
-
-
-def _psnr(found: dict[str, Any]) -> str:
-    return "equal" if found["samples"] and found["psnr"] is None else _number(found["psnr"], 2)
 
 
 def _number(value: float | None, digits: int) -> str:
@@ -189,16 +167,14 @@ def _number(value: float | None, digits: int) -> str:
 def histogram(pairs: Sequence[ComparedColours]) -> str:
     """Return a drawing of how often channels changed by how much, in steps of 1/255."""
     widest = max(pair.test.shape[1] for pair in pairs)
-    changes = [
-        pair.test.astype(np.float64) - pair.reference for pair in pairs if pair.test.shape[1] == widest
-    ]
-    change = 255 * np.concatenate(changes)
+    shown = [pair for pair in pairs if pair.test.shape[1] == widest]
+    change = 255 * np.concatenate([pair.test.astype(np.float64) - pair.reference for pair in shown])
     bins, reach = _bins(change)
     inside = np.clip(change, -reach, reach)
     counts = [np.histogram(channel, bins, (-reach, reach))[0] for channel in inside.T]
     most = max(1, max(int(count.max()) for count in counts))
     lines = []
-    inks = _INK.get(widest, ("currentColor",) * widest)
+    inks = [f"var(--{name})" for name in _NAMES.get(widest, ())] or ["currentColor"] * widest
     for number, (count, ink) in enumerate(zip(counts, inks, strict=True)):
         corners = zip(_WIDTH * (np.arange(bins) + 0.5) / bins, _HEIGHT * (1 - count / most), strict=True)
         points = " ".join(f"{x:.1f},{y:.1f}" for x, y in corners)

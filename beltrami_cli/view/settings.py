@@ -14,14 +14,9 @@ Axis = Literal["x", "y", "z"]
 
 # Degrees to the right of the front, and upwards.
 VIEWS = {
-    "front": (0.0, 0.0),
-    "back": (180.0, 0.0),
-    "right": (90.0, 0.0),
-    "left": (-90.0, 0.0),
-    "top": (0.0, 90.0),
-    "bottom": (0.0, -90.0),
-    "three-quarter": (35.0, 20.0),
-}
+    "front": (0.0, 0.0), "back": (180.0, 0.0), "right": (90.0, 0.0), "left": (-90.0, 0.0),
+    "top": (0.0, 90.0), "bottom": (0.0, -90.0), "three-quarter": (35.0, 20.0),
+}  # fmt: skip
 BACKGROUNDS = {"white": "#ffffff", "grey": "#808080", "black": "#000000"}
 _BACKGROUND = f"auto, {', '.join(BACKGROUNDS)}, transparent or #rrggbb"
 MOST_PIXELS = 1 << 26
@@ -68,29 +63,23 @@ class RenderSettings:
     group: ClassVar[str] = "Pictures"
 
     size: tuple[int, int] = parameter(
-        (640, 640),
-        "Width and height of each view.",
+        (640, 640), "Width and height of each view.",
         low=16, high=LONGEST_SIDE, unit="pixels", metavar="N|WxH", parse=_size,
         show=lambda size: "x".join(map(str, size)), is_daily=True,
     )  # fmt: skip
     azimuth: float = parameter(
-        0.0,
-        "Where the eye is: around the model, to the right of its front.",
+        0.0, "Where the eye is: around the model, to the right of its front.",
         low=-_MOST_DEGREES, high=_MOST_DEGREES, unit="degrees", unset="of --view", metavar="DEGREES",
     )  # fmt: skip
     elevation: float = parameter(
-        0.0,
-        "Where the eye is: upwards; negative: from below.",
+        0.0, "Where the eye is: upwards; negative: from below.",
         low=-_MOST_DEGREES, high=_MOST_DEGREES, unit="degrees", unset="of --view", metavar="DEGREES",
     )  # fmt: skip
     up: Axis = parameter(
-        "y",
-        "Which axis of the models points up: z in many scans and in CAD.",
-        choices=get_args(Axis),
-    )  # fmt: skip
+        "y", "Which axis of the models points up: z in many scans and in CAD.", choices=get_args(Axis)
+    )
     fov: float = parameter(
-        30.0,
-        "Field of view along the shorter side; 0: parallel rays.",
+        30.0, "Field of view along the shorter side; 0: parallel rays.",
         low=0, high=120, unit="degrees", metavar="DEGREES",
     )  # fmt: skip
     zoom: float = parameter(1.0, "Larger than what fits the view.", low=0.01, high=1000, metavar="FACTOR")
@@ -100,8 +89,7 @@ class RenderSettings:
         flags=("--lit/--unlit",), is_daily=True,
     )  # fmt: skip
     background: str = parameter(
-        "auto",
-        "white, grey, black, #rrggbb, or transparent; auto: white, or grey behind what is white.",
+        "auto", "white, grey, black, #rrggbb, or transparent; auto: white, or grey behind what is white.",
         allowed=_BACKGROUND, metavar="COLOUR",
     )  # fmt: skip
     slot: str = parameter(
@@ -119,11 +107,7 @@ class RenderSettings:
         "Views all around in equal steps, in a row for each file; as .gif, .webp or .mp4 they move; 0: one view.",
         low=0, high=360, metavar="N", is_daily=True,
     )  # fmt: skip
-    fps: int = parameter(
-        12,
-        "Of a --turntable that moves: views a second.",
-        low=1, high=60, metavar="N",
-    )  # fmt: skip
+    fps: int = parameter(12, "Of a --turntable that moves: views a second.", low=1, high=60, metavar="N")
     crops: tuple[Crop, ...] = parameter(
         (),
         "Show a square detail enlarged below each view, drawn anew: its middle in fractions of the view from "
@@ -133,14 +117,12 @@ class RenderSettings:
         parse=Crop.parse, is_daily=True,
     )  # fmt: skip
     labels: tuple[str, ...] | None = parameter(
-        None,
-        "Words above each view, once for each file.",
+        None, "Words above each view, once for each file.",
         kind=str, several=True, unset="the names of the files, if there are several",
         flags=("--label", "labels"), metavar="TEXT", repeatable=True, is_daily=True,
     )  # fmt: skip
     side_by_side: bool = parameter(
-        True,
-        "Of several files: next to each other with one camera, or below each other.",
+        True, "Of several files: next to each other with one camera, or below each other.",
         flags=("--side-by-side/--stacked",),
     )  # fmt: skip
 

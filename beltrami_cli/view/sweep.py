@@ -1,16 +1,19 @@
-"""Smooth a file with several sets of parameters, and show what each makes of it."""
+"""Smooth a file with several sets of parameters, and show what each makes of it, on a page as results come."""
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import dataclasses
+import html
 import io
 import json
-from contextlib import nullcontext
+import time
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from beltrami_cli.errors import UsageError
+from beltrami_cli.errors import OutputError, UsageError
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.access import read_source
 from beltrami_cli.formats.document import Written
@@ -24,21 +27,20 @@ from beltrami_cli.jobs.recolour import recolour_in_memory
 from beltrami_cli.jobs.smoothing import Smoothing
 from beltrami_cli.samples.settings import LevelSetSettings
 from beltrami_cli.view.drawing import background_of, draw_panels, with_fixed_crops
-from beltrami_cli.view.pages import PAGES
+from beltrami_cli.view.pages import PAGES, page_from, picture_tag, table
 from beltrami_cli.view.render import encoded, picture_suffix
 from beltrami_cli.view.settings import MOST_PIXELS, RenderSettings
 from beltrami_cli.view.sheet import arranged
-from beltrami_cli.view.trials import SweepPage, Trial, columns_of
 from beltrami_cli.view.views import image_files, view_of
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
     from beltrami_cli.arrays import Uint8s
     from beltrami_cli.formats.document import Document
     from beltrami_cli.samples.settings import SmoothSettings
     from beltrami_cli.view.drawing import Progress
-    from beltrami_cli.view.sheet import Panel
+    from beltrami_cli.view.sheet import Background, Panel
     from beltrami_cli.view.views import Drawable
 
     Tried = tuple[dict[str, float], SmoothSettings]
@@ -46,6 +48,15 @@ if TYPE_CHECKING:
 FigureFormat = Literal["csv", "json"]
 
 MOST_TRIALS = 200
+FIGURES = {
+    "psnr": "PSNR, dB",
+    "estimated_psnr": "estimated PSNR, dB",
+    "estimated_gain": "estimated gain, dB",
+    "psnr_near_seams": "PSNR near seams, dB",
+    "ssim": "SSIM",
+    "delta_e": "Delta E 2000",
+}
+_REST = 10  # times as long as writing the page took: until it is written again
 
 
 def sweep_file(
@@ -75,11 +86,13 @@ def sweep_file(
     labels = [Trial(parameters, {}).label for parameters, _ in trials]
     page = SweepPage(source, output, labels, looks) if is_page and drawing is not None else None
     with (
-        page or nullcontext(),
+        page or contextlib.nullcontext(),
         pictures_kept([*image_files(document), *([] if truth is None else image_files(truth))]),
     ):
         if drawing is not None:
-            drawing.add_all({"reference": truth, "before": document})
+            if truth is not None:
+                drawing.add("reference", truth)
+            drawing.add("before", document)
         for parameters, settings in tracked(trials, "trials", job.progress):
             trial, result = _tried(document, truth, parameters, settings, job)
             done.append(trial)
@@ -102,12 +115,6 @@ class _Drawing:
         self._looks, self._progress = looks, progress
         self._view: Drawable | None = None
 
-    def add_all(self, documents: Mapping[str, Document | None]) -> None:
-        """Draw the documents that there are, under their labels."""
-        for label, document in documents.items():
-            if document is not None:
-                self.add(label, document)
-
     def add(self, label: str, document: Document) -> None:
         """Draw a document; details lie where there is most to see in the first."""
         self._view = view_of(document, self._looks, self._view)
@@ -129,8 +136,7 @@ def _opened(
 def _sheet(panels: Sequence[Panel], trials: int, columns: int, looks: RenderSettings) -> Uint8s:
     """Arrange panels in a picture, in which the trials, which are the last, begin in a row of their own."""
     first = len(panels) - trials
-    empty = [None] * (-first % columns)
-    placed = [*panels[:first], *empty, *panels[first:]]
+    placed = [*panels[:first], *[None] * (-first % columns), *panels[first:]]
     return arranged(placed, columns, background_of(looks, panels))
 
 
@@ -145,12 +151,8 @@ def _check(name: str, trials: int, looks: RenderSettings | None) -> None:
 
 
 def _tried(
-    document: Document,
-    truth: Document | None,
-    parameters: dict[str, float],
-    settings: SmoothSettings,
-    job: Job,
-) -> tuple[Trial, Document]:
+    document: Document, truth: Document | None, parameters: dict[str, float], settings: SmoothSettings, job: Job
+) -> tuple[Trial, Document]:  # fmt: skip
     """Smooth a document once, and measure the result."""
     painter = Smoothing(settings)
     result = recolour_in_memory(document, settings, painter, job)
@@ -163,13 +165,10 @@ def _tried(
 
 
 def _figures(truth: Document, result: Document, settings: SmoothSettings, job: Job) -> dict[str, object]:
-    space = settings.space if settings.space == "data" else "srgb"
     chosen = dataclasses.replace(
-        settings,
-        level_set=LevelSetSettings(),
-        kernel=KernelParameters(threads=settings.kernel.threads),
-        space=space,
-    )
+        settings, level_set=LevelSetSettings(), kernel=KernelParameters(threads=settings.kernel.threads),
+        space=settings.space if settings.space == "data" else "srgb",
+    )  # fmt: skip
     compared = compare_documents((truth, result), chosen, "uniform", Job(job.access))
     require_samples(compared.parts, truth.name)
     overall = figures(compared.measured())
@@ -194,3 +193,125 @@ def _table(trials: Sequence[Trial], kind: FigureFormat | None) -> str:
         values = [trial.parameters.get(key) for key in parameters]
         writer.writerow([*values, *(trial.figures.get(key) for key in found)])
     return text.getvalue()
+
+
+@dataclass(frozen=True)
+class Trial:
+    """The result of one set of the swept parameters: figures against a reference if there is one, and estimates."""
+
+    parameters: dict[str, float]
+    figures: dict[str, float]
+
+    @property
+    def label(self) -> str:
+        """The parameters and the first figure, in short."""
+        words = [f"{name} {value:g}" for name, value in self.parameters.items()] or ["smoothed"]
+        return ", ".join(words) + (f": {self.figures['psnr']:.2f} dB" if "psnr" in self.figures else "")
+
+
+def best_of(trials: Sequence[Trial]) -> int | None:
+    """Return the number of the trial with the highest PSNR, or None without a reference."""
+    known = [number for number, trial in enumerate(trials) if "psnr" in trial.figures]
+    return max(known, key=lambda number: trials[number].figures["psnr"], default=None)
+
+
+def columns_of(trials: Sequence[Trial]) -> tuple[list[str], list[str]]:
+    """Return the parameters and figures that there are."""
+    parameters = sorted({key for trial in trials for key in trial.parameters})
+    return parameters, [key for key in FIGURES if any(key in trial.figures for trial in trials)]
+
+
+class SweepPage:
+    """The page of a sweep, as a context: at its end all is on it, or what there is if it ends early."""
+
+    def __init__(self, name: str, output: Output, labels: Sequence[str], looks: RenderSettings) -> None:
+        self._title = f"Sweep of {Path(name).name}"
+        self._output, self._labels, self._looks = output, labels, looks
+        self._trials: list[Trial] = []
+        self._panels: list[Panel] = []
+        self._pictures: dict[tuple[int, Background], str] = {}
+        self._next = 0.0  # when it is written again, so that writing takes little of the time
+
+    def __enter__(self) -> SweepPage:
+        return self
+
+    def __exit__(self, kind: object, *_: object) -> None:
+        if kind is None:
+            self._write("")
+        elif self._next:
+            with contextlib.suppress(OutputError):  # what ended it is said
+                self._write("not tried")
+
+    def show(self, trials: Sequence[Trial], panels: Sequence[Panel]) -> None:
+        """Show the results so far; the panels of trials are the last."""
+        self._trials, self._panels = list(trials), list(panels)
+        if len(trials) < len(self._labels) and time.monotonic() >= self._next and not self._output.is_device:
+            began = time.monotonic()
+            self._write("pending")
+            self._next = time.monotonic() + _REST * (time.monotonic() - began)
+
+    def _write(self, others: str) -> None:
+        """Write the page; `others` says what is with the trials that have no result."""
+        trials, best = self._trials, best_of(self._trials)
+        first, background = len(self._panels) - len(trials), background_of(self._looks, self._panels)
+        views = []
+        for number, panel in enumerate(self._panels):
+            trial = trials[number - first] if number >= first else None
+            is_best = trial is not None and number - first == best
+            views.append(_view(panel, self._picture(number, background), trial, is_best=is_best))
+        views += [
+            f'<li class="missing"><p><span>{html.escape(label)}</span>: {others}</p></li>'
+            for label in self._labels[len(trials) :]
+        ]
+        sorts = [f'<option value="{key}">{FIGURES[key]}</option>' for key in columns_of(trials)[1]]
+        page = page_from(
+            "sweep.html",
+            ["sweep.js"],
+            {"trials": [dataclasses.asdict(trial) for trial in trials]},
+            title=html.escape(self._title),
+            state=others,
+            summary=self._summary(others),
+            sorts="".join(sorts),
+            views="\n".join(views),
+            table=table(_rows(trials), "figures of all trials"),
+        )
+        self._output.write(Written(main=[page]))
+
+    def _summary(self, others: str) -> str:
+        count, best = len(self._labels), best_of(self._trials)
+        done = {"pending": "so far", "not tried": "before the sweep ended early"}.get(others, "")
+        said = f"{len(self._trials)} of {count} trials {done}." if done else f"{count} trials."
+        return said if best is None else f"{said} Best: {html.escape(self._trials[best].label)}."
+
+    def _picture(self, number: int, background: Background) -> str:
+        """Return a view as an image element, which is made once."""
+        if (number, background) not in self._pictures:
+            panel = self._panels[number]
+            picture = arranged([dataclasses.replace(panel, label="")], 1, background)
+            self._pictures[number, background] = picture_tag(picture, panel.label)
+        return self._pictures[number, background]
+
+
+def _view(panel: Panel, picture: str, trial: Trial | None, *, is_best: bool) -> str:
+    """Return a view as an element of a page, with its label and figures as text."""
+    label = html.escape(panel.label)
+    mark = ' class="best"' if is_best else ""
+    kept = "" if trial is not None else f" data-kept={'before' if panel.label == 'before' else 'reference'}"
+    shown = {} if trial is None else trial.figures
+    rows = [f"<dt>{FIGURES[key]}</dt><dd>{shown[key]:.3f}</dd>" for key in FIGURES if key in shown]
+    figures_shown = f"<dl>{''.join(rows)}</dl>" if rows else ""
+    best = "<strong>best</strong> " if is_best else ""
+    return (
+        f'<li{mark}{kept}><button type="button">{picture}</button>'
+        f"<p>{best}<span>{label}</span></p>{figures_shown}</li>"
+    )
+
+
+def _rows(trials: Sequence[Trial]) -> list[list[str]]:
+    """Return the parameters and figures of all trials, below their names."""
+    parameters, found = columns_of(trials)
+    rows = [[*parameters, *(FIGURES[key] for key in found)]]
+    for trial in trials:
+        cells = [f"{trial.parameters[key]:g}" for key in parameters]
+        rows.append(cells + [f"{trial.figures[key]:.3f}" if key in trial.figures else "" for key in found])
+    return rows

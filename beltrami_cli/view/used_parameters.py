@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
 # Shown of the kernel even where nobody gave or chose them.
 _ALWAYS = ("iterations", "t", "beta", "beta_growth", "metric_steps", "space")
+_COLUMNS = ("value", "how it came about")
 _NEVER = ("free", "fast", "on", "threads", "noise")
 _WORDS = {"t": "time step, t", "on": "smoothed, --on"}
 
@@ -24,15 +25,11 @@ def used_parameters(report: dict[str, Any]) -> str:
     tables = []
     for name, done in parts:
         head = f"<h3>{html.escape(name)}</h3>\n" if len(parts) > 1 else ""
-        rows = [*_kernel(requested, done), *_measured(requested.get("noise"), done)]
-        tables.append(
-            head + table([["parameter", "value", "how it came about"], *rows], f"parameters of {name}")
-        )
+        rows = [["parameter", *_COLUMNS], *_kernel(requested, done), *_measured(requested.get("noise"), done)]
+        tables.append(head + table(rows, f"parameters of {name}"))
     others = [[name, value, "given"] for name, value in _given(requested)]
     if others:
-        tables.append(
-            table([["parameter of the job", "value", "how it came about"], *others], "parameters of the job")
-        )
+        tables.append(table([["parameter of the job", *_COLUMNS], *others], "parameters of the job"))
     stages = [[name, f"{spent['wall']:.2f}"] for name, spent in report["stages"].items()]
     if stages:
         tables.append(table([["stage", "seconds"], *stages], "stages"))
