@@ -24,10 +24,12 @@ References
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+
+from beltrami_cli.levelling.steps import with_noise
 
 if TYPE_CHECKING:
     from beltrami_cli.arrays import Bools, Float64s, Int64s
@@ -85,24 +87,19 @@ class Exposures:
         return np.stack(found, axis=1)
 
 
-def unexposed(steps: Steps, terms: int) -> Exposures:
-    """Return terms that change nothing."""
-    channels = steps.colours.shape[2]
-    return Exposures(np.zeros((channels, steps.charts, terms)), np.ones(len(steps.seams)))
-
-
 def fit_exposures(
     steps: Steps, spread: tuple[float, ...], iterations: tuple[int, int] = FULL, fixed: Bools | None = None
 ) -> Exposures:
     """Fit the terms of all charts, of which `spread` are the expected deviations; `fixed` charts have none."""
-    system, noise = _System(steps, spread, fixed), steps.noise
-    found, scale = unexposed(steps, len(spread)), _WIDEST
+    system, noise, scale = _System(steps, spread, fixed), steps.noise, _WIDEST
+    unchanged = np.zeros((steps.colours.shape[2], steps.charts, len(spread)))
+    found = Exposures(unchanged, np.ones(len(steps.seams)))
     for number in range(iterations[0] + (1 + len(_STRICTER)) * iterations[1]):
         rounds, place = divmod(number - iterations[0], iterations[1])
         sides = found.sides(steps)
         if place == 0 and rounds >= 0:
             # What varies along a seam by exposure is no noise.
-            noise = np.minimum(noise, steps.noise_of(sides))
+            noise = np.minimum(noise, with_noise(replace(steps, colours=sides)).noise)
         if place == 0 and rounds > 0:
             system.drop(found, _STRICTER[rounds - 1])
         residual = _distances(sides[:, 1] - sides[:, 0], system.known)

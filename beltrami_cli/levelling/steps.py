@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -44,20 +44,8 @@ class Steps:
 
     def part(self, rows: Bools) -> Steps:
         """Return some of the stretches."""
-        return Steps(
-            self.charts,
-            self.ends[rows],
-            self.colours[rows],
-            self.places[rows],
-            self.seams[rows],
-            self.counts[rows],
-            self.noise[rows],
-            self.is_paint[rows],
-        )
-
-    def noise_of(self, sides: Float64s) -> Float64s:
-        """Return the deviation of the steps along each seam, for other colours of the two sides, shape (K,)."""
-        return with_noise(replace(self, colours=sides)).noise
+        charts, *others = (getattr(self, each.name) for each in fields(self))
+        return Steps(charts, *(each[rows] for each in others))
 
 
 @dataclass(frozen=True)
@@ -126,10 +114,7 @@ def _both_sides(atlas: Atlas, planes: Float32s) -> tuple[Int64s, Int64s, Float64
             cells = [each[wanted] for each in line]
             inner.append(cells[0])
             outer.append(cells[reach])
-            sides = (
-                at_seam([flat[:, each] for each in cells[:reach]]),
-                at_seam([flat[:, each] for each in cells[reach:]]),
-            )
+            sides = [at_seam([flat[:, each] for each in half]) for half in (cells[:reach], cells[reach:])]
             colours.append(np.stack(sides, axis=1).transpose(2, 1, 0))
         # Charts may be too narrow for lines of three cells.
         for cells_beyond in outer:
@@ -151,16 +136,8 @@ def _merged(steps: Steps, *blocks: Int64s) -> Steps:
         total: Float64s = np.add.reduceat(values[order], starts)
         return total / counts[:, None, None]
 
-    first = order[starts]
-    return Steps(
-        steps.charts,
-        steps.ends[first],
-        mean(steps.colours),
-        mean(steps.places),
-        steps.seams[first],
-        counts,
-        *UNKNOWN,
-    )
+    first, sides = order[starts], (mean(steps.colours), mean(steps.places))
+    return Steps(steps.charts, steps.ends[first], *sides, steps.seams[first], counts, *UNKNOWN)
 
 
 def with_noise(steps: Steps) -> Steps:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from beltrami_cli.arrays import Bools, Int64s
     from beltrami_cli.formats.document import Document
     from beltrami_cli.formats.image import Picture
-    from beltrami_cli.levelling.decision import Levelled
+    from beltrami_cli.levelling.correction import Levelled
     from beltrami_cli.surface.atlas import Atlas
     from beltrami_cli.surface.records import Texture
 

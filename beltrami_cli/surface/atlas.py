@@ -27,18 +27,14 @@ from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.grouping import group_places
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
     from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s, Int64s, Uint8s
+    from beltrami_cli.surface.records import TexturedSurface
 
     Indices: TypeAlias = NDArray[np.signedinteger[Any]]
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from beltrami_cli.surface.records import TexturedSurface
 
 EMPTY, OWNED, HALO = 0, 1, 2
 # A line through the values 1/2, 3/2 and 5/2 texels from a seam, by least squares, has this value at the seam.
@@ -124,16 +120,10 @@ def without_halo(atlas: Atlas, dropped: Bools) -> Atlas:
     kind = atlas.kind.copy()
     kind.reshape(-1)[atlas.halo_cells[dropped]] = EMPTY
     seen = kind.reshape(-1)[atlas.gutter_cells] != EMPTY
-    return dataclasses.replace(
-        atlas,
-        kind=kind,
-        gutter_cells=atlas.gutter_cells[seen],
-        gutter_texels=atlas.gutter_texels[seen],
-        halo_cells=atlas.halo_cells[~dropped],
-        halo_taps=atlas.halo_taps[~dropped],
-        halo_weights=atlas.halo_weights[~dropped],
-        halo_seams=atlas.halo_seams[~dropped],
-    )
+    names = ("halo_cells", "halo_taps", "halo_weights", "halo_seams")
+    halo = {name: getattr(atlas, name)[~dropped] for name in names}
+    gutter = {name: getattr(atlas, name)[seen] for name in ("gutter_cells", "gutter_texels")}
+    return dataclasses.replace(atlas, kind=kind, **gutter, **halo)
 
 
 def without_owned(atlas: Atlas, dropped: Bools) -> Atlas:
@@ -146,14 +136,8 @@ def without_owned(atlas: Atlas, dropped: Bools) -> Atlas:
     weights /= np.where(orphaned, 1, total)[:, None]
     kind = atlas.kind.copy()
     kind.reshape(-1)[gone] = EMPTY
-    kept = dataclasses.replace(
-        atlas,
-        kind=kind,
-        owned_cells=atlas.owned_cells[~dropped],
-        owned_texels=atlas.owned_texels[~dropped],
-        chart_of=atlas.chart_of[~dropped],
-        halo_weights=weights.astype(np.float32),
-    )
+    owned = {name: getattr(atlas, name)[~dropped] for name in ("owned_cells", "owned_texels", "chart_of")}
+    kept = dataclasses.replace(atlas, kind=kind, halo_weights=weights.astype(np.float32), **owned)
     return without_halo(kept, orphaned)
 
 
@@ -165,14 +149,17 @@ def build_atlas(
 ) -> Atlas:
     """Lay out the charts of a textured surface, and continue each by `margin` cells over its seams."""
     place_of, first = group_places(surface.positions, surface.space_of)
-    grids = _grids(surface, sizes)
+    wraps = ([_WRAP_CODES[mode] for mode in texture.wrap] for texture in surface.textures)
+    grids = np.array([(*size, *wrap) for size, wrap in zip(sizes, wraps, strict=True)], np.int32).reshape(
+        -1, 4
+    )
     try:
         made = build_native_atlas(
             np.ascontiguousarray(surface.positions[first], np.float64),
             np.ascontiguousarray(place_of[surface.faces], np.int32).reshape(-1, 3),
             np.ascontiguousarray(surface.uv, np.float64).reshape(-1, 3, 2),
             np.ascontiguousarray(surface.texture_of, np.int32),
-            grids,
+            grids,  # width, height and codes of the wrap modes along u and v of each texture
             margin,
             threads,
             lambda size: large_arrays.empty(size, np.uint8),
@@ -184,63 +171,35 @@ def build_atlas(
     return Atlas(texture_offsets=np.concatenate([[0], np.cumsum(texels)]).astype(np.int64), **made)
 
 
-def _grids(surface: TexturedSurface, sizes: Sequence[tuple[int, int]]) -> Int32s:
-    """Width, height and codes of the wrap modes along u and v of each texture."""
-    rows = [
-        (width, height, *(_WRAP_CODES[mode] for mode in texture.wrap))
-        for texture, (width, height) in zip(surface.textures, sizes, strict=True)
-    ]
-    return np.array(rows, np.int32).reshape(-1, 4)
-
-
 # Row and column of the neighbours whose distances an atlas keeps: right, below, below right, below left.
 _STEPS = ((0, 1), (1, 0), (1, 1), (1, -1))
 
 
-def grid_atlas(
-    shape: tuple[int, int], margin: int, positions: Float64s | None = None, valid: Bools | None = None
-) -> Atlas:
+def grid_atlas(shape: tuple[int, int], margin: int, positions: Float64s | None, valid: Bools) -> Atlas:
     """Lay out an image, shape (H, W), as one chart without seams, with `margin` empty cells around."""
-    # Positions, shape (H, W, M), that are not finite are holes; without them pixels lie on the plane, 1
-    # apart. Nothing crosses a hole, and holes that touch at their corners are a closed barrier.
-    filled = _filled(shape, positions, valid)
+    # Positions, shape (H, W, M), that are not finite are holes, as pixels that are not valid are; without positions
+    # pixels lie on the plane, 1 apart. Nothing crosses a hole, and holes that touch at corners are a closed barrier.
+    filled = valid if positions is None else valid & np.isfinite(positions).all(axis=2)
     kind = np.pad(np.where(filled, np.uint8(OWNED), np.uint8(EMPTY)), margin)
     lengths = np.full((len(_STEPS), *kind.shape), np.inf, np.float32)
     image = lengths[:, margin : margin + shape[0], margin : margin + shape[1]]
     for plane, step in zip(image, _STEPS, strict=True):
         _measure(plane, step, filled, positions)
     owned = np.flatnonzero(kind).astype(np.int64, copy=False)
-    nothing, no_taps = np.zeros(0, np.int64), (0, 4)
+    nothing = np.zeros(0, np.int64)
     return Atlas(
         kind=kind,
         squared_lengths=lengths,
         owned_cells=owned,
         owned_texels=np.flatnonzero(filled).astype(np.int64, copy=False),
         texture_offsets=np.array([0, shape[0] * shape[1]], np.int64),
-        cut_cells=nothing,
-        halo_cells=nothing,
-        halo_taps=np.zeros(no_taps, np.int64),
-        halo_weights=np.zeros(no_taps, np.float32),
+        cut_cells=nothing, halo_cells=nothing, gutter_cells=nothing, gutter_texels=nothing,
+        halo_taps=np.zeros((0, 4), np.int64),
+        halo_weights=np.zeros((0, 4), np.float32),
         halo_seams=np.zeros(0, np.int32),
-        gutter_cells=nothing,
-        gutter_texels=nothing,
         chart_of=np.zeros(len(owned), np.int32),
-        charts=1,
-        seams=0,
-        seam_edges=0,
-        covered=len(owned),
-        overlapped=0,
-    )
-
-
-def _filled(shape: tuple[int, int], positions: Float64s | None, valid: Bools | None) -> Bools:
-    """Return which pixels are no holes."""
-    if valid is not None and valid.shape != shape:
-        raise ValueError(f"valid has the shape {valid.shape}, but the image {shape}")
-    if positions is not None and (positions.ndim != 3 or positions.shape[:2] != shape):
-        raise ValueError(f"positions have the shape {positions.shape}, but the image {shape}")
-    filled = np.ones(shape, bool) if valid is None else valid
-    return filled if positions is None else filled & np.isfinite(positions).all(axis=2)
+        charts=1, seams=0, seam_edges=0, covered=len(owned), overlapped=0,
+    )  # fmt: skip
 
 
 def _measure(plane: Float32s, step: tuple[int, int], filled: Bools, positions: Float64s | None) -> None:

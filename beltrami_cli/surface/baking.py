@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 _BLOCK = 1 << 20  # texels looked at at a time, which bounds the memory for them
 _BESIDE = 0.75  # texels: centres so near to a triangle may be of it
+_FAR = 1.0  # texels beyond a border that bilinear lookups on it touch
 _EDGE = 1e-9  # barycentric: centres on an edge are inside, whichever way they are rounded
 
 
@@ -41,8 +42,7 @@ class Cover:
     def inside(self) -> Bools:
         """Whether each centre lies in the triangle, edges included."""
         all_three = np.column_stack([self.weights, 1 - self.weights.sum(axis=1)])
-        inside: Bools = np.all(all_three >= -_EDGE, axis=1)
-        return inside
+        return np.asarray(np.all(all_three >= -_EDGE, axis=1))
 
 
 def cover(
@@ -123,10 +123,8 @@ def _texels_in_space(
 
     `positions` are those of corners, (F, 3, 3), `spacing` (F, 3).
     """
-    found = list(cover(uv, size, _BESIDE))
-    texels = np.concatenate([part.texels for part in found])
-    faces = np.concatenate([part.faces for part in found])
-    weights = np.concatenate([part.weights for part in found])
+    found = [(part.texels, part.faces, part.weights) for part in cover(uv, size, _BESIDE)]
+    texels, faces, weights = map(np.concatenate, zip(*found, strict=True))
     outside = np.maximum(0, -np.column_stack([weights, 1 - weights.sum(axis=1)])).max(axis=1)
     order = np.lexsort((faces, outside > _EDGE, texels))
     texels, first = np.unique(texels[order], return_index=True)
@@ -148,8 +146,7 @@ def border_faces(uv: Float64s) -> NDArray[np.intp]:
 
 
 def _cross(a: Float64s, b: Float64s) -> Float64s:
-    product: Float64s = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
-    return product
+    return np.asarray(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
 
 
 def _rows(corners: Float64s, reach: float, height: int) -> tuple[Int64s, Int64s]:
@@ -167,8 +164,8 @@ def _columns(corners: Float64s, rows: Int64s, reach: float, width: int) -> tuple
     enter = np.clip(top, np.minimum(ay, by), np.maximum(ay, by))
     leave = np.clip(bottom, np.minimum(ay, by), np.maximum(ay, by))
     crosses = (np.maximum(ay, by) >= top) & (np.minimum(ay, by) <= bottom)
-    rise = np.where(ay == by, 1.0, by - ay)
     level = ay == by
+    rise = np.where(level, 1.0, by - ay)
     one = np.where(level, ax, ax + (enter - ay) / rise * (bx - ax))
     other = np.where(level, bx, ax + (leave - ay) / rise * (bx - ax))
     low = np.where(crosses, np.minimum(one, other), np.inf).min(axis=1)
@@ -180,8 +177,7 @@ def _columns(corners: Float64s, rows: Int64s, reach: float, width: int) -> tuple
 
 def _blocks(counts: Int64s) -> Iterator[slice]:
     """Split rows into runs whose counts add up to about a block."""
-    sums = np.cumsum(counts)
-    first = 0
+    sums, first = np.cumsum(counts), 0
     while first < len(counts):
         done = sums[first - 1] if first else 0
         last = max(first + 1, int(np.searchsorted(sums, done + _BLOCK, side="right")))
@@ -196,19 +192,13 @@ def _expanded(starts: Int64s, counts: Int64s) -> tuple[Int64s, Int64s]:
     return starts[owner] + np.arange(len(owner)) - before[owner], owner
 
 
-_FAR = 1.0  # texels beyond a border that bilinear lookups on it touch
-
-
-def bake(
-    uv: Float64s, size: tuple[int, int], shade: Shade, channels: int, dtype: DTypeLike, threads: int = 1
-) -> Array:
+def bake(uv: Float64s, size: tuple[int, int], shade: Shade, channels: int, dtype: DTypeLike) -> Array:
     """Paint a texture, shape (height, width, channels), with what `shade` gives for triangles and weights."""
     # Texels just beyond the border of a chart continue its triangles (there weights leave [0, 1]), so that
     # bilinear lookups on the border are right; all others have the colour of the nearest chart.
     width, height = size
     pixels = np.zeros((height * width, channels), dtype)
-    covered = np.zeros(height * width, bool)
-    beside = np.zeros(height * width, bool)
+    covered, beside = np.zeros((2, height * width), bool)
     for part in cover(uv, size):
         inside = part.inside
         covered[part.texels[inside]] = True
@@ -217,11 +207,10 @@ def bake(
         free = ~covered[part.texels]
         beside[part.texels[free]] = True
         pixels[part.texels[free]] = shade(part.faces[free], part.weights[free])
-    shape = (height, width)
     # Where charts are smaller than a texel, what lies beside them is all that there is.
     source = covered if covered.any() else beside
-    texture = pixels.reshape(*shape, channels)
-    fill_gutter(texture, source.reshape(shape), None, None, beside.reshape(shape), threads)
+    texture = pixels.reshape(height, width, channels)
+    fill_gutter(texture, source.reshape(height, width), None, None, beside.reshape(height, width))
     return texture
 
 
@@ -234,8 +223,7 @@ def interpolated(corners: NDArray[np.floating[Any]], faces: Int64s, weights: Flo
     steps = mine[:, 1:] - mine[:, :1]
     values = first + weights[:, :1] * steps[:, 0] + weights[:, 1:] * steps[:, 1]
     low, high = mine.min(axis=1), mine.max(axis=1)
-    limited: Float64s = np.clip(values, 2 * low - high, 2 * high - low)
-    return limited
+    return np.asarray(np.clip(values, 2 * low - high, 2 * high - low))
 
 
 def overlap(uv: Float64s, size: tuple[int, int]) -> float:

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from beltrami_cli.errors import BeltramiError, UsageError
+from beltrami_cli.fields import override
 from beltrami_cli.formats.image import WRITABLE
 from beltrami_cli.formats.image.reading import pictures_kept
 from beltrami_cli.formats.registry import OUTPUT_FORMATS
@@ -37,10 +38,10 @@ from beltrami_cli.view.used_parameters import used_parameters
 from beltrami_cli.view.views import image_files
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Mapping
 
     from beltrami_cli.jobs.job import Job
-    from beltrami_cli.jobs.smoothing import Smoothed, SmoothReport
+    from beltrami_cli.jobs.smoothing import SmoothReport
     from beltrami_cli.samples.settings import SmoothSettings
     from beltrami_cli.view.layers import Shown
 
@@ -165,7 +166,7 @@ class Live:
     def _pack(self, settings: SmoothSettings) -> dict[str, tuple[str, bytes]]:
         page = Template(asset("view.html")).substitute(
             title=html.escape(self._source),
-            viewer=viewer("Before and after"),
+            viewer=viewer(),
             controls=controls(self._layers.slots),
             target=html.escape(_target(self._source), quote=True),
             scripts="\n".join(f'<script src="{script}"></script>' for script in _SCRIPTS),
@@ -256,9 +257,7 @@ class Live:
     ) -> None:
         assert request.focus is not None
         if with_patches:
-            settings = dataclasses.replace(
-                settings, kernel=dataclasses.replace(settings.kernel, patches="on")
-            )
+            settings = override(settings, patches="on")
         iterations, began = max(1, settings.kernel.iterations), time.perf_counter()
         budget = int(np.clip(_WANTED * self._rates[with_patches] / iterations, _LEAST, _MOST))
         focus = self._layers.in_space(request.focus, request.layer)
@@ -315,25 +314,20 @@ class Live:
         patches = self._layers.whole(page.shown, result)
         said = [each for done in painter.done for each in (*done.warnings, *done.repainted.notices)]
         notices = [*dict.fromkeys([*self._document.notices, *said])]
+        levels = [level for each in painter.done for level in each.report.noise.values()]
         return {
             "kind": "whole",
             "patches": patches,
             "used": used_parameters(described),
             "chosen": chosen,
             "notices": notices,
-            "noise": None if settings.kernel.noise else _mean_noise(painter.done),
+            "noise": None if settings.kernel.noise or not levels else f"{100 * np.mean(levels):.2g}%",
         }
 
 
 def _choosing(settings: SmoothSettings) -> tuple[str, str | None]:
     """Return what parameters are chosen by, besides those that are given."""
     return settings.kernel.strength, settings.kernel.noise
-
-
-def _mean_noise(done: Sequence[Smoothed]) -> str | None:
-    """Return the estimated noise as it could be given; None if nothing was estimated."""
-    levels = [level for each in done for level in each.report.noise.values()]
-    return f"{100 * sum(levels) / len(levels):.2g}%" if levels else None
 
 
 def _target(source: str) -> str:

@@ -95,12 +95,10 @@ class ModelPacker:
     def packed(self, reach: float) -> dict[str, Any]:
         """Return everything in JSON types; `reach`: the change in 255ths that is shown brightest."""
         return {
-            "buffers": self._buffers,
-            "textures": self._textures,
-            "layers": self._layers,
+            "buffers": self._buffers, "textures": self._textures, "layers": self._layers,
             "scale": VIRIDIS.tolist(),
             "reach": int(np.clip(np.ceil(round(reach, 2)), _LEAST_REACH, _MOST_REACH)),
-        }
+        }  # fmt: skip
 
     def texture(self, texture: Texture, slot: Slot, sheet: Float32s | None = None) -> int:
         """Add a texture once; return its number."""
@@ -108,8 +106,7 @@ class ModelPacker:
         key = f"{source} {texture.wrap} {texture.alpha_hides}"
         if key not in self._number_of:
             self._number_of[key] = len(self._textures)
-            described = {"source": source, "wrap": texture.wrap, "hides": texture.alpha_hides}
-            self._textures.append(described)
+            self._textures.append({"source": source, "wrap": texture.wrap, "hides": texture.alpha_hides})
         return self._number_of[key]
 
     def _painted(self, one: PaintedVertices, other: PaintedVertices) -> None:
@@ -135,14 +132,9 @@ class ModelPacker:
         self._layers.append({"name": VERTICES, "parts": [part], "middle": box.middle})
 
     def _part(
-        self,
-        surface: TexturedSurface,
-        box: Box,
-        number: int,
-        chart_of: Int32s,
-        textures: list[int] | None,
+        self, surface: TexturedSurface, box: Box, number: int, chart_of: Int32s, textures: list[int] | None,
         borders: Int64s,
-    ) -> dict[str, Any]:
+    ) -> dict[str, Any]:  # fmt: skip
         """Return the triangles of one texture, with a vertex for each place, texture coordinate and chart."""
         mine = surface.texture_of == number
         corners, uv = surface.faces[mine].reshape(-1), surface.uv[mine].reshape(-1, 2).astype(np.float32)
@@ -240,11 +232,11 @@ def source_of(texture: Texture, slot: Slot, sheet: Float32s | None = None) -> st
     return data_address(_as_bytes(texture_sheet(texture, slot) if sheet is None else sheet))
 
 
-def displayed_pixels(picture: Picture, *, is_data: bool = False) -> Uint8s:
+def displayed_pixels(picture: Picture) -> Uint8s:
     """Return a picture as display values with opacity, (H, W, 4)."""
     pixels = picture.pixels
     if pixels.dtype != np.uint8 or is_associated(picture):
-        return _as_bytes(sheet_of(picture, is_data=is_data))
+        return _as_bytes(sheet_of(picture))
     shown = np.full((*pixels.shape[:2], 4), 255, np.uint8)
     shown[..., :3] = pixels[..., picture.colour if len(picture.colour) == 3 else picture.colour[:1] * 3]
     if picture.alpha is not None:
@@ -257,7 +249,7 @@ def _as_bytes(sheet: Float32s) -> Uint8s:
     return np.asarray(np.rint(255 * shown), np.uint8)
 
 
-def packed_array(values: Array, level: int = -1) -> str:
+def packed_array(values: Array, level: int) -> str:
     """Return the bytes of an array for a page, compressed."""
     data = np.ascontiguousarray(values.astype(values.dtype.newbyteorder("<"))).tobytes()
     return base64.b64encode(zlib.compress(data, level)).decode()

@@ -48,7 +48,6 @@ class VertexPaint:
         self._corners = colours.astype(np.float32)[faces]
 
     def __call__(self, faces: Int32s, weights: Float32s, footprints: Float64s) -> Float32s:
-        """See `Paint`."""
         mixed = np.ones((len(faces), 4), np.float32)
         mixed[:, :3] = _interpolated(self._corners, faces, weights)
         return mixed
@@ -78,7 +77,6 @@ class TexturePaint:
         )
 
     def __call__(self, faces: Int32s, weights: Float32s, footprints: Float64s) -> Float32s:
-        """See `Paint`."""
         if self._is_one:
             return self._looked_up(0, faces, weights, footprints)
         colours = np.full((len(faces), 4), _UNPAINTED, np.float32)

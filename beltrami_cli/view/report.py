@@ -131,7 +131,7 @@ def _page(
         licence=asset("three.LICENSE"),
         title=html.escape(f"{short[0]} and {short[1]}"),
         summary=html.escape(f"Before: {names[0]}. After: {names[1]}."),
-        viewer=viewer("Before and after"),
+        viewer=viewer(),
         figures=table(_rows(compared), "figures") + (f"\n<ul>{listed}</ul>" if listed else ""),
         histogram=histogram(compared.measured()),
         seams=f"<h2>Seams, by how much they changed</h2>\n{maps}" if maps else "",

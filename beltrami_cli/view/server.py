@@ -66,7 +66,8 @@ class PageServer(ThreadingHTTPServer):
         self.application = application
         self.host = f"127.0.0.1:{self.server_address[1]}"
         self.token, self._ticket = secrets.token_urlsafe(32), secrets.token_urlsafe(32)
-        self._pages, self._lock, self._closing = 0, threading.Lock(), threading.Event()
+        self._pages, self._lock = 0, threading.Lock()
+        self.closing = threading.Event()  # when all connections are to end
         self._left: threading.Timer | None = None
 
     @property
@@ -92,17 +93,12 @@ class PageServer(ThreadingHTTPServer):
         serving = threading.Thread(target=self.serve_forever, args=(_BEAT,), daemon=True)
         serving.start()
         try:
-            while not self._closing.wait(_BEAT):
+            while not self.closing.wait(_BEAT):
                 pass
         finally:
-            self._closing.set()
+            self.closing.set()
             self.shutdown()
             self.server_close()
-
-    @property
-    def is_closing(self) -> bool:
-        """Whether all connections are to end."""
-        return self._closing.is_set()
 
     def page_came(self) -> None:
         """Count a page that is open."""
@@ -116,7 +112,7 @@ class PageServer(ThreadingHTTPServer):
         with self._lock:
             self._pages -= 1
             if not self._pages:
-                self._left = threading.Timer(_GRACE, self._closing.set)
+                self._left = threading.Timer(_GRACE, self.closing.set)
                 self._left.daemon = True
                 self._left.start()
 
@@ -138,11 +134,9 @@ class _Handler(BaseHTTPRequestHandler):
 
     def do_GET(self) -> None:
         name = self._name()
-        if name is None:
-            self._send(HTTPStatus.NOT_FOUND, "text/plain", b"")
-        elif name.startswith("events/"):
+        if name is not None and name.startswith("events/"):
             self._stream(name.removeprefix("events/"))
-        elif name in self.server.application.files:
+        elif name is not None and name in self.server.application.files:
             self._send(HTTPStatus.OK, *self.server.application.files[name])
         else:
             self._send(HTTPStatus.NOT_FOUND, "text/plain", b"")
@@ -156,18 +150,15 @@ class _Handler(BaseHTTPRequestHandler):
             self._send(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, "text/plain", b"")
             return
         try:
-            status, answer = HTTPStatus.OK, self._answer(name, self.rfile.read(int(length)))
+            request = json.loads(self.rfile.read(int(length)))
+            if not isinstance(request, dict):
+                raise TypeError
+            status, answer = HTTPStatus.OK, self.server.application.answer(name, request)
         except RefusedError as error:
             status, answer = HTTPStatus.CONFLICT, {"message": str(error)}
         except (KeyError, ValueError, TypeError):
             status, answer = HTTPStatus.BAD_REQUEST, {"message": "the request is not understood"}
         self._send(status, "application/json", json.dumps(answer).encode())
-
-    def _answer(self, name: str, body: bytes) -> dict[str, Any]:
-        request = json.loads(body)
-        if not isinstance(request, dict):
-            raise TypeError
-        return self.server.application.answer(name, request)
 
     def _name(self) -> str | None:
         """Return what is asked for; None to those who may not ask, who learn nothing."""
@@ -176,17 +167,15 @@ class _Handler(BaseHTTPRequestHandler):
             return None
         token, slash, name = self.path.removeprefix("/").partition("/")
         if not slash and self.server.takes_ticket(token):
-            self._send(HTTPStatus.SEE_OTHER, "text/plain", b"", {"Location": f"/{self.server.token}/"})
+            self._send(HTTPStatus.SEE_OTHER, "text/plain", b"", Location=f"/{self.server.token}/")
             raise ConnectionAbortedError
         if not slash or not hmac.compare_digest(token.encode(), self.server.token.encode()):
             return None
         return name if not name or site in ("same-origin", "none") else None
 
-    def _send(
-        self, status: HTTPStatus, kind: str, body: bytes, more: Mapping[str, str] | None = None
-    ) -> None:
+    def _send(self, status: HTTPStatus, kind: str, body: bytes, **more: str) -> None:
         self.send_response(status)
-        headers = {**_HEADERS, "Content-Type": kind, "Content-Length": str(len(body)), **(more or {})}
+        headers = {**_HEADERS, "Content-Type": kind, "Content-Length": str(len(body)), **more}
         if status != HTTPStatus.OK:
             headers["Connection"] = "close"
         for name, value in headers.items():
@@ -204,7 +193,7 @@ class _Handler(BaseHTTPRequestHandler):
             self.send_header(name, value)
         try:
             self.end_headers()
-            while not self.server.is_closing and not self._is_gone():
+            while not self.server.closing.is_set() and not self._is_gone():
                 try:
                     event = events.get(timeout=_BEAT)
                 except Empty:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from itertools import takewhile
 from pathlib import PurePath, PurePosixPath
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from beltrami_cli.view.camera import pixels_of
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from beltrami_cli.arrays import Bools, Float32s, Float64s, Uint8s
+    from beltrami_cli.arrays import Float32s, Float64s, Uint8s
     from beltrami_cli.view.camera import Window
 
 # Frames of details, distinct for the colour-blind too. M. Okabe, K. Ito, "Color universal design" (2008).
@@ -72,20 +72,16 @@ def _shared(rows: Sequence[Sequence[str]]) -> int:
 
 
 def is_lost_on_white(views: Sequence[Float32s]) -> bool:
-    """Return whether more than a quarter of the outlines of what is drawn could not be seen on white."""
+    """Whether more than a quarter of the outlines of what is drawn could not be seen on white."""
     outline, white = 0, 0
     for view in views:
         shown = view[..., 3] > 0.5
-        drawn = view[shown & ~_eroded(shown)]
+        around = np.pad(shown, 1, constant_values=True)
+        inner = around[2:, 1:-1] & around[:-2, 1:-1] & around[1:-1, 2:] & around[1:-1, :-2]
+        drawn = view[shown & ~inner]
         outline += len(drawn)
         white += int(np.count_nonzero((drawn[:, :3] >= _NEARLY_WHITE * drawn[:, 3:]).all(axis=1)))
     return white > _LOST * outline
-
-
-def _eroded(shown: Bools) -> Bools:
-    """Return which pixels are shown and have no neighbour in their row or column that is not."""
-    around = np.pad(shown, 1, constant_values=True)
-    return shown & around[2:, 1:-1] & around[:-2, 1:-1] & around[1:-1, 2:] & around[1:-1, :-2]
 
 
 def arranged(panels: Sequence[Panel | None], columns: int, background: Background) -> Uint8s:
@@ -161,25 +157,18 @@ def _lettering(text: str, size: tuple[int, int], height: int) -> Float32s:
     """Return how much of each pixel of a strip is covered by a line of text in its middle, 0 to 1."""
     import OpenImageIO
 
-    text = one_line(text)
-    words, start = text, 0
-    box = _text_box(words, height)
-    while box.width > 0.96 * size[0] and start < len(text):
-        start += 1
-        words = "..." + text[start:]
-        box = _text_box(words, height)
+    words = text = one_line(text)
+    box = OpenImageIO.ImageBufAlgo.text_size(words, height, _FONT)
+    while box.width > 0.96 * size[0] and text:
+        text = text[1:]
+        words = "..." + text
+        box = OpenImageIO.ImageBufAlgo.text_size(words, height, _FONT)
     strip = OpenImageIO.ImageBuf(OpenImageIO.ImageSpec(*size, 1, "float"))
     x = (size[0] - box.width) // 2 - box.xbegin
     y = round(size[1] / 2 + 0.36 * height)  # the base line; small letters and capitals look centred
     if not OpenImageIO.ImageBufAlgo.render_text(strip, x, y, words, height, _FONT, (1.0,)):
         raise ProcessingError(f"labels cannot be drawn ({strip.geterror()}); use --no-labels")
     return np.clip(np.asarray(strip.get_pixels(OpenImageIO.FLOAT), np.float32)[..., 0], 0, 1)
-
-
-def _text_box(text: str, height: int) -> Any:
-    import OpenImageIO
-
-    return OpenImageIO.ImageBufAlgo.text_size(text, height, _FONT)
 
 
 def _blank(height: int, width: int, background: Background) -> Float64s:

@@ -80,19 +80,17 @@ def sweep_file(
     known = [name for name in (source, reference) if name is not None]
     output = Output(target, overwrite=job.overwrite, is_text=kind is not None, what="sheet", reads=known)
     job = Job(output.files.watching(job.access), job.progress)
-    document, truth = _opened(source, reference, trials[0][1], job)
+    opened = _opened(source, reference, trials[0][1], job)
+    document, truth = opened["before"], opened.get("reference")
     drawing = None if kind else _Drawing(looks, job.progress)
     done: list[Trial] = []
     labels = [Trial(parameters, {}).label for parameters, _ in trials]
     page = SweepPage(source, output, labels, looks) if is_page and drawing is not None else None
-    with (
-        page or contextlib.nullcontext(),
-        pictures_kept([*image_files(document), *([] if truth is None else image_files(truth))]),
-    ):
+    kept = [file for each in opened.values() for file in image_files(each)]
+    with page or contextlib.nullcontext(), pictures_kept(kept):
         if drawing is not None:
-            if truth is not None:
-                drawing.add("reference", truth)
-            drawing.add("before", document)
+            for label, shown in opened.items():
+                drawing.add(label, shown)
         for parameters, settings in tracked(trials, "trials", job.progress):
             trial, result = _tried(document, truth, parameters, settings, job)
             done.append(trial)
@@ -123,14 +121,13 @@ class _Drawing:
         self.panels += draw_panels([self._view], [label], self._looks, self._progress)
 
 
-def _opened(
-    source: str, reference: str | None, settings: SmoothSettings, job: Job
-) -> tuple[Document, Document | None]:
+def _opened(source: str, reference: str | None, settings: SmoothSettings, job: Job) -> dict[str, Document]:
+    """Return the documents that are shown besides the trials, by their labels."""
     if reference is None:
-        return open_input(source, settings, job.access), None
+        return {"before": open_input(source, settings, job.access)}
     data = read_source(reference, job.access), read_source(source, job.access)
     truth, document = open_both((reference, source), data, settings, job)
-    return document, truth
+    return {"reference": truth, "before": document}
 
 
 def _sheet(panels: Sequence[Panel], trials: int, columns: int, looks: RenderSettings) -> Uint8s:

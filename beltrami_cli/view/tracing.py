@@ -67,11 +67,8 @@ class Tracer:
 
     def cast(self, starts: Float64s, directions: Float64s) -> Hits:
         """Return what rays along unit directions hit first."""
-        found = self._scene.run(
-            np.ascontiguousarray(self._normalised(starts)),
-            np.ascontiguousarray(directions, np.float32),
-            output=1,
-        )
+        origins = np.ascontiguousarray(self._normalised(starts))
+        found = self._scene.run(origins, np.ascontiguousarray(directions, np.float32), output=1)
         faces = found["primID"]
         rays = np.flatnonzero(faces >= 0)
         u, v = found["u"][rays], found["v"][rays]
@@ -88,15 +85,13 @@ class Tracer:
 def require_embree() -> tuple[Any, Any]:
     """Import the two modules that cast rays, or raise a ProcessingError that names the extra."""
     try:
-        return (
-            importlib.import_module("embreex.rtcore_scene"),
-            importlib.import_module("embreex.mesh_construction"),
-        )
+        scenes, meshes = map(importlib.import_module, ("embreex.rtcore_scene", "embreex.mesh_construction"))
     except ImportError as error:
         raise ProcessingError(
             "to draw surfaces, the package embreex is needed; "
             "install it with: pip install 'beltrami-cli[render]'"
         ) from error
+    return scenes, meshes
 
 
 class SurfaceView:
@@ -187,15 +182,8 @@ class SurfaceView:
             light[others[hits.rays]] += self._colours(camera, hits, directions, pixel, lit=False)
 
     def _follow(
-        self,
-        light: Float32s,
-        camera: Camera,
-        starts: Float64s,
-        directions: Float64s,
-        pixel: float,
-        *,
-        lit: bool,
-    ) -> None:
+        self, light: Float32s, camera: Camera, starts: Float64s, directions: Float64s, pixel: float, *, lit: bool
+    ) -> None:  # fmt: skip
         """Add what rays see, (K, 4), through everything transparent."""
         if self._paint.is_opaque:
             hits = self._tracer.cast(starts, directions)
@@ -259,7 +247,7 @@ class SurfaceView:
         return np.asarray(np.where(creased, flat, smooth), np.float32)
 
 
-def surface_view(positions: Float64s, faces: Int32s, paint: Paint, like: object = None) -> SurfaceView:
+def surface_view(positions: Float64s, faces: Int32s, paint: Paint, like: object) -> SurfaceView:
     """Return a painted surface; `like`: a view of perhaps the same surface, whose tracer serves again then."""
     again = like.painted(positions, faces, paint) if isinstance(like, SurfaceView) else None
     return again or SurfaceView(positions, faces, paint)

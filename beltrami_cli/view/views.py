@@ -89,10 +89,9 @@ class ImageView:
         shown = np.array([width, height]) * scale
         corner = np.round((view - shown) / 2)
         samples = SAMPLES if scale != 1 else 1
-        axes = [
-            (np.arange(size[k] * samples) + 0.5) / samples + window[k] * view[k] - corner[k] for k in (0, 1)
-        ]
-        x, y = (axis.ravel() for axis in np.meshgrid(axes[0] / shown[0], axes[1] / shown[1]))
+        axes = [(np.arange(side * samples) + 0.5) / samples for side in size]
+        across, down = ((axes[k] + window[k] * view[k] - corner[k]) / shown[k] for k in (0, 1))
+        x, y = (axis.ravel() for axis in np.meshgrid(across, down))
         inside = (x >= 0) & (x < 1) & (y >= 0) & (y < 1)
         uv = np.column_stack([x, y])[inside]
         if scale >= 1:  # squares, so that single pixels can be judged
@@ -125,8 +124,17 @@ def view_of(document: Document, settings: RenderSettings, like: Drawable | None 
     if settings.on == "texture" and not has_texture:
         raise InputError(document.name, f"it has no {slot} texture", "leave out --show")
     if has_texture and settings.on != "vertices":
-        return _textured(document, slot, like)
-    return _painted(document.painted(), like)
+        surface = document.textured(slot)
+        sheets = [texture_sheet(texture, slot) for texture in surface.textures]
+        positions = within_reach(surface.positions)
+        areas = triangle_areas(positions, surface.faces)
+        return surface_view(positions, surface.faces, TexturePaint(surface, sheets, areas), like)
+    painted = document.painted()
+    light, finite = light_of(painted), np.isfinite(painted.positions).all(axis=1)
+    positions = within_reach(painted.positions)
+    if len(painted.faces):
+        return surface_view(positions, painted.faces, VertexPaint(painted.faces, light), like)
+    return CloudView(positions[finite], light[finite])
 
 
 def image_files(document: Document) -> list[tuple[bytes, str]]:
@@ -200,23 +208,6 @@ def disc_radii(positions: Float64s) -> Float64s:
     # Points far from all others would hide what is around them.
     limited = np.minimum(radii, _LARGEST * np.median(radii))
     return np.asarray(limited[which.reshape(-1)], np.float64)
-
-
-def _textured(document: Document, slot: Slot, like: Drawable | None) -> SurfaceView:
-    surface = document.textured(slot)
-    sheets = [texture_sheet(texture, slot) for texture in surface.textures]
-    positions = within_reach(surface.positions)
-    areas = triangle_areas(positions, surface.faces)
-    return surface_view(positions, surface.faces, TexturePaint(surface, sheets, areas), like)
-
-
-def _painted(painted: PaintedVertices, like: Drawable | None) -> SurfaceView | CloudView:
-    light = light_of(painted)
-    finite = np.isfinite(painted.positions).all(axis=1)
-    positions = within_reach(painted.positions)
-    if len(painted.faces):
-        return surface_view(positions, painted.faces, VertexPaint(painted.faces, light), like)
-    return CloudView(positions[finite], light[finite])
 
 
 def _discs(at: Float64s, radii: Float64s, colours: Float32s, size: tuple[int, int]) -> Float32s:

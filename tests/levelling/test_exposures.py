@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from beltrami_cli.flow.canvas import painted
-from beltrami_cli.levelling.decision import STRONG, judge
+from beltrami_cli.levelling.correction import STRONG, judge
 from beltrami_cli.levelling.fit import fit_exposures
 from beltrami_cli.levelling.steps import ChartPlaces, Steps, steps_over_seams, weighted_median
 from benchmarks.exposure_scene import ExposureScene, error, fall

@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 PAGES = (".html", ".htm")
 """Extensions of pages."""
 
-
 LIBRARY = "three.js"
 VIEWER_SCRIPTS = ("unpacking.js", "shapes.js", "painting.js", "operating.js", "viewer.js")
 """The library that viewers draw with, and their scripts."""
@@ -52,9 +51,9 @@ def page_from(
     return filled.encode(errors="replace")
 
 
-def viewer(heading: str) -> str:
+def viewer() -> str:
     """Return the part of a page that a viewer draws in."""
-    return Template(asset("viewer.html")).substitute(heading=html.escape(heading))
+    return Template(asset("viewer.html")).substitute(heading="Before and after")
 
 
 def packed_text(name: str) -> str:
