@@ -21,21 +21,11 @@ _KNEE_SRGB = 0.04045  # where the standard lets the straight piece end, on eithe
 _KNEE_LINEAR = 0.0031308
 # Every tenth part of the colour map viridis: its lightness grows evenly, also for the colour-blind and in grey.
 # S. van der Walt, N. Smith, "A better default colormap for matplotlib" (2015), in the public domain (CC0).
-VIRIDIS = np.array(
-    [
-        [0.267, 0.005, 0.329],
-        [0.283, 0.141, 0.458],
-        [0.254, 0.265, 0.530],
-        [0.207, 0.372, 0.553],
-        [0.164, 0.471, 0.558],
-        [0.128, 0.567, 0.551],
-        [0.135, 0.659, 0.518],
-        [0.267, 0.749, 0.441],
-        [0.478, 0.821, 0.318],
-        [0.741, 0.873, 0.150],
-        [0.993, 0.906, 0.144],
-    ]
-)
+VIRIDIS = np.array([
+    [0.267, 0.005, 0.329], [0.283, 0.141, 0.458], [0.254, 0.265, 0.530], [0.207, 0.372, 0.553],
+    [0.164, 0.471, 0.558], [0.128, 0.567, 0.551], [0.135, 0.659, 0.518], [0.267, 0.749, 0.441],
+    [0.478, 0.821, 0.318], [0.741, 0.873, 0.150], [0.993, 0.906, 0.144],
+])  # fmt: skip
 # The greys of a painting where there is no value: neither black nor white.
 _GREY_FROM, _GREY_TO = 0.35, 0.9
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])

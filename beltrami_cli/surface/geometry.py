@@ -19,7 +19,7 @@ import numpy as np
 from beltrami_cli.errors import InputError
 
 if TYPE_CHECKING:
-    from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s
+    from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s
 
 
 def bounds(positions: Float64s) -> list[list[float]]:
@@ -51,8 +51,7 @@ def triangle_areas(positions: Float64s, faces: Int32s) -> Float64s:
     p = positions[faces[:, 1]] - positions[faces[:, 0]]
     q = positions[faces[:, 2]] - positions[faces[:, 0]]
     gram = (p * p).sum(1) * (q * q).sum(1) - (p * q).sum(1) ** 2
-    areas: Float64s = 0.5 * np.sqrt(np.maximum(gram, 0))
-    return areas
+    return np.asarray(0.5 * np.sqrt(np.maximum(gram, 0)))
 
 
 def vertex_areas(positions: Float64s, faces: Int32s) -> Float32s:
@@ -101,8 +100,7 @@ def normal_tensors(positions: Float64s, faces: Int32s, group_of: Int32s) -> Floa
 def _double_areas(positions: Float64s, faces: Int32s) -> Float64s:
     """Return the normal of each triangle, as long as twice its area, shape (F, 3)."""
     corners = positions[faces]
-    crosses: Float64s = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    return crosses
+    return np.asarray(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
 
 
 def _angles(positions: Float64s, faces: Int32s, double_area: Float64s) -> Float64s:
@@ -125,23 +123,36 @@ def _gathered(values: Float64s, faces: Int32s, group_of: Int32s) -> Float64s:
 
 def on_boundary(faces: Int32s, count: int) -> Bools:
     """Return which vertices are ends of an edge that has one triangle only."""
-    # Triangles with the same three vertices count once, those that repeat a vertex not at all.
-    corners = np.sort(faces.astype(np.int64), axis=1)
-    corners = corners[(corners[:, 0] != corners[:, 1]) & (corners[:, 1] != corners[:, 2])]
+    edges, uses = _edge_uses(_distinct(_proper(faces), count), count)
+    alone = edges[uses == 1]
+    boundary = np.zeros(count, bool)
+    boundary[alone // max(1, count)] = True
+    boundary[alone % max(1, count)] = True
+    return boundary
+
+
+def _proper(faces: Int32s) -> Int64s:
+    """Return the triangles that repeat no vertex, each with its vertices in order."""
+    corners: Int64s = np.sort(faces.astype(np.int64), axis=1)
+    return corners[(corners[:, 0] != corners[:, 1]) & (corners[:, 1] != corners[:, 2])]
+
+
+def _distinct(corners: Int64s, count: int) -> Int64s:
+    """Return triangles, each with its vertices in order, once, of those with the same three vertices."""
     # A triangle is identified by its least edge and the third corner; both fit in 64 bits, one after the other.
     least = corners[:, 0] * count + corners[:, 1]
     order = np.lexsort((corners[:, 2], least))
     corners, least = corners[order], least[order]
     new = np.ones(len(corners), bool)
     new[1:] = (least[1:] != least[:-1]) | (corners[1:, 2] != corners[:-1, 2])
-    corners = corners[new]
+    return corners[new]
+
+
+def _edge_uses(corners: Int64s, count: int) -> tuple[Int64s, Int64s]:
+    """Return the edges of triangles, as low * count + high, and how many triangles each has."""
     keys = np.concatenate([corners[:, i] * count + corners[:, j] for i, j in ((0, 1), (0, 2), (1, 2))])
     edges, uses = np.unique(keys, return_counts=True)
-    alone = edges[uses == 1]
-    boundary = np.zeros(count, bool)
-    boundary[alone // max(1, count)] = True
-    boundary[alone % max(1, count)] = True
-    return boundary
+    return edges, uses
 
 
 @dataclass(frozen=True)
@@ -159,23 +170,15 @@ class TopologyCounts:
 
 def count_topology(positions: Float64s, faces: Int32s) -> TopologyCounts:
     """Count the parts of a triangle mesh; duplicate faces count once for the edges."""
-    count = len(positions)
-    faces = np.sort(faces.astype(np.int64), axis=1)
-    repeats = (faces[:, 0] == faces[:, 1]) | (faces[:, 1] == faces[:, 2])
-    proper = faces[~repeats]
-    order = np.lexsort(proper.T[::-1])
-    proper = proper[order]
-    new = np.ones(len(proper), bool)
-    new[1:] = np.any(proper[1:] != proper[:-1], axis=1)
-    distinct = proper[new]
-    keys = np.concatenate([distinct[:, i] * count + distinct[:, j] for i, j in ((0, 1), (0, 2), (1, 2))])
-    _, uses = np.unique(keys, return_counts=True)
+    count, proper = len(positions), _proper(faces)
+    distinct = _distinct(proper, count)
+    _, uses = _edge_uses(distinct, count)
     flat = np.count_nonzero(triangle_areas(positions, proper.astype(np.int32)) == 0)
     return TopologyCounts(
         edges=len(uses),
         boundary_edges=int(np.count_nonzero(uses == 1)),
         non_manifold_edges=int(np.count_nonzero(uses > 2)),
-        degenerate_faces=int(np.count_nonzero(repeats) + flat),
+        degenerate_faces=len(faces) - len(proper) + int(flat),
         duplicate_faces=int(len(proper) - len(distinct)),
         isolated_vertices=count - len(np.unique(faces)),
     )
@@ -226,9 +229,16 @@ _ENOUGH_FACES = 100_000  # for a median that is off by a per cent or so
 
 def check_scale(positions: Float64s, faces: Int32s, name: str) -> None:
     """Refuse a surface whose median edge is too small or too large to be squared in single precision."""
-    # Without faces, points count as if they were spread evenly.
     with np.errstate(over="ignore", invalid="ignore"):
-        steps = _edges(positions, faces) if len(faces) else _spread(positions)
+        if len(
+            faces
+        ):  # the longest coordinates of the edges of some, whose squares could overflow here already
+            corners = positions[faces[:: 1 + len(faces) // _ENOUGH_FACES]]
+            steps = np.abs(corners - np.roll(corners, 1, axis=1)).max(axis=2)
+            steps = steps[np.isfinite(corners).all(axis=(1, 2))]
+        else:  # points count as if they were spread evenly over a surface as wide as they are
+            there = positions[np.isfinite(positions).all(axis=1)]
+            steps = np.ptp(there, axis=0).max(keepdims=True) / np.sqrt(len(there)) if len(there) else there
     steps = steps[steps > 0]
     if not len(steps):
         return
@@ -241,18 +251,3 @@ def check_scale(positions: Float64s, faces: Int32s, name: str) -> None:
     kind = "small" if typical < _LEAST else "large"
     cause = f"its {what} {shown} units, which is too {kind} to be squared in single precision"
     raise InputError(name, cause, "scale it, for example to metres")
-
-
-def _edges(positions: Float64s, faces: Int32s) -> Float64s:
-    """Return the longest coordinate of the edges of some faces: squares could overflow here already."""
-    corners = positions[faces[:: 1 + len(faces) // _ENOUGH_FACES]]
-    steps: Float64s = np.abs(corners - np.roll(corners, 1, axis=1)).max(axis=2)
-    return steps[np.isfinite(corners).all(axis=(1, 2))]
-
-
-def _spread(positions: Float64s) -> Float64s:
-    """Return how far points are apart if they are spread evenly over a surface as wide as they are."""
-    there = positions[np.isfinite(positions).all(axis=1)]
-    if not len(there):
-        return np.empty(0)
-    return np.array([(there.max(axis=0) - there.min(axis=0)).max() / np.sqrt(len(there))])

@@ -18,6 +18,8 @@ import numpy as np
 from beltrami_cli.surface.records import SampledSurface
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s
@@ -42,17 +44,27 @@ def group_equal_rows(*columns: Array) -> tuple[Int32s, Int32s]:
         every = np.arange(len(hashed), dtype=np.int32)
         return every, every.copy()
     order = np.argsort(hashed, kind="stable")
-    new = np.ones(len(order), bool)
-    new[1:] = False
-    same_hash = hashed[order][1:] == hashed[order][:-1]
-    for word in words:
-        new[1:] |= word[order][1:] != word[order][:-1]
+    new, same_hash = _run_starts(words, order), hashed[order][1:] == hashed[order][:-1]
     if np.any(new[1:] & same_hash):  # two different rows with one hash: sort by the rows themselves
         order = np.lexsort(words)
-        new[1:] = False
-        for word in words:
-            new[1:] |= word[order][1:] != word[order][:-1]
-    return _number_by_first(order, new)
+        new = _run_starts(words, order)
+    # The sort is stable, so the first member of a run is the group's first row.
+    first_of_run = order[new]
+    by_first = np.argsort(first_of_run)
+    rank = np.empty(len(by_first), np.int32)
+    rank[by_first] = np.arange(len(by_first), dtype=np.int32)
+    group_of = np.empty(len(order), np.int32)
+    group_of[order] = rank[np.cumsum(new) - 1]
+    return group_of, first_of_run[by_first].astype(np.int32)
+
+
+def _run_starts(columns: Sequence[Array], order: NDArray[np.intp]) -> Bools:
+    """Return which rows of a table differ from the one before them in an order."""
+    new = np.zeros(len(order), bool)
+    new[:1] = True
+    for column in columns:
+        new[1:] |= column[order][1:] != column[order][:-1]
+    return new
 
 
 def group_places(positions: Float64s, space_of: Int32s | None) -> tuple[Int32s, Int32s]:
@@ -63,25 +75,10 @@ def group_places(positions: Float64s, space_of: Int32s | None) -> tuple[Int32s, 
 def distinct_corners(*columns: NDArray[np.generic]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Find the distinct rows of a table, numbered by the order of their values: a row of each, and numbers."""
     order = np.lexsort(columns[::-1])
-    new = np.zeros(len(order), bool)
-    new[:1] = True
-    for column in columns:
-        new[1:] |= column[order][1:] != column[order][:-1]
+    new = _run_starts(columns, order)
     number_of = np.empty(len(order), np.intp)
     number_of[order] = np.cumsum(new) - 1
     return order[new], number_of
-
-
-def _number_by_first(order: NDArray[np.intp], new: Bools) -> tuple[Int32s, Int32s]:
-    # The sort is stable, so the first member of a run is the group's first row.
-    runs = np.cumsum(new) - 1
-    first_of_run = order[new]
-    by_first = np.argsort(first_of_run)
-    rank = np.empty(len(by_first), np.int32)
-    rank[by_first] = np.arange(len(by_first), dtype=np.int32)
-    group_of = np.empty(len(order), np.int32)
-    group_of[order] = rank[runs]
-    return group_of, first_of_run[by_first].astype(np.int32)
 
 
 def _as_words(column: Array) -> NDArray[np.uint64]:
@@ -141,7 +138,12 @@ def build_bridges(faces: Int32s, place_of: Int32s, colours: Float32s) -> Int32s:
     shared = np.bincount(place_of) > 1
     if not shared.any():
         return np.empty((0, 3), np.int32)
-    copies = _edge_copies(faces, place_of, shared)
+    # Distinct edges of samples that may have a copy, both ends in order of place.
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    edges = edges[shared[place_of[edges]].any(axis=1)]
+    places = place_of[edges]
+    edges = np.where((places[:, 0] > places[:, 1])[:, None], edges[:, ::-1], edges)
+    copies = np.unique(edges[places[:, 0] != places[:, 1]], axis=0)
     if len(copies) < 2:
         return np.empty((0, 3), np.int32)
     places = place_of[copies]
@@ -152,23 +154,11 @@ def build_bridges(faces: Int32s, place_of: Int32s, colours: Float32s) -> Int32s:
     return _wall_triangles(copies[:-1][joined], copies[1:][joined])
 
 
-def _edge_copies(faces: Int32s, place_of: Int32s, shared: Bools) -> Int32s:
-    """Find the distinct edges of samples, shape (E, 2), that may have a copy; both ends in order of place."""
-    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    edges = edges[shared[place_of[edges]].any(axis=1)]
-    places = place_of[edges]
-    edges = np.where((places[:, 0] > places[:, 1])[:, None], edges[:, ::-1], edges)
-    edges = edges[places[:, 0] != places[:, 1]]
-    return np.unique(edges, axis=0)
-
-
 def _wall_triangles(one: Int32s, other: Int32s) -> Int32s:
     """Make the triangles between copies one = (a, b) and other = (c, d) of edges, both diagonals laid."""
     a, b, c, d = one[:, 0], one[:, 1], other[:, 0], other[:, 1]
-    triangles = np.concatenate(
-        [np.stack(corners, axis=1) for corners in ((a, b, c), (a, b, d), (c, d, a), (c, d, b))]
-    )
+    corners = (a, b, c), (a, b, d), (c, d, a), (c, d, b)
+    triangles = np.concatenate([np.stack(three, axis=1) for three in corners])
     # Where the copies share an end, two of the four repeat a corner; the others are equal and count once.
     distinct = (triangles[:, 0] != triangles[:, 2]) & (triangles[:, 1] != triangles[:, 2])
-    bridges: Int32s = triangles[distinct].astype(np.int32)
-    return bridges
+    return np.asarray(triangles[distinct], np.int32)

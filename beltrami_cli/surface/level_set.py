@@ -83,21 +83,14 @@ class Volume:
 
 
 _NEIGHBOURS = 4  # points that a vertex takes its colour from: about what surrounds it on a surface
-
-
 _REACH = 4.0  # in voxels, or in distances between points where these are larger
-
-
 _PROBED = 10_000  # points whose distances to their neighbours are those of all within a per cent
-
-
 _WEIGHTLESS = 1e-6  # less than the weight of any voxel that contributes
 
 
 def places(lattice: Lattice, at: Float64s) -> Float64s:
     """Return the positions in space of points in units of a lattice, shape (V, 3)."""
-    found: Float64s = lattice.origin + at @ lattice.axes
-    return found
+    return np.asarray(lattice.origin + at @ lattice.axes)
 
 
 def interpolate_colours(colours: GridColours, positions: Float64s, known: Bools | None = None) -> Float64s:
@@ -153,7 +146,7 @@ def nearest_colours(colours: NearColours, positions: Float64s, voxel: float, thr
 
 def has_colour(samples: Float64s) -> Bools:
     """Return which rows, of shape (V, C), are finite and not wholly transparent."""
-    coloured: Bools = np.asarray(np.isfinite(samples).all(axis=1), bool)
+    coloured = np.asarray(np.isfinite(samples).all(axis=1), bool)
     if samples.shape[1] in (2, 4):
         coloured &= np.greater(samples[:, -1], 0)
     return coloured
@@ -265,21 +258,13 @@ def compacted(vertices: Float64s, faces: Int32s) -> tuple[Float64s, Int32s]:
     count, group_of = connected_components(joins, directed=False)
     members = np.bincount(group_of, minlength=count)
     middles = np.column_stack([np.bincount(group_of, column, count) / members for column in vertices.T])
-    return _without_loose(middles, _distinct(group_of[faces].astype(np.int32)))
-
-
-def _distinct(faces: Int32s) -> Int32s:
-    """Leave out triangles that have collapsed, and pairs of opposite ones, which bound nothing."""
+    # Left out are triangles that have collapsed, pairs of opposite ones, which bound nothing, and then loose vertices.
+    faces = group_of[faces].astype(np.int32)
     ordered = np.sort(faces, axis=1)
     proper = (ordered[:, 0] != ordered[:, 1]) & (ordered[:, 1] != ordered[:, 2])
     faces, ordered = faces[proper], ordered[proper]
     _, first, uses = np.unique(ordered, axis=0, return_index=True, return_counts=True)
-    kept: Int32s = faces[np.sort(first[uses % 2 == 1])]
-    return kept
-
-
-def _without_loose(vertices: Float64s, faces: Int32s) -> tuple[Float64s, Int32s]:
-    """Leave out vertices that are in no triangle."""
-    used = np.zeros(len(vertices), bool)
+    faces = faces[np.sort(first[uses % 2 == 1])]
+    used = np.zeros(count, bool)
     used[faces] = True
-    return vertices[used], (np.cumsum(used, dtype=np.int32) - 1)[faces].astype(np.int32)
+    return middles[used], (np.cumsum(used, dtype=np.int32) - 1)[faces].astype(np.int32)

@@ -34,37 +34,30 @@ def look_up(
     height, width = image.shape[:2]
     left, right, across = _taps(uv[:, 0], width, wrap[0])
     upper, lower, down = _taps(uv[:, 1], height, wrap[1])
-    four: list[Array] = [
-        _texels(image, row, column).astype(precision, copy=False)
-        for row in (upper, lower)
-        for column in (left, right)
-    ]
+    places = [(row, column) for row in (upper, lower) for column in (left, right)]
+    four: list[Array] = [_texels(image, *place).astype(precision, copy=False) for place in places]
     right_part, lower_part = (part.astype(precision, copy=False)[:, None] for part in (across, down))
-    plain: Array = _mixed(four, right_part, lower_part)
+    plain = _mixed(four, right_part, lower_part)
     if alpha is None:
         return plain
     opacity = plain[:, alpha : alpha + 1]
     weighted = _mixed([texel * texel[:, alpha : alpha + 1] for texel in four], right_part, lower_part)
     agree = np.ptp(np.stack([texel[:, alpha] for texel in four]), axis=0) == 0
-    seen: Array = plain.copy()
+    seen = plain.copy()
     np.divide(weighted, opacity, out=seen, where=(opacity > 0) & ~agree[:, None])
     seen[:, alpha] = plain[:, alpha]
     return seen
 
 
 def _texels(image: Array, row: Int64s, column: Int64s) -> Array:
-    found: Array
     if image.flags.c_contiguous:  # as it mostly is, and then this is faster
-        found = image.reshape(-1, image.shape[2]).take(row * image.shape[1] + column, axis=0)
-    else:
-        found = image[row, column]
-    return found
+        return np.asarray(image.reshape(-1, image.shape[2]).take(row * image.shape[1] + column, axis=0))
+    return np.asarray(image[row, column])
 
 
 def noise_around(image: Float32s, uv: Float64s, wrap: tuple[Wrap, Wrap]) -> Float64s:
     """Return samples of the texture's noise: what a mask gives that turns any plane to zero [1]."""
     # They have the standard deviation of independent noise.
-    # samples with its standard deviation.
     height, width = image.shape[:2]
     mask = np.outer([1, -2, 1], [1, -2, 1]) / 6
     column, row = (np.floor(uv * [width, height]).astype(np.int64)).T
@@ -79,8 +72,7 @@ def noise_around(image: Float32s, uv: Float64s, wrap: tuple[Wrap, Wrap]) -> Floa
 def _mixed(four: list[Array], across: Array, down: Array) -> Array:
     upper = four[0] + across * (four[1] - four[0])
     lower = four[2] + across * (four[3] - four[2])
-    mixed: Array = upper + down * (lower - upper)
-    return mixed
+    return np.asarray(upper + down * (lower - upper))
 
 
 def _taps(coordinate: Array, count: int, wrap: Wrap) -> tuple[Int64s, Int64s, Array]:
@@ -97,7 +89,7 @@ def _taps(coordinate: Array, count: int, wrap: Wrap) -> tuple[Int64s, Int64s, Ar
 
 
 def _all_within(values: Array, end: float) -> bool:
-    """Return whether all values are in [0, end), so that there is nothing to wrap."""
+    """Whether all values are in [0, end), so that there is nothing to wrap."""
     return bool(values.size) and bool(values.min() >= 0) and bool(values.max() < end)
 
 
@@ -105,8 +97,7 @@ def _wrapped(index: Int64s, count: int, wrap: Wrap) -> Int64s:
     if _all_within(index, count):
         return index
     if wrap == "clamp":
-        inside: Int64s = np.clip(index, 0, count - 1)
-        return inside
+        return np.asarray(np.clip(index, 0, count - 1))
     if wrap == "repeat":
         return index % count
     folded = index % (2 * count)

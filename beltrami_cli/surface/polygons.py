@@ -23,7 +23,7 @@ from beltrami_cli.errors import InputError
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from beltrami_cli.arrays import Bools, Float64s, Int32s, Int64s
+    from beltrami_cli.arrays import Float64s, Int32s, Int64s
 
 _BLOCK = 1 << 16  # polygons cut at a time, which bounds the memory for their corners
 _MOST_EARS = 1 << 14  # corners of a polygon that is not convex: some ten seconds of work at most
@@ -80,17 +80,15 @@ def _cut_quads(points: Float64s, quads: Int32s) -> Int32s:
     diagonals = points[:, 2] - points[:, 0], points[:, 3] - points[:, 1]
     normals = np.cross(*diagonals)
     lengths = [np.einsum("pi,pi->p", diagonal, diagonal) for diagonal in diagonals]
-    fine = [_upright(points[:, cut], normals) for cut in (one, other)]
+    # Whether both triangles look along the normal and have area.
+    fine = []
+    for cut in (one, other):
+        triangles = points[:, cut]
+        edges = triangles[:, :, 1:] - triangles[:, :, :1]
+        areas = np.einsum("pti,pi->pt", np.cross(edges[:, :, 0], edges[:, :, 1]), normals)
+        fine.append((areas > 0).all(axis=1))
     take_other = np.where(fine[0] == fine[1], lengths[1] < lengths[0], fine[1])
     return np.where(take_other[:, None, None], quads[:, other], quads[:, one])
-
-
-def _upright(triangles: Float64s, normals: Float64s) -> Bools:
-    """Return for pairs of triangles, shape (P, 2, 3, 3), whether both look along the normal and have area."""
-    edges = triangles[:, :, 1:] - triangles[:, :, :1]
-    areas = np.einsum("pti,pi->pt", np.cross(edges[:, :, 0], edges[:, :, 1]), normals)
-    upright: Bools = (areas > 0).all(axis=1)
-    return upright
 
 
 def _flatten(points: Float64s, normal: Float64s) -> Float64s:

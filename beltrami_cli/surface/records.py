@@ -12,7 +12,6 @@ if TYPE_CHECKING:
 
     from beltrami_cli.arrays import Float32s, Float64s, Int32s, Int64s
 
-
 Encoding = Literal["srgb", "linear"]
 
 

@@ -67,16 +67,7 @@ def on_tiles(surface: TexturedSurface, sets: Sequence[Mapping[Tile, int]]) -> Te
 def tiles_under(uv: Float64s) -> Float64s:
     """Return column and row of the tile of each triangle's centre, (F, 2), from coordinates (F, 3, 2) with v down."""
     centre = uv.mean(axis=1)
-    tiles: Float64s = np.floor(np.column_stack([centre[:, 0], 1 - centre[:, 1]]))
-    return tiles
-
-
-@dataclasses.dataclass
-class _Cuts:
-    """Where edges of triangles are cut, all of shape (F, 3): edge k is from corner k to the next one."""
-
-    row: Int64s  # of the new vertex, -1: none
-    share: Float64s  # of the edge that lies before it
+    return np.asarray(np.floor(np.column_stack([centre[:, 0], 1 - centre[:, 1]])))
 
 
 def _cut(surface: TexturedSurface) -> TexturedSurface:
@@ -98,7 +89,7 @@ def _cut(surface: TexturedSurface) -> TexturedSurface:
         along = np.where(ends[:, :, 0] < ends[:, :, 1], at[number], 1 - at[number])
         rows = np.where(is_cut, len(surface.positions) + number, -1)
         low, high = (first[part] for part in np.divmod(cut, len(first)))
-        surface = _split(_with_vertices(surface, low, high, at), _Cuts(rows, along))
+        surface = _split(_with_vertices(surface, low, high, at), rows, along)
         if len(surface.faces) > most:
             raise TilingError("its triangles reach over more tiles of their texture than those of any model")
 
@@ -132,13 +123,17 @@ def _with_vertices(surface: TexturedSurface, low: Int32s, high: Int32s, at: Floa
     return dataclasses.replace(surface, positions=positions, space_of=space_of)
 
 
-def _split(surface: TexturedSurface, cuts: _Cuts) -> TexturedSurface:
-    """Split each triangle that has cut edges into up to four, around the first vertex that is new."""
-    touched = (cuts.row >= 0).any(axis=1)
+def _split(surface: TexturedSurface, new_of: Int64s, before: Float64s) -> TexturedSurface:
+    """Split each triangle that has cut edges into up to four, around the first vertex that is new.
+
+    Edges, (F, 3), are from each corner to the next one: of each the row of its new vertex, -1: none, and the share of
+    the edge that lies before that.
+    """
+    touched = (new_of >= 0).any(axis=1)
     faces = np.flatnonzero(touched)
-    turn = (np.argmax(cuts.row[faces] >= 0, axis=1)[:, None] + np.arange(3)) % 3
-    corner, uv = surface.faces[faces[:, None], turn], surface.uv[faces[:, None], turn]
-    row, share = cuts.row[faces[:, None], turn], cuts.share[faces[:, None], turn]
+    turn = (np.argmax(new_of[faces] >= 0, axis=1)[:, None] + np.arange(3)) % 3
+    places = faces[:, None], turn
+    corner, uv, row, share = surface.faces[places], surface.uv[places], new_of[places], before[places]
     following = np.roll(uv, -1, axis=1)
     between = uv + share[..., None] * (following - uv)
     whole = np.rint(between)
@@ -146,9 +141,9 @@ def _split(surface: TexturedSurface, cuts: _Cuts) -> TexturedSurface:
     # Where an edge is not cut, its vertex is the end that makes a triangle of no area, which is left out.
     end = [1, 1, 0]
     rows = np.concatenate([np.where(row >= 0, row, corner[:, end]), corner], axis=1)
-    places = np.concatenate([np.where((row >= 0)[..., None], between, uv[:, end]), uv], axis=1)
+    coordinates = np.concatenate([np.where((row >= 0)[..., None], between, uv[:, end]), uv], axis=1)
     parts = np.array([[0, 4, 1], [0, 1, 5], [0, 5, 2], [0, 2, 3]])
-    new, new_uv = rows[:, parts].reshape(-1, 3), places[:, parts].reshape(-1, 3, 2)
+    new, new_uv = rows[:, parts].reshape(-1, 3), coordinates[:, parts].reshape(-1, 3, 2)
     is_real = (new != np.roll(new, 1, axis=1)).all(axis=1)
     textures = np.repeat(surface.texture_of[faces], len(parts))
     kept = ~touched

@@ -8,6 +8,7 @@ References
 
 from __future__ import annotations
 
+import contextlib
 import subprocess
 import tempfile
 import time
@@ -26,13 +27,12 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from beltrami_cli.arrays import Bools, Float64s, Int32s
+    from beltrami_cli.arrays import Float64s, Int32s
 
+    Progress = Callable[[int, int], None] | None
 
-_SIDES = [
-    *(part * 2**k for k in range(6, 11) for part in (4, 5, 6, 7)),
-    8192,
-]  # 256, 320, 384, 448, 512, 640 ...
+_SIDES = [part * 2**k for k in range(6, 11) for part in (4, 5, 6, 7)]  # 256, 320, 384, 448, 512, 640 ...
+_SIDES.append(8192)
 _FLAT = 1e-6  # of the squared longest edge: what counts as a triangle without area, for single precision
 
 
@@ -48,24 +48,20 @@ class Unwrapped:
 
 
 def unwrap(
-    positions: Float64s,
-    faces: Int32s,
-    size: int | None,
-    padding: int,
-    name: str,
-    *,
-    texels: float = 0.0,
-    space_of: Int32s | None = None,
-    progress: Callable[[int, int], None] | None = None,
-) -> Unwrapped:
+    positions: Float64s, faces: Int32s, size: int | None, padding: int, name: str, *,
+    texels: float = 0.0, space_of: Int32s | None = None, progress: Progress = None,
+) -> Unwrapped:  # fmt: skip
     """Lay a mesh out on a square. Vertices at exactly one place (and in one space) are one."""
     # `size`: longest side of the texture, in texels; None: from 256 to 8192, as `texels`, which charts
     # should cover, need. `padding`: texels between charts, and around all of them. `progress` is called
     # several times a second with the tenths of a second that went by and those that are expected.
-    _require_finite(positions, name)
+    finite = np.isfinite(positions).all(axis=1)
+    if not finite.all():
+        cause = f"the position of vertex {int(np.argmin(finite))} is not finite"
+        raise InputError(name, cause, "repair the file")
     used, row_of = np.unique(faces, return_inverse=True)
     unit, rows = _of_unit_size(positions[used]), row_of.reshape(-1, 3).astype(np.int32)
-    whole = np.flatnonzero(_with_area(unit, rows))
+    whole = _with_area(unit, rows)
     if not len(whole):
         raise InputError(name, "it has no triangle with an area", "nothing in it can be unwrapped")
     place_of, first = group_places(positions[used], None if space_of is None else space_of[used])
@@ -89,22 +85,14 @@ def unwrap(
     return Unwrapped(uv, (width, height), charts)
 
 
-def _require_finite(positions: Float64s, name: str) -> None:
-    finite = np.isfinite(positions).all(axis=1)
-    if not finite.all():
-        row = int(np.argmin(finite))
-        raise InputError(name, f"the position of vertex {row} is not finite", "repair the file")
-
-
 def require_few_faces(count: int, most: int, name: str) -> None:
     """Raise InputError if unwrapping this number of triangles would take longer than users allowed."""
     if count > most:
-        raise InputError(
-            name,
-            f"it has {count} triangles, and unwrapping more than {most} takes long: about "
-            f"{shown(expected_seconds(count))}, growing faster than their number",
-            f"simplify it, or allow it with --max-unwrap-faces {count}",
-        )
+        seconds = expected_seconds(count)
+        shown = f"{seconds / 60:.0f} minutes" if seconds >= 90 else f"{max(1.0, seconds):.0f} s"
+        cause = f"it has {count} triangles, and unwrapping more than {most} takes long: about {shown}"
+        remedy = f"simplify it, or allow it with --max-unwrap-faces {count}"
+        raise InputError(name, f"{cause}, growing faster than their number", remedy)
 
 
 def _of_unit_size(positions: Float64s) -> Float64s:
@@ -113,16 +101,15 @@ def _of_unit_size(positions: Float64s) -> Float64s:
         return positions
     low, high = positions.min(axis=0) / 2, positions.max(axis=0) / 2
     extent = float((high - low).max())
-    unit: Float64s = (positions / 2 - (low + high) / 2) / (extent if extent > 0 else 1.0)
-    return unit
+    return np.asarray((positions / 2 - (low + high) / 2) / (extent if extent > 0 else 1.0))
 
 
-def _with_area(positions: Float64s, faces: Int32s) -> Bools:
+def _with_area(positions: Float64s, faces: Int32s) -> NDArray[np.intp]:
+    """Return the triangles that have an area."""
     edges = positions[faces] - positions[np.roll(faces, -1, axis=1)]
     longest = np.square(edges).sum(axis=2).max(axis=1, initial=0)
     distinct = (faces != np.roll(faces, -1, axis=1)).all(axis=1)
-    whole: Bools = distinct & (triangle_areas(positions, faces) > _FLAT * longest)
-    return whole
+    return np.flatnonzero(distinct & (triangle_areas(positions, faces) > _FLAT * longest))
 
 
 def _side(needed: float, size: int) -> int:
@@ -157,14 +144,7 @@ def expected_seconds(faces: int) -> float:
     return float(_SECONDS * (faces / _FACES) ** _GROWTH)
 
 
-def shown(seconds: float) -> str:
-    """Return a time for people."""
-    return f"{seconds / 60:.0f} minutes" if seconds >= 90 else f"{max(1.0, seconds):.0f} s"
-
-
-def ask_worker(
-    arrays: dict[str, Any], padding: int, progress: Callable[[int, int], None] | None
-) -> tuple[Float64s, int, int]:
+def ask_worker(arrays: dict[str, Any], padding: int, progress: Progress) -> tuple[Float64s, int, int]:
     """Have a mesh unwrapped; return corners in texels, shape (F, 3, 2), the side without margin, and charts."""
     expected = expected_seconds(len(arrays["faces"]))
     patience = max(LEAST_PATIENCE, _PATIENCE * expected)
@@ -179,25 +159,15 @@ def ask_worker(
                 return made["corners"], int(made["size"]), int(made["charts"])
 
 
-def _wait(
-    worker: subprocess.Popen[bytes],
-    patience: float,
-    expected: float,
-    progress: Callable[[int, int], None] | None,
-) -> None:
-    start = time.monotonic()
-    total = max(1, int(10 * expected))
-    while True:
-        try:
+def _wait(worker: subprocess.Popen[bytes], patience: float, expected: float, progress: Progress) -> None:
+    start, total, is_done = time.monotonic(), max(1, int(10 * expected)), False
+    while not is_done:
+        with contextlib.suppress(subprocess.TimeoutExpired):
             worker.wait(_POLL)
-        except subprocess.TimeoutExpired:
-            gone = time.monotonic() - start
-            if gone > patience:
-                cause = f"unwrapping did not end within {patience:.0f} s, though {expected:.0f} s are usual"
-                raise ProcessingError(f"{cause}; repair or simplify the mesh") from None
-            if progress is not None:
-                progress(min(int(10 * gone), total), total)
-        else:
-            if progress is not None:
-                progress(total, total)
-            return
+            is_done = True
+        gone = time.monotonic() - start
+        if not is_done and gone > patience:
+            cause = f"unwrapping did not end within {patience:.0f} s, though {expected:.0f} s are usual"
+            raise ProcessingError(f"{cause}; repair or simplify the mesh")
+        if progress is not None:
+            progress(total if is_done else min(int(10 * gone), total), total)

@@ -52,16 +52,14 @@ def unwrapped(
 
     atlas = xatlas.Atlas()
     atlas.add_mesh(positions, faces)
-    atlas.generate(
-        xatlas.ChartOptions(), _packing(xatlas, padding, resolution=max(8, int(_COVERAGE * sizes[0])))
-    )
+    packing = _packing(xatlas, padding, resolution=max(8, int(_COVERAGE * sizes[0])))
+    atlas.generate(xatlas.ChartOptions(), packing)
     charts = int(atlas.chart_count)
     texels, corners = _packed(atlas)
-    flat = texels.astype(np.float32), corners
 
     def packed(scale: float) -> tuple[Float64s, float]:
         again = xatlas.Atlas()
-        again.add_uv_mesh(*flat)
+        again.add_uv_mesh(texels.astype(np.float32), corners)
         again.generate(xatlas.ChartOptions(), _packing(xatlas, padding, texels_per_unit=scale))
         places, theirs = _packed(again)
         return places[theirs], max(1.0, float(places.max()))
@@ -69,7 +67,9 @@ def unwrapped(
     scale, size = 1.0, sizes[-1]
     if len(sizes) > 1:
         possible = min(max(wanted, 1.0), float(size) ** 2)
-        scale = float(np.sqrt(possible / max(_area(texels[corners]), 1.0)))
+        one, two = (texels[corners[:, k]] - texels[corners[:, 0]] for k in (1, 2))
+        area = float(np.abs(one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0]).sum() / 2)
+        scale = float(np.sqrt(possible / max(area, 1.0)))
         places, side = packed(scale)
         if side <= size:
             return places, next(size for size in sizes if size >= side), charts
@@ -91,17 +91,10 @@ def _filling(packed: Callable[[float], tuple[Float64s, float]], scale: float, si
     return (best or tried)[0]
 
 
-def _area(corners: Float64s) -> float:
-    one, two = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    return float(np.abs(one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0]).sum() / 2)
-
-
 def _packing(xatlas: Any, padding: int, *, resolution: int = 0, texels_per_unit: float = 0.0) -> Any:
     options = xatlas.PackOptions()
-    options.padding = padding
-    options.bilinear = True
-    options.resolution = resolution
-    options.texels_per_unit = texels_per_unit
+    options.padding, options.bilinear = padding, True
+    options.resolution, options.texels_per_unit = resolution, texels_per_unit
     return options
 
 

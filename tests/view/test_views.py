@@ -11,7 +11,7 @@ import pytest
 from beltrami_cli.surface.colour_values import linear_to_srgb
 from beltrami_cli.surface.geometry import triangle_areas
 from beltrami_cli.surface.records import Texture, TexturedSurface
-from beltrami_cli.view.camera import centred_window, fitted, orientation
+from beltrami_cli.view.camera import fitted, orientation
 from beltrami_cli.view.drawing import draw_views, richest_window
 from beltrami_cli.view.paint import TexturePaint, VertexPaint
 from beltrami_cli.view.settings import Crop, RenderSettings
@@ -24,7 +24,7 @@ pytest.importorskip("embreex")
 
 FRONT = orientation(0, 0)
 FILLED = 0.92  # of a view
-INSIDE = (0.2, 0.2, 0.8, 0.8)
+WHOLE, INSIDE = (0.0, 0.0, 1.0, 1.0), (0.2, 0.2, 0.8, 0.8)
 
 
 def square(z=0.0):
@@ -60,7 +60,7 @@ def sphere(colour=1.0):
 def test_the_silhouette_of_a_sphere_has_the_area_of_its_disc(field):
     view, edge = sphere()
     camera = front_camera(view, field)
-    image = view.draw(camera, (200, 200), centred_window(1), lit=False)
+    image = view.draw(camera, (200, 200), WHOLE, lit=False)
     # Lines from the eye at distance d touch the unit sphere under the angle asin(1 / d).
     radius = 1.0 if field == 0 else np.tan(np.arcsin(1 / camera.place[2]))
     area = np.pi * radius**2 / (4 * camera.reach[0] * camera.reach[1])
@@ -72,7 +72,7 @@ def test_the_silhouette_of_a_sphere_has_the_area_of_its_disc(field):
 def test_a_sphere_is_shaded_as_the_law_of_the_lamp_says():
     view, edge = sphere(0.5)
     camera = front_camera(view)
-    image = view.draw(camera, (101, 101), centred_window(1), lit=True)
+    image = view.draw(camera, (101, 101), WHOLE, lit=True)
     at = (np.arange(101) + 0.5) / 101 * 2 - 1
     x, y = np.meshgrid(at * camera.reach[0], -at * camera.reach[1])
     inside = x**2 + y**2 < 0.8  # further out a pixel covers a wide range of normals
@@ -187,10 +187,10 @@ def test_an_image_at_its_own_size_is_passed_through_and_enlarged_in_squares():
     sheet = np.random.default_rng(3).random((12, 20, 4)).astype(np.float32)
     sheet[..., 3] = 1
     view = ImageView(sheet)
-    framed = view.draw((20, 20), centred_window(1))
+    framed = view.draw((20, 20), WHOLE)
     assert framed[4:16] == pytest.approx(sheet, abs=1e-6)
     assert framed[:4].max() == 0
-    large = view.draw((80, 80), centred_window(1))
+    large = view.draw((80, 80), WHOLE)
     assert large[16:64] == pytest.approx(sheet.repeat(4, axis=0).repeat(4, axis=1), abs=1e-6)
 
 
@@ -198,7 +198,7 @@ def test_a_detail_shows_what_its_frame_holds_in_more_pixels():
     rng = np.random.default_rng(5)
     view = textured_square(np.dstack([rng.random((40, 40, 3)), np.ones((40, 40))]))
     camera = front_camera(view, 30.0)
-    large = view.draw(camera, (120, 120), centred_window(1), lit=True)
+    large = view.draw(camera, (120, 120), WHOLE, lit=True)
     detail = view.draw(camera, (30, 30), (0.25, 0.5, 0.5, 0.75), lit=True)
     assert detail == pytest.approx(large[60:90, 30:60], abs=1e-4)
 
@@ -212,7 +212,7 @@ def test_windows_beyond_the_model_are_empty_and_an_eye_within_it_sees_all_around
     assert np.array_equal(left[..., 3], right[:, ::-1, 3])
     assert 0.2 < left[..., 3].mean() < 0.5
     within = dataclasses.replace(camera, place=np.zeros(3))
-    assert (view.draw(within, (20, 20), centred_window(1), lit=False) == 1).all()
+    assert (view.draw(within, (20, 20), WHOLE, lit=False) == 1).all()
 
 
 def test_the_richest_window_is_where_the_contrast_is():
