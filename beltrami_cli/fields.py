@@ -47,21 +47,18 @@ class Parameter:
     allowed: str = ""  # in words, where the record checks it by itself
     unit: str = ""
     unset: str = ""  # what is done where no value is given, if that is not the default
-    flags: (
-        tuple[str, ...] | None
-    ) = ()  # of the option, as click takes them; empty: from the name; None: no option
+    # Of the option, as click takes them; empty: from the name; None: no option.
+    flags: tuple[str, ...] | None = ()
     metavar: str | None = None
     repeatable: bool = False  # whether the option of several values is given once for each
-    parse: Callable[[str], Any] | None = (
-        None  # makes the value from text; ValueError says what is wrong with it
-    )
+    # Makes the value from text; ValueError says what is wrong with it.
+    parse: Callable[[str], Any] | None = None
     show: Callable[[Any], str] = str  # makes that text from the value
     is_daily: bool = False  # shown by --help; all others by --help-all only, under their group
     group: str = ""  # of options in the help: the `group` of the record
     is_file: bool = False  # names files that are read
-    file_in: Callable[[str], str] | None = (
-        None  # returns the file at the end of a value that may name one, or ""
-    )
+    # Returns the file at the end of a value that may name one, or "".
+    file_in: Callable[[str], str] | None = None
     lifts_limit: bool = False
 
     def is_deliberate(self, value: Any) -> bool:
@@ -77,9 +74,7 @@ class Parameter:
             return _enumerated(self.choices)
         if self.kind not in (int, float):
             return _NOUNS.get(self.kind, "")
-        text = self._interval()
-        if self.is_odd:
-            text = f"odd, and {text}"
+        text = f"odd, and {self._interval()}" if self.is_odd else self._interval()
         return f"{', '.join(map(str, self.also))}, or {text}" if self.also else text
 
     @property
@@ -159,14 +154,9 @@ def parameter(default: Any, meaning: str, **details: Any) -> Any:
     """Declare a field of a record as a parameter; the details are attributes of `Parameter`."""
     several = isinstance(default, tuple)
     sample = default[0] if several and default else None if several else default
-    details = {
-        "kind": str if sample is None else type(sample),
-        "several": several,
-        "optional": default is None,
-        **details,
-    }
+    known = {"kind": str if sample is None else type(sample), "several": several, "optional": default is None}
     # The name is known only when the class is made, see `parameters`.
-    declared = Parameter("", default, meaning, **details)
+    declared = Parameter("", default, meaning, **known | details)
     return dataclasses.field(default=default, metadata={_PARAMETER: declared})
 
 
@@ -307,14 +297,12 @@ def described(record: type[Record]) -> type[Record]:
 
 
 def _type_in_words(declared: Parameter) -> str:
-    if declared.choices and not declared.several:
-        text = "{" + ", ".join(f'"{choice}"' for choice in declared.choices) + "}"
-    else:
-        text = declared.kind.__name__
+    text = declared.kind.__name__
     if declared.several:
         text = f"tuple of {text}"
-    if declared.optional:
-        text += " or None"
+    elif declared.choices:
+        text = "{" + ", ".join(f'"{choice}"' for choice in declared.choices) + "}"
+    text += " or None" if declared.optional else ""
     return text if declared.default is REQUIRED else f"{text}, default {declared.default!r}"
 
 

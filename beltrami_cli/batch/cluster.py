@@ -40,14 +40,15 @@ def connected(address: str) -> Iterator[Any]:
         from distributed import Client
         from distributed.security import Security
     except ImportError as error:
-        raise ProcessingError(
-            "--scheduler needs Dask, which is not installed; pip install 'beltrami-cli[cluster]'"
-        ) from error
+        message = "--scheduler needs Dask, which is not installed; pip install 'beltrami-cli[cluster]'"
+        raise ProcessingError(message) from error
     # What goes wrong is reported by us, in one line.
     for name in ("distributed", "distributed.client", "distributed.comm"):
         logging.getLogger(name).setLevel(logging.CRITICAL)
     try:
-        where = _address_in(address) if address.endswith(".json") else address
+        where = address
+        if address.endswith(".json"):  # in which a scheduler wrote where it is
+            where = str(parse_json(read_bounded(Path(address), CONFIGURATION))["address"])
         _require_listener(where)
         security = Security()  # certificates, and whether they are required, from Dask's own configuration
         _require_encryption(where, security)
@@ -63,18 +64,12 @@ def connected(address: str) -> Iterator[Any]:
         client.close()
 
 
-def _address_in(path: str) -> str:
-    """Return what a scheduler wrote into a file."""
-    return str(parse_json(read_bounded(Path(path), CONFIGURATION))["address"])
-
-
 def _require_encryption(address: str, security: Any) -> None:
     """Raise ValueError if encryption is asked for without certificates, or required and not asked for."""
     is_encrypted = address.startswith("tls://")
     if is_encrypted and security.get_connection_args("client").get("ssl_context") is None:
-        raise ValueError(
-            "TLS needs distributed.comm.tls in Dask's configuration: ca-file, client.cert and client.key"
-        )
+        needed = "ca-file, client.cert and client.key"
+        raise ValueError(f"TLS needs distributed.comm.tls in Dask's configuration: {needed}")
     if security.require_encryption and not is_encrypted:
         raise ValueError("encryption is required by Dask's configuration, and the address is not tls://")
 
@@ -134,7 +129,7 @@ class ClusterExecutor:
         try:
             key, progress = self._events.get(timeout=_POLL)
         except queue.Empty:
-            if self._client.status != "running" and self._client.status != "connecting":
+            if self._client.status not in ("running", "connecting"):
                 for key in list(self._futures):
                     yield key, self._lost(key, items(key), LOST)
             return
@@ -158,13 +153,10 @@ class ClusterExecutor:
             return self._lost(key, item, " ".join(f"{type(error).__name__}: {error}".split()))
         del self._futures[key]
         sent = _portable(item)
+        message = attempt.outcome.error.replace(sent.source, item.source).replace(sent.target, item.target)
         outcome = dataclasses.replace(
-            attempt.outcome,
-            input=item.source,
-            output=item.target,
-            parameters_sha256=item.parameters,
-            error=attempt.outcome.error.replace(sent.source, item.source).replace(sent.target, item.target),
-        )
+            attempt.outcome, input=item.source, output=item.target, parameters_sha256=item.parameters, error=message
+        )  # fmt: skip
         return dataclasses.replace(attempt, outcome=outcome)
 
     def _lost(self, key: int, item: Item, cause: str) -> Attempt:
@@ -182,13 +174,9 @@ class ClusterExecutor:
 def _portable(item: Item) -> Item:
     """Return the item with paths that mean the same everywhere, if the files are on shared storage."""
     source = item.source if is_url(item.source) else str(Path(item.source).absolute())
-    settings = with_files(item.settings, _absolute)
+    # A guide may be something else than a file.
+    settings = with_files(item.settings, lambda name: str(Path(name).absolute()) if is_file(name) else name)
     return dataclasses.replace(item, source=source, target=place_of(item.target), settings=settings)
-
-
-def _absolute(name: str) -> str:
-    """Return the absolute path of a file; a guide may be something else."""
-    return str(Path(name).absolute()) if is_file(name) else name
 
 
 # ---- on a worker

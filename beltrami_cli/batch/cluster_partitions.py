@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from beltrami_cli.batch.item import Item
     from beltrami_cli.flow.partitions import Partition, Transfer
 
+    Progress = Callable[[int, int], None] | None
+
 _TRIES = 5  # of a surface, after workers died
 _PAUSE = 0.1  # seconds between two messages on progress
 _GRACE = 5.0  # seconds that a file has to end when it is given up
@@ -112,11 +114,7 @@ class ClusterRunner:
         self._client = client
 
     def run(
-        self,
-        partitions: Sequence[Partition],
-        values: Float32s,
-        iterations: int,
-        progress: Callable[[int, int], None] | None,
+        self, partitions: Sequence[Partition], values: Float32s, iterations: int, progress: Progress
     ) -> Joined:
         from distributed import CancelledError, KilledWorker
 
@@ -139,13 +137,11 @@ class ClusterRunner:
             raise ProcessingError(LOST) from error
 
     def _run(
-        self,
-        partitions: Sequence[Partition],
-        values: Float32s,
-        iterations: int,
-        progress: Callable[[int, int], None] | None,
+        self, partitions: Sequence[Partition], values: Float32s, iterations: int, progress: Progress
     ) -> Joined:
-        places = self._choose_workers(len(partitions))
+        self._client.wait_for_workers(1)
+        workers = sorted(self._client.nthreads())  # each in turn
+        places = [workers[number % len(workers)] for number in range(len(partitions))]
         transfers, own_version = plan_transfers(partitions, len(values)), version("beltrami-cli")
         sent, steps = [], []
         for partition, plan, place in zip(partitions, transfers, places, strict=True):
@@ -172,19 +168,14 @@ class ClusterRunner:
         return Joined(joined(partitions, own, values), samples, truncated)
 
     def _wait(
-        self,
-        steps: Sequence[Any],
-        iteration: int,
-        iterations: int,
-        progress: Callable[[int, int], None] | None,
+        self, steps: Sequence[Any], iteration: int, iterations: int, progress: Progress
     ) -> list[tuple[float, int]]:
         """Wait for an iteration; return the samples held and the kernels cut short of every partition."""
         from distributed import as_completed
 
         counts = [self._submit(_counts, step) for step in steps]
-        for number, (_, held) in enumerate(
-            as_completed(counts, with_results=True, loop=self._client.loop), 1
-        ):
+        ended = as_completed(counts, with_results=True, loop=self._client.loop)
+        for number, (_, held) in enumerate(ended, 1):
             if isinstance(held, Exception):  # as Dask gives what was lost with a worker
                 raise held
             _, _, is_exact = held
@@ -193,12 +184,6 @@ class ClusterRunner:
             if progress is not None:
                 progress(iteration * len(steps) + number, iterations * len(steps))
         return [(samples, truncated) for samples, truncated, _ in self._client.gather(counts)]
-
-    def _choose_workers(self, count: int) -> list[str]:
-        """Choose a worker for every partition, each in turn."""
-        self._client.wait_for_workers(1)
-        workers = sorted(self._client.nthreads())
-        return [workers[number % len(workers)] for number in range(count)]
 
     def _send(self, value: Any, place: str) -> Any:
         return self._client.scatter(value, workers=[place], hash=False)

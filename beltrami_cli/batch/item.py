@@ -145,21 +145,17 @@ def _done_at_urls(item: Item, memory: int | None, progress: Progress | None) -> 
     to_url = is_url(item.target)
     with staged(item.source, item.target) as stage:
         copy = dataclasses.replace(
-            item,
-            source=stage.source,
-            target=stage.target,
-            overwrite=item.overwrite or to_url,
-            again=item.again and not to_url,
-        )
+            item, source=stage.source, target=stage.target,
+            overwrite=item.overwrite or to_url, again=item.again and not to_url,
+        )  # fmt: skip
         try:
             report = _made(copy, stage.access(item.outside, memory), progress)
         except BeltramiError as error:
-            error.args = (stage.with_original_names(str(error)),)
+            error.args = (str(error).replace(stage.source, item.source).replace(stage.target, item.target),)
             raise
         beside = report.written[1:]
-        report = dataclasses.replace(
-            report, input=item.source, output=item.target, written=[item.target, *beside]
-        )
+        names = [item.target, *beside]
+        report = dataclasses.replace(report, input=item.source, output=item.target, written=names)
         if to_url:
             written = stage.send(beside, overwrite=item.overwrite, again=item.again)
         else:

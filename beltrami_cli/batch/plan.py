@@ -63,7 +63,7 @@ def plan(inputs: Iterable[str], out_dir: str, suffix: str, extension: str | None
     for text in map(without_scheme, inputs):
         if text == "-":
             raise UsageError("a batch is of files, and - is none; beltrami smooth takes a pipe")
-        if _is_manifest(text):
+        if Path(text).suffix.lower() in _READERS:  # a manifest
             requests += list(_of_manifest(text, out_dir, suffix, extension))
         else:
             requests += [
@@ -131,13 +131,13 @@ def _is_hidden(place: PurePath) -> bool:
 
 
 def _is_input(path: Path, root: Path, out_dir: Path | None) -> bool:
-    """Return whether a file that was found is meant: results of an earlier run and hidden files are not."""
-    hidden = _is_hidden(path.relative_to(root))
+    """Whether a file that was found is meant: results of an earlier run and hidden files are not."""
+    if _is_hidden(path.relative_to(root)) or not path.is_file():
+        return False
     if out_dir is None:
-        return path.is_file() and not hidden
+        return True
     inner, outer = out_dir.resolve(), root.resolve()
-    is_result = inner != outer and inner.is_relative_to(outer) and path.resolve().is_relative_to(inner)
-    return path.is_file() and not hidden and not is_result
+    return inner == outer or not inner.is_relative_to(outer) or not path.resolve().is_relative_to(inner)
 
 
 def _refuse_clashes(requests: Iterable[Request]) -> None:
@@ -155,10 +155,6 @@ def _refuse_clashes(requests: Iterable[Request]) -> None:
 
 
 # ---- manifests
-
-
-def _is_manifest(path: str) -> bool:
-    return Path(path).suffix.lower() in _READERS
 
 
 def _of_manifest(path: str, out_dir: str, suffix: str, extension: str | None) -> Iterator[Request]:

@@ -40,7 +40,9 @@ class Record:
         self.path = path
         if not resume and not overwrite and is_there(path):
             raise OutputError(path, "exists already", "--resume goes on from it, --overwrite starts anew")
-        self._output = Output(path, overwrite=resume or overwrite, what="report", is_own=_is_record)
+        self._output = Output(
+            path, overwrite=resume or overwrite, what="report", is_own=lambda head: _HEAD.match(head) is not None
+        )  # fmt: skip
         self._latest = _read(path) if resume and is_there(path) else {}
         self.close([])  # without the line that the end of a run cut off
         self._output.overwrite = True  # from now on it is ours
@@ -64,13 +66,12 @@ class Record:
         """Write the report anew, with one line a file: those of this run in their order, after the others."""
         now = {place_of(outcome.output): outcome for outcome in outcomes}
         earlier = {place: outcome for place, outcome in self._latest.items() if place not in now}
-        self._output.write(
-            Written(main=[_line(each).encode() for each in [*earlier.values(), *now.values()]])
-        )
+        lines = [_line(each).encode() for each in (*earlier.values(), *now.values())]
+        self._output.write(Written(main=lines))
 
 
 def is_done(item: Item, outcome: Outcome | None) -> bool:
-    """Return whether an earlier run did the item, and nothing that it depends on has changed since."""
+    """Whether an earlier run did the item, and nothing that it depends on has changed since."""
     if outcome is None or outcome.status not in ("done", "skipped"):
         return False
     same = outcome.parameters_sha256 == item.parameters and place_of(item.source) == place_of(outcome.input)
@@ -84,10 +85,6 @@ def is_ours(outcome: Outcome | None) -> bool:
     return place_of(outcome.output) in outcome.written and all(
         not exists(name) or _holds({name: digest}) for name, digest in outcome.written.items()
     )
-
-
-def _is_record(head: bytes) -> bool:
-    return _HEAD.match(head) is not None
 
 
 def _holds(hashes: dict[str, str]) -> bool:
@@ -110,7 +107,8 @@ def _read(path: str) -> dict[str, Outcome]:
                 try:
                     outcome = _outcome_in(line)
                 except (ValueError, TypeError):
-                    if _is_cut_off(line) and not file.read(1):
+                    is_cut_off = line[: len(_START)] == _START[: len(line)] and not line.endswith(b"\n")
+                    if is_cut_off and not file.read(1):
                         break
                     cause = f"line {number} is not of a report of beltrami batch"
                     raise InputError(path, cause, "leave out --resume, or choose another --report") from None
@@ -119,10 +117,6 @@ def _read(path: str) -> dict[str, Outcome]:
     except OSError as error:
         raise InputError(path, f"cannot be read ({error})", "leave out --resume") from error
     return latest
-
-
-def _is_cut_off(line: bytes) -> bool:
-    return line[: len(_START)] == _START[: len(line)] and not line.endswith(b"\n")
 
 
 def _outcome_in(line: bytes) -> Outcome:
@@ -161,7 +155,7 @@ def _is_below(url: str, folder: str) -> bool:
 
 
 def _is_report(report: object) -> bool:
-    """Return whether a report of `beltrami smooth` has what the table of a batch shows of it."""
+    """Whether a report of `beltrami smooth` has what the table of a batch shows of it."""
     if not isinstance(report, dict):
         return False
     textures, warnings = report.get("textures", []), report.get("warnings", [])

@@ -80,8 +80,7 @@ def run_batch(
     done alone at the end, with all of it. With an `executor` both are its concern. `fail_fast` ends the batch at the
     first failure.
     """
-    batch = _Batch(items, record, watcher, fail_fast=fail_fast)
-    return batch.run_by(executor) if executor is not None else batch.run(at_once, memory)
+    return _Batch(items, record, watcher, fail_fast=fail_fast).run(at_once, memory, executor)
 
 
 class _Batch:
@@ -92,33 +91,29 @@ class _Batch:
         self._outcomes: dict[int, Outcome] = {}
         self._writers: dict[str, tuple[int, str]] = {}  # who wrote a file, and its hash
 
-    def run(self, at_once: int, memory: int | None) -> list[Outcome]:
-        waiting = self._to_do()
-        count = max(1, min(at_once, len(waiting)))
-        share = None if memory is None else memory // count
-        threads = KernelParameters().thread_count
-        larger = self._work(waiting, Workers(count, share, max(1, threads // count)), is_last=count == 1)
-        self._work(larger, Workers(1, memory, threads), is_last=True)
-        return self._outcomes_of_all()
-
-    def run_by(self, executor: Executor) -> list[Outcome]:
-        self._work(self._to_do(), executor, is_last=True)
-        return self._outcomes_of_all()
-
-    def _to_do(self) -> deque[int]:
-        return deque(key for key in range(len(self._items)) if not self._skips(key))
-
-    def _outcomes_of_all(self) -> list[Outcome]:
+    def run(self, at_once: int, memory: int | None, executor: Executor | None) -> list[Outcome]:
+        waiting = self._skip_done()
+        if executor is not None:
+            self._work(waiting, executor, is_last=True)
+        else:
+            count = max(1, min(at_once, len(waiting)))
+            share = None if memory is None else memory // count
+            threads = KernelParameters().thread_count
+            larger = self._work(waiting, Workers(count, share, max(1, threads // count)), is_last=count == 1)
+            self._work(larger, Workers(1, memory, threads), is_last=True)
         outcomes = [self._outcomes.get(key) or self._not_started(key) for key in range(len(self._items))]
         self._record.close(outcomes)
         return outcomes
 
-    def _skips(self, key: int) -> bool:
-        earlier = self._earlier[key]
-        if earlier is None or not is_done(self._items[key], earlier):
-            return False
-        self._finish(key, Attempt(dataclasses.replace(earlier, status="skipped")))
-        return True
+    def _skip_done(self) -> deque[int]:
+        """Return what is to be done, without what an earlier run has done."""
+        waiting: deque[int] = deque()
+        for key, (item, earlier) in enumerate(zip(self._items, self._earlier, strict=True)):
+            if earlier is not None and is_done(item, earlier):
+                self._finish(key, Attempt(dataclasses.replace(earlier, status="skipped")))
+            else:
+                waiting.append(key)
+        return waiting
 
     def _work(self, waiting: deque[int], executor: Executor, *, is_last: bool) -> deque[int]:
         """Do what waits; return what wants more memory, unless `is_last`."""
@@ -142,7 +137,10 @@ class _Batch:
         overwrite = item.overwrite or is_ours(earlier)
         again = earlier is not None and earlier.status == "started"
         try:
-            _make_place(item.target, overwrite=overwrite or again)
+            if exists(item.target) and not (overwrite or again):
+                remedy = "choose another --out-dir or --suffix, or --overwrite"
+                raise OutputError(item.target, "exists already", remedy)
+            make_folder_of(item.target)
         except OutputError as error:
             self._finish(key, Attempt(failed(item, str(error), error.exit_code)))
             return
@@ -185,9 +183,3 @@ class _Batch:
 def _written(earlier: Outcome | None) -> dict[str, str]:
     """Return the files of an earlier run, which are still there if a later attempt fails or is cut off."""
     return {} if earlier is None else earlier.written
-
-
-def _make_place(target: str, *, overwrite: bool) -> None:
-    if exists(target) and not overwrite:
-        raise OutputError(target, "exists already", "choose another --out-dir or --suffix, or --overwrite")
-    make_folder_of(target)

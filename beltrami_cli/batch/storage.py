@@ -31,7 +31,7 @@ _WHOLE_OR_NOT = frozenset({"s3", "s3a", "gs", "gcs", "abfs", "abfss", "az", "adl
 
 
 def is_url(name: str) -> bool:
-    """Return whether a name is a URL of another place than this machine's own files."""
+    """Whether a name is a URL of another place than this machine's own files."""
     return bool(_URL.match(name)) and not _HERE.match(name)
 
 
@@ -191,11 +191,6 @@ class Stage:
         except OSError as error:
             raise OutputError(self._original_target, f"cannot be written ({error})", "try again") from error
         return hashes
-
-    def with_original_names(self, message: str) -> str:
-        """Return a message with the names that the user knows."""
-        message = message.replace(self.source, self._original_source)
-        return message.replace(self.target, self._original_target)
 
     def _url_of(self, path: Path) -> str:
         return f"{self._from}/{path.relative_to(self._inside).as_posix()}"

@@ -87,7 +87,6 @@ class Workers:
         self._busy[worker.pipe] = worker
 
     def events(self, items: Callable[[int], Item]) -> Iterator[tuple[int, Attempt | tuple[str, int, int]]]:
-        """Wait, and give for a key either its progress or its result; `items` gives the item of a key."""
         for pipe in wait(list(self._busy)):
             worker = self._busy[cast("Connection[Any, Any]", pipe)]
             try:

@@ -133,8 +133,9 @@ def on_boundary(faces: Int32s, count: int) -> Bools:
 
 def _proper(faces: Int32s) -> Int64s:
     """Return the triangles that repeat no vertex, each with its vertices in order."""
-    corners: Int64s = np.sort(faces.astype(np.int64), axis=1)
-    return corners[(corners[:, 0] != corners[:, 1]) & (corners[:, 1] != corners[:, 2])]
+    corners = np.sort(faces.astype(np.int64), axis=1)
+    is_proper = (corners[:, 0] != corners[:, 1]) & (corners[:, 1] != corners[:, 2])
+    return np.asarray(corners[is_proper], np.int64)
 
 
 def _distinct(corners: Int64s, count: int) -> Int64s:
