@@ -29,6 +29,8 @@ if TYPE_CHECKING:
     from beltrami_cli.jobs.output import Overwrite
     from beltrami_cli.jobs.settings import BakeSettings
 
+    Settings = tuple[SmoothSettings, BakeSettings | None, NoiseSettings | None]
+
 EPILOG = """\b
 Examples:
   beltrami batch scans/*.ply --out-dir clean            each as beltrami smooth would
@@ -165,7 +167,9 @@ def command(
     if not messages.quiet:
         show_table(outcomes)
     messages.say(f"{_counts(outcomes)} in {time.monotonic() - start:.1f} s; report: {path}")
-    _require_all_done(outcomes)
+    if lost := sum(outcome.status == "failed" for outcome in outcomes):
+        remedy = "mend them, and run the same again with --resume"
+        raise ProcessingError(f"{lost} of {len(outcomes)} files failed; {remedy}")
 
 
 def _run(
@@ -227,15 +231,12 @@ def _jobs_for(requests: Iterable[Request], values: dict[str, Any], *, overwrite:
         except (click.UsageError, UsageError, ValueError) as error:
             cause = error.format_message() if isinstance(error, click.UsageError) else str(error)
             raise UsageError(f"{request.origin}: {cause}") from error
-        jobs.append(
-            Item(request.source, request.target, settings, unwrap, noise, values["allow_outside"], overwrite)
-        )
+        ends = request.source, request.target
+        jobs.append(Item(*ends, settings, unwrap, noise, values["allow_outside"], overwrite))
     return jobs
 
 
-def _settings_from(
-    values: dict[str, Any],
-) -> tuple[SmoothSettings, BakeSettings | None, NoiseSettings | None]:
+def _settings_from(values: dict[str, Any]) -> Settings:
     noise = None
     if values["add_noise"]:
         noise = options.record_from(NoiseSettings, values)
@@ -244,28 +245,22 @@ def _settings_from(
     return options.settings_from(values), options.unwrapping_from(values), noise
 
 
-def _settings(
-    request: Request, given: dict[str, Any]
-) -> tuple[SmoothSettings, BakeSettings | None, NoiseSettings | None]:
+def _settings(request: Request, given: dict[str, Any]) -> Settings:
     own = values_for(options_by_name(_OF_A_FILE), request.options)
+
+    def beside(name: str, *, may_be_other: bool) -> str:
+        path = request.folder / name
+        return name if may_be_other and not is_file(path) else str(path)
+
     for each in parameters(SmoothSettings, deep=True):
-        if each.name in own:  # a file is looked for beside the manifest
-            beside = partial(_guide if each.repeatable else _beside, request.folder)
-            own[each.name] = each.with_files(own[each.name], beside)
+        if each.name in own:  # a file is looked for beside the manifest; guides may be something else
+            renamed = partial(beside, may_be_other=each.repeatable)
+            own[each.name] = each.with_files(own[each.name], renamed)
     context = _OF_A_FILE.make_context("file", [], default_map={**given, **own})
     for name in own:  # counts for more than what is for all files, also beside a preset
         context.set_parameter_source(name, ParameterSource.COMMANDLINE)
     with context.scope():
         return _settings_from(context.params)
-
-
-def _beside(folder: Path, name: str) -> str:
-    return str(folder / name)
-
-
-def _guide(folder: Path, guide: str) -> str:
-    """Return the path of a guide; it may be something else than a file."""
-    return str(folder / guide) if is_file(folder / guide) else guide
 
 
 def _report_path(given: str | None, out_dir: str, inputs: Sequence[str], jobs: Sequence[Item]) -> str:
@@ -293,11 +288,10 @@ def _executor(
     with connected(scheduler) as client:
         if not client.nthreads():
             messages.say(f"{scheduler} has no workers yet; the files wait for them")
-        yield (
-            ClusterExecutor(client, at_once, memory)
-            if pieces is None
-            else PartitionExecutor(client, pieces, memory)
-        )
+        if pieces is None:
+            yield ClusterExecutor(client, at_once, memory)
+        else:
+            yield PartitionExecutor(client, pieces, memory)
 
 
 def _report_in(out_dir: str) -> str:
@@ -305,25 +299,15 @@ def _report_in(out_dir: str) -> str:
     from beltrami_cli.batch.storage import is_url, without_scheme
 
     if is_url(out_dir):
-        raise UsageError(
-            "the report is a file of this machine; with a URL as --out-dir, name it with --report"
-        )
+        remedy = "with a URL as --out-dir, name it with --report"
+        raise UsageError(f"the report is a file of this machine; {remedy}")
     folder = Path(without_scheme(out_dir))
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise OutputError(
-            out_dir, f"the folder cannot be made ({error.strerror})", "choose another"
-        ) from error
+        cause = f"the folder cannot be made ({error.strerror})"
+        raise OutputError(out_dir, cause, "choose another") from error
     return str(folder / "batch.jsonl")
-
-
-def _require_all_done(outcomes: Sequence[Outcome]) -> None:
-    lost = sum(outcome.status == "failed" for outcome in outcomes)
-    if lost:
-        raise ProcessingError(
-            f"{lost} of {len(outcomes)} files failed; mend them, and run the same again with --resume"
-        )
 
 
 def _counts(outcomes: Sequence[Outcome]) -> str:

@@ -11,7 +11,6 @@ from beltrami_cli.cli.console import NO_NOISE, Messages, printable
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-    from types import TracebackType
 
     from rich.progress import Progress, TaskID
 
@@ -36,9 +35,7 @@ class Display:
             self._all = self._bar.add_task("all files", total=len(self._jobs))
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         if self._bar is not None:
             self._bar.stop()
 

@@ -35,12 +35,12 @@ def spelled(name: str) -> str:
 
 def options_by_name(command: click.Command) -> dict[str, click.Option]:
     """Return the options of a command by all their names, without dashes in front and with _ for those within."""
-    found: dict[str, click.Option] = {}
-    for option in command.params:
-        if isinstance(option, click.Option) and option.name and not option.is_eager:
-            for name in (*option.opts, option.name):
-                found[plain(name)] = option
-    return found
+    return {
+        plain(name): option
+        for option in command.params
+        if isinstance(option, click.Option) and option.name and not option.is_eager
+        for name in (*option.opts, option.name)
+    }
 
 
 def values_for(options: Mapping[str, click.Option], table: Mapping[str, object]) -> dict[str, Any]:
@@ -78,19 +78,15 @@ def _scalar(option: click.Option, value: object) -> object:
     return value if is_whole and not option.is_flag else str(value)
 
 
-def with_variables(
-    command: click.Command, name: str, other: str = "", shared: Collection[str] = ()
-) -> click.Command:
-    """Give every option of a command its variable; for `shared` options those of another command count as well.
+def with_variables(command: click.Command, name: str, shared: Collection[str]) -> click.Command:
+    """Give every option of a command its variable; for `shared` options those of `smooth` count as well.
 
     The click library could do that alone, but would name them after arguments of functions, not after options.
     """
     for option in command.params:
         if isinstance(option, click.Option) and not option.is_eager:
-            commands = [name, other] if option.name in shared else [name]
-            variables = [
-                "_".join((_PREFIX, each, long_name(option))).upper().replace("-", "_") for each in commands
-            ]
+            commands, own = [name, "smooth"] if option.name in shared else [name], long_name(option)
+            variables = [f"{_PREFIX}_{each}_{own}".upper().replace("-", "_") for each in commands]
             others = [each.replace("COLOUR", "COLOR") for each in variables if "COLOUR" in each]
             option.envvar = [*variables, *others]
     return command
@@ -131,7 +127,11 @@ class HelpfulCommand(click.Command):
         super().__init__(*arguments, **attributes)
         options = [each for each in self.params if isinstance(each, click.Option)]
         self._is_long = len(options) > _FEW and any(map(_group, options))
-        self.params.append(_help_all(hidden=not self._is_long))
+        help_all = click.Option(
+            ["--help-all"], is_flag=True, expose_value=False, is_eager=True, callback=_show_all,
+            hidden=not self._is_long, help="Show all options, examples and notes, and exit.",
+        )  # fmt: skip
+        self.params.append(help_all)
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Take --level without a number, which is the value of a level set, for --level-seams."""
@@ -194,14 +194,6 @@ def _is_number(text: str) -> bool:
 
 
 _ALL = "help_all"
-
-
-def _help_all(*, hidden: bool) -> click.Option:
-    return click.Option(
-        ["--help-all"], is_flag=True, expose_value=False, is_eager=True, callback=_show_all,
-        hidden=hidden,
-        help="Show all options, examples and notes, and exit.",
-    )  # fmt: skip
 
 
 def _show_all(context: click.Context, option: click.Parameter, wanted: bool) -> None:

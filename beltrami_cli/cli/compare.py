@@ -115,9 +115,8 @@ def command(
     for notice in comparison.notices:
         messages.warn(notice)
     if map_to is not None:
-        messages.say(
-            f"{map_to}: bright yellow is a Delta E of {comparison.map_scale:.3g}, grey is not compared"
-        )
+        bright = f"bright yellow is a Delta E of {comparison.map_scale:.3g}"
+        messages.say(f"{map_to}: {bright}, grey is not compared")
     for verdict in comparison.limits:
         if not verdict.kept:
             click.echo(printable(f"beltrami: {test}: {_describe(verdict)}"), err=True)
@@ -129,7 +128,7 @@ def _show(comparison: Comparison) -> None:
     rows = [_row(part["name"], part) for part in comparison.parts]
     if len(rows) > 1:
         rows.append(_row("all", comparison.overall))
-    _table(_COLUMNS, rows)
+    show_table(_COLUMNS, rows)
     worst = comparison.overall["worst"]
     if worst is not None and worst["error"] > 0:
         click.echo(printable(f"worst sample: {_worst(worst)}"))
@@ -149,49 +148,41 @@ def _describe(verdict: Verdict) -> str:
 
 def _row(name: str, part: dict[str, Any]) -> list[str]:
     looks, near, jump = part["delta_e"], part["near_seams"], part["seam_jump"]
-    psnr = (
-        _number(part["psnr"], "{:.2f}") if part["psnr"] is not None else "equal" if part["samples"] else "-"
-    )
     if part.get("identical"):
         return [name, str(part["samples"] or "-"), "identical", *["-"] * (len(_COLUMNS) - 3)]
-    near_psnr = "-" if near is None else "equal" if near["psnr"] is None else f"{near['psnr']:.2f}"
-    return [
-        name,
-        str(part["samples"]),
-        psnr,
-        _number(part["ssim"], "{:.4f}"),
-        *(_number(None if looks is None else looks[key], "{:.2f}") for key in ("mean", "p95", "worst")),
-        near_psnr,
-        _number(None if near is None else near["delta_e"], "{:.2f}"),
-        _number(None if jump is None else 255 * jump["change"], "{:+.2f}"),
+    psnrs = [
+        "-" if each is None or not each["samples"] else _number(each["psnr"], "{:.2f}", "equal")
+        for each in (part, near)
     ]
+    return [
+        name, str(part["samples"]), psnrs[0], _number(part["ssim"], "{:.4f}"),
+        *(_number(None if looks is None else looks[key], "{:.2f}") for key in ("mean", "p95", "worst")),
+        psnrs[1], _number(None if near is None else near["delta_e"], "{:.2f}"),
+        _number(None if jump is None else 255 * jump["change"], "{:+.2f}"),
+    ]  # fmt: skip
 
 
-def _number(value: float | None, form: str) -> str:
-    return "-" if value is None else form.format(value)
+def _number(value: float | None, form: str, missing: str = "-") -> str:
+    return missing if value is None else form.format(value)
 
 
 def _worst(worst: dict[str, Any]) -> str:
-    place = (
-        f"vertex {worst['vertex']}" if "vertex" in worst else f"{worst['part']} at {worst['x']},{worst['y']}"
-    )
-    colours = (", ".join(f"{255 * value:.0f}" for value in worst[which]) for which in ("reference", "test"))
+    is_vertex = "vertex" in worst
+    place = f"vertex {worst['vertex']}" if is_vertex else f"{worst['part']} at {worst['x']},{worst['y']}"
+    before, after = ([f"{255 * value:.0f}" for value in worst[which]] for which in ("reference", "test"))
     looks = "" if worst["delta_e"] is None else f", Delta E {worst['delta_e']:.1f}"
-    return (
-        f"{place}, off by {255 * worst['error']:.1f}/255{looks}: {' became '.join(f'({c})' for c in colours)}"
-    )
+    change = f"({', '.join(before)}) became ({', '.join(after)})"
+    return f"{place}, off by {255 * worst['error']:.1f}/255{looks}: {change}"
 
 
-def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    rows = [[printable(cell) for cell in row] for row in rows]
+def show_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """Print a table, as wide as a terminal if it goes to one."""
     width = shutil.get_terminal_size().columns if sys.stdout.isatty() else None
-    for line in table_lines(head, rows, width):
+    for line in table_lines(head, [[printable(cell) for cell in row] for row in rows], width):
         click.echo(line)
 
 
-def table_lines(
-    head: Sequence[str], rows: Sequence[Sequence[str]], width: int | None = None
-) -> Iterator[str]:
+def table_lines(head: Sequence[str], rows: Sequence[Sequence[str]], width: int | None) -> Iterator[str]:
     """Give the lines of a table, in which no number is broken: names stand above where lines are too short."""
     lines = _aligned([head, *rows])
     if width is None or len(lines[0]) <= width:

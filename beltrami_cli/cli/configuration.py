@@ -7,6 +7,7 @@ write, or lifts a limit on resources comes from the command line, the environmen
 
 from __future__ import annotations
 
+import contextlib
 import os
 import stat
 from dataclasses import dataclass, field
@@ -35,15 +36,11 @@ class Configuration:
     tables: Mapping[str, Mapping[str, object]] = field(default_factory=dict)  # options by command
 
     def values(
-        self,
-        name: str,
-        command: Callable[[str], click.Command],
-        names: Collection[str],
-        inherited: tuple[str, Collection[str]],
-    ) -> dict[str, Any]:
+        self, name: str, command: Callable[[str], click.Command], names: Collection[str], shared: Collection[str]
+    ) -> dict[str, Any]:  # fmt: skip
         """Return the values of a command's options, as a default map of click; UsageError if one cannot be set.
 
-        `inherited` is another command whose table counts as well, and for which of its options.
+        For the options in `shared` the table of `smooth` counts as well.
         """
         try:
             for table in set(self.tables) - set(names):
@@ -54,9 +51,8 @@ class Configuration:
                 if not any(plain(key) in options_by_name(command(each)) for each in names):
                     raise ValueError(f"{key} is no option of any command")
             values = values_for(known, common)
-            other, shared = inherited
             if shared:
-                theirs = values_for(options_by_name(command(other)), self.tables.get(other, {}))
+                theirs = values_for(options_by_name(command("smooth")), self.tables.get("smooth", {}))
                 values |= {key: value for key, value in theirs.items() if key in shared}
             values |= values_for(known, self.tables.get(name, {}))
             self._check(command(name), values)
@@ -86,7 +82,11 @@ class Configuration:
 def load(named: str | None) -> Configuration:
     """Read the file that is named, or else the nearest one that is found; see `candidates`."""
     if named is not None:
-        table = _table(Path(named))
+        path = Path(named)
+        try:
+            table = _parsed(path, read_bounded(path, CONFIGURATION))
+        except (OSError, ValueError) as error:
+            raise _unreadable(path, error) from error
         if table is None:
             raise InputError(named, "it has no table [tool.beltrami]", "add one, or name another file")
         return _sorted(named, table, is_named=True)
@@ -110,13 +110,6 @@ def _found_table(path: Path) -> dict[str, object] | None:
             remedy = f"to have it read, name it: --config {path}"
             click.echo(printable(f"warning: {path} is not read, because {error}; {remedy}"), err=True)
         return None
-    except (OSError, ValueError) as error:
-        raise _unreadable(path, error) from error
-
-
-def _table(path: Path) -> dict[str, object] | None:
-    try:
-        return _parsed(path, read_bounded(path, CONFIGURATION))
     except (OSError, ValueError) as error:
         raise _unreadable(path, error) from error
 
@@ -165,7 +158,9 @@ def may_be_found(option: click.Parameter, value: object = None) -> bool:
 
 def candidates(here: Path) -> Iterator[Path]:
     """Give the places of a configuration, nearest first: up to the home folder, a repository's root or a border."""
-    home, device = _home(), here.stat().st_dev
+    home, device = None, here.stat().st_dev
+    with contextlib.suppress(OSError, RuntimeError):
+        home = Path.home().resolve()
     for folder in (here, *here.parents):
         if folder.stat().st_dev != device:
             return
@@ -202,10 +197,3 @@ def _require_own(status: os.stat_result) -> None:
         raise UntrustedError("it belongs to another user")
     if not stat.S_ISLNK(status.st_mode) and status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
         raise UntrustedError("others than its owner may write to it (chmod go-w)")
-
-
-def _home() -> Path | None:
-    try:
-        return Path.home().resolve()
-    except (OSError, RuntimeError):
-        return None

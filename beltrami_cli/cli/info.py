@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +10,7 @@ import click
 
 from beltrami_cli.cli import options
 from beltrami_cli.cli.commands import HelpfulCommand
-from beltrami_cli.cli.compare import table_lines
+from beltrami_cli.cli.compare import show_table
 from beltrami_cli.cli.console import ALL_THE_SAME, NO_NOISE, Messages, choice_in_words, printable
 from beltrami_cli.errors import BeltramiError, InputError
 from beltrami_cli.jobs.job import tracked
@@ -81,9 +79,7 @@ def _show_many(
                 click.echo(json.dumps(facts))
             rows += _parts_of(source, facts)
     if rows and not as_json:
-        width = shutil.get_terminal_size().columns if sys.stdout.isatty() else None
-        for line in table_lines(_COLUMNS, rows, width):
-            click.echo(line)
+        show_table(_COLUMNS, rows)
     for failure in failures:
         click.echo(printable(f"beltrami: {failure}"), err=True)
     if failures:
@@ -102,7 +98,7 @@ def _parts_of(source: str, facts: dict[str, Any]) -> Iterator[list[str]]:
         plan, noise = part.get("smooth") or {}, part.get("noise") or {}
         iterations = plan.get("iterations")
         yield [
-            printable(source),
+            source,
             str(facts["file"]["format"]),
             what,
             "" if samples is None else str(samples),
@@ -116,11 +112,13 @@ def _show_facts(facts: dict[str, Any], settings: SmoothSettings) -> None:
     """Print all that is known of a file."""
     slots: Any = facts.get("textures", [])
     planned: list[Any] = [facts.get("smooth"), *(slot["smooth"] for slot in slots)]
-    for smooth in planned:
-        if smooth and settings.kernel.iterations:
+    for smooth in filter(None, planned):
+        if settings.kernel.iterations:
             smooth["choice"] = _choice(smooth)
-        if smooth and "samples_per_kernel" in smooth:
-            smooth["samples_per_kernel"] = _samples(smooth)
+        if "samples_per_kernel" in smooth:  # `smooth` gives the mean over all iterations
+            several = f" of {smooth['iterations']} iterations; smooth gives the mean over all"
+            which = several if smooth["iterations"] > 1 else " iteration"
+            smooth["samples_per_kernel"] = f"{smooth['samples_per_kernel']:.5g} in the first{which}"
     for section, content in facts.items():
         for part in content if isinstance(content, list) and section == "textures" else [content]:
             _print(section, part)
@@ -150,9 +148,8 @@ def _lines(content: Any, section: str) -> list[str]:
 
 def _noise_of(values: dict[str, float]) -> dict[str, str]:
     """Show standard deviations, and the width of the grain."""
-    return {
-        name: f"{value:.1f} samples" if name == "grain" else _noise(value) for name, value in values.items()
-    }
+    shown = {name: _noise(value) for name, value in values.items()}
+    return shown | ({"grain": f"{values['grain']:.1f} samples"} if "grain" in values else {})
 
 
 def _choice(smooth: dict[str, Any]) -> str | None:
@@ -160,12 +157,6 @@ def _choice(smooth: dict[str, Any]) -> str | None:
     if "choice" in smooth:
         return choice_in_words(smooth["choice"])
     return None if smooth["iterations"] else f"nothing to smooth: the noise is {NO_NOISE}; {ALL_THE_SAME}"
-
-
-def _samples(smooth: dict[str, Any]) -> str:
-    """Say of what the samples of a kernel are the mean, since `smooth` gives that over all iterations."""
-    others = f" of {smooth['iterations']} iterations; smooth gives the mean over all"
-    return f"{smooth['samples_per_kernel']:.5g} in the first{others if smooth['iterations'] > 1 else ' iteration'}"
 
 
 def _rows(key: str, value: Any) -> list[tuple[str, str]]:
@@ -199,11 +190,11 @@ def _show(value: Any) -> str:
         return f"{value:.5g}"
     if isinstance(value, list):
         return ", ".join(
-            f"({_show(entry)})" if isinstance(entry, (list, dict)) else _show(entry) for entry in value
+            f"({_show(each)})" if isinstance(each, (list, dict)) else _show(each) for each in value
         )
     if isinstance(value, dict):
-        return ", ".join(
-            f"{key.replace('_', ' ')} {f'({_show(entry)})' if isinstance(entry, dict) else _show(entry)}"
-            for key, entry in value.items()
-        )
+        shown = {
+            key: f"({_show(each)})" if isinstance(each, dict) else _show(each) for key, each in value.items()
+        }
+        return ", ".join(f"{key.replace('_', ' ')} {text}" for key, text in shown.items())
     return str(value)

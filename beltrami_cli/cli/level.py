@@ -12,6 +12,8 @@ from beltrami_cli.samples.settings import LevelSettings, SmoothSettings
 
 if TYPE_CHECKING:
     from beltrami_cli.cli.console import Messages
+    from beltrami_cli.jobs.job import Job
+    from beltrami_cli.jobs.level import LevelFileReport
 
 EPILOG = """\b
 Examples:
@@ -57,13 +59,10 @@ def command(source: str, target: str, messages: Messages, **values: Any) -> None
     settings = options.record_from(SmoothSettings, values)
     from beltrami_cli.jobs.level import level_file
 
-    report = outputs.written(
-        values,
-        (source, target),
-        settings,
-        messages,
-        lambda job: level_file(source, target, wanted, settings, job),
-    )
+    def carry_out(job: Job) -> LevelFileReport:
+        return level_file(source, target, wanted, settings, job)
+
+    report = outputs.written(values, (source, target), settings, messages, carry_out)
     messages.warn_of(source, report.warnings)
     unwritten = "not written (dry run), " if values["dry_run"] else ""
     outputs.show_levelled(messages, report.levelled, f"{target}: {unwritten}")

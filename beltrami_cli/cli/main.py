@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import click
 
 from beltrami_cli.cli.commands import blamed_variable, spelled, with_variables
-from beltrami_cli.cli.console import printable
-from beltrami_cli.cli.process import Interruption, Listener, prepare_streams
+from beltrami_cli.cli.console import Interruption, Listener, prepare_streams, printable
 from beltrami_cli.errors import BeltramiError, InputError
 
 if TYPE_CHECKING:
@@ -131,13 +130,13 @@ def defaults_from(configuration: Configuration, name: str) -> dict[str, Any]:
     """Return what a configuration says of a command; for each file, a batch obeys the options of `smooth`, too."""
     if configuration.path is None:
         return {}
-    return configuration.values(name, _command, COMMANDS, ("smooth", _shared_with_smooth(name)))
+    return configuration.values(name, _command, COMMANDS, _shared_with_smooth(name))
 
 
 def _command(name: str) -> click.Command:
     module = importlib.import_module(f"beltrami_cli.cli.{name.replace('-', '_')}")
     module.command.short_help = COMMANDS[name]
-    return with_variables(module.command, name, "smooth", _shared_with_smooth(name))
+    return with_variables(module.command, name, _shared_with_smooth(name))
 
 
 def _shared_with_smooth(name: str) -> Collection[str]:
@@ -184,17 +183,12 @@ def _run() -> int:
     except Exception as error:  # the last resort: even a mistake of ours ends in one line
         if _wants_traceback():
             traceback.print_exc()
-        if not _has_working_folder():
+        try:
+            os.getcwd()  # noqa: PTH109
+        except OSError:
             return _failure(InputError.exit_code, "the working folder was removed; change to one that exists")
         cause = " ".join(f"{type(error).__name__}: {error}".split())
         return _failure(1, f"unexpected error: {cause}; run again with -vv and report it")
-
-
-def _has_working_folder() -> bool:
-    try:
-        return bool(os.getcwd())  # noqa: PTH109
-    except OSError:
-        return False
 
 
 def _wants_traceback() -> bool:

@@ -15,6 +15,7 @@ from beltrami_cli.jobs.job import show_size
 
 if TYPE_CHECKING:
     from beltrami_cli.cli.console import Messages
+    from beltrami_cli.jobs.job import Job
     from beltrami_cli.jobs.smoothing import SmoothReport
     from beltrami_cli.samples.reports import ImageReport, SlotReport, VertexReport
 
@@ -82,20 +83,15 @@ def command(source: str, target: str, messages: Messages, **smoothing: Any) -> N
     unwrap = options.unwrapping_from(smoothing)
     from beltrami_cli.jobs.smooth import smooth_file
 
-    report = outputs.written(
-        smoothing,
-        (source, target),
-        settings,
-        messages,
-        lambda job: smooth_file(source, target, settings, unwrap=unwrap, job=job),
-    )
+    def carry_out(job: Job) -> SmoothReport:
+        return smooth_file(source, target, settings, unwrap=unwrap, job=job)
+
+    report = outputs.written(smoothing, (source, target), settings, messages, carry_out)
     outputs.show_levelled(messages, report.levelled, f"{report.output}: ")
-    if not settings.kernel.iterations:
-        if settings.level_seams:
-            return
+    if settings.kernel.iterations:
+        _show_result(messages, report, dry_run=dry_run)
+    elif not settings.level_seams:
         _show_unchanged(messages, report, unwrapped=unwrap is not None, dry_run=dry_run)
-        return
-    _show_result(messages, report, dry_run=dry_run)
 
 
 def _show_unchanged(messages: Messages, report: SmoothReport, *, unwrapped: bool, dry_run: bool) -> None:
@@ -104,11 +100,8 @@ def _show_unchanged(messages: Messages, report: SmoothReport, *, unwrapped: bool
     same = Path(report.input).suffix.lower() == f".{report.format}" and not unwrapped
     what = "would be" if dry_run else "is"
     names = ", but for the names of the files beside it" if len(report.written) > 1 else ""
-    messages.say(
-        f"{report.output}: no iterations, so the file {what} copied unchanged{names}"
-        if same
-        else f"{report.output}: no iterations, so the colours are unchanged"
-    )
+    result = f"the file {what} copied unchanged{names}" if same else "the colours are unchanged"
+    messages.say(f"{report.output}: no iterations, so {result}")
 
 
 def _show_result(messages: Messages, report: SmoothReport, *, dry_run: bool) -> None:
@@ -144,9 +137,8 @@ def _show_costs(messages: Messages, report: SmoothReport, *, dry_run: bool) -> N
     for stage, seconds in report.stages.items():
         messages.detail(f"{stage:>14}: {seconds['wall']:.2f} s, {seconds['cpu']:.2f} s CPU")
     if report.peak_memory is not None:
-        (messages.say if dry_run else messages.detail)(
-            f"{'peak memory':>14}: {show_size(report.peak_memory)}"
-        )
+        show = messages.say if dry_run else messages.detail
+        show(f"{'peak memory':>14}: {show_size(report.peak_memory)}")
 
 
 def _show_done(messages: Messages, what: str, done: Done, samples: float) -> None:

@@ -137,7 +137,7 @@ def test_a_signal_in_a_destructor_is_not_lost() -> None:
     """Python drops exceptions there; the signal is sent again."""
     program = (
         "import os, signal, time\n"
-        "from beltrami_cli.cli.process import Listener\n"
+        "from beltrami_cli.cli.console import Listener\n"
         "class Last:\n"
         "    def __del__(self):\n"
         "        os.kill(os.getpid(), signal.SIGTERM)\n"
