@@ -127,10 +127,8 @@ class ClusterRunner:
             except Exception as error:  # many kinds, as Dask itself is not ready for it everywhere
                 self._require_scheduler(error)
                 raise
-        cause = " ".join(str(last).split())
-        raise ProcessingError(
-            f"workers died {_TRIES} times with pieces of the surface ({cause}); there may be too little memory there"
-        )
+        cause = f"workers died {_TRIES} times with pieces of the surface ({' '.join(str(last).split())})"
+        raise ProcessingError(f"{cause}; there may be too little memory there")
 
     def _require_scheduler(self, error: Exception | None) -> None:
         if self._client.status != "running":

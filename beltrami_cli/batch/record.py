@@ -79,12 +79,10 @@ def is_done(item: Item, outcome: Outcome | None) -> bool:
 
 
 def is_ours(outcome: Outcome | None) -> bool:
-    """Return whether the files at the place of an output are as an earlier run left them, and may be replaced."""
-    if outcome is None:
+    """Whether the files at the place of an output are as an earlier run left them, and may be replaced."""
+    if outcome is None or place_of(outcome.output) not in outcome.written:
         return False
-    return place_of(outcome.output) in outcome.written and all(
-        not exists(name) or _holds({name: digest}) for name, digest in outcome.written.items()
-    )
+    return _holds({name: digest for name, digest in outcome.written.items() if exists(name)})
 
 
 def _holds(hashes: dict[str, str]) -> bool:
@@ -176,5 +174,5 @@ def _are_numbers(values: object) -> bool:
 
 
 def _is_number(value: object) -> bool:
-    """Return whether a value is a number that floats can hold."""
+    """Whether a value is a number that floats can hold."""
     return isinstance(value, float) or (type(value) is int and abs(value) < 1 << 63)

@@ -63,7 +63,6 @@ _OF_NOISE = [each.name for each in parameters(NoiseSettings)]
 
 
 def _adding_noise(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add the options of noise that is added."""
     wanted = click.option(
         "--add-noise", is_flag=True, cls=GroupedOption, group=NoiseSettings.group,
         help="Add noise and smooth nothing: each file comes out as `beltrami noise` makes it.",

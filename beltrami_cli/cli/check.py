@@ -52,7 +52,6 @@ def command(before: str, after: str, as_json: bool, quiet: bool, verbose: int, *
 
 
 def _summary(others: int, differences: int) -> str:
-    """Say how many things differ that are no colours, or that nothing does."""
     if others:
         verb = "differs" if others == 1 else "differ"
         return f"{counted(others, 'thing')} besides colours {verb}"

@@ -139,7 +139,6 @@ def _show(comparison: Comparison) -> None:
 
 
 def _describe(verdict: Verdict) -> str:
-    """Say what was measured, and what was allowed."""
     name, scale, unit = _LIMITS[verdict.limit]
     measured = "infinite" if verdict.measured is None else f"{scale * verdict.measured:.4g}{unit}"
     word = "at least" if verdict.limit.startswith("min") else "at most"
@@ -204,6 +203,5 @@ def table_lines(head: Sequence[str], rows: Sequence[Sequence[str]], width: int |
 def _aligned(rows: Sequence[Sequence[str]]) -> list[str]:
     """Return rows as lines: the first column to the left, the others to the right."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    return [
-        "  ".join([row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:])]).rstrip() for row in rows
-    ]
+    aligned = ([row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:])] for row in rows)
+    return ["  ".join(cells).rstrip() for cells in aligned]

@@ -282,8 +282,5 @@ def _apart_from_libraries() -> int:
 
 def _text(raw: io.FileIO, old: TextIO | None) -> TextIO:
     encoding = "utf-8" if old is None else old.encoding
-    is_line_buffered = raw.isatty() or isinstance(raw, _RawError)
-    buffered = io.BufferedWriter(raw)
-    return io.TextIOWrapper(
-        buffered, encoding=encoding, errors="backslashreplace", line_buffering=is_line_buffered
-    )
+    by_lines, buffered = raw.isatty() or isinstance(raw, _RawError), io.BufferedWriter(raw)
+    return io.TextIOWrapper(buffered, encoding=encoding, errors="backslashreplace", line_buffering=by_lines)

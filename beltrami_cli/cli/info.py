@@ -109,7 +109,6 @@ def _parts_of(source: str, facts: dict[str, Any]) -> Iterator[list[str]]:
 
 
 def _show_facts(facts: dict[str, Any], settings: SmoothSettings) -> None:
-    """Print all that is known of a file."""
     slots: Any = facts.get("textures", [])
     planned: list[Any] = [facts.get("smooth"), *(slot["smooth"] for slot in slots)]
     for smooth in filter(None, planned):
@@ -171,7 +170,6 @@ def _rows(key: str, value: Any) -> list[tuple[str, str]]:
 
 
 def _image(facts: dict[str, Any]) -> str:
-    """Put all about a texture on a line."""
     facts = dict(facts)
     name, width, height = (facts.pop(key) for key in ("name", "width", "height"))
     kind, stored, channels = (facts.pop(key) for key in ("format", "stored", "channels"))
@@ -190,7 +188,7 @@ def _show(value: Any) -> str:
         return f"{value:.5g}"
     if isinstance(value, list):
         return ", ".join(
-            f"({_show(each)})" if isinstance(each, (list, dict)) else _show(each) for each in value
+            f"({_show(each)})" if isinstance(each, list | dict) else _show(each) for each in value
         )
     if isinstance(value, dict):
         shown = {

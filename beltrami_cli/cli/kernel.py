@@ -74,9 +74,8 @@ def command(
         facts = kernel_file(source, target, at, settings, iteration=iteration, whole=whole, job=job)
     messages.say(f"{target}: kernel of the {facts['at']} {_described(facts)}")
     if facts.get("cut_short"):
-        messages.warn(
-            f"{source}: the kernel was cut short at {facts['samples']} samples; lower -t, or raise --max-samples"
-        )
+        remedy = "lower -t, or raise --max-samples"
+        messages.warn(f"{source}: the kernel was cut short at {facts['samples']} samples; {remedy}")
     for when in ("before", "after"):
         colours: Any = facts[when]
         messages.detail(f"{when:>8}: " + ", ".join(f"{name} {value:.4f}" for name, value in colours.items()))
@@ -86,8 +85,7 @@ def _described(facts: dict[str, Any]) -> str:
     """Say of which iteration a kernel is, how large it is, and with which beta."""
     number, iterations = facts["iteration"], facts["iterations"]
     which = f"in iteration {number}" + (f" of {iterations}" if number <= iterations else "")
-    size = (
-        f"{counted(facts['samples'], 'sample')} up to {facts['furthest']:.3g} of {facts['radius']:.3g} away"
-    )
+    reach = f"{facts['furthest']:.3g} of {facts['radius']:.3g}"
+    size = f"{counted(facts['samples'], 'sample')} up to {reach} away"
     beta = f"beta {facts['beta']:.3g}" + (f" ({facts['first_beta']:.3g} in the first)" if number > 1 else "")
     return f"{which}, {size} ({facts['unit_of_length']}), {beta}"

@@ -60,10 +60,8 @@ def parameter_table() -> str:
     """Return a page with all parameters, a table for each record."""
     lines = [_TABLE]
     for record in _SECTIONS:
-        lines += [
-            f"## {record.group}: `{record.__name__}`\n",
-            "| name | option | default | allowed | unit | meaning |",
-        ]
+        lines.append(f"## {record.group}: `{record.__name__}`\n")
+        lines.append("| name | option | default | allowed | unit | meaning |")
         lines.append("| --- | --- | --- | --- | --- | --- |")
         for declared in parameters(record):
             cells = [f"`{declared.name}`", *_cells(declared), declared.unit, declared.help]
@@ -73,7 +71,6 @@ def parameter_table() -> str:
 
 
 def _cells(declared: Parameter) -> tuple[str, str, str]:
-    """Return the option, the default and the range of a parameter."""
     flags = [] if declared.flags is None else [flag for flag in flags_of(declared) if flag.startswith("-")]
     default = "required" if declared.default is REQUIRED else declared.default_in_words
     return (
@@ -86,18 +83,13 @@ def _cells(declared: Parameter) -> tuple[str, str, str]:
 def manual(version: str) -> Iterator[tuple[str, str]]:
     """Yield the names of the manual pages, such as ``beltrami-smooth.1``, and their text for man(7)."""
     top = click.Context(group, info_name="beltrami", **group.context_settings)
-    commands = {name: group.get_command(top, name) for name in COMMANDS}
-    listed = [
-        (f"beltrami-{name}(1)", each.get_short_help_str(300)) for name, each in commands.items() if each
-    ]
-    yield (
-        "beltrami.1",
-        "\n".join([*_page(top, version), ".SH COMMANDS", *_pairs(listed), *_ending("beltrami", commands)]),
-    )
-    for name, command in commands.items():
-        if command is not None:
-            context = click.Context(command, top, name)
-            yield f"beltrami-{name}.1", "\n".join([*_page(context, version), *_ending(name, commands)])
+    known = {name: each for name in COMMANDS if (each := group.get_command(top, name)) is not None}
+    listed = [(f"beltrami-{name}(1)", each.get_short_help_str(300)) for name, each in known.items()]
+    lines = [*_page(top, version), ".SH COMMANDS", *_pairs(listed), *_ending("beltrami")]
+    yield "beltrami.1", "\n".join(lines)
+    for name, command in known.items():
+        context = click.Context(command, top, name)
+        yield f"beltrami-{name}.1", "\n".join([*_page(context, version), *_ending(name)])
 
 
 def _page(context: click.Context, version: str) -> Iterator[str]:
@@ -130,15 +122,14 @@ def _option_groups(context: click.Context) -> dict[str, list[click.Option]]:
     return {DAILY: [each for each in command.get_params(context) if isinstance(each, click.Option)]}
 
 
-def _ending(name: str, commands: dict[str, click.Command | None]) -> Iterator[str]:
-    """Yield the sections that all pages have."""
+def _ending(name: str) -> Iterator[str]:
     yield ".SH EXIT STATUS"
     yield from _pairs(list(_EXIT_STATUS))
     shown = "smooth" if name == "beltrami" else name
     yield from (".SH ENVIRONMENT", ".PP")
     yield _text(_ENVIRONMENT.format(f"BELTRAMI_{shown.upper()}_OPTION", shown))
     yield from (".SH FILES", ".PP", _text(_FILES))
-    others = sorted(({"beltrami"} | {f"beltrami-{each}" for each in commands}) - {name, f"beltrami-{name}"})
+    others = sorted(({"beltrami"} | {f"beltrami-{each}" for each in COMMANDS}) - {name, f"beltrami-{name}"})
     yield from (".SH SEE ALSO", ".PP", ", ".join(f"\\fB{_text(other)}\\fR(1)" for other in others), "")
 
 

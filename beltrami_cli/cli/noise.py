@@ -75,7 +75,6 @@ def command(source: str, target: str, messages: Messages, **values: Any) -> None
 
 
 def _described(noise: NoiseSettings) -> str:
-    """Return what noise was wanted, in words."""
     if noise.kind == "jpeg":
         return f"coded as JPEG of quality {noise.quality}"
     if noise.kind == "camera":

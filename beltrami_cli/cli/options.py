@@ -331,7 +331,6 @@ def _destination(declared: Parameter) -> str:
 
 
 def _help(declared: Parameter) -> str:
-    """Return the help of a parameter, with its default and range."""
     notes = [f"in {declared.unit}"] if declared.unit else []
     if declared.default_in_words:
         notes.append(f"default: {declared.default_in_words}")

@@ -53,6 +53,7 @@ def written(
     carry_out: Callable[[Job], Report],
 ) -> Report:
     """Carry out a job from INPUT to OUTPUT, and put all that it writes in place together; return its report."""
+    from beltrami_cli.formats.document import Written
     from beltrami_cli.jobs.output import FileSet
 
     with (
@@ -67,7 +68,7 @@ def written(
         if preview is not None:
             preview.draw()
         if report_file is not None:
-            _write_report(report_file, report)
+            report_file.write(Written(main=[(json.dumps(asdict(report), indent=2) + "\n").encode()]))
         files.put_in_place()
     return report
 
@@ -110,13 +111,6 @@ def _open_preview(
     return Preview(path, *names, settings, job.access, overwrite=replaced, files=job.files)
 
 
-def _write_report(output: Output, report: Any) -> None:
-    """Write the record of a report as JSON."""
-    from beltrami_cli.formats.document import Written
-
-    output.write(Written(main=[(json.dumps(asdict(report), indent=2) + "\n").encode()]))
-
-
 def show_levelled(messages: Messages, reports: Sequence[LevelReport], name: str) -> None:
     """Say of each slot what was done about exposure steps, and why nothing where nothing was."""
     for each in reports:
@@ -127,9 +121,8 @@ def show_levelled(messages: Messages, reports: Sequence[LevelReport], name: str)
             continue
         how = "gains that fall off over charts, and offsets" if each.tilted else "gains and offsets"
         mean = f", mean change {255 * each.change['mean']:.1f}/255" if each.change else ""
-        messages.say(
-            f"{name}{seams}, median step {255 * each.before:.1f}/255, now {255 * each.after:.1f}/255, by {how}{mean}"
-        )
+        steps = f"median step {255 * each.before:.1f}/255, now {255 * each.after:.1f}/255"
+        messages.say(f"{name}{seams}, {steps}, by {how}{mean}")
         messages.detail(
             f"{each.stepped} of the seams had a step, {each.painted} of all are taken for paint; fits to other seams "
             f"foretell {100 * each.foretold:.0f} % of the steps"

@@ -72,7 +72,5 @@ def command(
     from beltrami_cli.view.render import render_file
 
     with options.job_from(values, sources[0], messages) as job:
-        width, height = render_file(
-            sources, target, settings, overwrite=job.overwrite, progress=job.progress, access=job.access
-        )
+        width, height = render_file(sources, target, settings, job)
     messages.say(f"{target}: {width} x {height} pixels")

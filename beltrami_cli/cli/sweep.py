@@ -108,9 +108,8 @@ def command(
     for trial in done:
         messages.detail(trial.label)
     best = best_of(done)
-    messages.say(
-        f"{target}: {counted(len(done), 'trial')}" + ("" if best is None else f", best {done[best].label}")
-    )
+    shown = "" if best is None else f", best {done[best].label}"
+    messages.say(f"{target}: {counted(len(done), 'trial')}{shown}")
 
 
 def _trials(given: dict[str, Any]) -> tuple[list[tuple[dict[str, float], SmoothSettings]], int]:

@@ -160,9 +160,8 @@ def colour_table(colours: ArrayLike) -> Float32s:
             return np.ascontiguousarray(table, np.float32)
     # Of other integers nobody knows the full scale: a list of 0 to 255 becomes int64.
     if table.dtype not in (np.uint8, np.uint16, np.uint32):
-        raise UsageError(
-            f"colours of type {table.dtype} have no full scale; give uint8, as 0 to 255, or floats, as 0 to 1"
-        )
+        remedy = "give uint8, as 0 to 255, or floats, as 0 to 1"
+        raise UsageError(f"colours of type {table.dtype} have no full scale; {remedy}")
     return np.ascontiguousarray(table / np.iinfo(table.dtype).max, np.float32)
 
 

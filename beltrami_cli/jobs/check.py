@@ -55,9 +55,8 @@ def check_files(
     documents = [open_document(os.fspath(source), access) for source in (before, after)]
     formats = [document.format for document in documents]
     if formats[0] != formats[1]:
-        raise UsageError(
-            f"{documents[0].name} is {formats[0]} and {documents[1].name} is {formats[1]}; give two alike"
-        )
+        kinds = [f"{document.name} is {document.format}" for document in documents]
+        raise UsageError(f"{' and '.join(kinds)}; give two alike")
     old, new = (document.fingerprint() for document in documents)
     found = _between(old.colours, new.colours, _of_colours)
     found += _between(old.images, new.images, lambda one, other: _of_images(one, other, access))

@@ -129,9 +129,8 @@ def make_files(
         written = write_textured(mesh, target_format, stem)
         return dataclasses.replace(written, notices=(*notices, *written.notices))
     if images or (document.slots() and not document.has_vertex_colours()):
-        raise UsageError(
-            f"a .{target_format} file has no textures; end the name of the output in .glb, .gltf, .obj or .ply"
-        )
+        remedy = "end the name of the output in .glb, .gltf, .obj or .ply"
+        raise UsageError(f"a .{target_format} file has no textures; {remedy}")
     contents = document.contents()
     if colours is not None:
         contents = dataclasses.replace(contents, colours=colours)

@@ -67,9 +67,8 @@ def inspect_file(
         many = _too_many_together(document, selection, settings, access)
         for slot, groups in many.items():
             textures.append(_describe_one_by_one(groups, slot, settings))
-            notices.append(
-                f"{slot}: noise and parameters are those of some textures, as memory is small for all."
-            )
+            which = "those of some textures, as memory is small for all"
+            notices.append(f"{slot}: noise and parameters are {which}.")
         rest = tuple(slot for slot in selection.slots if slot not in many)
         for samples in samples_of(document, dataclasses.replace(selection, slots=rest), settings, access):
             if samples.part == "textures":

@@ -117,7 +117,6 @@ def _picture(view: WindowView, radius: float) -> Uint8s:
 
 
 def _frame(panel: Float64s, cell: tuple[int, int], zoom: int) -> None:
-    """Draw the border of a cell, in place."""
     thickness = max(1, zoom // 14)
     square = panel[cell[0] * zoom : (cell[0] + 1) * zoom, cell[1] * zoom : (cell[1] + 1) * zoom]
     inside = square[thickness:-thickness, thickness:-thickness].copy()
@@ -158,9 +157,8 @@ def _probe_of(source: str, settings: SmoothSettings, access: Access, *, whole: b
     selection = select(document, settings)
     require_scale(document, selection)
     if selection.vertices + len(selection.slots) + selection.image > 1:
-        raise UsageError(
-            f"{document.name}: a kernel is of one image; choose --on vertices, or --on texture and one of --slots"
-        )
+        remedy = "choose --on vertices, or --on texture and one of --slots"
+        raise UsageError(f"{document.name}: a kernel is of one image; {remedy}")
     require_memory_for_textures(document, selection.slots, settings.textures, access)
     (samples,) = samples_of(document, selection, settings, access)
     return samples.probe(document, whole=whole)

@@ -90,9 +90,8 @@ def level_file(
     wanted = override(wanted, **{name: value for name, value in overrides.items() if name in own})
     settings = override(settings, **{name: value for name, value in overrides.items() if name not in own})
     if settings.space == "oklab":
-        raise UsageError(
-            "exposures are gains of channels, which the space oklab mixes; choose srgb or linear"
-        )
+        cause = "exposures are gains of channels, which the space oklab mixes"
+        raise UsageError(f"{cause}; choose srgb or linear")
     source, target = os.fspath(source), os.fspath(target)
     painter = Levelling(wanted)
     made = recolour(source, target, settings, painter, job)

@@ -127,7 +127,6 @@ def noise_file(
 
 
 def _noisy(samples: Samples, grains: Grains, settings: NoiseSettings) -> Float32s:
-    """Return colours of samples with noise of any kind."""
     if not grains.colours.size or settings.sigma == 0:
         return grains.colours.copy()
     if settings.kind == "jpeg":

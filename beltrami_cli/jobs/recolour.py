@@ -113,7 +113,6 @@ def _paint(
 def _files(
     document: Document, painted: Sequence[Repainted], kind: OutputFormat, naming: Naming, *, in_place: bool
 ) -> Written:
-    """Return the files of a document with what was painted of it."""
     colours = places = None
     images: dict[tuple[Slot, str], ImageFile] = {}
     for each in painted:

@@ -31,9 +31,8 @@ def sure_amount(text: str) -> float:
     value = amount(text)
     if 0 < value < 1 / 255 and not set(text) & set("/%"):
         number = text.strip()
-        raise ValueError(
-            f"is {number}, which may be of 255 or of full scale; write {number}/255 or {100 * float(number):g}%"
-        )
+        remedy = f"write {number}/255 or {100 * float(number):g}%"
+        raise ValueError(f"is {number}, which may be of 255 or of full scale; {remedy}")
     return value
 
 

@@ -188,9 +188,8 @@ class _System:
         spread = np.r_[np.tile(self._spread[:2], len(channels)), self._spread[2:]]
         drawn = np.square(np.outer(self._tied, 1 / spread)).ravel()
         matrix = (rows.T @ by_weight + diags_array(drawn)).tocsc()
-        factors = splu(
-            matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
-        )
+        symmetric = {"SymmetricMode": True}
+        factors = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=symmetric)
         solved = factors.solve(np.asarray(by_weight.T @ np.concatenate(steps))).reshape(-1, unknowns)
         exposed = solved[:, :own].reshape(-1, len(channels), 2).transpose(1, 0, 2)
         tilts = np.broadcast_to(solved[:, own:], (len(channels), len(solved), count - 2))

@@ -150,9 +150,8 @@ def build_atlas(
     """Lay out the charts of a textured surface, and continue each by `margin` cells over its seams."""
     place_of, first = group_places(surface.positions, surface.space_of)
     wraps = ([_WRAP_CODES[mode] for mode in texture.wrap] for texture in surface.textures)
-    grids = np.array([(*size, *wrap) for size, wrap in zip(sizes, wraps, strict=True)], np.int32).reshape(
-        -1, 4
-    )
+    rows = [(*size, *wrap) for size, wrap in zip(sizes, wraps, strict=True)]
+    grids = np.array(rows, np.int32).reshape(-1, 4)
     try:
         made = build_native_atlas(
             np.ascontiguousarray(surface.positions[first], np.float64),

@@ -185,9 +185,7 @@ class TexturedMesh:
     uv: Float64s
     materials: tuple[Material, ...]
     images: tuple[MeshImage, ...]
-    source: str = (
-        ""  # stem of the file that it comes from, in the place of which the output's stands in names
-    )
+    source: str = ""  # stem of the file that it comes from; in names that of the output stands in its place
     material_of: Int32s | None = None  # (F,): index into `materials`; None: all have the first
     groups: tuple[str, ...] = ("",)  # names of the objects that it consists of; empty: the model's name
     group_of: Int32s | None = None  # (F,): index into `groups`; None: all are in the first

@@ -114,7 +114,6 @@ def _crossings(uv: Float64s, ends: Int32s) -> Float64s:
 
 
 def _with_vertices(surface: TexturedSurface, low: Int32s, high: Int32s, at: Float64s) -> TexturedSurface:
-    """Add vertices between the rows `low` and `high`."""
     start, stop = surface.positions[low], surface.positions[high]
     positions = np.concatenate([surface.positions, start + at[:, None] * (stop - start)])
     space_of = surface.space_of

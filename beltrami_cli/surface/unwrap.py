@@ -105,7 +105,6 @@ def _of_unit_size(positions: Float64s) -> Float64s:
 
 
 def _with_area(positions: Float64s, faces: Int32s) -> NDArray[np.intp]:
-    """Return the triangles that have an area."""
     edges = positions[faces] - positions[np.roll(faces, -1, axis=1)]
     longest = np.square(edges).sum(axis=2).max(axis=1, initial=0)
     distinct = (faces != np.roll(faces, -1, axis=1)).all(axis=1)

@@ -99,7 +99,6 @@ def _packing(xatlas: Any, padding: int, *, resolution: int = 0, texels_per_unit:
 
 
 def _packed(atlas: Any) -> tuple[Float64s, NDArray[np.uint32]]:
-    """Return the places of all vertices in texels, and the faces."""
     _, faces, uv = atlas.get_mesh(0)
     return uv.astype(np.float64) * [atlas.width, atlas.height], faces
 

@@ -98,10 +98,9 @@ def with_fixed_crops(view: Drawable, settings: RenderSettings) -> RenderSettings
     drawn = draw_panels([view], [""], plain)[0].view
     windows = _detail_windows(drawn, settings)
     centres = [((left + right) / 2, (upper + lower) / 2) for left, upper, right, lower in windows]
-    crops = [
-        dataclasses.replace(crop, centre=centre) for crop, centre in zip(settings.crops, centres, strict=True)
-    ]
-    return dataclasses.replace(settings, crops=tuple(crops))
+    pairs = zip(settings.crops, centres, strict=True)
+    crops = tuple(dataclasses.replace(crop, centre=centre) for crop, centre in pairs)
+    return dataclasses.replace(settings, crops=crops)
 
 
 def background_of(settings: RenderSettings, panels: Sequence[Panel]) -> Background:

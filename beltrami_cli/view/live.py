@@ -94,9 +94,8 @@ class Live:
         self._changed, self._is_over, self._previews = threading.Condition(), False, 0
         self._saving = threading.Lock()
         self.files: Mapping[str, tuple[str, bytes]] = self._pack(settings)
-        self._threads = [
-            threading.Thread(target=work, daemon=True) for work in (self._preview_all, self._smooth_all)
-        ]
+        works = self._preview_all, self._smooth_all
+        self._threads = [threading.Thread(target=work, daemon=True) for work in works]
         for thread in self._threads:
             thread.start()
 
@@ -261,9 +260,8 @@ class Live:
         iterations, began = max(1, settings.kernel.iterations), time.perf_counter()
         budget = int(np.clip(_WANTED * self._rates[with_patches] / iterations, _LEAST, _MOST))
         focus = self._layers.in_space(request.focus, request.layer)
-        patches = self._previewers[request.layer].smooth(
-            settings, focus, budget, lambda *_: self._check(page, request)
-        )
+        previewer = self._previewers[request.layer]
+        patches = previewer.smooth(settings, focus, budget, lambda *_: self._check(page, request))
         spent = time.perf_counter() - began
         held = sum(len(patch.rows) for patch in patches)
         rate = held * iterations / max(spent, 1e-3)

@@ -228,9 +228,8 @@ def _smoothed(
     samples.report(flow, flow.run(progress))
     made = samples.repaint(flow.manifold.new_colours())
     colours = painted.colours if made.colours is None else made.colours
-    kept = dataclasses.replace(
-        painted, colours=colours[own], positions=painted.positions[own], faces=_NO_FACES
-    )
+    places = painted.positions[own]
+    kept = dataclasses.replace(painted, colours=colours[own], positions=places, faces=_NO_FACES)
     return Patch(-1, rows, rows, displayed_colours(kept), made.positions)
 
 
@@ -255,13 +254,11 @@ def _nearest(centres: Float64s, focus: Focus) -> Int64s:
 
 
 def _areas(surface: TexturedSurface, texels: Float64s) -> Float64s:
-    """Return how many texels each triangle covers."""
     one, two = (surface.uv[:, k] - surface.uv[:, 0] for k in (1, 2))
     return np.asarray(np.abs(one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0]) / 2 * texels[surface.texture_of])
 
 
 def _used(surface: TexturedSurface, chosen: Int64s) -> TexturedSurface:
-    """Return some triangles of a surface, with their vertices."""
     rows, corners = np.unique(surface.faces[chosen], return_inverse=True)
     return dataclasses.replace(
         surface, positions=surface.positions[rows], faces=corners.reshape(-1, 3).astype(np.int32),

@@ -16,13 +16,13 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from beltrami_cli.errors import ProcessingError, UsageError
-from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access, read_regular
+from beltrami_cli.formats.access import Access, read_regular
 from beltrami_cli.formats.document import Written
 from beltrami_cli.formats.image import format_of_suffix, write_image
 from beltrami_cli.formats.image.picture import new_picture
 from beltrami_cli.formats.image.reading import scratch_file
 from beltrami_cli.formats.image.recognition import is_image
-from beltrami_cli.jobs.job import tracked
+from beltrami_cli.jobs.job import PLAIN_JOB, Job, tracked
 from beltrami_cli.jobs.output import Output, Overwrite
 from beltrami_cli.view.drawing import draw_turns, draw_views
 from beltrami_cli.view.settings import DEFAULT_RENDER, MOST_PIXELS, Crop, RenderSettings
@@ -36,7 +36,6 @@ if TYPE_CHECKING:
     from beltrami_cli.arrays import Uint8s
     from beltrami_cli.jobs.output import FileSet
     from beltrami_cli.samples.settings import SmoothSettings
-    from beltrami_cli.view.drawing import Progress
 
     Frames = Sequence[Uint8s]  # of one size, (H, W, 3), or (H, W, 4) with opacity
 
@@ -54,17 +53,14 @@ def render_file(
     sources: Sequence[str],
     target: str,
     settings: RenderSettings = DEFAULT_RENDER,
-    *,
-    overwrite: bool = False,
-    progress: Progress | None = None,
-    access: Access = EVERYTHING_INSIDE,
+    job: Job = PLAIN_JOB,
 ) -> tuple[int, int]:
     """Draw models, points and images side by side, write the picture, and return its width and height."""
     suffix = _suffix_of(target, settings)
     labels = _labels(sources, settings)
     _check_size(len(sources), settings)
-    output = Output(target, overwrite=overwrite, what="picture", reads=sources)
-    access = output.files.watching(access)
+    output, progress = Output(target, overwrite=job.overwrite, what="picture", reads=sources), job.progress
+    access = output.files.watching(job.access)
     views = [open_view(source, settings, access) for source in tracked(sources, "reading", progress)]
     if settings.turntable > 1 and suffix in ANIMATIONS:
         frames = draw_turns(views, labels, settings, progress)
@@ -152,9 +148,8 @@ def _labels(names: Sequence[str], settings: RenderSettings) -> list[str]:
 def _check_size(files: int, settings: RenderSettings) -> None:
     pixels = files * max(1, settings.turntable) * settings.size[0] * settings.size[1]
     if pixels > MOST_PIXELS:
-        raise UsageError(
-            f"all views have {pixels} pixels together, but at most {MOST_PIXELS} are drawn; lower --size"
-        )
+        cause = f"all views have {pixels} pixels together, but at most {MOST_PIXELS} are drawn"
+        raise UsageError(f"{cause}; lower --size")
 
 
 def _imported(suffix: str) -> Any:

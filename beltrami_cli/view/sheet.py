@@ -184,7 +184,6 @@ def _joined(parts: Sequence[Float64s], gap: int, background: Background, axis: i
 
 
 def _draw_frame(picture: Float64s, thickness: int, number: int) -> None:
-    """Draw the border of a picture inside it, in place."""
     inner = picture[thickness:-thickness, thickness:-thickness].copy()
     picture[..., :3], picture[..., 3] = _FRAMES[number % len(_FRAMES)], 1
     picture[thickness:-thickness, thickness:-thickness] = inner

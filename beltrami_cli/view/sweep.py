@@ -142,15 +142,13 @@ def _check(name: str, trials: int, looks: RenderSettings | None) -> None:
         raise UsageError("INPUT is shown beside each trial, so it must be a file and not a pipe")
     pixels = 0 if looks is None else looks.size[0] * looks.size[1] * (trials + 2)
     if trials > MOST_TRIALS or pixels > MOST_PIXELS:
-        raise UsageError(
-            f"{trials} trials are too many for one sheet of {MOST_TRIALS} views; give fewer values, or lower --size"
-        )
+        cause = f"{trials} trials are too many for one sheet of {MOST_TRIALS} views"
+        raise UsageError(f"{cause}; give fewer values, or lower --size")
 
 
 def _tried(
     document: Document, truth: Document | None, parameters: dict[str, float], settings: SmoothSettings, job: Job
 ) -> tuple[Trial, Document]:  # fmt: skip
-    """Smooth a document once, and measure the result."""
     painter = Smoothing(settings)
     result = recolour_in_memory(document, settings, painter, job)
     found = {} if truth is None else _figures(truth, result, settings, job)
@@ -179,7 +177,6 @@ def _figures(truth: Document, result: Document, settings: SmoothSettings, job: J
 
 
 def _table(trials: Sequence[Trial], kind: FigureFormat | None) -> str:
-    """Return parameters and figures as text."""
     if kind == "json":
         return json.dumps([dataclasses.asdict(trial) for trial in trials], indent=2) + "\n"
     parameters, found = columns_of(trials)

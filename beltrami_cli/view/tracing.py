@@ -135,11 +135,10 @@ class SurfaceView:
                 progress(first - rows.start, rows.stop - rows.start)
             light = image[first:last, columns].reshape(-1, 4)
             # One ray through each pixel at a time, so that sums go over whole blocks.
+            down = y[first * SAMPLES : last * SAMPLES, None]
             rays = [
-                camera.rays(
-                    x[right::SAMPLES], y[first * SAMPLES + down : last * SAMPLES : SAMPLES, None], np.float32
-                )
-                for down, right in np.ndindex(SAMPLES, SAMPLES)
+                camera.rays(x[column::SAMPLES], down[row::SAMPLES], np.float32)
+                for row, column in np.ndindex(SAMPLES, SAMPLES)
             ]
             if self._paint.is_opaque and self._paint.is_linear and not lit:
                 self._look_at_triangles(light, camera, rays, pixel)

@@ -38,7 +38,6 @@ def used_parameters(report: dict[str, Any]) -> str:
 
 
 def _parts(report: dict[str, Any]) -> list[tuple[str, dict[str, Any]]]:
-    """Return the records of what was smoothed, with their names."""
     found = [("vertex colours", report["vertices"]), ("image", report["image"])]
     found += [(f"{done['slot']} textures", done) for done in report["textures"]]
     return [(name, done) for name, done in found if done]
