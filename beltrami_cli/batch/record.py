@@ -139,17 +139,16 @@ def _outcome_in(line: bytes) -> Outcome:
 def _are_hashes(values: object, file: str) -> bool:
     """Return whether values are SHA-256 by name; URLs among the names are below the folder of the file's URL."""
     folder = file.rpartition("/")[0]
+
+    def is_below(url: str) -> bool:  # "::" would chain another URL to it
+        return url.startswith(f"{folder}/") and "::" not in url[len(folder) :]
+
     return isinstance(values, dict) and all(
         isinstance(digest, str)
         and _SHA256.fullmatch(digest)
-        and (not is_url(require_name(name)) or (is_url(file) and _is_below(name, folder)))
+        and (not is_url(require_name(name)) or (is_url(file) and is_below(name)))
         for name, digest in values.items()
     )
-
-
-def _is_below(url: str, folder: str) -> bool:
-    # "::" would chain another URL to it.
-    return url.startswith(f"{folder}/") and "::" not in url[len(folder) :]
 
 
 def _is_report(report: object) -> bool:

@@ -23,17 +23,12 @@ if TYPE_CHECKING:
 class Watcher(Protocol):
     """Shows how a batch goes; a key is the place of an item in it."""
 
-    def started(self, key: int) -> None:
-        """Show that work on a file begins."""
-
-    def advanced(self, key: int, label: str, done: int, total: int) -> None:
-        """Show how much of a file is done."""
-
-    def postponed(self, key: int) -> None:
-        """Show that a file wants more memory than its share, and is tried alone at the end."""
-
-    def finished(self, key: int, attempt: Attempt) -> None:
-        """Show what came of a file."""
+    def started(self, key: int) -> None: ...
+    def advanced(self, key: int, label: str, done: int, total: int) -> None: ...
+    def postponed(
+        self, key: int
+    ) -> None: ...  # it wants more memory than its share, and is tried alone at the end
+    def finished(self, key: int, attempt: Attempt) -> None: ...
 
 
 class Executor(Protocol):
@@ -45,20 +40,12 @@ class Executor(Protocol):
     """Whether items may wait after `start`; then a file begins with its first progress."""
 
     def __enter__(self) -> Executor: ...
-
     def __exit__(self, *error: object) -> None: ...
-
     @property
-    def is_full(self) -> bool:
-        """Whether it takes no more items for now."""
-
+    def is_full(self) -> bool: ...  # so that it takes no more items for now
     @property
-    def is_busy(self) -> bool:
-        """Whether it has any item."""
-
-    def start(self, key: int, item: Item) -> None:
-        """Take an item."""
-
+    def is_busy(self) -> bool: ...  # with any item
+    def start(self, key: int, item: Item) -> None: ...
     def events(self, items: Callable[[int], Item]) -> Iterator[tuple[int, Attempt | tuple[str, int, int]]]:
         """Wait, and give for a key either its progress or its result; `items` gives the item of a key."""
 

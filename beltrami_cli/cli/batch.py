@@ -172,12 +172,9 @@ def command(
 
 
 def _run(
-    jobs: Sequence[Item],
-    report: tuple[str, Overwrite],
-    given: dict[str, Any],
-    executor: Executor | None,
+    jobs: Sequence[Item], report: tuple[str, Overwrite], given: dict[str, Any], executor: Executor | None,
     messages: Messages,
-) -> list[Outcome]:
+) -> list[Outcome]:  # fmt: skip
     """Do the files, and show how far they are; `report` is its path, and whether it may be replaced."""
     from beltrami_cli.batch.record import Record
     from beltrami_cli.batch.run import run_batch

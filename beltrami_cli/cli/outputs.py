@@ -46,12 +46,9 @@ def besides(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def written(
-    values: Mapping[str, Any],
-    ends: tuple[str, str],
-    settings: SmoothSettings,
-    messages: Messages,
+    values: Mapping[str, Any], ends: tuple[str, str], settings: SmoothSettings, messages: Messages,
     carry_out: Callable[[Job], Report],
-) -> Report:
+) -> Report:  # fmt: skip
     """Carry out a job from INPUT to OUTPUT, and put all that it writes in place together; return its report."""
     from beltrami_cli.formats.document import Written
     from beltrami_cli.jobs.output import FileSet

@@ -295,13 +295,9 @@ def smooth_image(
 
 
 def _vertex_samples(
-    painted: PaintedVertices,
-    settings: SmoothSettings,
-    guide: ArrayLike | None,
-    noise: NDArray[np.float32] | None,
-    *,
-    is_cloud: bool,
-) -> VertexSamples:
+    painted: PaintedVertices, settings: SmoothSettings, guide: ArrayLike | None, noise: NDArray[np.float32] | None,
+    *, is_cloud: bool,
+) -> VertexSamples:  # fmt: skip
     """Return the samples of vertices; UsageError if their positions have too many dimensions."""
     dimensions = painted.positions.shape[1]
     if settings.embedding.smooth_geometry and dimensions != 3:

@@ -104,13 +104,9 @@ def _with_colours(document: Document, new: Repainted) -> PaintedVertices:
 
 
 def make_files(
-    document: Document,
-    colours: Float32s | None,
-    images: Mapping[tuple[Slot, str], ImageFile],
-    kind: OutputFormat,
-    naming: Naming,
-    places: MovedVertices | None = None,
-) -> Written:
+    document: Document, colours: Float32s | None, images: Mapping[tuple[Slot, str], ImageFile], kind: OutputFormat,
+    naming: Naming, places: MovedVertices | None = None,
+) -> Written:  # fmt: skip
     """Return the files of a document with other colours and positions; UsageError if textures cannot be converted."""
     target_format = kind.name
     if kind.is_own or kind.suffix is not None:
@@ -185,14 +181,9 @@ class Sidecars:
 
 
 def plan_sidecars(
-    document: Document,
-    selection: Selection,
-    settings: SmoothSettings,
-    kind: OutputFormat,
-    ends: tuple[str, str],
-    output: Output | None,
-    access: Access,
-) -> Sidecars:
+    document: Document, selection: Selection, settings: SmoothSettings, kind: OutputFormat, ends: tuple[str, str],
+    output: Output | None, access: Access,
+) -> Sidecars:  # fmt: skip
     """Plan the files beside the output, from `ends[0]` to `ends[1]`; OutputError if they cannot be written."""
     others: dict[str, None] = {}
     naming = naming_of(document, *ends, output, access, others)
@@ -208,13 +199,9 @@ def plan_sidecars(
 
 
 def naming_of(
-    document: Document,
-    source: str,
-    target: str,
-    output: Output | None,
-    access: Access,
+    document: Document, source: str, target: str, output: Output | None, access: Access,
     others: dict[str, None] | None = None,
-) -> Naming:
+) -> Naming:  # fmt: skip
     """Return how the files beside an output are named; files of something else that are in the way go to `others`."""
     folder = None if output is None else output.folder
     keeps = "-" not in (source, target) and Path(source).resolve() == Path(os.path.realpath(target))
@@ -225,7 +212,9 @@ def naming_of(
         if output is None or folder is None or not os.path.lexists(folder / name):
             return False
         if not output.replaceable:
-            output.replaceable = _references_of(target, access)
+            with suppress(BeltramiError):  # there may be no output yet, or none that names files
+                there = open_document(target, dataclasses.replace(access, note=None))
+                output.replaceable = frozenset(there.references())
         if name in output.replaceable:
             return False
         if others is not None:
@@ -233,13 +222,6 @@ def naming_of(
         return True
 
     return Naming(Path(target).stem, keeps, is_moved(source, target), is_taken)
-
-
-def _references_of(target: str, access: Access) -> frozenset[str]:
-    """Return the files that belong to an output that is there already."""
-    with suppress(BeltramiError):  # there may be none, or none that names files
-        return frozenset(open_document(target, dataclasses.replace(access, note=None)).references())
-    return frozenset()
 
 
 def _names(

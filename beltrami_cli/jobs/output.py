@@ -111,11 +111,6 @@ class Output:
             remove_leftovers(self.folder / name)
         self.files.check()
 
-    def may_replace(self, path: Path) -> bool:
-        """Whether a file of the output may replace one that is there."""
-        own = {self.path, *(self.path.parent / name for name in self.replaceable)}
-        return self.overwrite and path in own
-
     def write(self, written: Written) -> None:
         """Write all files, or, in a set of others, write them aside; OutputError leaves all files as they were."""
         if not self._is_alone:
@@ -273,9 +268,10 @@ class FileSet:
         """Write files of an output aside; OutputError if that fails."""
         from beltrami_cli.surface.large_arrays import leave_memory
 
+        own = {output.path, *(output.path.parent / name for name in output.replaceable)}
         with endings_held() as deliver:
             for path, pieces in files.items():
-                aside = Aside(temporary_beside(path), path, overwrite=output.may_replace(path))
+                aside = Aside(temporary_beside(path), path, overwrite=output.overwrite and path in own)
                 try:
                     make_folder(path.parent, self._cleaning)
                     self._cleaning.callback(aside.temporary.unlink, missing_ok=True)

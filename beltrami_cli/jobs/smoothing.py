@@ -123,14 +123,9 @@ class Smoothing:
 
 
 def make_report(
-    ends: tuple[str, str],
-    target_format: str,
-    settings: SmoothSettings,
-    done: Sequence[Smoothed],
-    stages: dict[str, dict[str, float]],
-    written: list[str],
-    warnings: list[str],
-) -> SmoothReport:
+    ends: tuple[str, str], target_format: str, settings: SmoothSettings, done: Sequence[Smoothed],
+    stages: dict[str, dict[str, float]], written: list[str], warnings: list[str],
+) -> SmoothReport:  # fmt: skip
     """Put together what a job did, from `ends[0]` to `ends[1]`."""
     reports: dict[Part, list[Any]] = {"vertices": [], "textures": [], "image": []}
     for each in _joined(done):

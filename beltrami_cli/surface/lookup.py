@@ -22,12 +22,9 @@ if TYPE_CHECKING:
 
 
 def look_up(
-    image: Float32s,
-    uv: Array,
-    wrap: tuple[Wrap, Wrap],
-    alpha: int | None = None,
+    image: Float32s, uv: Array, wrap: tuple[Wrap, Wrap], alpha: int | None = None,
     precision: type[np.float32] | type[np.float64] = np.float64,
-) -> Array:
+) -> Array:  # fmt: skip
     """Interpolate between the four texels around each place; exact where the four agree."""
     # Places are (u to the right, v down), (0, 0) the upper left corner of the image and (1, 1) the lower
     # right. Where the channel `alpha`, the opacity, is transparent, no colour is taken.
@@ -109,15 +106,9 @@ ROWS = 512
 
 
 def fill_gutter(
-    pixels: Array,
-    covered: Bools,
-    mask: Bools | None,
-    width: int | None,
-    known: Bools | None = None,
-    threads: int = 1,
-    channels: Sequence[int] | None = None,
-    opacity: Float32s | None = None,
-) -> None:
+    pixels: Array, covered: Bools, mask: Bools | None, width: int | None, known: Bools | None = None,
+    threads: int = 1, channels: Sequence[int] | None = None, opacity: Float32s | None = None,
+) -> None:  # fmt: skip
     """Give texels beside charts, in place, the colour of the nearest covered texel."""
     # `mask`: where the source had content; other texels keep theirs. `width`: the largest distance, in
     # texels; None: any. `known`: uncovered texels that have their colours already, from beyond a seam, and

@@ -111,7 +111,6 @@ class Live:
         return has_saved and not any(thread.is_alive() for thread in self._threads)
 
     def events_of(self, page: str) -> Events:
-        """Return what a page is to be told."""
         with self._changed:
             return self._pages.setdefault(page, _Page()).events
 

@@ -46,12 +46,8 @@ class Application(Protocol):
     files: Mapping[str, tuple[str, bytes]]
     """Types and contents by name; "" is the page."""
 
-    def events_of(self, page: str) -> Events:
-        """Return what a page is to be told from now on."""
-
-    def leave(self, page: str) -> None:
-        """Forget a page that was closed."""
-
+    def events_of(self, page: str) -> Events: ...  # what a page is sent from now on
+    def leave(self, page: str) -> None: ...
     def answer(self, name: str, request: dict[str, Any]) -> dict[str, Any]:
         """Do what a page asks for; KeyError if there is no such request, RefusedError if it cannot be done."""
 

@@ -113,14 +113,9 @@ class SurfaceView:
         return other
 
     def draw(
-        self,
-        camera: Camera,
-        size: tuple[int, int],
-        window: Window,
-        *,
-        lit: bool,
-        progress: Callable[[int, int], None] | None = None,
-    ) -> Float32s:
+        self, camera: Camera, size: tuple[int, int], window: Window, *,
+        lit: bool, progress: Callable[[int, int], None] | None = None,
+    ) -> Float32s:  # fmt: skip
         """Draw a window of a view, `size` = (width, height) pixels: linear light times opacity, and opacity."""
         width, height = size
         image = np.zeros((height, width, 4), np.float32)

@@ -48,14 +48,9 @@ class CloudView:
         self._radii = disc_radii(positions)
 
     def draw(
-        self,
-        camera: Camera,
-        size: tuple[int, int],
-        window: Window,
-        *,
-        lit: bool,
-        progress: Callable[[int, int], None] | None = None,
-    ) -> Float32s:
+        self, camera: Camera, size: tuple[int, int], window: Window, *,
+        lit: bool, progress: Callable[[int, int], None] | None = None,
+    ) -> Float32s:  # fmt: skip
         """Draw as `SurfaceView.draw` does; points have no normals, so that no lamp shines on them."""
         width, height = (side * SAMPLES for side in size)
         places, depths = camera.project(self.positions)

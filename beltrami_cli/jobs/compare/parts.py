@@ -187,14 +187,9 @@ def compare_images(
 
 
 def _part_of_image(
-    name: str,
-    kind: Literal["image", "texture"],
-    colours: tuple[Float32s, Float32s],
-    pixels: Int64s,
-    size: tuple[int, ...],
-    weights: Float64s,
-    space: Space,
-) -> ComparedColours:
+    name: str, kind: Literal["image", "texture"], colours: tuple[Float32s, Float32s], pixels: Int64s,
+    size: tuple[int, ...], weights: Float64s, space: Space,
+) -> ComparedColours:  # fmt: skip
     """Return some pixels (row * width + column) of two images of `size` = (rows, columns) as a part."""
     counts = np.zeros((size[0], size[1]), bool)
     counts.reshape(-1)[pixels] = True
