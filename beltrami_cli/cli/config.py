@@ -1,21 +1,213 @@
-"""The command `beltrami config`."""
+"""Values of options from a TOML file: which file it is, what it says for a command, and the command `beltrami config`.
+
+A file that is merely found, and not named, may have come with an archive or a repository of somebody else. So it sets
+parameters of the method and of how results are encoded. What reaches a network, runs code, names files to read or
+write, or lifts a limit on resources comes from the command line, the environment, or a file that the user names.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import json
-from typing import TYPE_CHECKING
+import os
+import stat
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 from click.core import ParameterSource
 
-from beltrami_cli.cli.commands import HelpfulCommand, long_name, variable_in_force
+from beltrami_cli.cli.commands import (
+    HelpfulCommand,
+    long_name,
+    options_by_name,
+    plain,
+    values_for,
+    variable_in_force,
+)
 from beltrami_cli.cli.console import printable
+from beltrami_cli.cli.options import ParameterOption
+from beltrami_cli.errors import InputError, UsageError
+from beltrami_cli.formats.data_text import CONFIGURATION, parse_toml, read_bounded, text_in
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Collection, Iterator, Mapping
 
-    from beltrami_cli.cli.configuration import Configuration
+
+@dataclass(frozen=True)
+class Configuration:
+    """What a file says."""
+
+    path: str | None = None  # None: there is none
+    is_named: bool = False  # by the user; otherwise it was found
+    common: Mapping[str, object] = field(default_factory=dict)  # options for all commands that have them
+    tables: Mapping[str, Mapping[str, object]] = field(default_factory=dict)  # options by command
+
+    def values(
+        self, name: str, command: Callable[[str], click.Command], names: Collection[str], shared: Collection[str]
+    ) -> dict[str, Any]:  # fmt: skip
+        """Return the values of a command's options, as a default map of click; UsageError if one cannot be set.
+
+        For the options in `shared` the table of `smooth` counts as well.
+        """
+        try:
+            for table in set(self.tables) - set(names):
+                raise ValueError(f"there is no command {table}")
+            known = options_by_name(command(name))
+            common = {key: value for key, value in self.common.items() if plain(key) in known}
+            for key in set(self.common) - set(common):
+                if not any(plain(key) in options_by_name(command(each)) for each in names):
+                    raise ValueError(f"{key} is no option of any command")
+            values = values_for(known, common)
+            if shared:
+                theirs = values_for(options_by_name(command("smooth")), self.tables.get("smooth", {}))
+                values |= {key: value for key, value in theirs.items() if key in shared}
+            values |= values_for(known, self.tables.get(name, {}))
+            self._check(command(name), values)
+        except ValueError as error:
+            raise UsageError(f"{self.path}: {error}; see beltrami config --help") from error
+        return values
+
+    def _check(self, command: click.Command, values: Mapping[str, object]) -> None:
+        """Raise ValueError if a value does not fit its option, or may not be set by such a file."""
+        context = click.Context(command)
+        for option in command.params:
+            if option.name not in values:
+                continue
+            if not self.is_named and not may_be_found(option, values[option.name]):
+                raise ValueError(
+                    f"{long_name(option)} may not be set by a file that was only found, since it is no parameter of "
+                    f"the method; give it on the command line, or name the file: --config {self.path}"
+                )
+            try:
+                option.type_cast_value(context, values[option.name])
+            except click.BadParameter as error:
+                raise ValueError(f"{long_name(option)}: {error.message}") from error
+            except UsageError as error:
+                raise ValueError(str(error)) from error
+
+
+def load(named: str | None) -> Configuration:
+    """Read the file that is named, or else the nearest one that is found; see `candidates`."""
+    if named is not None:
+        path = Path(named)
+        try:
+            table = _parsed(path, read_bounded(path, CONFIGURATION))
+        except (OSError, ValueError) as error:
+            raise _unreadable(path, error) from error
+        if table is None:
+            raise InputError(named, "it has no table [tool.beltrami]", "add one, or name another file")
+        return _sorted(named, table, is_named=True)
+    try:
+        here = Path.cwd()
+    except OSError:  # the folder was removed
+        return Configuration()
+    for path in candidates(here):
+        table = _found_table(path)
+        if table is not None:
+            return _sorted(str(path), table, is_named=False)
+    return Configuration()
+
+
+def _found_table(path: Path) -> dict[str, object] | None:
+    """Return what a file says that was found; a warning says if it is not to be trusted."""
+    try:
+        return _parsed(path, read_found(path))
+    except UntrustedError as error:
+        if mentions_us(path):
+            remedy = f"to have it read, name it: --config {path}"
+            click.echo(printable(f"warning: {path} is not read, because {error}; {remedy}"), err=True)
+        return None
+    except (OSError, ValueError) as error:
+        raise _unreadable(path, error) from error
+
+
+def _unreadable(path: Path, error: Exception) -> InputError:
+    return InputError(str(path), f"cannot be read ({error})", "mend it, or leave it out")
+
+
+def _parsed(path: Path, text: str) -> dict[str, object] | None:
+    """Return the table of options in a file; None if it is one of other programs; ValueError if it is no TOML."""
+    tree = parse_toml(text)
+    tool = tree.get("tool", {})
+    if isinstance(tool, dict) and "beltrami" in tool:
+        tree = tool["beltrami"]
+    elif path.name == SHARED_NAME:
+        return None
+    if not isinstance(tree, dict):
+        raise InputError(str(path), "[tool.beltrami] is no table", "see beltrami config --help")
+    return tree
+
+
+def _sorted(path: str, table: Mapping[str, object], *, is_named: bool) -> Configuration:
+    tables = {name: value for name, value in table.items() if isinstance(value, dict)}
+    common = {name: value for name, value in table.items() if name not in tables}
+    return Configuration(path, is_named, common, tables)
+
+
+OWN_NAME, SHARED_NAME = "beltrami.toml", "pyproject.toml"
+
+# The options that are no parameters of a record, but of the method or of encoding. Whatever is not here is refused.
+_HARMLESS = frozenset({
+    "preset", "output_format", "unwrap", "to", "at", "iteration", "whole", "view", "no_labels",
+})  # fmt: skip
+
+
+class UntrustedError(Exception):
+    """A file that others than the user can have written."""
+
+
+def may_be_found(option: click.Parameter, value: object = None) -> bool:
+    """Whether a file that was only found may set an option: not one that names a file or lifts a limit."""
+    if isinstance(option, ParameterOption):
+        return not option.declared.is_deliberate(value)
+    return option.name in _HARMLESS
+
+
+def candidates(here: Path) -> Iterator[Path]:
+    """Give the places of a configuration, nearest first: up to the home folder, a repository's root or a border."""
+    home, device = None, here.stat().st_dev
+    with contextlib.suppress(OSError, RuntimeError):
+        home = Path.home().resolve()
+    for folder in (here, *here.parents):
+        if folder.stat().st_dev != device:
+            return
+        yield from (path for path in (folder / OWN_NAME, folder / SHARED_NAME) if path.is_file())
+        if folder == home or (folder / ".git").exists():
+            return
+
+
+def read_found(path: Path) -> str:
+    """Read a file that only the user or root can have written; UntrustedError otherwise."""
+    # Nobody else can have put a link there either, and what is looked at is what is read.
+    _require_own(path.lstat())
+    descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))
+    with os.fdopen(descriptor, "rb") as file:
+        _require_own(os.fstat(descriptor))
+        return text_in(file, CONFIGURATION)
+
+
+def mentions_us(path: Path) -> bool:
+    """Whether a file that is not read may have been meant for this program."""
+    if path.name == OWN_NAME:
+        return True
+    try:
+        with path.open("rb") as file:
+            return b"beltrami" in file.read(CONFIGURATION)
+    except OSError:
+        return False
+
+
+def _require_own(status: os.stat_result) -> None:
+    if not hasattr(os, "geteuid"):  # Windows, where owners are others
+        return
+    if status.st_uid not in (0, os.geteuid()):
+        raise UntrustedError("it belongs to another user")
+    if not stat.S_ISLNK(status.st_mode) and status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+        raise UntrustedError("others than its owner may write to it (chmod go-w)")
+
 
 EPILOG = """\b
 Examples:
@@ -57,14 +249,15 @@ def command(context: click.Context, name: str | None) -> None:
 
     The output is TOML for beltrami.toml; defaults are comments in it.
     """
-    from beltrami_cli.cli.main import COMMANDS, defaults_from
-
     group = context.parent
-    if group is None or (name is not None and name not in COMMANDS):
-        raise click.UsageError(f"there is no command {name}; there are {', '.join(COMMANDS)}")
+    assert group is not None
+    commands: Any = group.command  # the `LazyGroup`
+    known = commands.list_commands(group)
+    if name is not None and name not in known:
+        raise click.UsageError(f"there is no command {name}; there are {', '.join(known)}")
     configuration: Configuration = group.obj
-    names = list(COMMANDS) if name is None else [name]
-    group.default_map = {each: defaults_from(configuration, each) for each in names}
+    names = known if name is None else [name]
+    group.default_map = {each: commands.defaults_from(configuration, each) for each in names}
     click.echo(f"# {printable(configuration.path or 'no file')} and the environment")
     for each in names:
         lines = list(_lines(group, each, configuration, with_defaults=name is not None))
@@ -75,7 +268,7 @@ def command(context: click.Context, name: str | None) -> None:
 def _lines(
     group: click.Context, name: str, configuration: Configuration, *, with_defaults: bool
 ) -> Iterator[str]:
-    context = _parsed(group, name)
+    context = _all_values(group, name)
     for option in context.command.params:
         if option.name is None or option.is_eager:
             continue
@@ -92,13 +285,11 @@ def _lines(
             yield f"# {assignment}"
 
 
-def _parsed(group: click.Context, name: str) -> click.Context:
+def _all_values(group: click.Context, name: str) -> click.Context:
     """Let click find the values of all options of a command, none of which it must have."""
-    from beltrami_cli.cli.main import group as commands
-
-    found = commands.get_command(group, name)
+    commands: Any = group.command
     optional: list[click.Parameter] = []
-    for parameter in found.params if found is not None else ():
+    for parameter in commands.get_command(group, name).params:
         if isinstance(parameter, click.Option):
             wanted = copy.copy(parameter)
             wanted.required = False

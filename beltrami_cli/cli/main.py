@@ -19,7 +19,7 @@ from beltrami_cli.errors import BeltramiError, InputError
 if TYPE_CHECKING:
     from collections.abc import Collection
 
-    from beltrami_cli.cli.configuration import Configuration
+    from beltrami_cli.cli.config import Configuration
 
 # Each is a module, which is imported only when its command is asked for. The summaries fit a line of 80 columns.
 COMMANDS = {
@@ -48,6 +48,12 @@ class LazyGroup(click.Group):
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(COMMANDS)
+
+    def defaults_from(self, configuration: Configuration, name: str) -> dict[str, Any]:
+        """Return what a configuration says of a command; for each file, a batch obeys the options of `smooth`, too."""
+        if configuration.path is None:
+            return {}
+        return configuration.values(name, _command, COMMANDS, _shared_with_smooth(name))
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         return _command(cmd_name) if cmd_name in COMMANDS else None
@@ -118,19 +124,12 @@ def group(context: click.Context, config_path: str | None) -> None:
     with its neighbours by their geodesic distance there. So noise is averaged away, edges stay, and nothing else in the
     file changes.
     """
-    from beltrami_cli.cli.configuration import load
+    from beltrami_cli.cli.config import load
 
     context.obj = load(config_path)
     name = context.invoked_subcommand
     if name is not None:
-        context.default_map = {name: defaults_from(context.obj, name)}
-
-
-def defaults_from(configuration: Configuration, name: str) -> dict[str, Any]:
-    """Return what a configuration says of a command; for each file, a batch obeys the options of `smooth`, too."""
-    if configuration.path is None:
-        return {}
-    return configuration.values(name, _command, COMMANDS, _shared_with_smooth(name))
+        context.default_map = {name: group.defaults_from(context.obj, name)}
 
 
 def _command(name: str) -> click.Command:

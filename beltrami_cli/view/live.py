@@ -29,12 +29,17 @@ from beltrami_cli.jobs.recolour import recolour_in_memory
 from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.jobs.smoothing import Smoothing, make_report
 from beltrami_cli.samples.selection import select
-from beltrami_cli.view.controls import controls, given_values, plain_settings, settings_from
 from beltrami_cli.view.layers import Layers
 from beltrami_cli.view.pages import LIBRARY, VIEWER_SCRIPTS, asset, viewer
+from beltrami_cli.view.parameters import (
+    controls,
+    given_values,
+    plain_settings,
+    settings_from,
+    used_parameters,
+)
 from beltrami_cli.view.preview import Focus, NoPreviewError, Previewer
 from beltrami_cli.view.server import Events, RefusedError
-from beltrami_cli.view.used_parameters import used_parameters
 from beltrami_cli.view.views import image_files
 
 if TYPE_CHECKING:

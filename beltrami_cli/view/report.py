@@ -33,8 +33,8 @@ from beltrami_cli.view.pages import (
     table,
     viewer,
 )
+from beltrami_cli.view.parameters import used_parameters
 from beltrami_cli.view.sheet import distinct_labels
-from beltrami_cli.view.used_parameters import used_parameters
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -12,8 +12,8 @@ from beltrami_cli.batch.plan import plan
 from beltrami_cli.batch.record import _read as read_outcomes
 from beltrami_cli.batch.record import is_done, is_ours
 from beltrami_cli.cli.batch import _settings
-from beltrami_cli.cli.configuration import load
-from beltrami_cli.cli.main import defaults_from
+from beltrami_cli.cli.config import load
+from beltrami_cli.cli.main import group
 from beltrami_cli.errors import UsageError
 from beltrami_cli.formats.access import Access
 from beltrami_cli.samples.settings import DEFAULTS
@@ -37,7 +37,7 @@ def read_configuration(data: bytes) -> None:
         path.write_bytes(data)
         configuration = load(str(path))
         for command in ("smooth", "batch"):
-            defaults_from(configuration, command)
+            group.defaults_from(configuration, command)
 
 
 def read_manifest(data: bytes) -> None:

@@ -12,8 +12,8 @@ import click
 import pytest
 
 from beltrami_cli.cli.commands import long_name
-from beltrami_cli.cli.configuration import candidates, load, may_be_found
-from beltrami_cli.cli.main import COMMANDS, defaults_from, group
+from beltrami_cli.cli.config import candidates, load, may_be_found
+from beltrami_cli.cli.main import COMMANDS, group
 from beltrami_cli.errors import UsageError
 from cli.commands import SAMPLES, beltrami
 from hostile.folders import snapshot
@@ -60,7 +60,7 @@ def test_every_option_that_is_not_listed_is_refused_in_a_line_that_names_the_way
         value = "true" if option.is_flag else '"x"'
         path.write_text(f"{table.format(name)}{long_name(option)} = {value}\n")
         with pytest.raises(UsageError) as refused:
-            defaults_from(load(None), name)
+            group.defaults_from(load(None), name)
         reported = str(refused.value)
         assert all(word in reported for word in (str(path), long_name(option), "--config"))
         assert "\n" not in reported
@@ -81,11 +81,11 @@ def test_noise_may_be_a_number_but_no_file(tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.chdir(tmp_path)
     for text in ('"12"', '"attribute:error"'):
         (tmp_path / "beltrami.toml").write_text(f"noise = {text}\n")
-        assert defaults_from(load(None), "smooth")["noise"] == text.strip('"')
+        assert group.defaults_from(load(None), "smooth")["noise"] == text.strip('"')
     for text in ('"sigma.exr"', '"frame:/dev/dark.png"'):
         (tmp_path / "beltrami.toml").write_text(f"noise = {text}\n")
         with pytest.raises(UsageError, match="--config"):
-            defaults_from(load(None), "smooth")
+            group.defaults_from(load(None), "smooth")
 
 
 def test_no_scheduler_is_connected_to(tmp_path: Path) -> None:
