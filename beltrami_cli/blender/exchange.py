@@ -169,15 +169,15 @@ def _shown_image(material):
     if not nodes:
         return None
     active = material.node_tree.nodes.active
-    base = [node for node in nodes if any(_is_base(link) for link in node.outputs["Color"].links)]
+    base = [
+        node
+        for node in nodes
+        if "Base Color" in [link.to_socket.name for link in node.outputs["Color"].links]
+    ]
     node = active if active in nodes else next(iter(base), nodes[0])
     sources = [link.from_node for link in node.inputs["Vector"].links]
     layer = next((source.uv_map for source in sources if source.type == "UVMAP"), "")
     return node.image, layer
-
-
-def _is_base(link):
-    return link.to_socket.name == "Base Color"
 
 
 def _coordinates(mesh, layer):
@@ -208,13 +208,6 @@ def set_pixels(image, pixels):
         image.pack()
 
 
-def _scratch(width, height, *, is_float):
-    """Return an image whose values are written as they are."""
-    made = bpy.data.images.new("beltrami", width, height, alpha=True, float_buffer=is_float)
-    _take_as_they_are(made)
-    return made
-
-
 def _take_as_they_are(image):
     image.colorspace_settings.name = "Non-Color"
     image.alpha_mode = "CHANNEL_PACKED"
@@ -224,7 +217,8 @@ def _save(pixels, path, form, *, is_float):
     height, width, channels = pixels.shape
     filled = np.ones((height, width, 4), np.float32)
     filled[..., :channels] = pixels
-    made = _scratch(width, height, is_float=is_float)
+    made = bpy.data.images.new("beltrami", width, height, alpha=True, float_buffer=is_float)
+    _take_as_they_are(made)
     try:
         made.pixels.foreach_set(filled.ravel())
         made.filepath_raw, made.file_format = str(path), form

@@ -28,11 +28,6 @@ def _property(declared):
     return bpy.props.FloatProperty(default=value, min=low, max=high, precision=3, **words)
 
 
-def _toggle(declared):
-    text = f"{declared['help']} Otherwise: {declared['unset'] or 'not given'}"
-    return bpy.props.BoolProperty(name=declared["label"], description=text)
-
-
 def is_optional(declared):
     """Whether a number counts only where its box is ticked; otherwise the program finds it."""
     return declared["kind"] in ("int", "float") and (declared["default"] is None or bool(declared["unset"]))
@@ -43,7 +38,9 @@ def _annotations():
     for declared in DECLARED["parameters"]:
         found[declared["name"]] = _property(declared)
         if is_optional(declared):
-            found[f"gives_{declared['name']}"] = _toggle(declared)
+            text = f"{declared['help']} Otherwise: {declared['unset'] or 'not given'}"
+            toggle = bpy.props.BoolProperty(name=declared["label"], description=text)
+            found[f"gives_{declared['name']}"] = toggle
     return found
 
 

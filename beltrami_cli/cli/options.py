@@ -326,8 +326,7 @@ def _destination(declared: Parameter) -> str:
     if declared.flags is None:
         return ""
     named = [flag for flag in flags_of(declared) if flag.isidentifier()]
-    longest = flags_of(declared)[-1].partition("/")[0]
-    return named[0] if named else longest.lstrip("-").replace("-", "_")
+    return named[0] if named else flags_of(declared)[-1].partition("/")[0].lstrip("-").replace("-", "_")
 
 
 def _help(declared: Parameter) -> str:

@@ -105,8 +105,7 @@ def _colours_from_textures(document: Document) -> tuple[MeshContents, tuple[str,
     place = group_places(surface.positions, surface.space_of)[0][corners]
     uv = np.where(textured[:, None], surface.uv.reshape(-1, 2), 0.0)
     side, _ = group_equal_rows(place, np.repeat(surface.texture_of, 3), *uv.T)
-    jumps = _spread(values, place, textured) > _ALIKE + _SIGMAS * noise
-    split = jumps.any(axis=1)[place]
+    split = (_spread(values, place, textured) > _ALIKE + _SIGMAS * noise).any(axis=1)[place]
     first, vertex_of = distinct_corners(place, np.where(split, side, -1))
     colours = _mean(values, vertex_of, textured, len(first))
     contents = MeshContents(

@@ -37,8 +37,7 @@ def write_blender_extension(target: str, *, overwrite: bool) -> int:
             if source.is_file():
                 name = _FILES.get(source.name, source.name)
                 archive.writestr(zipfile.ZipInfo(name, _SINCE), source.read_bytes())
-        text = json.dumps(about, indent=1)
-        archive.writestr(zipfile.ZipInfo("parameters.json", _SINCE), text)
+        archive.writestr(zipfile.ZipInfo("parameters.json", _SINCE), json.dumps(about, indent=1))
     output.write(Written(main=[buffer.getvalue()]))
     return len(declared)
 

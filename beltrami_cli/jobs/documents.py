@@ -160,8 +160,7 @@ def moved_vertices(document: Document, positions: Float64s) -> MovedVertices:
     moved = np.any(positions != painted.positions, axis=1)
     touched = np.zeros(int(group_of.max(initial=-1)) + 1, bool)
     touched[group_of[painted.faces[moved[painted.faces].any(axis=1)]]] = True
-    kept = ~touched[group_of] | ~normals.any(axis=1)
-    normals[kept] = np.nan
+    normals[~touched[group_of] | ~normals.any(axis=1)] = np.nan
     return MovedVertices(positions, normals)
 
 

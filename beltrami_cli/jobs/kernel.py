@@ -144,8 +144,7 @@ def kernel_file(
         raise UsageError(message)
     location = read_location(at)
     output = Output(target, overwrite=job.overwrite, is_text=suffix == ".csv", what="kernel", reads=[source])
-    access = output.files.watching(job.access)
-    probe = _probe_of(source, settings, access, whole=whole)
+    probe = _probe_of(source, settings, output.files.watching(job.access), whole=whole)
     probed = _kernel(probe, location, iteration - 1, job.progress_of("iterations before"))
     facts = {"input": source, "output": target, **probed.facts}
     output.write(encode(probed, facts, suffix))

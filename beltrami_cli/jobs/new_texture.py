@@ -119,8 +119,7 @@ def texture_from_textures(
         read_image(texture.data if file is None else file.data, texture.name)
         for texture, file in zip(old.textures, new, strict=True)
     ]
-    sizes = np.array([picture.pixels.shape[1::-1] for picture in pictures])
-    texels = texels_of(old, sizes)
+    texels = texels_of(old, np.array([picture.pixels.shape[1::-1] for picture in pictures]))
     made = _unwrapped(document, old.positions, old.faces, old.space_of, texels, wanted, progress)
     channels = 4 if any(picture.alpha is not None for picture in pictures) else 3
     images = [as_rgba(picture) for picture in pictures]

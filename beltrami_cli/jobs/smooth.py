@@ -198,8 +198,7 @@ def _smooth_on_vertices(
     require_surface(document.painted(), document.name)
     if settings.kernel.iterations > 0:
         with watch.stage("smooth"):
-            samples = vertex_samples(document, settings, access)
-            smoothed = [smooth_samples(samples, job)]
+            smoothed = [smooth_samples(vertex_samples(document, settings, access), job)]
     with watch.stage("unwrap"):
         colours = smoothed[0].repainted.colours if smoothed else None
         made = texture_from_vertices(document, wanted, job.progress, colours)

@@ -86,8 +86,7 @@ def steps_over_seams(atlas: Atlas, planes: Float32s, places: ChartPlaces) -> Ste
     refresh_halo(planes, atlas, interpolated=True)
     inner, outer, colours = _both_sides(atlas, planes)
     halo = np.searchsorted(atlas.halo_cells, outer)
-    beyond = atlas.halo_nearest[halo]
-    cells = np.column_stack([inner, beyond]).astype(np.int64)
+    cells = np.column_stack([inner, atlas.halo_nearest[halo]]).astype(np.int64)
     ends = atlas.chart_of[np.searchsorted(atlas.owned_cells, cells)].astype(np.int64)
     columns = atlas.kind.shape[1]
     where = np.stack([places.at(cells[:, side], ends[:, side], columns) for side in (0, 1)], axis=1)
@@ -133,8 +132,7 @@ def _merged(steps: Steps, *blocks: Int64s) -> Steps:
     def mean(values: Float64s) -> Float64s:
         if not len(starts):
             return values
-        total: Float64s = np.add.reduceat(values[order], starts)
-        return total / counts[:, None, None]
+        return np.asarray(np.add.reduceat(values[order], starts) / counts[:, None, None])
 
     first, sides = order[starts], (mean(steps.colours), mean(steps.places))
     return Steps(steps.charts, steps.ends[first], *sides, steps.seams[first], counts, *UNKNOWN)

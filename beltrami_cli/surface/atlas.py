@@ -46,8 +46,7 @@ REACH = len(_EXTRAPOLATION)
 class Atlas:
     """Charts laid out on one canvas of R x C cells."""
 
-    # Shape (R, C): EMPTY, OWNED or HALO. A margin as wide as the halo is EMPTY or HALO on all sides.
-    kind: Uint8s
+    kind: Uint8s  # (R, C): EMPTY, OWNED or HALO. A margin as wide as the halo is EMPTY or HALO on all sides.
     # Shape (4, R, C): squared distance in space, in the surface's own unit, from the cell to its neighbour
     # on the right, below, below right, and below left. Infinite where the neighbour lies outside, and where
     # the surface ends between the two (at an open edge, or between two parts of a chart that only touch in
@@ -61,8 +60,7 @@ class Atlas:
     # Shape (number of textures + 1,): texels of texture i are numbered from its offset, row by row.
     texture_offsets: Int64s
     halo_cells: Indices  # (H,): flat indices of the halo cells, ascending
-    # Shape (H, 4): owned cells (flat indices) from which the halo cell's colour is interpolated.
-    halo_taps: Indices
+    halo_taps: Indices  # (H, 4): owned cells (flat indices) from which the halo cell's colour is interpolated
     halo_weights: Float32s  # (H, 4): their weights, not negative, with the sum 1
     # Shape (H,): the seam over which the cell was reached, or -1 (no seam: the cell stands for a texel
     # owned elsewhere).

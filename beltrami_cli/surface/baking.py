@@ -188,8 +188,7 @@ def _blocks(counts: Int64s) -> Iterator[slice]:
 def _expanded(starts: Int64s, counts: Int64s) -> tuple[Int64s, Int64s]:
     """Return start, start + 1, ... for every row, and which row each number belongs to."""
     owner = np.repeat(np.arange(len(counts)), counts)
-    before = np.cumsum(counts) - counts
-    return starts[owner] + np.arange(len(owner)) - before[owner], owner
+    return starts[owner] + np.arange(len(owner)) - (np.cumsum(counts) - counts)[owner], owner
 
 
 def bake(uv: Float64s, size: tuple[int, int], shade: Shade, channels: int, dtype: DTypeLike) -> Array:
@@ -216,8 +215,7 @@ def bake(uv: Float64s, size: tuple[int, int], shade: Shade, channels: int, dtype
 
 def interpolated(corners: NDArray[np.floating[Any]], faces: Int64s, weights: Float64s) -> Float64s:
     """Interpolate between the corners, shape (F, 3, C), of triangles; exact where all three agree."""
-    # Outside the triangle values go on linearly, but no further beyond those of the corners than these
-    # differ.
+    # Outside the triangle values go on linearly, but no further beyond those of the corners than these differ.
     mine = corners[faces].astype(np.float64)
     first = mine[:, 0]
     steps = mine[:, 1:] - mine[:, :1]

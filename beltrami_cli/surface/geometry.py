@@ -69,9 +69,8 @@ _CANCELLED = 1e-12
 
 def vertex_normals(positions: Float64s, faces: Int32s, group_of: Int32s) -> Float32s:
     """Compute the mean unit normal of the triangles around each vertex; 0 where they cancel out."""
-    # Weights are the angle [1] and the square root of the area, since the normals of slivers are mostly
-    # noise. Vertices with the same number in `group_of` have one normal in common, such as the copies of a
-    # split vertex.
+    # Weights are the angle [1] and the square root of the area, since the normals of slivers are mostly noise. Vertices
+    # with the same number in `group_of` have one normal in common, such as the copies of a split vertex.
     crosses = _double_areas(positions, faces)
     area = np.linalg.norm(crosses, axis=1)
     root = np.sqrt(area)[:, None]
@@ -160,12 +159,11 @@ def _edge_uses(corners: Int64s, count: int) -> tuple[Int64s, Int64s]:
 class TopologyCounts:
     """Counts of the parts of a triangle mesh."""
 
-    edges: int  # distinct edges; those with one triangle; those with more than two
-    boundary_edges: int
-    non_manifold_edges: int
-    # Triangles without area; triangles with the same three vertices as an earlier one.
-    degenerate_faces: int
-    duplicate_faces: int
+    edges: int  # distinct ones
+    boundary_edges: int  # with one triangle
+    non_manifold_edges: int  # with more than two
+    degenerate_faces: int  # triangles without area
+    duplicate_faces: int  # triangles with the same three vertices as an earlier one
     isolated_vertices: int  # vertices in no triangle
 
 
@@ -221,9 +219,8 @@ def local_spacing(count: int, edges: Int32s, lengths: Float64s) -> Float64s:
     return spacing
 
 
-# Squares of lengths are kept in single precision, which ends at 1.2e-38 and 3.4e38: lengths at 1e-19 and
-# 2e19. Texels and the edges of a mesh vary, and kernels reach further; five decades of margin are enough for
-# all of them.
+# Squares of lengths are kept in single precision, which ends at 1.2e-38 and 3.4e38: lengths at 1e-19 and 2e19. Texels
+# and the edges of a mesh vary, and kernels reach further; five decades of margin are enough for all of them.
 _LEAST, _MOST = 1e-14, 1e14
 _ENOUGH_FACES = 100_000  # for a median that is off by a per cent or so
 

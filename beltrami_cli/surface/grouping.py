@@ -25,8 +25,7 @@ if TYPE_CHECKING:
     from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s
     from beltrami_cli.surface.records import PaintedVertices
 
-# Odd constants of the splitmix64 generator (Steele, Lea, Flood 2014): each step is a bijection of 64-bit
-# words.
+# Odd constants of the splitmix64 generator (Steele, Lea, Flood 2014): each step is a bijection of 64-bit words.
 _INCREMENT = np.uint64(0x9E3779B97F4A7C15)
 _MIX_1 = np.uint64(0xBF58476D1CE4E5B9)
 _MIX_2 = np.uint64(0x94D049BB133111EB)
@@ -99,8 +98,7 @@ def mix_bits(word: NDArray[np.uint64]) -> NDArray[np.uint64]:
 class VertexSampling:
     """Which sample each vertex is; ``smoothed[sample_of]`` are vertex colours."""
 
-    # Shape (V,): sample of each vertex. Vertices at one place with one colour are one sample.
-    sample_of: Int32s
+    sample_of: Int32s  # (V,): sample of each vertex. Vertices at one place with one colour are one sample.
     first_vertex: Int32s  # (S,): A vertex of each sample
     # Shape (S,): place of each sample; coincident vertices that differ in colour are samples of one place.
     place_of: Int32s

@@ -65,8 +65,7 @@ class NearColours:
     points: Float64s  # (P, 3): finite places, in the space of the level set
     samples: Array  # (P, C): numbers as stored, as in `GridColours`
     encoding: Encoding = "srgb"  # what the numbers mean
-    # Type in the file where `samples` are already of full scale 1; empty: that of `samples`.
-    stored: str = ""
+    stored: str = ""  # Type in the file where `samples` are already of full scale 1; empty: that of `samples`
 
 
 @dataclass(frozen=True)
@@ -74,10 +73,8 @@ class Volume:
     """A level set sampled on a lattice."""
 
     lattice: Lattice  # where the samples stand
-    # Shape (X, Y, Z): of any integer, floating or boolean type. What is not finite is unknown.
-    values: Array
-    # Shape (X, Y, Z): false where the value is unknown whatever it is; None: nowhere.
-    known: Bools | None = None
+    values: Array  # (X, Y, Z): of any integer, floating or boolean type. What is not finite is unknown.
+    known: Bools | None = None  # (X, Y, Z): false where the value is unknown whatever it is; None: nowhere
     level: float | None = None  # value on the surface, where the file says so
     colours: GridColours | NearColours | None = None  # what paints the surface, where the file says so
 
@@ -137,8 +134,7 @@ def nearest_colours(colours: NearColours, positions: Float64s, voxel: float, thr
     distances, nearest = tree.query(positions, list(range(1, count + 1)), workers=threads)
     nearest = np.minimum(nearest, len(points) - 1)  # beyond all numbers there is none, and its weight is 0
     with np.errstate(over="ignore"):
-        # The least distance keeps the weight of a point at the very place finite, and far above that of all
-        # others.
+        # The least distance keeps the weight of a point at the very place finite, and far above that of all others.
         weights = np.where(distances <= reach, 1 / (distances**2 + (1e-6 * voxel) ** 2), 0.0)
         total = (weights[..., None] * samples[nearest]).sum(axis=1)
     return _mean(total, weights.sum(axis=1))
@@ -181,8 +177,7 @@ def find_crossings(values: Array, level: float, known: Bools | None = None) -> C
             upper = np.take(layers, range(1, layers.shape[axis]), axis)
             cut = np.isfinite(lower) & np.isfinite(upper) & ((lower < 0) != (upper < 0))
             count += int(np.count_nonzero(cut))
-            # Halves, since the difference of two doubles may be none; and not nothing, since there is a
-            # change.
+            # Halves, since the difference of two doubles may be none; and not nothing, since there is a change.
             change = np.maximum(np.abs(upper[cut] / 2 - lower[cut] / 2), np.finfo(float).smallest_subnormal)
             total += float((1 + np.log2(change)).sum())
     exponent = -round(total / count) if count else 0
@@ -209,9 +204,8 @@ def triangulate_level_set(
 
 def _require_memory(crossings: int, shape: tuple[int, ...]) -> None:
     """Raise MemoryError if marching cubes could run out of it: it writes on past an array that it could not enlarge."""
-    # It has arrays of powers of two for vertices (28 bytes) and corners (4 bytes), and copies them. A cell
-    # with k cut edges, each shared by four cells, makes up to 9 k / 7 triangles, and a vertex inside if k
-    # is 7 or more.
+    # It has arrays of powers of two for vertices (28 bytes) and corners (4 bytes), and copies them. A cell with k cut
+    # edges, each shared by four cells, makes up to 9 k / 7 triangles, and a vertex inside if k is 7 or more.
     vertices = 1 << (11 * crossings // 7).bit_length()
     corners = 1 << (16 * crossings).bit_length()
     layers = 2 * 4 * 4 * shape[1] * shape[2]

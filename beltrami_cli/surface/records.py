@@ -22,11 +22,9 @@ class PaintedVertices:
     # Rows are the colour entries of the document in file order, so that new colours can be handed back row
     # by row. Vertices that the format splits are still split here.
 
-    # Shape (V, 3): finite positions in one common space (glTF: world space), in the file's own unit of
-    # length.
+    # Shape (V, 3): finite positions in one common space (glTF: world space), in the file's own unit of length.
     positions: Float64s
-    # Shape (F, 3): triangles as indices of rows, each in [0, V). Quads and n-gons are cut, strips and fans
-    # unrolled.
+    # Shape (F, 3): triangles as indices of rows, each in [0, V). Quads and n-gons are cut, strips and fans unrolled.
     faces: Int32s
     # Shape (V, C): colour channels without alpha; full scale is 1 whatever the stored type is. Float
     # colours may leave [0, 1]; all are finite.
@@ -54,15 +52,13 @@ class MeshContents:
     """A whole coloured mesh, as far as it can be written in another format."""
 
     positions: Float64s  # (V, 3): vertex positions
-    # Shape (K,): the corners of all polygons one after the other, as vertex indices in [0, V).
-    corners: Int32s
+    corners: Int32s  # (K,): the corners of all polygons one after the other, as vertex indices in [0, V)
     offsets: Int64s  # (P + 1,): polygon p has the corners ``corners[offsets[p]:offsets[p + 1]]``
     colours: Float32s  # (V, C): colour channels, full scale 1; C is 1 or 3
     encoding: Encoding  # what the numbers in `colours` mean
     stored: str  # type of the colours in the source, as in `PaintedVertices`
     alpha: Float32s | None = None  # (V,): opacity in [0, 1]
-    # Shape (V, 3): vertex normals, where the source has them per vertex.
-    normals: Float32s | None = None
+    normals: Float32s | None = None  # (V, 3): vertex normals, where the source has them per vertex
     # What the source holds and this record does not ("materials", "animations", ...), for the
     # notice of what the conversion drops.
     left_out: tuple[str, ...] = ()
@@ -103,8 +99,7 @@ class TexturedSurface:
     # Shape (V, 3): finite positions in one common space, in the file's own unit. Vertices that a format
     # splits are still split.
     positions: Float64s
-    # Shape (F, 3): triangles as rows of `positions`; all triangles of the model, textured or not.
-    faces: Int32s
+    faces: Int32s  # (F, 3): triangles as rows of `positions`; all triangles of the model, textured or not
     # Shape (F, 3, 2): texture coordinates of each corner, with texture transforms applied: u to the right,
     # v DOWN, (0, 0) the upper left corner of the image and (1, 1) its lower right corner, whatever the
     # format's own convention. They may leave [0, 1]. Without meaning where `texture_of` is -1.

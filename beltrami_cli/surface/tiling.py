@@ -133,8 +133,7 @@ def _split(surface: TexturedSurface, new_of: Int64s, before: Float64s) -> Textur
     turn = (np.argmax(new_of[faces] >= 0, axis=1)[:, None] + np.arange(3)) % 3
     places = faces[:, None], turn
     corner, uv, row, share = surface.faces[places], surface.uv[places], new_of[places], before[places]
-    following = np.roll(uv, -1, axis=1)
-    between = uv + share[..., None] * (following - uv)
+    between = uv + share[..., None] * (np.roll(uv, -1, axis=1) - uv)
     whole = np.rint(between)
     between = np.where(np.abs(between - whole) < _NEAR, whole, between)
     # Where an edge is not cut, its vertex is the end that makes a triangle of no area, which is left out.

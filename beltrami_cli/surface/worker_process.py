@@ -34,8 +34,7 @@ class Worker:
 @contextmanager
 def working(module: str, job: IO[bytes], arguments: Sequence[str] = ()) -> Iterator[Worker]:
     """Run a module with the file `job` as its standard input, and end it at last."""
-    # Files without a name, which are gone with the last process that has them open; pipes would fill up and
-    # stall.
+    # Files without a name, which are gone with the last process that has them open; pipes would fill up and stall.
     with tempfile.TemporaryFile() as answer, tempfile.TemporaryFile() as said:
         # Without -P a file in the folder where the user happens to be could stand in for a module. In a
         # session of its own the process does not see Ctrl-C, which is for this one.

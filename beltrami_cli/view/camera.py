@@ -77,8 +77,9 @@ class Camera:
 
     def breadth(self, distances: Float64s) -> Float64s:
         """Return the width of the whole view at distances from the origins of rays, in units of the model."""
-        width: Float64s = 2 * self.reach[0] * (np.ones_like(distances) if self.is_orthographic else distances)
-        return width
+        return np.asarray(
+            2 * self.reach[0] * (np.ones_like(distances) if self.is_orthographic else distances)
+        )
 
 
 def orientation(azimuth: float, elevation: float, up: str = "y") -> Float64s:

@@ -94,8 +94,7 @@ def with_fixed_crops(view: Drawable, settings: RenderSettings) -> RenderSettings
     """Return settings whose automatic details are fixed to where there is most to see in one view."""
     if all(crop.centre is not None for crop in settings.crops):
         return settings
-    plain = dataclasses.replace(settings, crops=())
-    drawn = draw_panels([view], [""], plain)[0].view
+    drawn = draw_panels([view], [""], dataclasses.replace(settings, crops=()))[0].view
     windows = _detail_windows(drawn, settings)
     centres = [((left + right) / 2, (upper + lower) / 2) for left, upper, right, lower in windows]
     pairs = zip(settings.crops, centres, strict=True)

@@ -189,8 +189,7 @@ class Previewer:
         assert surface is not None
         assert self._slot is not None
         order = self._around(focus)
-        held = np.cumsum(self._held[order])
-        order = order[: max(1, int(np.searchsorted(held, budget)))]
+        order = order[: max(1, int(np.searchsorted(np.cumsum(self._held[order]), budget)))]
         part = _used(surface, order)
         read = cast("Document", _PartDocument(self._document, self._own, part, self._faces[order]))
         samples = TexelSamples(part, self._slot, settings, (read, self._access))
@@ -249,8 +248,7 @@ def _nearest(centres: Float64s, focus: Focus) -> Int64s:
         beside = np.sqrt(np.maximum(np.einsum("ij,ij->i", offsets, offsets) - along**2, 0))
         near = beside < max(_BESIDE * float(along.max() - along.min()), 1.001 * float(beside.min()))
         middle = centres[near][np.argmin(along[near] + beside[near])]
-    squared = np.einsum("ij,ij->i", centres - middle, centres - middle)
-    return np.asarray(np.argsort(squared), np.int64)
+    return np.asarray(np.argsort(np.einsum("ij,ij->i", centres - middle, centres - middle)), np.int64)
 
 
 def _areas(surface: TexturedSurface, texels: Float64s) -> Float64s:
@@ -281,8 +279,7 @@ def _split(surface: TexturedSurface, texels: Float64s, most: float) -> tuple[Tex
             spaces = np.concatenate([spaces, added.ravel()])
         first, small = len(surface.positions), np.flatnonzero(~large)
         faces = np.concatenate([faces[small], np.repeat(faces[large], 4)])
-        count = 4 * len(uv)
-        new = np.arange(first, first + 3 * count, dtype=np.int32).reshape(-1, 3)
+        new = np.arange(first, first + 12 * len(uv), dtype=np.int32).reshape(-1, 3)
         surface = dataclasses.replace(
             surface,
             positions=np.concatenate([surface.positions, _quarters(corners).reshape(-1, 3)]),

@@ -86,8 +86,7 @@ class PageServer(ThreadingHTTPServer):
 
     def run(self) -> None:
         """Serve until the last page is closed."""
-        serving = threading.Thread(target=self.serve_forever, args=(_BEAT,), daemon=True)
-        serving.start()
+        threading.Thread(target=self.serve_forever, args=(_BEAT,), daemon=True).start()
         try:
             while not self.closing.wait(_BEAT):
                 pass

@@ -209,8 +209,7 @@ class SurfaceView:
     def _colours(
         self, camera: Camera, hits: Hits, directions: Float64s, pixel: float, *, lit: bool
     ) -> Float32s:
-        footprints = (camera.breadth(hits.distances) * pixel) ** 2
-        colours = self._paint(hits.faces, hits.weights, footprints)
+        colours = self._paint(hits.faces, hits.weights, (camera.breadth(hits.distances) * pixel) ** 2)
         if lit:
             colours[:, :3] *= self._light(camera, hits, directions[hits.rays])[:, None]
         return colours
