@@ -27,8 +27,7 @@ if TYPE_CHECKING:
     from beltrami_cli.jobs.smoothing import SmoothReport
     from beltrami_cli.samples.settings import SmoothSettings
 
-    Progress = Callable[[str, int, int], None]
-    """Called with a label, the work done and the work to do."""
+    Progress = Callable[[str, int, int], None]  # a label, the work done and the work to do
 
 Status = Literal["started", "done", "skipped", "failed", "not started"]
 
@@ -41,13 +40,11 @@ class Item:
     target: str
     settings: SmoothSettings
     unwrap: BakeSettings | None = None
-    noise: NoiseSettings | None = None
-    """Noise that is added to the colours, which are not smoothed then."""
-    outside: bool = False
-    """Whether files are followed that the model names beyond its own folder."""
+    noise: NoiseSettings | None = None  # that is added to the colours, which are not smoothed then
+    outside: bool = False  # whether files are followed that the model names beyond its own folder
     overwrite: bool = False
+    # Whether an attempt that was cut off may have written files: those that are there must be the same.
     again: bool = False
-    """Whether an attempt that was cut off may have written files: those that are there must be the same."""
 
     @property
     def parameters(self) -> str:
@@ -67,20 +64,15 @@ class Outcome:
 
     input: str
     output: str
-    status: Status
-    """"skipped": what an earlier run did still holds."""
+    status: Status  # "skipped": what an earlier run did still holds
     parameters_sha256: str = ""
-    time: float = field(default_factory=time.time)
-    """When this was written, in seconds since 1970."""
+    time: float = field(default_factory=time.time)  # when this was written, in seconds since 1970
     seconds: float = 0.0
     error: str = ""
-    exit_code: int = 0
-    """That of `beltrami smooth` for the same file."""
-    read: dict[str, str] = field(default_factory=dict)
-    """SHA-256 of every file that was read, by its name; likewise `written`."""
+    exit_code: int = 0  # that of `beltrami smooth` for the same file
+    read: dict[str, str] = field(default_factory=dict)  # SHA-256 of every file that was read, by its name
     written: dict[str, str] = field(default_factory=dict)
-    report: dict[str, object] | None = None
-    """The report of `beltrami smooth`, or of what was added by `beltrami noise`."""
+    report: dict[str, object] | None = None  # of `beltrami smooth`, or of what `beltrami noise` added
 
 
 @dataclass(frozen=True)

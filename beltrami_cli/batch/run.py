@@ -49,10 +49,8 @@ class Watcher(Protocol):
 class Executor(Protocol):
     """Does items, to be used as a context; what is still in work at its end is given up."""
 
-    threads: int | None
-    """For each file whose settings leave it open; None: as many as there are."""
-    queues: bool
-    """Whether items may wait after `start`; then a file begins with its first progress."""
+    threads: int | None  # for each file whose settings leave it open; None: as many as there are
+    queues: bool  # whether items may wait after `start`; then a file begins with its first progress
 
     def __enter__(self) -> Executor: ...
     def __exit__(self, *error: object) -> None: ...

@@ -29,9 +29,7 @@ The output is a new file: the triangles, and their colours. What else INPUT hold
 @click.option("--to", type=click.Choice(get_args(BakeTo)), required=True, help="Where the colours go.")
 @options.options_of(BakeSettings)
 @options.output_format
-@options.reading
-@options.overwrite
-@options.messages
+@options.writing
 def command(source: str, target: str, to: BakeTo, messages: Messages, **values: Any) -> None:
     """Move the colours of INPUT from its vertices to a texture, or from its textures to the vertices.
 

@@ -120,9 +120,7 @@ _CLUSTER = "Many machines"
 @options.unwrapping
 @_adding_noise
 @options.output_format
-@options.reading
-@options.overwrite
-@options.messages
+@options.writing
 def command(
     inputs: tuple[str, ...],
     out_dir: str,

@@ -98,12 +98,12 @@ def variable_in_force(option: click.Parameter) -> str:
     return next((name for name in names if os.environ.get(name)), "")
 
 
-def blamed_variable(error: click.ClickException) -> str:
-    """Return which variable a bad value comes from, if it comes from one."""
-    if not isinstance(error, click.BadParameter) or error.param is None or error.ctx is None:
+def variable_behind(option: click.Parameter | None, context: click.Context | None) -> str:
+    """Return which variable the value of an option comes from, if it comes from one."""
+    if option is None or context is None:
         return ""
-    source = error.ctx.get_parameter_source(str(error.param.name))
-    return variable_in_force(error.param) if source is ParameterSource.ENVIRONMENT else ""
+    source = context.get_parameter_source(str(option.name))
+    return variable_in_force(option) if source is ParameterSource.ENVIRONMENT else ""
 
 
 _FEW = 12  # up to this many options are shown at once

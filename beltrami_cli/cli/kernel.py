@@ -56,9 +56,7 @@ _OF_WRITING = (
 @click.option("--whole", is_flag=True, help="Write the whole mesh, and not only what lies around the kernel.")
 @options.options_of(SmoothSettings, without=_OF_WRITING)
 @options.preset
-@options.reading
-@options.overwrite
-@options.messages
+@options.writing
 def command(
     source: str, target: str, at: str, iteration: int, whole: bool, messages: Messages, **smoothing: Any
 ) -> None:

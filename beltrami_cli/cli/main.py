@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
-from beltrami_cli.cli.commands import blamed_variable, spelled, with_variables
+from beltrami_cli.cli.commands import spelled, variable_behind, with_variables
 from beltrami_cli.cli.console import Interruption, Listener, prepare_streams, printable
 from beltrami_cli.errors import BeltramiError, InputError
 
@@ -170,7 +170,7 @@ def _run() -> int:
         error.show(shown)
         for line in shown.getvalue().splitlines():
             click.echo(printable(line), err=True)
-        if variable := blamed_variable(error):
+        if isinstance(error, click.BadParameter) and (variable := variable_behind(error.param, error.ctx)):
             click.echo(f"The value is from the environment: {variable}", err=True)
         return error.exit_code
     except BeltramiError as error:

@@ -47,9 +47,7 @@ What needs no --sigma:
 @options.options_of(NoiseSettings)
 @options.options_of(SmoothSettings, only=(*options.COLOURS, *options.ENCODING), changed=options.UNMIXED)
 @options.output_format
-@options.reading
-@options.overwrite
-@options.messages
+@options.writing
 def command(source: str, target: str, messages: Messages, **values: Any) -> None:
     """Add noise to the colours of INPUT, and write OUTPUT with nothing else changed: for tests and demonstrations.
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 from click.core import ParameterSource
 
-from beltrami_cli.cli.commands import GroupedOption, variable_in_force
+from beltrami_cli.cli.commands import GroupedOption, variable_behind
 from beltrami_cli.cli.console import Messages
 from beltrami_cli.errors import UsageError
 from beltrami_cli.fields import REQUIRED, Parameter, parameters, parts
@@ -62,7 +62,9 @@ class _Value(click.ParamType):  # type: ignore[type-arg]  # generic only in newe
             made = kind.convert(value, param, ctx)
             declared.check((made,) if declared.repeatable else made)
         except UsageError as error:
-            raise UsageError(f"{error}{_origin(param, ctx)}") from None
+            variable = variable_behind(param, ctx)
+            origin = f" (from the environment: {variable})" if variable else ""
+            raise UsageError(f"{error}{origin}") from None
         return made
 
 
@@ -301,6 +303,11 @@ def messages(command: Callable[..., Any]) -> Callable[..., Any]:
     return quiet(verbose(with_messages))
 
 
+def writing(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add the options of what is read and replaced, which `job_from` takes, and of what is printed, as `messages`."""
+    return reading(overwrite(messages(command)))
+
+
 def reading(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add all options that `reading_from` takes."""
     return allow_outside(max_memory(command))
@@ -336,12 +343,3 @@ def _help(declared: Parameter) -> str:
     if declared.kind in (int, float) and (declared.low, declared.high) != (None, None):
         notes.append(declared.range)
     return f"{declared.help}  [{'; '.join(notes)}]" if notes else declared.help
-
-
-def _origin(option: click.Parameter | None, context: click.Context | None) -> str:
-    """Return where a wrong value comes from, unless it is the command line."""
-    if option is None or context is None or option.name is None:
-        return ""
-    if context.get_parameter_source(option.name) is not ParameterSource.ENVIRONMENT:
-        return ""
-    return f" (from the environment: {variable_in_force(option)})"

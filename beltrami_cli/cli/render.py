@@ -55,9 +55,7 @@ def render_settings_from(values: Mapping[str, Any], **made: Any) -> RenderSettin
 @view
 @options.options_of(RenderSettings)
 @click.option("--no-labels", is_flag=True, help="No words in the picture.")
-@options.reading
-@options.overwrite
-@options.messages
+@options.writing
 def command(
     sources: tuple[str, ...], target: str, no_labels: bool, messages: Messages, **values: Any
 ) -> None:

@@ -34,9 +34,7 @@ network. The models are drawn with WebGL by three.js (MIT licence, in the packag
     help="Also show the parameters, from what `beltrami smooth --report` wrote.",
 )  # fmt: skip
 @options.options_of(SmoothSettings, only=("on", "slots", "space"), changed=options.COMPARED)
-@options.reading
-@options.overwrite
-@options.messages
+@options.writing
 def command(
     before: str, after: str, target: str, parameters: str | None, messages: Messages, **values: Any
 ) -> None:

@@ -80,9 +80,7 @@ def _sweeping(command: Callable[..., Any]) -> Callable[..., Any]:
 @options.preset
 @view
 @options.options_of(RenderSettings, without=_NOT_LOOKS)
-@options.reading
-@options.overwrite
-@options.messages
+@options.writing
 def command(
     source: str,
     target: str,

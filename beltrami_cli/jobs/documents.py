@@ -14,19 +14,10 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 
 from beltrami_cli.errors import BeltramiError, UsageError
+from beltrami_cli.formats import registry
 from beltrami_cli.formats.access import read_regular, read_source
 from beltrami_cli.formats.document import Naming
 from beltrami_cli.formats.image.recognition import suffix_for
-from beltrami_cli.formats.registry import (
-    document_of,
-    held_images,
-    kind_of,
-    open_document,
-    sidecar_names,
-    textured_sidecars,
-    write_contents,
-    write_textured,
-)
 from beltrami_cli.formats.textured_mesh import as_if_with_suffixes, with_images, with_suffixes
 from beltrami_cli.surface.geometry import vertex_normals
 from beltrami_cli.surface.grouping import group_equal_rows
@@ -53,7 +44,7 @@ def open_input(source: str, settings: SmoothSettings, access: Access) -> Documen
 def document_from(data: bytes, source: str, settings: SmoothSettings, access: Access) -> Document:
     """Open a source whose bytes have been read already; see `open_input`."""
     name, folder = ("<stdin>", None) if source == "-" else (source, Path(source).parent)
-    kind = kind_of(data, name)
+    kind = registry.kind_of(data, name)
     if kind == "volume":
         from beltrami_cli.samples.voxels import LevelSetDocument
 
@@ -64,7 +55,7 @@ def document_from(data: bytes, source: str, settings: SmoothSettings, access: Ac
         from beltrami_cli.formats.image import ImageDocument
 
         return ImageDocument(data, name, folder, access)
-    return document_of(data, source, access)
+    return registry.document_of(data, source, access)
 
 
 def with_painted(document: Document, painted: Sequence[Repainted]) -> Document:
@@ -120,9 +111,9 @@ def make_files(
                 f"give the output the extension .{document.format}"
             )
         mesh = with_images(document.textured_mesh(colours), images)
-        mesh, notices = with_suffixes(mesh, held_images(target_format) or ())
-        stem = naming.free_stem(lambda stem: textured_sidecars(mesh, target_format, stem))
-        written = write_textured(mesh, target_format, stem)
+        mesh, notices = with_suffixes(mesh, registry.held_images(target_format) or ())
+        stem = naming.free_stem(lambda stem: registry.textured_sidecars(mesh, target_format, stem))
+        written = registry.write_textured(mesh, target_format, stem)
         return dataclasses.replace(written, notices=(*notices, *written.notices))
     if images or (document.slots() and not document.has_vertex_colours()):
         remedy = "end the name of the output in .glb, .gltf, .obj or .ply"
@@ -135,15 +126,15 @@ def make_files(
         if normals is not None and places.normals is not None:
             normals = np.where(np.isnan(places.normals), normals, places.normals)
         contents = dataclasses.replace(contents, positions=places.positions, normals=normals)
-    stem = naming.free_stem(lambda stem: sidecar_names(target_format, stem, None))
-    return write_contents(contents, target_format, stem)
+    stem = naming.free_stem(lambda stem: registry.sidecar_names(target_format, stem, None))
+    return registry.write_contents(contents, target_format, stem)
 
 
 def is_converted_with_textures(document: Document, kind: OutputFormat) -> bool:
     """Whether a document is written anew, as another format that can hold its textures."""
-    if kind.is_own or kind.suffix is not None or held_images(kind.name) is None or not document.slots():
+    if kind.is_own or kind.suffix is not None or kind.name in document.forms:
         return False
-    return kind.name not in document.forms
+    return registry.held_images(kind.name) is not None and bool(document.slots())
 
 
 def moved_vertices(document: Document, positions: Float64s) -> MovedVertices:
@@ -212,7 +203,7 @@ def naming_of(
             return False
         if not output.replaceable:
             with suppress(BeltramiError):  # there may be no output yet, or none that names files
-                there = open_document(target, dataclasses.replace(access, note=None))
+                there = registry.open_document(target, dataclasses.replace(access, note=None))
                 output.replaceable = frozenset(there.references())
         if name in output.replaceable:
             return False
@@ -240,10 +231,10 @@ def _names(
         for texture in choose_textures(document.textured(slot), settings.textures).textures
     }
     if is_converted_with_textures(document, kind):
-        held = held_images(kind.name) or ()
+        held = registry.held_images(kind.name) or ()
         mesh = as_if_with_suffixes(with_images(document.textured_mesh(), images), held)
-        stem = naming.free_stem(lambda stem: textured_sidecars(mesh, kind.name, stem))
-        return textured_sidecars(mesh, kind.name, stem)
+        stem = naming.free_stem(lambda stem: registry.textured_sidecars(mesh, kind.name, stem))
+        return registry.textured_sidecars(mesh, kind.name, stem)
     written = make_files(document, None, images, kind, naming)
     return [*written.sidecars, *written.copies]
 

@@ -17,19 +17,7 @@ from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Literal
 
 from beltrami_cli.errors import OutputError
-from beltrami_cli.jobs.replacing import (
-    Aside,
-    check_writable,
-    endings_held,
-    folders_locked,
-    is_special,
-    make_folder,
-    place_of,
-    put_together,
-    remove_leftovers,
-    temporary_beside,
-    write_aside,
-)
+from beltrami_cli.jobs import replacing
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -67,7 +55,7 @@ class Output:
         self.is_stdout = target == "-"
         # A link is followed, so that what it points to is replaced and the link stays.
         self.path = Path(os.path.realpath(target))
-        self.is_device = not self.is_stdout and is_special(self.path)
+        self.is_device = not self.is_stdout and replacing.is_special(self.path)
         self._sidecars: tuple[str, ...] = ()
         self.replaceable: frozenset[str] = frozenset()  # files beside an old OUTPUT, which belong to it
         self._is_alone = files is None
@@ -108,7 +96,7 @@ class Output:
             if path.is_absolute() or ".." in path.parts:
                 raise OutputError(name, "would be written outside the output's folder")
             self._check_file(self.folder / name)
-            remove_leftovers(self.folder / name)
+            replacing.remove_leftovers(self.folder / name)
         self.files.check()
 
     def write(self, written: Written) -> None:
@@ -177,8 +165,8 @@ class Output:
                 raise OutputError(self.target, f"the folder {folder} does not exist", "make it first")
             if not self.path.parent.is_dir():
                 raise OutputError(self.target, f"{folder} is no folder", "choose another place")
-            check_writable(self.path)
-            remove_leftovers(self.path)
+            replacing.check_writable(self.path)
+            replacing.remove_leftovers(self.path)
         except OSError as error:
             cause = f"the folder {folder} cannot be written to ({error.strerror})"
             raise OutputError(self.target, cause, "choose another folder") from error
@@ -196,7 +184,7 @@ class Output:
 class _Staged:
     """A file that is written aside, the output that it belongs to, and the name that the user knows it by."""
 
-    aside: Aside
+    aside: replacing.Aside
     output: Output
     name: str
 
@@ -208,7 +196,7 @@ class FileSet:
 
     def __init__(self, reads: Iterable[str] = ()) -> None:
         self._outputs: list[Output] = []
-        self._reads = {place_of(Path(name)) for name in reads if name != "-"}
+        self._reads = {replacing.place_of(Path(name)) for name in reads if name != "-"}
         self._guarded: set[str] = set()
         self._staged: dict[Path, _Staged] = {}
         self._streams: list[Callable[[], None]] = []
@@ -218,7 +206,7 @@ class FileSet:
         return self
 
     def __exit__(self, *error: object) -> None:
-        with endings_held():
+        with replacing.endings_held():
             self._cleaning.close()
         self._staged.clear()
         self._streams.clear()
@@ -230,7 +218,7 @@ class FileSet:
 
     def guard(self, names: Iterable[str]) -> None:
         """Let nothing replace these files, such as guides."""
-        self._guarded |= {place_of(Path(name)) for name in names}
+        self._guarded |= {replacing.place_of(Path(name)) for name in names}
         self.check()
 
     def watching(self, access: Access) -> Access:
@@ -239,7 +227,7 @@ class FileSet:
         def note(path: Path, data: bytes) -> None:
             if access.note is not None:
                 access.note(path, data)
-            self._reads.add(place_of(path))
+            self._reads.add(replacing.place_of(path))
             self.check()
 
         return dataclasses.replace(access, note=note)
@@ -257,7 +245,7 @@ class FileSet:
         taken: dict[str, str] = {}
         for output in sorted(self._outputs, key=lambda each: not each.is_result):
             for name, path in output.paths():
-                place = place_of(path)
+                place = replacing.place_of(path)
                 if place in taken:
                     raise _collision(output, name, taken[place])
                 if place in self._guarded or (place in self._reads and not output.is_result):
@@ -269,13 +257,14 @@ class FileSet:
         from beltrami_cli.surface.large_arrays import leave_memory
 
         own = {output.path, *(output.path.parent / name for name in output.replaceable)}
-        with endings_held() as deliver:
+        with replacing.endings_held() as deliver:
             for path, pieces in files.items():
-                aside = Aside(temporary_beside(path), path, overwrite=output.overwrite and path in own)
+                temporary, may_replace = replacing.temporary_beside(path), output.overwrite and path in own
+                aside = replacing.Aside(temporary, path, overwrite=may_replace)
                 try:
-                    make_folder(path.parent, self._cleaning)
+                    replacing.make_folder(path.parent, self._cleaning)
                     self._cleaning.callback(aside.temporary.unlink, missing_ok=True)
-                    write_aside(aside, pieces, deliver)
+                    replacing.write_aside(aside, pieces, deliver)
                 except OSError as error:
                     raise _unwritable(output.target, error) from error
                 leave_memory()
@@ -304,11 +293,11 @@ class FileSet:
         """Give all files their names; OutputError if that fails, and then all is as it was."""
         for write in self._streams:
             write()
-        with endings_held() as deliver:
+        with replacing.endings_held() as deliver:
             staged = sorted(self._staged.values(), key=_rank)
             try:
-                with folders_locked((path.parent for path in self._staged), deliver):
-                    put_together([each.aside for each in staged])
+                with replacing.folders_locked((path.parent for path in self._staged), deliver):
+                    replacing.put_together([each.aside for each in staged])
             except OSError as error:
                 blamed = next((each.name for each in staged if str(each.aside.path) == error.filename), "")
                 if isinstance(error, FileExistsError):

@@ -35,12 +35,8 @@ if TYPE_CHECKING:
 class Painter(Protocol):
     """What gives samples new colours."""
 
-    changes: bool
-    """Whether it changes any colour; if not, the output is the input."""
-
-    colours_only: bool
-    """Whether channels of images that are no colours stay, unless they are named."""
-
+    changes: bool  # whether it changes any colour; if not, the output is the input
+    colours_only: bool  # whether channels of images that are no colours stay, unless they are named
     works_on_disk: bool
     works_in_groups: bool  # see `DiskUse`
 

@@ -117,8 +117,8 @@ class ModelPacker:
             part |= {"kind": "mesh", "index": self._triangles(index)}
         else:
             rows, index = np.flatnonzero(finite), None
-            size = 2 * float(np.median(disc_radii(one.positions[finite]))) / box.size
-            part |= {"kind": "points", "size": size}
+            radius = float(np.median(disc_radii(one.positions[finite])))
+            part |= {"kind": "points", "size": 2 * radius / box.size}
         self.row_of = np.full(len(finite), -1, np.int64)
         self.row_of[rows] = np.arange(len(rows))
         colours = [displayed_colours(each)[rows] for each in (one, other)]

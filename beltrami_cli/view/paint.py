@@ -28,11 +28,8 @@ _UNPAINTED = 0.32  # linear light of a middle grey
 class Paint(Protocol):
     """The colours of a surface."""
 
-    is_opaque: bool
-    """Whether nothing behind the surface can be seen through it."""
-
-    is_linear: bool
-    """Whether colours change steadily across each triangle."""
+    is_opaque: bool  # whether nothing behind the surface can be seen through it
+    is_linear: bool  # whether colours change steadily across each triangle
 
     def __call__(self, faces: Int32s, weights: Float32s, footprints: Float64s) -> Float32s:
         """Return linear red, green, blue and opacity, (K, 4), at points of faces with barycentric weights, (K, 3)."""

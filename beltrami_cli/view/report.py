@@ -21,18 +21,8 @@ from beltrami_cli.jobs.compare.models import EVERYTHING
 from beltrami_cli.jobs.job import PLAIN_JOB, Job, tracked
 from beltrami_cli.jobs.output import Output
 from beltrami_cli.surface.colour_values import colour_by_value
+from beltrami_cli.view import pages
 from beltrami_cli.view.models import ModelPacker
-from beltrami_cli.view.pages import (
-    LIBRARY,
-    PAGES,
-    VIEWER_SCRIPTS,
-    asset,
-    packed_text,
-    page_from,
-    picture_tag,
-    table,
-    viewer,
-)
 from beltrami_cli.view.parameters import used_parameters
 from beltrami_cli.view.sheet import distinct_labels
 
@@ -75,8 +65,8 @@ def report_file(
         raise UsageError("BEFORE and AFTER must be files and not pipes")
     known = names if parameters is None else [*names, parameters]
     output = Output(target, overwrite=job.overwrite, is_text=True, what="page", reads=known)
-    if target != "-" and Path(target).suffix.lower() not in PAGES:
-        raise UsageError(f"{target}: the report is a page; end its name in {' or '.join(PAGES)}")
+    if target != "-" and Path(target).suffix.lower() not in pages.PAGES:
+        raise UsageError(f"{target}: the report is a page; end its name in {' or '.join(pages.PAGES)}")
     access = output.files.watching(job.access)
     job = dataclasses.replace(job, access=access)
     shown = "" if parameters is None else _parameters(parameters, access)
@@ -123,16 +113,16 @@ def _page(
     short, notices = distinct_labels(names), compared.all_notices()
     listed = "".join(f"<li>{html.escape(sentence)}</li>" for sentence in notices)
     maps = "\n".join(seams)
-    return page_from(
+    return pages.page_from(
         "report.html",
-        [*VIEWER_SCRIPTS, "report.js"],
-        {"models": models, "three": packed_text(LIBRARY)},
-        library=LIBRARY,
-        licence=asset("three.LICENSE"),
+        [*pages.VIEWER_SCRIPTS, "report.js"],
+        {"models": models, "three": pages.packed_text(pages.LIBRARY)},
+        library=pages.LIBRARY,
+        licence=pages.asset("three.LICENSE"),
         title=html.escape(f"{short[0]} and {short[1]}"),
         summary=html.escape(f"Before: {names[0]}. After: {names[1]}."),
-        viewer=viewer(),
-        figures=table(_rows(compared), "figures") + (f"\n<ul>{listed}</ul>" if listed else ""),
+        viewer=pages.viewer(),
+        figures=pages.table(_rows(compared), "figures") + (f"\n<ul>{listed}</ul>" if listed else ""),
         histogram=histogram(compared.measured()),
         seams=f"<h2>Seams, by how much they changed</h2>\n{maps}" if maps else "",
         parameters=parameters,
@@ -219,6 +209,6 @@ def seam_map(pair: ComparedColours) -> str:
     np.maximum.at(values, (rows[near], columns[near]), (amount[near] / largest).astype(np.float32))
     shades = np.where(covered[..., None], 0.6, _WHITE) * np.ones((*small, 3))
     drawn = colour_by_value(np.maximum(values, 0), shades.astype(np.float32), values >= 0)
-    tag = picture_tag(np.rint(255 * drawn).astype(np.uint8), f"seams of {pair.name}")
+    tag = pages.picture_tag(np.rint(255 * drawn).astype(np.uint8), f"seams of {pair.name}")
     caption = f"{html.escape(pair.name)}: brightest {255 * largest:.1f}/255"
     return f"<figure>{tag}<figcaption>{caption}</figcaption></figure>"

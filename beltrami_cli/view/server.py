@@ -43,8 +43,7 @@ class RefusedError(Exception):
 class Application(Protocol):
     """What is served."""
 
-    files: Mapping[str, tuple[str, bytes]]
-    """Types and contents by name; "" is the page."""
+    files: Mapping[str, tuple[str, bytes]]  # types and contents by name; "" is the page
 
     def events_of(self, page: str) -> Events: ...  # what a page is sent from now on
     def leave(self, page: str) -> None: ...

@@ -86,14 +86,11 @@ def is_lost_on_white(views: Sequence[Float32s]) -> bool:
 
 def arranged(panels: Sequence[Panel | None], columns: int, background: Background) -> Uint8s:
     """Arrange panels of one size in rows and columns, as sRGB (H, W, 3), or (H, W, 4) without background."""
-    present = [panel for panel in panels if panel is not None]
-    width = present[0].view.shape[1]
-    gap = _gap(width)
-    labelled = any(panel.label for panel in present)
-    pictures = [_drawn(panel, background, labelled=labelled) for panel in present]
-    blank = _blank(pictures[0].shape[0], width, background)
-    remaining = iter(pictures)
-    drawn = [blank if panel is None else next(remaining) for panel in panels]
+    labelled = any(panel.label for panel in panels if panel is not None)
+    pictures = [None if panel is None else _drawn(panel, background, labelled=labelled) for panel in panels]
+    height, width, _ = next(picture.shape for picture in pictures if picture is not None)
+    blank, gap = _blank(height, width, background), _gap(width)
+    drawn = [blank if picture is None else picture for picture in pictures]
     rows = []
     for first in range(0, len(drawn), columns):
         row = drawn[first : first + columns]

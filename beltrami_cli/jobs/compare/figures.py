@@ -95,11 +95,10 @@ class ComparedColours:
         if not errors.size:
             return {}
         at = int(errors.argmax())
-        place: dict[str, object] = {"part": self.name}
         names = ("vertex",) if self.index.ndim == 1 else ("x", "y")
-        place |= dict(zip(names, np.atleast_1d(self.index[at]).tolist(), strict=True))
         return {
-            **place,
+            "part": self.name,
+            **dict(zip(names, np.atleast_1d(self.index[at]).tolist(), strict=True)),
             "error": float(errors[at]),
             "delta_e": None if self.delta_e is None else float(self.delta_e[at]),
             "reference": self.reference[at].tolist(),
@@ -142,11 +141,8 @@ def _delta_e(parts: Sequence[ComparedColours]) -> dict[str, float] | None:
     order = np.argsort(every)
     share = np.cumsum(weights[order]) / weights.sum()
     at = min(int(np.searchsorted(share, 0.95)), len(every) - 1)
-    return {
-        "mean": float(weights @ every / weights.sum()),
-        "p95": float(every[order][at]),
-        "worst": float(every.max()),
-    }
+    mean = float(weights @ every / weights.sum())
+    return {"mean": mean, "p95": float(every[order][at]), "worst": float(every.max())}
 
 
 def _near_seams(parts: Sequence[ComparedColours]) -> dict[str, object] | None:
@@ -167,12 +163,8 @@ def _jumps(jumps: Sequence[SeamJumps]) -> dict[str, object] | None:
     if not reference.size:
         return None
     test = np.concatenate([jump.test for jump in jumps])
-    return {
-        "steps": len(reference),
-        "reference": float(reference.mean()),
-        "test": float(test.mean()),
-        "change": float((test - reference).mean()),
-    }
+    means = {"reference": float(reference.mean()), "test": float(test.mean())}
+    return {"steps": len(reference), **means, "change": float((test - reference).mean())}
 
 
 @dataclass(frozen=True)
