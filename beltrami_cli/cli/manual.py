@@ -102,7 +102,9 @@ def _page(context: click.Context, version: str) -> Iterator[str]:
     yield ".SH DESCRIPTION"
     yield from _blocks(command.help or "")
     yield ".SH OPTIONS"
-    for title, options in _option_groups(context).items():
+    others = [each for each in command.get_params(context) if isinstance(each, click.Option)]
+    groups = command.option_groups(context) if isinstance(command, HelpfulCommand) else {DAILY: others}
+    for title, options in groups.items():
         if title != DAILY:
             yield f'.SS "{_text(title)}"'
         records = [option.get_help_record(context) for option in options]
@@ -113,13 +115,6 @@ def _page(context: click.Context, version: str) -> Iterator[str]:
     if rest.strip():
         yield ".SH NOTES"
         yield from _blocks(rest)
-
-
-def _option_groups(context: click.Context) -> dict[str, list[click.Option]]:
-    command = context.command
-    if isinstance(command, HelpfulCommand):
-        return command.option_groups(context)
-    return {DAILY: [each for each in command.get_params(context) if isinstance(each, click.Option)]}
 
 
 def _ending(name: str) -> Iterator[str]:

@@ -107,7 +107,11 @@ def _show_unchanged(messages: Messages, report: SmoothReport, *, unwrapped: bool
 def _show_result(messages: Messages, report: SmoothReport, *, dry_run: bool) -> None:
     """Say what was done to the colours; in detail also the times, and which parameters were chosen by what."""
     messages.warn_of(report.input, report.warnings)
-    _show_costs(messages, report, dry_run=dry_run)
+    for stage, seconds in report.stages.items():
+        messages.detail(f"{stage:>14}: {seconds['wall']:.2f} s, {seconds['cpu']:.2f} s CPU")
+    if report.peak_memory is not None:
+        show = messages.say if dry_run else messages.detail
+        show(f"{'peak memory':>14}: {show_size(report.peak_memory)}")
     free = cast("list[str]", report.parameters["free"])
     for key in ("iterations", "t", "threshold", "metric_scale", "metric_steps", "space"):
         messages.detail(f"{key:>14}: {'chosen from the data' if key in free else report.parameters[key]}")
@@ -131,14 +135,6 @@ def _show_result(messages: Messages, report: SmoothReport, *, dry_run: bool) -> 
         if slot.counts["jumps"]:
             jumps = f"{slot.counts['jumps']} of {counted(slot.counts['seams'], 'seam')}"
             messages.detail(f"{jumps} are real colour edges and were not smoothed over")
-
-
-def _show_costs(messages: Messages, report: SmoothReport, *, dry_run: bool) -> None:
-    for stage, seconds in report.stages.items():
-        messages.detail(f"{stage:>14}: {seconds['wall']:.2f} s, {seconds['cpu']:.2f} s CPU")
-    if report.peak_memory is not None:
-        show = messages.say if dry_run else messages.detail
-        show(f"{'peak memory':>14}: {show_size(report.peak_memory)}")
 
 
 def _show_done(messages: Messages, what: str, done: Done, samples: float) -> None:

@@ -29,9 +29,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s
-    from beltrami_cli.formats.document import Document, Written
+    from beltrami_cli.formats.document import Document
     from beltrami_cli.formats.image import Picture
-    from beltrami_cli.jobs.job import Progress
     from beltrami_cli.surface.records import Encoding, TexturedSurface
 
 _DEFAULTS = BakeSettings()
@@ -72,7 +71,11 @@ def bake_file(
     stem = naming.free_stem(lambda stem: sidecar_names(kind, stem, image_suffix))
     output.check_sidecars(sidecar_names(kind, stem, image_suffix))
     if to == "texture":
-        written, counts, texture, notices = _to_texture(document, kind, stem, settings, job.progress)
+        made = texture_from_vertices(document, settings, job.progress)
+        counts = {"triangle": len(made.faces), **({} if made.charts is None else {"chart": made.charts})}
+        height, width, _ = made.pixels.shape
+        texture = f"{'an 8-bit' if made.pixels.itemsize == 1 else 'a 16-bit'} texture of {width} x {height}"
+        written, notices = write_textured(made.mesh(made.encoded()), kind, stem), made.notices
     else:
         require_memory_for_textures(document, ("baseColor",), DEFAULTS.textures, access)
         contents, notices = _colours_from_textures(document)
@@ -81,17 +84,6 @@ def bake_file(
     output.write(written)
     warnings = [*document.notices, *notices, *written.notices]
     return BakeReport(source, target, kind, counts, texture, [target, *written.sidecars], warnings)
-
-
-def _to_texture(
-    document: Document, kind: str, stem: str, settings: BakeSettings, progress: Progress | None
-) -> tuple[Written, dict[str, int], str, tuple[str, ...]]:
-    made = texture_from_vertices(document, settings, progress)
-    height, width, _ = made.pixels.shape
-    counts = {"triangle": len(made.faces), **({} if made.charts is None else {"chart": made.charts})}
-    depth = "an 8-bit" if made.pixels.itemsize == 1 else "a 16-bit"
-    written = write_textured(made.mesh(made.encoded()), kind, stem)
-    return written, counts, f"{depth} texture of {width} x {height}", made.notices
 
 
 def _colours_from_textures(document: Document) -> tuple[MeshContents, tuple[str, ...]]:

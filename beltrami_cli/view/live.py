@@ -186,16 +186,15 @@ class Live:
 
     def _preview_all(self) -> None:
         with pictures_kept(image_files(self._document)):
-            while (found := self._next(lambda page: page.previewed < page.number, 0)) is not None:
+            while found := self._next(lambda page: page.previewed < page.number, 0):
                 page, request = found
                 try:
                     self._preview(page, request)
                 except SupersededError:
                     pass
-                except NoPreviewError as error:
-                    page.events.put({"kind": "none", "number": request.number, "reason": str(error)})
-                except Exception:  # the whole, which follows, says what is wrong
-                    reason = "the part in view cannot be smoothed alone"
+                except Exception as error:  # the whole, which follows, says what is wrong
+                    is_known = isinstance(error, NoPreviewError)
+                    reason = str(error) if is_known else "the part in view cannot be smoothed alone"
                     page.events.put({"kind": "none", "number": request.number, "reason": reason})
                 finally:
                     with self._changed:
@@ -205,9 +204,7 @@ class Live:
 
     def _smooth_all(self) -> None:
         with pictures_kept(image_files(self._document)):
-            while (
-                found := self._next(lambda page: page.done < page.number <= page.previewed, _WAIT)
-            ) is not None:
+            while found := self._next(lambda page: page.done < page.number <= page.previewed, _WAIT):
                 page, request = found
                 try:
                     event = self._smooth(page, request)

@@ -148,6 +148,8 @@ def _parts(report: dict[str, Any]) -> list[tuple[str, dict[str, Any]]]:
 def _kernel(requested: dict[str, Any], done: dict[str, Any]) -> Iterator[list[str]]:
     """Give the parameters of the kernel as they were used on a part."""
     defaults, choice = describe_settings(DEFAULTS), done["choice"] or {"chosen": {}, "psnr": None}
+    # What nobody gave if it has its default: what can be chosen is free then.
+    may_be_default = (requested.keys() - set(DEFAULTS.kernel.free)) | set(requested["free"])
     used = {**requested, **choice["chosen"], "beta": done["beta"], "iterations": done["iterations"]}
     for name, value in requested.items():
         if isinstance(value, dict) or name in _NEVER or (name != "iterations" and not done["iterations"]):
@@ -159,15 +161,9 @@ def _kernel(requested: dict[str, Any], done: dict[str, Any]) -> Iterator[list[st
         elif name == "iterations" and name in requested["free"] and not done["iterations"]:
             how = "no more noise than rounding makes"
         else:
-            how = "default" if value == _plain(defaults[name]) and name in _open(requested) else "given"
+            how = "default" if value == _plain(defaults[name]) and name in may_be_default else "given"
         if how != "default" or name in _ALWAYS:
             yield [_WORDS.get(name, name.replace("_", " ")), _in_words(used[name]), how]
-
-
-def _open(requested: dict[str, Any]) -> set[str]:
-    """Return the parameters that nobody gave if they have their defaults: what can be chosen is open then."""
-    tunable = set(DEFAULTS.kernel.free)
-    return (requested.keys() - tunable) | set(requested["free"])
 
 
 def _measured(given: str | None, done: dict[str, Any]) -> Iterator[list[str]]:

@@ -58,7 +58,10 @@ def render_file(
     """Draw models, points and images side by side, write the picture, and return its width and height."""
     suffix = _suffix_of(target, settings)
     labels = _labels(sources, settings)
-    _check_size(len(sources), settings)
+    pixels = len(sources) * max(1, settings.turntable) * settings.size[0] * settings.size[1]
+    if pixels > MOST_PIXELS:
+        cause = f"all views have {pixels} pixels together, but at most {MOST_PIXELS} are drawn"
+        raise UsageError(f"{cause}; lower --size")
     output, progress = Output(target, overwrite=job.overwrite, what="picture", reads=sources), job.progress
     access = output.files.watching(job.access)
     views = [open_view(source, settings, access) for source in tracked(sources, "reading", progress)]
@@ -143,13 +146,6 @@ def _labels(names: Sequence[str], settings: RenderSettings) -> list[str]:
     if labels and len(labels) != len(names):
         raise UsageError(f"there are {len(labels)} labels for {len(names)} files; give one --label for each")
     return list(labels) or [""] * len(names)
-
-
-def _check_size(files: int, settings: RenderSettings) -> None:
-    pixels = files * max(1, settings.turntable) * settings.size[0] * settings.size[1]
-    if pixels > MOST_PIXELS:
-        cause = f"all views have {pixels} pixels together, but at most {MOST_PIXELS} are drawn"
-        raise UsageError(f"{cause}; lower --size")
 
 
 def _imported(suffix: str) -> Any:

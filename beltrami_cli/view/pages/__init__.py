@@ -39,10 +39,10 @@ def page_from(
     hashes = [base64.b64encode(hashlib.sha256(text.encode()).digest()).decode() for text in allowing]
     allowed = " ".join(f"'sha256-{each}'" for each in hashes) or "'none'"
     policy = f"default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'; script-src {allowed}"
-    blocks = [
-        f'<script type="application/json" id="{name}">{script_json(value)}</script>'
-        for name, value in data.items()
-    ]
+    blocks = []
+    for name, value in data.items():
+        json_text = json.dumps(value).replace("<", "\\u003c")  # which can stand in a script element
+        blocks.append(f'<script type="application/json" id="{name}">{json_text}</script>')
     blocks += [f"<script>{text}</script>" for text in texts]
     filled = Template(asset(template)).substitute(
         parts, style=asset("style.css"), policy=policy, scripts="\n".join(blocks)
@@ -87,8 +87,3 @@ def table(rows: Iterable[Sequence[str]], name: str) -> str:
     body = "\n".join(lines)
     frame = f'<div class="wide" role="region" tabindex="0" aria-label="{html.escape(name, quote=True)}">'
     return f"{frame}<table>\n{body}\n</table></div>"
-
-
-def script_json(value: object) -> str:
-    """Return a value as JSON that can stand in a script element."""
-    return json.dumps(value).replace("<", "\\u003c")
