@@ -50,10 +50,7 @@ _MP4_QUALITY = "16"  # constant rate factor of H.264: what cannot be distinguish
 
 
 def render_file(
-    sources: Sequence[str],
-    target: str,
-    settings: RenderSettings = DEFAULT_RENDER,
-    job: Job = PLAIN_JOB,
+    sources: Sequence[str], target: str, settings: RenderSettings = DEFAULT_RENDER, job: Job = PLAIN_JOB
 ) -> tuple[int, int]:
     """Draw models, points and images side by side, write the picture, and return its width and height."""
     suffix = _suffix_of(target, settings)
