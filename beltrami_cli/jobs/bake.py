@@ -10,10 +10,10 @@ import numpy as np
 
 from beltrami_cli.formats.image import read_image
 from beltrami_cli.formats.registry import open_document, sidecar_names, write_contents, write_textured
-from beltrami_cli.jobs.documents import naming_of
 from beltrami_cli.jobs.job import PLAIN_JOB, Job
 from beltrami_cli.jobs.new_texture import as_rgba, texture_from_vertices
 from beltrami_cli.jobs.output import Output
+from beltrami_cli.jobs.recolour import naming_of
 from beltrami_cli.jobs.settings import BakeSettings
 from beltrami_cli.samples.memory_check import require_memory_for_textures
 from beltrami_cli.samples.selection import choose_format

@@ -8,7 +8,7 @@ from collections import Counter
 from typing import TYPE_CHECKING, cast
 
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
-from beltrami_cli.jobs.documents import open_input
+from beltrami_cli.jobs.recolour import open_input
 from beltrami_cli.samples.memory_check import checked_memory, memory_beside
 from beltrami_cli.samples.reports import atlas_counts
 from beltrami_cli.samples.selection import require_scale, samples_of, select, vertex_samples

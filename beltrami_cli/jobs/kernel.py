@@ -17,9 +17,9 @@ import numpy as np
 
 from beltrami_cli.errors import UsageError
 from beltrami_cli.formats.document import Written
-from beltrami_cli.jobs.documents import open_input
 from beltrami_cli.jobs.job import PLAIN_JOB, Job
 from beltrami_cli.jobs.output import Output
+from beltrami_cli.jobs.recolour import open_input
 from beltrami_cli.samples.memory_check import require_memory_for_textures
 from beltrami_cli.samples.probes.probe import MeshView, WindowView, read_location
 from beltrami_cli.samples.selection import require_scale, samples_of, select

@@ -12,9 +12,8 @@ import numpy as np
 from beltrami_cli.errors import UsageError
 from beltrami_cli.fields import override
 from beltrami_cli.formats.registry import sidecar_names, write_textured
-from beltrami_cli.jobs.documents import naming_of, open_input
 from beltrami_cli.jobs.job import PLAIN_JOB, Stopwatch
-from beltrami_cli.jobs.recolour import recolour
+from beltrami_cli.jobs.recolour import naming_of, open_input, recolour
 from beltrami_cli.jobs.smoothing import Smoothed, Smoothing, make_report, smooth_samples
 from beltrami_cli.samples.memory_check import require_memory_for_textures
 from beltrami_cli.samples.selection import Selection, choose_format, require_scale, vertex_samples

@@ -16,8 +16,7 @@ from beltrami_cli.formats.image.picture import full_scale_one, is_associated, su
 from beltrami_cli.samples.samples import Change, channel_numbers, store
 from beltrami_cli.samples.settings import COLOUR_SLOTS
 from beltrami_cli.surface import large_arrays
-from beltrami_cli.surface.atlas import texels_by_texture
-from beltrami_cli.surface.lookup import fill_gutter, within
+from beltrami_cli.surface.atlas import fill_gutter, texels_by_texture, within
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

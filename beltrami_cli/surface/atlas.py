@@ -1,4 +1,4 @@
-"""An atlas as a manifold: the charts of textures, continued over their seams, or one regular image.
+"""An atlas as a manifold: the charts of textures, continued over their seams, or one regular image; and its gutter.
 
 Charts lie on one canvas of R x C cells, so that cells next to each other are neighbours on the surface. A cell is OWNED
 where it is the place of a texel: each covered texel of the textures is one owned cell. It is HALO where it continues a
@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 
 from beltrami_cli._native import build_atlas as build_native_atlas
+from beltrami_cli._native import nearest_marked
 from beltrami_cli.errors import ProcessingError
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.grouping import group_places
@@ -255,3 +256,62 @@ def lines_over_seams(atlas: Atlas, reach: int) -> list[list[Int64s]]:
             fits &= inside & (owned if number < reach else beyond)[np.where(inside, cells, 0)]
         found.append([cells[fits] for cells in line])
     return found
+
+
+# Rows of a texture that are looked at together.
+ROWS = 512
+
+
+def fill_gutter(
+    pixels: Array, covered: Bools, mask: Bools | None, width: int | None, known: Bools | None = None,
+    threads: int = 1, channels: Sequence[int] | None = None, opacity: Float32s | None = None,
+) -> None:  # fmt: skip
+    """Give texels beside charts, in place, the colour of the nearest covered texel."""
+    # `mask`: where the source had content; other texels keep theirs. `width`: the largest distance, in texels; None:
+    # any. `known`: uncovered texels that have their colours already, from beyond a seam, and keep them. `opacity`: what
+    # is multiplied into the colours, which are given that of the texel that they go to; not 0 where covered.
+    reach = sum(covered.shape) if width is None else width
+    for band in large_arrays.blocks(len(covered), max(ROWS, reach)):
+        target = ~covered[band]
+        if known is not None:
+            target &= ~known[band]
+        if mask is not None:
+            target &= mask[band]
+        if not target.any():
+            continue
+        first, last = max(0, band.start - reach), band.stop + reach
+        wanted = np.zeros(covered[first:last].shape, bool)
+        wanted[band.start - first : band.stop - first] = target
+        texels, nearest = nearest_marked(np.ascontiguousarray(covered[first:last]), wanted, reach, threads)
+        table = pixels[first:last].reshape(-1, pixels.shape[2])
+        share = None
+        if opacity is not None:
+            visible = opacity[first:last].reshape(-1)
+            share = visible[texels] / visible[nearest]
+        for channel in range(pixels.shape[2]) if channels is None else channels:
+            found = table[nearest, channel]
+            table[texels, channel] = found if share is None else _scaled(found, share)
+
+
+def _scaled(colours: Array, share: Float32s) -> Array:
+    scaled = colours * share
+    if colours.dtype.kind != "f":
+        scaled = np.minimum(np.rint(scaled), np.iinfo(colours.dtype).max)
+    return scaled.astype(colours.dtype)
+
+
+def within(covered: Bools, reach: int) -> Bools:
+    """Return which cells are at most `reach` rows and columns from a covered one."""
+    near, known = covered, 0
+    while known < reach:
+        # Dilate by shifted copies: the step is the largest that leaves no gap between them.
+        step = min(2 * known + 1, reach - known)
+        for axis in (0, 1):
+            ahead, behind = [slice(None), slice(None)], [slice(None), slice(None)]
+            ahead[axis], behind[axis] = slice(step, None), slice(None, -step)
+            grown = near.copy()
+            grown[*ahead] |= near[*behind]
+            grown[*behind] |= near[*ahead]
+            near = grown
+        known += step
+    return near

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from beltrami_cli.surface.atlas import fill_gutter
 from beltrami_cli.surface.geometry import triangle_areas
 from beltrami_cli.surface.grouping import group_equal_rows, group_places
-from beltrami_cli.surface.lookup import fill_gutter
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence

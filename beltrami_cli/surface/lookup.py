@@ -1,4 +1,4 @@
-"""Textures looked up as a renderer does, and the gutter: texels beside charts that such lookups touch.
+"""Textures looked up as a renderer does, and their noise.
 
 References
 ----------
@@ -11,13 +11,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli._native import nearest_marked
-from beltrami_cli.surface import large_arrays
-
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s
+    from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s
     from beltrami_cli.surface.records import Wrap
 
 
@@ -99,62 +94,3 @@ def _wrapped(index: Int64s, count: int, wrap: Wrap) -> Int64s:
         return index % count
     folded = index % (2 * count)
     return np.minimum(folded, 2 * count - 1 - folded)
-
-
-# Rows of a texture that are looked at together.
-ROWS = 512
-
-
-def fill_gutter(
-    pixels: Array, covered: Bools, mask: Bools | None, width: int | None, known: Bools | None = None,
-    threads: int = 1, channels: Sequence[int] | None = None, opacity: Float32s | None = None,
-) -> None:  # fmt: skip
-    """Give texels beside charts, in place, the colour of the nearest covered texel."""
-    # `mask`: where the source had content; other texels keep theirs. `width`: the largest distance, in texels; None:
-    # any. `known`: uncovered texels that have their colours already, from beyond a seam, and keep them. `opacity`: what
-    # is multiplied into the colours, which are given that of the texel that they go to; not 0 where covered.
-    reach = sum(covered.shape) if width is None else width
-    for band in large_arrays.blocks(len(covered), max(ROWS, reach)):
-        target = ~covered[band]
-        if known is not None:
-            target &= ~known[band]
-        if mask is not None:
-            target &= mask[band]
-        if not target.any():
-            continue
-        first, last = max(0, band.start - reach), band.stop + reach
-        wanted = np.zeros(covered[first:last].shape, bool)
-        wanted[band.start - first : band.stop - first] = target
-        texels, nearest = nearest_marked(np.ascontiguousarray(covered[first:last]), wanted, reach, threads)
-        table = pixels[first:last].reshape(-1, pixels.shape[2])
-        share = None
-        if opacity is not None:
-            visible = opacity[first:last].reshape(-1)
-            share = visible[texels] / visible[nearest]
-        for channel in range(pixels.shape[2]) if channels is None else channels:
-            found = table[nearest, channel]
-            table[texels, channel] = found if share is None else _scaled(found, share)
-
-
-def _scaled(colours: Array, share: Float32s) -> Array:
-    scaled = colours * share
-    if colours.dtype.kind != "f":
-        scaled = np.minimum(np.rint(scaled), np.iinfo(colours.dtype).max)
-    return scaled.astype(colours.dtype)
-
-
-def within(covered: Bools, reach: int) -> Bools:
-    """Return which cells are at most `reach` rows and columns from a covered one."""
-    near, known = covered, 0
-    while known < reach:
-        # Dilate by shifted copies: the step is the largest that leaves no gap between them.
-        step = min(2 * known + 1, reach - known)
-        for axis in (0, 1):
-            ahead, behind = [slice(None), slice(None)], [slice(None), slice(None)]
-            ahead[axis], behind[axis] = slice(step, None), slice(None, -step)
-            grown = near.copy()
-            grown[*ahead] |= near[*behind]
-            grown[*behind] |= near[*ahead]
-            near = grown
-        known += step
-    return near

@@ -9,7 +9,7 @@ import numpy as np
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.image import ImageDocument, Picture, read_image, to_float, without_alpha
 from beltrami_cli.formats.image.picture import full_scale_one, is_associated
-from beltrami_cli.jobs.documents import open_input
+from beltrami_cli.jobs.recolour import open_input
 from beltrami_cli.samples.settings import COLOUR_SLOTS, DEFAULTS, SmoothSettings
 from beltrami_cli.surface.colour_values import srgb_to_linear
 from beltrami_cli.surface.geometry import triangle_areas

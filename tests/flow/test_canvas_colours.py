@@ -5,7 +5,7 @@ import pytest
 from scipy.ndimage import maximum_filter
 
 from beltrami_cli._native import gather_colours, scatter_colours
-from beltrami_cli.surface.lookup import within
+from beltrami_cli.surface.atlas import within
 
 
 @pytest.mark.parametrize("kind", [np.int32, np.int64])

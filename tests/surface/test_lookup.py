@@ -9,8 +9,9 @@ from hypothesis import strategies as st
 from scipy import ndimage
 
 from beltrami_cli import _native
-from beltrami_cli.surface import lookup
-from beltrami_cli.surface.lookup import fill_gutter, look_up, noise_around
+from beltrami_cli.surface import atlas
+from beltrami_cli.surface.atlas import fill_gutter
+from beltrami_cli.surface.lookup import look_up, noise_around
 
 CLAMP = ("clamp", "clamp")
 
@@ -122,5 +123,5 @@ def test_bands_of_rows_give_what_the_whole_gives(width, monkeypatch):
     whole = filled_gutter(pixels, covered, None, width, channels=[0, 2])
     assert np.array_equal(whole[..., 1], pixels[..., 1])
     assert not np.array_equal(whole, pixels)
-    monkeypatch.setattr(lookup, "ROWS", 1)
+    monkeypatch.setattr(atlas, "ROWS", 1)
     assert np.array_equal(filled_gutter(pixels, covered, None, width, channels=[0, 2]), whole)

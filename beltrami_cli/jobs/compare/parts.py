@@ -27,11 +27,10 @@ from beltrami_cli.samples.texel_colours import TexelColours, choose_textures
 from beltrami_cli.samples.texel_samples import TexelSamples
 from beltrami_cli.samples.vertex_samples import with_surface
 from beltrami_cli.samples.voxels import LevelSetDocument
-from beltrami_cli.surface.atlas import EMPTY, REACH, Atlas, at_seam, lines_over_seams, refresh_halo
+from beltrami_cli.surface.atlas import EMPTY, REACH, Atlas, at_seam, lines_over_seams, refresh_halo, within
 from beltrami_cli.surface.colour_values import srgb_to_linear
 from beltrami_cli.surface.geometry import vertex_areas
 from beltrami_cli.surface.grouping import group_places
-from beltrami_cli.surface.lookup import within
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
