@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import click
 from click.core import ParameterSource
 
-from beltrami_cli.cli import options, outputs
-from beltrami_cli.cli.commands import GroupedOption, HelpfulCommand, options_by_name, values_for
+from beltrami_cli.cli import options
+from beltrami_cli.cli.commands import GroupedOption, HelpfulCommand, options_by_name, overwrite_at, values_for
 from beltrami_cli.errors import OutputError, ProcessingError, UsageError
 from beltrami_cli.fields import parameters
 from beltrami_cli.formats.access import is_file
@@ -158,7 +158,7 @@ def command(
         _show_plan(requests, resume=given["resume"], overwrite=overwrite)
         return
     path = _report_path(report_path, out_dir, inputs, jobs)
-    rewritten = outputs.overwrite_at("report_path", overwrite=overwrite)
+    rewritten = overwrite_at("report_path", overwrite=overwrite)
     with _executor(scheduler, pieces, given["at_once"], given["max_memory"], messages) as executor:
         outcomes = _run(jobs, (path, rewritten), given, executor, messages)
     if not messages.quiet:

@@ -15,6 +15,8 @@ from click.core import ParameterSource
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping
 
+    from beltrami_cli.jobs.output import Overwrite
+
 _PREFIX = "BELTRAMI"
 
 
@@ -104,6 +106,16 @@ def variable_behind(option: click.Parameter | None, context: click.Context | Non
         return ""
     source = context.get_parameter_source(str(option.name))
     return variable_in_force(option) if source is ParameterSource.ENVIRONMENT else ""
+
+
+def overwrite_at(option: str, *, overwrite: bool) -> Overwrite:
+    """Whether the file that an option names may be replaced.
+
+    One that this program did not write may be only if the command line itself names it and says --overwrite.
+    """
+    sources = [click.get_current_context().get_parameter_source(name) for name in (option, "overwrite")]
+    is_direct = all(source is ParameterSource.COMMANDLINE for source in sources)
+    return "own" if overwrite and not is_direct else overwrite
 
 
 _FEW = 12  # up to this many options are shown at once

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from beltrami_cli.cli import options, outputs
-from beltrami_cli.cli.commands import HelpfulCommand
+from beltrami_cli.cli import options
+from beltrami_cli.cli.commands import HelpfulCommand, overwrite_at
 from beltrami_cli.cli.console import Messages, printable
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.jobs.settings import Limits
@@ -101,7 +101,7 @@ def command(
     from beltrami_cli.jobs.compare.files import compare_files
 
     limits = options.record_from(Limits, values)
-    replaced = outputs.overwrite_at("map_to", overwrite=overwrite)
+    replaced = overwrite_at("map_to", overwrite=overwrite)
     with options.job_from(values, reference, messages) as job:
         comparison = compare_files(
             reference, test, limits, settings, weights=weights, map_to=map_to, overwrite=replaced, job=job

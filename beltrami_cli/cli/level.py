@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from beltrami_cli.cli import options, outputs
+from beltrami_cli.cli import options
 from beltrami_cli.cli.commands import HelpfulCommand
+from beltrami_cli.cli.smooth import besides, show_levelled, written
 from beltrami_cli.samples.settings import LevelSettings, SmoothSettings
 
 if TYPE_CHECKING:
@@ -44,7 +45,7 @@ and stays; if all of them are, OUTPUT is INPUT. See docs/levelling.md.
 @options.output_format
 @options.reading
 @options.overwrite
-@outputs.besides
+@besides
 @options.messages
 def command(source: str, target: str, messages: Messages, **values: Any) -> None:
     """Take the exposure steps between the charts of INPUT out of its textures, and write OUTPUT.
@@ -62,7 +63,7 @@ def command(source: str, target: str, messages: Messages, **values: Any) -> None
     def carry_out(job: Job) -> LevelFileReport:
         return level_file(source, target, wanted, settings, job)
 
-    report = outputs.written(values, (source, target), settings, messages, carry_out)
+    report = written(values, (source, target), settings, messages, carry_out)
     messages.warn_of(source, report.warnings)
     unwritten = "not written (dry run), " if values["dry_run"] else ""
-    outputs.show_levelled(messages, report.levelled, f"{target}: {unwritten}")
+    show_levelled(messages, report.levelled, f"{target}: {unwritten}")
