@@ -9,8 +9,7 @@ import numpy as np
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.fields import override
 from beltrami_cli.samples.image_surface import ImageSurface
-from beltrami_cli.surface.geometry import check_scale
-from beltrami_cli.surface.records import Encoding, PaintedVertices
+from beltrami_cli.surface.records import Encoding, PaintedVertices, check_scale
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -17,7 +17,7 @@ from beltrami_cli.formats.image import read_image
 from beltrami_cli.formats.image.picture import full_scale_one
 from beltrami_cli.samples.guides import require_size
 from beltrami_cli.surface.atlas import grid_atlas
-from beltrami_cli.surface.geometry import check_scale
+from beltrami_cli.surface.records import check_scale
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

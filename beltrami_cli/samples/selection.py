@@ -11,7 +11,7 @@ from beltrami_cli.formats.image import ImageDocument
 from beltrami_cli.formats.image.recognition import WRITABLE, format_of, format_of_suffix
 from beltrami_cli.formats.model_folder import LEFT_ALONE, remedy_for
 from beltrami_cli.formats.registry import OUTPUT_FORMATS
-from beltrami_cli.surface.geometry import check_scale
+from beltrami_cli.surface.records import check_scale
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

@@ -1,4 +1,4 @@
-"""Areas, normals, boundary and counts of triangle meshes, and whether they are too small or large to be computed on.
+"""Areas, normals, boundary and counts of triangle meshes.
 
 References
 ----------
@@ -15,8 +15,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-
-from beltrami_cli.errors import InputError
 
 if TYPE_CHECKING:
     from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s
@@ -217,35 +215,3 @@ def local_spacing(count: int, edges: Int32s, lengths: Float64s) -> Float64s:
         around = around + np.bincount(edges[:, 1], spacing[edges[:, 0]], count)
         spacing = np.asarray((spacing + around) / (degree + 1), np.float64)
     return spacing
-
-
-# Squares of lengths are kept in single precision, which ends at 1.2e-38 and 3.4e38: lengths at 1e-19 and 2e19. Texels
-# and the edges of a mesh vary, and kernels reach further; five decades of margin are enough for all of them.
-_LEAST, _MOST = 1e-14, 1e14
-_ENOUGH_FACES = 100_000  # for a median that is off by a per cent or so
-
-
-def check_scale(positions: Float64s, faces: Int32s, name: str) -> None:
-    """Refuse a surface whose median edge is too small or too large to be squared in single precision."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        if len(
-            faces
-        ):  # the longest coordinates of the edges of some, whose squares could overflow here already
-            corners = positions[faces[:: 1 + len(faces) // _ENOUGH_FACES]]
-            steps = np.abs(corners - np.roll(corners, 1, axis=1)).max(axis=2)
-            steps = steps[np.isfinite(corners).all(axis=(1, 2))]
-        else:  # points count as if they were spread evenly over a surface as wide as they are
-            there = positions[np.isfinite(positions).all(axis=1)]
-            steps = np.ptp(there, axis=0).max(keepdims=True) / np.sqrt(len(there)) if len(there) else there
-    steps = steps[steps > 0]
-    if not len(steps):
-        return
-    # The upper median: numpy.median imports more of NumPy than a small mesh takes to be smoothed.
-    typical = float(np.partition(steps, len(steps) // 2)[len(steps) // 2])
-    if _LEAST <= typical <= _MOST:
-        return
-    shown = f"{typical:.0e}" if np.isfinite(typical) else "more than 1e+308"
-    what = "edges are" if len(faces) else "points are apart"
-    kind = "small" if typical < _LEAST else "large"
-    cause = f"its {what} {shown} units, which is too {kind} to be squared in single precision"
-    raise InputError(name, cause, "scale it, for example to metres")
