@@ -200,11 +200,10 @@ def _show_plan(requests: Sequence[Request], *, resume: bool, overwrite: bool) ->
 
     is_there = {each.target: not is_url(each.target) and Path(each.target).exists() for each in requests}
     for each in requests:
-        own = ", ".join(f"{name} {value}" for name, value in each.options.items())
-        notes = [own] if own else []
+        notes = [", ".join(f"{name} {value}" for name, value in each.options.items())]
         if is_there[each.target]:
             notes.append("exists: is replaced" if overwrite else "exists: is not replaced")
-        click.echo(printable(f"{each.source} -> {each.target}" + "".join(f"; {note}" for note in notes)))
+        click.echo(printable("; ".join([f"{each.source} -> {each.target}", *filter(None, notes)])))
     taken = 0 if overwrite or resume else sum(is_there.values())
     refused = f"; {taken} of them would fail, since OUTPUT exists (--overwrite, --resume)" if taken else ""
     click.echo(f"{len(requests)} files would be smoothed; nothing is done (dry run){refused}", err=True)

@@ -29,7 +29,7 @@ from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.jobs.smoothing import Smoothing, make_report
 from beltrami_cli.samples.selection import select
 from beltrami_cli.view.layers import Layers
-from beltrami_cli.view.pages import LIBRARY, VIEWER_SCRIPTS, asset, viewer
+from beltrami_cli.view.pages import LIBRARY, VIEWER_SCRIPTS, asset
 from beltrami_cli.view.parameters import (
     controls,
     given_values,
@@ -168,7 +168,7 @@ class Live:
     def _pack(self, settings: SmoothSettings) -> dict[str, tuple[str, bytes]]:
         page = Template(asset("view.html")).substitute(
             title=html.escape(self._source),
-            viewer=viewer(),
+            viewer=asset("viewer.html"),
             controls=controls(self._layers.slots),
             target=html.escape(_target(self._source), quote=True),
             scripts="\n".join(f'<script src="{script}"></script>' for script in _SCRIPTS),

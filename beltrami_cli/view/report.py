@@ -121,7 +121,7 @@ def _page(
         licence=pages.asset("three.LICENSE"),
         title=html.escape(f"{short[0]} and {short[1]}"),
         summary=html.escape(f"Before: {names[0]}. After: {names[1]}."),
-        viewer=pages.viewer(),
+        viewer=pages.asset("viewer.html"),
         figures=pages.table(_rows(compared), "figures") + (f"\n<ul>{listed}</ul>" if listed else ""),
         histogram=histogram(compared.measured()),
         seams=f"<h2>Seams, by how much they changed</h2>\n{maps}" if maps else "",

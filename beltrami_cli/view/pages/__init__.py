@@ -51,11 +51,6 @@ def page_from(
     return filled.encode(errors="replace")
 
 
-def viewer() -> str:
-    """Return the part of a page that a viewer draws in."""
-    return Template(asset("viewer.html")).substitute(heading="Before and after")
-
-
 def packed_text(name: str) -> str:
     """Return a file of this folder, compressed."""
     return base64.b64encode(zlib.compress(asset(name).encode(), 9)).decode()
