@@ -112,7 +112,7 @@ class Output:
     def _stage(self, written: Written) -> None:
         self.check_sidecars(written.sidecars)
         if self.is_stdout or self.is_device:
-            self.files.stage_stream(lambda: self._write_stream(written.main))
+            self.files.streams.append(lambda: self._write_stream(written.main))
             return
         files = {self.path.parent / name: [data] for name, data in written.sidecars.items()}
         names = {path: self._named(path) for path in files} | {self.path: self.target}
@@ -199,7 +199,8 @@ class FileSet:
         self._reads = {replacing.place_of(Path(name)) for name in reads if name != "-"}
         self._guarded: set[str] = set()
         self._staged: dict[Path, _Staged] = {}
-        self._streams: list[Callable[[], None]] = []
+        # What writes to standard output or devices, before anything is put in place.
+        self.streams: list[Callable[[], None]] = []
         self._cleaning = contextlib.ExitStack()
 
     def __enter__(self) -> FileSet:
@@ -209,7 +210,7 @@ class FileSet:
         with replacing.endings_held():
             self._cleaning.close()
         self._staged.clear()
-        self._streams.clear()
+        self.streams.clear()
 
     def add(self, output: Output) -> None:
         """Let an output belong to the set; OutputError if it collides with what is known of the others."""
@@ -270,10 +271,6 @@ class FileSet:
                 leave_memory()
                 self._staged[path] = _Staged(aside, output, names[path])
 
-    def stage_stream(self, write: Callable[[], None]) -> None:
-        """Keep what goes to standard output or a device, which is written before anything is put in place."""
-        self._streams.append(write)
-
     def keep_equal(self) -> None:
         """Replace nothing: leave files that have the same bytes already; OutputError if one has others."""
         for path, staged in list(self._staged.items()):
@@ -291,7 +288,7 @@ class FileSet:
 
     def put_in_place(self) -> None:
         """Give all files their names; OutputError if that fails, and then all is as it was."""
-        for write in self._streams:
+        for write in self.streams:
             write()
         with replacing.endings_held() as deliver:
             staged = sorted(self._staged.values(), key=_rank)
@@ -305,7 +302,7 @@ class FileSet:
                 raise _unwritable(blamed or staged[-1].name, error) from error
             self._cleaning.pop_all()
             self._staged.clear()
-        self._streams.clear()
+        self.streams.clear()
 
 
 def _rank(staged: _Staged) -> tuple[bool, bool, str]:
