@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
+from beltrami_cli.formats.access import EVERYTHING_INSIDE
 from beltrami_cli.formats.image import ImageDocument
 from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.samples.guides import vertex_guides
@@ -88,7 +89,7 @@ class _PartDocument:
 class Previewer:
     """Smooths parts of one layer of a document; `slot`: of its textures, None: its vertices or its pixels."""
 
-    def __init__(self, document: Document, slot: Slot | None, access: Access) -> None:
+    def __init__(self, document: Document, slot: Slot | None, access: Access = EVERYTHING_INSIDE) -> None:
         self._document, self._slot, self._access = document, slot, access
         self._painted: PaintedVertices | None = None
         self._surface: TexturedSurface | None = None

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beltrami_cli.surface.colour_values import srgb_to_linear
-from beltrami_cli.view.camera import centred_window, fitted, orientation
+from beltrami_cli.view.camera import fitted, orientation
 from beltrami_cli.view.paint import VertexPaint
 from beltrami_cli.view.sheet import Background, displayed
 from beltrami_cli.view.tracing import SurfaceView
@@ -97,7 +97,7 @@ def view(
     light = srgb_to_linear(np.clip(colours, 0, 1).reshape(-1, 3))
     surface = SurfaceView(positions, faces, VertexPaint(faces, light))
     camera = fitted(positions, orientation(*angles), 0, 1)
-    drawn = surface.draw(camera, (size, size), centred_window(1), lit=shade)
+    drawn = surface.draw(camera, (size, size), (0.0, 0.0, 1.0, 1.0), lit=shade)
     seen = drawn[..., 3] > 0
     inside = np.ix_(np.flatnonzero(seen.any(axis=1)), np.flatnonzero(seen.any(axis=0)))
     return displayed(drawn[inside], Background())[..., :3].astype(np.float32)
