@@ -82,8 +82,8 @@ def test_a_signal_at_a_random_moment(number: signal.Signals, tmp_path: Path) -> 
 AT_A_LINE = """
 import os, signal, sys
 import beltrami_cli.cli.main as command
-from beltrami_cli.cli import process
-number, files = int(sys.argv[1]), (command.__file__, process.__file__)
+from beltrami_cli.cli import console
+number, files = int(sys.argv[1]), (command.__file__, console.__file__)
 
 def child(at):
     left = at
