@@ -173,7 +173,7 @@ def _fit(
         at = first + k
         penalty = _EVEN / max(float(apart), _LEAST_APART)
         prior[at : at + 2, at : at + 2] += penalty * np.array([[1, -1], [-1, 1]])
-    # The first weights are those of noise that is the same at all levels, so that texture of some does not look like it.
+    # First weights are those of noise of one size at all levels, so that the texture of some is not taken for more.
     least = np.full(first, np.inf)
     np.minimum.at(least, own, logs)
     residuals, fitted = logs - least[own], np.zeros(count)
